@@ -1,0 +1,80 @@
+# Needs Python >= 3.11 with pip, and make. Everything else goes into .venv, from uv.lock.
+#
+#   make study   run the A3 study to a report          make lint    style, types, layers
+#   make test    the tests                             make wheel   the wheel, into dist/
+#   make slow    the long studies                      make clean   what was built (distclean: .venv too)
+#
+# Another interpreter: make PYTHON=python3.12 study
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STUDY := a3_ball_bar
+PYTEST_ARGS ?=
+UV_WANTED := 'uv>=0.13,<1'
+
+SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --python $(BIN)/python
+
+.PHONY: study test slow lint format wheel lock clean distclean setup setup-dev
+.DEFAULT_GOAL := study
+
+setup: $(VENV)/.stamp-run
+setup-dev: $(VENV)/.stamp-dev
+
+study: setup
+	$(BIN)/oed run studies/$(STUDY).study.toml --out out/$(STUDY)
+
+test: setup-dev
+	$(BIN)/pytest $(PYTEST_ARGS)
+
+slow: setup-dev
+	$(BIN)/pytest -m slow $(PYTEST_ARGS)
+
+lint: setup-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: setup-dev
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+wheel: setup-dev
+	$(BIN)/uv build --wheel --out-dir dist
+
+# After a change of dependencies in pyproject.toml.
+lock: $(BIN)/uv
+	UV_PYTHON_DOWNLOADS=never $(BIN)/uv lock --python $(BIN)/python
+
+clean:
+	rm -rf out dist build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
+
+distclean: clean
+	rm -rf $(VENV)
+
+# Set-up: a virtual environment, uv inside it, then the locked dependencies; each step once.
+# Where venv cannot install pip (Debian without python3-venv), the pip of $(PYTHON) fills the environment.
+$(BIN)/uv:
+	@command -v $(PYTHON) >/dev/null || { \
+	  echo "$(PYTHON) was not found: install Python 3.11 or newer, or name one, as in: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "$(PYTHON) is $$($(PYTHON) -V 2>&1), but 3.11 or newer is needed: name one, as in: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
+	@echo "Setting up $(VENV) (once)"
+	@if $(PYTHON) -m venv --clear $(VENV) >/dev/null 2>&1; then \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check $(UV_WANTED); \
+	else \
+	  $(PYTHON) -m venv --clear --without-pip $(VENV) && \
+	  $(PYTHON) -m pip --python $(BIN)/python install --quiet --disable-pip-version-check $(UV_WANTED); \
+	fi
+
+$(VENV)/.stamp-run: pyproject.toml uv.lock $(BIN)/uv
+	@echo "Installing the locked dependencies"
+	@$(SYNC) --no-dev --inexact
+	@touch $@
+
+$(VENV)/.stamp-dev: pyproject.toml uv.lock $(BIN)/uv
+	@echo "Installing the locked dependencies and the development tools"
+	@$(SYNC)
+	@touch $@ $(VENV)/.stamp-run

@@ -1,0 +1,1 @@
+"""Mechanisms and instruments in CasADi: physics only, nothing statistical."""

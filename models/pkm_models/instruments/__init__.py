@@ -1,0 +1,1 @@
+"""Instruments: one module each, with an `instrument` attribute (and variants beside it)."""

@@ -1,0 +1,66 @@
+"""Double ball bar: the distance between a cup on the table and a ball at the tool point.
+
+Tian et al. (2016), Eqs. (8)-(12). Two ways to know where the table cup is:
+
+`instrument`   the cup was taught: the machine held it at a teach pose, so it sits where the real machine stood
+               then, plus a small offset (the paper's row n^T [A_r,jk - A_r,s, -E]);
+`free_cup`     the cup was set by hand near a stated place, and its three coordinates are unknown
+               (row n^T [A_r,jk, -E]).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.machine import Expr, Parameter, Values
+
+SOURCE = "Tian et al. 2016, section 3; ISO 230-4 for the instrument"
+LENGTH = Setting("length", "m", 0.300, "nominal bar length")
+CHANNEL = Channel("length", "m", 0.5e-6)
+COST = Cost(setup=900.0, reading=6.0)
+
+
+def _offset(s: Values) -> Expr:
+    return ca.vertcat(s["cup_x"], s["cup_y"], s["cup_z"])
+
+
+def _taught(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+    return [ca.norm_2(frames[0].point - frames[1].point - _offset(s))]
+
+
+def _free(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+    cup = ca.vertcat(k["at_x"], k["at_y"], k["at_z"]) + _offset(s)
+    return [ca.norm_2(frames[0].point - cup)]
+
+
+def _cup(tolerance: float) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"cup_{n}", 0.0, tolerance, "m", f"{n} offset of the cup") for n in "xyz")
+
+
+instrument = Instrument(
+    name="ball_bar",
+    source=SOURCE,
+    about="double ball bar, table cup taught by the machine",
+    channels=(CHANNEL,),
+    settings=(LENGTH,),
+    nuisances=_cup(0.02e-3),
+    cost=COST,
+    observe=_taught,
+    reference="teach",
+    holds=lambda k: k["length"],
+)
+
+free_cup = Instrument(
+    name="ball_bar_free_cup",
+    source=SOURCE,
+    about="double ball bar, table cup set by hand",
+    channels=(CHANNEL,),
+    settings=(LENGTH, *(Setting(f"at_{n}", "m", None, f"{n} of the cup in the base frame") for n in "xyz")),
+    nuisances=_cup(1.0e-3),
+    cost=COST,
+    observe=_free,
+    holds=lambda k: k["length"],
+)

@@ -1,0 +1,1 @@
+"""Machines: one module each, with a `machine` attribute."""

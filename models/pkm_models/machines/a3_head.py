@@ -1,0 +1,141 @@
+"""A3 spindle head, a 3-RPS parallel mechanism: one translation and two rotations.
+
+Tian et al. (2016), Kinematic calibration of a 3-DOF spindle head using a double ball bar, Mechanism and Machine
+Theory 102, 167-178: Table 1, Eqs. (1)-(6), (16), (19). Limb i is an extensible strut from the revolute joint B_i
+to the spherical joint A_i. The closure is exact where the paper's Eq. (4) is linear: with v_i = A_i - B_i,
+
+    |v_i| = q_i + dq_i,        v_i . s1_i = (q_i + dq_i) sin(beta_i).
+
+The pose is the reference tool point, tilt (rx, ry) = theta (cos psi, sin psi) and spin = psi + phi.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import casadi as ca
+
+from oed.machine import Component, Coordinate, Expr, Machine, Parameter, PointGroup, Values
+from pkm_models.rotation import tilt_torsion
+
+A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
+LIMBS = (1, 2, 3)
+PHI = {i: 2.0 * math.pi * (i - 1) / 3.0 - math.pi / 2.0 for i in LIMBS}
+XYZ = "xyz"
+
+# Tolerances (prior standard deviations): the size of the errors that Table 3 found on the prototype.
+HOME, JOINT, TILT = 1.0e-3, 1.0e-3, 10e-3  # m, m, rad
+
+
+def _base(i: int) -> tuple[float, float, float]:
+    return (B * math.cos(PHI[i]), B * math.sin(PHI[i]), 0.0)
+
+
+def _platform(i: int) -> tuple[float, float, float]:
+    return (A * math.cos(PHI[i]), A * math.sin(PHI[i]), -C)
+
+
+def _joints(x: Values, p: Values, i: int) -> tuple[Expr, Expr]:
+    """Joint centres B_i and A_i in the base frame."""
+    base = ca.vertcat(*[n + p[f"db{i}{k}"] for n, k in zip(_base(i), XYZ, strict=True)])
+    local = ca.vertcat(*[n + p[f"da{i}{k}"] for n, k in zip(_platform(i), XYZ, strict=True)])
+    rotation, point = platform(x)
+    return base, point + rotation @ local
+
+
+def platform(x: Values) -> tuple[Expr, Expr]:
+    """Orientation and tool point."""
+    return tilt_torsion(x["rx"], x["ry"], x["spin"]), ca.vertcat(x["x"], x["y"], x["z"])
+
+
+def closure(x: Values, q: Values, p: Values) -> list[Expr]:
+    """Strut length and strut plane of each limb; lengths in m."""
+    rows = []
+    for i in LIMBS:
+        base, joint = _joints(x, p, i)
+        v, length = joint - base, q[f"q{i}"] + p[f"dq{i}"]
+        s1 = ca.DM([-math.sin(PHI[i]), math.cos(PHI[i]), 0.0])
+        rows += [ca.norm_2(v) - length, ca.dot(s1, v) - length * ca.sin(p[f"beta{i}"])]
+    return rows
+
+
+def target(c: Values) -> list[Expr]:
+    """Height and tilt that the controller holds."""
+    return [c["z"], c["theta"] * ca.cos(c["psi"]), c["theta"] * ca.sin(c["psi"])]
+
+
+def guess(c: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
+    """Upright start with the commanded tilt."""
+    _, rx, ry = target(c)
+    return [C * ca.sin(ry), -C * ca.sin(rx), c["z"], rx, ry, 0.0], [c["z"] - C] * 3
+
+
+def read_error(c: Values, twist: Sequence[Expr]) -> list[Expr]:
+    """x, y, z and the Euler errors: d alpha = Psi (d psi, d theta, d phi), Eq. (19), inverted."""
+    cos_psi, sin_psi = ca.cos(c["psi"]), ca.sin(c["psi"])
+    ax, ay, az = twist[3:]
+    dtheta = cos_psi * ax + sin_psi * ay
+    dphi = (sin_psi * ax - cos_psi * ay) / ca.sin(c["theta"])
+    return [*twist[:3], az - ca.cos(c["theta"]) * dphi, dtheta, dphi]
+
+
+def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
+    """Base triangle, limbs, platform triangle, spindle."""
+    bases, joints = zip(*[_joints(x, p, i) for i in LIMBS], strict=True)
+    centre = (joints[0] + joints[1] + joints[2]) / 3.0
+    limbs = [[b, a] for b, a in zip(bases, joints, strict=True)]
+    return [[*bases, bases[0]], *limbs, [*joints, joints[0]], [centre, platform(x)[1]]]
+
+
+def _parameters() -> tuple[Parameter, ...]:
+    table = [Parameter(f"dq{i}", 0.0, HOME, "m", f"home error of limb {i}") for i in LIMBS]
+    table += [Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of base joint {i}") for i in LIMBS for k in XYZ]
+    table += [Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}") for i in LIMBS for k in XYZ]
+    table += [Parameter(f"beta{i}", 0.0, TILT, "rad", f"tilt of limb {i} out of its plane") for i in LIMBS]
+    return tuple(table)
+
+
+machine = Machine(
+    name="a3_head",
+    source="Tian et al. 2016, Mech. Mach. Theory 102, 167-178",
+    about="A3 spindle head (3-RPS): z, psi, theta driven; x, y, phi parasitic",
+    pose=tuple(Coordinate(n, "m") for n in XYZ) + tuple(Coordinate(n, "rad") for n in ("rx", "ry", "spin")),
+    joints=tuple(Coordinate(f"q{i}", "m", 0.2, 1.2) for i in LIMBS),
+    command=(
+        Coordinate("z", "m", C + D, C + D + 0.200),
+        Coordinate("psi", "rad", -2.0 * math.pi, 2.0 * math.pi),
+        Coordinate("theta", "rad", 0.0, math.radians(40.0)),
+    ),
+    parameters=_parameters(),
+    components=(
+        Component("x", "m", compensatable=False),
+        Component("y", "m", compensatable=False),
+        Component("z", "m", compensatable=True),
+        Component("psi", "rad", compensatable=True),
+        Component("theta", "rad", compensatable=True),
+        Component("phi", "rad", compensatable=False),
+    ),
+    home={"z": C + D, "psi": 0.0, "theta": 0.0},
+    lever=D,
+    closure=closure,
+    platform=platform,
+    commanded=lambda x, tip: [tip[2], x["rx"], x["ry"]],
+    target=target,
+    guess=guess,
+    read_error=read_error,
+    skeleton=skeleton,
+    frame=("db1x", "db2y", "db3y", "db1z", "db2z", "db3z"),  # Eq. (16)
+    groups=(
+        PointGroup(
+            "platform joints",
+            "the TCP",
+            tuple((tuple(f"da{i}{k}" for k in XYZ), _platform(i)) for i in LIMBS),  # type: ignore[misc]
+        ),
+        PointGroup(
+            "base joints",
+            "the base centre",
+            tuple((tuple(f"db{i}{k}" for k in XYZ), _base(i)) for i in LIMBS),  # type: ignore[misc]
+        ),
+    ),
+)

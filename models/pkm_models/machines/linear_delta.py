@@ -1,0 +1,90 @@
+"""Linear delta: three vertical carriages, three parallelogram arms, a platform that only translates.
+
+The geometry of delta printers (FLSun V400 size by default): carriage i runs on a vertical tower at radius R and
+angle alpha_i, its height is endstop_i + sqrt(arm_i^2 - R^2) - q_i, where q_i is the travel down from the endstop
+and endstop_i the tool height at which the endstop triggers. The arm keeps tool and carriage at distance arm_i:
+
+    |t - (R cos alpha_i, R sin alpha_i, h_i)| = arm_i,
+
+and the tool is the lower of the two points that satisfy it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import casadi as ca
+
+from oed.machine import Component, Coordinate, Expr, Machine, Parameter, Values
+
+TOWERS = (1, 2, 3)
+RADIUS, ARM, ENDSTOP = 0.16175, 0.345, 0.420  # m
+ANGLE = {1: math.radians(210.0), 2: math.radians(330.0), 3: math.radians(90.0)}
+
+
+def _carriage(i: int, q: Values, p: Values) -> Expr:
+    """Position (3,) of the carriage's arm joint, reduced by the platform's radius."""
+    radius, arm, angle = p["radius"], p[f"arm{i}"], p[f"angle{i}"]
+    height = p[f"endstop{i}"] + ca.sqrt(arm**2 - radius**2) - q[f"q{i}"]
+    return ca.vertcat(radius * ca.cos(angle), radius * ca.sin(angle), height)
+
+
+def _tool(x: Values) -> Expr:
+    return ca.vertcat(x["x"], x["y"], x["z"])
+
+
+def platform(x: Values) -> tuple[Expr, Expr]:
+    """The platform never turns."""
+    return ca.SX.eye(3), _tool(x)
+
+
+def closure(x: Values, q: Values, p: Values) -> list[Expr]:
+    """Arm lengths; m."""
+    return [ca.norm_2(_tool(x) - _carriage(i, q, p)) - p[f"arm{i}"] for i in TOWERS]
+
+
+def guess(c: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
+    """The commanded point, with all carriages at one height."""
+    return [c["x"], c["y"], c["z"]], [ENDSTOP - c["z"]] * 3
+
+
+def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
+    """Towers and arms."""
+    lines = []
+    for i in TOWERS:
+        top = _carriage(i, q, p)
+        foot = ca.vertcat(top[0], top[1], 0.0)
+        head = ca.vertcat(top[0], top[1], ENDSTOP + math.sqrt(ARM**2 - RADIUS**2))
+        lines += [[foot, head], [top, _tool(x)]]
+    return lines
+
+
+machine = Machine(
+    name="linear_delta",
+    source="delta printer kinematics; nominal numbers of the FLSun V400 (Klipper configuration, CC0)",
+    about="linear delta (3-PUU with parallelograms): x, y, z driven",
+    pose=tuple(Coordinate(n, "m") for n in "xyz"),
+    joints=tuple(Coordinate(f"q{i}", "m", -0.05, 0.6) for i in TOWERS),
+    command=(
+        Coordinate("x", "m", -0.140, 0.140),
+        Coordinate("y", "m", -0.140, 0.140),
+        Coordinate("z", "m", 0.0, 0.400),
+    ),
+    parameters=(
+        Parameter("radius", RADIUS, 0.5e-3, "m", "tower circle less platform radius"),
+        *(Parameter(f"arm{i}", ARM, 1.0e-3, "m", f"arm length of tower {i}") for i in TOWERS),
+        *(Parameter(f"angle{i}", ANGLE[i], 3.5e-3, "rad", f"angle of tower {i}") for i in TOWERS),
+        *(Parameter(f"endstop{i}", ENDSTOP, 1.5e-3, "m", f"tool height at endstop {i}") for i in TOWERS),
+    ),
+    components=tuple(Component(n, "m", compensatable=True) for n in "xyz"),
+    home={"x": 0.0, "y": 0.0, "z": 0.020},
+    lever=RADIUS,
+    closure=closure,
+    platform=platform,
+    commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
+    target=lambda c: [c["x"], c["y"], c["z"]],
+    guess=guess,
+    skeleton=skeleton,
+    frame=("angle3",),  # turning all towers together only turns the base frame
+)

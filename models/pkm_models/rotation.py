@@ -1,0 +1,32 @@
+"""Rotations as CasADi expressions, smooth over the whole working range."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from oed.machine import Expr
+
+
+def tilt_torsion(rx: Expr, ry: Expr, spin: Expr) -> Expr:
+    """Rotation (3 x 3): a spin about the tool axis, then a tilt by the rotation vector (rx, ry, 0).
+
+    With precession psi and nutation theta, (rx, ry) = theta (cos psi, sin psi) and R equals the z-x-z Euler
+    product Rz(psi) Rx(theta) Rz(phi) with phi = spin - psi. Unlike Euler angles it is regular at theta = 0.
+    """
+    square = rx**2 + ry**2 + 1e-300  # keeps value and first derivative exact at zero tilt
+    angle = ca.sqrt(square)
+    a = ca.sin(angle) / angle
+    b = 2.0 * ca.sin(angle / 2.0) ** 2 / square
+    c = ca.cos(angle)
+    tilt = ca.vertcat(
+        ca.horzcat(c + b * rx * rx, b * rx * ry, a * ry),
+        ca.horzcat(b * rx * ry, c + b * ry * ry, -a * rx),
+        ca.horzcat(-a * ry, a * rx, c),
+    )
+    return tilt @ about_z(spin)
+
+
+def about_z(angle: Expr) -> Expr:
+    """Rotation (3 x 3) about z."""
+    cos, sin = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(ca.horzcat(cos, -sin, 0), ca.horzcat(sin, cos, 0), ca.horzcat(0, 0, 1))

@@ -1,0 +1,129 @@
+"""Criteria of a plan: how good are its readings, as pure functions.
+
+Alphabetic criteria take the Fisher information M (n, n); observability indices take the singular values of the
+scaled identification matrix H over its identifiable directions. All but kappa are the larger the better.
+
+Sources: Pukelsheim (2006), Optimal Design of Experiments (D, A, E, I); Sun and Hollerbach (2008), ICRA, and
+Joubair and Bonev (2013) for O1 to O5; Chang, Li and Li (2011), Eq. (17), for the noise amplification index.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from oed.batch import Array
+
+
+def d(information: Array) -> float:
+    """log det M; -inf where M is singular."""
+    sign, value = np.linalg.slogdet(information)
+    return float(value) if sign > 0 else -np.inf
+
+
+def a(information: Array) -> float:
+    """-trace M^-1: minus the sum of the parameters' variances; -inf where M is singular."""
+    return -i(information, np.eye(information.shape[0]))
+
+
+def e(information: Array) -> float:
+    """Least eigenvalue of M."""
+    return float(np.linalg.eigvalsh(information)[0])
+
+
+def i(information: Array, moment: Array) -> float:
+    """-trace(W M^-1): minus the mean predicted pose variance over a workspace.
+
+    `moment` W (n, n) = mean of J^T J over the workspace poses, J (k, n) from parameters to pose components.
+    """
+    values, vectors = np.linalg.eigh(information)
+    if values[0] <= values[-1] * np.finfo(float).eps:
+        return -np.inf
+    return -float(np.einsum("ij,ik,kj,j->", vectors, moment, vectors, 1.0 / values))
+
+
+def kappa(singular_values: Array) -> float:
+    """Condition number sigma_max / sigma_min (the smaller the better)."""
+    return float(singular_values.max() / singular_values.min())
+
+
+def o1(singular_values: Array, readings: int) -> float:
+    """(sigma_1 ... sigma_L)^(1/L) / sqrt(m), m the number of readings."""
+    return float(np.exp(np.log(singular_values).mean()) / np.sqrt(readings))
+
+
+def o2(singular_values: Array) -> float:
+    """sigma_min / sigma_max = 1 / kappa."""
+    return float(singular_values.min() / singular_values.max())
+
+
+def o3(singular_values: Array) -> float:
+    """sigma_min."""
+    return float(singular_values.min())
+
+
+def o4(singular_values: Array) -> float:
+    """sigma_min^2 / sigma_max."""
+    return float(singular_values.min() ** 2 / singular_values.max())
+
+
+def o5(singular_values: Array) -> float:
+    """1 / sum(1 / sigma_i)."""
+    return float(1.0 / np.sum(1.0 / singular_values))
+
+
+def noise_amplification(singular_values: Array, poses: int) -> float:
+    """Eq. (17) of Chang, Li and Li (2011): L-th root of the product of the singular values over sqrt(m).
+
+    The same number as O1, with m counting measurement poses instead of readings.
+    """
+    return o1(singular_values, poses)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Criterion:
+    """A criterion as the catalogue lists it."""
+
+    name: str
+    about: str
+    source: str
+    function: Callable[..., float]
+
+
+_PUKELSHEIM = "Pukelsheim (2006), Optimal Design of Experiments"
+_SUN = "Sun and Hollerbach (2008), Observability index selection, ICRA"
+
+CATALOGUE: Mapping[str, Criterion] = MappingProxyType(
+    {
+        c.name: c
+        for c in (
+            Criterion("D", "log det M: volume of the confidence ellipsoid", _PUKELSHEIM, d),
+            Criterion("A", "-trace M^-1: sum of the parameter variances", _PUKELSHEIM, a),
+            Criterion("E", "least eigenvalue of M: the worst-known direction", _PUKELSHEIM, e),
+            Criterion("I", "-trace W M^-1: mean predicted pose variance over the workspace", _PUKELSHEIM, i),
+            Criterion("kappa", "condition number of H", _SUN, kappa),
+            Criterion("O1", "geometric mean of the singular values over sqrt(m)", _SUN, o1),
+            Criterion("O2", "reciprocal condition number", _SUN, o2),
+            Criterion("O3", "least singular value", _SUN, o3),
+            Criterion("O4", "least singular value squared over the largest", _SUN, o4),
+            Criterion(
+                "O5", "harmonic sum of the singular values", "Joubair and Bonev (2013), Mech. Mach. Theory 70", o5
+            ),
+            Criterion(
+                "noise_amplification",
+                "O1 with m counting poses",
+                "Chang, Li and Li (2011), Chin. J. Mech. Eng., Eq. (17)",
+                noise_amplification,
+            ),
+        )
+    }
+)
+
+
+def observability(singular_values: Array, readings: int) -> dict[str, float]:
+    """O1 to O5 of the identifiable directions."""
+    s = singular_values
+    return {"O1": o1(s, readings), "O2": o2(s), "O3": o3(s), "O4": o4(s), "O5": o5(s)}

@@ -1,0 +1,1 @@
+"""Design methods: one module each."""

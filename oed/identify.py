@@ -1,0 +1,318 @@
+"""Identification: Gauss-Newton / Levenberg-Marquardt on the exact nonlinear readings, with tolerance priors.
+
+The unknowns are identifiable coordinates. With T = diag(tolerances) and the whitened, tolerance-scaled H = U S V^T,
+
+    theta = origin + T V_r z,        z ~ N(0, I) a priori,
+
+where V_r spans the directions that some reading sees. The rest of V keeps its prior: to first order no reading says
+anything about it. Minimised is |(y - f(theta)) / sigma|^2 + |z|^2.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import optimize
+
+from oed import identifiability, information
+from oed.batch import Array
+from oed.measurement import Measurement, Series
+
+#: rounds of the noise-scale estimate; it settles in a few
+NOISE_ROUNDS = 8
+
+
+class IdentificationError(RuntimeError):
+    """The fit could not be made: too few readings, or the machine cannot be assembled on the way."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Coordinates:
+    """Identifiable coordinates about an origin: theta = origin + basis @ z + unseen @ w; SI.
+
+    basis (n, r), unseen (n, n_free - r): orthonormal directions times tolerances. z and w are N(0, I) a priori.
+    """
+
+    origin: Array
+    basis: Array
+    unseen: Array
+
+    def at(self, theta: Array) -> Array:
+        """Coordinates z (r,) of parameters (n,); what lies in unseen directions is dropped."""
+        size = np.linalg.norm(self.basis, axis=0)
+        return np.asarray(np.linalg.lstsq(self.basis / size, theta - self.origin, rcond=None)[0] / size)
+
+    def theta(self, z: Array) -> Array:
+        """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""
+        return self.origin + z @ self.basis.T
+
+
+@dataclasses.dataclass(frozen=True)
+class Round:
+    """One stage of an identification: what it freed and where it ended. rms in whitened units."""
+
+    freed: tuple[str, ...]
+    iterations: int
+    rms_before: float
+    rms_after: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """Identified parameters.
+
+    theta           (n,) maximum a posteriori, SI
+    covariance      (n, n) posterior (Laplace), SI; directions no reading sees keep their prior variance
+    prior_sd        (n,) tolerances of the last stage, SI
+    coordinates     identifiable coordinates of the last stage, about its origin
+    z               (r,) the solution in them
+    residuals       (N,) y - f(theta), SI;  before: the same at the start
+    sigma           (N,) noise standard deviations used, SI (scaled where the scale was estimated)
+    noise_scale     {set-up: factor on the stated noise}
+    dof             readings less effectively determined directions
+    chi2            sum of squared whitened residuals
+    rounds          the stages
+    warnings        what a user must know
+    """
+
+    theta: Array
+    covariance: Array
+    prior_sd: Array
+    coordinates: Coordinates
+    z: Array
+    residuals: Array
+    before: Array
+    sigma: Array
+    noise_scale: dict[str, float]
+    dof: float
+    chi2: float
+    rounds: tuple[Round, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def sd(self) -> Array:
+        """Posterior standard deviations (n,), SI."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def shrinkage(self) -> Array:
+        """Posterior over prior standard deviation (n,): 1 where the readings say nothing; 0 for held entries."""
+        return np.divide(self.sd, self.prior_sd, out=np.zeros_like(self.sd), where=self.prior_sd > 0)
+
+
+def coordinates(
+    measurement: Measurement,
+    series: Sequence[Series],
+    at: Array,
+    sigma: Array,
+    tolerance: Array | None = None,
+) -> Coordinates:
+    """Identifiable coordinates of the readings, with H taken `at` (n,); held are entries with zero tolerance.
+
+    The origin is nominal, where the tolerances hold, wherever H was taken.
+    """
+    scale = measurement.tolerance if tolerance is None else tolerance
+    free = np.flatnonzero(scale > 0)
+    h = information.whiten(measurement.jacobian(series, at), sigma)
+    # judged with lengths, so that a generous tolerance or a quiet instrument does not change what is seen
+    judged = (h * np.median(sigma) / measurement.lengths)[:, free]
+    verdict = identifiability.analyse(judged, [measurement.names[k] for k in free], 1.0 / measurement.lengths[free])
+    moves = np.linalg.qr((verdict.null_space / measurement.lengths[free] / scale[free]).T)[0]
+    full = np.linalg.qr(moves, mode="complete")[0] if moves.size else np.eye(len(free))
+    lost, kept = full[:, : moves.shape[1]], full[:, moves.shape[1] :]
+    # among the kept directions take H's own, strongest first: they decouple the sampler's coordinates
+    _, _, vt = np.linalg.svd((h * scale)[:, free] @ kept, full_matrices=True)
+    basis, unseen = np.zeros((len(scale), kept.shape[1])), np.zeros((len(scale), lost.shape[1]))
+    basis[free] = scale[free, None] * (kept @ vt.T)
+    unseen[free] = scale[free, None] * lost
+    return Coordinates(np.where(scale > 0, measurement.nominal, at), basis, unseen)
+
+
+def identify(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    *,
+    stages: Sequence[Sequence[str]] = (("*",),),
+    estimate_noise: bool = False,
+    sigma: Array | None = None,
+    start: Array | None = None,
+    max_iterations: int = 100,
+) -> Estimate:
+    """Fit all readings y (N,), SI.
+
+    stages          name patterns freed in turn ("dq*", then "*"): rough before fine, so that a large error of few
+                    parameters is gone before the others are freed. A stage that is not the last only finds
+                    a place to start from: the tolerances hold about nominal all the time.
+    estimate_noise  scale the stated noise of each set-up's readings by what their residuals say (never below 1)
+    start           (n,) where to begin; nominal by default
+
+    Raises IdentificationError.
+    """
+    sigma = measurement.sigma(series) if sigma is None else sigma
+    _check(measurement, series, y)
+    theta = measurement.nominal if start is None else start
+    before = y - measurement.readings(series, theta)
+    rounds = []
+    for patterns in stages[:-1]:
+        theta, done = _rough(measurement, series, y, sigma, theta, patterns, max_iterations)
+        rounds.append(done)
+    tolerance = _freed(measurement, stages[-1])
+    groups, scale = _groups(measurement, series), dict.fromkeys(measurement.setups, 1.0)
+    used = sigma
+    for _ in range(NOISE_ROUNDS if estimate_noise else 1):
+        local = coordinates(measurement, series, theta, used, tolerance)
+        z, iterations = _solve(measurement, series, y, used, local, local.at(theta), max_iterations)
+        theta = found = local.theta(z)
+        residuals = y - measurement.readings(series, found)
+        covariance, leverage = _covariance(measurement, series, found, used, tolerance)
+        if not estimate_noise:
+            break
+        newer = _noise_scale(residuals / sigma, leverage, groups)
+        settled = max(abs(newer[k] / scale[k] - 1.0) for k in newer) < 1e-3
+        scale |= newer
+        used = sigma * np.array([scale[g] for g in groups])
+        if settled:
+            break
+    white = residuals / used
+    rounds.append(Round(tuple(stages[-1]), iterations, _rms(before / used), _rms(white)))
+    dof = len(y) - float(leverage.sum())
+    estimate = Estimate(
+        theta=found,
+        covariance=covariance,
+        prior_sd=tolerance,
+        coordinates=local,
+        z=z,
+        residuals=residuals,
+        before=before,
+        sigma=used,
+        noise_scale={k: scale[k] for k in dict.fromkeys(groups)},
+        dof=dof,
+        chi2=float(white @ white),
+        rounds=tuple(rounds),
+        warnings=(),
+    )
+    return dataclasses.replace(estimate, warnings=tuple(_warnings(measurement, estimate)))
+
+
+def _check(measurement: Measurement, series: Sequence[Series], y: Array) -> None:
+    expected = sum(len(s) * len(measurement.setups[s.setup].sigma) for s in series)
+    if y.shape != (expected,):
+        raise IdentificationError(f"{expected} readings were planned, {y.shape} are given")
+    if not np.isfinite(y).all():
+        raise IdentificationError(f"readings number {np.flatnonzero(~np.isfinite(y))[:5].tolist()} are not finite")
+
+
+def _freed(measurement: Measurement, patterns: Sequence[str]) -> Array:
+    """Tolerances (n,) with everything that no pattern frees set to 0."""
+    freed = np.array([any(fnmatch.fnmatchcase(n, p) for p in patterns) for n in measurement.names])
+    if not (freed & measurement.free).any():
+        raise IdentificationError(f"the patterns {list(patterns)} free no parameter of {list(measurement.names)}")
+    return np.where(freed, measurement.tolerance, 0.0)
+
+
+def _rough(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    sigma: Array,
+    theta: Array,
+    patterns: Sequence[str],
+    max_iterations: int,
+) -> tuple[Array, Round]:
+    local = coordinates(measurement, series, theta, sigma, _freed(measurement, patterns))
+    before = _rms((y - measurement.readings(series, theta)) / sigma)
+    z, iterations = _solve(measurement, series, y, sigma, local, local.at(theta), max_iterations)
+    found = local.theta(z)
+    after = _rms((y - measurement.readings(series, found)) / sigma)
+    return found, Round(tuple(patterns), iterations, before, after)
+
+
+def _solve(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    sigma: Array,
+    local: Coordinates,
+    z0: Array,
+    max_iterations: int,
+) -> tuple[Array, int]:
+    """Trust-region Gauss-Newton over z; steps into places that cannot be assembled are rejected."""
+    r = local.basis.shape[1]
+
+    def residual(z: Array) -> Array:
+        model = measurement.try_readings(series, local.theta(z))
+        return np.concatenate([(model - y) / sigma, z])
+
+    def slope(z: Array) -> Array:
+        h = information.whiten(measurement.jacobian(series, local.theta(z)), sigma)
+        return np.vstack([h @ local.basis, np.eye(r)])
+
+    found = optimize.least_squares(
+        residual, z0, slope, method="trf", xtol=1e-12, ftol=1e-14, gtol=1e-10,
+        max_nfev=max_iterations,
+    )  # fmt: skip
+    if found.status <= 0:
+        raise IdentificationError(
+            f"the fit did not converge in {max_iterations} iterations (cost {found.cost:.3g}); "
+            "check units and signs of the readings, or free fewer parameters in a rough stage first"
+        )
+    return found.x, int(found.nfev)
+
+
+def _covariance(
+    measurement: Measurement, series: Sequence[Series], theta: Array, sigma: Array, tolerance: Array
+) -> tuple[Array, Array]:
+    """Posterior covariance (n, n), SI, and each reading's leverage (N,): how much of it the fit uses up."""
+    h = information.whiten(measurement.jacobian(series, theta), sigma) * tolerance
+    unit = information.posterior_covariance(h)
+    leverage = np.einsum("ij,jk,ik->i", h, unit, h)
+    return unit * np.outer(tolerance, tolerance), leverage
+
+
+def _groups(measurement: Measurement, series: Sequence[Series]) -> list[str]:
+    """Set-up of each reading, flattened like readings."""
+    return [s.setup for s in series for _ in range(len(s) * len(measurement.setups[s.setup].sigma))]
+
+
+def _noise_scale(white: Array, leverage: Array, groups: Sequence[str]) -> dict[str, float]:
+    """Restricted maximum likelihood of a noise factor for each set-up: r^2 over readings less leverage."""
+    labels = np.array(groups)
+    scale = {}
+    for label in dict.fromkeys(groups):
+        mine = labels == label
+        spare = float(mine.sum() - leverage[mine].sum())
+        scale[label] = max(1.0, float(np.sqrt(white[mine] @ white[mine] / max(spare, 1.0))))
+    return scale
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
+    told = []
+    weak = [n for n, s in zip(measurement.names, estimate.shrinkage, strict=True) if s > 0.7]
+    if weak:
+        told.append("these stay near their tolerance, the readings hardly see them: " + ", ".join(weak))
+    far = [
+        n
+        for n, d, s in zip(
+            measurement.names, estimate.theta - estimate.coordinates.origin, estimate.prior_sd, strict=True
+        )
+        if s > 0 and abs(d) > 4.0 * s
+    ]
+    if far:
+        told.append(
+            "these ended more than 4 tolerances from where they began; widen [prior] or doubt the model: "
+            + ", ".join(far)
+        )
+    if estimate.dof >= 3 and estimate.chi2 > estimate.dof + 5.0 * np.sqrt(2.0 * estimate.dof):
+        told.append(
+            f"the residuals are {np.sqrt(estimate.chi2 / estimate.dof):.1f} times the stated noise: "
+            "noise is understated, or an effect is not in the model; [noise] estimate = true widens the intervals"
+        )
+    return told

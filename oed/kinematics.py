@@ -1,0 +1,245 @@
+"""Inverse and forward kinematics and their derivatives, derived from a machine's closure.
+
+With closure phi(x, q, p) = 0:
+
+* the controller (inverse): given a command c and the parameters it believes in, find pose and joints with
+  phi = 0 and commanded(x) = target(c);
+* the machine (forward): given joints q and true parameters p, find x with phi = 0 by Newton's method;
+* dx/dp = -phi_x^-1 phi_p and dx/dq = -phi_x^-1 phi_q at fixed joints (implicit function theorem).
+
+All of it runs over many poses and many parameter vectors at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.batch import Array, Batched
+from oed.machine import Coordinate, Machine, Parameter, Values
+
+#: Newton stops once a step (m, rad) is below this: convergence is quadratic, so the next is at rounding level
+STEP = 1e-8
+ITERATIONS = 30
+#: longest Newton step (m, rad): longer ones are shortened, so that the assembly mode of the start is kept
+REACH = 0.2
+
+
+class AssemblyError(RuntimeError):
+    """The closure could not be satisfied at some poses: out of reach, or singular.
+
+    `indices` are the flat indices of the failing poses.
+    """
+
+    def __init__(self, message: str, indices: NDArray[np.intp]) -> None:
+        super().__init__(message)
+        self.indices = indices
+
+
+def symbols(prefix: str, items: Sequence[Coordinate | Parameter]) -> tuple[ca.SX, Values]:
+    """A symbolic vector and its entries by name."""
+    vector = ca.SX.sym(prefix, len(items))
+    return vector, {item.name: vector[i] for i, item in enumerate(items)}
+
+
+class Kinematics:
+    """Numeric kinematics of one machine. Shapes: n poses, nx pose, nq joint, np parameter coordinates."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        x, xs = symbols("x", machine.pose)
+        q, qs = symbols("q", machine.joints)
+        p, ps = symbols("p", machine.parameters)
+        c, cs = symbols("c", machine.command)
+        tool = ca.SX.sym("tool", 3)
+        phi = ca.vertcat(*machine.closure(xs, qs, ps))
+        rotation, point = machine.platform(xs)
+        tip = point + rotation @ tool
+        wish = ca.vertcat(*machine.commanded(xs, tip)) - ca.vertcat(*machine.target(cs))
+        phi_x = ca.jacobian(phi, x)
+        xq = ca.vertcat(x, q)
+        both = ca.vertcat(phi, wish)
+        guess_x, guess_q = machine.guess(cs)
+        twist = _twist(rotation, tip, x)
+        error = ca.SX.sym("error", 6)
+
+        self._forward = Batched("forward", [x, q, p], [phi, phi_x])
+        self._inverse = Batched("inverse", [x, q, p, c, tool], [both, ca.jacobian(both, xq)])
+        self._guess = Batched("guess", [c], [ca.vertcat(*guess_x), ca.vertcat(*guess_q)])
+        self._slopes = Batched("slopes", [x, q, p], [phi_x, ca.jacobian(phi, p), ca.jacobian(phi, q)])
+        self._held = Batched("held", [x, tool], [ca.jacobian(ca.vertcat(*machine.commanded(xs, tip)), x)])
+        self._frame = Batched("frame", [x, tool], [rotation, tip, twist])
+        components = ca.vertcat(*machine.read_error(cs, [error[i] for i in range(6)]))
+        self._components = Batched("components", [c, error], [components])
+        self._components_slope = Batched("components_slope", [c], [ca.jacobian(components, error)])
+        self._skeleton = (
+            None
+            if machine.skeleton is None
+            else [
+                Batched(f"line{i}", [x, q, p], [ca.horzcat(*line)])
+                for i, line in enumerate(machine.skeleton(xs, qs, ps))
+            ]
+        )
+
+    # -- the controller ------------------------------------------------------------------------------------
+
+    def inverse(self, command: Array, p: Array | None = None, tool: Array | None = None) -> tuple[Array, Array]:
+        """Pose (n, nx) and joints (n, nq) at which a machine with parameters p holds the command (n, n_dof).
+
+        `p` (np,) or (n, np) defaults to nominal. Raises AssemblyError naming the poses out of reach.
+        """
+        command = np.atleast_2d(np.asarray(command, dtype=float))
+        p = self.machine.nominal if p is None else p
+        tool = np.zeros(3) if tool is None else np.asarray(tool, dtype=float)
+        x, q = self._guess(command)
+        z, bad = _newton(
+            lambda z, keep: self._inverse(z[:, : x.shape[1]], z[:, x.shape[1] :], _take(p, keep), command[keep], tool),
+            np.hstack([x, q]),
+        )
+        if bad.any():
+            raise AssemblyError(self._told(command, bad), np.flatnonzero(bad))
+        return z[:, : x.shape[1]], z[:, x.shape[1] :]
+
+    # -- the machine ---------------------------------------------------------------------------------------
+
+    def forward(self, q: Array, p: Array, start: Array) -> Array:
+        """Pose x with phi(x, q, p) = 0, from a start in the wanted assembly mode.
+
+        q (n, nq), p (np,) or (m, np), start (n, nx) or (m, n, nx); result (n, nx) or (m, n, nx). Raises
+        AssemblyError where a pose cannot be assembled.
+        """
+        x, bad = self.try_forward(q, p, start)
+        if bad.any():
+            where = np.unique(np.argwhere(bad)[:, -1])
+            shown = ", ".join(str(i) for i in where[:8]) + (" ..." if where.size > 8 else "")
+            raise AssemblyError(
+                f"{self.machine.name}: {int(bad.sum())} of {bad.size} poses cannot be assembled "
+                f"(pose numbers {shown}): the joints do not close at these parameters, or the pose is singular; "
+                "check joint values and their unit, the parameters' size, and the distance to singular poses",
+                where,
+            )
+        return x
+
+    def try_forward(self, q: Array, p: Array, start: Array, step: float = STEP) -> tuple[Array, Array]:
+        """As `forward`, but tells failures as a mask (n,) or (m, n) instead of raising.
+
+        Newton stops after a step (m, rad) shorter than `step`; the error left is about step^2 / lever.
+        """
+        q = np.atleast_2d(q)
+        n, single = q.shape[0], p.ndim == 1
+        draws = np.atleast_2d(p)
+        m = draws.shape[0]
+        wide_q = np.broadcast_to(q, (m, *q.shape)).reshape(m * n, -1)
+        wide_p = np.repeat(draws, n, axis=0)
+        wide_x = np.broadcast_to(start, (m, n, start.shape[-1])).reshape(m * n, -1)
+        x, bad = _newton(lambda z, keep: self._forward(z, wide_q[keep], wide_p[keep]), wide_x.copy(), step)
+        return (x, bad) if single else (x.reshape(m, n, -1), bad.reshape(m, n))
+
+    def start_at(self, q: Array) -> Array:
+        """Start poses (n, nx) for joints without a command: followed from the home pose in small steps."""
+        home_x, home_q = self.inverse(self.machine.home_command)
+        x = np.broadcast_to(home_x, (q.shape[0], home_x.shape[1]))
+        for share in np.linspace(0.0, 1.0, 21)[1:]:
+            x = self.forward(home_q + share * (q - home_q), self.machine.nominal, x)
+        return x
+
+    def sensitivity(self, x: Array, q: Array, p: Array) -> Array:
+        """dx/dp (n, nx, np) at fixed joints."""
+        phi_x, phi_p, _ = self._slopes(x, q, p)
+        return -_solve(phi_x, phi_p)
+
+    def joint_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
+        """dx/dq (n, nx, nq) at fixed parameters."""
+        phi_x, _, phi_q = self._slopes(x, q, p)
+        return -_solve(phi_x, phi_q)
+
+    def singularity(self, x: Array, q: Array, p: Array) -> Array:
+        """Reciprocal condition number (n,) of phi_x, lengths in units of the machine's lever: 0 where singular."""
+        scale = np.array([1.0 if c.unit == "rad" else self.machine.lever for c in self.machine.pose])
+        values = np.linalg.svd(self._slopes(x, q, p)[0] * scale, compute_uv=False)
+        return np.asarray(values[:, -1] / values[:, 0])
+
+    # -- how a pose is read --------------------------------------------------------------------------------
+
+    def held(self, x: Array, tool: Array) -> Array:
+        """d commanded / dx (n, n_dof, nx)."""
+        return self._held(x, tool)[0]
+
+    def frames(self, x: Array, tool: Array) -> tuple[Array, Array, Array]:
+        """Rotation (n, 3, 3), tool point (n, 3) and twist slope (n, 6, nx): d[tip, rotation vector]/dx."""
+        rotation, tip, twist = self._frame(x, tool)
+        return rotation, tip, twist
+
+    def components(self, command: Array, twist: Array) -> Array:
+        """Pose error components (n, k) of twists (n, 6) [m, rad] at commands (n, n_dof)."""
+        return self._components(command, twist)[0]
+
+    def components_slope(self, command: Array) -> Array:
+        """Linear map (n, k, 6) from twist to components."""
+        return self._components_slope(command)[0]
+
+    def skeleton(self, x: Array, q: Array, p: Array) -> list[Array]:
+        """Polylines (points, 3) of one pose for a drawing."""
+        if self._skeleton is None:
+            return []
+        return [line(x[None], q[None], p[None])[0][0].T for line in self._skeleton]
+
+    def _told(self, command: Array, bad: Array) -> str:
+        first = command[np.flatnonzero(bad)[0]]
+        told = ", ".join(f"{c.name} = {v:.6g} {c.unit}" for c, v in zip(self.machine.command, first, strict=True))
+        return (
+            f"{self.machine.name}: {int(bad.sum())} of {bad.size} commanded poses cannot be assembled, the first at "
+            f"{told}: out of reach or singular; move it into the workspace or check the tool and the unit"
+        )
+
+
+def _take(p: Array, keep: NDArray[np.intp]) -> Array:
+    return p if p.ndim == 1 else p[keep]
+
+
+def _twist(rotation: ca.SX, tip: ca.SX, x: ca.SX) -> ca.SX:
+    """Slope of [tip, rotation vector] in the base frame: column j of the angular part is vee(dR/dx_j R^T)."""
+    columns = []
+    for j in range(x.numel()):
+        spin = ca.reshape(ca.jacobian(ca.vec(rotation), x[j]), 3, 3) @ rotation.T
+        columns.append(ca.vertcat(spin[2, 1], spin[0, 2], spin[1, 0]))
+    return ca.vertcat(ca.jacobian(tip, x), ca.horzcat(*columns))
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Batched solve; least squares where the closure has more rows than unknowns (redundant machines).
+
+    A square matrix that is exactly singular gives NaN: its pose is singular, which callers report by name.
+    """
+    if matrix.shape[-2] != matrix.shape[-1]:
+        return np.asarray(np.linalg.pinv(matrix) @ right)
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=float)
+    except np.linalg.LinAlgError:
+        singular = np.linalg.matrix_rank(np.nan_to_num(matrix)) < matrix.shape[-1]
+        safe = np.where(singular[:, None, None], np.eye(matrix.shape[-1]), matrix)
+        return np.where(singular[:, None, None], np.nan, np.linalg.solve(safe, right))
+
+
+def _newton(
+    evaluate: Callable[[Array, NDArray[np.intp]], list[Array]], z: Array, tolerance: float = STEP
+) -> tuple[Array, Array]:
+    """Newton on all rows of z at once; rows leave as they converge. Returns z and the mask of failed rows."""
+    bad = np.zeros(z.shape[0], dtype=bool)
+    todo = np.arange(z.shape[0])
+    for _ in range(ITERATIONS):
+        value, slope = evaluate(z[todo], todo)
+        step = _solve(slope, value[..., None])[..., 0]
+        size = np.abs(step).max(axis=1)
+        sound = np.isfinite(size)
+        bad[todo[~sound]] = True
+        short = step[sound] * np.minimum(1.0, REACH / np.maximum(size[sound], REACH))[:, None]
+        z[todo[sound]] -= short
+        todo = todo[sound & (size > tolerance)]
+        if not todo.size:
+            break
+    bad[todo] = True
+    return z, bad

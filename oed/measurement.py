@@ -1,0 +1,298 @@
+"""Readings of a machine by an instrument, and their derivatives: machine x instrument -> y, dy/dp.
+
+A reading y = g(x_1, x_2, s) sees one pose, or two (a taught cup, a reference); each pose obeys the closure at the
+joints that the controller sent. Its identification row is
+
+    dy/d(p, s) = [ sum_j g_xj dx_j/dp,  g_s ],        dx/dp = -phi_x^-1 phi_p   (joints fixed).
+
+The parameter vector theta of a measurement is [machine parameters, unknowns of set-up 1, of set-up 2, ...].
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import elementwise
+
+from oed.batch import Array, Batched
+from oed.instrument import Frame, Setup
+from oed.kinematics import STEP, AssemblyError, Kinematics, symbols
+from oed.machine import Machine, Parameter
+
+Index = NDArray[np.intp]
+#: Newton's last step (m, rad) where many parameter vectors near a known one are evaluated: leaves 1e-11 m
+NEAR = 2e-6
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Series:
+    """Readings taken, or to be taken, in one set-up.
+
+    setup    name of the set-up
+    q        (m, nq) joints sent to the machine at the m poses involved, SI
+    start    (m, nx) nominal poses, or (draws, m, nx): Newton's start
+    command  (m, n_dof) what was commanded; NaN where joints were recorded instead
+    index    (n, arity) which poses each of the n readings sees
+    run      (n,) label of the run (circle, line) of each reading
+    """
+
+    setup: str
+    q: Array
+    start: Array
+    command: Array
+    index: Index
+    run: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return int(self.index.shape[0])
+
+    def take(self, rows: Index) -> Series:
+        """The same series with some of its readings, in the given order, and only the poses they need."""
+        kept, index = np.unique(self.index[rows], return_inverse=True)
+        return Series(
+            setup=self.setup,
+            q=self.q[kept],
+            start=self.start[kept],
+            command=self.command[kept],
+            index=index.reshape(self.index[rows].shape).astype(np.intp),
+            run=self.run[rows],
+        )
+
+    def commands(self) -> Array:
+        """Command (n, n_dof) of the pose that each reading reads."""
+        return self.command[self.index[:, 0]]
+
+
+class Measurement:
+    """A machine with its set-ups: predicts readings for many parameter vectors at once, and their slopes."""
+
+    def __init__(self, machine: Machine, setups: Sequence[Setup]) -> None:
+        names = [s.name for s in setups]
+        if len(set(names)) != len(names):
+            raise ValueError(f"set-up names are not unique: {names}")
+        self.machine = machine
+        self.kinematics = Kinematics(machine)
+        self.setups = {s.name: s for s in setups}
+        self.parameters: tuple[Parameter, ...] = machine.parameters + tuple(
+            dataclasses.replace(n, name=f"{s.name}.{n.name}") for s in setups for n in s.nuisances
+        )
+        self._views = {s.name: _View(machine, s) for s in setups}
+        self._nuisance: dict[str, slice] = {}
+        start = len(machine.parameters)
+        for s in setups:
+            self._nuisance[s.name] = slice(start, start + len(s.nuisances))
+            start += len(s.nuisances)
+
+    # -- the parameter vector ------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of theta's entries."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def nominal(self) -> Array:
+        """Nominal theta (n,), SI."""
+        return np.array([p.nominal for p in self.parameters])
+
+    @property
+    def tolerance(self) -> Array:
+        """Prior standard deviations (n,), SI; 0 for the parameters that only choose the base frame."""
+        return np.array([0.0 if p.name in self.machine.frame else p.tolerance for p in self.parameters])
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Which entries of theta (n,) are unknown."""
+        return np.asarray(self.tolerance > 0.0)
+
+    @property
+    def lengths(self) -> Array:
+        """Factor (n,) that turns each entry into a length (m): the machine's lever for angles and ratios."""
+        return np.array([1.0 if p.unit == "m" else self.machine.lever for p in self.parameters])
+
+    # -- series --------------------------------------------------------------------------------------------
+
+    def series(
+        self,
+        setup: str,
+        command: Array,
+        run: Sequence[str] | None = None,
+        controller: Array | None = None,
+    ) -> Series:
+        """Readings at commanded poses (n, n_dof), SI; `controller` (np,) are the parameters it believes in.
+
+        For instruments with a run reference the first pose of each run is the reference, and is not a reading.
+        Raises AssemblyError for poses out of reach.
+        """
+        command = np.atleast_2d(np.asarray(command, dtype=float))
+        chosen = self.setups[setup]
+        labels = np.array(["1"] * len(command) if run is None else list(run), dtype=np.str_)
+        poses = command
+        if chosen.teach is not None:
+            poses = np.vstack([command, np.array(chosen.teach)[None]])
+        x, q = self.kinematics.inverse(poses, controller, np.array(chosen.tool))
+        return self._indexed(setup, q, x, poses, labels)
+
+    def series_from_joints(self, setup: str, q: Array, run: Sequence[str] | None = None) -> Series:
+        """As `series`, from recorded joints (n, nq), SI."""
+        q = np.atleast_2d(np.asarray(q, dtype=float))
+        chosen = self.setups[setup]
+        labels = np.array(["1"] * len(q) if run is None else list(run), dtype=np.str_)
+        x = self.kinematics.start_at(q)
+        command = np.full((len(q), len(self.machine.command)), np.nan)
+        if chosen.teach is not None:
+            teach = np.array(chosen.teach)[None]
+            teach_x, teach_q = self.kinematics.inverse(teach, None, np.array(chosen.tool))
+            q, x, command = np.vstack([q, teach_q]), np.vstack([x, teach_x]), np.vstack([command, teach])
+        return self._indexed(setup, q, x, command, labels)
+
+    def _indexed(self, setup: str, q: Array, x: Array, command: Array, run: NDArray[np.str_]) -> Series:
+        n = len(run)
+        reference = self.setups[setup].instrument.reference
+        if reference == "teach":
+            index = np.column_stack([np.arange(n), np.full(n, n)])
+        elif reference == "run":
+            first = {label: int(np.flatnonzero(run == label)[0]) for label in np.unique(run)}
+            firsts = np.array([first[label] for label in run])
+            keep = firsts != np.arange(n)
+            index, run = np.column_stack([np.arange(n), firsts])[keep], run[keep]
+        else:
+            index = np.arange(n)[:, None]
+        return Series(setup, q, x, command, index.astype(np.intp), run)
+
+    def hold(self, setup: str, command: Array, coordinate: str) -> tuple[Array, NDArray[np.bool_]]:
+        """Solve one command coordinate so that the nominal reading is what the instrument holds by design.
+
+        Returns the commands (n, n_dof) and the mask of poses where that is possible within the coordinate's
+        range: a ball bar of fixed length leads the tool on a sphere about its cup.
+        """
+        chosen = self.setups[setup]
+        if chosen.instrument.holds is None:
+            raise ValueError(f"{chosen.instrument.name} holds no reading: give {coordinate} itself")
+        wanted = chosen.instrument.holds(chosen.settings)
+        column = [c.name for c in self.machine.command].index(coordinate)
+        limits = self.machine.command[column]
+        command = np.array(command, dtype=float)
+
+        def miss(value: Array, row: Array) -> Array:
+            poses = command[row.astype(int)]
+            poses[:, column] = value
+            series = self.series(setup, poses)
+            return self.readings([series], self.nominal) - wanted
+
+        rows = np.arange(len(command), dtype=float)
+        bracket = (np.full(len(command), limits.lower), np.full(len(command), limits.upper))
+        found = elementwise.find_root(miss, bracket, args=(rows,), tolerances={"xatol": 1e-12, "fatol": 1e-13})
+        command[:, column] = found.x
+        return command, np.asarray(found.success)
+
+    # -- readings ------------------------------------------------------------------------------------------
+
+    def readings(self, series: Sequence[Series], theta: Array) -> Array:
+        """Exact nonlinear readings y (N,) for theta (n,), or (m, N) for theta (m, n); SI, channels innermost.
+
+        Raises AssemblyError where a pose cannot be assembled at some theta.
+        """
+        y = self.try_readings(series, theta)
+        if np.isnan(y).any():
+            # repeat the failing solve, which raises with the poses by number
+            for s in series:
+                self._poses(s, np.atleast_2d(theta), strict=True)
+            raise AssemblyError(f"{self.machine.name}: readings are not finite", np.flatnonzero(np.isnan(y)))
+        return y
+
+    def try_readings(self, series: Sequence[Series], theta: Array) -> Array:
+        """As `readings`, with NaN where a pose cannot be assembled."""
+        wide = np.atleast_2d(theta)
+        y = np.hstack([self._read(s, wide) for s in series])
+        return y[0] if theta.ndim == 1 else y
+
+    def jacobian(self, series: Sequence[Series], theta: Array) -> Array:
+        """dy/dtheta (N, n) at theta (n,), SI."""
+        return np.vstack([self._slope(s, theta) for s in series])
+
+    def sigma(self, series: Sequence[Series]) -> Array:
+        """Noise standard deviation (N,) of each reading, SI."""
+        return np.concatenate([np.tile(self.setups[s.setup].sigma, len(s)) for s in series])
+
+    def near(self, series: Sequence[Series], theta: Array) -> Callable[[Array], Array]:
+        """`try_readings` of the series for many thetas (m, n) near `theta` (n,): fewer Newton iterations.
+
+        Each solve starts from the pose predicted to first order, x(theta) + dx/dp (p - p(theta)).
+        """
+        np_ = len(self.machine.parameters)
+        known = []
+        for s in series:
+            x = self._poses(s, theta[None], strict=True)[0]
+            known.append((s, x, self.kinematics.sensitivity(x, s.q, theta[:np_])))
+
+        def readings(many: Array) -> Array:
+            move = many[:, :np_] - theta[:np_]
+            moved = [(s, x + np.einsum("mkp,dp->dmk", dx, move)) for s, x, dx in known]
+            return np.hstack([self._read(dataclasses.replace(s, start=start), many, NEAR) for s, start in moved])
+
+        return readings
+
+    def poses(self, series: Series, theta: Array) -> Array:
+        """True poses (m, nx) of a series at theta (n,)."""
+        return np.asarray(self._poses(series, theta[None], strict=True)[0])
+
+    def _poses(self, series: Series, theta: Array, *, strict: bool, step: float = STEP) -> Array:
+        p = theta[:, : len(self.machine.parameters)]
+        if strict:
+            return self.kinematics.forward(series.q, p, series.start)
+        x, bad = self.kinematics.try_forward(series.q, p, series.start, step)
+        return np.where(bad[..., None], np.nan, x)
+
+    def _read(self, series: Series, theta: Array, step: float = STEP) -> Array:
+        x = self._poses(series, theta, strict=False, step=step)
+        s = theta[:, self._nuisance[series.setup]]
+        m, n = theta.shape[0], len(series)
+        frames = [x[:, series.index[:, j]].reshape(m * n, -1) for j in range(series.index.shape[1])]
+        y = self._views[series.setup].read(frames, np.repeat(s, n, axis=0))
+        return y.reshape(m, -1)
+
+    def _slope(self, series: Series, theta: Array) -> Array:
+        p, s = theta[: len(self.machine.parameters)], theta[self._nuisance[series.setup]]
+        x = self._poses(series, theta[None], strict=True)[0]
+        dx = self.kinematics.sensitivity(x, series.q, p)
+        frames = [x[series.index[:, j]] for j in range(series.index.shape[1])]
+        by_pose, by_setup = self._views[series.setup].slopes(frames, s)
+        rows = np.zeros((len(series), by_setup.shape[1], len(theta)))
+        for j, slope in enumerate(by_pose):
+            rows[:, :, : len(p)] += slope @ dx[series.index[:, j]]
+        rows[:, :, self._nuisance[series.setup]] = by_setup
+        return rows.reshape(-1, len(theta))
+
+
+class _View:
+    """One set-up's observation g(x_1, x_2, s) and its slopes, compiled."""
+
+    def __init__(self, machine: Machine, setup: Setup) -> None:
+        self._nx = len(machine.pose)
+        poses, frames = [], []
+        for j in range(setup.instrument.arity):
+            x, xs = symbols(f"x{j}", machine.pose)
+            rotation, point = machine.platform(xs)
+            poses.append(x)
+            frames.append(Frame(rotation, point + rotation @ ca.DM(setup.tool)))
+        s, ss = symbols("s", setup.nuisances)
+        y = ca.vertcat(*setup.instrument.observe(frames, ss, setup.settings))
+        slopes = [ca.jacobian(y, x) for x in poses]
+        self._unknowns = len(setup.nuisances)
+        self._channels = len(setup.instrument.channels)
+        self._value = Batched("read", [*poses, s], [y])
+        self._slope = Batched("slope", [*poses, s], [*slopes, ca.jacobian(y, s)])
+
+    def read(self, frames: Sequence[Array], s: Array) -> Array:
+        return self._value(*frames, s)[0]
+
+    def slopes(self, frames: Sequence[Array], s: Array) -> tuple[list[Array], Array]:
+        n = frames[0].shape[0]
+        *by_pose, by_setup = self._slope(*frames, s)
+        shaped = [b.reshape(n, self._channels, self._nx) for b in by_pose]
+        return shaped, by_setup.reshape(n, self._channels, self._unknowns)

@@ -1,0 +1,212 @@
+"""Posterior by emcee: the full nonlinear model in identifiable coordinates, all walkers evaluated at once.
+
+    log p(z, t | y) = -|z|^2 / 2 - sum_g [ N_g t_g + exp(-2 t_g) |(y - f(theta(z))) / sigma|_g^2 / 2 + t_g^2 / (2 s^2) ]
+
+z are the coordinates of `oed.identify`; t_g = log of the noise factor of set-up g, sampled where the noise is to be
+estimated, so that few readings give wide tails. Directions that no reading sees are drawn from their prior.
+Differential-evolution moves (ter Braak 2006) start from the Laplace approximation. (emcee's snooker move is left out:
+on an 18-dimensional standard normal it returns a standard deviation of 0.91.) Sampling goes on until every coordinate
+has the wanted effective sample size, by emcee's and by ArviZ's estimate, or until the steps are used up.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oed.batch import Array
+from oed.identify import Coordinates, Estimate
+from oed.measurement import Measurement, Series
+
+#: prior standard deviation of a log noise factor
+LOG_NOISE_SD = 1.0
+#: steps between looks at the effective sample size
+LOOK = 250
+
+
+@dataclasses.dataclass(frozen=True)
+class Posterior:
+    """Draws and their diagnostics.
+
+    names            parameters of theta
+    draws            (chains, draws, n) theta, SI; one chain a walker, thinned
+    z                (chains, draws, r) identifiable coordinates
+    log_noise        (chains, draws, groups) log noise factors; groups in `noise_groups`
+    ess, rhat        (n,) bulk effective sample size and split R-hat (ArviZ); NaN for held parameters
+    acceptance       mean acceptance share
+    autocorrelation  longest integrated autocorrelation time, in steps (emcee)
+    steps, burn_in   steps run and thrown away
+    """
+
+    names: tuple[str, ...]
+    draws: Array
+    z: Array
+    log_noise: Array
+    noise_groups: tuple[str, ...]
+    ess: Array
+    rhat: Array
+    acceptance: float
+    autocorrelation: float
+    steps: int
+    burn_in: int
+
+    @property
+    def flat(self) -> Array:
+        """All draws (chains * draws, n), SI."""
+        return self.draws.reshape(-1, self.draws.shape[2])
+
+
+def sample(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    estimate: Estimate,
+    rng: np.random.Generator,
+    *,
+    walkers: int | None = None,
+    ess: float = 1000.0,
+    max_steps: int = 20_000,
+    keep: int = 20_000,
+    progress: Callable[[float], None] | None = None,
+) -> Posterior:
+    """Sample about `estimate`; at most `keep` draws are returned. `progress` is told the share done."""
+    import emcee
+
+    estimated = tuple(g for g, s in estimate.noise_scale.items()) if _scaled(estimate) else ()
+    target = _Target(measurement, series, y, estimate, estimated)
+    dimensions = target.dimensions
+    count = walkers or max(2 * (dimensions + 2), 32)
+    sampler = emcee.EnsembleSampler(count, dimensions, target, vectorize=True, moves=emcee.moves.DEMove())
+    state = emcee.State(target.start(count, rng), random_state=np.random.RandomState(rng.integers(2**31)).get_state())
+    while sampler.iteration < max_steps:
+        state = sampler.run_mcmc(state, min(LOOK, max_steps - sampler.iteration))
+        longest = _longest(sampler)
+        burn_in = min(int(2 * longest), sampler.iteration // 2)
+        reached = count * (sampler.iteration - burn_in) / longest
+        if progress is not None:
+            progress(min(1.0, reached / (1.2 * ess)))
+        if reached > 1.2 * ess and sampler.iteration > 10 * longest:
+            chain = np.swapaxes(sampler.get_chain(discard=burn_in), 0, 1)
+            if np.min(_ess(target.local.theta(chain[..., : target.r])[..., target.moving])) > ess:
+                break
+    chain = np.swapaxes(sampler.get_chain(discard=burn_in), 0, 1)
+    thin = max(1, -(-chain.shape[0] * chain.shape[1] // keep))
+    return _gather(target, chain, thin, rng, sampler, longest, burn_in)
+
+
+def _ess(chain: Array) -> Array:
+    """Bulk effective sample size of each column of (chains, draws, n)."""
+    return np.atleast_1d(_diagnostics().ess(chain, chain_axis=0, draw_axis=1))
+
+
+def _diagnostics() -> Any:
+    """ArviZ's array functions; imported late, they take seconds."""
+    from arviz_stats import base
+
+    return base.array_stats
+
+
+def _scaled(estimate: Estimate) -> bool:
+    return any(s != 1.0 for s in estimate.noise_scale.values())
+
+
+def _longest(sampler: Any) -> float:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # short chains are met by going on, not by a warning
+        times = sampler.get_autocorr_time(tol=0)
+    return float(np.nanmax(np.where(np.isfinite(times), times, sampler.iteration)))
+
+
+class _Target:
+    """The log density, vectorised over walkers."""
+
+    def __init__(
+        self,
+        measurement: Measurement,
+        series: Sequence[Series],
+        y: Array,
+        estimate: Estimate,
+        noise_groups: tuple[str, ...],
+    ) -> None:
+        self.measurement, self.y, self.estimate, self.noise_groups = measurement, y, estimate, noise_groups
+        self.local: Coordinates = estimate.coordinates
+        self.readings = measurement.near(series, estimate.theta)
+        labels = np.array([s.setup for s in series for _ in range(len(s) * len(measurement.setups[s.setup].sigma))])
+        self._members = [labels == g for g in noise_groups]
+        self.r = self.local.basis.shape[1]
+        self.moving = np.flatnonzero(np.abs(self.local.basis).max(axis=1) > 0)
+        self.dimensions = self.r + len(noise_groups)
+        self._stated = estimate.sigma / np.array([estimate.noise_scale[g] for g in labels])
+
+    def __call__(self, points: Array) -> Array:
+        z, log_noise = points[:, : self.r], points[:, self.r :]
+        white = (self.readings(self.local.theta(z)) - self.y) / self._stated
+        square, count = white**2, np.zeros(len(points))
+        for k, members in enumerate(self._members):
+            square[:, members] *= np.exp(-2.0 * log_noise[:, k])[:, None]
+            count += members.sum() * log_noise[:, k]
+        value = -0.5 * (square.sum(axis=1) + np.sum(z**2, axis=1) + np.sum((log_noise / LOG_NOISE_SD) ** 2, axis=1))
+        return np.where(np.isfinite(value), value - count, -np.inf)
+
+    def start(self, count: int, rng: np.random.Generator) -> Array:
+        """Walkers (count, dimensions) from the Laplace approximation."""
+        size = np.linalg.norm(self.local.basis, axis=0)
+        inverse = np.linalg.pinv(self.local.basis / size) / size[:, None]
+        covariance = inverse @ self.estimate.covariance @ inverse.T
+        z = rng.multivariate_normal(self.estimate.z, covariance, size=count, method="eigh")
+        log_noise = np.log([self.estimate.noise_scale[g] for g in self.noise_groups])
+        return np.hstack([z, log_noise + 0.2 * rng.standard_normal((count, len(self.noise_groups)))])
+
+
+def _gather(
+    target: _Target,
+    chain: Array,
+    thin: int,
+    rng: np.random.Generator,
+    sampler: Any,
+    longest: float,
+    burn_in: int,
+) -> Posterior:
+    local, r = target.local, target.local.basis.shape[1]
+    unseen = rng.standard_normal((*chain.shape[:2], local.unseen.shape[1])) @ local.unseen.T
+    theta = local.theta(chain[..., :r]) + unseen
+    moved = np.flatnonzero(np.ptp(theta.reshape(-1, theta.shape[2]), axis=0) > 0)
+    ess, rhat = np.full(theta.shape[2], np.nan), np.full(theta.shape[2], np.nan)
+    ess[moved] = _ess(theta[..., moved])
+    rhat[moved] = np.atleast_1d(_diagnostics().rhat(theta[..., moved], chain_axis=0, draw_axis=1))
+    return Posterior(
+        names=target.measurement.names,
+        draws=theta[:, ::thin],
+        z=chain[:, ::thin, :r],
+        log_noise=chain[:, ::thin, r:],
+        noise_groups=target.noise_groups,
+        ess=ess,
+        rhat=rhat,
+        acceptance=float(np.mean(sampler.acceptance_fraction)),
+        autocorrelation=longest,
+        steps=int(sampler.iteration),
+        burn_in=burn_in,
+    )
+
+
+def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> None:
+    """Write the draws as NetCDF, readable by xarray and ArviZ; SI."""
+    import arviz_base
+
+    tree = arviz_base.from_dict(
+        {
+            "posterior": {"theta": posterior.draws, "log_noise": posterior.log_noise},
+            "sample_stats": {"ess": posterior.ess[None, None], "rhat": posterior.rhat[None, None]},
+        },
+        coords={"parameter": list(posterior.names), "setup": list(posterior.noise_groups)},
+        dims={"theta": ["parameter"], "log_noise": ["setup"], "ess": ["parameter"], "rhat": ["parameter"]},
+    )
+    tree.attrs.update(attributes)
+    partial = path.with_name(path.name + ".part")
+    tree.to_netcdf(partial, engine="h5netcdf")
+    partial.replace(path)

@@ -1,0 +1,11 @@
+"""Reports of a finished study: figures, HTML and PDF.
+
+    from pkm_reports import write_report
+    html, pdf = write_report(json.loads(path.read_bytes()), path.parent)
+
+A report needs only the decoded `result.json`, so it can be made again at any time, with the same HTML bytes.
+"""
+
+from pkm_reports.report import write_report
+
+__all__ = ["write_report"]

@@ -1,0 +1,1 @@
+"""Study files, the pipeline that runs them, and the `oed` command."""

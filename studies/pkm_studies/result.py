@@ -1,0 +1,283 @@
+"""What a study ends in: `result.json`, loss-free, so that a report can be made again from it.
+
+Field names are fixed by the contract; values are SI unless a `unit` stands beside them. Arrays are lists.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+SCHEMA = 1
+
+
+class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Base: frozen, unknown fields refused."""
+
+
+class Group(Part):
+    """One line of the identifiability verdict in words."""
+
+    kind: str  # seen | combination | lost | weak
+    text: str
+    remedies: list[str] = []
+
+
+class Identifiability(Part):
+    """What the plan's readings can see. Combinations and lost directions are {parameter: coefficient}, SI."""
+
+    parameters: list[str]
+    n: int
+    rank: int
+    tolerance: float  # singular values below this share of the largest count as zero
+    scaling: str
+    singular_values: list[float]
+    combinations: list[dict[str, float]]
+    lost: list[dict[str, float]]
+    words: list[Group]
+
+
+class Pose(Part):
+    """One planned reading: where it is taken, in user units (`z_mm`, ...), and what it nominally reads."""
+
+    setup: str
+    run: str
+    order: int
+    command: dict[str, float]
+    reading: dict[str, float]
+
+
+class PlanScore(Part):
+    """One plan scored: the chosen one, or a reference to compare with."""
+
+    name: str
+    n: int
+    criterion: str
+    value: float
+    logdet: float
+    efficiency: float  # against `bound` where there is one, else against the best of the plans
+    kappa: float
+    observability: dict[str, float]
+
+
+class Design(Part):
+    """The chosen readings."""
+
+    criterion: str
+    n: int
+    value: float
+    bound: float | None
+    efficiency: float | None
+    kappa: float
+    observability: dict[str, float]
+    poses: list[Pose]
+    scaling: str
+    candidates: int
+    plans: list[PlanScore]
+
+
+class KappaMap(Part):
+    """Condition number over the number of circles and of points on each, for one parametrisation."""
+
+    title: str
+    circles: list[int]
+    points: list[int]
+    kappa: list[list[float]]  # [circle][point]
+
+
+class Value(Part):
+    """An identified parameter, in its display unit."""
+
+    value: float
+    sd: float
+    unit: str
+    nominal: float
+    prior_sd: float
+    identified: str  # seen | weak | prior  (how much the readings tightened the tolerance)
+    truth: float | None = None  # of a virtual machine
+
+
+class Estimate(Part):
+    """Least squares with tolerance priors. rms in `unit` of the readings, by channel."""
+
+    parameters: dict[str, Value]
+    rms_before: dict[str, float]
+    rms_after: dict[str, float]
+    unit: str
+    readings: int
+    dof: float
+    chi2: float
+    iterations: list[dict[str, float]]
+    warnings: list[str]
+    residuals: list[float]  # of each reading in `unit`, after
+    residuals_before: list[float]
+
+
+class Marginal(Part):
+    """Posterior of one parameter, in its display unit."""
+
+    mean: float
+    sd: float
+    q025: float
+    q975: float
+    rhat: float
+    ess: float
+    unit: str
+
+
+class Posterior(Part):
+    """Sampler summary. `posterior.nc` holds the draws."""
+
+    marginals: dict[str, Marginal]
+    acceptance: float
+    draws: int
+    walkers: int
+    autocorrelation: float
+    directions: list[str]  # names of the worst-seen directions shown in the corner plot
+    corner: list[list[float]]  # thinned draws [draw][direction], in prior standard deviations
+
+
+class Spread(Part):
+    """Error of one pose component over the workspace: rms, 95th percentile, largest, in `unit`."""
+
+    rms: float
+    p95: float
+    max: float
+    unit: str
+
+
+class Component(Part):
+    """Residual accuracy of one pose component. `known` is what remains once a further axis corrects it too."""
+
+    compensatable: bool
+    before: Spread
+    after: Spread
+    known: Spread
+    budget: dict[str, float]  # share of the variance of `known`, by source
+
+
+class MapPoint(Part):
+    """1-sigma prediction at one workspace pose (user units), by component."""
+
+    command: dict[str, float]
+    before: dict[str, float]
+    after: dict[str, float]
+
+
+class Prediction(Part):
+    """Residual accuracy over the workspace, against a stated reference (absolute, home or best_fit)."""
+
+    reference: str
+    components: dict[str, Component]
+    unit: dict[str, str]
+    poses: int
+    map: list[MapPoint]
+    mode: str  # "plan" (priors only) or "identified" (with the estimate)
+    realised: dict[str, Spread] | None = None  # of a virtual machine after compensation
+
+
+class HeldOut(Part):
+    """Prediction of readings kept out of the fit."""
+
+    name: str
+    channel: str
+    n: int
+    rms: float
+    unit: str
+    coverage: float  # share of readings inside their 95 % predictive interval
+    residuals: list[float]
+    half_widths: list[float]  # of the 95 % predictive interval
+
+
+class Claim(Part):
+    """A claim of the study's [expect] table, measured."""
+
+    claim: str
+    measured: float | str
+    wanted: str
+    met: bool
+
+
+class Stage(Part):
+    """One stage of the plan: measurement, what it identifies, its cost (min)."""
+
+    measurement: str
+    setups: list[str]
+    readings: int
+    identifies: int
+    cost: float
+    kappa: float
+    predicted: dict[str, float]
+
+
+class Plan(Part):
+    """The plan as stages."""
+
+    stages: list[Stage]
+    cost: float
+    alternatives: list[str]
+
+
+class Line(Part):
+    """A polyline of the drawing, m."""
+
+    kind: str  # machine | path | reading | cup
+    points: list[list[float]]
+
+
+class Drawing(Part):
+    """The machine at its home pose and the planned tool points, m, base frame."""
+
+    lines: list[Line]
+    tool_points: list[list[float]]
+    reading_of: list[str]  # set-up of each tool point
+    bars: list[list[list[float]]]  # reading's far end to tool point, where there is one
+
+
+class MachineInfo(Part):
+    """The machine's table, in display units."""
+
+    name: str
+    about: str
+    source: str
+    parameters: list[dict[str, str | float]]
+    frame: list[str]
+
+
+class SetupInfo(Part):
+    """A set-up as used, in display units."""
+
+    name: str
+    instrument: str
+    about: str
+    numbers: dict[str, float]
+    sigma: dict[str, float]
+    unknowns: dict[str, float]
+
+
+class StudyResult(Part):
+    """The whole result of one study; sections of stages that did not run are null."""
+
+    schema: int
+    version: str
+    study: str
+    title: str
+    question: str
+    seed: int
+    seconds: float  # wall time; the only entry that differs between two runs with one seed
+    machine: MachineInfo
+    setups: list[SetupInfo]
+    study_text: str
+    versions: dict[str, str]
+    headline: list[str]  # the five numbers that matter, as sentences
+    identifiability: Identifiability | None = None
+    identifiability_of: dict[str, Identifiability] = {}  # variants asked for: one circle, one tool, ...
+    design: Design | None = None
+    kappa_maps: list[KappaMap] = []
+    plan: Plan | None = None
+    estimate: Estimate | None = None
+    posterior: Posterior | None = None
+    prediction: Prediction | None = None
+    held_out: list[HeldOut] = []
+    drawing: Drawing | None = None
+    warnings: list[str] = []
+    claims: list[Claim] = []

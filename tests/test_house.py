@@ -1,0 +1,125 @@
+"""The house itself: what the wheel holds, which way imports run, what no committed file may contain."""
+
+import ast
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = {name: ROOT / folder / name for name, folder in {
+    "oed": ".",
+    "pkm_models": "models",
+    "pkm_studies": "studies",
+    "pkm_reports": "reports",
+}.items()}  # fmt: skip
+
+# A character class in each word keeps these patterns from matching themselves.
+MACHINE_PATH = re.compile(
+    r"(?<![\w.$}~-])(/(r[o]ot|h[o]me|w[o]rk|t[m]p|m[n]t|o[p]t|U[s]ers)/\w|[A-Z]:\\U[s]ers)"
+)
+REGISTRY = re.compile(r"py[p]i|pythonh[o]sted|conda-f[o]rge|anac[o]nda|npm[j]s|crates\.i[o]", re.IGNORECASE)
+
+
+def run(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def project() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def committed() -> list[Path]:
+    """Files that git holds or would add, uv.lock aside."""
+    if not shutil.which("git") or not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    listed = run("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard").stdout.split("\0")
+    paths = [ROOT / name for name in listed if name and name != "uv.lock"]
+    return [path for path in paths if path.is_file()]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Names in the wheel, its own metadata aside."""
+    folder = tmp_path_factory.mktemp("wheel")
+    built = run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder))
+    assert built.returncode == 0, built.stderr
+    (path,) = folder.glob("*.whl")
+    return [name for name in zipfile.ZipFile(path).namelist() if ".dist-info/" not in name]
+
+
+def test_wheel_holds_exactly_the_four_packages(wheel: list[str]) -> None:
+    expected = {
+        f"{name}/{path.relative_to(folder).as_posix()}"
+        for name, folder in PACKAGES.items()
+        for path in folder.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert set(wheel) == expected
+    assert len(wheel) == len(expected)
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_wheel_package_is_typed(wheel: list[str], name: str) -> None:
+    assert {f"{name}/__init__.py", f"{name}/py.typed"} <= set(wheel)
+
+
+def test_imports_run_one_way() -> None:
+    told = run(str(Path(sys.executable).with_name("lint-imports")), "--no-cache")
+    assert told.returncode == 0, told.stdout + told.stderr
+
+
+@pytest.mark.parametrize("pattern", [MACHINE_PATH, REGISTRY], ids=["machine path", "registry"])
+def test_no_file_names(committed: list[Path], pattern: re.Pattern[str]) -> None:
+    found = []
+    for path in committed:
+        raw = path.read_bytes()
+        text = "" if b"\0" in raw else raw.decode("utf-8", errors="ignore")
+        found += [f"{path.relative_to(ROOT)}: {hit.group()}" for hit in pattern.finditer(text)]
+    assert not found
+
+
+@pytest.mark.parametrize("text", ["see /h\x6fme/me/x", "'/t\x6dp/out'", "C:\\U\x73ers\\me"])
+def test_machine_paths_are_recognised(text: str) -> None:
+    assert MACHINE_PATH.search(text)
+
+
+def test_every_module_has_a_docstring(committed: list[Path]) -> None:
+    modules = [path for path in committed if path.suffix == ".py"]
+    bare = [
+        str(path.relative_to(ROOT))
+        for path in modules
+        if not ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+    ]
+    assert modules
+    assert not bare
+
+
+def test_one_version_everywhere(project: dict) -> None:
+    version = project["project"]["version"]
+    assert metadata.version("pkm-oed") == version
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_the_lock_is_of_these_dependencies(project: dict) -> None:
+    lock = tomllib.loads((ROOT / "uv.lock").read_text(encoding="utf-8"))
+    (own,) = (package for package in lock["package"] if package["name"] == "pkm-oed")
+    locked = own["metadata"]["requires-dist"] + own["metadata"]["requires-dev"]["dev"]
+    asked = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
+    assert {item["name"] + item["specifier"] for item in locked} == {
+        re.sub(r"\[.*\]", "", item) for item in asked
+    }, "run `make lock`"
+
+
+def test_the_command_of_the_package_is_there(project: dict) -> None:
+    (script,) = metadata.entry_points(group="console_scripts", name="oed")
+    assert script.value == project["project"]["scripts"]["oed"]
+    assert callable(script.load())
