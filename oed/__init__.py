@@ -1,1 +1,7 @@
-"""Optimal experiment design on a model of a machine: arrays in, frozen results out."""
+"""Optimal experiment design and uncertainty for calibrating parallel kinematic machines.
+
+Mathematics on a model: arrays in, frozen results out. Machines and instruments live in `pkm_models`, studies and the
+command in `pkm_studies`, reports in `pkm_reports`.
+"""
+
+__version__ = "0.1.0"

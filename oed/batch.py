@@ -64,7 +64,7 @@ class _Tape:
         for setter, memory in ((self._buffer.set_arg, self._inputs), (self._buffer.set_res, self._outputs)):
             for i, array in enumerate(memory):
                 if array.size:
-                    setter(i, memoryview(array.reshape(-1)))
+                    setter(i, memoryview(array.reshape(-1).data))
 
     def run(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate up to `size` rows; `outputs` are written in place."""

@@ -75,12 +75,12 @@ def analyse(h: Array, names: Sequence[str], scale: Array, tolerance: float = TOL
         tolerance=tolerance,
         row_space=vt[:rank],
         null_space=vt[rank:],
-        combinations=_in_si(_echelon(vt[:rank]), scale, flip=False),
-        lost=_in_si(_echelon(vt[rank:]), scale, flip=True),
+        combinations=_in_si(echelon(vt[:rank]), scale, flip=False),
+        lost=_in_si(echelon(vt[rank:]), scale, flip=True),
     )
 
 
-def _echelon(space: Array) -> Array:
+def echelon(space: Array) -> Array:
     """Basis of the same row space with an identity at its pivot columns, pivots found from the right."""
     if space.shape[0] == 0:
         return space

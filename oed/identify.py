@@ -17,12 +17,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import optimize
 
-from oed import identifiability, information
+from oed import identifiability, information, units
 from oed.batch import Array
 from oed.measurement import Measurement, Series
 
 #: rounds of the noise-scale estimate; it settles in a few
 NOISE_ROUNDS = 8
+#: posterior over prior standard deviation above which a parameter is weakly identified, or stays at its prior
+WEAK, AT_PRIOR = 0.3, 0.7
 
 
 class IdentificationError(RuntimeError):
@@ -72,6 +74,7 @@ class Estimate:
     residuals       (N,) y - f(theta), SI;  before: the same at the start
     sigma           (N,) noise standard deviations used, SI (scaled where the scale was estimated)
     noise_scale     {set-up: factor on the stated noise}
+    noise_estimated whether those factors were estimated
     dof             readings less effectively determined directions
     chi2            sum of squared whitened residuals
     rounds          the stages
@@ -87,6 +90,7 @@ class Estimate:
     before: Array
     sigma: Array
     noise_scale: dict[str, float]
+    noise_estimated: bool
     dof: float
     chi2: float
     rounds: tuple[Round, ...]
@@ -190,6 +194,7 @@ def identify(
         before=before,
         sigma=used,
         noise_scale={k: scale[k] for k in dict.fromkeys(groups)},
+        noise_estimated=estimate_noise,
         dof=dof,
         chi2=float(white @ white),
         rounds=tuple(rounds),
@@ -293,11 +298,25 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def _still_wide(measurement: Measurement, estimate: Estimate, above: float, below: float) -> list[str]:
+    """Parameters whose posterior keeps a share of the tolerance between the two, with what is left."""
+    told = []
+    for p, sd, share in zip(measurement.parameters, estimate.sd, estimate.shrinkage, strict=True):
+        if above < share <= below:
+            unit = units.display(p.unit)
+            left = f"{float(units.from_si(sd, unit)):.2g}{'' if unit == '1' else ' ' + unit}"
+            told.append(f"{p.name} (sd {left}, {100 * share:.0f} % of its tolerance)")
+    return told
+
+
 def _warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
     told = []
-    weak = [n for n, s in zip(measurement.names, estimate.shrinkage, strict=True) if s > 0.7]
+    prior = _still_wide(measurement, estimate, AT_PRIOR, np.inf)
+    if prior:
+        told.append("these stay near their tolerance, the readings hardly see them: " + ", ".join(prior))
+    weak = _still_wide(measurement, estimate, WEAK, AT_PRIOR)
     if weak:
-        told.append("these stay near their tolerance, the readings hardly see them: " + ", ".join(weak))
+        told.append("these are weakly identified, their posterior stays wide: " + ", ".join(weak))
     far = [
         n
         for n, d, s in zip(

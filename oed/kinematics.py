@@ -58,7 +58,7 @@ class Kinematics:
         phi = ca.vertcat(*machine.closure(xs, qs, ps))
         rotation, point = machine.platform(xs)
         tip = point + rotation @ tool
-        wish = ca.vertcat(*machine.commanded(xs, tip)) - ca.vertcat(*machine.target(cs))
+        wish = ca.vertcat(*[a - b for a, b in zip(machine.commanded(xs, tip), machine.target(cs), strict=True)])
         phi_x = ca.jacobian(phi, x)
         xq = ca.vertcat(x, q)
         both = ca.vertcat(phi, wish)

@@ -147,11 +147,21 @@ class Machine:
             raise ValueError(f"machine {self.name}: a new parameter table must keep names and order")
         return dataclasses.replace(self, parameters=tuple(parameters))
 
-    def out_of_range(self, command: Array) -> list[tuple[int, str, float, float, float]]:
-        """Rows (index, coordinate, value, lower, upper) of `command` (n, n_dof) outside the workspace."""
+    def out_of_range(
+        self, command: Array, tool: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> list[tuple[int, str, float, float, float]]:
+        """Rows (index, coordinate, value, lower, upper) of `command` (n, n_dof) outside the workspace of a tool."""
         found = []
-        for k, c in enumerate(self.command):
+        for k, c in enumerate(self.workspace(tool)):
             slack = 1e-9 * max(1.0, abs(c.upper) if np.isfinite(c.upper) else 1.0)
             bad = np.flatnonzero((command[:, k] < c.lower - slack) | (command[:, k] > c.upper + slack))
             found += [(int(i), c.name, float(command[i, k]), c.lower, c.upper) for i in bad]
         return found
+
+    def workspace(self, tool: Sequence[float] = (0.0, 0.0, 0.0)) -> tuple[Coordinate, ...]:
+        """Command coordinates with their ranges; another tool (3,) than the reference moves x, y and z along."""
+        shift = dict(zip("xyz", tool, strict=True))
+        return tuple(
+            dataclasses.replace(c, lower=c.lower + shift.get(c.name, 0.0), upper=c.upper + shift.get(c.name, 0.0))
+            for c in self.command
+        )

@@ -77,7 +77,7 @@ def sample(
     """Sample about `estimate`; at most `keep` draws are returned. `progress` is told the share done."""
     import emcee
 
-    estimated = tuple(g for g, s in estimate.noise_scale.items()) if _scaled(estimate) else ()
+    estimated = tuple(estimate.noise_scale) if estimate.noise_estimated else ()
     target = _Target(measurement, series, y, estimate, estimated)
     dimensions = target.dimensions
     count = walkers or max(2 * (dimensions + 2), 32)
@@ -109,10 +109,6 @@ def _diagnostics() -> Any:
     from arviz_stats import base
 
     return base.array_stats
-
-
-def _scaled(estimate: Estimate) -> bool:
-    return any(s != 1.0 for s in estimate.noise_scale.values())
 
 
 def _longest(sampler: Any) -> float:

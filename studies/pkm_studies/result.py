@@ -14,7 +14,7 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Base: frozen, unknown fields refused."""
 
 
-class Group(Part):
+class Group(Part, frozen=True):
     """One line of the identifiability verdict in words."""
 
     kind: str  # seen | combination | lost | weak
@@ -22,7 +22,7 @@ class Group(Part):
     remedies: list[str] = []
 
 
-class Identifiability(Part):
+class Identifiability(Part, frozen=True):
     """What the plan's readings can see. Combinations and lost directions are {parameter: coefficient}, SI."""
 
     parameters: list[str]
@@ -36,7 +36,7 @@ class Identifiability(Part):
     words: list[Group]
 
 
-class Pose(Part):
+class Pose(Part, frozen=True):
     """One planned reading: where it is taken, in user units (`z_mm`, ...), and what it nominally reads."""
 
     setup: str
@@ -46,7 +46,7 @@ class Pose(Part):
     reading: dict[str, float]
 
 
-class PlanScore(Part):
+class PlanScore(Part, frozen=True):
     """One plan scored: the chosen one, or a reference to compare with."""
 
     name: str
@@ -59,7 +59,7 @@ class PlanScore(Part):
     observability: dict[str, float]
 
 
-class Design(Part):
+class Design(Part, frozen=True):
     """The chosen readings."""
 
     criterion: str
@@ -75,7 +75,7 @@ class Design(Part):
     plans: list[PlanScore]
 
 
-class KappaMap(Part):
+class KappaMap(Part, frozen=True):
     """Condition number over the number of circles and of points on each, for one parametrisation."""
 
     title: str
@@ -84,7 +84,7 @@ class KappaMap(Part):
     kappa: list[list[float]]  # [circle][point]
 
 
-class Value(Part):
+class Value(Part, frozen=True):
     """An identified parameter, in its display unit."""
 
     value: float
@@ -96,7 +96,7 @@ class Value(Part):
     truth: float | None = None  # of a virtual machine
 
 
-class Estimate(Part):
+class Estimate(Part, frozen=True):
     """Least squares with tolerance priors. rms in `unit` of the readings, by channel."""
 
     parameters: dict[str, Value]
@@ -112,7 +112,7 @@ class Estimate(Part):
     residuals_before: list[float]
 
 
-class Marginal(Part):
+class Marginal(Part, frozen=True):
     """Posterior of one parameter, in its display unit."""
 
     mean: float
@@ -124,7 +124,7 @@ class Marginal(Part):
     unit: str
 
 
-class Posterior(Part):
+class Posterior(Part, frozen=True):
     """Sampler summary. `posterior.nc` holds the draws."""
 
     marginals: dict[str, Marginal]
@@ -136,7 +136,7 @@ class Posterior(Part):
     corner: list[list[float]]  # thinned draws [draw][direction], in prior standard deviations
 
 
-class Spread(Part):
+class Spread(Part, frozen=True):
     """Error of one pose component over the workspace: rms, 95th percentile, largest, in `unit`."""
 
     rms: float
@@ -145,7 +145,7 @@ class Spread(Part):
     unit: str
 
 
-class Component(Part):
+class Component(Part, frozen=True):
     """Residual accuracy of one pose component. `known` is what remains once a further axis corrects it too."""
 
     compensatable: bool
@@ -155,7 +155,7 @@ class Component(Part):
     budget: dict[str, float]  # share of the variance of `known`, by source
 
 
-class MapPoint(Part):
+class MapPoint(Part, frozen=True):
     """1-sigma prediction at one workspace pose (user units), by component."""
 
     command: dict[str, float]
@@ -163,7 +163,7 @@ class MapPoint(Part):
     after: dict[str, float]
 
 
-class Prediction(Part):
+class Prediction(Part, frozen=True):
     """Residual accuracy over the workspace, against a stated reference (absolute, home or best_fit)."""
 
     reference: str
@@ -175,20 +175,21 @@ class Prediction(Part):
     realised: dict[str, Spread] | None = None  # of a virtual machine after compensation
 
 
-class HeldOut(Part):
-    """Prediction of readings kept out of the fit."""
+class HeldOut(Part, frozen=True):
+    """Prediction of readings kept out of the fit; the new set-up's own unknowns are adjusted, but not in `rms_raw`."""
 
     name: str
     channel: str
     n: int
     rms: float
+    rms_raw: float
     unit: str
     coverage: float  # share of readings inside their 95 % predictive interval
     residuals: list[float]
     half_widths: list[float]  # of the 95 % predictive interval
 
 
-class Claim(Part):
+class Claim(Part, frozen=True):
     """A claim of the study's [expect] table, measured."""
 
     claim: str
@@ -197,7 +198,7 @@ class Claim(Part):
     met: bool
 
 
-class Stage(Part):
+class Stage(Part, frozen=True):
     """One stage of the plan: measurement, what it identifies, its cost (min)."""
 
     measurement: str
@@ -209,7 +210,7 @@ class Stage(Part):
     predicted: dict[str, float]
 
 
-class Plan(Part):
+class Plan(Part, frozen=True):
     """The plan as stages."""
 
     stages: list[Stage]
@@ -217,14 +218,14 @@ class Plan(Part):
     alternatives: list[str]
 
 
-class Line(Part):
+class Line(Part, frozen=True):
     """A polyline of the drawing, m."""
 
     kind: str  # machine | path | reading | cup
     points: list[list[float]]
 
 
-class Drawing(Part):
+class Drawing(Part, frozen=True):
     """The machine at its home pose and the planned tool points, m, base frame."""
 
     lines: list[Line]
@@ -233,7 +234,7 @@ class Drawing(Part):
     bars: list[list[list[float]]]  # reading's far end to tool point, where there is one
 
 
-class MachineInfo(Part):
+class MachineInfo(Part, frozen=True):
     """The machine's table, in display units."""
 
     name: str
@@ -243,7 +244,7 @@ class MachineInfo(Part):
     frame: list[str]
 
 
-class SetupInfo(Part):
+class SetupInfo(Part, frozen=True):
     """A set-up as used, in display units."""
 
     name: str
@@ -254,7 +255,7 @@ class SetupInfo(Part):
     unknowns: dict[str, float]
 
 
-class StudyResult(Part):
+class StudyResult(Part, frozen=True):
     """The whole result of one study; sections of stages that did not run are null."""
 
     schema: int

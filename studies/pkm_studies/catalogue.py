@@ -1,0 +1,144 @@
+"""What there is to choose from, and how a name in a study becomes an object.
+
+A model is named by its short name (`a3_head`), by `package.module:attribute`, or by `path/to/file.py:attribute`
+relative to the study; in the last two the attribute may be left out where it is `machine` or `instrument`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import importlib
+import importlib.util
+import pkgutil
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal
+
+from pkm_studies.errors import InputError, Place, shorten, suggest
+
+KINDS = ("machines", "instruments", "effects", "criteria")
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Entry:
+    """One line of the catalogue: `where` is the long name that a study may use as well."""
+
+    name: str
+    about: str
+    source: str
+    where: str
+
+
+def listing(kind: str) -> list[Entry]:
+    """The catalogue of one of KINDS, by name. There are no effects yet, so that list is empty."""
+    if kind == "effects":
+        return []
+    if kind == "criteria":
+        return [Entry(c.name, c.about, c.source, f"oed.criteria:{c.name}") for c in _criteria().values()]
+    found = _found("machines" if kind == "machines" else "instruments")
+    return [Entry(name, item.about, item.source, where) for name, (where, item) in sorted(found.items())]
+
+
+def machine(reference: str, folder: Path, place: Place) -> Any:
+    """The `oed.machine.Machine` that `reference` names. Raises InputError."""
+    from oed.machine import Machine
+
+    return _lookup(reference, "machines", Machine, folder, place)
+
+
+def instrument(reference: str, folder: Path, place: Place) -> Any:
+    """The `oed.instrument.Instrument` that `reference` names. Raises InputError."""
+    from oed.instrument import Instrument
+
+    return _lookup(reference, "instruments", Instrument, folder, place)
+
+
+def criterion(name: str, place: Place) -> str:
+    """The name of a known criterion. Raises InputError."""
+    known = _criteria()
+    if name not in known:
+        raise place.error("no such criterion", suggest(name, known), name)
+    return name
+
+
+def _criteria() -> Mapping[str, Any]:
+    catalogue: Mapping[str, Any] = importlib.import_module("oed.criteria").CATALOGUE
+    return catalogue
+
+
+@functools.cache
+def _found(kind: Literal["machines", "instruments"]) -> dict[str, tuple[str, Any]]:
+    """Every machine or instrument of `pkm_models` by its name, with its long name."""
+    from oed.instrument import Instrument
+    from oed.machine import Machine
+
+    wanted = Machine if kind == "machines" else Instrument
+    package = importlib.import_module(f"pkm_models.{kind}")
+    found: dict[str, tuple[str, Any]] = {}
+    for info in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+        for attribute, item in vars(importlib.import_module(info.name)).items():
+            if isinstance(item, wanted):
+                found.setdefault(item.name, (f"{info.name}:{attribute}", item))
+    return found
+
+
+def _lookup(reference: str, kind: Literal["machines", "instruments"], wanted: type, folder: Path, place: Place) -> Any:
+    module_name, _, attribute = reference.rpartition(":")
+    if not module_name and reference.endswith(".py"):
+        module_name, attribute = reference, ""
+    if not module_name:
+        return _by_short_name(reference, kind, place)
+    module = _module(module_name, folder, place)
+    attribute = attribute or kind.removesuffix("s")
+    item = getattr(module, attribute, None)
+    if isinstance(item, wanted):
+        return item
+    there = [n for n, v in vars(module).items() if isinstance(v, wanted)]
+    problem = f"{attribute} is no {wanted.__name__}" if item is not None else f"there is no {attribute} in it"
+    raise place.error(problem, suggest(attribute, there, "there is"), reference)
+
+
+def _by_short_name(name: str, kind: Literal["machines", "instruments"], place: Place) -> Any:
+    found = _found(kind)
+    if name not in found:
+        remedy = suggest(name, sorted(found), "known") + ", or a file of your own: path/to/file.py:attribute"
+        raise place.error(f"no such {kind.removesuffix('s')}", remedy, name)
+    return found[name][1]
+
+
+def _module(name: str, folder: Path, place: Place) -> ModuleType:
+    """A module by its dotted name or its file; whatever it raises is told as bad input."""
+    try:
+        return _from_file(folder / name, place) if name.endswith(".py") else importlib.import_module(name)
+    except InputError:
+        raise
+    except ModuleNotFoundError as error:
+        problem = f"the module {error.name} was not found"
+        raise place.error(problem, "check the name, or name a file: path/to/file.py:attribute", name) from None
+    except (Exception, SystemExit) as error:
+        problem = f"importing it failed with {type(error).__name__}: {shorten(str(error), 120)}"
+        raise place.error(problem, "mend the file, or run it alone with Python to see where", name) from error
+
+
+def _from_file(path: Path, place: Place) -> ModuleType:
+    if not path.is_file():
+        raise place.error("there is no such file", "paths are relative to the study file", str(path))
+    # a name of its own, so that two files called machine.py do not meet
+    name = f"pkm_user_{path.stem}_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise place.error("this is no Python file", "name a file that ends in .py", str(path))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module

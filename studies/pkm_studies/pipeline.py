@@ -1,0 +1,322 @@
+"""The order of work: the only file that knows which stage follows which."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+import oed
+from oed import explain, identify, posterior, predict, simulate
+from oed.batch import Array
+from oed.measurement import Measurement, Series
+from pkm_studies import claims, files, result
+from pkm_studies.progress import Progress, Silent
+from pkm_studies.resolve import Resolved, resolve
+from pkm_studies.result import StudyResult
+from pkm_studies.stages import choose, describe, fit, foresee, headline, see
+from pkm_studies.study import Study
+
+#: independent random streams of the stages: adding draws in one leaves the others as they were
+DESIGN, TRUTH, NOISE, SAMPLER, PREDICT, MACHINES, HELD_OUT = range(7)
+
+
+def run(
+    study: Study,
+    out: Path,
+    *,
+    seed: int | None = None,
+    progress: Progress | None = None,
+    report: bool = True,
+    readings: Sequence[Path] | None = None,
+) -> StudyResult:
+    """Everything the study asks for; files in `out`. `readings` replace those the study names.
+
+    Raises InputError for what the study asks and cannot be done, IdentificationError where a fit fails.
+    """
+    job = _Job(study, out, study.seed if seed is None else seed, progress or Silent(), readings)
+    return job.run(report=report)
+
+
+def identify_readings(
+    study: Study, readings: Sequence[Path], out: Path, *, seed: int | None = None, progress: Progress | None = None
+) -> StudyResult:
+    """The study's stages with readings from files."""
+    return run(study, out, seed=seed, progress=progress, readings=list(readings))
+
+
+def simulate_readings(study: Study, out: Path, *, seed: int | None = None) -> tuple[Path, Path]:
+    """Readings of the study's virtual machine as CSV in `out`, its truth in `out` with the suffix .truth.json."""
+    from oed import dataset
+
+    job = _Job(study, out.parent, study.seed if seed is None else seed, Silent(), [])
+    chosen = choose.choose(job.resolved, job.rng(DESIGN))
+    series = job.planned(chosen)
+    truth, y = job.virtual(series)
+    made = dataset.from_series(series, y, job.resolved.measurement)
+    files.out_folder(out.parent)
+    dataset.save(out, made)
+    table = {
+        p.name: {"value": float(v), "unit": p.unit} for p, v in zip(job.measurement.parameters, truth, strict=True)
+    }
+    beside = out.with_name(out.name.removesuffix(".readings.csv").removesuffix(".csv") + ".truth.json")
+    return out, files.write_whole(beside, msgspec.json.format(msgspec.json.encode(table), indent=1))
+
+
+class _Job:
+    """One run: the study's objects, and the sections as they come."""
+
+    def __init__(self, study: Study, out: Path, seed: int, progress: Progress, readings: Sequence[Path] | None) -> None:
+        self.study, self.out, self.seed, self.progress = study, out, seed, progress
+        self.started = time.perf_counter()
+        progress.stage("set-up")
+        self.resolved: Resolved = resolve(study, readings=readings)
+        self.measurement: Measurement = self.resolved.measurement
+        self.sections: dict[str, Any] = {}
+        self.warnings = list(self.resolved.warnings)
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """Random numbers of one stage."""
+        return np.random.default_rng([self.seed, stream])
+
+    def run(self, *, report: bool) -> StudyResult:
+        files.out_folder(self.out)
+        chosen = self._design()
+        series, y, truth, held = self._readings(chosen)
+        seen = self._identifiability(chosen, series)
+        self._design_sections(chosen, seen)
+        estimate, drawn = self._fit(series, y, truth)
+        self._prediction(series, estimate, None if truth is None else True)
+        if held is not None and drawn is not None:
+            self.progress.stage("held-out readings")
+            self.sections["held_out"] = foresee.held_out(self.measurement, *held, drawn, self.rng(HELD_OUT))
+        self.sections["plan"] = choose.plan(self.resolved, seen, headline.predicted(self.sections))
+        self.sections["drawing"] = describe.drawing(self.measurement, series)
+        return self._finish(chosen, report=report)
+
+    # -- stages --------------------------------------------------------------------------------------------
+
+    def _design(self) -> choose.Chosen | None:
+        self.progress.stage("design")
+        return choose.choose(self.resolved, self.rng(DESIGN))
+
+    def planned(self, chosen: choose.Chosen | None) -> tuple[Series, ...]:
+        """The chosen plan, or the first given one. Raises InputError where there is none."""
+        if chosen is not None:
+            return chosen.series
+        if self.resolved.references:
+            return self.resolved.references[0].series
+        raise self.study.place.key("design").error(
+            "the study has neither readings nor a plan", "add [[design.candidates]], [[design.reference]] or [readings]"
+        )
+
+    def virtual(self, series: Sequence[Series]) -> tuple[Array, Array]:
+        """True parameters and readings of the study's virtual machine."""
+        said = self.study.readings
+        drawn = said is not None and said.draw
+        truth = simulate.draw(self.measurement, self.rng(TRUTH)) if drawn else self.measurement.nominal
+        for k, name in enumerate(self.measurement.names):
+            truth[k] = self.resolved.truth.get(name, truth[k])
+        return truth, simulate.read(self.measurement, series, truth, self.rng(NOISE))
+
+    def _readings(
+        self, chosen: choose.Chosen | None
+    ) -> tuple[tuple[Series, ...], Array | None, Array | None, tuple[Sequence[Series], Array] | None]:
+        """Series to work on, what they read, the truth of a virtual machine, and readings kept out."""
+        data = self.resolved.dataset
+        if data is not None:
+            kept_out = self.resolved.predict
+            fitted = self.resolved.fit or tuple(n for n in data.setups if n not in kept_out)
+            mine, rest = data.take(fitted), data.take(kept_out)
+            self._note_dropped(data.dropped)
+            return mine.series, mine.y, None, (rest.series, rest.y) if kept_out else None
+        series = self.planned(chosen)
+        if self.study.readings is None:
+            return series, None, None, None
+        truth, y = self.virtual(series)
+        return series, y, truth, None
+
+    def _note_dropped(self, count: int) -> None:
+        if count:
+            self.warnings.append(f"{count} rows without a reading were left out")
+
+    def _identifiability(self, chosen: choose.Chosen | None, series: Sequence[Series]) -> explain.Seen:
+        self.progress.stage("identifiability")
+        scaling = self.study.design.scaling if self.study.design else "length"
+        plans = {p.name: (self.resolved.measure(p.setups), p.series) for p in self.resolved.references}
+        seen = explain.look(self.measurement, series, scaling)
+        used = {s.setup for s in series}
+        others = {n: r for n, r in plans.items() if not {s.setup for s in r[1]} <= used}
+        self.sections["identifiability"] = see.section(seen, scaling, others)
+        self.sections["identifiability_of"] = see.variants(self.measurement, series, plans, scaling)
+        self.sections["kappa_maps"] = [choose.kappa_map(c, scaling) for c in self.resolved.kappa]
+        return seen
+
+    def _design_sections(self, chosen: choose.Chosen | None, seen: explain.Seen) -> None:
+        if chosen is not None:
+            self.sections["design"] = choose.section(self.resolved, chosen, seen)
+
+    def _fit(
+        self, series: Sequence[Series], y: Array | None, truth: Array | None
+    ) -> tuple[identify.Estimate | None, posterior.Posterior | None]:
+        if y is None:
+            return None, None
+        self.progress.stage("identification")
+        found = identify.identify(
+            self.measurement,
+            series,
+            y,
+            stages=self.resolved.stages,
+            estimate_noise=self.study.noise.estimate,
+            max_iterations=self.study.identify.max_iterations,
+        )
+        self.sections["estimate"] = fit.estimate_section(self.measurement, series, found, truth)
+        self.warnings += self.sections["estimate"].warnings
+        if not self.study.posterior.enabled:
+            return found, None
+        self.progress.stage("posterior")
+        asked = self.study.posterior
+        drawn = posterior.sample(
+            self.measurement,
+            series,
+            y,
+            found,
+            self.rng(SAMPLER),
+            walkers=asked.walkers,
+            ess=float(asked.ess),
+            max_steps=asked.steps,
+            progress=self.progress.share,
+        )
+        self.sections["posterior"] = fit.posterior_section(self.measurement, found, drawn, self.study.report.corner)
+        self._judge(drawn)
+        posterior.save(
+            drawn, self.out / "posterior.nc", {"study": self.study.name, "units": "SI", "seed": str(self.seed)}
+        )
+        return found, drawn
+
+    def _judge(self, drawn: posterior.Posterior) -> None:
+        least = float(np.nanmin(drawn.ess))
+        if least < self.study.posterior.ess:
+            self.warnings.append(
+                f"the posterior has an effective sample size of {least:.0f}, short of {self.study.posterior.ess}; "
+                "raise [posterior] steps"
+            )
+
+    def _prediction(self, series: Sequence[Series], estimate: identify.Estimate | None, virtual: bool | None) -> None:
+        said, command = self.study.prediction, self.resolved.prediction
+        if said is None or command is None:
+            return
+        self.progress.stage("prediction")
+        reference: predict.Reference = said.reference
+        realised = foresee.virtual_machines(
+            self.measurement,
+            series,
+            command,
+            reference,
+            said.virtual_machines,
+            self.rng(MACHINES),
+            self.resolved.stages,
+            self.progress,
+        )
+        # a virtual machine only exercises the plan: what is told beforehand is the plan's accuracy
+        known = None if virtual else estimate
+        self.sections["prediction"] = foresee.section(
+            self.measurement, series, command, reference, self.rng(PREDICT), known, realised
+        )
+
+    # -- results -------------------------------------------------------------------------------------------
+
+    def _finish(self, chosen: choose.Chosen | None, *, report: bool) -> StudyResult:
+        study = self.study
+        made = StudyResult(
+            schema=result.SCHEMA,
+            version=oed.__version__,
+            study=study.name,
+            title=study.title or study.name,
+            question=study.question,
+            seed=self.seed,
+            seconds=0.0,
+            machine=describe.machine(self.resolved.machine),
+            setups=[describe.setup(self.resolved.machine, s) for s in self.measurement.setups.values()],
+            study_text=study.text,
+            versions=describe.versions(),
+            headline=headline.sentences(self.sections),
+            warnings=list(dict.fromkeys(self.warnings)),
+            **self.sections,
+        )
+        found = claims.check_claims(study, msgspec.to_builtins(made))
+        seconds = round(time.perf_counter() - self.started, 3)
+        made = msgspec.structs.replace(made, claims=found, seconds=seconds)
+        self._write(made)
+        if report and (study.report.html or study.report.pdf):
+            self.progress.stage("report")
+            write_report(self.out)
+        return made
+
+    def _write(self, made: StudyResult) -> None:
+        text = msgspec.json.format(msgspec.json.encode(made), indent=1)
+        files.write_whole(self.out / "result.json", text)
+        if made.design is not None:
+            files.write_whole(self.out / "poses.csv", _poses_csv(made.design.poses))
+        if made.plan is not None:
+            files.write_whole(self.out / "plan.csv", _plan_csv(made.plan))
+
+
+def write_report(folder: Path) -> tuple[Path, Path]:
+    """HTML and PDF from the result in a folder."""
+    from pkm_reports import write_report as write
+
+    return write(load_result(folder), folder)
+
+
+def load_result(folder: Path) -> Mapping[str, Any]:
+    """The stored result of a folder as plain data. Raises InputError where there is none, or it is no result."""
+    path = folder / "result.json"
+    text = files.read_text(path, limit=1 << 28, what="result")
+    try:
+        checked = msgspec.json.decode(text, type=StudyResult)
+    except msgspec.DecodeError as error:
+        from pkm_studies.errors import Place
+
+        raise Place(str(path)).error(f"this is no result: {error}", "make it again with `oed run`") from error
+    found: Mapping[str, Any] = msgspec.to_builtins(checked)
+    return found
+
+
+def _poses_csv(poses: Sequence[result.Pose]) -> str:
+    """The plan as a readings file to fill in: the reading's cells are empty."""
+    channels = list(dict.fromkeys(c for p in poses for c in p.reading))
+    coordinates = list(dict.fromkeys(c for p in poses for c in p.command))
+    rows = [
+        [
+            p.setup,
+            p.run,
+            p.order,
+            *[f"{p.command[c]:.9g}" if c in p.command else "" for c in coordinates],
+            *[""] * len(channels),
+        ]
+        for p in poses
+    ]
+    return _csv(["setup", "run", "order", *coordinates, *channels], rows)
+
+
+def _plan_csv(plan: result.Plan) -> str:
+    rows = [
+        [k + 1, s.measurement, " ".join(s.setups), s.readings, s.identifies, f"{s.cost:.1f}", f"{s.kappa:.4g}"]
+        for k, s in enumerate(plan.stages)
+    ]
+    return _csv(["stage", "measurement", "setups", "readings", "identifies", "cost_min", "kappa"], rows)
+
+
+def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()

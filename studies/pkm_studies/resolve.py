@@ -1,0 +1,438 @@
+"""From what a study says to the kernel's objects: machine, set-ups, grids, readings; all SI, no TOML beyond here.
+
+Raises InputError, naming file and field, for everything that does not fit the machine or the instruments.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed import units
+from oed.batch import Array
+from oed.instrument import Setup, mount
+from oed.kinematics import AssemblyError
+from oed.machine import Machine, Parameter
+from oed.measurement import Measurement, Series
+from pkm_studies import catalogue, grids, quantities
+from pkm_studies.errors import Place, suggest
+from pkm_studies.grids import Circles, Plan
+from pkm_studies.study import KappaTable, SetupTable, Study
+
+if TYPE_CHECKING:
+    from oed.dataset import Dataset
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Resolved:
+    """A study as objects.
+
+    measurement  machine with the set-ups that candidates and readings use; where there are neither, with those of the
+                 reference plans, or all: a set-up that only [[kappa]] or a reference plan names stays out
+    candidates   one series for each [[design.candidates]]
+    references   the given plans, by name
+    truth        parameters (SI) of the virtual machine by name, nominal where absent
+    dataset      the readings, where the study has some
+    fit          set-ups whose readings are fitted; None: all but `predict`
+    stages       patterns of the parameters freed in turn
+    prediction   commands (n, n_dof) at which accuracy is predicted
+    warnings     what was left out, in words
+    """
+
+    study: Study
+    machine: Machine
+    setups: Mapping[str, Setup]
+    measurement: Measurement
+    measure: Callable[[Iterable[str]], Measurement]
+    candidates: tuple[Series, ...]
+    references: tuple[Plan, ...]
+    kappa: tuple[Circles, ...]
+    truth: Mapping[str, float]
+    dataset: Dataset | None
+    fit: tuple[str, ...] | None
+    predict: tuple[str, ...]
+    stages: tuple[tuple[str, ...], ...]
+    prediction: Array | None
+    warnings: tuple[str, ...]
+
+
+def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved:
+    """The objects of a study.
+
+    `readings`: files to read instead of what [readings] names; none where it is empty.
+    """
+    model = catalogue.machine(study.machine.model, study.folder, study.place.key("machine").key("model"))
+    machine = _machine(study, model)
+    setups = _setups(study, machine)
+    machine, setups = _tolerances(study, machine, setups)
+    measure = _measurer(machine, setups)
+    everything = measure(setups)
+    candidates, warnings = _candidates(study, everything)
+    references = _references(study, everything)
+    fit, predict = _roles(study, setups)
+    _check_stages(study, everything)
+    return Resolved(
+        study=study,
+        machine=machine,
+        setups=setups,
+        measurement=measure(_used(study, candidates, references, setups)),
+        measure=measure,
+        candidates=candidates,
+        references=references,
+        kappa=tuple(_circles(study, k, i, measure) for i, k in enumerate(study.kappa)),
+        truth=_truth(study, everything),
+        dataset=_dataset(study, everything, readings),
+        fit=fit,
+        predict=predict,
+        stages=tuple(tuple(stage) for stage in study.identify.stages),
+        prediction=_prediction(study, machine),
+        warnings=warnings,
+    )
+
+
+# -- machine and set-ups -----------------------------------------------------------------------------------
+
+
+def _machine(study: Study, model: Machine) -> Machine:
+    """The model with the study's nominal numbers."""
+    known = {p.name: p.unit for p in model.parameters}
+    nominal = quantities.read(study.machine.nominal, known, study.place.key("machine").key("nominal"))
+    table = [dataclasses.replace(p, nominal=nominal.get(p.name, p.nominal)) for p in model.parameters]
+    return model.with_parameters(table)
+
+
+def _setups(study: Study, machine: Machine) -> dict[str, Setup]:
+    place = study.place.key("setup")
+    return {s.name: _setup(study, s, machine, place.item(i)) for i, s in enumerate(study.setup)}
+
+
+def _setup(study: Study, table: SetupTable, machine: Machine, place: Place) -> Setup:
+    instrument = catalogue.instrument(table.instrument, study.folder, place.key("instrument"))
+    settings = quantities.read(table.settings, {s.name: s.unit for s in instrument.settings}, place)
+    for s in instrument.settings:
+        if s.default is None and s.name not in settings:
+            key = quantities.column(s.name, s.unit)
+            raise place.key(key).error("missing", f"{instrument.name} needs it: {s.about}")
+    unknowns = {n.name: n.unit for n in instrument.nuisances}
+    tolerances = quantities.read(table.tolerance, unknowns, place.key("tolerance"))
+    for key, value in table.tolerance.items():
+        _not_negative(value, place.key("tolerance").key(key))
+    made = mount(
+        instrument,
+        table.name,
+        tool=_triple(table.tool_mm),
+        teach=_teach(table, instrument.reference == "teach", machine, place),
+        tolerances=tolerances,
+        **settings,  # type: ignore[arg-type]
+    )
+    _reach(machine, made, place)
+    return made
+
+
+def _triple(tool_mm: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in units.to_si(tool_mm, "mm"))
+    return x, y, z
+
+
+def _teach(table: SetupTable, taught: bool, machine: Machine, place: Place) -> list[float] | None:
+    keys = [quantities.column(c.name, c.unit) for c in machine.command]
+    example = "teach = { " + ", ".join(f"{k} = 0" for k in keys) + " }"
+    if table.teach is None:
+        if taught:
+            raise place.key("teach").error("missing", f"say where {table.instrument} was taught: {example}")
+        return None
+    if not taught:
+        raise place.key("teach").error(f"{table.instrument} is not taught", "remove teach")
+    values = quantities.read(table.teach, grids.wanted(machine), place.key("teach"))
+    for c, key in zip(machine.command, keys, strict=True):
+        if c.name not in values:
+            raise place.key("teach").key(key).error("missing", f"give every coordinate: {example}")
+    return [values[c.name] for c in machine.command]
+
+
+def _reach(machine: Machine, setup: Setup, place: Place) -> None:
+    """A teach pose may lie outside the workspace, but the machine must get there."""
+    if setup.teach is None:
+        return
+    try:
+        made = Measurement(machine, [setup]).series(setup.name, np.array([setup.teach]))
+    except AssemblyError as error:
+        raise place.key("teach").error(str(error), "give a pose the machine can reach") from error
+    grids.in_joint_range(machine, made, place.key("teach"))
+
+
+# -- noise and tolerances ----------------------------------------------------------------------------------
+
+
+def _tolerances(study: Study, machine: Machine, setups: dict[str, Setup]) -> tuple[Machine, dict[str, Setup]]:
+    """Machine and set-ups with the study's priors, fixed parameters and noise."""
+    found = _priors(study, machine, setups)
+    fixed = _fixed(study, machine, setups)
+    table = [dataclasses.replace(p, tolerance=found.get(p.name, p.tolerance)) for p in machine.parameters]
+    machine = machine.with_parameters(table)
+    if fixed is not None:
+        frame = tuple(p.name for p in machine.parameters if p.name in fixed)
+        machine = dataclasses.replace(machine, frame=frame)
+        found |= {name: 0.0 for name in fixed}
+    noise = _noise(study, setups)
+    said = {s.name: s.tolerance for s in study.setup}
+    new = {}
+    for name, setup in setups.items():
+        own = {key.rpartition("_")[0] for key in said[name]}
+        new[name] = dataclasses.replace(
+            setup, nuisances=tuple(_with(n, name, own, found) for n in setup.nuisances), sigma=noise[name]
+        )
+    return machine, new
+
+
+def _with(nuisance: Parameter, setup: str, own: set[str], found: Mapping[str, float]) -> Parameter:
+    """A set-up's unknown with its tolerance: what [[setup]] says comes before what [prior] says."""
+    value = nuisance.tolerance if nuisance.name in own else found.get(f"{setup}.{nuisance.name}", nuisance.tolerance)
+    return dataclasses.replace(nuisance, tolerance=value)
+
+
+def _names(machine: Machine, setups: Mapping[str, Setup]) -> dict[str, str]:
+    """All parameters with their SI units: the machine's, and `set-up.unknown`."""
+    table = {p.name: p.unit for p in machine.parameters}
+    return table | {f"{s.name}.{n.name}": n.unit for s in setups.values() for n in s.nuisances}
+
+
+def _match(patterns: Sequence[str], names: Iterable[str], place: Place) -> list[str]:
+    """Names that match any of the patterns; raises InputError for a pattern that matches nothing."""
+    names = list(names)
+    for i, pattern in enumerate(patterns):
+        if not fnmatch.filter(names, pattern):
+            raise place.item(i).error("no parameter has this name", suggest(pattern.strip("*"), names), pattern)
+    return [n for n in names if any(fnmatch.fnmatchcase(n, p) for p in patterns)]
+
+
+def _priors(study: Study, machine: Machine, setups: Mapping[str, Setup]) -> dict[str, float]:
+    names = _names(machine, setups)
+    found: dict[str, float] = {}
+    for i, table in enumerate(study.prior.tolerance):
+        place = study.place.key("prior").key("tolerance").item(i)
+        matched = _match(table.parameters, names, place.key("parameters"))
+        if not matched:
+            raise place.key("parameters").error("the list is empty", 'name parameters or patterns: ["dq*"]')
+        kinds = {names[n]: n for n in matched}
+        if len(kinds) > 1:
+            told = " and ".join(f"{n} ({unit})" for unit, n in kinds.items())
+            raise place.key("parameters").error(
+                f"parameters of different kinds: {told}", "make one table for each kind"
+            )
+        unit = next(iter(kinds))
+        value = quantities.read(table.sigma, {"sigma": unit}, place).get("sigma")
+        if value is None:
+            raise place.key(quantities.column("sigma", unit)).error("missing", "give the standard deviation")
+        _not_negative(value, place.key(next(iter(table.sigma))))
+        found |= dict.fromkeys(matched, value)
+    return found
+
+
+def _fixed(study: Study, machine: Machine, setups: Mapping[str, Setup]) -> set[str] | None:
+    if study.machine.fixed is None:
+        return None
+    place = study.place.key("machine").key("fixed")
+    return set(_match(study.machine.fixed, _names(machine, setups), place))
+
+
+def _noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, tuple[float, ...]]:
+    """Noise (SI) of each channel by set-up: the instrument's, for all set-ups, for one."""
+    place = study.place.key("noise")
+    own = {k: v for k, v in study.noise.sigma.items() if isinstance(v, Mapping)}
+    common = {k: v for k, v in study.noise.sigma.items() if not isinstance(v, Mapping)}
+    for name in own:
+        if name not in setups:
+            raise place.key(name).error("no such set-up", suggest(name, setups))
+    channels = {c.name: c.unit for s in setups.values() for c in s.instrument.channels}
+    general = _sigma(common, channels, place)
+    sigma = {}
+    for name, setup in setups.items():
+        special = _sigma(own.get(name, {}), {c.name: c.unit for c in setup.instrument.channels}, place.key(name))
+        found = {c.name: c.sigma for c in setup.instrument.channels} | general | special
+        sigma[name] = tuple(found[c.name] for c in setup.instrument.channels)
+    return sigma
+
+
+def _sigma(table: Mapping[str, float], channels: Mapping[str, str], place: Place) -> dict[str, float]:
+    values = quantities.read(table, channels, place)
+    for key, value in table.items():
+        if value <= 0.0:
+            raise place.key(key).error("noise must be above 0", "give the standard deviation of one reading", value)
+    return values
+
+
+def _not_negative(value: float, place: Place) -> None:
+    if value < 0.0:
+        raise place.error("a tolerance is a standard deviation", "give a number >= 0", value)
+
+
+# -- measurements and grids --------------------------------------------------------------------------------
+
+
+def _measurer(machine: Machine, setups: Mapping[str, Setup]) -> Callable[[Iterable[str]], Measurement]:
+    made: dict[tuple[str, ...], Measurement] = {}
+
+    def measure(names: Iterable[str]) -> Measurement:
+        """The measurement with these set-ups, in the study's order; made once."""
+        wanted = set(names)
+        key = tuple(n for n in setups if n in wanted)
+        if key not in made:
+            made[key] = Measurement(machine, [setups[n] for n in key])
+        return made[key]
+
+    return measure
+
+
+def _known(name: str, setups: Iterable[str], place: Place) -> str:
+    names = list(setups)
+    if name not in names:
+        raise place.error("no such set-up", suggest(name, names, "set-ups"), name)
+    return name
+
+
+def _candidates(study: Study, measurement: Measurement) -> tuple[tuple[Series, ...], tuple[str, ...]]:
+    if study.design is None:
+        return (), ()
+    made, warnings = [], []
+    for i, table in enumerate(study.design.candidates):
+        place = study.place.key("design").key("candidates").item(i)
+        _known(table.setup, measurement.setups, place.key("setup"))
+        series, lost = grids.grid(table, measurement, place, strict=False)
+        made.append(series)
+        if lost:
+            warnings.append(
+                f"{place.field}: {lost} of {lost + len(series)} poses are left out, because {table.setup} cannot hold "
+                "its reading there"
+            )
+    return tuple(made), tuple(warnings)
+
+
+def _references(study: Study, measurement: Measurement) -> tuple[Plan, ...]:
+    plans: dict[str, list[Series]] = {}
+    for i, table in enumerate(study.design.reference if study.design else []):
+        place = study.place.key("design").key("reference").item(i)
+        _known(table.setup, measurement.setups, place.key("setup"))
+        series, _ = grids.grid(table, measurement, place, strict=True)
+        plans.setdefault(table.name, []).append(series)
+    return tuple(Plan(name=name, series=tuple(series)) for name, series in plans.items())
+
+
+def _circles(study: Study, table: KappaTable, i: int, measure: Callable[[Iterable[str]], Measurement]) -> Circles:
+    place = study.place.key("kappa").item(i)
+    names = [s.name for s in study.setup]
+    measurement = measure([_known(table.setup, names, place.key("setup"))])
+    machine = measurement.machine
+    columns = [c.name for c in machine.command]
+    if len(table.coordinates) != 1:
+        example = quantities.column(columns[0], machine.command[0].unit)
+        raise place.error("one range spaces the circles", f"give one, as in {example} = {{ from = ..., to = ... }}")
+    key, span = next(iter(table.coordinates.items()))
+    name, unit = quantities.split(key, grids.wanted(machine), place)
+    if table.coordinate is not None and table.coordinate not in columns:
+        raise place.key("coordinate").error("no such coordinate", suggest(table.coordinate, columns), table.coordinate)
+    rest = [c for c in machine.command if c.name not in (name, table.coordinate)]
+    if len(rest) != 1 or rest[0].unit != "rad":
+        problem = "besides the range and the held coordinate, one angle must be left to run round"
+        raise place.key("coordinate").error(problem, f"coordinates are {', '.join(columns)}", table.coordinate or "")
+    lower, upper = (float(units.to_si(v, unit)) for v in (span.from_, span.to))
+    ends = np.zeros((2, len(columns)))
+    ends[:, columns.index(name)] = lower, upper
+    ends[:, [k for k, c in enumerate(columns) if c != name]] = [machine.home[c] for c in columns if c != name]
+    grids.in_workspace(machine, ends, {name: key}, place, measurement.setups[table.setup].tool)
+    return Circles(
+        title=table.title or f"{table.setup}: circles over {name}",
+        setup=table.setup,
+        circles=tuple(table.circles),
+        points=tuple(table.points),
+        measurement=measurement,
+        across=columns.index(name),
+        around=columns.index(rest[0].name),
+        hold=table.coordinate,
+        lower=lower,
+        upper=upper,
+        place=place,
+    )
+
+
+def _prediction(study: Study, machine: Machine) -> Array | None:
+    if study.prediction is None:
+        return None
+    place = study.place.key("prediction")
+    command, hold, keys = grids.expand(study.prediction.coordinates, machine, place)
+    if hold is not None:
+        raise place.key(hold).error("accuracy is predicted without an instrument", "give values with a unit", "hold")
+    grids.in_workspace(machine, command, keys, place)
+    return command
+
+
+# -- readings ----------------------------------------------------------------------------------------------
+
+
+def _used(
+    study: Study, candidates: Sequence[Series], references: Sequence[Plan], setups: Mapping[str, Setup]
+) -> Iterable[str]:
+    used = {s.setup for s in candidates}
+    if study.readings is not None:
+        recorded = not study.readings.simulate
+        used |= set(study.readings.fit or (setups if recorded else ())) | set(study.readings.predict)
+    return used or {n for plan in references for n in plan.setups} or setups
+
+
+def _roles(study: Study, setups: Mapping[str, Setup]) -> tuple[tuple[str, ...] | None, tuple[str, ...]]:
+    """Set-ups whose readings are fitted, and those kept out."""
+    if study.readings is None:
+        return None, ()
+    place = study.place.key("readings")
+    for field, names in (("fit", study.readings.fit or []), ("predict", study.readings.predict)):
+        for i, name in enumerate(names):
+            _known(name, setups, place.key(field).item(i))
+    fit = study.readings.fit
+    both = set(fit or ()) & set(study.readings.predict)
+    if both:
+        raise place.key("predict").error(f"{min(both)} is fitted as well", "name each set-up in fit or in predict")
+    if fit is not None and not fit:
+        raise place.key("fit").error("the list is empty", "name the set-ups to fit, or leave fit out")
+    return (None if fit is None else tuple(fit)), tuple(study.readings.predict)
+
+
+def _truth(study: Study, measurement: Measurement) -> dict[str, float]:
+    """Parameters of the virtual machine, SI; a set-up's unknowns stand in a table named as the set-up."""
+    if study.readings is None:
+        return {}
+    place = study.place.key("readings").key("truth")
+    own = {k: v for k, v in study.readings.truth.items() if isinstance(v, Mapping)}
+    common = {k: v for k, v in study.readings.truth.items() if not isinstance(v, Mapping)}
+    truth = quantities.read(common, {p.name: p.unit for p in measurement.parameters}, place)
+    for name, table in own.items():
+        setup = measurement.setups[_known(name, measurement.setups, place.key(name))]
+        known = {n.name: n.unit for n in setup.nuisances}
+        values = quantities.read(table, known, place.key(name))
+        truth |= {f"{name}.{k}": v for k, v in values.items()}
+    return truth
+
+
+def _check_stages(study: Study, measurement: Measurement) -> None:
+    place = study.place.key("identify").key("stages")
+    for i, stage in enumerate(study.identify.stages):
+        if not _match(stage, measurement.names, place.item(i)):
+            raise place.item(i).error("the list is empty", 'name parameters or patterns: ["*"] frees all')
+
+
+def _dataset(study: Study, measurement: Measurement, readings: Sequence[Path] | None) -> Dataset | None:
+    """The readings: files given to the command, files of the study, or its source."""
+    said = study.readings
+    if readings is None and (said is None or said.simulate):
+        return None
+    if readings is not None and not readings:
+        return None
+    from pkm_studies import sources  # pandas takes a second to import
+
+    if readings is not None:
+        return sources.from_files(readings, measurement)
+    return sources.readings(study, measurement)

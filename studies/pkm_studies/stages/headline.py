@@ -1,0 +1,94 @@
+"""The numbers that matter, as sentences: what a person reads first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pkm_studies import result
+
+MOST = 5
+
+
+def sentences(sections: Mapping[str, Any]) -> list[str]:
+    """Up to five sentences out of the sections that are there, the most useful first."""
+    told = [
+        *_accuracy(sections.get("prediction")),
+        *_held_out(sections.get("held_out") or []),
+        *_rank(sections.get("identifiability")),
+        *_design(sections.get("design")),
+        *_fit(sections.get("estimate")),
+        *_posterior(sections.get("posterior")),
+    ]
+    return told[:MOST]
+
+
+def predicted(sections: Mapping[str, Any]) -> dict[str, float]:
+    """Predicted rms of each component after the plan, in its fine unit."""
+    section: result.Prediction | None = sections.get("prediction")
+    if section is None:
+        return {}
+    return {f"{n}_{section.unit[n]}": c.after.rms for n, c in section.components.items()}
+
+
+def _accuracy(section: result.Prediction | None) -> list[str]:
+    if section is None:
+        return []
+    parts = [
+        f"{n} {number(c.before.rms)} to {number(c.after.rms)} {section.unit[n]}"
+        for n, c in section.components.items()
+        if c.compensatable
+    ]
+    against = {"home": "zeroed at home", "absolute": "in the base frame", "best_fit": "after best alignment"}
+    how = f"rms over the workspace before to after compensation, {against[section.reference]}"
+    return [f"Predicted residual accuracy, {how}: {'; '.join(parts)}."]
+
+
+def _held_out(sections: list[result.HeldOut]) -> list[str]:
+    if not sections:
+        return []
+    parts = [
+        f"{s.name} {number(s.rms)} {s.unit} rms ({100 * s.coverage:.0f} % inside 95 % intervals)" for s in sections
+    ]
+    return [f"Readings kept out of the fit are predicted to {'; '.join(parts)}."]
+
+
+def _rank(section: result.Identifiability | None) -> list[str]:
+    if section is None:
+        return []
+    lost = section.n - section.rank
+    told = f"The readings determine {section.rank} of {section.n} parameters"
+    if not lost:
+        return [told + "."]
+    plural = "s are" if lost > 1 else " is"
+    return [f"{told}; {lost} direction{plural} lost, see the identifiability section for what would bring them back."]
+
+
+def _design(section: result.Design | None) -> list[str]:
+    if section is None:
+        return []
+    told = f"The {section.criterion}-optimal {section.n} readings reach log det {section.plans[0].logdet:.2f}"
+    others = [f"{p.logdet:.2f} for {p.name} ({100 * p.efficiency:.0f} % D-efficiency)" for p in section.plans[1:]]
+    against = f", against {'; '.join(others)}" if others else ""
+    return [f"{told}{against}; condition number {number(section.kappa)} ({section.scaling} scaling)."]
+
+
+def _fit(section: result.Estimate | None) -> list[str]:
+    if section is None:
+        return []
+    parts = [f"{n} {number(section.rms_before[n])} to {number(v)} {section.unit}" for n, v in section.rms_after.items()]
+    return [f"The fit of {section.readings} readings brings their rms residual from {'; '.join(parts)}."]
+
+
+def _posterior(section: result.Posterior | None) -> list[str]:
+    if section is None:
+        return []
+    values = section.marginals.values()
+    least, worst = min(m.ess for m in values), max(m.rhat for m in values)
+    draws = section.draws
+    return [f"The posterior has {draws} draws: effective sample size {least:.0f} or more, R-hat {worst:.3f} or less."]
+
+
+def number(value: float) -> str:
+    """Three significant digits, without an exponent in the usual range."""
+    return f"{value:.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
