@@ -107,7 +107,8 @@ def _spans(sizes: Sequence[int]) -> tuple[slice, ...]:
 def load(path: Path | Sequence[Path], measurement: Measurement) -> Dataset:
     """Readings of one file, or of several taken together. Raises ReadingsError."""
     paths = [path] if isinstance(path, Path) else list(path)
-    return build([readings_table.read(p) for p in paths], measurement)
+    known = _known(measurement)
+    return build([readings_table.read(p, known) for p in paths], measurement)
 
 
 def from_series(
@@ -202,8 +203,8 @@ def _check_columns(table: Table, measurement: Measurement) -> None:
                 "unknown column", suggest(column.name, names), file=table.file, row=1, column=column.name
             )
         if column.unit != expected:
-            fitting = [f"{stem}_{u}" for u in units.UNITS if units.si_unit(u) == expected]
-            problem, remedy = "the unit does not fit", f"write {', '.join(fitting) or _column(stem, expected)}"
+            written = readings_table.fitting(stem, expected) or [_column(stem, expected)]
+            problem, remedy = "the unit does not fit", f"write {', '.join(written)}"
             raise ReadingsError(problem, remedy, file=table.file, row=1, column=column.name)
 
 

@@ -7,12 +7,13 @@ tool's position or axis read as well, another set-up of the study) and counts th
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oed import identifiability, information, predict, units
+from oed import identifiability, information, units
 from oed.batch import Array
 from oed.identifiability import Identifiability
 from oed.measurement import Index, Measurement, Series
@@ -133,7 +134,7 @@ def _families(seen: Seen) -> Finding | None:
     kinds: dict[str, list[int]] = {}
     for k, name in enumerate(seen.names):
         if "." not in name:
-            kinds.setdefault(predict.kind(name), []).append(k)
+            kinds.setdefault(re.sub(r"\d", "", name), []).append(k)
     told = []
     for kind, members in kinds.items():
         common = np.zeros(len(seen.names))

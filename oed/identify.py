@@ -36,16 +36,17 @@ class Coordinates:
     """Identifiable coordinates about an origin: theta = origin + basis @ z + unseen @ w; SI.
 
     basis (n, r), unseen (n, n_free - r): orthonormal directions times tolerances. z and w are N(0, I) a priori.
+    dual (r, n): the same directions over tolerances, so that z = dual @ (theta - origin).
     """
 
     origin: Array
     basis: Array
     unseen: Array
+    dual: Array
 
     def at(self, theta: Array) -> Array:
         """Coordinates z (r,) of parameters (n,); what lies in unseen directions is dropped."""
-        size = np.linalg.norm(self.basis, axis=0)
-        return np.asarray(np.linalg.lstsq(self.basis / size, theta - self.origin, rcond=None)[0] / size)
+        return np.asarray(self.dual @ (theta - self.origin))
 
     def theta(self, z: Array) -> Array:
         """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""
@@ -130,9 +131,11 @@ def coordinates(
     # among the kept directions take H's own, strongest first: they decouple the sampler's coordinates
     _, _, vt = np.linalg.svd((h * scale)[:, free] @ kept, full_matrices=True)
     basis, unseen = np.zeros((len(scale), kept.shape[1])), np.zeros((len(scale), lost.shape[1]))
+    dual = np.zeros((kept.shape[1], len(scale)))
     basis[free] = scale[free, None] * (kept @ vt.T)
+    dual[:, free] = (kept @ vt.T).T / scale[free]
     unseen[free] = scale[free, None] * lost
-    return Coordinates(np.where(scale > 0, measurement.nominal, at), basis, unseen)
+    return Coordinates(np.where(scale > 0, measurement.nominal, at), basis, unseen, dual)
 
 
 def identify(
@@ -167,14 +170,15 @@ def identify(
     tolerance = _freed(measurement, stages[-1])
     groups, scale = _groups(measurement, series), dict.fromkeys(measurement.setups, 1.0)
     used = sigma
-    for _ in range(NOISE_ROUNDS if estimate_noise else 1):
+    # at least twice: the coordinates of the result are those of H at the result, not at the start
+    for _ in range(NOISE_ROUNDS if estimate_noise else 2):
         local = coordinates(measurement, series, theta, used, tolerance)
         z, iterations = _solve(measurement, series, y, used, local, local.at(theta), max_iterations)
         theta = found = local.theta(z)
         residuals = y - measurement.readings(series, found)
         covariance, leverage = _covariance(measurement, series, found, used, tolerance)
         if not estimate_noise:
-            break
+            continue
         newer = _noise_scale(residuals / sigma, leverage, groups)
         settled = max(abs(newer[k] / scale[k] - 1.0) for k in newer) < 1e-3
         scale |= newer

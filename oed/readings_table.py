@@ -10,7 +10,7 @@ import csv
 import dataclasses
 import difflib
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -77,14 +77,17 @@ class Table:
         return ReadingsError(problem, remedy, file=str(row[FILE]), row=int(row[ROW]), column=told, value=str(shown))
 
 
-def read(path: Path) -> Table:
-    """Read and check one file. Raises ReadingsError for the first thing that is wrong, OSError if it is not there."""
-    return from_rows(_cells(_text(path), str(path)), str(path))
+def read(path: Path, known: Mapping[str, str] | None = None) -> Table:
+    """Read and check one file. Raises ReadingsError for the first thing that is wrong, OSError if it is not there.
+
+    `known` are names with SI units that the caller expects: they make the remedy for a wrong unit exact.
+    """
+    return from_rows(_cells(_text(path), str(path), known or {}), str(path), known)
 
 
-def from_rows(rows: Sequence[tuple[int, Sequence[str]]], file: str) -> Table:
-    """A table from numbered rows of cells, the header first. Raises ReadingsError."""
-    columns = _header(rows[0][1], file)
+def from_rows(rows: Sequence[tuple[int, Sequence[str]]], file: str, known: Mapping[str, str] | None = None) -> Table:
+    """A table from numbered rows of cells, the header first; otherwise as `read`."""
+    columns = _header(rows[0][1], file, known or {})
     body = rows[1:]
     if not body:
         raise ReadingsError("there are no readings below the header", "add one row a reading", file=file)
@@ -125,19 +128,19 @@ def _text(path: Path) -> str:
         problem = f"{size / 1e6:.0f} MB is too large for readings"
         raise ReadingsError(problem, f"split it: at most {LIMIT / 1e6:.0f} MB", file=str(path))
     data = path.read_bytes()
-    if not data.strip():
-        raise ReadingsError("the file is empty", HEADER, file=str(path))
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         problem = f"the file is no UTF-8 text (byte {error.start + 1})"
         raise ReadingsError(problem, "save it as CSV in UTF-8", file=str(path)) from None
+    if not text.strip():
+        raise ReadingsError("the file is empty", HEADER, file=str(path))
     if "\0" in text:
         raise ReadingsError("the file holds NUL characters", "save it as CSV in UTF-8", file=str(path))
     return text
 
 
-def _cells(text: str, file: str) -> list[tuple[int, list[str]]]:
+def _cells(text: str, file: str, known: Mapping[str, str]) -> list[tuple[int, list[str]]]:
     """Rows with their numbers; blank ones are left out, ragged ones refused."""
     rows: list[tuple[int, list[str]]] = []
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
@@ -146,7 +149,7 @@ def _cells(text: str, file: str) -> list[tuple[int, list[str]]]:
             if not any(c.strip() for c in cells):
                 continue
             if not rows:
-                _header([c.strip() for c in cells], file)
+                _header(cells, file, known)
             elif len(cells) != len(rows[0][1]):
                 problem = f"{len(cells)} cells, but the header has {len(rows[0][1])}"
                 raise ReadingsError(problem, "give one cell a column, empty where there is none", file=file, row=number)
@@ -157,7 +160,7 @@ def _cells(text: str, file: str) -> list[tuple[int, list[str]]]:
     return rows
 
 
-def _header(cells: Sequence[str], file: str) -> dict[str, Column]:
+def _header(cells: Sequence[str], file: str, known: Mapping[str, str]) -> dict[str, Column]:
     """Columns by stem, in order. Raises ReadingsError."""
     names = [c.strip() for c in cells]
     missing = [n for n in REQUIRED if n not in names]
@@ -172,13 +175,28 @@ def _header(cells: Sequence[str], file: str) -> dict[str, Column]:
         try:
             column = parse_column(name)
         except units.UnitError:
-            allowed = f"end it in a known unit: {', '.join(units.UNITS)}"
-            raise ReadingsError("no known unit in the name", allowed, file=file, row=1, column=name or "?") from None
+            remedy = _with_unit(name, known)
+            raise ReadingsError("no known unit in the name", remedy, file=file, row=1, column=name or "?") from None
         if column.stem in columns:
             problem = f"{column.stem} is given twice"
             raise ReadingsError(problem, f"keep {columns[column.stem].name} or {name}", file=file, row=1, column=name)
         columns[column.stem] = column
     return columns
+
+
+def fitting(stem: str, unit: str) -> list[str]:
+    """How a column of an SI unit may be written."""
+    return [f"{stem}_{u}" for u in units.UNITS if units.si_unit(u) == unit]
+
+
+def _with_unit(name: str, known: Mapping[str, str]) -> str:
+    """Remedy for a column without a known unit."""
+    stem = name.rpartition("_")[0]
+    for found in (name, stem):
+        if found in known:
+            return f"write {', '.join(fitting(found, known[found]))}"
+    plain = difflib.get_close_matches(name, (*PLAIN, *LABELS), n=1, cutoff=0.7)
+    return f"did you mean {plain[0]}?" if plain else f"end it in a known unit: {', '.join(units.UNITS)}"
 
 
 def _numbers(column: Column, text: Sequence[str], rows: np.ndarray, file: str) -> np.ndarray:
