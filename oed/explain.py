@@ -208,8 +208,8 @@ def remedies(seen: Seen, others: Mapping[str, tuple[Measurement, Sequence[Series
     told = []
     for text, still in [*_tool_trial(seen), *_pose_trials(seen), *_other_trials(seen, others)]:
         if still < lost:
-            back = "all" if still <= 0 else f"{lost - still} of {lost}"
-            told.append(f"{text} brings back {back} lost direction{'s' if lost > 1 else ''}")
+            which = f"{lost - still} of {lost} lost directions" if still > 0 else "the lost direction"
+            told.append(f"{text} brings back {'all lost directions' if still <= 0 and lost > 1 else which}")
     return told
 
 

@@ -75,6 +75,7 @@ class Kinematics:
         components = ca.vertcat(*machine.read_error(cs, [error[i] for i in range(6)]))
         self._components = Batched("components", [c, error], [components])
         self._components_slope = Batched("components_slope", [c], [ca.jacobian(components, error)])
+        self._home_sign: float | None = None
         self._skeleton = (
             None
             if machine.skeleton is None
@@ -99,9 +100,27 @@ class Kinematics:
             lambda z, keep: self._inverse(z[:, : x.shape[1]], z[:, x.shape[1] :], _take(p, keep), command[keep], tool),
             np.hstack([x, q]),
         )
+        x, q = z[:, : x.shape[1]], z[:, x.shape[1] :]
         if bad.any():
-            raise AssemblyError(self._told(command, bad), np.flatnonzero(bad))
-        return z[:, : x.shape[1]], z[:, x.shape[1] :]
+            raise AssemblyError(self._told(command, bad, "out of reach or singular"), np.flatnonzero(bad))
+        mirrored = self._side(x, q, p) * self._home_side() < 0
+        if mirrored.any():
+            raise AssemblyError(self._told(command, mirrored, "in another assembly mode"), np.flatnonzero(mirrored))
+        return x, q
+
+    def _side(self, x: Array, q: Array, p: Array) -> Array:
+        """Sign of det(phi_x) (n,): assembly modes on either side of a singularity differ in it; 0 if redundant."""
+        phi_x = self._forward(x, q, p)[1]
+        if phi_x.shape[1] != phi_x.shape[2]:
+            return np.zeros(len(x))
+        return np.asarray(np.linalg.slogdet(phi_x)[0])
+
+    def _home_side(self) -> float:
+        if self._home_sign is None:
+            self._home_sign = 0.0  # the home pose itself is taken as it comes
+            x, q = self.inverse(self.machine.home_command)
+            self._home_sign = float(self._side(x, q, self.machine.nominal)[0])
+        return self._home_sign
 
     # -- the machine ---------------------------------------------------------------------------------------
 
@@ -187,12 +206,12 @@ class Kinematics:
             return []
         return [line(x[None], q[None], p[None])[0][0].T for line in self._skeleton]
 
-    def _told(self, command: Array, bad: Array) -> str:
+    def _told(self, command: Array, bad: NDArray[np.bool_], why: str) -> str:
         first = command[np.flatnonzero(bad)[0]]
         told = ", ".join(f"{c.name} = {v:.6g} {c.unit}" for c, v in zip(self.machine.command, first, strict=True))
         return (
             f"{self.machine.name}: {int(bad.sum())} of {bad.size} commanded poses cannot be assembled, the first at "
-            f"{told}: out of reach or singular; move it into the workspace or check the tool and the unit"
+            f"{told}: {why}; move it into the workspace or check the tool and the unit"
         )
 
 

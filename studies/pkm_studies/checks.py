@@ -42,10 +42,13 @@ def _study(path: Path, known: list[Resolved]) -> str:
 
 
 def _told(said: Study, found: Resolved) -> str:
-    parts = [f"{len(found.setups)} set-ups"]
-    parts += [f"{sum(len(s) for s in found.candidates)} candidates"] if found.candidates else []
-    parts += [f"{len(found.dataset)} readings"] if found.dataset else []
-    parts += [f"{len(said.expect)} claims"]
+    counts = {
+        "set-up": len(found.setups),
+        "candidate": sum(len(s) for s in found.candidates),
+        "reading": len(found.dataset) if found.dataset else 0,
+        "claim": len(said.expect),
+    }
+    parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in counts.items() if n]
     return "sound: " + ", ".join(parts) + "".join(f"; {w}" for w in found.warnings)
 
 

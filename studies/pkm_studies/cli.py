@@ -199,15 +199,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     try:
         code = app(args=None if arguments is None else list(arguments), prog_name="oed", standalone_mode=False)
+        if code == INTERRUPTED:  # typer's word for Ctrl-C
+            _say("interrupted: files written so far are whole")
         sys.stdout.flush()
         return code if isinstance(code, int) else DONE
     except InputError as error:
         return _bad(str(error))
-    except (typer.Abort, KeyboardInterrupt):
-        _say("interrupted: files written so far are whole")
-        return INTERRUPTED
-    except BrokenPipeError:
-        # the reader of our output has gone (`oed list machines | head`): nothing is left to say
+    except (BrokenPipeError, SystemExit):
+        # the reader of our output has gone (`oed list machines | head`), which typer tells as SystemExit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except OSError as error:
@@ -251,6 +250,8 @@ def _tell(result: StudyResult, folder: Path, quiet: bool) -> int:
 
 
 def _told(claim: Claim) -> str:
+    if claim.met and isinstance(claim.measured, str):
+        return f"{claim.claim}: met: {claim.wanted}"
     measured = f"{claim.measured:.6g}" if isinstance(claim.measured, float) else claim.measured
     return f"{claim.claim}: {'met' if claim.met else 'not met'}: {claim.wanted}, measured {measured}"
 

@@ -11,11 +11,12 @@ from pkm_studies.progress import Progress, Silent
 
 
 class Lines(Silent):
-    """One line a stage, on stderr."""
+    """One line a stage, on stdout: stderr is for what went wrong."""
 
     def stage(self, name: str) -> None:
-        """A stage begins."""
-        print(name, file=sys.stderr, flush=True)
+        """A stage begins. Work goes on where nobody reads any more (`oed run ... | head`)."""
+        with contextlib.suppress(BrokenPipeError):
+            print(name, flush=True)
 
 
 class Bar:

@@ -63,15 +63,15 @@ def read_text(path: Path, *, limit: int, what: str) -> str:
             f"a {what} has at most {limit / 1e6:.0f} MB: check that this is the right file",
             file=str(path),
         )
-    data = path.read_bytes()
-    if not data.strip():
-        raise InputError("the file is empty", f"write a {what} into it", file=str(path))
     try:
-        return data.decode("utf-8-sig")
+        text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
             f"the file is no UTF-8 text (byte {error.start + 1})", f"save the {what} as UTF-8", file=str(path)
         ) from None
+    if not text.strip():
+        raise InputError("the file is empty", f"write a {what} into it", file=str(path))
+    return text
 
 
 def _umask() -> int:

@@ -79,6 +79,7 @@ class _Job:
         self.resolved: Resolved = resolve(study, readings=readings)
         self.measurement: Measurement = self.resolved.measurement
         self.sections: dict[str, Any] = {}
+        self.planned_series: tuple[Series, ...] = ()
         self.warnings = list(self.resolved.warnings)
 
     def rng(self, stream: int) -> np.random.Generator:
@@ -104,7 +105,9 @@ class _Job:
 
     def _design(self) -> choose.Chosen | None:
         self.progress.stage("design")
-        return choose.choose(self.resolved, self.rng(DESIGN))
+        chosen = choose.choose(self.resolved, self.rng(DESIGN))
+        self.planned_series = () if chosen is None else chosen.series
+        return chosen
 
     def planned(self, chosen: choose.Chosen | None) -> tuple[Series, ...]:
         """The chosen plan, or the first given one. Raises InputError where there is none."""
@@ -259,11 +262,18 @@ class _Job:
             write_report(self.out)
         return made
 
+    def _poses_csv(self) -> str:
+        """The plan as a readings file to fill in: the readings' cells are empty."""
+        from oed import dataset
+
+        count = sum(len(s) * len(self.measurement.setups[s.setup].sigma) for s in self.planned_series)
+        return dataset.to_csv(dataset.from_series(self.planned_series, np.full(count, np.nan), self.measurement))
+
     def _write(self, made: StudyResult) -> None:
         text = msgspec.json.format(msgspec.json.encode(made), indent=1)
         files.write_whole(self.out / "result.json", text)
         if made.design is not None:
-            files.write_whole(self.out / "poses.csv", _poses_csv(made.design.poses))
+            files.write_whole(self.out / "poses.csv", self._poses_csv())
         if made.plan is not None:
             files.write_whole(self.out / "plan.csv", _plan_csv(made.plan))
 
@@ -287,23 +297,6 @@ def load_result(folder: Path) -> Mapping[str, Any]:
         raise Place(str(path)).error(f"this is no result: {error}", "make it again with `oed run`") from error
     found: Mapping[str, Any] = msgspec.to_builtins(checked)
     return found
-
-
-def _poses_csv(poses: Sequence[result.Pose]) -> str:
-    """The plan as a readings file to fill in: the reading's cells are empty."""
-    channels = list(dict.fromkeys(c for p in poses for c in p.reading))
-    coordinates = list(dict.fromkeys(c for p in poses for c in p.command))
-    rows = [
-        [
-            p.setup,
-            p.run,
-            p.order,
-            *[f"{p.command[c]:.9g}" if c in p.command else "" for c in coordinates],
-            *[""] * len(channels),
-        ]
-        for p in poses
-    ]
-    return _csv(["setup", "run", "order", *coordinates, *channels], rows)
 
 
 def _plan_csv(plan: result.Plan) -> str:

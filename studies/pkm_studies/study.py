@@ -113,7 +113,7 @@ class ReferenceTable(GridTable, frozen=True, kw_only=True):
 class Design(Part, frozen=True, kw_only=True):
     """[design]: how many readings to choose from the candidates, by which criterion."""
 
-    criterion: str = "D"
+    criterion: Literal["D", "A", "E", "I"] = "D"
     readings: Count = 30
     scaling: Literal["length", "tolerance"] = "length"
     starts: Count = 20

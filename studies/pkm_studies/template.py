@@ -114,7 +114,7 @@ def _prior(machine: Machine) -> str:
 
 
 def _design(machine: Machine, instrument: Instrument) -> str:
-    lines = ["[design]", 'criterion = "D"  # D, A, E or I', "readings = 30", 'scaling = "length"', ""]
+    lines = ["[design]", 'criterion = "D"  # or "E"', "readings = 30", 'scaling = "length"', ""]
     lines += ["[[design.candidates]]", f'setup = "{SETUP}"']
     hold = _held(machine, instrument)
     for c in machine.command:

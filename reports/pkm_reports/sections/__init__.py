@@ -1,0 +1,25 @@
+"""The chapters of the report, in order; each module has `ANCHOR`, `TITLE` and `blocks(result)`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from pkm_reports.blocks import Section
+from pkm_reports.sections import (
+    accuracy,
+    held_out,
+    identifiability,
+    identification,
+    kappa,
+    plan,
+    posterior,
+    record,
+)
+
+CHAPTERS: Final = (plan, kappa, identifiability, identification, posterior, accuracy, held_out, record)
+
+
+def chapters(result: Mapping[str, Any]) -> list[Section]:
+    """All chapters; one whose stage did not run says so in a sentence."""
+    return [Section(chapter.ANCHOR, chapter.TITLE, chapter.blocks(result)) for chapter in CHAPTERS]

@@ -1,0 +1,1 @@
+"""Tests of `oed`, and the cases they share."""

@@ -1,0 +1,67 @@
+"""Batches: the mapped tapes against plain NumPy, for every way a batch is cut."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from oed.batch import CHUNKS, Batched
+
+A, B = ca.SX.sym("a", 3), ca.SX.sym("b", 2)
+SIZES = sorted({1, 2, 3, *CHUNKS, *(c + 1 for c in CHUNKS), 2 * CHUNKS[0] + 5})
+
+
+@pytest.fixture(scope="module")
+def function() -> Batched:
+    return Batched("f", [A, B], [A * ca.sum1(B), A @ B.T + 1.0, ca.sum1(A) / A[0]])
+
+
+def expected(a: np.ndarray, b: np.ndarray) -> list[np.ndarray]:
+    return [a * b.sum(1)[:, None], a[:, :, None] * b[:, None, :] + 1.0, (a.sum(1) / a[:, 0])[:, None]]
+
+
+def same(got: list[np.ndarray], want: list[np.ndarray]) -> bool:
+    return all(g.shape == w.shape and np.allclose(g, w, rtol=1e-14, atol=0) for g, w in zip(got, want, strict=True))
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_batches_of_any_size_equal_numpy(function: Batched, rng: np.random.Generator, n: int) -> None:
+    a, b = rng.uniform(1, 2, (n, 3)), rng.uniform(1, 2, (n, 2))
+    assert same(function(a, b), expected(a, b))
+
+
+def test_one_row_serves_all(function: Batched, rng: np.random.Generator) -> None:
+    a, b = rng.uniform(1, 2, (70, 3)), rng.uniform(1, 2, 2)
+    wide = np.tile(b, (70, 1))
+    assert same(function(a, b), expected(a, wide))
+    assert same(function(a, b[None]), expected(a, wide))
+    assert same(function(a[0], b), expected(a[:1], wide[:1]))
+
+
+def test_results_are_not_overwritten_by_the_next_call(function: Batched, rng: np.random.Generator) -> None:
+    a, b = rng.uniform(1, 2, (10, 3)), rng.uniform(1, 2, (10, 2))
+    first = function(a, b)
+    kept = [r.copy() for r in first]
+    function(a + 5.0, b - 5.0)
+    assert all((r == k).all() for r, k in zip(first, kept, strict=True))
+
+
+def test_inputs_may_be_views_and_are_left_alone(function: Batched, rng: np.random.Generator) -> None:
+    a, b = rng.uniform(1, 2, (3, 12)).T[::2], rng.uniform(1, 2, (6, 4))[:, ::2]
+    before = a.copy(), b.copy()
+    assert same(function(a, b), expected(*before))
+    assert (a == before[0]).all()
+    assert (b == before[1]).all()
+
+
+def test_an_empty_input_and_an_empty_batch() -> None:
+    none = ca.SX.sym("none", 0)
+    square = Batched("g", [A, none], [A**2, ca.jacobian(A, none)])
+    value, slope = square(np.full((5, 3), 2.0), np.zeros((5, 0)))
+    assert (value == 4.0).all()
+    assert slope.size == 0
+    assert square(np.zeros((0, 3)), np.zeros((0, 0)))[0].shape == (0, 3)
+
+
+def test_a_batch_of_the_wrong_length_is_refused(function: Batched) -> None:
+    with pytest.raises(ValueError, match="broadcast"):
+        function(np.ones((4, 3)), np.ones((3, 2)))

@@ -1,0 +1,211 @@
+"""Kinematics against the oracles: another formulation of the A3 head, and trilateration of the delta."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from kernel.cases import CASES
+from oracles import a3_geometry as a3
+from oracles import delta_trilateration as delta
+from pkm_models.instruments import height_probe
+from pkm_models.machines import a3_head, linear_delta
+from reference import tian_2016 as paper
+from scipy.spatial.transform import Rotation
+
+from oed.instrument import mount
+from oed.kinematics import AssemblyError, Kinematics
+from oed.measurement import Measurement, Series
+
+A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)
+A3_SPREAD = np.r_[np.full(21, 3e-3), np.full(3, 20e-3)]  # m, rad: three tolerances and more
+TOOLS = (0.0, 0.1)
+
+
+def a3_commands(rng: np.random.Generator, n: int, tool: float = 0.0) -> np.ndarray:
+    """As `cases`, for a longer tool, theta at least 1 deg."""
+    c = CASES["a3_head"].commands(rng, n)
+    return np.column_stack([c[:, 0] + tool, c[:, 1], np.maximum(c[:, 2], np.deg2rad(1))])
+
+
+def delta_args(p: np.ndarray) -> tuple[np.ndarray, ...]:
+    """radius, arm, angle, endstop of parameter vectors (..., 10)."""
+    return p[..., 0], p[..., 1:4], p[..., 4:7], p[..., 7:10]
+
+
+def test_the_a3_head_has_the_dimensions_of_table_1() -> None:
+    assert (a3_head.A, a3_head.B, a3_head.C, a3_head.D) == (paper.A, paper.B, paper.C, paper.D)
+    assert (a3.A, a3.B, a3.C, a3.D) == (paper.A, paper.B, paper.C, paper.D)
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_a3_inverse_is_the_closed_form(rng: np.random.Generator, tool: float) -> None:
+    command = a3_commands(rng, 300, tool)
+    x, q = A3.inverse(command, tool=np.array([0, 0, tool]))
+    rotation, tip, _ = A3.frames(x, np.array([0, 0, tool]))
+    nominal_tip, nominal_rotation = a3.nominal_pose(*command.T, tool)
+    assert np.abs(q - a3.inverse_nominal(*command.T, tool)).max() < 1e-14
+    assert np.abs(tip - nominal_tip).max() < 1e-14
+    assert np.abs(rotation - nominal_rotation).max() < 1e-14
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_a3_forward_is_the_oracles_for_wrong_machines(rng: np.random.Generator, tool: float) -> None:
+    command = a3_commands(rng, 60, tool)
+    x, q = A3.inverse(command, tool=np.array([0, 0, tool]))
+    p = A3_SPREAD * rng.standard_normal((40, 24))
+    found = A3.forward(q, p, x)
+    assert found.shape == (40, 60, 6)
+    rotation, tip, _ = A3.frames(found.reshape(-1, 6), np.array([0, 0, tool]))
+    want = a3.forward(p[:, None], q, tool)
+    assert np.abs(tip - want.tip.reshape(-1, 3)).max() < 1e-12
+    assert np.abs(rotation - want.R.reshape(-1, 3, 3)).max() < 1e-12
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_a3_sensitivity_is_the_papers_linear_model(rng: np.random.Generator, tool: float) -> None:
+    command, offset = a3_commands(rng, 100, tool), np.array([0, 0, tool])
+    x, q = A3.inverse(command, tool=offset)
+    twist = A3.frames(x, offset)[2] @ A3.sensitivity(x, q, A3.machine.nominal)
+    model = a3.linear_model(*command.T, tool)
+    assert np.abs(twist - model).max() < 1e-12 * np.abs(model).max()
+    # a home error is a joint displacement of the other sign of bookkeeping: q + dq
+    assert np.abs(A3.joint_sensitivity(x, q, A3.machine.nominal) - A3.sensitivity(x, q, A3.machine.nominal)[..., :3]).max() < 1e-13
+
+
+def test_a3_sensitivity_of_a_wrong_machine_is_the_oracles_complex_step(rng: np.random.Generator) -> None:
+    command, p = a3_commands(rng, 20), A3_SPREAD * rng.standard_normal(24)
+    start, q = A3.inverse(command)
+    x = A3.forward(q, p, start)
+    rotation, _, twist = A3.frames(x, np.zeros(3))
+    moved = a3.forward(p + 1e-30j * np.eye(24), q[:, None])
+    spin = (moved.R.imag / 1e-30) @ np.swapaxes(rotation, 1, 2)[:, None]
+    exact = np.concatenate([moved.tip.imag / 1e-30, spin[..., [2, 0, 1], [1, 2, 0]]], axis=-1).swapaxes(1, 2)
+    assert np.abs(twist @ A3.sensitivity(x, q, p) - exact).max() < 1e-11 * np.abs(exact).max()
+
+
+def test_a3_components_are_the_slopes_of_the_euler_angles(rng: np.random.Generator) -> None:
+    """dpsi, dtheta, dphi of a small turn, against Euler angles of the turned platform."""
+    command, size = a3_commands(rng, 50), 1e-6
+    command[:, 2] = np.maximum(command[:, 2], np.deg2rad(5))
+    twist = np.hstack([rng.standard_normal((50, 3)), size * rng.standard_normal((50, 3))])
+    told = A3.components(command, twist)
+    nominal = a3.rotation(command[:, 1], command[:, 2], -command[:, 1])
+    turn = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ nominal
+    back = Rotation.from_rotvec(-twist[:, 3:]).as_matrix() @ nominal
+    change = np.column_stack(a3.euler(turn)) - np.column_stack(a3.euler(back))
+    assert np.abs(told[:, 3:] - np.angle(np.exp(1j * change)) / 2).max() < 1e-8 * size
+    assert (told[:, :3] == twist[:, :3]).all()
+    assert np.abs(np.einsum("nkj,nj->nk", A3.components_slope(command), twist) - told).max() < 1e-15
+
+
+def test_a3_is_upright_without_trouble() -> None:
+    """Euler angles are singular at theta = 0; the pose coordinates are not."""
+    command = np.array([[1.1, psi, 0.0] for psi in (-1.0, 0.0, 2.0)])
+    x, q = A3.inverse(command)
+    assert np.ptp(q) < 1e-15
+    assert np.isfinite(A3.sensitivity(x, q, A3.machine.nominal)).all()
+    assert np.abs(A3.frames(x, np.zeros(3))[2] @ A3.sensitivity(x, q, A3.machine.nominal) - a3.linear_model(*command[1], 0.0)).max() < 1e-13
+
+
+def test_delta_inverse_and_forward_are_trilateration(rng: np.random.Generator) -> None:
+    point = CASES["linear_delta"].commands(rng, 200)
+    spread = np.array([p.tolerance for p in DELTA.machine.parameters])
+    p = DELTA.machine.nominal + 3.0 * spread * rng.standard_normal((30, 10))
+    x, q = DELTA.inverse(point)
+    assert (x == point).all() or np.abs(x - point).max() < 1e-15
+    assert np.abs(q - delta.travel_to(point, *delta_args(DELTA.machine.nominal))).max() < 1e-14
+    found = DELTA.forward(q, p, x)
+    want = delta.nozzle(q, *delta_args(p[:, None]))
+    assert np.abs(found - want).max() < 1e-12
+
+
+def test_delta_inverse_with_a_machine_for_each_pose(rng: np.random.Generator) -> None:
+    point = CASES["linear_delta"].commands(rng, 50)
+    p = DELTA.machine.nominal + 1e-3 * rng.standard_normal((50, 10))
+    _, q = DELTA.inverse(point, p)
+    assert np.abs(q - delta.travel_to(point, *delta_args(p))).max() < 1e-14
+
+
+def test_recorded_joints_are_followed_from_home(rng: np.random.Generator) -> None:
+    q = delta.travel_to(CASES["linear_delta"].commands(rng, 40), *delta_args(DELTA.machine.nominal))
+    assert np.abs(DELTA.start_at(q) - delta.nozzle(q, *delta_args(DELTA.machine.nominal))).max() < 1e-12
+    command = a3_commands(rng, 40)
+    x = A3.start_at(a3.inverse_nominal(*command.T))
+    assert np.abs(x[:, :3] - a3.nominal_pose(*command.T)[0]).max() < 1e-12
+
+
+def test_a_failing_pose_does_not_disturb_the_others(rng: np.random.Generator) -> None:
+    command = a3_commands(rng, 9)
+    x, q = A3.inverse(command)
+    p = A3_SPREAD * rng.standard_normal((3, 24))
+    alone = A3.forward(q, p, x)
+    broken = q.copy()
+    broken[4] = [0.3, 0.9, 1.8]
+    found, bad = A3.try_forward(broken, p, x)
+    assert bad.shape == (3, 9)
+    assert (bad == (np.arange(9) == 4)).all()
+    keep = np.arange(9) != 4
+    assert np.abs(found[:, keep] - alone[:, keep]).max() < 1e-14
+    with pytest.raises(ArithmeticError):
+        a3.forward(np.zeros(24), broken[4])
+
+
+def test_the_singular_pose_of_the_a3_head() -> None:
+    """Near theta = 76.3 deg at psi = 0.3 the head is singular: there the oracle's slopes grow without bound."""
+    theta = np.deg2rad([30.0, 60.0, 75.0, 76.0])
+    command = np.column_stack([np.full(4, 1.2), np.full(4, 0.3), theta])
+    x, q = A3.inverse(command)
+    near = A3.singularity(x, q, A3.machine.nominal)
+    slopes = np.abs(a3.linear_model(*command.T)).max(axis=(1, 2))
+    assert (np.diff(near) < 0).all()
+    assert (np.diff(slopes) > 0).all()
+    assert near[-1] < near[0] / 30
+    assert slopes[-1] > 20 * slopes[0]
+
+
+@pytest.mark.parametrize("away", [0.0, 1e-9, 1e-3, 2e-2])
+def test_a_singular_pose_is_reported(away: float) -> None:
+    """Tool in the plane of the carriages: two of its places meet, and there are no slopes. The third carriage is so far
+    below the others that the circle through the three has the arm's length for radius; started `away` (m) from there."""
+    radius, arm = linear_delta.RADIUS, linear_delta.ARM
+    half_base = radius * np.sqrt(3) / 2
+    height = arm + np.sqrt(arm**2 - half_base**2)  # of the triangle, from (half_base^2 + height^2) / (2 height) = arm
+    drop = np.sqrt(height**2 - (1.5 * radius) ** 2)
+    singular = np.array([0.0, 0.0, drop])
+    tops = delta.carriages(singular, *delta_args(DELTA.machine.nominal))
+    middle = tops[:2].mean(axis=0)
+    centre = middle + (1 - arm / height) * (tops[2] - middle)
+    assert np.linalg.norm(centre - tops, axis=1) == pytest.approx(arm, abs=1e-12)
+    normal = np.cross(tops[1] - tops[0], tops[2] - tops[0])
+    start = centre - away * normal / np.linalg.norm(normal) * np.sign(normal[2])
+    x, q = DELTA.inverse(np.array([[0.0, 0.0, 0.02], [0.01, 0.0, 0.02]]))
+    m = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
+    sent, starts = np.insert(q, 1, singular, axis=0), np.insert(x, 1, start, axis=0)
+    series = Series("probe", sent, starts, np.full((3, 3), np.nan), np.arange(3)[:, None], np.full(3, "1"))
+    with pytest.raises(AssemblyError, match=r"pose numbers 1\b.*singular") as caught:
+        m.jacobian([series], m.nominal)
+    assert caught.value.indices.tolist() == [1]
+
+
+def test_more_equations_than_unknowns() -> None:
+    """A redundant machine: the delta with a leg given twice moves and answers like the delta."""
+    plain = linear_delta.machine
+    twice = Kinematics(dataclasses.replace(plain, closure=lambda x, q, p: [*plain.closure(x, q, p), plain.closure(x, q, p)[0]]))
+    command = np.array([[0.03, -0.05, 0.1], [0.0, 0.1, 0.2]])
+    x, q = twice.inverse(command)
+    assert np.abs(q - DELTA.inverse(command)[1]).max() < 1e-13
+    p = plain.nominal + 1e-3
+    found = twice.forward(q, p, x)
+    assert np.abs(found - DELTA.forward(q, p, x)).max() < 1e-13
+    assert np.abs(twice.sensitivity(found, q, p) - DELTA.sensitivity(found, q, p)).max() < 1e-10
+
+
+def test_drawings_show_the_machine(rng: np.random.Generator) -> None:
+    """A3: limbs as long as the joints say, and the spindle ends at the tool point."""
+    command = a3_commands(rng, 1)
+    x, q = A3.inverse(command)
+    base, *limbs, platform, spindle = A3.skeleton(x[0], q[0], A3.machine.nominal)
+    assert [np.linalg.norm(b - a) for a, b in limbs] == pytest.approx(q[0], abs=1e-14)
+    assert base == pytest.approx(a3.B_NOM[[0, 1, 2, 0]], abs=1e-15)
+    assert spindle[1] == pytest.approx(x[0, :3], abs=1e-15)
+    assert np.linalg.norm(np.diff(platform, axis=0), axis=1) == pytest.approx(paper.A * np.sqrt(3), abs=1e-14)

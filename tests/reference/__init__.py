@@ -1,0 +1,1 @@
+"""Published and frozen numbers, each with its source."""

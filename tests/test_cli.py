@@ -1,0 +1,298 @@
+"""The command: what it prints, how it exits, and that it leaves whole files only."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import sample
+
+from pkm_studies import catalogue, cli, files
+from pkm_studies.errors import InputError
+from pkm_studies.study import load
+
+Run = Callable[..., tuple[int, str, str]]
+#: nothing to choose and nothing to fit: a plan is looked at
+PLAN = sample.changed(
+    sample.STUDY,
+    ("[[design.candidates]]", '[[design.reference]]\nname = "circles"'),
+    ("count = 4 }", "count = 2 }"),
+    ("count = 12", "count = 15"),
+)
+
+
+@pytest.fixture
+def oed(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """The command, in a folder of its own: exit code, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        code = cli.main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return call
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_help_is_there_at_once() -> None:
+    """0.5 s for the whole process: the best of three, since other work may share the machine."""
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        done = subprocess.run([sys.executable, "-m", "pkm_studies.cli", "--help"], capture_output=True, check=True)
+        times.append(time.perf_counter() - start)
+    assert b"identify" in done.stdout
+    assert min(times) <= 0.5
+
+
+def test_help_imports_nothing_heavy() -> None:
+    heavy = {"numpy", "casadi", "pandas", "rich.console"}
+    code = f"import sys, pkm_studies.cli; sys.exit(len({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("command", ["run", "check", "simulate", "identify", "report", "list", "schema", "new"])
+def test_every_command_has_help(command: str, oed: Run) -> None:
+    code, out, _ = oed(command, "--help")
+    assert code == 0
+    assert out.startswith(f"Usage: oed {command}")
+
+
+@pytest.mark.parametrize("kind", catalogue.KINDS)
+def test_list(kind: str, oed: Run) -> None:
+    code, out, _ = oed("list", kind)
+    assert code == 0
+    code, told, _ = oed("list", kind, "--json")
+    entries = json.loads(told)
+    assert all(e["name"] in out and e["source"] in out for e in entries)
+    assert entries or "no effects yet" in out
+
+
+@pytest.mark.parametrize("of", ["study", "result", "readings"])
+def test_schema(of: str, oed: Run) -> None:
+    code, out, _ = oed("schema", of)
+    assert code == 0
+    assert json.loads(out)["$schema"].startswith("https://json-schema.org")
+
+
+def test_new_is_sound(oed: Run, tmp_path: Path) -> None:
+    code, out, _ = oed("new", "mine", "--machine", "a3_head", "--instrument", "ball_bar")
+    assert code == 0
+    assert "oed run mine.study.toml" in out
+    assert oed("check", "mine.study.toml")[0] == 0
+    assert oed("new", "mine", "--machine", "a3_head", "--instrument", "ball_bar")[0] == 2
+    assert oed("new", "a/b", "--machine", "a3_head", "--instrument", "ball_bar")[0] == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.study.toml"]
+
+
+def test_check_reads_readings_with_their_study(oed: Run, tmp_path: Path) -> None:
+    study = write(tmp_path / "a.study.toml", sample.STUDY)
+    good = write(tmp_path / "good.readings.csv", sample.READINGS)
+    bad = write(tmp_path / "bad.readings.csv", sample.READINGS.replace("1146,0", "11460,0"))
+    code, out, _ = oed("check", study, good)
+    assert code == 0
+    assert "48 candidates" in out
+    assert "3 readings fit small" in out
+    assert "sound as text" in oed("check", bad)[1]
+    code, out, err = oed("check", study, bad, good)
+    assert code == 2
+    assert err.count("\n") == 1
+    assert "bad.readings.csv: row 2, column z_mm" in err
+    assert "3 readings fit small" in out
+
+
+def test_check_says_where_data_is_missing(oed: Run, tmp_path: Path) -> None:
+    study = write(tmp_path / "d.study.toml", sample.DELTA + '[readings]\nsource = "delta_v400"\npath = "gone"\n')
+    code, out, _ = oed("check", study)
+    assert code == 0
+    assert "looked in" in out
+
+
+def test_run_tells_headline_claims_and_where(oed: Run, tmp_path: Path) -> None:
+    study = write(tmp_path / "p.study.toml", PLAN)
+    code, out, err = oed("run", study)
+    assert (code, err) == (0, "")
+    assert "Claim rank: met" in out
+    assert "18 of 21" in out
+    assert json.loads((tmp_path / "out/small/result.json").read_text())["identifiability"]["rank"] == 18
+    assert "identifiability" in out.splitlines()  # one line a stage where stderr is no terminal
+    code, out, err = oed("run", study, "--quiet", "--out", "there", "--seed", "3")
+    assert (code, out, err) == (0, "", "")
+    assert json.loads((tmp_path / "there/result.json").read_text())["seed"] == 3
+
+
+def test_a_failing_claim_exits_1(oed: Run, tmp_path: Path) -> None:
+    study = write(tmp_path / "p.study.toml", sample.changed(PLAN, ("equals = 18", "equals = 21")))
+    code, out, err = oed("run", study, "--quiet", "--out", "x")
+    assert (code, out) == (1, "")
+    assert err == "oed: claim rank: not met: identifiability.rank = 21, measured 18\n"
+
+
+def test_simulated_readings_can_be_identified(oed: Run, tmp_path: Path) -> None:
+    text = PLAN + "[readings]\nsimulate = true\ntruth = { dq1_mm = 1.5 }\n[posterior]\nenabled = false\n"
+    study = write(tmp_path / "p.study.toml", text)
+    code, out, _ = oed("simulate", study, "--out", "new/r.readings.csv")
+    assert code == 0
+    assert "r.truth.json" in out
+    assert json.loads((tmp_path / "new/r.truth.json").read_text())["dq1"]["value"] == pytest.approx(1.5e-3)
+    code, _, _ = oed("identify", study, "--readings", "new/r.readings.csv", "--out", "found", "--quiet")
+    assert code == 0
+    found = json.loads((tmp_path / "found/result.json").read_text())["estimate"]
+    assert found["readings"] == 30
+    assert found["rms_after"]["length"] < 0.01 * found["rms_before"]["length"]
+    code, _, err = oed("identify", study, "--readings", "gone.csv", "--out", "other")
+    assert code == 2
+    assert "gone.csv" in err
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_report_again(oed: Run, tmp_path: Path) -> None:
+    assert oed("report", "nowhere")[0] == 2
+    write(tmp_path / "result.json", '{"schema": 1}')
+    code, _, err = oed("report", ".")
+    assert code == 2
+    assert "no result" in err
+
+
+def test_one_seed_gives_the_same_bytes(oed: Run, tmp_path: Path) -> None:
+    study = write(tmp_path / "p.study.toml", PLAN + "[readings]\nsimulate = true\n[posterior]\nenabled = false\n")
+    texts = []
+    for folder in ("a", "b"):
+        assert oed("run", study, "--quiet", "--out", folder)[0] == 0
+        lines = (tmp_path / folder / "result.json").read_text().splitlines()
+        texts.append([line for line in lines if '"seconds"' not in line])
+    assert texts[0] == texts[1]
+
+
+# -- how it ends -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run"],
+        ["frobnicate"],
+        ["run", "a", "--seed", "x"],
+        ["run", "a", "--seed", "-1"],
+        ["run", "a", "--fast"],
+        ["list", "x"],
+    ],
+)
+def test_a_wrong_call_is_told_in_one_line(arguments: list[str], oed: Run) -> None:
+    code, out, err = oed(*arguments)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.endswith("see `oed --help`.\n")
+
+
+def test_interrupted(oed: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pkm_studies import pipeline
+
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline, "run", interrupt)
+    code, out, err = oed("run", write(tmp_path / "p.study.toml", PLAN), "--quiet")
+    assert (code, out) == (130, "")
+    assert err.strip() == "oed: interrupted: files written so far are whole"
+
+
+def test_interrupted_in_earnest(tmp_path: Path) -> None:
+    """SIGINT to the process in the middle of its work: one line, and whole files only."""
+    text = sample.STUDY + "[readings]\nsimulate = true\n[posterior]\nsteps = 1000000\ness = 1000000\n"
+    study = write(tmp_path / "p.study.toml", text)
+    command = [sys.executable, "-c", "import sys; from pkm_studies.cli import main; sys.exit(main())"]
+    process = subprocess.Popen(
+        [*command, "run", str(study), "--out", str(tmp_path / "out")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.strip() == "posterior":
+            break
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert err == "oed: interrupted: files written so far are whole\n"
+    left = list((tmp_path / "out").rglob("*")) if (tmp_path / "out").exists() else []
+    assert not [p for p in left if p.suffix == ".part" or p.name == "result.json"]
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    code = "import sys, os; os.close(sys.stdin.fileno()); from pkm_studies.cli import main; sys.exit(main())"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "schema", "result"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (0, "")
+
+
+def test_files_are_written_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = files.write_whole(tmp_path / "a/b.txt", "old")
+
+    def broken(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.os, "fsync", broken)
+    with pytest.raises(OSError, match="No space"):
+        files.write_whole(path, b"new")
+    assert path.read_text() == "old"
+    assert [p.name for p in path.parent.iterdir()] == ["b.txt"]
+    for taken in (path.parent, path / "below"):
+        with pytest.raises(InputError, match="in the way"):
+            files.write_whole(taken, "x")
+
+
+def test_the_folder_must_be_one(oed: Run, tmp_path: Path) -> None:
+    study = write(tmp_path / "p.study.toml", PLAN)
+    code, _, err = oed("run", study, "--out", study)
+    assert code == 2
+    assert "in the way" in err
+
+
+# -- pytest on studies -------------------------------------------------------------------------------------
+
+
+def pytest_on(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_each_claim_is_a_test(tmp_path: Path) -> None:
+    claims = 'wrong = { of = "identifiability.n", equals = 20 }\nnowhere = { of = "identifiability.m", min = 1 }\n'
+    good = write(tmp_path / "good.study.toml", PLAN + claims)
+    gone = sample.DELTA + '[readings]\nsource = "delta_v400"\npath = "gone"\n[expect]\nany = { of = "seed", min = 0 }\n'
+    write(tmp_path / "gone.study.toml", gone)
+    write(tmp_path / "broken.study.toml", "schema = 1\n")
+    write(tmp_path / "slow.study.toml", PLAN.replace("schema = 1", "schema = 1\nslow = true"))
+    done = pytest_on(tmp_path, "-rs", "-m", "not slow", "--continue-on-collection-errors")
+    assert "1 passed, 1 skipped, 1 deselected, 1 error" in done.stdout
+    assert "2 failed" in done.stdout
+    assert "wanted   identifiability.n = 20\n  measured 21" in done.stdout
+    assert "no such result" in done.stdout
+    assert "name: missing" in done.stdout
+    assert "looked in" in done.stdout
+    assert "Traceback" not in done.stdout
+    assert "1 passed in" in pytest_on(f"{good}::rank").stdout
+
+
+def test_a_study_of_one_claim_names_its_line(tmp_path: Path) -> None:
+    from pkm_studies import collector
+
+    text = load(write(tmp_path / "p.study.toml", PLAN)).text
+    assert text.splitlines()[collector._line(text, "rank")].startswith("rank =")
