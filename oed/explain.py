@@ -65,12 +65,9 @@ def look(
     """Identifiability of readings at theta `at` (nominal by default), over machine and the set-ups they use."""
     theta = measurement.nominal if at is None else at
     free = _concerned(measurement, series)
-    jacobian, sigma = measurement.jacobian(series, theta), measurement.sigma(series)
-    h = information.scaled(measurement, jacobian, sigma, scaling)[:, free]
+    h = information.scaled(measurement, series, theta, scaling)[:, free]
     scale = information.column_scale(measurement, scaling)[free]
-    covariance = information.posterior_covariance(
-        information.scaled(measurement, jacobian, sigma, "tolerance")[:, free]
-    )
+    covariance = information.posterior_covariance(information.scaled(measurement, series, theta, "tolerance")[:, free])
     return Seen(
         measurement=measurement,
         series=tuple(series),

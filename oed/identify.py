@@ -5,7 +5,7 @@ The unknowns are identifiable coordinates. With T = diag(tolerances) and the whi
     theta = origin + T V_r z,        z ~ N(0, I) a priori,
 
 where V_r spans the directions that some reading sees. The rest of V keeps its prior: to first order no reading says
-anything about it. Minimised is |(y - f(theta)) / sigma|^2 + |z|^2.
+anything about it. Minimised is |W (y - f(theta))|^2 + |z|^2, W whitening the noise.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from scipy import optimize
 from oed import identifiability, information, units
 from oed.batch import Array
 from oed.measurement import Measurement, Series
+from oed.noise import Noise, of
 
 #: rounds of the noise-scale estimate; it settles in a few
 NOISE_ROUNDS = 8
@@ -73,7 +74,7 @@ class Estimate:
     coordinates     identifiable coordinates of the last stage, about its origin
     z               (r,) the solution in them
     residuals       (N,) y - f(theta), SI;  before: the same at the start
-    sigma           (N,) noise standard deviations used, SI (scaled where the scale was estimated)
+    noise           noise used, SI (scaled where the scale was estimated)
     noise_scale     {set-up: factor on the stated noise}
     noise_estimated whether those factors were estimated
     dof             readings less effectively determined directions
@@ -89,7 +90,7 @@ class Estimate:
     z: Array
     residuals: Array
     before: Array
-    sigma: Array
+    noise: Noise
     noise_scale: dict[str, float]
     noise_estimated: bool
     dof: float
@@ -112,7 +113,7 @@ def coordinates(
     measurement: Measurement,
     series: Sequence[Series],
     at: Array,
-    sigma: Array,
+    noise: Noise | Array,
     tolerance: Array | None = None,
 ) -> Coordinates:
     """Identifiable coordinates of the readings, with H taken `at` (n,); held are entries with zero tolerance.
@@ -121,9 +122,10 @@ def coordinates(
     """
     scale = measurement.tolerance if tolerance is None else tolerance
     free = np.flatnonzero(scale > 0)
-    h = information.whiten(measurement.jacobian(series, at), sigma)
+    jacobian = measurement.jacobian(series, at)
+    h = information.whiten(jacobian, noise)
     # judged with lengths, so that a generous tolerance or a quiet instrument does not change what is seen
-    judged = (h * np.median(sigma) / measurement.lengths)[:, free]
+    judged = (jacobian * measurement.reading_lengths(series)[:, None] / measurement.lengths)[:, free]
     verdict = identifiability.analyse(judged, [measurement.names[k] for k in free], 1.0 / measurement.lengths[free])
     moves = np.linalg.qr((verdict.null_space / measurement.lengths[free] / scale[free]).T)[0]
     full = np.linalg.qr(moves, mode="complete")[0] if moves.size else np.eye(len(free))
@@ -145,7 +147,7 @@ def identify(
     *,
     stages: Sequence[Sequence[str]] = (("*",),),
     estimate_noise: bool = False,
-    sigma: Array | None = None,
+    noise: Noise | Array | None = None,
     start: Array | None = None,
     max_iterations: int = 100,
 ) -> Estimate:
@@ -159,17 +161,17 @@ def identify(
 
     Raises IdentificationError.
     """
-    sigma = measurement.sigma(series) if sigma is None else sigma
+    stated = measurement.noise(series) if noise is None else of(noise)
     _check(measurement, series, y)
     theta = measurement.nominal if start is None else start
     before = y - measurement.readings(series, theta)
     rounds = []
     for patterns in stages[:-1]:
-        theta, done = _rough(measurement, series, y, sigma, theta, patterns, max_iterations)
+        theta, done = _rough(measurement, series, y, stated, theta, patterns, max_iterations)
         rounds.append(done)
     tolerance = _freed(measurement, stages[-1])
     groups, scale = _groups(measurement, series), dict.fromkeys(measurement.setups, 1.0)
-    used = sigma
+    used = stated
     # at least twice: the coordinates of the result are those of H at the result, not at the start
     for _ in range(NOISE_ROUNDS if estimate_noise else 2):
         local = coordinates(measurement, series, theta, used, tolerance)
@@ -179,14 +181,14 @@ def identify(
         covariance, leverage = _covariance(measurement, series, found, used, tolerance)
         if not estimate_noise:
             continue
-        newer = _noise_scale(residuals / sigma, leverage, groups)
+        newer = _noise_scale(stated.whiten(residuals), leverage, groups)
         settled = max(abs(newer[k] / scale[k] - 1.0) for k in newer) < 1e-3
         scale |= newer
-        used = sigma * np.array([scale[g] for g in groups])
+        used = stated.scaled(np.array([scale[g] for g in groups]))
         if settled:
             break
-    white = residuals / used
-    rounds.append(Round(tuple(stages[-1]), iterations, _rms(before / used), _rms(white)))
+    white = used.whiten(residuals)
+    rounds.append(Round(tuple(stages[-1]), iterations, _rms(used.whiten(before)), _rms(white)))
     dof = len(y) - float(leverage.sum())
     estimate = Estimate(
         theta=found,
@@ -196,7 +198,7 @@ def identify(
         z=z,
         residuals=residuals,
         before=before,
-        sigma=used,
+        noise=used,
         noise_scale={k: scale[k] for k in dict.fromkeys(groups)},
         noise_estimated=estimate_noise,
         dof=dof,
@@ -227,16 +229,16 @@ def _rough(
     measurement: Measurement,
     series: Sequence[Series],
     y: Array,
-    sigma: Array,
+    noise: Noise,
     theta: Array,
     patterns: Sequence[str],
     max_iterations: int,
 ) -> tuple[Array, Round]:
-    local = coordinates(measurement, series, theta, sigma, _freed(measurement, patterns))
-    before = _rms((y - measurement.readings(series, theta)) / sigma)
-    z, iterations = _solve(measurement, series, y, sigma, local, local.at(theta), max_iterations)
+    local = coordinates(measurement, series, theta, noise, _freed(measurement, patterns))
+    before = _rms(noise.whiten(y - measurement.readings(series, theta)))
+    z, iterations = _solve(measurement, series, y, noise, local, local.at(theta), max_iterations)
     found = local.theta(z)
-    after = _rms((y - measurement.readings(series, found)) / sigma)
+    after = _rms(noise.whiten(y - measurement.readings(series, found)))
     return found, Round(tuple(patterns), iterations, before, after)
 
 
@@ -244,7 +246,7 @@ def _solve(
     measurement: Measurement,
     series: Sequence[Series],
     y: Array,
-    sigma: Array,
+    noise: Noise,
     local: Coordinates,
     z0: Array,
     max_iterations: int,
@@ -254,10 +256,10 @@ def _solve(
 
     def residual(z: Array) -> Array:
         model = measurement.try_readings(series, local.theta(z))
-        return np.concatenate([(model - y) / sigma, z])
+        return np.concatenate([noise.whiten(model - y), z])
 
     def slope(z: Array) -> Array:
-        h = information.whiten(measurement.jacobian(series, local.theta(z)), sigma)
+        h = noise.whiten(measurement.jacobian(series, local.theta(z)))
         return np.vstack([h @ local.basis, np.eye(r)])
 
     found = optimize.least_squares(
@@ -273,10 +275,10 @@ def _solve(
 
 
 def _covariance(
-    measurement: Measurement, series: Sequence[Series], theta: Array, sigma: Array, tolerance: Array
+    measurement: Measurement, series: Sequence[Series], theta: Array, noise: Noise, tolerance: Array
 ) -> tuple[Array, Array]:
     """Posterior covariance (n, n), SI, and each reading's leverage (N,): how much of it the fit uses up."""
-    h = information.whiten(measurement.jacobian(series, theta), sigma) * tolerance
+    h = noise.whiten(measurement.jacobian(series, theta)) * tolerance
     unit = information.posterior_covariance(h)
     leverage = np.einsum("ij,jk,ik->i", h, unit, h)
     return unit * np.outer(tolerance, tolerance), leverage

@@ -10,12 +10,14 @@ Three scalings of the parameter columns occur and must never be mixed up in a re
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
 
 from oed.batch import Array
-from oed.measurement import Measurement
+from oed.measurement import Measurement, Series
+from oed.noise import Noise, of
 
 Scaling = Literal["si", "length", "tolerance"]
 
@@ -31,17 +33,20 @@ def column_scale(measurement: Measurement, scaling: Scaling) -> Array:
     raise ValueError(f"scaling {scaling!r} is none of {get_args(Scaling)}")
 
 
-def whiten(rows: Array, noise: Array) -> Array:
-    """Rows (N, ...) divided by their noise: standard deviations (N,) or a covariance (N, N), by Cholesky."""
-    if noise.ndim == 1:
-        return rows / noise.reshape(-1, *[1] * (rows.ndim - 1))
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(noise), rows))
+def whiten(rows: Array, noise: Noise | Array) -> Array:
+    """Rows (N, ...) whitened by their noise: a Noise, or standard deviations (N,) of independent readings."""
+    return of(noise).whiten(rows)
 
 
-def scaled(measurement: Measurement, jacobian: Array, noise: Array, scaling: Scaling) -> Array:
-    """H (N, n) in the stated scaling; only "tolerance" is whitened by the noise."""
-    rows = jacobian * column_scale(measurement, scaling)
-    return whiten(rows, noise) if scaling == "tolerance" else rows
+def scaled(measurement: Measurement, series: Sequence[Series], at: Array, scaling: Scaling) -> Array:
+    """H (N, n) of readings at theta `at` (n,) in the stated scaling.
+
+    "length" takes the readings as lengths too; only "tolerance" is whitened by their noise.
+    """
+    rows = measurement.jacobian(series, at) * column_scale(measurement, scaling)
+    if scaling == "tolerance":
+        return measurement.noise(series).whiten(rows)
+    return rows * measurement.reading_lengths(series)[:, None] if scaling == "length" else rows
 
 
 def fisher(h: Array) -> Array:

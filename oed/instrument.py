@@ -11,11 +11,16 @@ from oed.machine import Expr, Parameter, Values
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Channel:
-    """One number of a reading: its column stem (`length`), SI unit and default noise sigma (SI)."""
+    """One number of a reading: its column stem (`length`), SI unit and default noise sigma (SI).
+
+    `shared` is the standard deviation of an error common to all readings of a run, in units of sigma: 1 where each
+    is told against one reference reading of the same instrument.
+    """
 
     name: str
     unit: str
     sigma: float
+    shared: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -52,6 +57,9 @@ class Instrument:
                            by name). `frames[0]` is the pose read; where `reference` is set, `frames[1]` is the
                            set-up's teach pose ("teach") or the first pose of the run ("run").
     nuisances              unknowns of a set-up with their tolerances: they are identified with the machine
+    sources(frames, s, k)  slopes (channels x sources) from independent errors inside the instrument, each in units of
+                           its own standard deviation; None: the channels' noise is independent. With sources, a
+                           set-up's sigma scales them: channel c's sigma over the default is the factor of row c
     holds(k)               value (SI) that the first channel has by design, if the poses are chosen to keep it
                            (a ball bar's length); None otherwise
     """
@@ -64,6 +72,7 @@ class Instrument:
     cost: Cost
     observe: Callable[[Sequence[Frame], Values, Values], Sequence[Expr]]
     reference: Literal["teach", "run"] | None = None
+    sources: Callable[[Sequence[Frame], Values, Values], Expr] | None = None
     holds: Callable[[Mapping[str, float]], float] | None = None
     about: str = ""
 

@@ -103,7 +103,7 @@ class Kinematics:
         x, q = z[:, : x.shape[1]], z[:, x.shape[1] :]
         if bad.any():
             raise AssemblyError(self._told(command, bad, "out of reach or singular"), np.flatnonzero(bad))
-        mirrored = self._side(x, q, p) * self._home_side() < 0
+        mirrored: NDArray[np.bool_] = np.less(self._side(x, q, p) * self._home_side(), 0.0)
         if mirrored.any():
             raise AssemblyError(self._told(command, mirrored, "in another assembly mode"), np.flatnonzero(mirrored))
         return x, q
@@ -142,7 +142,7 @@ class Kinematics:
             )
         return x
 
-    def try_forward(self, q: Array, p: Array, start: Array, step: float = STEP) -> tuple[Array, Array]:
+    def try_forward(self, q: Array, p: Array, start: Array, step: float = STEP) -> tuple[Array, NDArray[np.bool_]]:
         """As `forward`, but tells failures as a mask (n,) or (m, n) instead of raising.
 
         Newton stops after a step (m, rad) shorter than `step`; the error left is about step^2 / lever.
@@ -245,7 +245,7 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 def _newton(
     evaluate: Callable[[Array, NDArray[np.intp]], list[Array]], z: Array, tolerance: float = STEP
-) -> tuple[Array, Array]:
+) -> tuple[Array, NDArray[np.bool_]]:
     """Newton on all rows of z at once; rows leave as they converge. Returns z and the mask of failed rows."""
     bad = np.zeros(z.shape[0], dtype=bool)
     todo = np.arange(z.shape[0])

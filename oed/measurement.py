@@ -16,12 +16,15 @@ from collections.abc import Callable, Sequence
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 from scipy.optimize import elementwise
 
+from oed import noise
 from oed.batch import Array, Batched
 from oed.instrument import Frame, Setup
 from oed.kinematics import STEP, AssemblyError, Kinematics, symbols
 from oed.machine import Machine, Parameter
+from oed.noise import Noise
 
 Index = NDArray[np.intp]
 #: Newton's last step (m, rad) where many parameter vectors near a known one are evaluated: leaves 1e-11 m
@@ -217,7 +220,21 @@ class Measurement:
 
     def sigma(self, series: Sequence[Series]) -> Array:
         """Noise standard deviation (N,) of each reading, SI."""
-        return np.concatenate([np.tile(self.setups[s.setup].sigma, len(s)) for s in series])
+        return self.noise(series).sigma
+
+    def noise(self, series: Sequence[Series]) -> Noise:
+        """Noise of the readings, at their nominal poses, SI."""
+        return noise.join([self._noise(s) for s in series])
+
+    def reading_lengths(self, series: Sequence[Series]) -> Array:
+        """Factor (N,) that turns each reading into a length (m): the machine's lever for angles and ratios."""
+        lever = self.machine.lever
+        return np.concatenate(
+            [
+                np.tile([1.0 if c.unit == "m" else lever for c in self.setups[s.setup].instrument.channels], len(s))
+                for s in series
+            ]
+        )
 
     def near(self, series: Sequence[Series], theta: Array) -> Callable[[Array], Array]:
         """`try_readings` of the series for many thetas (m, n) near `theta` (n,): fewer Newton iterations.
@@ -256,6 +273,35 @@ class Measurement:
         y = self._views[series.setup].read(frames, np.repeat(s, n, axis=0))
         return y.reshape(m, -1)
 
+    def _noise(self, series: Series) -> Noise:
+        setup = self.setups[series.setup]
+        channels = setup.instrument.channels
+        sigma = np.tile(setup.sigma, len(series))
+        shared = np.array([c.shared for c in channels]) * setup.sigma
+        if setup.instrument.sources is None and not shared.any():
+            return Noise(sigma)
+        own = self._own_noise(series)
+        places, covariances = [], []
+        for run in dict.fromkeys(series.run):
+            members = np.flatnonzero(series.run == run)
+            place = (members[:, None] * len(channels) + np.arange(len(channels))).ravel()
+            common = np.kron(np.ones((len(members), len(members))), np.diag(shared**2))
+            covariances.append(linalg.block_diag(*own[members]) + common)
+            places.append(place)
+        return noise.blocks(covariances, places)
+
+    def _own_noise(self, series: Series) -> Array:
+        """Covariance (n, channels, channels) of each reading by itself."""
+        setup = self.setups[series.setup]
+        if setup.instrument.sources is None:
+            return np.tile(np.diag(np.square(setup.sigma)), (len(series), 1, 1))
+        frames = [series.start[series.index[:, j]] for j in range(series.index.shape[1])]
+        unknown = np.array([n.nominal for n in setup.nuisances])
+        slopes = self._views[series.setup].sources(frames, unknown)
+        factor = np.array([s / c.sigma for s, c in zip(setup.sigma, setup.instrument.channels, strict=True)])
+        root = slopes * factor[:, None]
+        return np.asarray(root @ np.swapaxes(root, 1, 2))
+
     def _slope(self, series: Series, theta: Array) -> Array:
         p, s = theta[: len(self.machine.parameters)], theta[self._nuisance[series.setup]]
         x = self._poses(series, theta[None], strict=True)[0]
@@ -285,11 +331,20 @@ class _View:
         slopes = [ca.jacobian(y, x) for x in poses]
         self._unknowns = len(setup.nuisances)
         self._channels = len(setup.instrument.channels)
+        sources = setup.instrument.sources
+        spread = ca.SX(1, 1) if sources is None else sources(frames, ss, setup.settings)
+        self._sources = Batched("sources", [*poses, s], [ca.vec(spread)])
+        self._spread = spread.shape
         self._value = Batched("read", [*poses, s], [y])
         self._slope = Batched("slope", [*poses, s], [*slopes, ca.jacobian(y, s)])
 
     def read(self, frames: Sequence[Array], s: Array) -> Array:
         return self._value(*frames, s)[0]
+
+    def sources(self, frames: Sequence[Array], s: Array) -> Array:
+        """Slopes (n, channels, sources) from the instrument's independent errors."""
+        rows, columns = self._spread
+        return self._sources(*frames, s)[0].reshape(-1, columns, rows).transpose(0, 2, 1)
 
     def slopes(self, frames: Sequence[Array], s: Array) -> tuple[list[Array], Array]:
         n = frames[0].shape[0]

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from oed import information
 from oed.batch import Array
 from oed.identify import Coordinates, Estimate
 from oed.measurement import Measurement, Series
@@ -152,14 +151,14 @@ class _Target:
         self.r = self.local.basis.shape[1]
         self.moving = np.flatnonzero(np.abs(self.local.basis).max(axis=1) > 0)
         self.dimensions = self.r + len(noise_groups)
-        jacobian = information.whiten(measurement.jacobian(series, estimate.theta), estimate.sigma)
+        jacobian = estimate.noise.whiten(measurement.jacobian(series, estimate.theta))
         self.slope = jacobian @ self.local.basis
         self.centre, self.root = self._laplace()
-        self._stated = estimate.sigma / np.array([estimate.noise_scale[g] for g in labels])
+        self._stated = estimate.noise.scaled(np.array([1.0 / estimate.noise_scale[g] for g in labels]))
 
     def __call__(self, points: Array) -> Array:
         z, log_noise = points[:, : self.r], points[:, self.r :]
-        white = (self.readings(self.local.theta(z)) - self.y) / self._stated
+        white = self._stated.whiten_last(self.readings(self.local.theta(z)) - self.y)
         square, count = white**2, np.zeros(len(points))
         for k, members in enumerate(self._members):
             square[:, members] *= np.exp(-2.0 * log_noise[:, k])[:, None]
@@ -180,7 +179,7 @@ class _Target:
         after = before + unseen.reshape(before.shape)
         back = np.linalg.pinv(self.slope).T @ self.local.basis.T
         for _ in range(2):
-            after = after - ((self.readings(after) - wanted) / self.estimate.sigma) @ back
+            after = after - self.estimate.noise.whiten_last(self.readings(after) - wanted) @ back
         return after.reshape(theta.shape)
 
     def laplace(self, points: Array, random: np.random.RandomState) -> tuple[Array, Array]:

@@ -23,4 +23,4 @@ def draw(measurement: Measurement, rng: np.random.Generator, machines: int | Non
 def read(measurement: Measurement, series: Sequence[Series], truth: Array, rng: np.random.Generator) -> Array:
     """Noisy readings y (N,) or (m, N) of machines with parameters `truth` (n,) or (m, n), SI."""
     exact = measurement.readings(series, truth)
-    return exact + measurement.sigma(series) * rng.standard_normal(exact.shape)
+    return exact + measurement.noise(series).draw(rng, exact.shape)

@@ -10,6 +10,7 @@ import numpy as np
 
 from oed import criteria, explain, information
 from oed.design import exchange
+from oed.instrument import Instrument
 from oed.measurement import Measurement, Series
 from pkm_studies import grids, quantities, result
 from pkm_studies.errors import Place
@@ -39,11 +40,11 @@ def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
     if design.criterion not in ("D", "E"):
         raise place.key("criterion").error("exchange designs know D and E", 'write "D" or "E"', design.criterion)
     measurement, candidates = resolved.measurement, resolved.candidates
-    if any(len(measurement.setups[s.setup].sigma) > 1 for s in candidates):
-        raise place.error("candidates must be readings of one channel", "take instruments with one channel")
-    jacobian, sigma = measurement.jacobian(candidates, measurement.nominal), measurement.sigma(candidates)
+    if any(not _single(measurement.setups[s.setup].instrument) for s in candidates):
+        problem = "exchange takes readings of one channel with noise of their own"
+        raise place.error(problem, "take candidates of such an instrument")
     free = measurement.free
-    rows = information.scaled(measurement, jacobian, sigma, design.scaling)[:, free]
+    rows = information.scaled(measurement, candidates, measurement.nominal, design.scaling)[:, free]
     prior = np.eye(rows.shape[1]) if design.prior else None
     if prior is not None and design.scaling != "tolerance":
         raise place.key("prior").error("tolerances enter in their own unit", 'write scaling = "tolerance" beside it')
@@ -52,6 +53,10 @@ def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
     except ValueError as error:
         raise place.key("readings").error(str(error), "ask for more readings, or give more candidates") from error
     return Chosen(_split(measurement, candidates, choice.indices), choice.criterion, choice.value, len(rows))
+
+
+def _single(instrument: Instrument) -> bool:
+    return len(instrument.channels) == 1 and not instrument.channels[0].shared
 
 
 def _known(criterion: str) -> Literal["D", "E"]:

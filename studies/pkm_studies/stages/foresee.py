@@ -32,8 +32,8 @@ def section(
     keep = len(measurement.machine.parameters)
     tolerance = measurement.tolerance
     at = measurement.nominal if estimate is None else estimate.theta
-    sigma = measurement.sigma(series) if estimate is None else estimate.sigma
-    h = information.whiten(measurement.jacobian(series, at), sigma) * tolerance
+    noise = measurement.noise(series) if estimate is None else estimate.noise
+    h = noise.whiten(measurement.jacobian(series, at)) * tolerance
     scale = np.outer(tolerance[:keep], tolerance[:keep])
     covariance = information.posterior_covariance(h)[:keep, :keep] * scale
     maps = predict.error_maps(measurement.kinematics, command, reference)
@@ -134,7 +134,7 @@ def held_out(
         read = y[start : start + len(s) * len(channels)]
         start += len(read)
         predicted = measurement.readings([s], drawn.flat[take])
-        noise: Array = measurement.sigma([s]) * scale(s.setup, take)[:, None] * rng.standard_normal(predicted.shape)
+        noise = measurement.noise([s]).draw(rng, predicted.shape) * scale(s.setup, take)[:, None]
         centre = predicted.mean(axis=0)
         adjust = _own_unknowns(measurement, s, drawn)
         low, high = np.quantile((predicted + noise - centre) @ adjust.T, [0.025, 0.975], axis=0)
@@ -165,8 +165,10 @@ def _own_unknowns(measurement: Measurement, series: Series, drawn: Posterior) ->
     mean = drawn.flat.mean(axis=0)
     mine = np.array([n.startswith(f"{series.setup}.") for n in measurement.names]) & measurement.free
     slope = measurement.jacobian([series], mean)[:, mine]
-    weight = slope.T / measurement.sigma([series]) ** 2
-    precision = weight @ slope + np.diag(measurement.tolerance[mine] ** -2.0)
+    noise = measurement.noise([series])
+    white = noise.whiten(slope)
+    precision = white.T @ white + np.diag(measurement.tolerance[mine] ** -2.0)
+    weight = white.T @ noise.whiten(np.eye(len(slope)))
     return np.asarray(np.eye(len(slope)) - slope @ np.linalg.solve(precision, weight))
 
 
