@@ -190,8 +190,9 @@ def _direction(seen: Seen, row: Array) -> str:
     move = row * seen.scale
     parameters = {p.name: p for p in seen.measurement.parameters}
     told = np.array([float(units.from_si(m, shown[parameters[n].unit])) for m, n in zip(move, seen.names, strict=True)])
-    told /= told[np.argmax(np.abs(row))]
-    order = [k for k in np.argsort(-np.abs(row)) if abs(row[k]) > 0.05 * np.abs(row).max()]
+    size = np.round(np.abs(row) / np.abs(row).max(), 9)  # equal entries keep the parameters' order
+    told /= told[np.argmax(size)]
+    order = [k for k in np.argsort(-size, kind="stable") if size[k] > 0.05]
     parts = [
         f"{seen.names[k]} by {told[k]:+.3g} {shown[parameters[seen.names[k]].unit]}".removesuffix(" 1")
         for k in order[:8]

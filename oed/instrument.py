@@ -43,10 +43,15 @@ class Cost:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Frame:
-    """What an instrument can see of the machine: the tool's orientation (3 x 3) and tool point (3,), base frame."""
+    """What an instrument can see of the machine: the tool's orientation (3 x 3) and tool point (3,), base frame.
+
+    misfit  root mean square, with a sign, by which the closure's equations miss each other; None where the machine is
+            not redundant
+    """
 
     rotation: Expr
     point: Expr
+    misfit: Expr | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

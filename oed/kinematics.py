@@ -7,6 +7,11 @@ With closure phi(x, q, p) = 0:
 * the machine (forward): given joints q and true parameters p, find x with phi = 0 by Newton's method;
 * dx/dp = -phi_x^-1 phi_p and dx/dq = -phi_x^-1 phi_q at fixed joints (implicit function theorem).
 
+A redundant machine has more equations than pose components: joints that disagree leave no pose with phi = 0. It
+settles where the squares of the equations' misfits are least, as it would on equally stiff legs: phi_x^T phi = 0. These
+are as many equations as unknowns and take the place of phi above, so that poses and slopes are exact whatever the
+misfit. Rows of a closure are to be scaled by what the legs yield where that differs.
+
 All of it runs over many poses and many parameter vectors at once.
 """
 
@@ -19,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.batch import Array, Batched
-from oed.machine import Coordinate, Machine, Parameter, Values
+from oed.machine import Coordinate, Expr, Machine, Parameter, Values
 
 #: Newton stops once a step (m, rad) is below this: convergence is quadratic, so the next is at rounding level
 STEP = 1e-8
@@ -60,16 +65,19 @@ class Kinematics:
         tip = point + rotation @ tool
         wish = ca.vertcat(*[a - b for a, b in zip(machine.commanded(xs, tip), machine.target(cs), strict=True)])
         phi_x = ca.jacobian(phi, x)
+        settled = phi if phi.numel() == x.numel() else phi_x.T @ phi
+        settled_x = ca.jacobian(settled, x)
         xq = ca.vertcat(x, q)
         both = ca.vertcat(phi, wish)
         guess_x, guess_q = machine.guess(cs)
         twist = _twist(rotation, tip, x)
         error = ca.SX.sym("error", 6)
 
-        self._forward = Batched("forward", [x, q, p], [phi, phi_x])
+        self._forward = Batched("forward", [x, q, p], [settled, settled_x])
+        self._closure_slope = Batched("closure_slope", [x, q, p], [phi_x])
         self._inverse = Batched("inverse", [x, q, p, c, tool], [both, ca.jacobian(both, xq)])
         self._guess = Batched("guess", [c], [ca.vertcat(*guess_x), ca.vertcat(*guess_q)])
-        self._slopes = Batched("slopes", [x, q, p], [phi_x, ca.jacobian(phi, p), ca.jacobian(phi, q)])
+        self._slopes = Batched("slopes", [x, q, p], [settled_x, ca.jacobian(settled, p), ca.jacobian(settled, q)])
         self._held = Batched("held", [x, tool], [ca.jacobian(ca.vertcat(*machine.commanded(xs, tip)), x)])
         self._frame = Batched("frame", [x, tool], [rotation, tip, twist])
         components = ca.vertcat(*machine.read_error(cs, [error[i] for i in range(6)]))
@@ -99,6 +107,7 @@ class Kinematics:
         z, bad = _newton(
             lambda z, keep: self._inverse(z[:, : x.shape[1]], z[:, x.shape[1] :], _take(p, keep), command[keep], tool),
             np.hstack([x, q]),
+            posed=x.shape[1],
         )
         x, q = z[:, : x.shape[1]], z[:, x.shape[1] :]
         if bad.any():
@@ -110,7 +119,7 @@ class Kinematics:
 
     def _side(self, x: Array, q: Array, p: Array) -> Array:
         """Sign of det(phi_x) (n,): assembly modes on either side of a singularity differ in it; 0 if redundant."""
-        phi_x = self._forward(x, q, p)[1]
+        phi_x = self._closure_slope(x, q, p)[0]
         if phi_x.shape[1] != phi_x.shape[2]:
             return np.zeros(len(x))
         return np.asarray(np.linalg.slogdet(phi_x)[0])
@@ -167,18 +176,18 @@ class Kinematics:
 
     def sensitivity(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dp (n, nx, np) at fixed joints."""
-        phi_x, phi_p, _ = self._slopes(x, q, p)
-        return -_solve(phi_x, phi_p)
+        by_x, by_p, _ = self._slopes(x, q, p)
+        return -_solve(by_x, by_p)
 
     def joint_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dq (n, nx, nq) at fixed parameters."""
-        phi_x, _, phi_q = self._slopes(x, q, p)
-        return -_solve(phi_x, phi_q)
+        by_x, _, by_q = self._slopes(x, q, p)
+        return -_solve(by_x, by_q)
 
     def singularity(self, x: Array, q: Array, p: Array) -> Array:
         """Reciprocal condition number (n,) of phi_x, lengths in units of the machine's lever: 0 where singular."""
         scale = np.array([1.0 if c.unit == "rad" else self.machine.lever for c in self.machine.pose])
-        values = np.linalg.svd(self._slopes(x, q, p)[0] * scale, compute_uv=False)
+        values = np.linalg.svd(self._closure_slope(x, q, p)[0] * scale, compute_uv=False)
         return np.asarray(values[:, -1] / values[:, 0])
 
     # -- how a pose is read --------------------------------------------------------------------------------
@@ -228,13 +237,25 @@ def _twist(rotation: ca.SX, tip: ca.SX, x: ca.SX) -> ca.SX:
     return ca.vertcat(ca.jacobian(tip, x), ca.horzcat(*columns))
 
 
-def _solve(matrix: Array, right: Array) -> Array:
-    """Batched solve; least squares where the closure has more rows than unknowns (redundant machines).
+def misfit(phi: Expr, x: Expr) -> Expr | None:
+    """By how much the equations of a redundant machine miss each other where it settles; None if it is not redundant.
 
-    A square matrix that is exactly singular gives NaN: its pose is singular, which callers report by name.
+    With one equation more than unknowns, phi = g m^1/2 n there, where n is the unit vector with n^T phi_x = 0 (the
+    signed minors of phi_x) and m the number of equations: g is the root mean square of phi, with a sign.
     """
-    if matrix.shape[-2] != matrix.shape[-1]:
-        return np.asarray(np.linalg.pinv(matrix) @ right)
+    more = phi.numel() - x.numel()
+    if more == 0:
+        return None
+    if more > 1:
+        raise NotImplementedError("misfits of machines that are redundant by more than one equation")
+    phi_x, rows = ca.jacobian(phi, x), phi.numel()
+    minors = [(-1) ** i * ca.det(phi_x[[k for k in range(rows) if k != i], :]) for i in range(rows)]
+    normal = ca.vertcat(*minors)
+    return ca.dot(normal, phi) / (ca.norm_2(normal) * np.sqrt(rows))
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Batched solve. An exactly singular matrix gives NaN: its pose is singular, which callers report by name."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=float)
     except np.linalg.LinAlgError:
@@ -244,18 +265,25 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 
 def _newton(
-    evaluate: Callable[[Array, NDArray[np.intp]], list[Array]], z: Array, tolerance: float = STEP
+    evaluate: Callable[[Array, NDArray[np.intp]], list[Array]],
+    z: Array,
+    tolerance: float = STEP,
+    posed: int | None = None,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Newton on all rows of z at once; rows leave as they converge. Returns z and the mask of failed rows."""
+    """Newton on all rows of z at once; rows leave as they converge. Returns z and the mask of failed rows.
+
+    The first `posed` entries of a row (all by default) are its pose, whose steps are limited; joints may count turns.
+    """
     bad = np.zeros(z.shape[0], dtype=bool)
     todo = np.arange(z.shape[0])
     for _ in range(ITERATIONS):
         value, slope = evaluate(z[todo], todo)
         step = _solve(slope, value[..., None])[..., 0]
         size = np.abs(step).max(axis=1)
+        moved = np.abs(step[:, :posed]).max(axis=1)
         sound = np.isfinite(size)
         bad[todo[~sound]] = True
-        short = step[sound] * np.minimum(1.0, REACH / np.maximum(size[sound], REACH))[:, None]
+        short = step[sound] * np.minimum(1.0, REACH / np.maximum(moved[sound], REACH))[:, None]
         z[todo[sound]] -= short
         todo = todo[sound & (size > tolerance)]
         if not todo.size:

@@ -22,7 +22,7 @@ from scipy.optimize import elementwise
 from oed import noise
 from oed.batch import Array, Batched
 from oed.instrument import Frame, Setup
-from oed.kinematics import STEP, AssemblyError, Kinematics, symbols
+from oed.kinematics import STEP, AssemblyError, Kinematics, misfit, symbols
 from oed.machine import Machine, Parameter
 from oed.noise import Noise
 
@@ -270,8 +270,12 @@ class Measurement:
         s = theta[:, self._nuisance[series.setup]]
         m, n = theta.shape[0], len(series)
         frames = [x[:, series.index[:, j]].reshape(m * n, -1) for j in range(series.index.shape[1])]
-        y = self._views[series.setup].read(frames, np.repeat(s, n, axis=0))
-        return y.reshape(m, -1)
+        view = self._views[series.setup]
+        inner: list[Array] = []
+        if view.inner:
+            inner = [np.tile(series.q[series.index[:, j]], (m, 1)) for j in range(series.index.shape[1])]
+            inner.append(np.repeat(theta[:, : len(self.machine.parameters)], n, axis=0))
+        return view.read([*frames, np.repeat(s, n, axis=0), *inner]).reshape(m, -1)
 
     def _noise(self, series: Series) -> Noise:
         setup = self.setups[series.setup]
@@ -307,47 +311,61 @@ class Measurement:
         x = self._poses(series, theta[None], strict=True)[0]
         dx = self.kinematics.sensitivity(x, series.q, p)
         frames = [x[series.index[:, j]] for j in range(series.index.shape[1])]
-        by_pose, by_setup = self._views[series.setup].slopes(frames, s)
+        view = self._views[series.setup]
+        inner = [*(series.q[series.index[:, j]] for j in range(series.index.shape[1])), p] if view.inner else []
+        by_pose, by_setup, by_machine = view.slopes([*frames, s, *inner])
         rows = np.zeros((len(series), by_setup.shape[1], len(theta)))
         for j, slope in enumerate(by_pose):
             rows[:, :, : len(p)] += slope @ dx[series.index[:, j]]
+        if by_machine is not None:
+            rows[:, :, : len(p)] += by_machine
         rows[:, :, self._nuisance[series.setup]] = by_setup
         return rows.reshape(-1, len(theta))
 
 
 class _View:
-    """One set-up's observation g(x_1, x_2, s) and its slopes, compiled."""
+    """One set-up's observation g(x_1, x_2, s) and its slopes, compiled.
+
+    Where the instrument reads what the poses alone do not tell (a redundant machine's misfit), `inner` is true and
+    g depends on the joints of each pose and the machine's parameters as well: inputs x_1, x_2, s, q_1, q_2, p.
+    """
 
     def __init__(self, machine: Machine, setup: Setup) -> None:
-        self._nx = len(machine.pose)
-        poses, frames = [], []
+        p, ps = symbols("p", machine.parameters)
+        poses, joints, frames = [], [], []
         for j in range(setup.instrument.arity):
             x, xs = symbols(f"x{j}", machine.pose)
+            q, qs = symbols(f"q{j}", machine.joints)
             rotation, point = machine.platform(xs)
+            gap = misfit(ca.vertcat(*machine.closure(xs, qs, ps)), x)
             poses.append(x)
-            frames.append(Frame(rotation, point + rotation @ ca.DM(setup.tool)))
+            joints.append(q)
+            frames.append(Frame(rotation, point + rotation @ ca.DM(setup.tool), gap))
         s, ss = symbols("s", setup.nuisances)
         y = ca.vertcat(*setup.instrument.observe(frames, ss, setup.settings))
-        slopes = [ca.jacobian(y, x) for x in poses]
-        self._unknowns = len(setup.nuisances)
-        self._channels = len(setup.instrument.channels)
+        self.inner = bool(ca.depends_on(y, ca.vertcat(*joints, p)))
+        known = [*poses, s, *joints, p] if self.inner else [*poses, s]
+        slopes = [ca.jacobian(y, v) for v in ([*poses, s, p] if self.inner else [*poses, s])]
+        self._arity, self._channels = setup.instrument.arity, len(setup.instrument.channels)
+        self._sizes = [len(machine.pose)] * self._arity + [len(setup.nuisances), len(machine.parameters)]
         sources = setup.instrument.sources
         spread = ca.SX(1, 1) if sources is None else sources(frames, ss, setup.settings)
         self._sources = Batched("sources", [*poses, s], [ca.vec(spread)])
         self._spread = spread.shape
-        self._value = Batched("read", [*poses, s], [y])
-        self._slope = Batched("slope", [*poses, s], [*slopes, ca.jacobian(y, s)])
+        self._value = Batched("read", known, [y])
+        self._slope = Batched("slope", known, slopes)
 
-    def read(self, frames: Sequence[Array], s: Array) -> Array:
-        return self._value(*frames, s)[0]
+    def read(self, known: Sequence[Array]) -> Array:
+        """Channels (n, channels) at the poses (n, nx), s, and what else it depends on."""
+        return self._value(*known)[0]
 
     def sources(self, frames: Sequence[Array], s: Array) -> Array:
         """Slopes (n, channels, sources) from the instrument's independent errors."""
         rows, columns = self._spread
         return self._sources(*frames, s)[0].reshape(-1, columns, rows).transpose(0, 2, 1)
 
-    def slopes(self, frames: Sequence[Array], s: Array) -> tuple[list[Array], Array]:
-        n = frames[0].shape[0]
-        *by_pose, by_setup = self._slope(*frames, s)
-        shaped = [b.reshape(n, self._channels, self._nx) for b in by_pose]
-        return shaped, by_setup.reshape(n, self._channels, self._unknowns)
+    def slopes(self, known: Sequence[Array]) -> tuple[list[Array], Array, Array | None]:
+        """Slopes (n, channels, .) over each pose, over s, and over p beside what the poses carry."""
+        n = known[0].shape[0]
+        shaped = [b.reshape(n, self._channels, size) for b, size in zip(self._slope(*known), self._sizes, strict=False)]
+        return shaped[: self._arity], shaped[self._arity], shaped[-1] if self.inner else None

@@ -4,15 +4,15 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pkm_models.instruments import ball_bar
-from pkm_models.machines.a3_head import machine
 from reference import tian_2016 as paper
 
 from oed import identifiability, information
 from oed.identifiability import Identifiability
+from oed.instrument import mount
 from oed.machine import Machine
 from oed.measurement import Measurement, Series
-from oed.instrument import mount
+from pkm_models.instruments import ball_bar
+from pkm_models.machines.a3_head import machine
 
 HOME_Z = paper.C + paper.D
 STROKES = (0.080, 0.200)
@@ -20,17 +20,14 @@ STROKES = (0.080, 0.200)
 
 def with_tolerances(tolerances: Mapping[str, float]) -> Machine:
     """The machine with other tolerances (SI) for the parameters whose names begin so."""
-    return machine.with_parameters(
-        [
-            dataclasses.replace(p, tolerance=next((t for k, t in tolerances.items() if p.name.startswith(k)), p.tolerance))
-            for p in machine.parameters
-        ]
-    )
+    table = []
+    for p in machine.parameters:
+        given = [t for start, t in tolerances.items() if p.name.startswith(start)]
+        table.append(dataclasses.replace(p, tolerance=given[0] if given else p.tolerance))
+    return machine.with_parameters(table)
 
 
-def measurement(
-    *, taught: bool = True, tools: Sequence[float] = (0.0,), of: Machine = machine
-) -> Measurement:
+def measurement(*, taught: bool = True, tools: Sequence[float] = (0.0,), of: Machine = machine) -> Measurement:
     """One ball bar set-up for each tool length (m): `cup` for the reference tool, `cup<mm>` for longer ones."""
     setups = []
     for tool in tools:
@@ -65,7 +62,7 @@ def grid(m: Measurement, setup: str = "cup") -> np.ndarray:
 
 def rows(m: Measurement, series: Sequence[Series], scaling: information.Scaling = "length") -> np.ndarray:
     """Scaled H (N, n_free) at nominal."""
-    return information.scaled(m, m.jacobian(series, m.nominal), m.sigma(series), scaling)[:, m.free]
+    return information.scaled(m, series, m.nominal, scaling)[:, m.free]
 
 
 def verdict(m: Measurement, series: Sequence[Series]) -> tuple[Identifiability, list[str], np.ndarray]:

@@ -1,15 +1,34 @@
-"""Every machine and every machine x instrument under test: list a new one here, and the conformance suite takes it."""
+"""Every machine and every machine x instrument under test: what is listed here, the conformance suite takes up."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from pkm_models.instruments import ball_bar, calliper, height_probe
-from pkm_models.machines import a3_head, linear_delta
 
 from oed.instrument import Setup, mount
 from oed.machine import Machine
 from oed.measurement import Measurement, Series
+from pkm_models.instruments import (
+    ball_bar,
+    ball_plate,
+    calliper,
+    camera,
+    height_probe,
+    laser_ball_bar,
+    pose_tracker,
+    redundancy,
+    relative,
+)
+from pkm_models.machines import (
+    a3_head,
+    cable_robot,
+    hexapod,
+    linear_delta,
+    micro_cmm,
+    planar_2dof,
+    prs_spindle,
+    prs_spindle_struts,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +43,9 @@ class Case:
 
 def _a3_commands(rng: np.random.Generator, n: int) -> np.ndarray:
     """Whole stroke, all psi, theta up to 40 deg; among them the upright pose."""
-    c = np.column_stack([rng.uniform(1.066, 1.266, n), rng.uniform(-np.pi, np.pi, n), np.deg2rad(rng.uniform(0, 40, n))])
+    c = np.column_stack(
+        [rng.uniform(1.066, 1.266, n), rng.uniform(-np.pi, np.pi, n), np.deg2rad(rng.uniform(0, 40, n))]
+    )
     c[0, 1:] = 0.0
     return c
 
@@ -35,7 +56,18 @@ def _delta_commands(rng: np.random.Generator, n: int) -> np.ndarray:
     return np.column_stack([r * np.cos(angle), r * np.sin(angle), rng.uniform(0.0, 0.400, n)])
 
 
-def _setups(cup: tuple[float, float, float], teach: tuple[float, float, float]) -> dict[str, Setup]:
+def _box_commands(machine: Machine) -> Callable[[np.random.Generator, int], np.ndarray]:
+    """The whole workspace of a machine whose coordinates are independent; the first pose is home."""
+
+    def commands(rng: np.random.Generator, n: int) -> np.ndarray:
+        c = rng.uniform([c.lower for c in machine.command], [c.upper for c in machine.command], (n, len(machine.home)))
+        c[0] = machine.home_command
+        return c
+
+    return commands
+
+
+def _setups(cup: tuple[float, float, float], teach: tuple[float, ...]) -> dict[str, Setup]:
     at = dict(zip(("at_x", "at_y", "at_z"), cup, strict=True))
     tool = (0.01, -0.02, 0.05)
     setups = (
@@ -43,16 +75,50 @@ def _setups(cup: tuple[float, float, float], teach: tuple[float, float, float]) 
         mount(ball_bar.free_cup, "ball_bar_free_cup", tool=tool, **at),
         mount(height_probe.instrument, "height_probe", tool=tool),
         mount(calliper.instrument, "calliper"),
+        mount(camera.instrument, "camera", tool=tool),
+        mount(camera.known_frame, "camera_known_frame"),
+        mount(ball_plate.instrument, "ball_plate", at_x=0.01, at_z=-0.2),
+        mount(ball_plate.distance, "ball_distance"),
     )
     return {s.name: s for s in setups}
 
+
+def _prs_commands(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Whole stroke, tilt up to 35 deg in any direction; among them the upright pose."""
+    tilt, around = np.deg2rad(35) * np.sqrt(rng.uniform(size=n)), rng.uniform(-np.pi, np.pi, n)
+    c = np.column_stack([rng.uniform(0.0, 0.4, n), tilt * np.cos(around), tilt * np.sin(around)])
+    c[0, 1:] = 0.0
+    return c
+
+
+def _with_trackers(setups: Mapping[str, Setup], gimbal: tuple[float, float, float]) -> dict[str, Setup]:
+    """Set-ups with those that read the orientation or stand on a gimbal."""
+    at = dict(zip(("at_x", "at_y", "at_z"), gimbal, strict=True))
+    tool = (0.01, -0.02, 0.05)
+    more = (
+        mount(laser_ball_bar.instrument, "laser_ball_bar", **at),
+        mount(laser_ball_bar.position, "laser_ball_bar_position", tool=tool, **at),
+        mount(pose_tracker.instrument, "pose_tracker", tool=tool),
+        mount(pose_tracker.position, "pose_tracker_position"),
+    )
+    return {**setups, **{s.name: s for s in more}}
+
+
+def _lines() -> dict[str, Setup]:
+    """RM 1 to 5, with the rulers' tilts freed."""
+    kinds = {n: getattr(relative, n) for n in ("rm1", "rm2", "rm3", "rm4", "rm5")}
+    return {n: mount(k, n, tolerances={p.name: 1e-4 for p in k.nuisances}) for n, k in kinds.items()}
+
+
+_A3 = _setups((0.0, 0.0, 1.40), (1.40, 0.0, 0.0))
+_PRS = _with_trackers(_setups((0.0, 0.0, -0.10), (-0.05, 0.0, 0.0)), (0.0, -0.7, 0.1))
 
 CASES = {
     "a3_head": Case(
         machine=a3_head.machine,
         commands=_a3_commands,
         out_of_reach=np.array([[0.526, 0.0, 0.0]]),  # strut length 0
-        setups=_setups((0.0, 0.0, 1.40), (1.40, 0.0, 0.0)),
+        setups=_with_trackers(_A3, (0.0, -1.0, 1.0)),
     ),
     "linear_delta": Case(
         machine=linear_delta.machine,
@@ -60,12 +126,49 @@ CASES = {
         out_of_reach=np.array([[0.5, 0.0, 0.02]]),
         setups=_setups((0.02, 0.01, -0.08), (0.02, 0.01, -0.08)),
     ),
+    "micro_cmm": Case(
+        machine=micro_cmm.machine,
+        commands=_box_commands(micro_cmm.machine),
+        out_of_reach=np.array([[0.140, 0.0, 0.0]]),  # leg 1 of length 0
+        setups=_setups((0.02, 0.01, -0.40), (0.02, 0.01, -0.40)),
+    ),
+    "hexapod": Case(
+        machine=hexapod.machine,
+        commands=_box_commands(hexapod.machine),
+        out_of_reach=np.array([[*(np.array(hexapod.B[1]) - hexapod.A[1]), 0.0, 0.0, 0.0]]),  # leg 1 of length 0
+        setups=_setups((0.02, 0.01, 0.20), (0.0, 0.05, 0.30, 0.05, 0.0, 0.1)),
+    ),
+    "cable_robot": Case(
+        machine=cable_robot.machine,
+        commands=_box_commands(cable_robot.machine),
+        out_of_reach=np.array([cable_robot.ANCHOR[4]]),  # line D of length 0
+        setups=_setups((0.2, 0.1, -0.40), (0.2, 0.1, -0.40))
+        | {"redundancy": mount(redundancy.instrument, "redundancy")},
+    ),
+    "planar_2dof": Case(
+        machine=planar_2dof.machine,
+        commands=_box_commands(planar_2dof.machine),
+        out_of_reach=np.array([[1.7, 0.5]]),  # 3.49 m from guide 1, whose strut is 3.35 m long
+        setups=_lines() | _setups((0.0, 0.2, -0.3), (0.2, -0.3)),
+    ),
+    "prs_spindle": Case(
+        machine=prs_spindle.machine,
+        commands=_prs_commands,
+        out_of_reach=np.array([[0.2, np.deg2rad(88.0), 0.0]]),
+        setups=_PRS,
+    ),
+    "prs_spindle_struts": Case(
+        machine=prs_spindle_struts.machine,
+        commands=_prs_commands,
+        out_of_reach=np.array([[0.2, np.deg2rad(88.0), 0.0]]),
+        setups=_PRS,
+    ),
 }
 PAIRS = [(name, setup) for name, case in CASES.items() for setup in case.setups]
 
 
 def reading_series(case: Case, setup: str, rng: np.random.Generator, n: int) -> tuple[Measurement, Series]:
-    """A measurement of one set-up and a series of n readings at random poses; runs of five where runs have a reference."""
+    """A measurement of one set-up and n readings at random poses; in runs of five where a run has a reference."""
     measurement = Measurement(case.machine, [case.setups[setup]])
     per_run = 5
     extra = n // per_run if case.setups[setup].instrument.reference == "run" else 0

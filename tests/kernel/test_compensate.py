@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from kernel.cases import CASES
 from oracles import a3_geometry as a3
 from oracles import delta_trilateration as delta
-from pkm_models.machines import a3_head, linear_delta
 from scipy.spatial.transform import Rotation
 
+from kernel.cases import CASES
 from oed import compensate
 from oed.kinematics import Kinematics
+from pkm_models.machines import a3_head, linear_delta
 
 A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)
 SPREAD = np.r_[np.full(21, 1e-3), np.full(3, 10e-3)]
@@ -43,7 +43,7 @@ def test_home_errors_leave_nothing(rng: np.random.Generator) -> None:
 
 def test_a_longer_tool_holds_its_own_point(rng: np.random.Generator) -> None:
     """z of the longer tool's point is held: the joints of Eq. (24) put no error there."""
-    command, tool = commands(rng, 50) + [0.1, 0, 0], np.array([0, 0, 0.1])
+    command, tool = commands(rng, 50) + np.array([0.1, 0, 0]), np.array([0, 0, 0.1])
     model = compensate.error_model(A3, command, tool)
     assert np.abs(model.raw - a3.linear_model(*command.T, 0.1)).max() < 1e-12
     left = A3.components_slope(command) @ model.remaining

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oed import criteria
-from oed.design import exchange
+from oed.design import blocks, exchange
 
 CANDIDATES, SIZE, DIRECTIONS, PROBLEMS = 9, 4, 3, 50
 
@@ -115,8 +115,9 @@ def test_blind_directions_are_left_out(rng: np.random.Generator) -> None:
     assert choice.directions == 4
     s = np.linalg.svd(rows[choice.indices], compute_uv=False)
     assert choice.value == pytest.approx(2 * np.log(s[:4]).sum(), abs=1e-9)
-    assert exchange.seen(rows).shape == (50, 4)
-    assert exchange.seen(rows) @ exchange.seen(rows).T == pytest.approx(rows @ rows.T, abs=1e-10)
+    seen = blocks.seen(rows[:, None, :], None)[0][:, 0]
+    assert seen.shape == (50, 4)
+    assert seen @ seen.T == pytest.approx(rows @ rows.T, abs=1e-10)
 
 
 def test_equal_candidates_do_no_harm(rng: np.random.Generator) -> None:

@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from pkm_models.instruments import ball_bar, height_probe
-from pkm_models.machines.linear_delta import machine
 
 from oed.instrument import mount
 from oed.machine import Parameter
 from oed.measurement import Measurement
+from pkm_models.instruments import ball_bar, height_probe
+from pkm_models.machines.linear_delta import machine
 
 
 def test_a_parameter_table_may_change_values_not_names() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from oed import criteria, explain, information
 from oed.design import exchange
 from oed.instrument import Instrument
-from oed.measurement import Measurement, Series
+from oed.measurement import Index, Measurement, Series
 from pkm_studies import grids, quantities, result
 from pkm_studies.errors import Place
 from pkm_studies.grids import Circles
@@ -26,8 +26,7 @@ class Chosen:
     """The chosen readings, in working order, and how they were found."""
 
     series: tuple[Series, ...]
-    criterion: str
-    value: float
+    choice: exchange.Choice
     candidates: int
 
 
@@ -52,7 +51,7 @@ def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
         choice = exchange.choose(rows, design.readings, rng, _known(design.criterion), prior, design.starts)
     except ValueError as error:
         raise place.key("readings").error(str(error), "ask for more readings, or give more candidates") from error
-    return Chosen(_split(measurement, candidates, choice.indices), choice.criterion, choice.value, len(rows))
+    return Chosen(_split(measurement, candidates, choice.indices), choice, len(rows))
 
 
 def _single(instrument: Instrument) -> bool:
@@ -63,7 +62,7 @@ def _known(criterion: str) -> Literal["D", "E"]:
     return "E" if criterion == "E" else "D"
 
 
-def _split(measurement: Measurement, candidates: Sequence[Series], indices: exchange.Index) -> tuple[Series, ...]:
+def _split(measurement: Measurement, candidates: Sequence[Series], indices: Index) -> tuple[Series, ...]:
     """The chosen readings of each candidate series, one level after the other so that little is travelled."""
     chosen, start = [], 0
     for s in candidates:
@@ -90,19 +89,20 @@ def section(resolved: Resolved, chosen: Chosen, seen: explain.Seen) -> result.De
     """The design with the given plans scored beside it."""
     design = resolved.study.design
     assert design is not None
-    plans = [_score("chosen", seen, chosen.criterion)]
+    choice = chosen.choice
+    plans = [_score("chosen", seen, choice.criterion)]
     for plan in resolved.references:
         if set(plan.setups) <= set(resolved.measurement.setups):
             other = explain.look(resolved.measurement, plan.series, design.scaling)
             if other.verdict.rank == seen.verdict.rank:
-                plans.append(_score(plan.name, other, chosen.criterion))
+                plans.append(_score(plan.name, other, choice.criterion))
     plans = _against_first(plans, seen.verdict.rank)
     return result.Design(
-        criterion=chosen.criterion,
+        criterion=choice.criterion,
         n=plans[0].n,
-        value=chosen.value,
-        bound=None,
-        efficiency=None,
+        value=choice.value,
+        bound=choice.bound,
+        efficiency=choice.efficiency,
         kappa=plans[0].kappa,
         observability=plans[0].observability,
         poses=poses(resolved.measurement, chosen.series),

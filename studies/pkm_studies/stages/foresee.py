@@ -180,6 +180,8 @@ class _NoiseFactors:
     drawn: Posterior
 
     def __call__(self, setup: str, take: Index) -> Array:
+        if not self.drawn.noise_groups:
+            return np.ones(len(take))
         wanted = self.measurement.setups[setup].instrument.name
         log_noise = self.drawn.log_noise.reshape(-1, self.drawn.log_noise.shape[2])[take]
         for k, group in enumerate(self.drawn.noise_groups):

@@ -69,6 +69,10 @@ def _design(section: result.Design | None) -> list[str]:
         return []
     told = f"The {section.criterion}-optimal {section.n} readings reach log det {section.plans[0].logdet:.2f}"
     others = [f"{p.logdet:.2f} for {p.name} ({100 * p.efficiency:.0f} % D-efficiency)" for p in section.plans[1:]]
+    sure = (
+        "" if section.efficiency is None else f" (certified to {100 * section.efficiency:.1f} % of the best possible)"
+    )
+    told += sure
     against = f", against {'; '.join(others)}" if others else ""
     return [f"{told}{against}; condition number {number(section.kappa)} ({section.scaling} scaling)."]
 

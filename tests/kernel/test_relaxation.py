@@ -1,0 +1,107 @@
+"""The relaxed D design: equivalence theorem, bounds that hold, agreement with a general convex solver."""
+
+from __future__ import annotations
+
+import itertools
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from oed.design import certificate, exchange, relaxation
+from oed.design.blocks import gradient, information
+from oed.design.power import after_adding
+
+
+def candidates(seed: int, shape: tuple[int, ...]) -> tuple[np.ndarray, np.random.Generator]:
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal(shape), rng
+
+
+@pytest.mark.parametrize("cap", [0.3, 1.0, np.inf])
+@pytest.mark.parametrize("shape", [(60, 1, 4), (40, 3, 6)])
+def test_agrees_with_a_general_solver(shape: tuple[int, int, int], cap: float) -> None:
+    """Same optimum as an interior-point solver of the same convex problem, with and without prior information."""
+    blocks, rng = candidates(3, shape)
+    n, size = shape[2], 9.0
+    for prior in (np.zeros((n, n)), np.diag(rng.uniform(0.5, 2.0, n))):
+        relaxed = relaxation.relax(blocks, size, prior, cap)
+        w = cp.Variable(len(blocks), nonneg=True)
+        m = prior + sum(w[i] * (b.T @ b) for i, b in enumerate(blocks))
+        limits = [cp.sum(w) == size] + ([w <= cap] if np.isfinite(cap) else [])
+        problem = cp.Problem(cp.Maximize(cp.log_det(m)), limits)
+        problem.solve(solver=cp.CLARABEL)
+        assert relaxed.value == pytest.approx(problem.value, abs=1e-5)
+        assert relaxed.bound >= problem.value - 1e-6
+        assert relaxed.gap < 1e-6
+
+
+def test_the_equivalence_theorem_holds() -> None:
+    """Without repeats forbidden, tr(M^-1 A_i) = n / N on the support and no more elsewhere."""
+    blocks, _ = candidates(0, (500, 1, 8))
+    relaxed = relaxation.relax(blocks, 1.0, cap=np.inf)
+    slopes = gradient(blocks, information(blocks, relaxed.weights))
+    assert slopes.max() <= 8.0 + 1e-6
+    assert slopes[relaxed.weights > 1e-6] == pytest.approx(8.0, abs=1e-5)
+
+
+def test_weights_are_feasible() -> None:
+    blocks, _ = candidates(1, (200, 2, 5))
+    relaxed = relaxation.relax(blocks, 20.0, cap=1.0)
+    assert relaxed.weights.sum() == pytest.approx(20.0)
+    assert relaxed.weights.min() >= 0.0
+    assert relaxed.weights.max() <= 1.0
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_no_design_is_below_greedy_nor_above_its_bound(seed: int) -> None:
+    """Random sizes, ranks, blocks and priors: greedy <= design <= bound, and the value is what it says."""
+    rng = np.random.default_rng(seed)
+    n, k, count = int(rng.integers(2, 9)), int(rng.integers(1, 4)), int(rng.integers(12, 80))
+    size = int(rng.integers(-(-n // k) + 1, 12))
+    rows = rng.standard_normal((count, k, n)) @ np.diag(10.0 ** rng.uniform(-2, 2, n))
+    prior = np.diag(10.0 ** rng.uniform(-3, 1, n)) if seed % 2 else None
+    choice = exchange.choose(rows, size, rng, prior=prior, starts=3)
+    base = np.zeros((n, n)) if prior is None else prior
+    greedy = rows[exchange.greedy_d(rows, size, base)]
+    value = float(np.linalg.slogdet(base + information(rows[choice.indices]))[1])
+    assert len(set(choice.indices)) == size
+    assert choice.value == pytest.approx(value, abs=1e-6)
+    assert value >= float(np.linalg.slogdet(base + information(greedy))[1]) - 1e-9
+    assert value <= choice.bound + 1e-9
+
+
+def test_the_bound_holds_for_every_plan_and_from_any_dual_point() -> None:
+    """All 495 subsets lie below the bound, even one taken at a matrix that is no optimum."""
+    blocks, rng = candidates(7, (12, 1, 3))
+    best = max(float(np.linalg.slogdet(information(blocks[list(s)]))[1]) for s in itertools.combinations(range(12), 4))
+    for _ in range(20):
+        a = rng.standard_normal((3, 3))
+        m = a @ a.T + 0.1 * np.eye(3)
+        assert certificate.d_bound(m, np.zeros((3, 3)), gradient(blocks, m), 4, 1.0) >= best
+    assert relaxation.relax(blocks, 4).bound >= best
+
+
+def test_a_plan_can_be_proven_optimal() -> None:
+    """Orthogonal candidates of two lengths: the relaxation is tight, and the design says that it is proven."""
+    rows = np.vstack([3.0 * np.eye(4), np.eye(4)])
+    choice = exchange.choose(rows, 4, np.random.default_rng(0))
+    assert set(choice.indices) == {0, 1, 2, 3}
+    assert choice.proven
+    assert choice.efficiency == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("p", [1, 2, 3, 8, 16])
+def test_the_power_series_is_exact(p: int) -> None:
+    """tr (M + x x^T)^-p from the series equals the one from eigenvalues."""
+    rows, rng = candidates(5, (30, 6))
+    a = rng.standard_normal((20, 6))
+    m = a.T @ a
+    values, vectors = np.linalg.eigh(m)
+    exact = [np.sum(np.linalg.eigvalsh(m + np.outer(x, x)) ** -float(p)) for x in rows]
+    assert after_adding(values, vectors, rows, p) * values[0] ** -float(p) == pytest.approx(exact, rel=1e-8)
+
+
+def test_too_few_candidates_are_refused() -> None:
+    with pytest.raises(ValueError, match="cannot carry"):
+        relaxation.relax(np.eye(3), 4.0)
