@@ -10,7 +10,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STUDY := a3_ball_bar
-PYTEST_ARGS ?=
+# Two workers, a study file at one of them; one BLAS thread each: two threads on two busy cores slow small solves down
+# tenfold.
+PYTEST_ARGS ?= -n 2 --dist loadfile
+export OPENBLAS_NUM_THREADS ?= 1
 UV_WANTED := 'uv>=0.13,<1'
 
 SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --python $(BIN)/python

@@ -1,6 +1,6 @@
 """Make the README's pictures from the result of the A3 study.
 
-    make study && .venv/bin/python docs/figures.py out/a3_ball_bar docs/img
+make study && .venv/bin/python docs/figures.py out/a3_ball_bar docs/img
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def d(information: Array) -> float:
 
 def a(information: Array) -> float:
     """-trace M^-1: minus the sum of the parameters' variances; -inf where M is singular."""
-    return -i(information, np.eye(information.shape[0]))
+    return i(information, np.eye(information.shape[0]))
 
 
 def e(information: Array) -> float:

@@ -159,15 +159,23 @@ def rigid_motions(machine: Machine, names: Sequence[str]) -> list[Motion]:
 
 
 def lost_motions(verdict: Identifiability, machine: Machine, scale: Array) -> tuple[list[str], Array]:
-    """Names of the rigid motions that no reading sees, and what is left of the null space (k, n) beside them."""
+    """Names of the rigid motions that no reading sees, and what is left of the null space (k, n) beside them.
+
+    A set-up's unknowns may go along: a base that moves together with the cup on it changes no bar's reading. With N
+    the null space and u the motion, such a direction is a N with (a N)_machine = u_machine.
+    """
     found: list[Array] = []
     texts: list[str] = []
-    for motion in rigid_motions(machine, verdict.names):
+    own = np.array(["." not in n for n in verdict.names])
+    for motion in rigid_motions(machine, verdict.names) if len(verdict.null_space) else []:
         u = motion.direction / scale
         u /= np.linalg.norm(u)
-        if np.linalg.norm(verdict.null_space @ u) > 1.0 - 1e-9:
-            texts.append(motion.text)
-            found.append(u)
+        lost = np.linalg.lstsq(verdict.null_space[:, own].T, u[own], rcond=None)[0] @ verdict.null_space
+        if np.linalg.norm(lost[own] - u[own]) < 1e-5:
+            along = [n for n, v in zip(verdict.names, lost, strict=True) if "." in n and abs(v) > 1e-6]
+            places = dict.fromkeys(n.rpartition(".")[0] for n in along)
+            texts.append(motion.text + (f" together with what {' and '.join(places)} is set up on" if places else ""))
+            found.append(lost / np.linalg.norm(lost))
     if not found:
         return texts, verdict.null_space
     basis = np.linalg.qr(np.array(found).T)[0]

@@ -29,6 +29,8 @@ from oed.machine import Coordinate, Expr, Machine, Parameter, Values
 #: Newton stops once a step (m, rad) is below this: convergence is quadratic, so the next is at rounding level
 STEP = 1e-8
 ITERATIONS = 30
+#: reciprocal condition number of phi_x (lengths over the lever) below which a pose counts as singular
+SINGULAR = 1e-6
 #: longest Newton step (m, rad): longer ones are shortened, so that the assembly mode of the start is kept
 REACH = 0.2
 
@@ -142,7 +144,7 @@ class Kinematics:
         x, bad = self.try_forward(q, p, start)
         if bad.any():
             where = np.unique(np.argwhere(bad)[:, -1])
-            shown = ", ".join(str(i) for i in where[:8]) + (" ..." if where.size > 8 else "")
+            shown = _listed(where)
             raise AssemblyError(
                 f"{self.machine.name}: {int(bad.sum())} of {bad.size} poses cannot be assembled "
                 f"(pose numbers {shown}): the joints do not close at these parameters, or the pose is singular; "
@@ -178,6 +180,17 @@ class Kinematics:
         """dx/dp (n, nx, np) at fixed joints."""
         by_x, by_p, _ = self._slopes(x, q, p)
         return -_solve(by_x, by_p)
+
+    def refuse_singular(self, x: Array, q: Array, p: Array) -> None:
+        """Raise AssemblyError where a pose is so near a singular one that slopes mean nothing."""
+        near = self.singularity(x, q, p) < SINGULAR
+        if near.any():
+            where = np.flatnonzero(near)
+            raise AssemblyError(
+                f"{self.machine.name}: pose numbers {_listed(where)} are singular: the machine can move there with its "
+                "joints held, and a reading would tell nothing; keep a distance from them",
+                where,
+            )
 
     def joint_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dq (n, nx, nq) at fixed parameters."""
@@ -220,8 +233,12 @@ class Kinematics:
         told = ", ".join(f"{c.name} = {v:.6g} {c.unit}" for c, v in zip(self.machine.command, first, strict=True))
         return (
             f"{self.machine.name}: {int(bad.sum())} of {bad.size} commanded poses cannot be assembled, the first at "
-            f"{told}: {why}; move it into the workspace or check the tool and the unit"
+            f"{told}: {why}; move it into the workspace, check tool and unit, or, well inside, the machine's guess"
         )
+
+
+def _listed(indices: NDArray[np.intp]) -> str:
+    return ", ".join(str(i) for i in indices[:8]) + (" ..." if indices.size > 8 else "")
 
 
 def _take(p: Array, keep: NDArray[np.intp]) -> Array:

@@ -178,7 +178,7 @@ class Measurement:
             raise ValueError(f"{chosen.instrument.name} holds no reading: give {coordinate} itself")
         wanted = chosen.instrument.holds(chosen.settings)
         column = [c.name for c in self.machine.command].index(coordinate)
-        limits = self.machine.command[column]
+        limits = self.machine.workspace(chosen.tool)[column]
         command = np.array(command, dtype=float)
 
         def miss(value: Array, row: Array) -> Array:
@@ -309,6 +309,7 @@ class Measurement:
     def _slope(self, series: Series, theta: Array) -> Array:
         p, s = theta[: len(self.machine.parameters)], theta[self._nuisance[series.setup]]
         x = self._poses(series, theta[None], strict=True)[0]
+        self.kinematics.refuse_singular(x, series.q, p)
         dx = self.kinematics.sensitivity(x, series.q, p)
         frames = [x[series.index[:, j]] for j in range(series.index.shape[1])]
         view = self._views[series.setup]

@@ -67,6 +67,13 @@ class Posterior:
         return self.draws.reshape(-1, self.draws.shape[2])
 
 
+def prepare() -> None:
+    """Import what sampling needs: seconds, in which an interruption would be told by other people's code."""
+    import emcee  # noqa: F401
+
+    _diagnostics()
+
+
 def sample(
     measurement: Measurement,
     series: Sequence[Series],

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from oed.batch import Array
 from oed.compensate import NO_TOOL, ErrorModel, error_model
@@ -94,7 +95,16 @@ def error_maps(
 def referenced(
     twist: Array, home_twist: Array, model: ErrorModel, home: ErrorModel, reference: Reference, lever: float
 ) -> Array:
-    """Twist errors (n, 6) of one machine told against the reference; home_twist (1, 6)."""
+    """Twist errors (n, 6) of one machine told against the reference; home_twist (1, 6).
+
+    Unlike the linear maps, zeroing at home composes finite rotations: a lost spin of milliradians times an
+    orientation error would otherwise show as an error of its own.
+    """
+    if reference == "home":
+        own = Rotation.from_rotvec(np.einsum("nji,nj->ni", model.rotation, twist[:, 3:]))
+        zero = Rotation.from_rotvec(home.rotation[0].T @ home_twist[0, 3:])
+        left = (own * zero.inv()).as_rotvec()
+        return np.hstack([twist[:, :3] - home_twist[:, :3], np.einsum("nij,nj->ni", model.rotation, left)])
     told = _referenced(twist[:, :, None], home_twist[:, :, None], model, home, reference, lever)
     return np.asarray(told[:, :, 0])
 
@@ -116,7 +126,10 @@ def _referenced(
 
 
 def _without_rigid(twist: Array, point: Array, lever: float) -> Array:
-    """Twists (n, 6, m) less the rigid motion that fits them best (rotations weighted by the lever)."""
+    """Twists (n, 6, m) less the rigid motion that fits them best (rotations weighted by the lever).
+
+    A machine that never turns has no orientation to be aligned: its points alone are fitted.
+    """
     n = len(twist)
     rigid = np.zeros((n, 6, 6))
     rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
@@ -125,7 +138,8 @@ def _without_rigid(twist: Array, point: Array, lever: float) -> Array:
     rigid[:, :3, 3:] = np.stack(
         [zero, r[:, 2], -r[:, 1], -r[:, 2], zero, r[:, 0], r[:, 1], -r[:, 0], zero], axis=1
     ).reshape(n, 3, 3)
-    weight = np.array([1.0, 1.0, 1.0, lever, lever, lever])[:, None]
+    turns = lever if twist[:, 3:].any() else 0.0
+    weight = np.array([1.0, 1.0, 1.0, turns, turns, turns])[:, None]
     design, data = (rigid * weight).reshape(6 * n, 6), (twist * weight).reshape(6 * n, -1)
     fit = rigid.reshape(6 * n, 6) @ np.linalg.lstsq(design, data, rcond=None)[0]
     return np.asarray(twist - fit.reshape(twist.shape))

@@ -94,9 +94,7 @@ def test_joints_stay_in_their_range_over_the_workspace(
         assert joint.lower < column.min() <= column.max() < joint.upper
 
 
-def test_the_workspace_is_far_from_singular_poses(
-    case: Case, kinematics: Kinematics, rng: np.random.Generator
-) -> None:
+def test_the_workspace_is_far_from_singular_poses(case: Case, kinematics: Kinematics, rng: np.random.Generator) -> None:
     x, q = kinematics.inverse(case.commands(rng, 500))
     assert kinematics.singularity(x, q, case.machine.nominal).min() > 0.05
 
@@ -111,8 +109,10 @@ def test_a_pose_out_of_reach_is_named(case: Case, kinematics: Kinematics, rng: n
 
 
 def test_joints_that_do_not_close_are_named(case: Case, kinematics: Kinematics, rng: np.random.Generator) -> None:
+    if len(case.machine.joints) > len(case.machine.command):
+        pytest.skip("a redundant machine settles at any joints, see tests/test_cable_robot_real.py")
     x, q = kinematics.inverse(case.commands(rng, 6))
-    q[[2, 4]] += np.array([0.0, 1.0, 3.0])
+    q[[2, 4], 1:3] += np.array([8.0, 24.0])[: q.shape[1] - 1]
     _, bad = kinematics.try_forward(q, case.machine.nominal, x)
     assert np.flatnonzero(bad).tolist() == [2, 4]
     with pytest.raises(AssemblyError, match=r"2 of 6 poses cannot be assembled \(pose numbers 2, 4\)") as caught:
@@ -157,7 +157,12 @@ def test_a_measurement_names_its_unknowns(name: str, setup: str, rng: np.random.
     assert {c.unit for c in (*instrument.channels, *instrument.settings, *instrument.nuisances)} <= set(units.DISPLAY)
     assert instrument.cost.setup > 0
     assert instrument.cost.reading > 0
-    assert m.sigma([series]) == pytest.approx(instrument.channels[0].sigma)
+    stated = [c.sigma * math.hypot(1.0, c.shared) for c in instrument.channels]
+    found = m.sigma([series]).reshape(20, -1) / stated
+    if instrument.sources is None:
+        assert found == pytest.approx(np.ones_like(found))
+    else:  # correlated inside: what is stated is the size, the place decides
+        assert 0.1 < np.median(found) < 3.0
 
 
 @pytest.mark.parametrize(("name", "setup"), PAIRS)
@@ -166,7 +171,7 @@ def test_many_machines_at_once_read_as_one_by_one(name: str, setup: str, rng: np
     spread = np.array([p.tolerance for p in m.parameters])
     thetas = m.nominal + spread * rng.standard_normal((7, len(spread)))
     together = m.readings([series], thetas)
-    assert together.shape == (7, 20)
+    assert together.shape == (7, 20 * len(m.setups[setup].instrument.channels))
     for row, theta in zip(together, thetas, strict=True):
         assert np.abs(m.readings([series], theta) - row).max() < 1e-14
     near = m.near([series], thetas[0])(thetas)
@@ -178,7 +183,6 @@ def test_recorded_joints_give_the_same_readings(name: str, setup: str, rng: np.r
     m, series = reading_series(CASES[name], setup, rng, 10)
     reads = series.q if m.setups[setup].teach is None else series.q[:-1]
     runs = None if m.setups[setup].instrument.reference != "run" else [str(i // 6) for i in range(len(reads))]
-    # recorded joints belong to the reference tool's command in this comparison: the teach pose is commanded
     recorded = m.series_from_joints(setup, reads, run=runs)
     theta = m.nominal + 0.5 * m.tolerance * rng.standard_normal(len(m.names))
     assert np.abs(m.readings([recorded], theta) - m.readings([series], theta)).max() < 1e-13

@@ -21,9 +21,7 @@ PACKAGES = {name: ROOT / folder / name for name, folder in {
 }.items()}  # fmt: skip
 
 # A character class in each word keeps these patterns from matching themselves.
-MACHINE_PATH = re.compile(
-    r"(?<![\w.$}~-])(/(r[o]ot|h[o]me|w[o]rk|t[m]p|m[n]t|o[p]t|U[s]ers)/\w|[A-Z]:\\U[s]ers)"
-)
+MACHINE_PATH = re.compile(r"(?<![\w.$}~-])(/(r[o]ot|h[o]me|w[o]rk|t[m]p|m[n]t|o[p]t|U[s]ers)/\w|[A-Z]:\\U[s]ers)")
 REGISTRY = re.compile(r"py[p]i|pythonh[o]sted|conda-f[o]rge|anac[o]nda|npm[j]s|crates\.i[o]", re.IGNORECASE)
 
 
@@ -114,9 +112,9 @@ def test_the_lock_is_of_these_dependencies(project: dict) -> None:
     (own,) = (package for package in lock["package"] if package["name"] == "pkm-oed")
     locked = own["metadata"]["requires-dist"] + own["metadata"]["requires-dev"]["dev"]
     asked = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
-    assert {item["name"] + item["specifier"] for item in locked} == {
-        re.sub(r"\[.*\]", "", item) for item in asked
-    }, "run `make lock`"
+    assert {item["name"] + item["specifier"] for item in locked} == {re.sub(r"\[.*\]", "", item) for item in asked}, (
+        "run `make lock`"
+    )
 
 
 def test_the_command_of_the_package_is_there(project: dict) -> None:

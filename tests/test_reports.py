@@ -258,7 +258,8 @@ def test_a_plan_of_other_machines_is_drawn() -> None:
 def test_a_figure_of_many_marks_becomes_pixels(tmp_path: Path) -> None:
     result = _stored(report_fixture.bare())
     result["estimate"] = report_fixture.sample()["estimate"]
-    result["estimate"]["residuals"] = [float(k % 17) for k in range(6000)]
+    values = [float(k % 17) for k in range(6000)]
+    result["estimate"] |= {"residuals": values, "residuals_before": values, "channels": ["length"] * 6000}
     made = document.build(result)
     assert made.images["residuals"].kind == "png"
     assert b"data:image/png" in html_writer.render(made)

@@ -20,7 +20,7 @@ import numpy as np
 
 from oed import criteria
 from oed.batch import Array
-from oed.design import certificate, relaxation
+from oed.design import certificate, e_relaxation, relaxation
 from oed.design.blocks import Index, as_blocks, information, seen
 from oed.design.power import after_adding
 
@@ -81,13 +81,14 @@ def choose(
     prior: Array | None = None,
     starts: int = 20,
     tolerance: float = 1e-6,
+    certify: bool = True,
 ) -> Choice:
     """Choose `size` different candidates out of rows (C, n) or blocks (C, k, n), whitened and scaled.
 
     prior (n, n) is information held already. Without one, the design lives in the directions that the
     candidates together can see (singular values above `tolerance` of the largest): no plan sees more. `starts`
-    rounds of local search are made. Raises ValueError where there are too few candidates, or fewer readings than
-    directions.
+    rounds of local search are made. The bound comes with D at no cost; for E, `certify` = False leaves it out.
+    Raises ValueError where there are too few candidates, or fewer readings than directions.
     """
     blocks = as_blocks(rows)
     _check(blocks, size, criterion)
@@ -105,9 +106,18 @@ def choose(
     if judge(blocks[greedy]) > judge(blocks[best]):
         best = greedy
     value = judge(blocks[best])
-    bound = relaxed.bound if criterion == "D" else None
-    gap = relaxed.gap if criterion == "D" else None
+    bound, gap = _certified(blocks, size, base, relaxed, criterion) if criterion == "D" or certify else (None, None)
     return Choice(np.sort(best), criterion, value, n, bound, gap)
+
+
+def _certified(
+    blocks: Array, size: int, base: Array, relaxed: relaxation.Relaxed, criterion: str
+) -> tuple[float, float]:
+    """The bound, and by how much it may be loose as a relaxation."""
+    if criterion == "D":
+        return relaxed.bound, relaxed.gap
+    found = e_relaxation.relax(blocks, size, base)
+    return found.bound, found.bound - found.value
 
 
 def greedy_d(blocks: Array, size: int, base: Array) -> Index:

@@ -7,20 +7,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pkm_reports import document, html, pdf
+from pkm_reports import document
+from pkm_reports import html as to_html
+from pkm_reports import pdf as to_pdf
 
 
-def write_report(result: Mapping[str, Any], out: Path) -> tuple[Path, Path]:
-    """Writes `report.html` and `report.pdf` into the folder `out` (made if it is not there).
+def write_report(result: Mapping[str, Any], out: Path, *, html: bool = True, pdf: bool = True) -> tuple[Path, ...]:
+    """Writes `report.html` and `report.pdf`, or one of them, into the folder `out` (made if it is not there).
 
-    `result` is the mapping decoded from result.json. Both files are complete or not there: they are written under
+    `result` is the mapping decoded from result.json. Files are complete or not there: they are written under
     another name first. Returns their paths, HTML first. Raises OSError where the folder cannot be written.
     """
     made = document.build(result)
-    pages = {"report.html": html.render(made), "report.pdf": pdf.render(made)}
+    wanted = [("report.html", to_html.render)] * html + [("report.pdf", to_pdf.render)] * pdf
+    pages = {name: render(made) for name, render in wanted}
     out.mkdir(parents=True, exist_ok=True)
-    first, second = (_whole(out / name, data) for name, data in pages.items())
-    return first, second
+    return tuple(_whole(out / name, data) for name, data in pages.items())
 
 
 def _whole(path: Path, data: bytes) -> Path:

@@ -46,8 +46,12 @@ def listing(kind: str) -> list[Entry]:
 def machine(reference: str, folder: Path, place: Place) -> Any:
     """The `oed.machine.Machine` that `reference` names. Raises InputError."""
     from oed.machine import Machine
+    from pkm_studies import soundness
 
-    return _lookup(reference, "machines", Machine, folder, place)
+    found = _lookup(reference, "machines", Machine, folder, place)
+    if ":" in reference or reference.endswith(".py"):
+        soundness.examine(found, place)
+    return found
 
 
 def instrument(reference: str, folder: Path, place: Place) -> Any:

@@ -212,7 +212,11 @@ def grid(table: GridTable, measurement: Measurement, place: Place, *, strict: bo
         command, run = _pairs(table, machine, measurement.setups[table.setup], place)
         return series(measurement, table.setup, command, run, place), 0
     command, hold, keys = expand(table.coordinates, machine, place)
-    in_workspace(machine, command, keys, place, measurement.setups[table.setup].tool)
+    tool = measurement.setups[table.setup].tool
+    if hold is not None:  # solved below, within its range
+        column = [c.name for c in machine.command].index(hold)
+        command[:, column] = (machine.workspace(tool)[column].lower + machine.workspace(tool)[column].upper) / 2.0
+    in_workspace(machine, command, keys, place, tool)
     command, lost = held(measurement, table.setup, command, hold, place, strict=strict)
     run = labels(command, table.runs_by, machine.command, place)
     return series(measurement, table.setup, command, run, place), lost

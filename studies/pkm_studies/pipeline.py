@@ -122,7 +122,7 @@ class _Job:
     def virtual(self, series: Sequence[Series]) -> tuple[Array, Array]:
         """True parameters and readings of the study's virtual machine."""
         said = self.study.readings
-        drawn = said is not None and said.draw
+        drawn = said is None or said.draw or not self.resolved.truth  # a nominal machine would tell nothing
         truth = simulate.draw(self.measurement, self.rng(TRUTH)) if drawn else self.measurement.nominal
         for k, name in enumerate(self.measurement.names):
             truth[k] = self.resolved.truth.get(name, truth[k])
@@ -183,6 +183,7 @@ class _Job:
         self.warnings += self.sections["estimate"].warnings
         if not self.study.posterior.enabled:
             return found, None
+        posterior.prepare()
         self.progress.stage("posterior")
         asked = self.study.posterior
         drawn = posterior.sample(
@@ -259,7 +260,7 @@ class _Job:
         self._write(made)
         if report and (study.report.html or study.report.pdf):
             self.progress.stage("report")
-            write_report(self.out)
+            write_report(self.out, html=study.report.html, pdf=study.report.pdf)
         return made
 
     def _poses_csv(self) -> str:
@@ -278,11 +279,11 @@ class _Job:
             files.write_whole(self.out / "plan.csv", _plan_csv(made.plan))
 
 
-def write_report(folder: Path) -> tuple[Path, Path]:
+def write_report(folder: Path, *, html: bool = True, pdf: bool = True) -> tuple[Path, ...]:
     """HTML and PDF from the result in a folder."""
     from pkm_reports import write_report as write
 
-    return write(load_result(folder), folder)
+    return write(load_result(folder), folder, html=html, pdf=pdf)
 
 
 def load_result(folder: Path) -> Mapping[str, Any]:

@@ -27,6 +27,9 @@ from pkm_studies.study import KappaTable, SetupTable, Study
 if TYPE_CHECKING:
     from oed.dataset import Dataset
 
+#: share of what an instrument holds by which a candidate's reading may differ from it
+UNHELD = 0.01
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Resolved:
@@ -305,12 +308,31 @@ def _candidates(study: Study, measurement: Measurement) -> tuple[tuple[Series, .
         _known(table.setup, measurement.setups, place.key("setup"))
         series, lost = grids.grid(table, measurement, place, strict=False)
         made.append(series)
+        warnings += _unheld(measurement, series, place)
         if lost:
             warnings.append(
                 f"{place.field}: {lost} of {lost + len(series)} poses are left out, because {table.setup} cannot hold "
                 "its reading there"
             )
     return tuple(made), tuple(warnings)
+
+
+def _unheld(measurement: Measurement, series: Series, place: Place) -> list[str]:
+    """A warning where an instrument that holds its reading (a ball bar) would not hold it at some poses."""
+    setup = measurement.setups[series.setup]
+    if setup.instrument.holds is None:
+        return []
+    wanted = setup.instrument.holds(setup.settings)
+    first = setup.instrument.channels[0]
+    found = measurement.readings([series], measurement.nominal)[:: len(setup.sigma)]
+    far = int(np.count_nonzero(np.abs(found - wanted) > UNHELD * wanted))
+    if not far:
+        return []
+    span = f"{quantities.told(found.min(), first.unit)} to {quantities.told(found.max(), first.unit)}"
+    return [
+        f"{place.field}: at {far} of {len(found)} poses {setup.name} would read {span}, but it holds "
+        f'{quantities.told(wanted, first.unit)}: let one coordinate be "hold", or give poses that keep it'
+    ]
 
 
 def _references(study: Study, measurement: Measurement) -> tuple[Plan, ...]:

@@ -97,18 +97,19 @@ class Value(Part, frozen=True):
 
 
 class Estimate(Part, frozen=True):
-    """Least squares with tolerance priors. rms in `unit` of the readings, by channel."""
+    """Least squares with tolerance priors. rms and residuals are in the fine unit of their channel, `units`."""
 
     parameters: dict[str, Value]
     rms_before: dict[str, float]
     rms_after: dict[str, float]
-    unit: str
+    units: dict[str, str]  # of each channel
+    channels: list[str]  # of each residual
     readings: int
     dof: float
     chi2: float
     iterations: list[dict[str, float]]
     warnings: list[str]
-    residuals: list[float]  # of each reading in `unit`, after
+    residuals: list[float]  # of each reading, after
     residuals_before: list[float]
 
 

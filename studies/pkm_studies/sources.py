@@ -4,6 +4,10 @@
 travel in steps down from the endstop; `heights.csv` has one probe contact a row, `distances.csv` one calliper distance
 between two positions a row. Session S04 becomes the set-ups `S04_probe` (one run) and `S04_calliper` (one run of two
 rows for each distance, the first its reference).
+
+`hangprinter_hp4`: 44 poses of a cable robot (Hangprinter HP4, MIT), `motor_deg.csv` the motors' angles from the
+origin, one pose a row; `known_xyz_mm.csv` says where a camera saw the mover in the first nine. These become
+`known_camera` (where it was) and `known_lines` (that the four lines agree: a gap of 0), the other 35 `other_lines`.
 """
 
 from __future__ import annotations
@@ -135,6 +139,18 @@ def _joints(row: Row, prefix: str, step: dict[str, list[float]], path: Path) -> 
         raise place.error(problem, "take the file as published") from None
 
 
+def _hangprinter_hp4(folder: Path) -> Iterator[Row]:
+    motors = _csv(folder / "motor_deg.csv", ("A", "B", "C", "D"))
+    known = _csv(folder / "known_xyz_mm.csv", ("x", "y", "z"))
+    joints = [{f"q{k + 1}_deg": r[line] for k, line in enumerate("ABCD")} for r in motors]
+    for i, at in enumerate(known):
+        label = {"setup": "known_camera", "run": "1", "order": str(i + 1)}
+        yield label | joints[i] | {f"read_{k}_mm": at[k] for k in "xyz"}
+    for i, pose in enumerate(joints):
+        name, first = ("known_lines", 0) if i < len(known) else ("other_lines", len(known))
+        yield {"setup": name, "run": "1", "order": str(i - first + 1)} | pose | {"gap_mm": "0"}
+
+
 def _csv(path: Path, columns: Sequence[str]) -> list[Row]:
     reader = csv.DictReader(io.StringIO(_read(path)))
     absent = [c for c in columns if c not in (reader.fieldnames or ())]
@@ -156,4 +172,7 @@ def _read(path: Path) -> str:
     return files.read_text(path, limit=LIMIT, what="data file")
 
 
-SOURCES: dict[str, Callable[[Path], Iterator[Row]]] = {"delta_v400": _delta_v400}
+SOURCES: dict[str, Callable[[Path], Iterator[Row]]] = {
+    "delta_v400": _delta_v400,
+    "hangprinter_hp4": _hangprinter_hp4,
+}

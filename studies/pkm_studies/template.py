@@ -22,6 +22,8 @@ from pkm_studies.study import SUFFIX
 #: values a coordinate of the grid that is offered, and the share of the workspace they span
 VALUES, SHARE = 5, 0.6
 TURN = 12
+#: share of the grid's poses to which an instrument must be able to lead the tool for a coordinate to be "hold"
+LED = 0.3
 SETUP = "setup1"
 
 
@@ -169,7 +171,7 @@ def _held(machine: Machine, instrument: Instrument) -> str | None:
     command = np.column_stack([m.ravel() for m in np.meshgrid(*axes, indexing="ij")])
     shares = {c.name: _share(machine, instrument, command, c.name) for c in machine.command}
     best = max(shares, key=lambda name: shares[name])
-    return best if shares[best] > 0.0 else None
+    return best if shares[best] >= LED else None
 
 
 def _share(machine: Machine, instrument: Instrument, command: Array, coordinate: str) -> float:

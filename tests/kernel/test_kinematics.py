@@ -1,17 +1,21 @@
 """Kinematics against the oracles: another formulation of the A3 head, and trilateration of the delta."""
 
 import dataclasses
+import math
 
+import casadi as ca
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
 from oracles import delta_trilateration as delta
 from reference import tian_2016 as paper
+from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from kernel.cases import CASES
 from oed.instrument import mount
 from oed.kinematics import AssemblyError, Kinematics
+from oed.machine import Coordinate, Expr, Values
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import height_probe
 from pkm_models.machines import a3_head, linear_delta
@@ -187,18 +191,55 @@ def test_a_singular_pose_is_reported(away: float) -> None:
     assert caught.value.indices.tolist() == [1]
 
 
-def test_more_equations_than_unknowns() -> None:
-    """A redundant machine: the delta with a leg given twice moves and answers like the delta."""
+FOURTH = np.pi / 6  # angle of a fourth tower
+
+
+def four_legs() -> Kinematics:
+    """The delta with a fourth leg and joint: arm and endstop as the first's."""
     plain = linear_delta.machine
-    doubled = dataclasses.replace(plain, closure=lambda x, q, p: [*plain.closure(x, q, p), plain.closure(x, q, p)[0]])
-    twice = Kinematics(doubled)
-    command = np.array([[0.03, -0.05, 0.1], [0.0, 0.1, 0.2]])
-    x, q = twice.inverse(command)
-    assert np.abs(q - DELTA.inverse(command)[1]).max() < 1e-13
-    p = plain.nominal + 1e-3
-    found = twice.forward(q, p, x)
-    assert np.abs(found - DELTA.forward(q, p, x)).max() < 1e-13
-    assert np.abs(twice.sensitivity(found, q, p) - DELTA.sensitivity(found, q, p)).max() < 1e-10
+
+    def closure(x: Values, q: Values, p: Values) -> list[Expr]:
+        height = p["endstop1"] + ca.sqrt(p["arm1"] ** 2 - p["radius"] ** 2) - q["q4"]
+        top = ca.vertcat(p["radius"] * math.cos(FOURTH), p["radius"] * math.sin(FOURTH), height)
+        return [*plain.closure(x, q, p), ca.norm_2(ca.vertcat(x["x"], x["y"], x["z"]) - top) - p["arm1"]]
+
+    def guess(c: Values) -> tuple[list[Expr], list[Expr]]:
+        x, q = plain.guess(c)
+        return list(x), [*q, q[0]]
+
+    joints = (*plain.joints, Coordinate("q4", "m", -0.05, 0.6))
+    return Kinematics(dataclasses.replace(plain, joints=joints, closure=closure, guess=guess))
+
+
+def test_a_redundant_machine_settles_where_its_legs_miss_least(rng: np.random.Generator) -> None:
+    """More equations than pose components: joints that agree give the delta's pose, joints that do not give the least
+    squares of the legs' misfits, by SciPy; slopes by differences of that."""
+    kinematics, point = four_legs(), CASES["linear_delta"].commands(rng, 10)
+    p = DELTA.machine.nominal + 1e-3 * rng.standard_normal(10)
+    x, q = kinematics.inverse(point, p)
+    assert np.abs(q[:, :3] - delta.travel_to(point, *delta_args(p))).max() < 1e-13
+    assert np.abs(kinematics.forward(q, p, x + 0.01) - point).max() < 1e-13
+
+    def settled(p: np.ndarray, q: np.ndarray, start: np.ndarray) -> np.ndarray:
+        angle, arm, endstop = np.r_[p[4:7], FOURTH], p[[1, 2, 3, 1]], p[[7, 8, 9, 7]]
+        height = endstop + np.sqrt(arm**2 - p[0] ** 2) - q
+        tops = np.column_stack([p[0] * np.cos(angle), p[0] * np.sin(angle), height])
+
+        def misfit(at: np.ndarray) -> np.ndarray:
+            return np.linalg.norm(at - tops, axis=1) - arm
+
+        return optimize.least_squares(misfit, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale=0.1).x
+
+    q[:, 3] += 1e-3 * rng.standard_normal(10)
+    found = kinematics.forward(q, p, x)
+    assert np.abs(found - [settled(p, *row) for row in zip(q, x, strict=True)]).max() < 1e-8
+    assert np.abs(found - x).max() > 1e-4
+    slope, h = kinematics.sensitivity(x, kinematics.inverse(point, p)[1], p), 1e-4
+    agreed = kinematics.inverse(point, p)[1]
+    for k in range(10):
+        step = h * np.eye(10)[k]
+        ends = [np.array([settled(p + d, *row) for row in zip(agreed, x, strict=True)]) for d in (step, -step)]
+        assert np.abs(slope[..., k] - (ends[0] - ends[1]) / (2 * h)).max() < 1e-3 * np.abs(slope).max()
 
 
 def test_drawings_show_the_machine(rng: np.random.Generator) -> None:

@@ -41,7 +41,10 @@ def test_the_published_passage(passage: tuple) -> None:
     model = compensate.error_model(A3, command)
     turns = np.stack(
         [
-            predict.referenced(model.raw[..., k], home.raw[..., k], model, home, "home", A3.machine.lever)[:, 3:]
+            1e6
+            * predict.referenced(
+                1e-6 * model.raw[..., k], 1e-6 * home.raw[..., k], model, home, "home", A3.machine.lever
+            )[:, 3:]
             for k in range(24)
         ],
         axis=-1,

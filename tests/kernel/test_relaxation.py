@@ -8,7 +8,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from oed.design import certificate, exchange, relaxation
+from oed.design import certificate, e_relaxation, exchange, relaxation
 from oed.design.blocks import gradient, information
 from oed.design.power import after_adding
 
@@ -105,3 +105,19 @@ def test_the_power_series_is_exact(p: int) -> None:
 def test_too_few_candidates_are_refused() -> None:
     with pytest.raises(ValueError, match="cannot carry"):
         relaxation.relax(np.eye(3), 4.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_e_bound_holds_for_every_plan(seed: int) -> None:
+    """All subsets lie below the E bound, and the relaxation reaches it."""
+    blocks, rng = candidates(seed, (11, 1, 3))
+    prior = np.diag(rng.uniform(0.0, 0.5, 3))
+    found = e_relaxation.relax(blocks, 5, prior)
+    best = max(
+        float(np.linalg.eigvalsh(prior + information(blocks[list(s)]))[0]) for s in itertools.combinations(range(11), 5)
+    )
+    assert best <= found.bound
+    assert found.value == pytest.approx(found.bound, rel=1e-3)
+    choice = exchange.choose(blocks, 5, rng, "E", prior)
+    assert choice.value <= choice.bound
+    assert choice.value == pytest.approx(best, rel=0.1)

@@ -139,9 +139,7 @@ def forward(p: ArrayLike, q: ArrayLike, tool: ArrayLike = 0.0) -> Forward:
     return Forward(tcp + tool[..., None] * R[..., :, 2], R, gamma)
 
 
-def nominal_pose(
-    z: ArrayLike, psi: ArrayLike, theta: ArrayLike, tool: ArrayLike = 0.0
-) -> tuple[Array, Array]:
+def nominal_pose(z: ArrayLike, psi: ArrayLike, theta: ArrayLike, tool: ArrayLike = 0.0) -> tuple[Array, Array]:
     """Nominal tool point (..., 3) m and R (..., 3, 3) by Eq. (2); z is the height of the tool point."""
     z, psi, theta, tool = np.broadcast_arrays(z, psi, theta, tool)
     lean, sin = A / 2 * (1 - np.cos(theta)), np.sin(theta)
@@ -167,9 +165,7 @@ def ball_bar_reading(machine_errors: ArrayLike, q: ArrayLike, cup: ArrayLike, to
     return _norm(forward(machine_errors, q, tool).tip - np.asarray(cup))
 
 
-def circle_theta(
-    z: ArrayLike, psi: ArrayLike, cup: ArrayLike, length: ArrayLike = BAR, tool: ArrayLike = 0.0
-) -> Array:
+def circle_theta(z: ArrayLike, psi: ArrayLike, cup: ArrayLike, length: ArrayLike = BAR, tool: ArrayLike = 0.0) -> Array:
     """Theta (...) rad in 0..70 deg where the nominal tool point is `length` from the cup; bisection."""
     cup = np.asarray(cup)
     z, psi, length, tool, _ = np.broadcast_arrays(z, psi, length, tool, cup[..., 0])

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def carriages(
-    travel: ArrayLike, radius: ArrayLike, arm: ArrayLike, angle: ArrayLike, endstop: ArrayLike
-) -> NDArray:
+def carriages(travel: ArrayLike, radius: ArrayLike, arm: ArrayLike, angle: ArrayLike, endstop: ArrayLike) -> NDArray:
     """Sphere centres (..., tower, xyz) from travel, arm, angle, endstop (..., 3) and radius (...)."""
     r = np.asarray(radius)[..., None]
     height = np.asarray(endstop) + np.sqrt(np.asarray(arm) ** 2 - r**2) - np.asarray(travel)
@@ -40,16 +38,12 @@ def lower_point(centres: ArrayLike, radii: ArrayLike) -> NDArray:
     return c[..., 0, :] + x[..., None] * ex + y[..., None] * ey + np.sqrt(h2)[..., None] * ez
 
 
-def nozzle(
-    travel: ArrayLike, radius: ArrayLike, arm: ArrayLike, angle: ArrayLike, endstop: ArrayLike
-) -> NDArray:
+def nozzle(travel: ArrayLike, radius: ArrayLike, arm: ArrayLike, angle: ArrayLike, endstop: ArrayLike) -> NDArray:
     """Nozzle (..., 3): forward kinematics of SOURCE.txt; arguments as for `carriages`."""
     return lower_point(carriages(travel, radius, arm, angle, endstop), arm)
 
 
-def travel_to(
-    point: ArrayLike, radius: ArrayLike, arm: ArrayLike, angle: ArrayLike, endstop: ArrayLike
-) -> NDArray:
+def travel_to(point: ArrayLike, radius: ArrayLike, arm: ArrayLike, angle: ArrayLike, endstop: ArrayLike) -> NDArray:
     """Carriage travel (..., 3), downwards from the endstops, that puts the nozzle at point (..., 3)."""
     p, arm = np.asarray(point), np.asarray(arm)
     top = carriages(np.zeros(3), radius, arm, angle, endstop)

@@ -113,9 +113,9 @@ def test_derivatives_of_the_exact_machine_are_eq_6(tool):
     model = a3.linear_model(z, psi, theta, tool)
     assert np.abs(exact - model).max() < 1e-12 * np.abs(model).max()
     h = 1e-6  # and without complex numbers
-    central = (
-        a3.forward(h * np.eye(24), q[:, None], tool).tip - a3.forward(-h * np.eye(24), q[:, None], tool).tip
-    ) / (2 * h)
+    central = (a3.forward(h * np.eye(24), q[:, None], tool).tip - a3.forward(-h * np.eye(24), q[:, None], tool).tip) / (
+        2 * h
+    )
     assert np.abs(central.swapaxes(-1, -2) - model[:, :3]).max() < 1e-6 * np.abs(model).max()
 
 

@@ -14,8 +14,7 @@ from pkm_reports import style, words
 
 
 def draw(estimate: Mapping[str, Any]) -> Figure:
-    """Two panels over the number of the reading; each has its own scale, told by the axis."""
-    unit = words.unit(str(estimate.get("unit", "")))
+    """Two panels over the number of the reading, in a row for each unit; each has its own scale, told by the axis."""
     panels = [
         ("Nominal machine", style.array(estimate.get("residuals_before") or []), style.GREY),
         ("Identified machine", style.array(estimate.get("residuals") or []), style.BLUE),
@@ -23,10 +22,15 @@ def draw(estimate: Mapping[str, Any]) -> Figure:
     panels = [panel for panel in panels if np.isfinite(panel[1]).any()]
     if not panels:
         return style.empty("No residuals are stored in this result.")
-    figure = style.figure(2.4)
-    for axes, (title, values, colour) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        _panel(axes, title, values, colour)
-        axes.set(xlabel="reading, in the order of the data", ylabel=f"residual [{unit}]")
+
+    channels = estimate["channels"]
+    unit = np.array([estimate["units"][c] for c in channels])
+    rows = list(dict.fromkeys(unit))
+    figure = style.figure(2.4 * len(rows))
+    for row, name in zip(figure.subplots(len(rows), len(panels), squeeze=False), rows, strict=True):
+        for axes, (title, values, colour) in zip(row, panels, strict=True):
+            _panel(axes, title, values[unit == name], colour)
+            axes.set(xlabel="reading, in the order of the data", ylabel=f"residual [{words.unit(str(name))}]")
     return figure
 
 

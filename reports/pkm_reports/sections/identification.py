@@ -41,9 +41,10 @@ def blocks(result: Part) -> list[Block]:
 
 
 def _fit(estimate: Part) -> str:
-    unit = str(estimate["unit"])
+    units = estimate["units"]
+    after = estimate["rms_after"]
     parts = [
-        f"{name} from {words.quantity(before, unit)} to {words.quantity(estimate['rms_after'].get(name), unit)}"
+        f"{name} from {words.quantity(before, units[name])} to {words.quantity(after.get(name), units[name])}"
         for name, before in (estimate.get("rms_before") or {}).items()
     ]
     text = f"{words.count(estimate['readings'], 'reading')} were fitted. "
@@ -73,9 +74,10 @@ def _left(estimate: Part) -> str:
     if not np.isfinite(after).any():
         return text
     worst = int(np.nanargmax(np.abs(after))) + 1
-    return (
-        f"{text} The largest left is {words.quantity(np.nanmax(np.abs(after)), estimate['unit'])} at reading {worst}."
-    )
+    unit = estimate["units"][estimate["channels"][worst - 1]]
+    if len(set(estimate["units"].values())) > 1:
+        return text
+    return f"{text} The largest left is {words.quantity(np.nanmax(np.abs(after)), unit)} at reading {worst}."
 
 
 def _found(values: Mapping[str, Part]) -> str:

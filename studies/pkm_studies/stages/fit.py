@@ -20,14 +20,15 @@ def estimate_section(
 ) -> result.Estimate:
     """Identified parameters in display units, residuals in the fine unit of the readings."""
     channels = [c for s in series for _ in range(len(s)) for c in measurement.setups[s.setup].instrument.channels]
-    unit = units.FINE[channels[0].unit]
-    after, before = (units.from_si(r, unit) for r in (estimate.residuals, estimate.before))
+    factor = np.array([units.factor(units.FINE[c.unit]) for c in channels])
+    after, before = estimate.residuals / factor, estimate.before / factor
     labels = np.array([c.name for c in channels])
     return result.Estimate(
         parameters=_values(measurement, estimate, truth),
         rms_before={n: _rms(before[labels == n]) for n in dict.fromkeys(labels)},
         rms_after={n: _rms(after[labels == n]) for n in dict.fromkeys(labels)},
-        unit=unit,
+        units={c.name: units.FINE[c.unit] for c in channels},
+        channels=[str(n) for n in labels],
         readings=len(after),
         dof=estimate.dof,
         chi2=estimate.chi2,

@@ -80,7 +80,9 @@ def _design(section: result.Design | None) -> list[str]:
 def _fit(section: result.Estimate | None) -> list[str]:
     if section is None:
         return []
-    parts = [f"{n} {number(section.rms_before[n])} to {number(v)} {section.unit}" for n, v in section.rms_after.items()]
+    parts = [
+        f"{n} {number(section.rms_before[n])} to {number(v)} {section.units[n]}" for n, v in section.rms_after.items()
+    ]
     return [f"The fit of {section.readings} readings brings their rms residual from {'; '.join(parts)}."]
 
 

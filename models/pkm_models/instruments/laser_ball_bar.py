@@ -1,0 +1,117 @@
+"""Laser ball bar: a telescoping bar on a gimbal reads a ball at the tool by distance R, elevation theta, azimuth phi.
+
+Wang and Fan (2004), section 5: R by laser, theta and phi by rotary encoders, turned into Cartesian coordinates; the
+spindle axis from two places of the ball, A and B, where a standard bar in the spindle is retracted and extended by
+`baseline`. With the gimbal at G and u(theta, phi) the unit vector, an error of the readings moves a point by
+
+    u dR + R u_theta dtheta + R u_phi dphi,
+
+so that x, y, z are correlated with each other, and with alpha and beta, whose A is theirs too: `sources`. B lies away
+from the platform, B = A - baseline n, with n = (sin beta, -sin alpha cos beta, cos alpha cos beta), Eq. (15).
+
+`instrument`   position and axis
+`position`     position alone
+
+Noise: R 0.3 um, theta and phi 1.15 arcsec, the accuracies the paper states, taken as one standard deviation each, as
+settings of their own; the channels' sigmas are what they give 0.7 m away with a baseline of 100 mm, of which the paper
+says nothing. A study that states a channel's sigma scales that row.
+
+Unknown is the frame: the bar is aligned with the machine's Y axis (section 5.2), taken as good to 0.1 mm and 0.1 mrad
+here. It hides two directions of a `prs_spindle`: shifting all sliders along X or Y is shifting the frame. Its rotations
+are seen against the guides, which are vertical, and its height, hardly, against the struts' lengths.
+
+The paper's three laser scales on the sliders are no readings of this kind: with them the sliders' true heights, the
+joints q, are known, whatever the machine's own scales show. A readings file gives them as q1_mm, q2_mm, q3_mm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import casadi as ca
+
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.machine import Expr, Values
+from pkm_models import registration
+
+SOURCE = "Wang and Fan 2004, Int. J. Mach. Tools Manuf. 44, section 5"
+ARCSEC = math.pi / 648000.0
+POINT = tuple(Channel(f"read_{n}", "m", 4e-6) for n in "xyz")
+AXIS = tuple(Channel(f"read_{n}", "rad", 55e-6) for n in ("alpha", "beta"))
+SETTINGS = (
+    *(Setting(f"at_{n}", "m", None, f"{n} of the gimbal in the base frame") for n in "xyz"),
+    Setting("range_noise", "m", 0.3e-6, "standard deviation of R"),
+    Setting("angle_noise", "rad", 1.15 * ARCSEC, "standard deviation of theta and phi"),
+)
+BASELINE = Setting("baseline", "m", 0.100, "travel of the standard bar between A and B")
+
+
+def _gimbal(k: Values) -> Expr:
+    return ca.vertcat(k["at_x"], k["at_y"], k["at_z"])
+
+
+def _ends(frame: Frame, s: Values, k: Values) -> tuple[Expr, Expr]:
+    """A and B as the instrument sees them."""
+    ends = (frame.point, frame.point - k["baseline"] * frame.rotation[:, 2])
+    a, b = (registration.moved(s, end, _gimbal(k)) for end in ends)
+    return a, b
+
+
+def _told(a: Expr, b: Expr) -> list[Expr]:
+    return [a[0], a[1], a[2], *registration.axis_angles(a - b)]
+
+
+def _spread(point: Expr, k: Values) -> Expr:
+    """Slopes (3 x 3) of a point from errors of R, theta, phi, each in units of its noise."""
+    d = point - _gimbal(k)
+    flat = ca.sqrt(d[0] ** 2 + d[1] ** 2)
+    up = ca.vertcat(-d[0] * d[2] / flat, -d[1] * d[2] / flat, flat)
+    around = ca.vertcat(-d[1], d[0], 0.0)
+    return ca.horzcat(k["range_noise"] * d / ca.norm_2(d), k["angle_noise"] * up, k["angle_noise"] * around)
+
+
+def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+    return _told(*_ends(frames[0], s, k))
+
+
+def _sources(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
+    """Slopes (5 x 6): R, theta, phi at A, then at B."""
+    a, b = _ends(frames[0], s, k)
+    e = ca.SX.sym("e", 6)
+    read = ca.vertcat(*_told(a + _spread(a, k) @ e[:3], b + _spread(b, k) @ e[3:]))
+    return ca.substitute(ca.jacobian(read, e), e, ca.DM.zeros(6))
+
+
+def _observe_position(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+    a = registration.moved(s, frames[0].point, _gimbal(k))
+    return [a[0], a[1], a[2]]
+
+
+def _sources_position(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
+    return _spread(registration.moved(s, frames[0].point, _gimbal(k)), k)
+
+
+instrument = Instrument(
+    name="laser_ball_bar",
+    source=SOURCE,
+    about="laser ball bar on a gimbal: position of the tool and direction of the spindle axis",
+    channels=(*POINT, *AXIS),
+    settings=(*SETTINGS, BASELINE),
+    nuisances=registration.unknowns(0.1e-3, 0.1e-3),
+    cost=Cost(setup=3600.0, reading=60.0),
+    observe=_observe,
+    sources=_sources,
+)
+
+position = Instrument(
+    name="laser_ball_bar_position",
+    source=SOURCE,
+    about="laser ball bar on a gimbal: position of the tool alone",
+    channels=POINT,
+    settings=SETTINGS,
+    nuisances=registration.unknowns(0.1e-3, 0.1e-3),
+    cost=Cost(setup=3600.0, reading=20.0),
+    observe=_observe_position,
+    sources=_sources_position,
+)

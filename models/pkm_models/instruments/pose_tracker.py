@@ -1,0 +1,61 @@
+"""Pose tracker: position of the tool and its rotation, in a frame that is known up to its registration.
+
+`instrument`   six components: x, y, z and alpha, beta, gamma with R = Rx(alpha) Ry(beta) Rz(gamma), so that the tool
+               axis is (sin beta, -sin alpha cos beta, cos alpha cos beta) as for the laser ball bar
+`position`     position alone, as from a laser tracker and one reflector
+
+A registration that is not known (tolerances not 0) hides what only moves the base frame of the machine: the common
+motions of its base joints, as far as the parameters hold them (of a `prs_spindle`, the shifts along X and Y).
+
+Noise, one standard deviation: 10 um and 5 arcsec, a laser tracker with a six-component target some 2 m away; the
+registration's tolerances, 0.05 mm and 0.05 mrad, are those of a fit to a few reference points of the base.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import casadi as ca
+
+from oed.instrument import Channel, Cost, Frame, Instrument
+from oed.machine import Expr, Values
+from pkm_models import registration
+
+SOURCE = "laser tracker with six-component target; ISO 10360-10 for the instrument"
+POINT = tuple(Channel(f"read_{n}", "m", 10e-6) for n in "xyz")
+ANGLES = tuple(Channel(f"read_{n}", "rad", 5.0 * math.pi / 648000.0) for n in ("alpha", "beta", "gamma"))
+
+
+def _position(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+    point = registration.moved(s, frames[0].point, ca.DM.zeros(3))
+    return [point[0], point[1], point[2]]
+
+
+def _pose(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+    seen = registration.turned(s, frames[0].rotation)
+    gamma = ca.atan2(-seen[0, 1], seen[0, 0])
+    return [*_position(frames, s, k), *registration.axis_angles(seen[:, 2]), gamma]
+
+
+instrument = Instrument(
+    name="pose_tracker",
+    source=SOURCE,
+    about="tracker: position and orientation of the tool",
+    channels=(*POINT, *ANGLES),
+    settings=(),
+    nuisances=registration.unknowns(0.05e-3, 0.05e-3),
+    cost=Cost(setup=2700.0, reading=15.0),
+    observe=_pose,
+)
+
+position = Instrument(
+    name="pose_tracker_position",
+    source=SOURCE,
+    about="tracker: position of the tool alone",
+    channels=POINT,
+    settings=(),
+    nuisances=registration.unknowns(0.05e-3, 0.05e-3),
+    cost=Cost(setup=2700.0, reading=10.0),
+    observe=_position,
+)

@@ -1,0 +1,87 @@
+"""Cable robot with one line more than degrees of freedom: the printer Hangprinter HP4 (A, B, C below, D above).
+
+Line i runs from the mover x over the anchor A_i to its spool, a_i-fold. At the origin it is line_i long; the motor has
+turned by q_i since, and the spool by t = q_i / G. A metre of line that leaves the spool lowers the square of its radius
+by b, so a_i dl = r dt with r^2 = r_i^2 - b a_i l gives r = r_i - b t / 2 and
+
+    |A_i - x| = line_i + (r_i t - b t^2 / 4) / a_i.
+
+This is what the firmware's k0 (sqrt(r^2 + k2 l) - r), k2 = -a b, gives for the motor, solved for the line's change l.
+Lines do not stretch here. Four equations, three unknowns: see `oed.kinematics` for where a redundant machine settles.
+
+Numbers: github.com/tobbelobb/auto-calibration-simulation-for-hangprinter, branch hp_mark_adjusted at 790dca2,
+simulation.py: gear 255/20, folds 2, 2, 2, 4, build-up 0.06875 mm, spools of 75 mm, line lengths at the origin measured
+by hand (read to 0.5 mm; 1 mm), anchors as "rough approximations from manual measuring" (50 mm).
+"""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+
+from oed.machine import Component, Coordinate, Expr, Machine, Parameter, Values
+
+LINES = (1, 2, 3, 4)  # A, B, C, D
+GEAR, BUILDUP = 255.0 / 20.0, 0.06875e-3  # 1, m
+FOLD = {1: 2.0, 2: 2.0, 3: 2.0, 4: 4.0}
+SPOOL = 0.075  # m
+LINE = {1: 1.597, 2: 1.795, 3: 1.5825, 4: 2.355}  # m
+_AT = {1: (1.620, -90.0), 2: (1.800, 45.0), 3: (1.620, 150.0)}  # m, degrees: distance from the origin's axis, bearing
+ANCHOR = {
+    i: (round(r * math.cos(math.radians(bearing)), 6), round(r * math.sin(math.radians(bearing)), 6), -0.150)
+    for i, (r, bearing) in _AT.items()
+} | {4: (0.0, 0.0, 2.350)}
+
+
+def _mover(x: Values) -> Expr:
+    return ca.vertcat(x["x"], x["y"], x["z"])
+
+
+def _anchor(p: Values, i: int) -> Expr:
+    return ca.vertcat(*[p[f"anchor{i}{k}"] for k in "xyz"])
+
+
+def closure(x: Values, q: Values, p: Values) -> list[Expr]:
+    """Line lengths; m."""
+    rows = []
+    for i in LINES:
+        turned = q[f"q{i}"] / GEAR
+        paid_out = (p[f"radius{i}"] * turned - BUILDUP * turned**2 / 4.0) / FOLD[i]
+        rows.append(ca.norm_2(_anchor(p, i) - _mover(x)) - p[f"line{i}"] - paid_out)
+    return rows
+
+
+def _motor(c: Values, i: int) -> Expr:
+    """Motor angle at a command, without build-up."""
+    wanted = ca.norm_2(ca.vertcat(*ANCHOR[i]) - _mover(c)) - LINE[i]
+    return FOLD[i] * wanted / SPOOL * GEAR
+
+
+machine = Machine(
+    name="cable_robot",
+    source="Hangprinter HP4: github.com/tobbelobb/auto-calibration-simulation-for-hangprinter (MIT), commit 790dca2",
+    about="cable robot, four lines for three degrees of freedom: x, y, z driven, one line redundant",
+    pose=tuple(Coordinate(n, "m") for n in "xyz"),
+    joints=tuple(Coordinate(f"q{i}", "rad", -1200.0, 600.0) for i in LINES),
+    command=(
+        Coordinate("x", "m", -0.400, 0.400),
+        Coordinate("y", "m", -0.400, 0.400),
+        Coordinate("z", "m", 0.0, 1.400),
+    ),
+    parameters=(
+        *(Parameter(f"anchor{i}{k}", ANCHOR[i]["xyz".index(k)], 0.050, "m", f"{k} of anchor {i}")
+          for i in LINES for k in "xyz"),
+        *(Parameter(f"radius{i}", SPOOL, 1.0e-3, "m", f"spool radius of line {i} at the origin") for i in LINES),
+        *(Parameter(f"line{i}", LINE[i], 1.0e-3, "m", f"length of line {i} at the origin") for i in LINES),
+    ),
+    components=tuple(Component(n, "m", compensatable=True) for n in "xyz"),
+    home={"x": 0.0, "y": 0.0, "z": 0.0},
+    lever=1.6,
+    closure=closure,
+    platform=lambda x: (ca.SX.eye(3), _mover(x)),
+    commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
+    target=lambda c: [c["x"], c["y"], c["z"]],
+    guess=lambda c: ([c["x"], c["y"], c["z"]], [_motor(c, i) for i in LINES]),
+    skeleton=lambda x, q, p: [[_anchor(p, i), _mover(x)] for i in LINES],
+)  # fmt: skip

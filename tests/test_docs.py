@@ -1,0 +1,135 @@
+"""The documentation runs: the tutorial as written, and every example of the gallery."""
+
+import os
+import re
+import runpy
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+TUTORIAL = DOCS / "tutorial_own_machine.md"
+GALLERY = sorted(p for p in (DOCS / "gallery").glob("*.py") if not p.name.startswith("_"))
+BLOCK = re.compile(r"^```(\w+)(?: file=(\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)\s]*)?\)")
+LARGEST = 60_000  # bytes of a picture
+
+
+class Block(NamedTuple):
+    """A fenced block: its language, the file it stands for ("" if none), its text."""
+
+    language: str
+    file: str
+    text: str
+
+
+class Command(NamedTuple):
+    """A line after `$`, and the lines of its output that are shown."""
+
+    line: str
+    shown: list[str]
+
+
+def blocks(page: Path) -> list[Block]:
+    return [Block(*found) for found in BLOCK.findall(page.read_text(encoding="utf-8"))]
+
+
+def commands(console: str) -> list[Command]:
+    told: list[Command] = []
+    for line in console.splitlines():
+        if line.startswith("$ "):
+            told.append(Command(line[2:], []))
+        else:
+            told[-1].shown.append(line)
+    return told
+
+
+def matches(shown: str, line: str) -> bool:
+    """`...` in what is shown stands for anything."""
+    return re.fullmatch(".*".join(re.escape(part) for part in shown.split("...")), line) is not None
+
+
+def missing(shown: list[str], output: str) -> list[str]:
+    """Shown lines that the output does not have, in this order."""
+    rest = iter(output.splitlines())
+    return [line for line in shown if not any(matches(line, found) for found in rest)]
+
+
+def execute(line: str, folder: Path) -> str:
+    """Output of a command as a user types it, with this Python and the commands beside it first on the path."""
+    places = [str(Path(sys.executable).parent), sysconfig.get_path("scripts"), os.environ.get("PATH", "")]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    done = subprocess.run(
+        ["bash", "-c", line],
+        cwd=folder,
+        env=environment | {"PATH": os.pathsep.join(places), "COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("shown", "line", "same"),
+    [("a ... d", "a b c d", True), ("a", "a b", False), ("1.5...", "1.53 um", True), ("[x]", "[x]", True)],
+)
+def test_dots_stand_for_anything(shown: str, line: str, same: bool) -> None:
+    assert matches(shown, line) == same
+
+
+def test_a_missing_line_is_noticed() -> None:
+    assert missing(["a", "c"], "a\nb\nc") == []
+    assert missing(["c", "a"], "a\nb\nc") == ["a"]
+
+
+def test_the_tutorial_shows_the_files_that_are_beside_it() -> None:
+    shown = {b.file: b.text for b in blocks(TUTORIAL) if b.file}
+    kept = {p.name: p.read_text(encoding="utf-8") for p in (DOCS / "tutorial").iterdir() if p.is_file()}
+    assert shown == kept
+    assert len(kept["my_machine.py"].splitlines()) < 100
+
+
+def test_the_tutorial_runs_as_written(tmp_path: Path) -> None:
+    ran = 0
+    for block in blocks(TUTORIAL):
+        if block.file:
+            (tmp_path / block.file).write_text(block.text, encoding="utf-8")
+        elif block.language == "console":
+            for command in commands(block.text):
+                output = execute(command.line, tmp_path)
+                assert not missing(command.shown, output), f"{command.line}\n{output}"
+                ran += 1
+    assert ran >= 9
+
+
+@pytest.mark.parametrize("path", GALLERY, ids=lambda p: p.stem)
+def test_gallery(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each example runs through, its asserts met, and writes its picture into the folder it is told."""
+    monkeypatch.setattr(sys, "argv", [str(path), str(tmp_path)])
+    monkeypatch.syspath_prepend(str(path.parent))
+    runpy.run_path(str(path), run_name="__main__")
+    picture = tmp_path / f"{path.stem}.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert picture.stat().st_size < LARGEST
+    assert "assert " in path.read_text(encoding="utf-8")
+
+
+def test_every_example_is_in_the_gallery_with_its_picture() -> None:
+    page = (DOCS / "gallery" / "README.md").read_text(encoding="utf-8")
+    for path in GALLERY:
+        assert f"({path.name})" in page
+        assert f"(../img/gallery/{path.stem}.png)" in page
+        assert (DOCS / "img" / "gallery" / f"{path.stem}.png").stat().st_size < LARGEST
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda p: p.relative_to(DOCS).as_posix())
+def test_links_lead_somewhere(page: Path) -> None:
+    prose = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    dead = [link for link in LINK.findall(prose) if not (page.parent / link).exists()]
+    assert not dead

@@ -1,0 +1,190 @@
+"""Micro-CMM: closed form, closure and an oracle agree; the paper's closed forms do not; what readings can see."""
+
+import numpy as np
+import pytest
+from oracles import micro_cmm_geometry as oracle
+
+from oed import explain, identify, predict, simulate
+from oed.batch import Array
+from oed.instrument import Setup, mount
+from oed.kinematics import Kinematics
+from oed.measurement import Measurement
+from pkm_models.instruments import ball_plate, camera
+from pkm_models.machines import micro_cmm
+
+MACHINE = micro_cmm.machine
+KINEMATICS = Kinematics(MACHINE)
+RHO = micro_cmm.R_FRAME - micro_cmm.R_PLATFORM
+
+
+def grid(nx: int, nz: int) -> Array:
+    """Positions over the whole workspace, (n, 3)."""
+    ranges = [np.linspace(c.lower, c.upper, n) for c, n in zip(MACHINE.command, (nx, nx, nz), strict=True)]
+    return np.column_stack([m.ravel() for m in np.meshgrid(*ranges, indexing="ij")])
+
+
+def random_machines(rng: np.random.Generator, n: int) -> Array:
+    tolerance = np.array([p.tolerance for p in MACHINE.parameters])
+    return MACHINE.nominal + 3.0 * tolerance * rng.standard_normal((n, len(tolerance)))
+
+
+def centres(p: Array) -> Array:
+    rf, rp, thetaf, thetap = (p[..., 3 * k : 3 * k + 3] for k in range(4))
+    return oracle.centres(rf, rp, thetaf, thetap)
+
+
+# -- direct kinematics -------------------------------------------------------------------------------------
+
+
+def test_closed_form_and_newton_agree_over_the_workspace(rng: np.random.Generator) -> None:
+    points = grid(9, 6)
+    lengths = oracle.legs(points, oracle.centres([0.2] * 3, [0.06] * 3, oracle.THETA, oracle.THETA))
+    closed = micro_cmm.direct(lengths)
+    newton = KINEMATICS.forward(lengths, MACHINE.nominal, points + rng.uniform(-0.02, 0.02, points.shape))
+    assert np.abs(closed - newton).max() < 1e-12
+    assert np.abs(closed - points).max() < 1e-12
+
+
+def test_newton_agrees_with_the_oracle_on_machines_that_are_not_perfect(rng: np.random.Generator) -> None:
+    points, machines = grid(4, 3), random_machines(rng, 30)
+    _, q = KINEMATICS.inverse(points)
+    found = KINEMATICS.forward(q, machines, points)
+    expected = oracle.probe(q + machines[:, None, 12:], centres(machines)[:, None])
+    assert np.abs(found - expected).max() < 1e-12
+    assert np.abs(found - points).max() > 1e-4  # the machines differ
+
+
+def test_slopes_are_those_of_the_oracle() -> None:
+    points, p = grid(3, 3), MACHINE.nominal
+    _, q = KINEMATICS.inverse(points)
+    slopes = KINEMATICS.sensitivity(points, q, p)
+    for k in range(len(p)):
+        moved = p + 1e-30j * np.eye(len(p))[k]
+        expected = oracle.probe(q + moved[12:], centres(moved)[None]).imag / 1e-30
+        assert np.abs(slopes[:, :, k] - expected).max() < 1e-12
+
+
+# -- the paper's closed forms (6)-(8) ----------------------------------------------------------------------
+
+
+def test_printed_x_lost_a_minus_sign_and_carries_a_term_that_vanishes() -> None:
+    """With the sign of 2 l1^2 restored, x is off by rho / 4 (35 mm): the term in rho is to be cos^2 + sin^2 - 1 = 0."""
+    points = grid(5, 3)
+    _, q = KINEMATICS.inverse(points)
+    x = oracle.printed(q, RHO)[:, 0]
+    assert np.abs(x.real - points[:, 0]).min() > 0.1
+    restored = x.real - 4.0 * q[:, 0] ** 2 / (6.0 * RHO)
+    assert np.abs(restored - (points[:, 0] + RHO / 4.0)).max() < 1e-13
+
+
+def test_printed_y_has_the_opposite_sign() -> None:
+    points = grid(5, 3)
+    _, q = KINEMATICS.inverse(points)
+    assert np.abs(oracle.printed(q, RHO)[:, 1].real + points[:, 1]).max() < 1e-13
+
+
+def test_printed_z_needs_the_opposite_signs_of_x_and_y() -> None:
+    points = grid(5, 3)
+    _, q = KINEMATICS.inverse(points)
+    x, y, z = points.T
+    turned = oracle.printed_z(-x, -y, q[:, 1], RHO)
+    assert np.abs(turned - np.abs(z)).max() < 1e-13
+    as_printed = oracle.printed_z(x, y, q[:, 1], RHO)
+    off_centre = np.hypot(x, y) > 0.03
+    assert np.abs(as_printed - np.abs(z))[off_centre & (np.abs(x - np.sqrt(3) * y) > 0.02)].min() > 1e-3
+    # all three together: nowhere in the workspace is the printed model right
+    assert np.linalg.norm(oracle.printed(q, RHO) * [1, 1, -1] - points, axis=1).min() > 0.1
+
+
+def test_spherical_joints_do_not_keep_the_platform_parallel() -> None:
+    """Turn the platform about a horizontal axis: it can be shifted so that all three legs keep their lengths."""
+    ring = np.column_stack([np.cos(oracle.THETA), np.sin(oracle.THETA), np.zeros(3)])
+    frame, platform, at = 0.200 * ring, 0.060 * ring, np.array([0.01, 0.02, -0.2])
+    wanted = np.linalg.norm(at + platform - frame, axis=1)
+    angle = np.deg2rad(5.0)
+    tilt = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    tilted = platform @ tilt.T
+    for _ in range(30):
+        away = at + tilted - frame
+        length = np.linalg.norm(away, axis=1)
+        at = at - np.linalg.solve(away / length[:, None], length - wanted)
+    assert np.abs(np.linalg.norm(at + tilted - frame, axis=1) - wanted).max() < 1e-15
+    assert np.linalg.norm(at - [0.01, 0.02, -0.2]) < 0.01
+
+
+# -- what readings see -------------------------------------------------------------------------------------
+
+
+def measurement(*setups: Setup) -> Measurement:
+    return Measurement(MACHINE, setups)
+
+
+def test_position_readings_see_nine_of_fifteen_in_the_stated_combinations() -> None:
+    m = measurement(mount(camera.known_frame, "position"))
+    seen = explain.look(m, [m.series("position", grid(4, 3))])
+    assert len(seen.names) == 15
+    assert seen.verdict.rank == 9
+    found = seen.verdict.named(seen.verdict.combinations)
+    for i in (1, 2, 3):
+        assert pytest.approx({f"rf{i}": 1.0, f"rp{i}": -1.0}, rel=1e-6) in found
+        assert {f"dl{i}": 1.0} in [pytest.approx(c) for c in found]
+        # R_f theta_f - R_p theta_p, told per unit of its pivot: with R_f = 200, R_p = 60 mm
+        pair = next(c for c in found if f"thetaf{i}" in c)
+        assert set(pair) == {f"thetaf{i}", f"thetap{i}"}
+        assert pair[f"thetaf{i}"] / pair[f"thetap{i}"] == pytest.approx(-0.200 / 0.060, rel=1e-6)
+
+
+def test_the_lost_directions_change_no_reading_at_all() -> None:
+    """Not only to first order: R_f and R_p together leave every position where it was."""
+    points = grid(4, 3)
+    _, q = KINEMATICS.inverse(points)
+    p = MACHINE.nominal.copy()
+    p[[0, 3]] += 1e-3
+    assert np.abs(KINEMATICS.forward(q, p, points) - points).max() < 1e-14
+
+
+def test_a_ball_plate_loses_the_machines_motions_in_its_plane_as_well() -> None:
+    """15 + 6 of the plate's registration, of which 12 are seen: 9 + 6 less x, y and the turn about z."""
+    m = measurement(mount(ball_plate.instrument, "plate", at_z=-0.2))
+    seen = explain.look(m, [m.series("plate", grid(4, 2))])
+    assert (len(seen.names), seen.verdict.rank) == (21, 12)
+
+
+def test_distances_see_as_much_of_the_machine_as_the_plate(rng: np.random.Generator) -> None:
+    """Machine 9 less the three motions in the plane; the scale is a seventh."""
+    m = measurement(mount(ball_plate.distance, "gauge"))
+    pairs = np.vstack([rng.permutation(grid(3, 2)) for _ in range(4)])
+    seen = explain.look(m, [m.series("gauge", pairs, [str(i // 2) for i in range(len(pairs))])])
+    assert (len(seen.names), seen.verdict.rank) == (16, 7)
+
+
+def test_a_ball_plate_by_hand() -> None:
+    """A plate shifted by 10 mm and turned by 90 degrees about z: (x, y) reads (-y, x), then the shift."""
+    m = measurement(mount(ball_plate.instrument, "plate", at_z=-0.2))
+    series = m.series("plate", np.array([[0.02, 0.03, -0.21]]))
+    theta = m.nominal
+    theta[m.names.index("plate.shift_x")], theta[m.names.index("plate.turn_z")] = 0.01, np.pi / 2.0
+    assert m.readings([series], theta) == pytest.approx([-0.02, 0.02, -0.01], abs=1e-15)
+
+
+def test_planted_errors_come_back_in_what_is_seen(rng: np.random.Generator) -> None:
+    m = measurement(mount(camera.known_frame, "position", sigma=[0.2e-6] * 3))
+    series = [m.series("position", grid(4, 3))]
+    truth = simulate.draw(m, rng)
+    y = simulate.read(m, series, truth, rng)
+    found = identify.identify(m, series, y)
+    verdict = explain.look(m, series).verdict
+    off = verdict.combinations @ (found.theta - truth)
+    sd = np.sqrt(np.diag(verdict.combinations @ found.covariance @ verdict.combinations.T))
+    assert np.abs(off / sd).max() < 4.0
+    assert (sd < 0.02 * np.abs(verdict.combinations) @ m.tolerance).all()
+
+
+def test_a_machine_turned_as_a_whole_is_accurate_after_the_best_fit() -> None:
+    """It never turns its platform, so that its points alone are aligned: frame and platform turned together."""
+    maps = predict.error_maps(KINEMATICS, grid(3, 2), "best_fit")
+    turned = np.zeros(15)
+    turned[6:12] = 1e-3
+    home = predict.error_maps(KINEMATICS, grid(3, 2), "home")
+    assert np.abs(home.raw @ turned).max() > 30e-6
+    assert np.abs(maps.raw @ turned).max() < 1e-15

@@ -1,0 +1,297 @@
+"""The 3-PRS spindle head of Wang and Fan (2004) against the oracle: what its readings tell, and what they cannot."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from oracles import prs_geometry as oracle
+
+from oed import explain, identify
+from oed.explain import Seen
+from oed.instrument import Instrument, mount
+from oed.kinematics import Kinematics
+from oed.machine import Machine
+from oed.measurement import Measurement, Series
+from pkm_models.instruments import laser_ball_bar, pose_tracker
+from pkm_models.machines import prs_spindle, prs_spindle_struts
+
+FULL, STRUTS = prs_spindle.machine, prs_spindle_struts.machine
+GIMBAL = np.array([0.0, -0.7, 0.1])
+BASELINE = 0.1
+AT = {"at_x": GIMBAL[0], "at_y": GIMBAL[1], "at_z": GIMBAL[2]}
+#: a known frame: the registration is held
+KNOWN = {f"{kind}_{n}": 0.0 for kind in ("shift", "turn") for n in "xyz"}
+NOISE = np.array([0.3e-6, *[np.deg2rad(1.15 / 3600)] * 2])
+PAPER = 1e-3 * oracle.TABLE_4
+NAMES = tuple(f"{kind.format(i)}" for i in (1, 2, 3) for kind in ("db{}x", "db{}y", "db{}z", "dR{}x", "dR{}y", "dl{}"))
+SPIN = "rotation of the platform joints about the tool tip, z axis"
+
+
+def poses(z: float | np.ndarray = 0.2) -> np.ndarray:
+    """Commands (22, 3) of Table 2, which gives no heights."""
+    return np.column_stack([np.broadcast_to(z, 22), np.deg2rad(oracle.TABLE_2)])
+
+
+def measured(
+    machine: Machine, instrument: Instrument, tolerances: Mapping[str, float] = KNOWN, z: float | np.ndarray = 0.2
+) -> tuple[Measurement, Series]:
+    settings = AT if instrument.settings else {}
+    m = Measurement(machine, [mount(instrument, "read", tolerances=tolerances, **settings)])
+    return m, m.series("read", poses(z))
+
+
+def look(machine: Machine, instrument: Instrument, tolerances: Mapping[str, float] = KNOWN) -> Seen:
+    m, series = measured(machine, instrument, tolerances)
+    return explain.look(m, [series])
+
+
+def lost(seen: Seen) -> str:
+    return next(f.text for f in explain.explain(seen) if "lost" in f.text.lower())
+
+
+def random_commands(rng: np.random.Generator, n: int) -> np.ndarray:
+    tilt, around = np.deg2rad(35) * np.sqrt(rng.uniform(size=n)), rng.uniform(-np.pi, np.pi, n)
+    return np.column_stack([rng.uniform(0.0, 0.4, n), tilt * np.cos(around), tilt * np.sin(around)])
+
+
+# -- the machine and its tables ----------------------------------------------------------------------------
+
+
+def test_table_4_is_table_3_less_table_1() -> None:
+    """To the last digit printed; some of Table 3's are cut off rather than rounded."""
+    assert np.abs(oracle.TABLE_3 - oracle.TABLE_1 - oracle.TABLE_4).max() < 0.0101
+
+
+def test_eq_2_as_printed_has_another_origin_than_table_1() -> None:
+    """The same triangle, (R/2, 0) further along X: with Table 1's platform, strut 1 would hang 0.3235 m sideways."""
+    printed = oracle.R * np.array([[1.5, 0.0], [0.0, np.sqrt(3) / 2], [0.0, -np.sqrt(3) / 2]])
+    table = 1e-3 * oracle.TABLE_1[:, 3:5]
+    assert printed - table == pytest.approx(np.tile([oracle.R / 2, 0.0], (3, 1)), abs=1e-6)
+    platform = 1e-3 * oracle.TABLE_1[:, :2]
+    assert np.linalg.norm(table - platform, axis=1) == pytest.approx([0.149] * 3, abs=1e-6)
+    assert np.linalg.norm(printed - platform, axis=1) == pytest.approx([0.3235, 0.1632, 0.1632], abs=1e-4)
+    assert [p.name for p in FULL.parameters] == list(NAMES)
+
+
+def test_inverse_is_the_closed_form(rng: np.random.Generator) -> None:
+    command = np.vstack([poses(), random_commands(rng, 300)])
+    kinematics = Kinematics(FULL)
+    x, q = kinematics.inverse(command)
+    tip, rot, heights = oracle.nominal(*command.T)
+    found, point, _ = kinematics.frames(x, np.zeros(3))
+    assert np.abs(q - heights).max() < 1e-14
+    assert np.abs(point - tip).max() < 1e-14
+    assert np.abs(found - rot).max() < 1e-14
+
+
+def test_forward_is_the_triangle_on_three_swings(rng: np.random.Generator) -> None:
+    command = random_commands(rng, 300)
+    kinematics = Kinematics(FULL)
+    x, q = kinematics.inverse(command)
+    for p in (PAPER, 1e-3 * rng.standard_normal((3, 6))):
+        exact = oracle.forward(q, p)
+        found, point, _ = kinematics.frames(kinematics.forward(q, p.ravel(), x), np.zeros(3))
+        assert np.abs(point - exact.tip).max() < 1e-13
+        assert np.abs(found - exact.rotation).max() < 1e-13
+
+
+# -- instruments -------------------------------------------------------------------------------------------
+
+
+def test_laser_ball_bar_reads_what_the_oracle_reads() -> None:
+    m, series = measured(FULL, laser_ball_bar.instrument)
+    exact = oracle.forward(series.q, PAPER)
+    theta = np.r_[PAPER.ravel(), np.zeros(6)]
+    expected = oracle.laser_ball_bar(exact.tip, exact.rotation, GIMBAL, BASELINE)
+    assert np.abs(m.readings([series], theta).reshape(22, 5) - expected).max() < 1e-13
+    m, series = measured(FULL, laser_ball_bar.position)
+    assert np.abs(m.readings([series], theta).reshape(22, 3) - expected[:, :3]).max() < 1e-13
+
+
+def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng: np.random.Generator) -> None:
+    """Covariance of x, y, z, alpha, beta against 20000 readings whose R, theta, phi were disturbed at A and at B."""
+    m, series = measured(FULL, laser_ball_bar.instrument)
+    root = m.noise([series]).root
+    assert root is not None
+    covariance = (root @ root.T).toarray()
+    tip, rot, _ = oracle.nominal(*poses().T)
+    k, many = 14, 20_000
+    noise = NOISE * rng.standard_normal((many, 2, 3))
+    read = oracle.laser_ball_bar(np.tile(tip[k], (many, 1)), np.tile(rot[k], (many, 1, 1)), GIMBAL, BASELINE, noise)
+    block = covariance[5 * k : 5 * k + 5, 5 * k : 5 * k + 5]
+    sd = np.sqrt(np.diag(block))
+    assert np.cov(read.T) / np.outer(sd, sd) == pytest.approx(block / np.outer(sd, sd), abs=0.03)
+    assert np.abs(block / np.outer(sd, sd) - np.eye(5)).max() > 0.3  # independent channels would be another thing
+    assert np.count_nonzero(covariance) <= 22 * 25  # readings are independent of each other
+
+
+def test_one_laser_ball_bar_reading_by_hand() -> None:
+    """A ball 0.7 m in front of the gimbal at its height: R is y, phi is -x, theta is z; 0.3 um, 0.7 m x 1.15 arcsec."""
+    setup = mount(laser_ball_bar.position, "read", at_x=0.0, at_y=-0.7, at_z=0.2)
+    m = Measurement(FULL, [setup])
+    series = m.series("read", np.array([[0.2, 0.0, 0.0]]))
+    assert m.readings([series], m.nominal) == pytest.approx([0.0, 0.0, 0.2], abs=1e-15)
+    assert 1e6 * m.sigma([series]) == pytest.approx([3.9027, 0.3, 3.9027], rel=1e-4)
+
+
+def test_registration_moves_what_is_read(rng: np.random.Generator) -> None:
+    """A frame shifted by t and turned by w about the gimbal: small-angle formulas, and the known frame at zero."""
+    m, series = measured(FULL, laser_ball_bar.instrument, {})
+    tip, rot, _ = oracle.nominal(*poses().T)
+    t, w = 1e-6 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
+    theta = m.nominal
+    theta[18:] = np.r_[t, w]
+    plain = oracle.laser_ball_bar(tip, rot, GIMBAL, BASELINE)
+    moved = (m.readings([series], theta).reshape(22, 5) - plain)[:, :3]
+    assert np.abs(moved - t - np.cross(w, tip - GIMBAL)).max() < 1e-11
+
+
+def test_pose_tracker_reads_position_and_angles() -> None:
+    m, series = measured(FULL, pose_tracker.instrument)
+    exact = oracle.forward(series.q, PAPER)
+    expected = np.hstack([exact.tip, oracle.angles(exact.rotation)])
+    theta = np.r_[PAPER.ravel(), np.zeros(6)]
+    assert np.abs(m.readings([series], theta).reshape(22, 6) - expected).max() < 1e-13
+
+
+# -- what is seen ------------------------------------------------------------------------------------------
+
+
+def test_strut_lengths_alone_see_five_of_six_errors_of_a_limb() -> None:
+    """Eq. (11) at the machine as drawn, at Table 2's poses and at thousands more: the tangential column is zero."""
+    rng = np.random.default_rng(1)
+    for command in (poses(), random_commands(rng, 3000)):
+        tip, rot, q = oracle.nominal(*command.T)
+        rows = oracle.strut_rows(oracle.struts(tip, rot, q, np.zeros((3, 6))), rot)
+        for i in range(3):
+            s = np.linalg.svd(rows[:, i], compute_uv=False)
+            assert np.count_nonzero(s > 1e-9 * s[0]) == 5
+            assert np.abs(rows[:, i, 3:5] @ oracle.TANGENT[i]).max() < 1e-14
+
+
+def test_strut_only_machine_loses_the_three_tangential_offsets_from_full_poses() -> None:
+    seen = look(STRUTS, pose_tracker.instrument)
+    assert (seen.verdict.rank, len(seen.names)) == (15, 18)
+    tangential = np.zeros((3, 3, 6))
+    tangential[range(3), range(3), 3:5] = oracle.TANGENT
+    assert np.abs(seen.verdict.combinations @ tangential.reshape(3, 18).T).max() < 1e-9
+    for text in ("dR1y by +1 mm", "dR2x by +1 mm, dR2y by +0.577 mm", "dR3x by +1 mm, dR3y by -0.577 mm"):
+        assert f"moving {text}" in lost(seen)
+
+
+@pytest.mark.parametrize("z", [0.0, 0.2, np.linspace(0.0, 0.4, 22)], ids=["low", "middle", "climbing"])
+def test_full_closure_sees_18_17_and_15_of_18(z: float | np.ndarray) -> None:
+    """Known frame, Table 2's poses: six components, position and axis, position. Heights, unprinted, do not matter."""
+    for instrument, rank in (
+        (pose_tracker.instrument, 18),
+        (laser_ball_bar.instrument, 17),
+        (laser_ball_bar.position, 15),
+        (pose_tracker.position, 15),
+    ):
+        m, series = measured(FULL, instrument, z=z)
+        assert explain.look(m, [series]).verdict.rank == rank
+
+
+def test_the_lost_directions_are_rotations_of_the_platform_joints() -> None:
+    assert lost(look(FULL, laser_ball_bar.instrument)).startswith(f"Lost, 1 direction of 18: the {SPIN}.")
+    told = lost(look(FULL, laser_ball_bar.position))
+    assert all(f"rotation of the platform joints about the tool tip, {n} axis" in told for n in "xyz")
+    seen = look(FULL, laser_ball_bar.instrument)
+    spin = np.zeros((3, 6))
+    spin[:, :2] = np.cross([0.0, 0.0, 1.0], oracle.BALLS)[:, :2]
+    assert np.abs(seen.verdict.combinations @ spin.ravel()).max() < 1e-9
+
+
+def test_a_frame_that_is_not_known_hides_two_more_directions() -> None:
+    """Six unknowns more, 22, 21 and 19 of 24: shifting all sliders along X or Y is shifting the frame."""
+    for instrument, rank in (
+        (pose_tracker.instrument, 22),
+        (laser_ball_bar.instrument, 21),
+        (laser_ball_bar.position, 19),
+    ):
+        seen = look(FULL, instrument, {})
+        assert (seen.verdict.rank, len(seen.names)) == (rank, 24)
+        for k, n in enumerate("xy"):
+            shift = np.zeros(24)
+            shift[[seen.names.index(f"dR{i}{n}") for i in (1, 2, 3)]] = 1.0
+            shift[18 + k] = -1.0
+            assert np.abs(seen.verdict.combinations @ shift).max() < 1e-9
+
+
+# -- Table 4 planted ---------------------------------------------------------------------------------------
+
+
+def planted(seed: int, tolerances: Mapping[str, float]) -> tuple[Measurement, Series, np.ndarray]:
+    """Readings (110,) of the oracle's machine with Table 4's errors, noise on R, theta, phi at A and B."""
+    m, series = measured(FULL, laser_ball_bar.instrument, tolerances)
+    exact = oracle.forward(series.q, PAPER)
+    noise = NOISE * np.random.default_rng(seed).standard_normal((22, 2, 3))
+    return m, series, oracle.laser_ball_bar(exact.tip, exact.rotation, GIMBAL, BASELINE, noise).ravel()
+
+
+@pytest.mark.parametrize("tolerances", [KNOWN, {}], ids=["known frame", "aligned frame"])
+def test_table_4_comes_back_in_every_identifiable_combination(tolerances: Mapping[str, float]) -> None:
+    """Eight seeds; 17 combinations with the frame known, 21 with its six unknowns. All within 3 posterior standard
+    deviations, and not all well within: their mean square is near 1 where the readings, not the tolerances, decide."""
+    found, sizes = [], []
+    for seed in range(8):
+        m, series, y = planted(seed, tolerances)
+        combinations = explain.look(m, [series]).verdict.combinations
+        names = [n for n, f in zip(m.names, m.free, strict=True) if f]
+        keep = [m.names.index(n) for n in names]
+        estimate = identify.identify(m, [series], y)
+        miss = estimate.theta[keep] - np.r_[PAPER.ravel(), np.zeros(6)][keep]
+        sd = np.sqrt(np.einsum("ij,jk,ik->i", combinations, estimate.covariance[np.ix_(keep, keep)], combinations))
+        found.append(combinations @ miss / sd)
+        prior = np.sqrt((combinations**2) @ m.tolerance[keep] ** 2)
+        sizes.append(sd / prior)
+    score, share = np.array(found), np.array(sizes)
+    assert score.shape[1] == (17 if tolerances else 21)
+    assert np.abs(score).max() < 3.0
+    decided = share.max(axis=0) < 0.2
+    assert decided.sum() >= 17
+    assert 0.6 < np.mean(score[:, decided] ** 2) < 1.6
+
+
+def test_what_the_paper_s_own_equations_return_for_its_own_numbers() -> None:
+    """A virtual machine with Table 4's errors, its poses known without noise, Eq. (12) solved as in section 6: all
+    comes back to 2 um but the tangential offsets, which come back as zero, for they are not in the equations."""
+    q = oracle.nominal(*poses().T)[2]
+    exact = oracle.forward(q, PAPER)
+    found = oracle.paper_fit(exact.tip, exact.rotation, q, cut=1e-3)
+    wrong = found - PAPER
+    tangential = (PAPER[:, 3:5] * oracle.TANGENT).sum(1)
+    assert 1e3 * tangential == pytest.approx([1.186, -1.350, 1.336], abs=1e-3)
+    assert np.abs((found[:, 3:5] * oracle.TANGENT).sum(1)).max() < 2e-6
+    wrong[:, 3:5] += tangential[:, None] * oracle.TANGENT
+    assert np.abs(wrong).max() < 2e-6
+
+
+def test_a_millimetre_of_tangential_offset_changes_a_strut_by_half_a_micrometre() -> None:
+    """Exactly, at measured poses: e^2 / 2l. The laser ball bar reads a position to 4 um."""
+    q = oracle.nominal(*poses().T)[2]
+    exact = oracle.forward(q, PAPER)
+    for e in (1e-3, -1e-3):
+        moved = PAPER.copy()
+        moved[:, 3:5] += e * oracle.TANGENT
+        length = np.linalg.norm(oracle.struts(exact.tip, exact.rotation, q, moved), axis=-1) - oracle.L - moved[:, 5]
+        assert length == pytest.approx(np.full((22, 3), e**2 / (2 * oracle.L)), rel=2e-3)
+        assert np.ptp(length, axis=0).max() < 1e-11  # and what there is, is constant: it passes for dl
+
+
+def test_gamma_is_no_function_of_alpha_and_beta_on_a_machine_with_errors() -> None:
+    """Section 5.2 (d) computes gamma from alpha and beta. With Table 4's errors it is 1.7 to 2.4 mrad off, by the mean
+    tangential offset over r; the paper's procedure, fed with that, misses its own numbers by 0.4 mm in a ball joint,
+    0.25 mm in a strut and 0.85 mm in a slider's radial place, without any noise."""
+    q = oracle.nominal(*poses().T)[2]
+    exact = oracle.forward(q, PAPER)
+    alpha, beta, gamma = oracle.angles(exact.rotation).T
+    off = gamma - oracle.gamma_of(alpha, beta)
+    assert 1.7e-3 < off.min() < off.max() < 2.5e-3
+    tangential = (PAPER[:, 3:5] * oracle.TANGENT).sum(1)
+    assert off.mean() == pytest.approx(tangential.mean() / oracle.r, rel=0.03)
+    rot = oracle.rotation(alpha, beta, oracle.gamma_of(alpha, beta))
+    wrong = 1e3 * (oracle.paper_fit(exact.tip, rot, q, cut=1e-3) - PAPER)
+    assert np.abs(wrong[:, :3]).max() == pytest.approx(0.404, abs=2e-3)
+    assert np.abs(wrong[:, 5]).max() == pytest.approx(0.246, abs=2e-3)
+    assert np.abs((wrong[:, 3:5] * oracle.RADIAL).sum(1)).max() == pytest.approx(0.850, abs=2e-3)
