@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
-from oed.machine import Expr, Parameter, Values
+from oed.machine import Expr, Machine, Parameter, Values
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Frame:
     """What an instrument can see of the machine: the tool's orientation (3 x 3) and tool point (3,), base frame.
 
     misfit  root mean square, with a sign, by which the closure's equations miss each other; None where the machine is
-            not redundant
+            not redundant by one equation
     """
 
     rotation: Expr
@@ -65,6 +65,7 @@ class Instrument:
     sources(frames, s, k)  slopes (channels x sources) from independent errors inside the instrument, each in units of
                            its own standard deviation; None: the channels' noise is independent. With sources, a
                            set-up's sigma scales them: channel c's sigma over the default is the factor of row c
+    unfit(machine)         why it cannot read a machine, in words; None, as by default, where it can
     holds(k)               value (SI) that the first channel has by design, if the poses are chosen to keep it
                            (a ball bar's length); None otherwise
     """
@@ -79,6 +80,7 @@ class Instrument:
     reference: Literal["teach", "run"] | None = None
     sources: Callable[[Sequence[Frame], Values, Values], Expr] | None = None
     holds: Callable[[Mapping[str, float]], float] | None = None
+    unfit: Callable[[Machine], str | None] = lambda machine: None
     about: str = ""
 
     @property

@@ -255,16 +255,14 @@ def _twist(rotation: ca.SX, tip: ca.SX, x: ca.SX) -> ca.SX:
 
 
 def misfit(phi: Expr, x: Expr) -> Expr | None:
-    """By how much the equations of a redundant machine miss each other where it settles; None if it is not redundant.
+    """By how much the equations of a redundant machine miss each other where it settles.
 
-    With one equation more than unknowns, phi = g m^1/2 n there, where n is the unit vector with n^T phi_x = 0 (the
-    signed minors of phi_x) and m the number of equations: g is the root mean square of phi, with a sign.
+    None unless there is one equation more than unknowns. Then phi = g m^1/2 n there, where n is the unit vector with
+    n^T phi_x = 0 (the signed minors of phi_x) and m the number of equations: g is the root mean square of phi, with a
+    sign.
     """
-    more = phi.numel() - x.numel()
-    if more == 0:
+    if phi.numel() != x.numel() + 1:
         return None
-    if more > 1:
-        raise NotImplementedError("misfits of machines that are redundant by more than one equation")
     phi_x, rows = ca.jacobian(phi, x), phi.numel()
     minors = [(-1) ** i * ca.det(phi_x[[k for k in range(rows) if k != i], :]) for i in range(rows)]
     normal = ca.vertcat(*minors)

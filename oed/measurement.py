@@ -77,6 +77,10 @@ class Measurement:
         names = [s.name for s in setups]
         if len(set(names)) != len(names):
             raise ValueError(f"set-up names are not unique: {names}")
+        for s in setups:
+            reason = s.instrument.unfit(machine)
+            if reason is not None:
+                raise ValueError(f"set-up {s.name}: {s.instrument.name} cannot read {machine.name}: {reason}")
         self.machine = machine
         self.kinematics = Kinematics(machine)
         self.setups = {s.name: s for s in setups}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pkm_studies.errors import shorten, suggest
@@ -72,7 +72,7 @@ def _check(name: str, table: ClaimTable, result: Mapping[str, Any]) -> Claim:
         measured = lookup(result, table.of)
     except LookupError as error:
         return Claim(claim=name, measured=shorten(str(error), LONGEST), wanted=wanted, met=False)
-    return Claim(claim=name, measured=_told(measured), wanted=wanted, met=_met(table, measured))
+    return Claim(claim=name, measured=_told(measured, table.contains), wanted=wanted, met=_met(table, measured))
 
 
 def _wanted(table: ClaimTable) -> str:
@@ -92,11 +92,28 @@ def _value(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _told(measured: object) -> float | str:
-    """A number as it is, everything else as text."""
+def _told(measured: object, wanted: str | None = None) -> float | str:
+    """A number as it is, everything else as text: the sentence that holds what was wanted, or the beginning."""
     if isinstance(measured, int | float) and not isinstance(measured, bool):
         return measured
-    return shorten(measured if isinstance(measured, str) else json.dumps(measured), LONGEST)
+    sentences = list(_sentences(measured))
+    found = next((s for s in sentences if wanted is not None and wanted in s), None)
+    if found is None:
+        return shorten(measured if isinstance(measured, str) else json.dumps(measured), LONGEST)
+    start = max(0, found.index(wanted or "") - LONGEST // 4)
+    return shorten(("... " if start else "") + found[start:], LONGEST)
+
+
+def _sentences(value: object) -> Iterator[str]:
+    """All texts in a value."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for part in value.values():
+            yield from _sentences(part)
+    elif isinstance(value, list):
+        for part in value:
+            yield from _sentences(part)
 
 
 def _met(table: ClaimTable, measured: object) -> bool:

@@ -116,6 +116,9 @@ def _setups(study: Study, machine: Machine) -> dict[str, Setup]:
 
 def _setup(study: Study, table: SetupTable, machine: Machine, place: Place) -> Setup:
     instrument = catalogue.instrument(table.instrument, study.folder, place.key("instrument"))
+    reason = instrument.unfit(machine)
+    if reason is not None:
+        raise place.key("instrument").error(f"it cannot read {machine.name}: {reason}", "take another", instrument.name)
     settings = quantities.read(table.settings, {s.name: s.unit for s in instrument.settings}, place)
     for s in instrument.settings:
         if s.default is None and s.name not in settings:

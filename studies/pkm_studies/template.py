@@ -38,6 +38,9 @@ def write(name: str, machine: str, instrument: str, folder: Path) -> Path:
     place = Place("oed new")
     model = catalogue.machine(machine, folder, place.key("--machine"))
     tool = catalogue.instrument(instrument, folder, place.key("--instrument"))
+    reason = tool.unfit(model)
+    if reason is not None:
+        raise place.key("--instrument").error(f"it cannot read {model.name}: {reason}", "take another", instrument)
     return files.write_whole(path, text(name, machine, model, instrument, tool))
 
 

@@ -1,8 +1,8 @@
 """Calibrated artefacts with balls, probed by the machine itself: a ball plate, and distances on it or on a step gauge.
 
 Its certificate gives each ball's place in the plate's own frame. The machine probes a ball, records its joints, and the
-certificate says where the tool point then was: y = R(turn) (tool point - place) + shift, with the plate's place known to
-what laying it down by hand leaves: shift and turn are unknown. Noise of a reading: probing (0.15 um) and certificate (0.15 um) together.
+certificate says where the tool point then was: y = R(turn) (tool point - place) + shift. The plate's place is known to
+what laying it down by hand leaves: shift and turn are unknown. Noise: probing and certificate, 0.15 um each.
 
 `distance`   the certified distance between two balls (or between faces of a step gauge): |x_1 - x_0|, whatever the
              artefact's place; a pair of balls is a run of two poses. Both ends are probed: 0.3 um. Its unknown is the

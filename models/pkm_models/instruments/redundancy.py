@@ -15,13 +15,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from oed.instrument import Channel, Cost, Frame, Instrument
-from oed.machine import Expr, Values
+from oed.machine import Expr, Machine, Values
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    if frames[0].misfit is None:
-        raise ValueError("redundancy reads machines with more legs than degrees of freedom: this one has none to spare")
     return [frames[0].misfit]
+
+
+def _unfit(machine: Machine) -> str | None:
+    spare = len(machine.joints) - len(machine.command)
+    return None if spare == 1 else f"it takes one joint more than degrees of freedom, here are {spare} more"
 
 
 instrument = Instrument(
@@ -33,4 +36,5 @@ instrument = Instrument(
     nuisances=(),
     cost=Cost(setup=60.0, reading=10.0),
     observe=_observe,
+    unfit=_unfit,
 )

@@ -8,7 +8,7 @@ frame point f_i (radius R_f, angle theta_f) to the platform point p_i (radius R_
 x is the probe, below the frame: z < 0. The paper gives no dimensions: R_f = 200 mm, R_p = 60 mm and a probe 150 to
 250 mm below the frame are chosen here; a study replaces them by [machine.nominal]. So are the tolerances: parts made to
 50 um, and the legs' zeros as well. The paper's joints are spherical at both ends; those alone do not keep the platform
-parallel, so take Tsai's 3-UPU legs (its Fig. 2). Its closed forms (6)-(8) are wrong: see docs/errata_micro_cmm.md and
+parallel, so take Tsai's 3-UPU legs (its Fig. 2). Its closed forms (6)-(8) are wrong: see docs/errata.md and
 `direct` for the right ones.
 """
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from oed import criteria, explain, information
 from oed.design import exchange
-from oed.instrument import Instrument
 from oed.measurement import Index, Measurement, Series
 from pkm_studies import grids, quantities, result
 from pkm_studies.errors import Place
@@ -39,12 +38,18 @@ def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
     if design.criterion not in ("D", "E"):
         raise place.key("criterion").error("exchange designs know D and E", 'write "D" or "E"', design.criterion)
     measurement, candidates = resolved.measurement, resolved.candidates
-    if any(not _single(measurement.setups[s.setup].instrument) for s in candidates):
-        problem = "exchange takes readings of one channel with noise of their own"
-        raise place.error(problem, "take candidates of such an instrument")
+    instruments = [measurement.setups[s.setup].instrument for s in candidates]
+    if any(c.shared for i in instruments for c in i.channels):
+        problem = "exchange takes readings with noise of their own, not told against a run's reference"
+        raise place.key("candidates").error(problem, "give the plan as [[design.reference]]")
+    channels = {len(i.channels) for i in instruments}
+    if len(channels) > 1:
+        problem = f"the candidates' instruments have {' and '.join(map(str, sorted(channels)))} channels"
+        raise place.key("candidates").error(problem, "take candidates with equally many")
     free = measurement.free
     rows = information.scaled(measurement, candidates, measurement.nominal, design.scaling)[:, free]
-    prior = np.eye(rows.shape[1]) if design.prior else None
+    rows = rows.reshape(-1, channels.pop(), rows.shape[1])  # one block a reading
+    prior = np.eye(rows.shape[2]) if design.prior else None
     if prior is not None and design.scaling != "tolerance":
         raise place.key("prior").error("tolerances enter in their own unit", 'write scaling = "tolerance" beside it')
     try:
@@ -52,10 +57,6 @@ def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
     except ValueError as error:
         raise place.key("readings").error(str(error), "ask for more readings, or give more candidates") from error
     return Chosen(_split(measurement, candidates, choice.indices), choice, len(rows))
-
-
-def _single(instrument: Instrument) -> bool:
-    return len(instrument.channels) == 1 and not instrument.channels[0].shared
 
 
 def _known(criterion: str) -> Literal["D", "E"]:
