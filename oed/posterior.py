@@ -99,7 +99,10 @@ def sample(
     start = target.centre + rng.standard_normal((count, dimensions)) @ target.root.T
     state = emcee.State(start, random_state=np.random.RandomState(rng.integers(2**31)).get_state())
     while sampler.iteration < max_steps:
-        state = sampler.run_mcmc(state, min(LOOK, max_steps - sampler.iteration))
+        for latest in sampler.sample(state, iterations=min(LOOK, max_steps - sampler.iteration)):
+            state = latest
+            if target.interrupted:
+                raise KeyboardInterrupt
         longest = _longest(sampler)
         burn_in = min(int(2 * longest), sampler.iteration // 2)
         reached = count * (sampler.iteration - burn_in) / longest
@@ -154,6 +157,7 @@ class _Target:
         self.local: Coordinates = estimate.coordinates
         self.readings = measurement.near(series, estimate.theta)
         labels = np.array([s.setup for s in series for _ in range(len(s) * len(measurement.setups[s.setup].sigma))])
+        self.interrupted = False
         self._members = [labels == g for g in noise_groups]
         self.r = self.local.basis.shape[1]
         self.moving = np.flatnonzero(np.abs(self.local.basis).max(axis=1) > 0)
@@ -164,6 +168,14 @@ class _Target:
         self._stated = estimate.noise.scaled(np.array([1.0 / estimate.noise_scale[g] for g in labels]))
 
     def __call__(self, points: Array) -> Array:
+        """Log density (walkers,). emcee prints a traceback of whatever is raised here, so Ctrl-C is only noted."""
+        try:
+            return self._density(points)
+        except KeyboardInterrupt:
+            self.interrupted = True
+            return np.full(len(points), -np.inf)
+
+    def _density(self, points: Array) -> Array:
         z, log_noise = points[:, : self.r], points[:, self.r :]
         white = self._stated.whiten_last(self.readings(self.local.theta(z)) - self.y)
         square, count = white**2, np.zeros(len(points))
