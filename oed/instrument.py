@@ -89,6 +89,24 @@ class Instrument:
         return 1 if self.reference is None else 2
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class Protocol:
+    """How often each planned reading is taken: `repeats` times one way, and as often back if `both_directions`.
+
+    With `average` their mean is the reading, and its noise is that of independent passes; without, all are kept.
+    """
+
+    repeats: int = 1
+    both_directions: bool = False
+    average: bool = True
+
+    @property
+    def passes(self) -> list[str]:
+        """Names of the passes of a run, in order."""
+        ways = ("forward", "backward") if self.both_directions else ("forward",)
+        return [f"{way} {k + 1}" for way in ways for k in range(self.repeats)]
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setup:
     """An instrument as mounted: its settings (SI), the tool in use, the teach pose, tolerances of its unknowns.
@@ -96,7 +114,8 @@ class Setup:
     tool       tool point (3,) in the platform frame relative to the reference tool's, m
     teach      command (n_dof,) of the pose at which the set-up was taught, SI; only for reference "teach"
     nuisances  the instrument's nuisances with this set-up's tolerances
-    sigma      noise (SI) of each channel
+    sigma      noise (SI) of each channel, of the mean where the protocol averages
+    protocol   how often each planned reading is taken
     """
 
     name: str
@@ -106,6 +125,7 @@ class Setup:
     sigma: tuple[float, ...]
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
     teach: tuple[float, ...] | None = None
+    protocol: Protocol = Protocol()
 
     def __post_init__(self) -> None:
         known = {s.name for s in self.instrument.settings}

@@ -21,7 +21,7 @@ from scipy.optimize import elementwise
 
 from oed import noise
 from oed.batch import Array, Batched
-from oed.instrument import Frame, Setup
+from oed.instrument import Frame, Protocol, Setup
 from oed.kinematics import STEP, AssemblyError, Kinematics, misfit, symbols
 from oed.machine import Machine, Parameter
 from oed.noise import Noise
@@ -64,6 +64,20 @@ class Series:
             index=index.reshape(self.index[rows].shape).astype(np.intp),
             run=self.run[rows],
         )
+
+    def passes(self, protocol: Protocol) -> Series:
+        """The readings of all passes, each pass of a run a run of its own, backward ones in reverse; as they are if
+        the protocol averages."""
+        if protocol.average or len(protocol.passes) == 1:
+            return self
+        rows, labels = [], []
+        for run in dict.fromkeys(self.run):
+            members = np.flatnonzero(self.run == run)
+            for name in protocol.passes:
+                rows.append(members[::-1] if name.startswith("backward") else members)
+                labels += [f"{run}, {name}"] * len(members)
+        taken = self.take(np.concatenate(rows))
+        return dataclasses.replace(taken, run=np.array(labels, dtype=np.str_))
 
     def commands(self) -> Array:
         """Command (n, n_dof) of the pose that each reading reads."""

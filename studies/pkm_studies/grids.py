@@ -179,7 +179,7 @@ def series(measurement: Measurement, setup: str, command: Array, run: Sequence[s
     except AssemblyError as error:
         raise place.error(str(error), "keep to poses the machine can reach") from error
     in_joint_range(measurement.machine, made, place)
-    return made
+    return made.passes(measurement.setups[setup].protocol)
 
 
 def in_joint_range(machine: Machine, made: Series, place: Place) -> None:

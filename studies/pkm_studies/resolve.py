@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import fnmatch
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ import numpy as np
 
 from oed import units
 from oed.batch import Array
-from oed.instrument import Setup, mount
+from oed.instrument import Protocol, Setup, mount
 from oed.kinematics import AssemblyError
 from oed.machine import Machine, Parameter
 from oed.measurement import Measurement, Series
@@ -136,8 +137,17 @@ def _setup(study: Study, table: SetupTable, machine: Machine, place: Place) -> S
         tolerances=tolerances,
         **settings,  # type: ignore[arg-type]
     )
+    made = dataclasses.replace(made, protocol=_protocol(table, made, place))
     _reach(machine, made, place)
     return made
+
+
+def _protocol(table: SetupTable, made: Setup, place: Place) -> Protocol:
+    protocol = Protocol(table.repeats, table.both_directions, table.average)
+    if len(protocol.passes) > 1 and made.instrument.reference == "run":
+        problem = f"{made.instrument.name} reads against the first pose of a run, so its runs are not repeated here"
+        raise place.key("repeats").error(problem, "list the repeated runs in the grids", table.repeats)
+    return protocol
 
 
 def _triple(tool_mm: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -261,7 +271,8 @@ def _noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, tuple[float, 
     for name, setup in setups.items():
         special = _sigma(own.get(name, {}), {c.name: c.unit for c in setup.instrument.channels}, place.key(name))
         found = {c.name: c.sigma for c in setup.instrument.channels} | general | special
-        sigma[name] = tuple(found[c.name] for c in setup.instrument.channels)
+        mean = math.sqrt(len(setup.protocol.passes)) if setup.protocol.average else 1.0
+        sigma[name] = tuple(found[c.name] / mean for c in setup.instrument.channels)
     return sigma
 
 

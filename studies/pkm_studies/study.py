@@ -60,12 +60,18 @@ class MachineTable(Part, frozen=True, kw_only=True):
 
 
 class SetupTable(Part, frozen=True, kw_only=True):
-    """[[setup]]: an instrument as mounted. `tolerance` are the standard deviations of its unknowns."""
+    """[[setup]]: an instrument as mounted. `tolerance` are the standard deviations of its unknowns.
+
+    Each planned reading is taken `repeats` times, in one direction or both; `average` keeps their mean.
+    """
 
     rest = "settings"
     name: Name
     instrument: str
     tool_mm: Triple = (0.0, 0.0, 0.0)
+    repeats: Count = 1
+    both_directions: bool = False
+    average: bool = True
     teach: dict[str, float] | None = None
     tolerance: dict[str, float] = {}
     settings: dict[str, float] = {}

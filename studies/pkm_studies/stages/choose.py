@@ -10,6 +10,7 @@ import numpy as np
 
 from oed import criteria, explain, information
 from oed.design import exchange
+from oed.instrument import Setup
 from oed.measurement import Index, Measurement, Series
 from pkm_studies import grids, quantities, result
 from pkm_studies.errors import Place
@@ -179,12 +180,18 @@ def kappa_map(circles: Circles, scaling: Scaling) -> result.KappaMap:
     return result.KappaMap(circles.title, list(circles.circles), list(circles.points), table)
 
 
+def _seconds(setup: Setup) -> float:
+    """Time of one planned reading with all passes that are averaged into it."""
+    passes = len(setup.protocol.passes) if setup.protocol.average else 1
+    return setup.instrument.cost.reading * passes
+
+
 def plan(resolved: Resolved, seen: explain.Seen, predicted: Mapping[str, float]) -> result.Plan:
     """The readings as one stage, with its cost in minutes."""
     measurement = seen.measurement
     setups = list(dict.fromkeys(s.setup for s in seen.series))
     cost = sum(measurement.setups[n].instrument.cost.setup for n in setups)
-    cost += sum(measurement.setups[s.setup].instrument.cost.reading * len(s) for s in seen.series)
+    cost += sum(_seconds(measurement.setups[s.setup]) * len(s) for s in seen.series)
     stage = result.Stage(
         measurement=", ".join(dict.fromkeys(measurement.setups[n].instrument.name for n in setups)),
         setups=setups,

@@ -40,11 +40,18 @@ def setup(machine: Machine, setup: Setup) -> result.SetupInfo:
     return result.SetupInfo(
         name=setup.name,
         instrument=setup.instrument.name,
-        about=setup.instrument.about,
+        about=setup.instrument.about + _passes(setup),
         numbers=numbers,
         sigma={f"{c.name}_{units.FINE[c.unit]}": _in(s, units.FINE[c.unit]) for c, s in channels},
         unknowns={quantities.column(n.name, n.unit): shown(n.tolerance, n.unit) for n in setup.nuisances},
     )
+
+
+def _passes(setup: Setup) -> str:
+    count = len(setup.protocol.passes)
+    if count == 1:
+        return ""
+    return f"; {count} passes, {'their mean is the reading' if setup.protocol.average else 'all kept'}"
 
 
 def versions() -> dict[str, str]:
