@@ -105,7 +105,7 @@ def _alone(seen: Seen) -> NDArray[np.bool_]:
 def _tightened(seen: Seen, k: int) -> str:
     parameter = next(p for p in seen.measurement.parameters if p.name == seen.names[k])
     unit = units.display(parameter.unit)
-    before = float(units.from_si(parameter.tolerance, unit))
+    before = units.number(parameter.tolerance, unit)
     shown = "" if unit == "1" else f" {unit}"
     return f"{parameter.name} ({before:.3g} to {before * seen.shrinkage[k]:.2g}{shown})"
 
@@ -189,7 +189,7 @@ def _direction(seen: Seen, row: Array) -> str:
     shown = units.DISPLAY
     move = row * seen.scale
     parameters = {p.name: p for p in seen.measurement.parameters}
-    told = np.array([float(units.from_si(m, shown[parameters[n].unit])) for m, n in zip(move, seen.names, strict=True)])
+    told = np.array([units.number(m, shown[parameters[n].unit]) for m, n in zip(move, seen.names, strict=True)])
     size = np.round(np.abs(row) / np.abs(row).max(), 9)  # equal entries keep the parameters' order
     told /= told[np.argmax(size)]
     order = [k for k in np.argsort(-size, kind="stable") if size[k] > 0.05]

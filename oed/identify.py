@@ -170,7 +170,7 @@ def identify(
         theta, done = _rough(measurement, series, y, stated, theta, patterns, max_iterations)
         rounds.append(done)
     tolerance = _freed(measurement, stages[-1])
-    groups, scale = _groups(measurement, series), dict.fromkeys(measurement.setups, 1.0)
+    groups, scale = measurement.owners(series), dict.fromkeys(measurement.setups, 1.0)
     used = stated
     # at least twice: the coordinates of the result are those of H at the result, not at the start
     for _ in range(NOISE_ROUNDS if estimate_noise else 2):
@@ -210,7 +210,7 @@ def identify(
 
 
 def _check(measurement: Measurement, series: Sequence[Series], y: Array) -> None:
-    expected = sum(len(s) * len(measurement.setups[s.setup].sigma) for s in series)
+    expected = len(measurement.owners(series))
     if y.shape != (expected,):
         raise IdentificationError(f"{expected} readings were planned, {y.shape} are given")
     if not np.isfinite(y).all():
@@ -284,11 +284,6 @@ def _covariance(
     return unit * np.outer(tolerance, tolerance), leverage
 
 
-def _groups(measurement: Measurement, series: Sequence[Series]) -> list[str]:
-    """Set-up of each reading, flattened like readings."""
-    return [s.setup for s in series for _ in range(len(s) * len(measurement.setups[s.setup].sigma))]
-
-
 def _noise_scale(white: Array, leverage: Array, groups: Sequence[str]) -> dict[str, float]:
     """Restricted maximum likelihood of a noise factor for each set-up: r^2 over readings less leverage."""
     labels = np.array(groups)
@@ -310,7 +305,7 @@ def _still_wide(measurement: Measurement, estimate: Estimate, above: float, belo
     for p, sd, share in zip(measurement.parameters, estimate.sd, estimate.shrinkage, strict=True):
         if above < share <= below:
             unit = units.display(p.unit)
-            left = f"{float(units.from_si(sd, unit)):.2g}{'' if unit == '1' else ' ' + unit}"
+            left = f"{units.number(sd, unit):.2g}{'' if unit == '1' else ' ' + unit}"
             told.append(f"{p.name} (sd {left}, {100 * share:.0f} % of its tolerance)")
     return told
 

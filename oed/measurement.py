@@ -236,6 +236,10 @@ class Measurement:
         """dy/dtheta (N, n) at theta (n,), SI."""
         return np.vstack([self._slope(s, theta) for s in series])
 
+    def owners(self, series: Sequence[Series]) -> list[str]:
+        """Set-up of each reading (N,), in the order of `readings`."""
+        return [s.setup for s in series for _ in range(len(s) * len(self.setups[s.setup].sigma))]
+
     def sigma(self, series: Sequence[Series]) -> Array:
         """Noise standard deviation (N,) of each reading, SI."""
         return self.noise(series).sigma

@@ -156,7 +156,7 @@ class _Target:
         self.measurement, self.y, self.estimate, self.noise_groups = measurement, y, estimate, noise_groups
         self.local: Coordinates = estimate.coordinates
         self.readings = measurement.near(series, estimate.theta)
-        labels = np.array([s.setup for s in series for _ in range(len(s) * len(measurement.setups[s.setup].sigma))])
+        labels = np.array(measurement.owners(series))
         self.interrupted = False
         self._members = [labels == g for g in noise_groups]
         self.r = self.local.basis.shape[1]

@@ -63,6 +63,11 @@ def from_si(value: ArrayLike, unit: str) -> NDArray[np.float64]:
     return np.asarray(value, dtype=float) / factor(unit)
 
 
+def number(value: float, unit: str) -> float:
+    """One SI value as a plain float in `unit`."""
+    return float(from_si(value, unit))
+
+
 def split(name: str) -> tuple[str, str]:
     """`sigma_um` -> ("sigma", "um"). Raises UnitError where the name ends in no known unit."""
     stem, _, unit = name.rpartition("_")

@@ -93,7 +93,8 @@ class _Job:
         seen = self._identifiability(chosen, series)
         self._design_sections(chosen, seen)
         estimate, drawn = self._fit(series, y, truth)
-        self._prediction(series, estimate, None if truth is None else True)
+        # a virtual machine only exercises the plan: what is told is the accuracy foreseen before any reading
+        self._prediction(series, None if truth is not None else estimate)
         if held is not None and drawn is not None:
             self.progress.stage("held-out readings")
             self.sections["held_out"] = foresee.held_out(self.measurement, *held, drawn, self.rng(HELD_OUT))
@@ -212,7 +213,7 @@ class _Job:
                 "raise [posterior] steps"
             )
 
-    def _prediction(self, series: Sequence[Series], estimate: identify.Estimate | None, virtual: bool | None) -> None:
+    def _prediction(self, series: Sequence[Series], known: identify.Estimate | None) -> None:
         said, command = self.study.prediction, self.resolved.prediction
         if said is None or command is None:
             return
@@ -228,8 +229,6 @@ class _Job:
             self.resolved.stages,
             self.progress,
         )
-        # a virtual machine only exercises the plan: what is told beforehand is the plan's accuracy
-        known = None if virtual else estimate
         self.sections["prediction"] = foresee.section(
             self.measurement, series, command, reference, self.rng(PREDICT), known, realised
         )
@@ -267,7 +266,7 @@ class _Job:
         """The plan as a readings file to fill in: the readings' cells are empty."""
         from oed import dataset
 
-        count = sum(len(s) * len(self.measurement.setups[s.setup].sigma) for s in self.planned_series)
+        count = len(self.measurement.owners(self.planned_series))
         return dataset.to_csv(dataset.from_series(self.planned_series, np.full(count, np.nan), self.measurement))
 
     def _write(self, made: StudyResult) -> None:

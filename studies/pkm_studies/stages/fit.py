@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -48,13 +48,13 @@ def _values(measurement: Measurement, estimate: identify.Estimate, truth: Array 
             continue
         unit, share = units.display(p.unit), float(estimate.shrinkage[k])
         found[p.name] = result.Value(
-            value=_in(estimate.theta[k], unit),
-            sd=_in(estimate.sd[k], unit),
+            value=units.number(estimate.theta[k], unit),
+            sd=units.number(estimate.sd[k], unit),
             unit=unit,
-            nominal=_in(p.nominal, unit),
-            prior_sd=_in(estimate.prior_sd[k], unit),
+            nominal=units.number(p.nominal, unit),
+            prior_sd=units.number(estimate.prior_sd[k], unit),
             identified="seen" if share <= identify.WEAK else "weak" if share <= identify.AT_PRIOR else "prior",
-            truth=None if truth is None else _in(truth[k], unit),
+            truth=None if truth is None else units.number(truth[k], unit),
         )
     return found
 
@@ -115,10 +115,3 @@ def _worst(
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _in(value: float, unit: str) -> float:
-    return float(units.from_si(value, unit))
-
-
-Share = Callable[[float], None]

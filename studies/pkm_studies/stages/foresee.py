@@ -71,8 +71,8 @@ def _told(
         map=[
             result.MapPoint(
                 describe.command(measurement.machine, c),
-                {n: _in(foreseen.sd_before[i, k], fine[n]) for k, n in enumerate(foreseen.names)},
-                {n: _in(foreseen.sd_after[i, k], fine[n]) for k, n in enumerate(foreseen.names)},
+                {n: units.number(foreseen.sd_before[i, k], fine[n]) for k, n in enumerate(foreseen.names)},
+                {n: units.number(foreseen.sd_after[i, k], fine[n]) for k, n in enumerate(foreseen.names)},
             )
             for i, c in enumerate(foreseen.command)
         ],
@@ -149,12 +149,12 @@ def held_out(
                     name=s.setup,
                     channel=channel.name,
                     n=len(residual),
-                    rms=_in(float(np.sqrt(np.mean(residual**2))), unit),
-                    rms_raw=_in(float(np.sqrt(np.mean(raw**2))), unit),
+                    rms=units.number(float(np.sqrt(np.mean(residual**2))), unit),
+                    rms_raw=units.number(float(np.sqrt(np.mean(raw**2))), unit),
                     unit=unit,
                     coverage=float(inside.mean()),
-                    residuals=[_in(v, unit) for v in residual],
-                    half_widths=[_in(v, unit) for v in (high[mine] - low[mine]) / 2.0],
+                    residuals=[units.number(v, unit) for v in residual],
+                    half_widths=[units.number(v, unit) for v in (high[mine] - low[mine]) / 2.0],
                 )
             )
     return found
@@ -191,8 +191,6 @@ class _NoiseFactors:
 
 
 def _spread(spread: predict.Spread, unit: str) -> result.Spread:
-    return result.Spread(_in(spread.rms, unit), _in(spread.p95, unit), _in(spread.largest, unit), unit)
-
-
-def _in(value: float, unit: str) -> float:
-    return float(units.from_si(value, unit))
+    return result.Spread(
+        units.number(spread.rms, unit), units.number(spread.p95, unit), units.number(spread.largest, unit), unit
+    )
