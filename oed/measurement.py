@@ -306,7 +306,7 @@ class Measurement:
         shared = np.array([c.shared for c in channels]) * setup.sigma
         if setup.instrument.sources is None and not shared.any():
             return Noise(sigma)
-        own = self._own_noise(series)
+        own = self.own_noise(series)
         places, covariances = [], []
         for run in dict.fromkeys(series.run):
             members = np.flatnonzero(series.run == run)
@@ -316,8 +316,8 @@ class Measurement:
             places.append(place)
         return noise.blocks(covariances, places)
 
-    def _own_noise(self, series: Series) -> Array:
-        """Covariance (n, channels, channels) of each reading by itself."""
+    def own_noise(self, series: Series) -> Array:
+        """Covariance (n, channels, channels), SI, of each reading by itself, without what its run shares."""
         setup = self.setups[series.setup]
         if setup.instrument.sources is None:
             return np.tile(np.diag(np.square(setup.sigma)), (len(series), 1, 1))

@@ -13,11 +13,13 @@ def tilt_torsion(rx: Expr, ry: Expr, spin: Expr) -> Expr:
     With precession psi and nutation theta, (rx, ry) = theta (cos psi, sin psi) and R equals the z-x-z Euler
     product Rz(psi) Rx(theta) Rz(phi) with phi = spin - psi. Unlike Euler angles it is regular at theta = 0.
     """
-    square = rx**2 + ry**2 + 1e-300  # keeps value and first derivative exact at zero tilt
-    angle = ca.sqrt(square)
-    a = ca.sin(angle) / angle
-    b = 2.0 * ca.sin(angle / 2.0) ** 2 / square
-    c = ca.cos(angle)
+    square = rx**2 + ry**2
+    small = square < 1e-6  # series there: exact to rounding, second derivatives too
+    safe = ca.if_else(small, 1.0, square)
+    angle = ca.sqrt(safe)
+    a = ca.if_else(small, 1.0 - square / 6.0 * (1.0 - square / 20.0), ca.sin(angle) / angle)
+    b = ca.if_else(small, 0.5 - square / 24.0 * (1.0 - square / 30.0), 2.0 * ca.sin(angle / 2.0) ** 2 / safe)
+    c = 1.0 - b * square
     tilt = ca.vertcat(
         ca.horzcat(c + b * rx * rx, b * rx * ry, a * ry),
         ca.horzcat(b * rx * ry, c + b * ry * ry, -a * rx),

@@ -47,16 +47,14 @@ def seen(blocks: Array, prior: Array | None, tolerance: float = 1e-6) -> tuple[A
     Determinants over these directions keep their value. No plan out of the candidates sees more.
     """
     flat = blocks.reshape(-1, blocks.shape[2])
-    gram = flat.T @ flat + (0.0 if prior is None else prior)
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    if prior is None:
-        _, s, vt = np.linalg.svd(flat if len(flat) < 20000 else np.linalg.qr(flat, mode="r"), full_matrices=False)
-        basis = vt[s > tolerance * s[0]].T
-    else:
-        values = np.linalg.eigvalsh(gram / np.outer(scale, scale))
-        if values[0] > tolerance**2 * values[-1]:
-            return blocks, np.eye(blocks.shape[2])
-        raise ValueError(
-            "the prior together with the candidates leaves directions unseen: give every column a tolerance"
-        )
+    if len(flat) > 20000:
+        flat = np.asarray(np.linalg.qr(flat, mode="r"), dtype=float)
+    if prior is not None:
+        values, vectors = np.linalg.eigh(prior)
+        held = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        flat = np.vstack([flat, held])
+    _, s, vt = np.linalg.svd(flat, full_matrices=False)
+    basis = vt[s > tolerance * s[0]].T
+    if basis.shape[1] == blocks.shape[2]:
+        return blocks, np.eye(blocks.shape[2])
     return blocks @ basis, basis

@@ -25,27 +25,36 @@ START, MORE = 200, 100
 
 @dataclasses.dataclass(frozen=True)
 class ERelaxed:
-    """Weights (C,), their least eigenvalue `value`, and a valid upper `bound` of every feasible plan's."""
+    """Weights (C,), their least eigenvalue `value`, and a valid upper `bound` of every feasible plan's.
+
+    slopes (C,): tr(Z A_i) at the dual that gives the bound
+    """
 
     weights: Array
     value: float
     bound: float
+    slopes: Array
 
 
-def relax(rows: Array, size: float, prior: Array | None = None, cap: float = 1.0, tolerance: float = 1e-4) -> ERelaxed:
+def relax(
+    rows: Array, size: float, prior: Array | None = None, cap: Array | float = 1.0, tolerance: float = 1e-4
+) -> ERelaxed:
     """Relaxed E-optimal weights of candidates (C, n) or (C, k, n), to a relative gap of `tolerance`."""
     blocks = as_blocks(rows)
     count, _, n = blocks.shape
-    cap = min(cap, size)
-    if cap * count < size:
-        raise ValueError(f"{count} candidates of at most {cap} each cannot carry a weight of {size}")
+    caps = np.minimum(np.broadcast_to(np.asarray(cap, dtype=float), (count,)), size)
+    if caps.sum() < size * (1 - 1e-12):
+        raise ValueError(f"{count} candidates of at most {np.max(cap):g} each cannot carry a weight of {size:g}")
     base = np.zeros((n, n)) if prior is None else prior
-    active = np.argsort(-np.sum(blocks**2, axis=(1, 2)), kind="stable")[: max(START, int(np.ceil(size / cap)) + 1)]
-    best, weights, value = np.inf, np.zeros(count), -np.inf
+    order = np.argsort(-np.sum(blocks**2, axis=(1, 2)), kind="stable")
+    active = order[: max(START, int(np.searchsorted(np.cumsum(caps[order]), size)) + 2)]
+    best, weights, value, slopes = np.inf, np.zeros(count), -np.inf, np.zeros(count)
     for _ in range(ROUNDS):
-        some, dual = _solve(blocks[active], size, base, cap)
-        told = np.einsum("ckn,nm,ckm->c", blocks, dual, blocks)
-        best = min(best, e_bound(dual, base, told, size, cap))
+        some, dual = _solve(blocks[active], size, base, caps[active])
+        told = np.einsum("ckn,nm,ckm->c", blocks, dual, blocks, optimize=True)
+        reached_bound = e_bound(dual, base, told, size, caps)
+        if reached_bound < best:
+            best, slopes = reached_bound, told
         reached = float(np.linalg.eigvalsh(base + information(blocks[active], some))[0])
         if reached > value:
             value, weights = reached, np.zeros(count)
@@ -56,10 +65,10 @@ def relax(rows: Array, size: float, prior: Array | None = None, cap: float = 1.0
         if not wanted.size:
             break
         active = np.concatenate([active, wanted])
-    return ERelaxed(weights, value, best)
+    return ERelaxed(weights, value, best, slopes)
 
 
-def _solve(blocks: Array, size: float, base: Array, cap: float) -> tuple[Array, Array]:
+def _solve(blocks: Array, size: float, base: Array, cap: Array) -> tuple[Array, Array]:
     """Weights on the active set (made feasible) and the dual matrix (made feasible).
 
     The solver sees T (M - t I) T^T with T M_uniform T^T = I, which has the same sign but entries near one. Where it

@@ -31,9 +31,7 @@ def after_adding(values: Array, vectors: Array, rows: Array, p: int) -> Array:
     norm = 1.0 + (along * along) @ inverse
     weight = (along * inverse) ** 2 / (norm * scale)[:, None]
     a = (weight @ share[:, None] ** np.arange(p)).T
-    c = np.empty((p, len(rows)))
+    b = np.empty((p, len(rows)))  # b_m = m c_m
     for m in range(1, p + 1):
-        c[m - 1] = a[m - 1]
-        for k in range(1, m):
-            c[m - 1] -= (k / m) * c[k - 1] * a[m - k - 1]
-    return np.asarray(np.sum(share**p) - p * c[p - 1])
+        b[m - 1] = m * a[m - 1] - np.einsum("kc,kc->c", b[: m - 1], a[: m - 1][::-1])
+    return np.asarray(np.sum(share**p) - b[p - 1])

@@ -1,12 +1,15 @@
-"""D-optimal weights: the convex relaxation of the choice, solved to rounding, with its certificate.
+"""Optimal weights: the convex relaxation of the choice, solved to rounding, with its certificate.
 
-    maximise  log det(M0 + sum_i w_i X_i^T X_i)   over  0 <= w_i <= cap,  sum_i w_i = N.
+    maximise  log phi(M0 + sum_i w_i X_i^T X_i)   over  0 <= w_i <= cap_i,  sum_i w_i = N.
 
 Every exact plan of N candidates is feasible (cap 1: no repeats; cap inf: repeats allowed), so the optimum bounds it.
-Method: an active set of candidates, on which Newton steps are taken in the face of the free weights (the Hessian is
--(K o K) for K = X M^-1 X^T, so a step costs one solve the size of the support); candidates whose slope exceeds the
-multiplier join, weights that reach a bound leave. Where Newton steps end, the equivalence theorem (Kiefer and
-Wolfowitz 1960) is checked over all candidates.
+Method: an active set of candidates, on which Newton steps are taken in the face of the free weights, with the
+criterion's own curvature; candidates whose slope exceeds the multiplier join, weights that reach a bound leave. Where
+Newton steps end, the equivalence theorem (Kiefer and Wolfowitz 1960; Pukelsheim 2006, chapter 7) is checked over all
+candidates. A budget instead of a number is the same problem in v_i = cost_i w_i (`oed.design.rules`).
+
+Candidates that no optimal plan can want are eliminated for good: a plan w' that carries weight on i has a value of at
+most the line's bound with that weight forced, so where even that lies below a value reached, i is out.
 """
 
 from __future__ import annotations
@@ -16,23 +19,29 @@ import dataclasses
 import numpy as np
 
 from oed.batch import Array
-from oed.design.blocks import Index, as_blocks, gradient, information, whitened
-from oed.design.certificate import d_bound
+from oed.design.blocks import Index, as_blocks
+from oed.design.certificate import SAFE, carried
+from oed.design.criterion import Criterion, Determinant
+from oed.design.objective import Line, Objective, Plain
 
 #: rounds of adding candidates; Newton steps in each
 ROUNDS, STEPS = 200, 8
+#: change in log phi below which a round counts as none
+STILL = 1e-11
 #: candidates in the first active set, at the least and a direction
 START, START_PER_DIRECTION = 60, 6
+#: multiplicative steps before Newton's; where they are all there is, and the gap that then is enough
+MULTIPLICATIVE, MULTIPLIED, ENOUGH = 16, 300, 1e-2
 #: candidates beyond which the start is sought in a sample of them
-SAMPLE = 6000
+SAMPLE = 20000
 
 
 @dataclasses.dataclass(frozen=True)
 class Relaxed:
     """Optimal weights.
 
-    weights  (C,) sum N;  value log det at them;  bound a valid upper bound of every feasible plan's log det
-    slopes   (C,) tr(M^-1 X_i^T X_i) at the optimum: the larger, the more a candidate is wanted
+    weights  (C,) sum N;  value log phi at them;  bound a valid upper bound of every feasible plan's log phi
+    slopes   (C,) d log phi / dw_i at the optimum: the larger, the more a candidate is wanted
     gap      bound - value: what the certificate knows the bound to be loose by, as a relaxation
     """
 
@@ -47,128 +56,253 @@ class Relaxed:
         return self.bound - self.value
 
 
-def relax(rows: Array, size: float, prior: Array | None = None, cap: float = 1.0, tolerance: float = 1e-7) -> Relaxed:
-    """Relaxed D-optimal weights of candidates (C, n) or (C, k, n), to a gap of `tolerance` in log det.
+def relax(
+    rows: Array,
+    size: float,
+    prior: Array | None = None,
+    cap: Array | float = 1.0,
+    tolerance: float = 1e-8,
+    criterion: Criterion | None = None,
+) -> Relaxed:
+    """Relaxed weights of candidates (C, n) or (C, k, n) for a concave criterion (D unless told).
 
-    Raises ValueError where cap * C < size, or where candidates and prior leave directions unseen.
+    `tolerance` is the gap sought in log phi. Criteria that are not smooth are approached over their ladder. Raises
+    ValueError where the caps cannot carry `size`, or where candidates and prior leave directions unseen.
     """
     blocks = as_blocks(rows)
-    count, _, n = blocks.shape
-    if cap * count < size:
-        raise ValueError(f"{count} candidates of at most {cap} each cannot carry a weight of {size}")
+    n = blocks.shape[2]
     base = np.zeros((n, n)) if prior is None else prior
-    cap = min(cap, size)
-    support, weights = _start(blocks, size, base, cap)
-    value, bound, slopes = -np.inf, np.inf, np.zeros(count)
+    wanted = Determinant(n) if criterion is None else criterion
+    if not wanted.concave:
+        raise ValueError(f"{wanted.name} is not concave: see oed.design.condition for its bound")
+    ladder = [c for c in wanted.ladder() if c.smooth]
+    start: Array | None = None
+    for rung in ladder[:-1]:
+        start = solve(Plain(rung, blocks, base), size, cap, 1e-3, start).weights
+    found = solve(Plain(ladder[-1], blocks, base), size, cap, tolerance, start)
+    if not wanted.smooth:
+        active = np.flatnonzero(found.weights > 0)
+        value = Plain(wanted, blocks, base).value(active, found.weights[active])
+        found = dataclasses.replace(found, value=value)
+    return found
+
+
+def solve(
+    objective: Objective, size: float, cap: Array | float = 1.0, tolerance: float = 1e-8, start: Array | None = None
+) -> Relaxed:
+    """Optimal weights of an objective; `start` (C,) are weights to begin with."""
+    count = objective.count
+    caps = np.minimum(np.broadcast_to(np.asarray(cap, dtype=float), (count,)), size)
+    if caps.sum() < size * (1 - 1e-12):
+        raise ValueError(f"{count} candidates of at most {np.max(cap):g} each cannot carry a weight of {size:g}")
+    same: Array | float = float(caps[0]) if np.ptp(caps) == 0.0 else caps
+    bound, line, most = np.inf, None, 2 * objective.directions
+    if start is None:
+        active, weights, bound = _begin(objective, size, caps)
+        line = objective.line(active, weights)
+        if bound < np.inf and line.bound(carried(line.slopes, size, same)) > bound + 1.0:
+            return _multiplied(objective, size, caps, tolerance)
+    else:
+        active, weights = _resume(start, size, caps)
+    reached, last, still = -np.inf, np.inf, 0
     for _ in range(ROUNDS):
-        weights = _newton(blocks[support], weights, base, cap)
-        m = base + information(blocks[support], weights)
-        slopes = gradient(blocks, m)
-        value = float(np.linalg.slogdet(m)[1])
-        bound = min(bound, d_bound(m, base, slopes, size, cap))
-        if bound - value < tolerance:
+        weights = _newton(objective, active, weights, caps[active])
+        line = objective.line(active, weights)
+        bound = min(bound, line.bound(carried(line.slopes, size, same) * (1.0 + 1e-13)) + SAFE)
+        if bound - line.value < tolerance:
             break
-        support, weights = _joined(support, weights, slopes, cap, 2 * n)
+        # a smoothed maximum leaves a gap of its own: where neither value nor bound moves, that is all there is
+        still = still + 1 if line.value - reached < STILL and last - bound < STILL else 0
+        if still == 3:
+            break
+        reached, last = max(reached, line.value), bound
+        active, weights = _joined(active, weights, line.slopes, caps, most)
+    assert line is not None
     full = np.zeros(count)
-    full[support] = weights
-    return Relaxed(full, value, bound, slopes)
+    full[active] = weights
+    return Relaxed(full, line.value, bound, line.slopes)
 
 
-def _start(blocks: Array, size: float, base: Array, cap: float) -> tuple[Index, Array]:
-    """A first support with feasible weights, from a few multiplicative steps on (a sample of) the candidates."""
-    count, _, n = blocks.shape
-    stride = max(1, count // SAMPLE)
-    chosen = np.arange(0, count, stride)
-    some = blocks[chosen]
+def _multiplied(objective: Objective, size: float, caps: Array, tolerance: float) -> Relaxed:
+    """Weights by multiplicative steps alone.
+
+    Where every set-up brings unknowns of its own, the least weight on it resolves them, and weights far below a
+    reading are part of the optimum: Newton's model is no good there, and leaving small weights out is worse.
+    """
+    count = objective.count
+    everyone, weights, bound = np.arange(count), np.full(count, size / count), np.inf
+    best: tuple[Array, Line] | None = None
+    for _ in range(MULTIPLIED):
+        line = objective.line(everyone, weights)
+        bound = min(bound, line.bound(carried(line.slopes, size, caps)) + SAFE)
+        if best is None or line.value > best[1].value:
+            best = weights, line
+        if bound - best[1].value < max(tolerance, ENOUGH):
+            break
+        weights = _feasible(weights * np.sqrt(line.slopes), size, caps)
+    assert best is not None
+    return Relaxed(best[0], best[1].value, bound, best[1].slopes)
+
+
+def eliminated(line: Line, bound_of: float, size: float, caps: Array) -> Index:
+    """Candidates (indices) that no plan with a value of at least `bound_of` can hold at their full cap.
+
+    A plan that holds i gives up, against what the line carries at best, the last weight of the multiplier's candidate
+    in exchange for i's slope.
+    """
+    order = np.argsort(-line.slopes, kind="stable")
+    filled = np.cumsum(caps[order])
+    last = order[min(int(np.searchsorted(filled, size)), len(order) - 1)]
+    level = line.slopes[last]
+    best = carried(line.slopes, size, caps)
+    loss = np.maximum(level - line.slopes, 0.0) * caps
+    told = np.array([line.bound(best - x) for x in loss]) if line.straight else _bounds(line, best - loss)
+    return np.flatnonzero(told + SAFE < bound_of)
+
+
+def _bounds(line: Line, reached: Array) -> Array:
+    return np.asarray(line.offset + np.log(np.maximum(line.held + reached, 1e-300)))
+
+
+def _begin(objective: Objective, size: float, caps: Array) -> tuple[Index, Array, float]:
+    """A first active set with feasible weights, from a few multiplicative steps on (a sample of) the candidates; and
+    the bound seen on the way, where it was over all of them."""
+    count = objective.count
+    chosen = np.arange(0, count, max(1, count // SAMPLE))
     weights = np.full(len(chosen), size / len(chosen))
-    ridge = 1e-9 * np.trace(information(some, weights)) / n * np.eye(n)
-    for _ in range(8):
-        slopes = gradient(some, base + information(some, weights) + ridge)
-        weights = weights * slopes
+    some = objective.sample(chosen)
+    some = some.ridged(1e-9 * some.typical(weights))
+    everyone, bound = np.arange(len(chosen)), np.inf
+    for _ in range(MULTIPLICATIVE):
+        line = some.line(everyone, weights)
+        if len(chosen) == count:
+            bound = min(bound, line.bound(carried(line.slopes, size, caps)) + SAFE)
+        # the exponent 1/2 never lowers D, A, c and I (Silvey, Titterington and Torsney 1978; Yu 2010)
+        weights = weights * np.sqrt(line.slopes)
         weights *= size / weights.sum()
-    wanted = max(START, START_PER_DIRECTION * n, int(np.ceil(2 * size / min(cap, size))))
+    # an optimal design needs no more than n (n + 1) / 2 points, and mostly about twice n
+    wanted = max(START, START_PER_DIRECTION * objective.directions, int(np.ceil(2 * size / caps.mean())))
     best = np.argsort(-weights, kind="stable")[:wanted]
-    return chosen[best], _feasible(weights[best], size, cap)
+    while caps[chosen[best]].sum() < size:
+        wanted *= 2
+        if wanted >= 2 * len(chosen):
+            return np.arange(count), _feasible(np.full(count, size / count), size, caps), bound
+        best = np.argsort(-weights, kind="stable")[:wanted]
+    return chosen[best], _feasible(weights[best], size, caps[chosen[best]]), bound
 
 
-def _feasible(weights: Array, size: float, cap: float) -> Array:
-    """Weights scaled to the sum `size`, what exceeds the cap handed on to the others."""
+def _resume(start: Array, size: float, caps: Array) -> tuple[Index, Array]:
+    active = np.flatnonzero(start > 0)
+    return active, _feasible(start[active], size, caps[active])
+
+
+def _feasible(weights: Array, size: float, caps: Array) -> Array:
+    """Weights scaled to the sum `size`, what exceeds the caps handed on to the others."""
     weights = np.maximum(weights, 1e-12)
     for _ in range(100):
-        full = weights >= cap
-        left = size - cap * full.sum()
+        full = weights >= caps
+        left = size - caps[full].sum()
         rest = weights[~full].sum()
-        weights = np.where(full, cap, weights * (left / rest if rest > 0 else 1.0))
-        if not (weights > cap * (1 + 1e-15)).any():
+        weights = np.where(full, caps, weights * (left / rest if rest > 0 else 1.0))
+        if not (weights > caps * (1 + 1e-15)).any():
             break
-    return np.minimum(weights, cap)
+    return np.minimum(weights, caps)
 
 
-def _newton(blocks: Array, weights: Array, base: Array, cap: float) -> Array:
-    """Newton steps over the free weights of the active set, each followed by a check that log det grew."""
+def _newton(objective: Objective, active: Index, weights: Array, caps: Array) -> Array:
+    """Newton steps over the free weights of the active set, each followed by a check that the value grew."""
     for _ in range(STEPS):
-        m = base + information(blocks, weights)
-        step, free = _direction(blocks, weights, m, cap)
-        if not free.size or np.abs(step).max() <= 1e-13 * weights.sum():
+        # a weight within rounding of a bound would stop every step at once
+        weights = np.where(weights < 1e-13 * caps, 0.0, np.where(weights > caps * (1.0 - 1e-13), caps, weights))
+        slopes, curvature = objective.newton(active, weights)
+        step, free = _direction(slopes, curvature, weights, caps)
+        if not free.size:
             return weights
-        weights, moved = _along(blocks, weights, step, free, base, float(np.linalg.slogdet(m)[1]), cap)
+        weights, moved = _along(objective, active, weights, step, free, caps)
         if not moved:
             return weights
     return weights
 
 
-def _direction(blocks: Array, weights: Array, m: Array, cap: float) -> tuple[Array, Index]:
+def _direction(slopes: Array, curvature: Array, weights: Array, caps: Array) -> tuple[Array, Index]:
     """Newton step over the weights that are free, or want to leave their bound; it keeps their sum."""
-    white = whitened(blocks, m)
-    flat = white.reshape(-1, white.shape[2])
-    k = blocks.shape[1]
-    cross = (flat @ flat.T) ** 2
-    if k > 1:
-        cross = cross.reshape(len(blocks), k, len(blocks), k).sum(axis=(1, 3))
-    slopes = np.einsum("ckn,ckn->c", white, white)
-    inside = (weights > 0) & (weights < cap)
+    inside = (weights > 0) & (weights < caps)
     level = float(np.average(slopes, weights=np.where(inside, weights, 0.0))) if inside.any() else float(slopes.mean())
-    free = np.flatnonzero(inside | ((weights <= 0) & (slopes > level)) | ((weights >= cap) & (slopes < level)))
+    free = np.flatnonzero(inside | ((weights <= 0) & (slopes > level)) | ((weights >= caps) & (slopes < level)))
     while free.size > 1:
-        hessian = cross[np.ix_(free, free)]
+        hessian = curvature[np.ix_(free, free)]
         # more free weights than distinct information: the ridge picks the shortest of the equal steps
-        hessian[np.diag_indices_from(hessian)] += 1e-10 * np.trace(hessian) / len(free)
+        hessian[np.diag_indices_from(hessian)] += 1e-10 * np.trace(hessian) / len(free) + 1e-300
         solved = np.linalg.solve(hessian, np.column_stack([slopes[free], np.ones(len(free))]))
         step = solved[:, 0] - solved[:, 0].sum() / solved[:, 1].sum() * solved[:, 1]
-        outward = ((weights[free] <= 0) & (step < 0)) | ((weights[free] >= cap) & (step > 0))
+        outward = ((weights[free] <= 0) & (step < 0)) | ((weights[free] >= caps[free]) & (step > 0))
         if not outward.any():
             return step, free
         free = free[~outward]
-    return np.zeros(0), free[:0]
+    return _exchanged(slopes, curvature, weights, caps)
+
+
+def _exchanged(slopes: Array, curvature: Array, weights: Array, caps: Array) -> tuple[Array, Index]:
+    """Newton step from the least wanted weight to the most wanted one: where the face itself is in the way."""
+    giver = int(np.argmin(np.where(weights > 0, slopes, np.inf)))
+    taker = int(np.argmax(np.where(weights < caps, slopes, -np.inf)))
+    gain = slopes[taker] - slopes[giver]
+    if not gain > 1e-12 * abs(slopes[taker]):
+        return np.zeros(0), np.zeros(0, dtype=np.intp)
+    pair = np.array([taker, giver])
+    bend = float(np.array([1.0, -1.0]) @ curvature[np.ix_(pair, pair)] @ np.array([1.0, -1.0]))
+    step = min(gain / max(bend, 1e-300), float(caps[taker] - weights[taker]), float(weights[giver]))
+    return np.array([step, -step]), pair
 
 
 def _along(
-    blocks: Array, weights: Array, step: Array, free: Index, base: Array, value: float, cap: float
+    objective: Objective, active: Index, weights: Array, step: Array, free: Index, caps: Array
 ) -> tuple[Array, bool]:
-    """The longest share of a step that stays feasible and does not lower log det."""
-    here = weights[free]
+    """The longest share of a step that does not lower the value: first bent at the bounds, so that many weights can
+    reach them at once, then, shortened to where the first one does, straight."""
+    here, value = weights[free], objective.value(active, weights)
+    least = value - 1e-13 * max(1.0, abs(value))
+    for share in (1.0, 0.25):
+        bent = weights.copy()
+        bent[free] = _projected(here + share * step, float(here.sum()), caps[free])
+        if objective.value(active, bent) > value:
+            return bent, True
     with np.errstate(divide="ignore", invalid="ignore"):
-        room = np.where(step < 0, here / -step, np.where(step > 0, (cap - here) / step, np.inf))
+        room = np.where(step < 0, here / -step, np.where(step > 0, (caps[free] - here) / step, np.inf))
     share = min(1.0, float(room.min()))
     while share > 1e-12:
         trial = weights.copy()
-        trial[free] = np.clip(here + share * step, 0.0, cap)
-        trial[trial < 1e-14 * weights.sum()] = 0.0
-        sign, reached = np.linalg.slogdet(base + information(blocks, trial))
-        if sign > 0 and reached >= value - 1e-13 * max(1.0, abs(value)):
+        trial[free] = np.clip(here + share * step, 0.0, caps[free])
+        if objective.value(active, trial) >= least:
             return trial, True
         share *= 0.5
     return weights, False
 
 
-def _joined(support: Index, weights: Array, slopes: Array, cap: float, most: int) -> tuple[Index, Array]:
-    """The support less its zero weights, plus the candidates outside that are wanted most."""
+def _projected(wanted: Array, total: float, caps: Array) -> Array:
+    """The nearest weights within 0 and the caps that have the sum `total`."""
+    low, high = float((wanted - caps).min()), float(wanted.max())
+    for _ in range(60):
+        shift = 0.5 * (low + high)
+        if np.clip(wanted - shift, 0.0, caps).sum() > total:
+            low = shift
+        else:
+            high = shift
+    kept = np.clip(wanted - high, 0.0, caps)
+    inside = (kept > 0) & (kept < caps)
+    if inside.any():
+        kept[inside] += (total - kept.sum()) / inside.sum()
+    return np.asarray(np.clip(kept, 0.0, caps))
+
+
+def _joined(active: Index, weights: Array, slopes: Array, caps: Array, most: int) -> tuple[Index, Array]:
+    """The active set less its zero weights, plus the candidates outside that are wanted most."""
     keep = weights > 0
-    support, weights = support[keep], weights[keep]
-    inside = weights < cap
-    level = float(np.average(slopes[support][inside], weights=weights[inside])) if inside.any() else 0.0
+    active, weights = active[keep], weights[keep]
+    inside = weights < caps[active]
+    level = float(np.average(slopes[active][inside], weights=weights[inside])) if inside.any() else 0.0
     outside = np.ones(len(slopes), dtype=bool)
-    outside[support] = False
+    outside[active] = False
     wanted = np.flatnonzero(outside & (slopes > level))
     wanted = wanted[np.argsort(-slopes[wanted], kind="stable")[:most]]
-    return np.concatenate([support, wanted]), np.concatenate([weights, np.zeros(len(wanted))])
+    return np.concatenate([active, wanted]), np.concatenate([weights, np.zeros(len(wanted))])

@@ -141,7 +141,8 @@ def test_same_seed_same_design_and_more_starts_are_no_worse(rng: np.random.Gener
         (0, {}, "cannot choose 0 different readings out of 9"),
         (10, {}, "cannot choose 10 different readings out of 9"),
         (2, {}, "2 readings cannot determine the 3 directions"),
-        (4, {"criterion": "G"}, "knows the criteria D and E, not 'G'"),
+        (4, {"criterion": "G"}, "criterion G needs a workspace"),
+        (4, {"criterion": "X"}, "criterion 'X' is none of D, Ds, A"),
     ],
 )
 def test_impossible_requests_are_refused(size: int, options: dict, told: str) -> None:

@@ -7,9 +7,12 @@ import itertools
 import cvxpy as cp
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from oed.design import certificate, e_relaxation, exchange, relaxation
 from oed.design.blocks import gradient, information
+from oed.design.criterion import Determinant
+from oed.design.objective import Plain
 from oed.design.power import after_adding
 
 
@@ -31,8 +34,8 @@ def test_agrees_with_a_general_solver(shape: tuple[int, int, int], cap: float) -
         limits = [cp.sum(w) == size] + ([w <= cap] if np.isfinite(cap) else [])
         problem = cp.Problem(cp.Maximize(cp.log_det(m)), limits)
         problem.solve(solver=cp.CLARABEL)
-        assert relaxed.value == pytest.approx(problem.value, abs=1e-5)
-        assert relaxed.bound >= problem.value - 1e-6
+        assert relaxed.value * n == pytest.approx(problem.value, abs=1e-5)
+        assert relaxed.bound * n >= problem.value - 1e-6
         assert relaxed.gap < 1e-6
 
 
@@ -53,33 +56,45 @@ def test_weights_are_feasible() -> None:
     assert relaxed.weights.max() <= 1.0
 
 
-@pytest.mark.parametrize("seed", range(100))
-def test_no_design_is_below_greedy_nor_above_its_bound(seed: int) -> None:
-    """Random sizes, ranks, blocks and priors: greedy <= design <= bound, and the value is what it says."""
-    rng = np.random.default_rng(seed)
-    n, k, count = int(rng.integers(2, 9)), int(rng.integers(1, 4)), int(rng.integers(12, 80))
-    size = int(rng.integers(-(-n // k) + 1, 12))
-    rows = rng.standard_normal((count, k, n)) @ np.diag(10.0 ** rng.uniform(-2, 2, n))
-    prior = np.diag(10.0 ** rng.uniform(-3, 1, n)) if seed % 2 else None
-    choice = exchange.choose(rows, size, rng, prior=prior, starts=3)
-    base = np.zeros((n, n)) if prior is None else prior
-    greedy = rows[exchange.greedy_d(rows, size, base)]
-    value = float(np.linalg.slogdet(base + information(rows[choice.indices]))[1])
-    assert len(set(choice.indices)) == size
-    assert choice.value == pytest.approx(value, abs=1e-6)
-    assert value >= float(np.linalg.slogdet(base + information(greedy))[1]) - 1e-9
-    assert value <= choice.bound + 1e-9
-
-
 def test_the_bound_holds_for_every_plan_and_from_any_dual_point() -> None:
-    """All 495 subsets lie below the bound, even one taken at a matrix that is no optimum."""
+    """All 495 subsets lie below the bound, even one drawn at weights that are no optimum."""
     blocks, rng = candidates(7, (12, 1, 3))
     best = max(float(np.linalg.slogdet(information(blocks[list(s)]))[1]) for s in itertools.combinations(range(12), 4))
+    plain = Plain(Determinant(3), blocks, np.zeros((3, 3)))
     for _ in range(20):
-        a = rng.standard_normal((3, 3))
-        m = a @ a.T + 0.1 * np.eye(3)
-        assert certificate.d_bound(m, np.zeros((3, 3)), gradient(blocks, m), 4, 1.0) >= best
-    assert relaxation.relax(blocks, 4).bound >= best
+        line = plain.line(np.arange(12), rng.exponential(size=12))
+        assert 3 * line.bound(certificate.carried(line.slopes, 4, 1.0)) >= best
+    assert 3 * relaxation.relax(blocks, 4).bound >= best
+
+
+def test_what_slopes_carry_is_a_knapsack() -> None:
+    """Equal and unequal caps against a linear program."""
+    rng = np.random.default_rng(2)
+    for size in (1.0, 3.7, 9.0):
+        slopes, caps = rng.exponential(size=30), rng.uniform(0.1, 2.0, 30)
+        for cap in (caps, 1.0, np.inf):
+            limits = [(0.0, c) for c in np.broadcast_to(cap, 30)]
+            exact = -linprog(-slopes, A_eq=np.ones((1, 30)), b_eq=[size], bounds=limits).fun
+            assert certificate.carried(slopes, size, cap) == pytest.approx(exact, rel=1e-9)
+
+
+def test_eliminated_candidates_are_in_no_best_plan() -> None:
+    """Of 14 candidates some are ruled out by the line at the relaxed optimum; every best subset does without them."""
+    out = 0
+    for seed in range(20):
+        blocks, _ = candidates(seed, (14, 1, 3))
+        values = {
+            s: float(np.linalg.slogdet(information(blocks[list(s)]))[1]) / 3
+            for s in itertools.combinations(range(14), 5)
+        }
+        best = max(values, key=lambda s: values[s])
+        found = relaxation.relax(blocks, 5)
+        active = np.flatnonzero(found.weights)
+        line = Plain(Determinant(3), blocks, np.zeros((3, 3))).line(active, found.weights[active])
+        gone = relaxation.eliminated(line, values[best], 5, np.ones(14))
+        assert not set(gone) & set(best)
+        out += len(gone)
+    assert out > 20
 
 
 def test_a_plan_can_be_proven_optimal() -> None:

@@ -1,0 +1,142 @@
+"""Criteria: slopes and curvatures by finite differences, exact values after adding, lines that are never crossed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oed.design.criterion import Compound, Criterion, Determinant, Power, Spectrum, Variance, Worst, named
+from oed.design.criterion.protocol import slopes
+
+N = 5
+_rng = np.random.default_rng(11)
+FACTOR, FACTORS = _rng.standard_normal((3, N)), _rng.standard_normal((4, 2, N))
+INTEREST = np.linalg.qr(_rng.standard_normal((N, 2)))[0]
+SMOOTH: dict[str, Criterion] = {
+    "D": Determinant(N),
+    "Ds": Determinant(N, INTEREST, "Ds"),
+    "A": Variance(np.eye(N), "A"),
+    "c": Variance(FACTOR[:1], "c"),
+    "I": Variance(FACTOR),
+    "G smoothed": Worst(FACTORS, 6.0),
+    "O5": Power(0.5, N, "O5"),
+    "phi_3": Power(3.0, N),
+    "compound": Compound((Determinant(N), Variance(FACTOR)), (0.3, 0.7)),
+}
+ROUGH: dict[str, Criterion] = {
+    "G": Worst(FACTORS),
+    "E": Spectrum(),
+    "kappa": Spectrum(0.5, 0.5, name="kappa"),
+    "O4": Spectrum(1.0, 0.5, name="O4"),
+}
+
+
+def matrix(rng: np.random.Generator) -> np.ndarray:
+    a = rng.standard_normal((2 * N, N)) * np.logspace(0, -0.7, N)
+    return a.T @ a
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_slopes_and_curvatures_by_differences(name: str, rng: np.random.Generator) -> None:
+    """Along the weights of random blocks, by central differences of the value."""
+    criterion, m = SMOOTH[name], matrix(rng)
+    blocks = 0.1 * rng.standard_normal((6, 2, N))
+    a = np.einsum("ckn,ckm->cnm", blocks, blocks)
+    step = 1e-3
+
+    def value(w: np.ndarray) -> float:
+        return criterion.value(m + np.einsum("c,cnm->nm", w, a))
+
+    eye = step * np.eye(6)
+    first = np.array([(value(e) - value(-e)) / (2 * step) for e in eye])
+    assert slopes(blocks, criterion.support(m).root) == pytest.approx(first, rel=1e-5, abs=1e-6)
+    second = np.array(
+        [[(value(e + f) - value(e - f) - value(f - e) + value(-e - f)) / (4 * step**2) for f in eye] for e in eye]
+    )
+    scale = np.abs(second).max()
+    assert criterion.curvature(m, blocks) == pytest.approx(-second, rel=2e-3, abs=2e-3 * scale)
+    assert np.linalg.eigvalsh(criterion.curvature(m, blocks))[0] >= -1e-9 * scale
+
+
+@pytest.mark.parametrize("name", [*SMOOTH, *ROUGH])
+@pytest.mark.parametrize("k", [1, 3])
+def test_values_after_adding_are_exact(name: str, k: int, rng: np.random.Generator) -> None:
+    """Against the value of the sum itself; a shortlist may leave candidates out, never the best one by far."""
+    criterion, m = (SMOOTH | ROUGH)[name], matrix(rng)
+    blocks = rng.standard_normal((40, k, N))
+    told = criterion.added(m, blocks)
+    exact = np.array([criterion.value(m + x.T @ x) for x in blocks])
+    known = np.isfinite(told)
+    assert told[known] == pytest.approx(exact[known], abs=1e-8)
+    assert known.sum() >= 10
+    assert told.max() >= np.quantile(exact, 0.9)
+
+
+@pytest.mark.parametrize("name", [n for n, c in (SMOOTH | ROUGH).items() if c.concave])
+def test_no_matrix_crosses_a_supporting_line(name: str, rng: np.random.Generator) -> None:
+    criterion = (SMOOTH | ROUGH)[name]
+    for _ in range(30):
+        m = matrix(rng)
+        value, root = criterion.support(m)
+        touch = value + np.log(np.sum((m @ root) * root))
+        assert touch >= criterion.value(m) - 1e-10
+        if criterion.smooth and "G" not in name:
+            assert touch == pytest.approx(criterion.value(m), abs=1e-8)
+        for _ in range(10):
+            other = matrix(rng)
+            assert criterion.value(other) <= value + np.log(np.sum((other @ root) * root)) + 1e-9
+
+
+@pytest.mark.parametrize("name", [n for n in SMOOTH | ROUGH if n not in ("kappa", "O4")])
+def test_twice_the_readings_are_twice_the_information(name: str, rng: np.random.Generator) -> None:
+    criterion, m = (SMOOTH | ROUGH)[name], matrix(rng)
+    assert criterion.value(2.0 * m) == pytest.approx(criterion.value(m) + np.log(2.0), abs=1e-9)
+
+
+def test_numbers_users_know(rng: np.random.Generator) -> None:
+    """Told values against the plain formulas."""
+    m = matrix(rng)
+    values = np.linalg.eigvalsh(m)
+    s, inverse = np.sqrt(values), np.linalg.inv(m)
+    expected = {
+        "D": np.log(values).sum(),
+        "A": -np.trace(inverse),
+        "E": values[0],
+        "kappa": s[-1] / s[0],
+        "O1": np.exp(np.log(s).mean()) / np.sqrt(7),
+        "O2": s[0] / s[-1],
+        "O3": s[0],
+        "O4": s[0] ** 2 / s[-1],
+        "O5": 1.0 / np.sum(1.0 / s),
+    }
+    for name, number in expected.items():
+        criterion = named(name, N)
+        assert criterion.told(criterion.value(m), 7) == pytest.approx(number, rel=1e-9)
+    worst = max(float(np.trace(f @ inverse @ f.T)) for f in FACTORS)
+    assert named("G", N, factors=FACTORS).told(named("G", N, factors=FACTORS).value(m), 7) == pytest.approx(-worst)
+    covariance = INTEREST.T @ inverse @ INTEREST
+    ds = named("Ds", N, interest=INTEREST)
+    assert ds.told(ds.value(m), 7) == pytest.approx(-np.linalg.slogdet(covariance)[1])
+
+
+def test_profiling_out_is_the_schur_complement(rng: np.random.Generator) -> None:
+    """Ds of the first three columns is log det of M_aa - M_ab M_bb^-1 M_ba."""
+    m = matrix(rng)
+    schur = m[:3, :3] - m[:3, 3:] @ np.linalg.solve(m[3:, 3:], m[3:, :3])
+    ds = named("Ds", N, interest=np.eye(N)[:, :3])
+    assert 3 * ds.value(m) == pytest.approx(np.linalg.slogdet(schur)[1])
+
+
+def test_what_is_not_seen_is_said() -> None:
+    basis = np.eye(N)[:, :3]
+    assert named("Ds", N, interest=np.eye(N)[:, 2:4]).within(basis).interest.shape == (3, 1)
+    with pytest.raises(ValueError, match="no reading sees the directions of interest"):
+        named("Ds", N, interest=np.eye(N)[:, 4:]).within(basis)
+    with pytest.raises(ValueError, match="no reading sees the combination"):
+        named("c", N, factor=np.ones((1, N))).within(basis)
+    with pytest.raises(ValueError, match="needs a workspace"):
+        named("I", N)
+    with pytest.raises(ValueError, match="is none of"):
+        named("Z", N)
+    with pytest.raises(ValueError, match="summing to 1"):
+        Compound((Determinant(N),), (0.5,))
