@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 
 from oed.batch import Array
-from oed.design import condition, e_relaxation, relaxation
+from oed.design import condition, relaxation
 from oed.design.blocks import Index
 from oed.design.criterion import Criterion, Spectrum
 from oed.design.relaxation import Relaxed
@@ -56,9 +56,9 @@ def _relaxed(
     scaled = blocks if cost is None else blocks / np.sqrt(cost)[:, None, None]
     cap = 1.0 if cost is None else cost
     if isinstance(criterion, Spectrum):
-        found = e_relaxation.relax(scaled, total, prior, cap)
-        value, above = criterion.least * np.log([max(found.value, 1e-300), found.bound])
-        return Relaxed(found.weights, float(value), float(above), found.slopes)
+        best = condition.e_optimal(scaled, total, prior, cap)
+        value, above = criterion.least * np.log([max(best.value, 1e-300), best.bound])
+        return Relaxed(best.weights, float(value), float(above), best.slopes)
     return relaxation.relax(scaled, total, prior, cap, tolerance, criterion)
 
 

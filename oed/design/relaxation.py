@@ -26,6 +26,8 @@ from oed.design.objective import Line, Objective, Plain
 
 #: rounds of adding candidates; Newton steps in each
 ROUNDS, STEPS = 200, 8
+#: damping of Newton's step, as a share of the mean curvature: more where the step does not raise the value
+DAMPING = (1e-10, 1e-6, 1e-3, 1e-1, 1e1)
 #: change in log phi below which a round counts as none
 STILL = 1e-11
 #: candidates in the first active set, at the least and a direction
@@ -214,17 +216,35 @@ def _newton(objective: Objective, active: Index, weights: Array, caps: Array) ->
     for _ in range(STEPS):
         # a weight within rounding of a bound would stop every step at once
         weights = np.where(weights < 1e-13 * caps, 0.0, np.where(weights > caps * (1.0 - 1e-13), caps, weights))
-        slopes, curvature = objective.newton(active, weights)
-        step, free = _direction(slopes, curvature, weights, caps)
-        if not free.size:
-            return weights
-        weights, moved = _along(objective, active, weights, step, free, caps)
-        if not moved:
-            return weights
+        moved = _moved(objective, active, weights, caps)
+        if moved is None:
+            break
+        weights = moved
     return weights
 
 
-def _direction(slopes: Array, curvature: Array, weights: Array, caps: Array) -> tuple[Array, Index]:
+def _moved(objective: Objective, active: Index, weights: Array, caps: Array) -> Array | None:
+    """Weights after one step that raises the value: bent at the bounds, so that many weights can reach them at once,
+    with more damping where the step is too long; else straight to the first bound, or from one weight to another."""
+    slopes, curvature = objective.newton(active, weights)
+    value = objective.value(active, weights)
+    for damp in DAMPING:
+        step, free = _direction(slopes, curvature, weights, caps, damp)
+        if not free.size:
+            break
+        bent = weights.copy()
+        bent[free] = _projected(weights[free] + step, float(weights[free].sum()), caps[free])
+        if objective.value(active, bent) > value:
+            return bent
+        if damp == DAMPING[0]:
+            straight = _straight(objective, active, weights, step, free, caps)
+            if straight is not None:
+                return straight
+    step, free = _exchanged(slopes, curvature, weights, caps)
+    return None if not free.size else _straight(objective, active, weights, step, free, caps)
+
+
+def _direction(slopes: Array, curvature: Array, weights: Array, caps: Array, damp: float) -> tuple[Array, Index]:
     """Newton step over the weights that are free, or want to leave their bound; it keeps their sum."""
     inside = (weights > 0) & (weights < caps)
     level = float(np.average(slopes, weights=np.where(inside, weights, 0.0))) if inside.any() else float(slopes.mean())
@@ -232,14 +252,14 @@ def _direction(slopes: Array, curvature: Array, weights: Array, caps: Array) -> 
     while free.size > 1:
         hessian = curvature[np.ix_(free, free)]
         # more free weights than distinct information: the ridge picks the shortest of the equal steps
-        hessian[np.diag_indices_from(hessian)] += 1e-10 * np.trace(hessian) / len(free) + 1e-300
+        hessian[np.diag_indices_from(hessian)] += damp * np.trace(hessian) / len(free) + 1e-300
         solved = np.linalg.solve(hessian, np.column_stack([slopes[free], np.ones(len(free))]))
         step = solved[:, 0] - solved[:, 0].sum() / solved[:, 1].sum() * solved[:, 1]
         outward = ((weights[free] <= 0) & (step < 0)) | ((weights[free] >= caps[free]) & (step > 0))
         if not outward.any():
             return step, free
         free = free[~outward]
-    return _exchanged(slopes, curvature, weights, caps)
+    return np.zeros(0), free[:0]
 
 
 def _exchanged(slopes: Array, curvature: Array, weights: Array, caps: Array) -> tuple[Array, Index]:
@@ -255,28 +275,23 @@ def _exchanged(slopes: Array, curvature: Array, weights: Array, caps: Array) -> 
     return np.array([step, -step]), pair
 
 
-def _along(
+def _straight(
     objective: Objective, active: Index, weights: Array, step: Array, free: Index, caps: Array
-) -> tuple[Array, bool]:
-    """The longest share of a step that does not lower the value: first bent at the bounds, so that many weights can
-    reach them at once, then, shortened to where the first one does, straight."""
+) -> Array | None:
+    """Weights after the longest share of a step that stays feasible and raises the value; None where none does."""
     here, value = weights[free], objective.value(active, weights)
-    least = value - 1e-13 * max(1.0, abs(value))
-    for share in (1.0, 0.25):
-        bent = weights.copy()
-        bent[free] = _projected(here + share * step, float(here.sum()), caps[free])
-        if objective.value(active, bent) > value:
-            return bent, True
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.where(step < 0, here / -step, np.where(step > 0, (caps[free] - here) / step, np.inf))
     share = min(1.0, float(room.min()))
-    while share > 1e-12:
+    if share < 1e-6:
+        return None
+    for _ in range(20):
         trial = weights.copy()
         trial[free] = np.clip(here + share * step, 0.0, caps[free])
-        if objective.value(active, trial) >= least:
-            return trial, True
+        if objective.value(active, trial) > value:
+            return trial
         share *= 0.5
-    return weights, False
+    return None
 
 
 def _projected(wanted: Array, total: float, caps: Array) -> Array:

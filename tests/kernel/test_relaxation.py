@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from oed.design import certificate, e_relaxation, exchange, relaxation
+from oed.design import certificate, condition, exchange, relaxation
 from oed.design.blocks import gradient, information
 from oed.design.criterion import Determinant
 from oed.design.objective import Plain
@@ -127,7 +127,7 @@ def test_the_e_bound_holds_for_every_plan(seed: int) -> None:
     """All subsets lie below the E bound, and the relaxation reaches it."""
     blocks, rng = candidates(seed, (11, 1, 3))
     prior = np.diag(rng.uniform(0.0, 0.5, 3))
-    found = e_relaxation.relax(blocks, 5, prior)
+    found = condition.e_optimal(blocks, 5, prior)
     best = max(
         float(np.linalg.eigvalsh(prior + information(blocks[list(s)]))[0]) for s in itertools.combinations(range(11), 5)
     )
