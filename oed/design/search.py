@@ -52,6 +52,11 @@ def greedy(judge: Judge, rules: Rules, ridge: float, rung: int = -1) -> Index:
     return chosen
 
 
+def climb(judge: Judge, rules: Rules, chosen: Index, rung: int, sweeps: int = SWEEPS) -> Index:
+    """A plan after exchanges by one rung, at most `sweeps` rounds of them. Nothing random."""
+    return _Search(judge, rules, np.random.default_rng(0)).climb(chosen, rung, sweeps)
+
+
 def _pool(weights: Array, slopes: Array, rules: Rules, count: int) -> Index:
     per = slopes if rules.cost is None else slopes / np.maximum(rules.cost, 1e-300)
     size = rules.size or int((weights > 1e-6).sum())
@@ -115,12 +120,12 @@ class _Search:
             chosen = self.climb(chosen, rung)
         return chosen
 
-    def climb(self, chosen: Index, rung: int) -> Index:
+    def climb(self, chosen: Index, rung: int, sweeps: int = SWEEPS) -> Index:
         """Exchanges until none helps, by one rung."""
         found = self.judge.quick(chosen, rung) if self.rules.simple else None
         if found is not None:
             return found
-        for _ in range(SWEEPS):
+        for _ in range(sweeps):
             chosen, changed = self._sweep(chosen, rung)
             if not changed:
                 break

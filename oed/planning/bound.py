@@ -1,0 +1,185 @@
+"""No plan within the budget is better than this: a bound over all combinations of measurements.
+
+Whatever the order of its stages, a plan that mounts the options T and reads candidates i of them leaves at most the
+information L = L0 + sum_(s in T) S_s about the machine, with the set-ups' own unknowns profiled out,
+
+    S_s = min over G of  sum_(i in s) w_i (x_i - z_i G)^T (x_i - z_i G) + G^T G,
+
+x_i, z_i the rows' parts on machine and set-up (prior variances of 1). So any G bounds S_s by something linear in w,
+and with a supporting line of the criterion at any L, log phi(L') <= v + log <R R^T, L'>,
+
+    phi(T) <= exp(v) ( <R R^T, L0> + min over prices l >= 0 of  l (B - sum_T mounting_s)
+                       + sum_(s in T) [ |G_s R|^2 + sum_(i in s) max(0, |(x_i - z_i G_s) R|^2 - l c_i) ] ).
+
+One line bounds all combinations at once. The one with the highest bound is solved exactly as a relaxation (all its
+readings' best weights within the time left), which draws a new line, tight there; until no combination can be better
+than wanted. Travel only takes readings away, and what linearisation cuts off is left out: both raise the bound.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.batch import Array
+from oed.design import relaxation
+from oed.design.blocks import Index
+from oed.design.certificate import SAFE
+from oed.design.criterion import Criterion
+from oed.planning.goal import Goal
+from oed.planning.option import Option
+from oed.planning.stage import available
+
+#: combinations that are bounded one by one; beyond, only the best ones of each line are
+COMBINATIONS = 200_000
+#: prices at which time is tried, as shares of the highest worth a candidate has for its time
+PRICES = np.append(0.0, np.geomspace(1e-5, 1.0, 40))
+#: gap in log phi of a combination's relaxation
+TOLERANCE = 3e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class Bounded:
+    """No plan has a smaller goal value than `value`. `lines` were drawn; `closed` where it is good enough."""
+
+    value: float
+    lines: int
+    closed: bool
+
+
+def bound(
+    options: Sequence[Option], goal: Goal, held: Array, budget: float, most: int, known: float, loss: float = 0.05,
+    lines: int = 150,
+) -> Bounded:  # fmt: skip
+    """A lower bound of the goal's value over all plans of at most `most` options within `budget` seconds, good enough
+    to tell that the plan with value `known` is within a share `loss` of the best, if `lines` lines suffice.
+
+    held (n, n): information about the machine before.
+    """
+    parts = tuple(_Part.of(o, len(held)) for o in options)
+    mounting = np.array([o.mounting for o in options])
+    combinations = _combinations(mounting, budget, most)
+    if not len(combinations):
+        return Bounded(np.inf, 0, True)
+    target = -2.0 * math.log(known) + 2.0 * math.log1p(loss)
+    problem = _Problem(parts, mounting, goal, held, budget)
+    above = np.full(len(combinations), np.inf)
+    drawn = 0
+    while drawn < lines:
+        best = int(np.argmax(above))
+        if above[best] <= target:
+            break
+        weights = problem.solved([s for s in combinations[best] if s >= 0])
+        line = problem.bounds(combinations, weights)
+        stuck = line[best] >= above[best] - 1e-9
+        above = np.minimum(above, line)
+        drawn += 1
+        if stuck:  # the relaxation's own tolerance is reached: this is its best bound
+            break
+    highest = float(above.max())
+    return Bounded(math.exp(-0.5 * highest), drawn, highest <= target)
+
+
+def _combinations(mounting: Array, budget: float, most: int) -> Index:
+    """Combinations (T, most) of options that the budget mounts, filled up with -1; only those to which no further
+    option could be added for nothing. Raises ValueError where there are too many."""
+    count = len(mounting)
+    most = min(most, count)
+    total = sum(math.comb(count, k) for k in range(1, most + 1))
+    if total > COMBINATIONS:
+        raise ValueError(f"{total} combinations of {most} of {count} measurements are too many to bound")
+    rows = []
+    for size in range(1, most + 1):
+        table = np.array(list(itertools.combinations(range(count), size)), dtype=np.intp)
+        table = table[mounting[table].sum(axis=1) < budget]
+        rows.append(np.pad(table, ((0, 0), (0, most - size)), constant_values=-1))
+    return np.concatenate(rows)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Part:
+    """An option's rows on the machine (C, k, n) and on its own unknowns (C, k, r), and times (C,)."""
+
+    machine: Array
+    own: Array
+    cost: Array
+
+    @classmethod
+    def of(cls, option: Option, n: int) -> _Part:
+        """Readings are lost, at the least, to what the set-up's own unknowns do within the travel."""
+        chances = available(option, np.zeros((n, n)))
+        blocks = option.candidates.blocks * np.sqrt(chances)[:, None, None]
+        return cls(blocks[:, :, :n], blocks[:, :, n:], option.seconds)
+
+    def profile(self, weights: Array) -> Array:
+        """G (r, n) that attains the minimum at weights (C,)."""
+        own = np.einsum("c,ckr,cks->rs", weights, self.own, self.own, optimize=True)
+        side = np.einsum("c,ckr,ckn->rn", weights, self.own, self.machine, optimize=True)
+        return np.asarray(np.linalg.solve(own + np.eye(len(own)), side))
+
+    def information(self, weights: Array, profile: Array) -> Array:
+        """S (n, n) at weights and a profile."""
+        rest = (self.machine - self.own @ profile) * np.sqrt(weights)[:, None, None]
+        flat = rest.reshape(-1, rest.shape[2])
+        return np.asarray(flat.T @ flat + profile.T @ profile)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Problem:
+    parts: tuple[_Part, ...]
+    mounting: Array
+    goal: Goal
+    held: Array
+    budget: float
+
+    def solved(self, some: Sequence[int]) -> dict[int, Array]:
+        """The best weights of a combination's readings within the time that its mounting leaves."""
+        n = len(self.held)
+        extra = [self.parts[s].own.shape[2] for s in some]
+        wide, k = n + sum(extra), max(self.parts[s].machine.shape[1] for s in some)
+        rows, start = [], n
+        for s, more in zip(some, extra, strict=True):
+            part = self.parts[s]
+            block = np.zeros((len(part.cost), k, wide))
+            block[:, : part.machine.shape[1], :n] = part.machine
+            block[:, : part.machine.shape[1], start : start + more] = part.own
+            rows.append(block)
+            start += more
+        cost = np.concatenate([self.parts[s].cost for s in some])
+        base = np.eye(wide)
+        base[:n, :n] = self.held
+        time = min(self.budget - float(self.mounting[list(some)].sum()), float(cost.sum()))
+        criterion = [c for c in self.goal.criterion(wide - n).ladder() if c.smooth][-1]
+        scaled = np.concatenate(rows) / np.sqrt(cost)[:, None, None]
+        found = relaxation.relax(scaled, time, base, cost, TOLERANCE, criterion).weights / cost
+        ends = np.cumsum([len(self.parts[s].cost) for s in some])[:-1]
+        return dict(zip(some, np.split(found, ends), strict=True))
+
+    def bounds(self, combinations: Index, weights: dict[int, Array]) -> Array:
+        """Bound (T,) of log phi of every combination, by the line at the weights of one."""
+        profiles = [p.profile(weights.get(s, np.full(len(p.cost), 0.5))) for s, p in enumerate(self.parts)]
+        m = self.held + sum(self.parts[s].information(w, profiles[s]) for s, w in weights.items())
+        value, root = self._line(np.asarray(m))
+        gains = [
+            np.sum(((p.machine - p.own @ g) @ root) ** 2, axis=(1, 2))
+            for p, g in zip(self.parts, profiles, strict=True)
+        ]
+        prices = PRICES * max(float((g / p.cost).max()) for g, p in zip(gains, self.parts, strict=True))
+        worth = np.array([
+            np.maximum(g[None, :] - prices[:, None] * p.cost[None, :], 0.0).sum(axis=1)
+            + float(np.sum((profile @ root) ** 2)) - prices * mount
+            for g, p, profile, mount in zip(gains, self.parts, profiles, self.mounting, strict=True)
+        ])  # fmt: skip
+        worth = np.vstack([worth, np.zeros(len(prices))])  # the last row stands for no option
+        carried = (worth[combinations].sum(axis=1) + prices * self.budget).min(axis=1)
+        held = float(np.sum((self.held @ root) * root))
+        return np.asarray(value + np.log(held + carried) + SAFE)
+
+    def _line(self, m: Array) -> tuple[float, Array]:
+        criterion: Criterion = [c for c in self.goal.criterion(0).ladder() if c.smooth][-1]
+        told = criterion.support(m)
+        return told.value, told.root

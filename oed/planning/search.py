@@ -1,0 +1,291 @@
+"""Sequences of stages within a budget: which measurement first, how many readings, when to stop.
+
+Best partial plans are carried along (a beam): every option, with several numbers of readings, is tried as the next
+stage after each of them; a stage's readings are chosen for the goal with what is known by then, weighed with their
+chance of being within the instrument's travel. So a rough stage comes first where it makes the next one possible, and
+not where it does not. The best sequences are then worked out exactly (readings lost together, cut-off from the exact
+model), and time is moved between their stages while that helps. All plans on the way make the Pareto front of accuracy
+against time; a bound (`oed.planning.bound`) tells how far the best one can be from any plan.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from oed.batch import Array
+from oed.design.blocks import Index
+from oed.planning import bound as bounding
+from oed.planning import stage as staging
+from oed.planning.goal import Goal
+from oed.planning.option import Option
+from oed.planning.stage import Stage
+
+#: partial plans carried along; finished plans worked out exactly
+BEAM, EXACT = 6, 6
+#: share of a number of readings by which it is raised or lowered while time is moved
+STEP = 0.25
+#: relative gain below which a change counts as none
+GAIN = 1e-3
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plan:
+    """Stages in order, the time they take (s), the goal's value after them, and the accuracy (K,) after each."""
+
+    stages: tuple[Stage, ...]
+    seconds: float
+    value: float
+    accuracy: tuple[Array, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Options in order."""
+        return tuple(s.option.name for s in self.stages)
+
+    @property
+    def price(self) -> float:
+        """Money, besides time."""
+        return float(sum(s.option.price for s in self.stages))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Planned:
+    """The answer.
+
+    best          the plan: most accurate within the budget, or, where an accuracy is wanted, the cheapest that has it
+    reached       whether the wanted accuracy is reached (True where none is wanted)
+    front         plans of which none is both shorter and more accurate, shortest first
+    alternatives  other sequences worked out exactly, best first
+    bound         no plan within the budget has a smaller value;  loss: share by which `most_accurate` may miss it
+    most_accurate the plan of least value
+    next_gain     relative gain of the best further stage, were there time for it (None: no option helps)
+    """
+
+    best: Plan
+    reached: bool
+    front: tuple[Plan, ...]
+    alternatives: tuple[Plan, ...]
+    bound: bounding.Bounded
+    most_accurate: Plan
+    next_gain: tuple[str, float] | None
+
+    @property
+    def loss(self) -> float:
+        """Share by which the most accurate plan found may be worse than the best possible one, at the most."""
+        return max(self.most_accurate.value / self.bound.value - 1.0, 0.0)
+
+
+def plan(
+    options: Sequence[Option],
+    goal: Goal,
+    budget: float,
+    rng: np.random.Generator,
+    *,
+    covariance: Array | None = None,
+    stages: int = 4,
+    beam: int = BEAM,
+    loss: float = 0.05,
+    progress: Callable[[float], None] | None = None,
+) -> Planned:
+    """The best sequence of at most `stages` stages within `budget` seconds.
+
+    covariance (n, n) is of the machine's parameters before, in units of their tolerances; the tolerances themselves
+    where it is not told. Raises ValueError where the budget does not pay for any option.
+    """
+    n = goal.factors.shape[2]
+    start = np.eye(n) if covariance is None else covariance
+    search = _Search(tuple(options), goal, budget, rng, stages, beam, progress)
+    found = search.run(start)
+    if not found:
+        cheapest = min(o.mounting + float(np.sort(o.seconds)[: o.counts[0]].sum()) for o in options)
+        raise ValueError(
+            f"the budget of {budget / 60:.1f} min pays for no measurement: the least is {cheapest / 60:.1f} min"
+        )
+    exact = search.exactly(found, start)
+    most_accurate = min(exact, key=lambda p: p.value)
+    front = _front([search.empty(start), *search.seen.values(), *exact])
+    best, reached = most_accurate, True
+    if goal.wanted:
+        reached = most_accurate.value <= 1.0
+        enough = [p for p in exact + search.cheaper(front, start) if p.value <= 1.0]
+        best = min(enough, key=lambda p: p.seconds) if enough else most_accurate
+    told = bounding.bound(options, goal, staging.inverse(start), budget, stages, most_accurate.value, loss)
+    ranked = sorted((p for p in exact if p is not best), key=lambda p: p.value)
+    return Planned(best, reached, tuple(front), tuple(ranked), told, most_accurate, search.next_gain(best, start))
+
+
+@dataclasses.dataclass(eq=False)
+class _Search:
+    options: tuple[Option, ...]
+    goal: Goal
+    budget: float
+    rng: np.random.Generator
+    stages: int
+    beam: int
+    progress: Callable[[float], None] | None
+    seen: dict[tuple[tuple[str, int], ...], Plan] = dataclasses.field(default_factory=dict)
+
+    def empty(self, start: Array) -> Plan:
+        """Nothing measured."""
+        return Plan((), 0.0, self.goal.value(start), (self.goal.accuracy(start),))
+
+    def run(self, start: Array) -> list[Plan]:
+        """Promising plans, best first."""
+        carried = [self.empty(start)]
+        for depth in range(self.stages):
+            grown: dict[tuple[str, ...], Plan] = {}
+            for k, parent in enumerate(carried):
+                for child in self._children(parent, start):
+                    self.seen[tuple((s.option.name, len(s.chosen)) for s in child.stages)] = child
+                    key = (*sorted(child.names), str(len(child.stages)))
+                    if key not in grown or self._rank(child) < self._rank(grown[key]):
+                        grown[key] = child
+                self._told((depth + (k + 1) / len(carried)) / self.stages)
+            if not grown:
+                break
+            # kinds of plans compete: the most accurate, and the most accurate for their time
+            by_value = sorted(grown.values(), key=lambda p: p.value)
+            by_rate = sorted(grown.values(), key=self._rank)
+            carried = list(dict.fromkeys([*by_value[: self.beam // 2 + 1], *by_rate[: self.beam]]))[: self.beam + 2]
+        return sorted(self.seen.values(), key=lambda p: p.value)
+
+    def _rank(self, plan: Plan) -> float:
+        """Log of the value, and what the time spent could have bought at the usual rate (value ~ 1 / sqrt(time))."""
+        return float(np.log(plan.value) + 0.5 * np.log(max(plan.seconds, 1.0)))
+
+    def _told(self, share: float) -> None:
+        if self.progress is not None:
+            self.progress(0.8 * share)
+
+    def _children(self, parent: Plan, start: Array) -> list[Plan]:
+        left = self.budget - parent.seconds
+        done = set(parent.names)
+        before = parent.stages[-1].covariance if parent.stages else start
+        children = []
+        for option in self.options:
+            if option.name in done:
+                continue
+            chances = staging.available(option, before)
+            for count in self._counts(option, left):
+                children.append(self._with(parent, option, count, before, chances))
+        return children
+
+    def _counts(self, option: Option, left: float) -> list[int]:
+        """Numbers of readings that the time left pays for: those asked for, and all it can pay."""
+        time = np.cumsum(np.sort(option.seconds))
+        most = int(np.searchsorted(time, left - option.mounting, side="right"))
+        wanted = [c for c in option.counts if c <= most]
+        full = min(most, option.counts[-1])
+        return sorted({*wanted, full}) if full >= option.counts[0] else []
+
+    def _with(self, parent: Plan, option: Option, count: int, before: Array, chances: Array, climbs: int = 0) -> Plan:
+        criterion = self.goal.criterion(option.candidates.blocks.shape[2] - len(before))
+        held = staging.inverse(before)
+        chosen = staging.choose(option, count, held, before, criterion, chances, climbs)
+        stage = staging.told(option, chosen, before, self.rng, exact=False)
+        return self._grown(parent, stage)
+
+    def _grown(self, parent: Plan, stage: Stage) -> Plan:
+        return Plan(
+            (*parent.stages, stage),
+            parent.seconds + stage.seconds,
+            self.goal.value(stage.covariance),
+            (*parent.accuracy, self.goal.accuracy(stage.covariance)),
+        )
+
+    # -- working out ---------------------------------------------------------------------------------------
+
+    def exactly(self, found: Sequence[Plan], start: Array) -> list[Plan]:
+        """The best sequences worked out, with time moved between their stages; each sequence once."""
+        sequences: dict[tuple[str, ...], Plan] = {}
+        for p in found:
+            sequences.setdefault(tuple(sorted(p.names)), p)
+        told = []
+        for k, p in enumerate(list(sequences.values())[:EXACT]):
+            told.append(self._moved(p, start))
+            self._told(1.0 + 0.25 * (k + 1) / EXACT)
+        return told
+
+    def cheaper(self, front: Sequence[Plan], start: Array) -> list[Plan]:
+        """Plans of the front that seem to reach the goal, worked out, cheapest first."""
+        near = [p for p in front if p.stages and p.value <= 1.05][:EXACT]
+        return [self._worked([(s.option, len(s.chosen)) for s in p.stages], start) for p in near]
+
+    def _worked(self, steps: Sequence[tuple[Option, int]], start: Array) -> Plan:
+        """A sequence with stated numbers of readings, exactly."""
+        made = self.empty(start)
+        before = start
+        # the same machines are drawn whatever was tried before, so that two plans differ by their readings alone
+        for k, (option, count) in enumerate(steps):
+            criterion = self.goal.criterion(option.candidates.blocks.shape[2] - len(before))
+            chances = staging.available(option, before)
+            chosen = staging.choose(option, count, staging.inverse(before), before, criterion, chances, 3)
+            stage = staging.told(option, chosen, before, np.random.default_rng([17, k]))
+            before = stage.covariance
+            made = self._grown(made, stage)
+        return made
+
+    def _moved(self, plan: Plan, start: Array) -> Plan:
+        """Time moved from one stage to another, and to the end of the budget, while that helps."""
+        steps = [(s.option, len(s.chosen)) for s in plan.stages]
+        best = self._worked(steps, start)
+        for _ in range(2):
+            better = False
+            for trial in self._moves([(s.option, len(s.chosen)) for s in best.stages]):
+                made = self._worked(trial, start)
+                if made.seconds <= self.budget * (1 + 1e-9) and made.value < best.value * (1 - GAIN):
+                    best, better = made, True
+                    break
+            if not better:
+                break
+        return best
+
+    def _moves(self, steps: list[tuple[Option, int]]) -> list[list[tuple[Option, int]]]:
+        """Fewer readings in one stage, and as many more in another as the time then pays for."""
+        trials = []
+        for give in range(len(steps)):
+            for take in range(len(steps)):
+                if give == take:
+                    continue
+                trial = list(steps)
+                option, count = trial[give]
+                less = max(option.counts[0], int(count * (1 - STEP)))
+                trial[give] = (option, less)
+                spent = sum(o.mounting + _time(o, c) for k, (o, c) in enumerate(trial) if k != take)
+                full = self._counts(trial[take][0], self.budget - spent)
+                if full and full[-1] > trial[take][1] and less < count:
+                    trial[take] = (trial[take][0], full[-1])
+                    trials.append(trial)
+        return trials
+
+    def next_gain(self, best: Plan, start: Array) -> tuple[str, float] | None:
+        """The option whose further stage would gain most, and its relative gain."""
+        before = best.stages[-1].covariance if best.stages else start
+        gains = []
+        for option in self.options:
+            if option.name in best.names:
+                continue
+            grown = self._with(best, option, option.counts[-1], before, staging.available(option, before))
+            gains.append((option.name, 1.0 - grown.value / best.value))
+        return max(gains, key=lambda g: g[1], default=None)
+
+
+def _time(option: Option, count: int) -> float:
+    return float(np.sort(option.seconds)[:count].sum())
+
+
+def _front(plans: Sequence[Plan]) -> list[Plan]:
+    """Plans of which none is both shorter and more accurate, shortest first."""
+    kept: list[Plan] = []
+    for p in sorted(plans, key=lambda p: (p.seconds, p.value)):
+        if not kept or p.value < kept[-1].value * (1 - 1e-9):
+            kept.append(p)
+    return kept
+
+
+def chosen_of(plan: Plan) -> list[Index]:
+    """Chosen candidates of each stage."""
+    return [s.chosen for s in plan.stages]
