@@ -1,7 +1,8 @@
 """Criteria of a plan: how good are its readings, as pure functions.
 
 Alphabetic criteria take the Fisher information M (n, n); observability indices take the singular values of the
-scaled identification matrix H over its identifiable directions. All but kappa are the larger the better.
+scaled identification matrix H over its identifiable directions. All but kappa are the larger the better. Designs use
+the same criteria as information functions, with slopes and bounds (`oed.design.criterion`).
 
 Sources: Pukelsheim (2006), Optimal Design of Experiments (D, A, E, I); Sun and Hollerbach (2008), ICRA, and
 Joubair and Bonev (2013) for O1 to O5; Chang, Li and Li (2011), Eq. (17), for the noise amplification index.
@@ -43,6 +44,22 @@ def i(information: Array, moment: Array) -> float:
     if values[0] <= values[-1] * np.finfo(float).eps:
         return -np.inf
     return -float(np.einsum("ij,ik,kj,j->", vectors, moment, vectors, 1.0 / values))
+
+
+def ds(information: Array, interest: Array) -> float:
+    """-log det(K^T M^-1 K): what M tells of the directions K (n, s) of interest, the others profiled out."""
+    sign, value = np.linalg.slogdet(interest.T @ np.linalg.pinv(information, hermitian=True) @ interest)
+    return -float(value) if sign > 0 else -np.inf
+
+
+def c(information: Array, combination: Array) -> float:
+    """-c^T M^-1 c: minus the variance of one combination (n,) of the parameters."""
+    return i(information, np.outer(combination, combination))
+
+
+def g(information: Array, moments: Array) -> float:
+    """-max_j trace(W_j M^-1): minus the largest predicted pose variance over the workspace; moments W (J, n, n)."""
+    return min(i(information, w) for w in moments)
 
 
 def kappa(singular_values: Array) -> float:
@@ -98,10 +115,13 @@ _SUN = "Sun and Hollerbach (2008), Observability index selection, ICRA"
 
 CATALOGUE: Mapping[str, Criterion] = MappingProxyType(
     {
-        c.name: c
-        for c in (
+        entry.name: entry
+        for entry in (
             Criterion("D", "log det M: volume of the confidence ellipsoid", _PUKELSHEIM, d),
             Criterion("A", "-trace M^-1: sum of the parameter variances", _PUKELSHEIM, a),
+            Criterion("Ds", "as D, of what is of interest: nuisances are profiled out", _PUKELSHEIM, ds),
+            Criterion("c", "-c' M^-1 c: variance of one combination", _PUKELSHEIM, c),
+            Criterion("G", "-max trace W_j M^-1: largest predicted pose variance", _PUKELSHEIM, g),
             Criterion("E", "least eigenvalue of M: the worst-known direction", _PUKELSHEIM, e),
             Criterion("I", "-trace W M^-1: mean predicted pose variance over the workspace", _PUKELSHEIM, i),
             Criterion("kappa", "condition number of H", _SUN, kappa),

@@ -26,6 +26,8 @@ from oed.design.objective import Line, Objective, Plain
 
 #: rounds of adding candidates; Newton steps in each
 ROUNDS, STEPS = 200, 8
+#: rounds after which Newton's steps are given up where the slopes are still worse than those they started from
+HOPELESS = 4
 #: damping of Newton's step, as a share of the mean curvature: more where the step does not raise the value
 DAMPING = (1e-10, 1e-6, 1e-3, 1e-1, 1e1)
 #: change in log phi below which a round counts as none
@@ -101,18 +103,18 @@ def solve(
     bound, line, most = np.inf, None, 2 * objective.directions
     if start is None:
         active, weights, bound = _begin(objective, size, caps)
-        line = objective.line(active, weights)
-        if bound < np.inf and line.bound(carried(line.slopes, size, same)) > bound + 1.0:
-            return _multiplied(objective, size, caps, tolerance)
     else:
         active, weights = _resume(start, size, caps)
-    reached, last, still = -np.inf, np.inf, 0
-    for _ in range(ROUNDS):
+    reached, last, still, before = -np.inf, np.inf, 0, bound
+    for k in range(ROUNDS):
         weights = _newton(objective, active, weights, caps[active])
         line = objective.line(active, weights)
-        bound = min(bound, line.bound(carried(line.slopes, size, same) * (1.0 + 1e-13)) + SAFE)
+        here = line.bound(carried(line.slopes, size, same) * (1.0 + 1e-13)) + SAFE
+        bound = min(bound, here)
         if bound - line.value < tolerance:
             break
+        if k == HOPELESS and here > before + 1.0:
+            return _multiplied(objective, size, caps, tolerance)
         # a smoothed maximum leaves a gap of its own: where neither value nor bound moves, that is all there is
         still = still + 1 if line.value - reached < STILL and last - bound < STILL else 0
         if still == 3:

@@ -20,7 +20,7 @@ from pkm_studies import claims, files, result
 from pkm_studies.progress import Progress, Silent
 from pkm_studies.resolve import Resolved, resolve
 from pkm_studies.result import StudyResult
-from pkm_studies.stages import choose, describe, fit, foresee, headline, see
+from pkm_studies.stages import choose, describe, fit, foresee, headline, score, see
 from pkm_studies.study import Study
 
 #: independent random streams of the stages: adding draws in one leaves the others as they were
@@ -56,10 +56,9 @@ def simulate_readings(study: Study, out: Path, *, seed: int | None = None) -> tu
     from oed import dataset
 
     job = _Job(study, out.parent, study.seed if seed is None else seed, Silent(), [])
-    chosen = choose.choose(job.resolved, job.rng(DESIGN))
-    series = job.planned(chosen)
+    series = job.planned(job.design())
     truth, y = job.virtual(series)
-    made = dataset.from_series(series, y, job.resolved.measurement)
+    made = dataset.from_series(series, y, job.measurement)
     files.out_folder(out.parent)
     dataset.save(out, made)
     table = {
@@ -88,7 +87,7 @@ class _Job:
 
     def run(self, *, report: bool) -> StudyResult:
         files.out_folder(self.out)
-        chosen = self._design()
+        chosen = self.design()
         series, y, truth, held = self._readings(chosen)
         seen = self._identifiability(chosen, series)
         self._design_sections(chosen, seen)
@@ -104,11 +103,21 @@ class _Job:
 
     # -- stages --------------------------------------------------------------------------------------------
 
-    def _design(self) -> choose.Chosen | None:
+    def design(self) -> choose.Chosen | None:
+        """The plan, where the study asks for one; from here on the measurement has the set-ups that it uses."""
         self.progress.stage("design")
         chosen = choose.choose(self.resolved, self.rng(DESIGN))
-        self.planned_series = () if chosen is None else chosen.series
+        if chosen is not None:
+            self.planned_series, self.measurement = chosen.scheduled, chosen.measurement
+            self._note_moved(chosen)
         return chosen
+
+    def _note_moved(self, chosen: choose.Chosen) -> None:
+        for name, values in (chosen.polished.setups if chosen.polished else {}).items():
+            told = ", ".join(f"{k} = {v:.6g}" for k, v in values.items())
+            self.warnings.append(
+                f"set-up {name} was moved by polishing: write {told} there before its readings are fitted"
+            )
 
     def planned(self, chosen: choose.Chosen | None) -> tuple[Series, ...]:
         """The chosen plan, or the first given one. Raises InputError where there is none."""
@@ -164,7 +173,7 @@ class _Job:
 
     def _design_sections(self, chosen: choose.Chosen | None, seen: explain.Seen) -> None:
         if chosen is not None:
-            self.sections["design"] = choose.section(self.resolved, chosen, seen)
+            self.sections["design"] = score.section(self.resolved, chosen, seen)
 
     def _fit(
         self, series: Sequence[Series], y: Array | None, truth: Array | None
@@ -229,9 +238,9 @@ class _Job:
             self.resolved.stages,
             self.progress,
         )
-        self.sections["prediction"] = foresee.section(
-            self.measurement, series, command, reference, self.rng(PREDICT), known, realised
-        )
+        foreseen = foresee.section(self.measurement, series, command, reference, self.rng(PREDICT), known, realised)
+        shares = {n: s.rms / foreseen.components[n].after.rms for n, s in (foreseen.realised or {}).items()}
+        self.sections["prediction"] = msgspec.structs.replace(foreseen, realised_share=shares)
 
     # -- results -------------------------------------------------------------------------------------------
 

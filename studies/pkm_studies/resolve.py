@@ -6,7 +6,6 @@ Raises InputError, naming file and field, for everything that does not fit the m
 from __future__ import annotations
 
 import dataclasses
-import fnmatch
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -20,16 +19,14 @@ from oed.instrument import Protocol, Setup, mount
 from oed.kinematics import AssemblyError
 from oed.machine import Machine, Parameter
 from oed.measurement import Measurement, Series
-from pkm_studies import catalogue, grids, quantities
+from pkm_studies import catalogue, grids, naming, quantities, resolve_design
 from pkm_studies.errors import Place, suggest
 from pkm_studies.grids import Circles, Plan
-from pkm_studies.study import KappaTable, SetupTable, Study
+from pkm_studies.resolve_design import Asked
+from pkm_studies.study import SetupTable, Study
 
 if TYPE_CHECKING:
     from oed.dataset import Dataset
-
-#: share of what an instrument holds by which a candidate's reading may differ from it
-UNHELD = 0.01
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -38,7 +35,8 @@ class Resolved:
 
     measurement  machine with the set-ups that candidates and readings use; where there are neither, with those of the
                  reference plans, or all: a set-up that only [[kappa]] or a reference plan names stays out
-    candidates   one series for each [[design.candidates]]
+    candidates   one series for each [[design.candidates]], within its limits; refused {reason: number of others}
+    asked        what [design] asks for
     references   the given plans, by name
     truth        parameters (SI) of the virtual machine by name, nominal where absent
     dataset      the readings, where the study has some
@@ -54,6 +52,8 @@ class Resolved:
     measurement: Measurement
     measure: Callable[[Iterable[str]], Measurement]
     candidates: tuple[Series, ...]
+    refused: Mapping[str, int]
+    asked: Asked | None
     references: tuple[Plan, ...]
     kappa: tuple[Circles, ...]
     truth: Mapping[str, float]
@@ -76,19 +76,22 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     machine, setups = _tolerances(study, machine, setups)
     measure = _measurer(machine, setups)
     everything = measure(setups)
-    candidates, warnings = _candidates(study, everything)
-    references = _references(study, everything)
+    candidates, refused, warnings = resolve_design.candidates(study, everything)
+    references = resolve_design.references(study, everything)
+    asked = resolve_design.asked(study, everything, references)
     fit, predict = _roles(study, setups)
     _check_stages(study, everything)
     return Resolved(
         study=study,
         machine=machine,
         setups=setups,
-        measurement=measure(_used(study, candidates, references, setups)),
+        measurement=measure(_used(study, candidates, asked, references, setups)),
         measure=measure,
         candidates=candidates,
+        refused=refused,
+        asked=asked,
         references=references,
-        kappa=tuple(_circles(study, k, i, measure) for i, k in enumerate(study.kappa)),
+        kappa=tuple(resolve_design.circles(study, k, i, measure) for i, k in enumerate(study.kappa)),
         truth=_truth(study, everything),
         dataset=_dataset(study, everything, readings),
         fit=fit,
@@ -218,21 +221,12 @@ def _names(machine: Machine, setups: Mapping[str, Setup]) -> dict[str, str]:
     return table | {f"{s.name}.{n.name}": n.unit for s in setups.values() for n in s.nuisances}
 
 
-def _match(patterns: Sequence[str], names: Iterable[str], place: Place) -> list[str]:
-    """Names that match any of the patterns; raises InputError for a pattern that matches nothing."""
-    names = list(names)
-    for i, pattern in enumerate(patterns):
-        if not fnmatch.filter(names, pattern):
-            raise place.item(i).error("no parameter has this name", suggest(pattern.strip("*"), names), pattern)
-    return [n for n in names if any(fnmatch.fnmatchcase(n, p) for p in patterns)]
-
-
 def _priors(study: Study, machine: Machine, setups: Mapping[str, Setup]) -> dict[str, float]:
     names = _names(machine, setups)
     found: dict[str, float] = {}
     for i, table in enumerate(study.prior.tolerance):
         place = study.place.key("prior").key("tolerance").item(i)
-        matched = _match(table.parameters, names, place.key("parameters"))
+        matched = naming.match(table.parameters, names, place.key("parameters"))
         if not matched:
             raise place.key("parameters").error("the list is empty", 'name parameters or patterns: ["dq*"]')
         kinds = {names[n]: n for n in matched}
@@ -254,7 +248,7 @@ def _fixed(study: Study, machine: Machine, setups: Mapping[str, Setup]) -> set[s
     if study.machine.fixed is None:
         return None
     place = study.place.key("machine").key("fixed")
-    return set(_match(study.machine.fixed, _names(machine, setups), place))
+    return set(naming.match(study.machine.fixed, _names(machine, setups), place))
 
 
 def _noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, tuple[float, ...]]:
@@ -306,96 +300,6 @@ def _measurer(machine: Machine, setups: Mapping[str, Setup]) -> Callable[[Iterab
     return measure
 
 
-def _known(name: str, setups: Iterable[str], place: Place) -> str:
-    names = list(setups)
-    if name not in names:
-        raise place.error("no such set-up", suggest(name, names, "set-ups"), name)
-    return name
-
-
-def _candidates(study: Study, measurement: Measurement) -> tuple[tuple[Series, ...], tuple[str, ...]]:
-    if study.design is None:
-        return (), ()
-    made, warnings = [], []
-    for i, table in enumerate(study.design.candidates):
-        place = study.place.key("design").key("candidates").item(i)
-        _known(table.setup, measurement.setups, place.key("setup"))
-        series, lost = grids.grid(table, measurement, place, strict=False)
-        made.append(series)
-        warnings += _unheld(measurement, series, place)
-        if lost:
-            warnings.append(
-                f"{place.field}: {lost} of {lost + len(series)} poses are left out, because {table.setup} cannot hold "
-                "its reading there"
-            )
-    return tuple(made), tuple(warnings)
-
-
-def _unheld(measurement: Measurement, series: Series, place: Place) -> list[str]:
-    """A warning where an instrument that holds its reading (a ball bar) would not hold it at some poses."""
-    setup = measurement.setups[series.setup]
-    if setup.instrument.holds is None:
-        return []
-    wanted = setup.instrument.holds(setup.settings)
-    first = setup.instrument.channels[0]
-    found = measurement.readings([series], measurement.nominal)[:: len(setup.sigma)]
-    far = int(np.count_nonzero(np.abs(found - wanted) > UNHELD * wanted))
-    if not far:
-        return []
-    span = f"{quantities.told(found.min(), first.unit)} to {quantities.told(found.max(), first.unit)}"
-    return [
-        f"{place.field}: at {far} of {len(found)} poses {setup.name} would read {span}, but it holds "
-        f'{quantities.told(wanted, first.unit)}: let one coordinate be "hold", or give poses that keep it'
-    ]
-
-
-def _references(study: Study, measurement: Measurement) -> tuple[Plan, ...]:
-    plans: dict[str, list[Series]] = {}
-    for i, table in enumerate(study.design.reference if study.design else []):
-        place = study.place.key("design").key("reference").item(i)
-        _known(table.setup, measurement.setups, place.key("setup"))
-        series, _ = grids.grid(table, measurement, place, strict=True)
-        plans.setdefault(table.name, []).append(series)
-    return tuple(Plan(name=name, series=tuple(series)) for name, series in plans.items())
-
-
-def _circles(study: Study, table: KappaTable, i: int, measure: Callable[[Iterable[str]], Measurement]) -> Circles:
-    place = study.place.key("kappa").item(i)
-    names = [s.name for s in study.setup]
-    measurement = measure([_known(table.setup, names, place.key("setup"))])
-    machine = measurement.machine
-    columns = [c.name for c in machine.command]
-    if len(table.coordinates) != 1:
-        example = quantities.column(columns[0], machine.command[0].unit)
-        raise place.error("one range spaces the circles", f"give one, as in {example} = {{ from = ..., to = ... }}")
-    key, span = next(iter(table.coordinates.items()))
-    name, unit = quantities.split(key, grids.wanted(machine), place)
-    if table.coordinate is not None and table.coordinate not in columns:
-        raise place.key("coordinate").error("no such coordinate", suggest(table.coordinate, columns), table.coordinate)
-    rest = [c for c in machine.command if c.name not in (name, table.coordinate)]
-    if len(rest) != 1 or rest[0].unit != "rad":
-        problem = "besides the range and the held coordinate, one angle must be left to run round"
-        raise place.key("coordinate").error(problem, f"coordinates are {', '.join(columns)}", table.coordinate or "")
-    lower, upper = (float(units.to_si(v, unit)) for v in (span.from_, span.to))
-    ends = np.zeros((2, len(columns)))
-    ends[:, columns.index(name)] = lower, upper
-    ends[:, [k for k, c in enumerate(columns) if c != name]] = [machine.home[c] for c in columns if c != name]
-    grids.in_workspace(machine, ends, {name: key}, place, measurement.setups[table.setup].tool)
-    return Circles(
-        title=table.title or f"{table.setup}: circles over {name}",
-        setup=table.setup,
-        circles=tuple(table.circles),
-        points=tuple(table.points),
-        measurement=measurement,
-        across=columns.index(name),
-        around=columns.index(rest[0].name),
-        hold=table.coordinate,
-        lower=lower,
-        upper=upper,
-        place=place,
-    )
-
-
 def _prediction(study: Study, machine: Machine) -> Array | None:
     if study.prediction is None:
         return None
@@ -411,9 +315,15 @@ def _prediction(study: Study, machine: Machine) -> Array | None:
 
 
 def _used(
-    study: Study, candidates: Sequence[Series], references: Sequence[Plan], setups: Mapping[str, Setup]
+    study: Study,
+    candidates: Sequence[Series],
+    asked: Asked | None,
+    references: Sequence[Plan],
+    setups: Mapping[str, Setup],
 ) -> Iterable[str]:
     used = {s.setup for s in candidates}
+    if candidates and asked is not None:
+        used |= {s.setup for s in asked.kept}
     if study.readings is not None:
         recorded = not study.readings.simulate
         used |= set(study.readings.fit or (setups if recorded else ())) | set(study.readings.predict)
@@ -427,7 +337,7 @@ def _roles(study: Study, setups: Mapping[str, Setup]) -> tuple[tuple[str, ...] |
     place = study.place.key("readings")
     for field, names in (("fit", study.readings.fit or []), ("predict", study.readings.predict)):
         for i, name in enumerate(names):
-            _known(name, setups, place.key(field).item(i))
+            naming.known(name, setups, place.key(field).item(i))
     fit = study.readings.fit
     both = set(fit or ()) & set(study.readings.predict)
     if both:
@@ -446,7 +356,7 @@ def _truth(study: Study, measurement: Measurement) -> dict[str, float]:
     common = {k: v for k, v in study.readings.truth.items() if not isinstance(v, Mapping)}
     truth = quantities.read(common, {p.name: p.unit for p in measurement.parameters}, place)
     for name, table in own.items():
-        setup = measurement.setups[_known(name, measurement.setups, place.key(name))]
+        setup = measurement.setups[naming.known(name, measurement.setups, place.key(name))]
         known = {n.name: n.unit for n in setup.nuisances}
         values = quantities.read(table, known, place.key(name))
         truth |= {f"{name}.{k}": v for k, v in values.items()}
@@ -456,7 +366,7 @@ def _truth(study: Study, measurement: Measurement) -> dict[str, float]:
 def _check_stages(study: Study, measurement: Measurement) -> None:
     place = study.place.key("identify").key("stages")
     for i, stage in enumerate(study.identify.stages):
-        if not _match(stage, measurement.names, place.item(i)):
+        if not naming.match(stage, measurement.names, place.item(i)):
             raise place.item(i).error("the list is empty", 'name parameters or patterns: ["*"] frees all')
 
 

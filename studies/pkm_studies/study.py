@@ -1,237 +1,26 @@
-"""What a study file says: TOML into frozen structs. No kernel here: see `resolve` for what it means.
-
-Tables that take fields by the name of a parameter, a setting or a coordinate, with the unit at the end
-(`length_mm`), collect them in the field named by `rest`.
-"""
+"""Study files: TOML into the frozen structs of `study_tables`. No kernel here: see `resolve` for what it means."""
 
 from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
-
-import msgspec
+from typing import Any
 
 from pkm_studies import decode, files
 from pkm_studies.errors import Place, shorten
+from pkm_studies.study_tables import Axis as Axis
+from pkm_studies.study_tables import ClaimTable as ClaimTable
+from pkm_studies.study_tables import GridTable as GridTable
+from pkm_studies.study_tables import KappaTable as KappaTable
+from pkm_studies.study_tables import Part as Part
+from pkm_studies.study_tables import Readings as Readings
+from pkm_studies.study_tables import SetupTable as SetupTable
+from pkm_studies.study_tables import Span as Span
+from pkm_studies.study_tables import StudyFile as StudyFile
 
 SCHEMA = 1
 LIMIT = 2_000_000  # bytes
 SUFFIX = ".study.toml"
-
-Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9][A-Za-z0-9_-]*$")]
-Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
-Whole = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
-Triple = tuple[float, float, float]
-
-
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base: frozen, unknown fields refused. `rest` names the field that collects fields of free name."""
-
-    rest: ClassVar[str | None] = None
-
-
-class Span(Part, frozen=True, kw_only=True):
-    """Evenly spaced values, in the unit of the field: `{ from = 0, to = 360, count = 12, endpoint = false }`."""
-
-    from_: float = msgspec.field(name="from")
-    to: float
-    count: Count
-    endpoint: bool = True
-
-
-class Range(Part, frozen=True, kw_only=True):
-    """Lowest and highest value, in the unit of the field."""
-
-    from_: float = msgspec.field(name="from")
-    to: float
-
-
-#: values of one command coordinate: a number, a list, evenly spaced, or held by the instrument
-Axis = float | list[float] | Span | Literal["hold"]
-
-
-class MachineTable(Part, frozen=True, kw_only=True):
-    """[machine]: which model, with which numbers. `fixed` replaces the model's list of parameters held."""
-
-    model: str
-    nominal: dict[str, float] = {}
-    fixed: list[str] | None = None
-
-
-class SetupTable(Part, frozen=True, kw_only=True):
-    """[[setup]]: an instrument as mounted. `tolerance` are the standard deviations of its unknowns.
-
-    Each planned reading is taken `repeats` times, in one direction or both; `average` keeps their mean.
-    """
-
-    rest = "settings"
-    name: Name
-    instrument: str
-    tool_mm: Triple = (0.0, 0.0, 0.0)
-    repeats: Count = 1
-    both_directions: bool = False
-    average: bool = True
-    teach: dict[str, float] | None = None
-    tolerance: dict[str, float] = {}
-    settings: dict[str, float] = {}
-
-
-class Noise(Part, frozen=True, kw_only=True):
-    """[noise]: standard deviation of each channel, for all set-ups or in a table named as the set-up."""
-
-    rest = "sigma"
-    estimate: bool = False
-    sigma: dict[str, float | dict[str, float]] = {}
-
-
-class ToleranceTable(Part, frozen=True, kw_only=True):
-    """[[prior.tolerance]]: a standard deviation for the parameters whose names match; later tables win."""
-
-    rest = "sigma"
-    parameters: list[str]
-    sigma: dict[str, float] = {}
-
-
-class Prior(Part, frozen=True, kw_only=True):
-    """[prior]."""
-
-    tolerance: list[ToleranceTable] = []
-
-
-class GridTable(Part, frozen=True, kw_only=True):
-    """[[design.candidates]]: poses of one set-up, all values of each coordinate combined."""
-
-    rest = "coordinates"
-    setup: str
-    runs_by: str | None = None
-    pairs_mm: list[tuple[Triple, Triple]] | None = None
-    coordinates: dict[str, Axis] = {}
-
-
-class ReferenceTable(GridTable, frozen=True, kw_only=True):
-    """[[design.reference]]: as candidates, but a given plan; tables of one name make one plan."""
-
-    rest = "coordinates"
-    name: str
-
-
-class Design(Part, frozen=True, kw_only=True):
-    """[design]: how many readings to choose from the candidates, by which criterion."""
-
-    criterion: Literal["D", "A", "E", "I"] = "D"
-    readings: Count = 30
-    scaling: Literal["length", "tolerance"] = "length"
-    starts: Count = 20
-    prior: bool = False
-    candidates: list[GridTable] = []
-    reference: list[ReferenceTable] = []
-
-
-class Plan(Part, frozen=True, kw_only=True):
-    """[plan]."""
-
-    budget_min: Annotated[float, msgspec.Meta(gt=0)] | None = None
-
-
-class KappaTable(Part, frozen=True, kw_only=True):
-    """[[kappa]]: condition number over m circles of n points. The range, `z_mm = { from, to }`, spaces the circles."""
-
-    rest = "coordinates"
-    title: str = ""
-    setup: str
-    circles: Annotated[list[Count], msgspec.Meta(min_length=1)]
-    points: Annotated[list[Count], msgspec.Meta(min_length=1)]
-    coordinate: str | None = None
-    coordinates: dict[str, Range] = {}
-
-
-class Readings(Part, frozen=True, kw_only=True):
-    """[readings]: from files, from a named source of data, or from a virtual machine."""
-
-    files: list[str] = []
-    source: str | None = None
-    path: str | None = None
-    simulate: bool = False
-    draw: bool = False
-    truth: dict[str, float | dict[str, float]] = {}
-    fit: list[str] | None = None
-    predict: list[str] = []
-
-
-class Identify(Part, frozen=True, kw_only=True):
-    """[identify]: parameters freed in turn, by name or pattern."""
-
-    stages: Annotated[list[list[str]], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: [["*"]])
-    max_iterations: Count = 50
-
-
-class Posterior(Part, frozen=True, kw_only=True):
-    """[posterior]: how long to sample. `steps` is the most; sampling stops at `ess` a parameter."""
-
-    enabled: bool = True
-    walkers: Annotated[int, msgspec.Meta(ge=4, le=100_000)] | None = None
-    steps: Count = 20_000
-    ess: Count = 1000
-    thin: Count | None = None
-
-
-class Prediction(Part, frozen=True, kw_only=True):
-    """[prediction]: residual accuracy over a grid of the workspace, against a reference."""
-
-    rest = "coordinates"
-    reference: Literal["home", "absolute", "best_fit"] = "home"
-    virtual_machines: Whole = 0
-    coordinates: dict[str, Axis] = {}
-
-
-class Gap(Part, frozen=True, kw_only=True):
-    """[gap]."""
-
-    effects: list[str] = []
-
-
-class Report(Part, frozen=True, kw_only=True):
-    """[report]."""
-
-    html: bool = True
-    pdf: bool = True
-    corner: Count = 6
-
-
-class ClaimTable(Part, frozen=True, kw_only=True):
-    """[expect]: what a result must be. `of` is a dotted path into result.json."""
-
-    of: str
-    equals: bool | float | str | None = None
-    min: float | None = None
-    max: float | None = None
-    contains: str | None = None
-
-
-class StudyFile(Part, frozen=True, kw_only=True):
-    """A study file, schema 1."""
-
-    schema: Literal[1]
-    name: Name
-    title: str = ""
-    question: str = ""
-    seed: Whole = 0
-    slow: bool = False
-    machine: MachineTable
-    setup: Annotated[list[SetupTable], msgspec.Meta(min_length=1)]
-    noise: Noise = Noise()
-    prior: Prior = Prior()
-    design: Design | None = None
-    plan: Plan | None = None
-    kappa: list[KappaTable] = []
-    readings: Readings | None = None
-    identify: Identify = Identify()
-    posterior: Posterior = Posterior()
-    prediction: Prediction | None = None
-    gap: Gap | None = None
-    report: Report = Report()
-    expect: dict[Name, ClaimTable] = {}
 
 
 class Study(StudyFile, frozen=True, kw_only=True):

@@ -119,7 +119,8 @@ def _prior(machine: Machine) -> str:
 
 
 def _design(machine: Machine, instrument: Instrument) -> str:
-    lines = ["[design]", 'criterion = "D"  # or "E"', "readings = 30", 'scaling = "length"', ""]
+    criteria = 'criterion = "D"  # or Ds, A, c, I, G, E, kappa, O1 to O5: see `oed schema study`'
+    lines = ["[design]", criteria, "readings = 30", 'scaling = "length"', ""]
     lines += ["[[design.candidates]]", f'setup = "{SETUP}"']
     hold = _held(machine, instrument)
     for c in machine.command:

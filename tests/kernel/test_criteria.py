@@ -104,3 +104,14 @@ def test_the_catalogue_lists_what_is_computed() -> None:
         given_to = (s, 9) if name == "O1" else (s,)
         assert criteria.CATALOGUE[name].function(*given_to) == value
     assert all(c.source and c.about and c.name == n for n, c in criteria.CATALOGUE.items())
+
+
+def test_profiled_combined_and_worst_variances(rng: np.random.Generator) -> None:
+    """Ds, c and G against the covariance itself."""
+    a = rng.standard_normal((9, 4))
+    m, covariance = a.T @ a, np.linalg.inv(a.T @ a)
+    assert criteria.ds(m, np.eye(4)[:, :2]) == pytest.approx(-np.linalg.slogdet(covariance[:2, :2])[1])
+    row = rng.standard_normal(4)
+    assert criteria.c(m, row) == pytest.approx(-row @ covariance @ row)
+    moments = np.array([np.outer(x, x) for x in rng.standard_normal((3, 4))])
+    assert criteria.g(m, moments) == pytest.approx(-max(np.trace(w @ covariance) for w in moments))

@@ -1,171 +1,162 @@
-"""The design: choose readings from the candidates, score given plans beside them, map the condition number."""
+"""The design: choose readings from the candidates, polish and order them; what the plan costs, condition numbers."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
-from oed import criteria, explain, information
-from oed.design import exchange
-from oed.instrument import Setup
-from oed.measurement import Index, Measurement, Series
-from pkm_studies import grids, quantities, result
+from oed import criteria, explain
+from oed.batch import Array
+from oed.design import candidates
+from oed.design.exchange import Choice
+from oed.information import Scaling
+from oed.measurement import Measurement, Series
+from pkm_studies import result
 from pkm_studies.errors import Place
 from pkm_studies.grids import Circles
 from pkm_studies.resolve import Resolved
-from pkm_studies.stages import describe
+from pkm_studies.stages import how_many, order, polish, robust, search
+from pkm_studies.stages.aims import Aims
+from pkm_studies.study_tables import Design
 
-Scaling = Literal["length", "tolerance"]
 
-
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Chosen:
-    """The chosen readings, in working order, and how they were found."""
+    """The plan, in working order, and how it was found.
 
+    measurement  with the set-ups that it uses, as polished
+    scheduled    the readings with the thermal references between
+    kept         readings that belonged to the plan before
+    candidates   that there were
+    loose        whether the bound leaves the number of set-ups free
+    compared     designs for further criteria
+    """
+
+    measurement: Measurement
     series: tuple[Series, ...]
-    choice: exchange.Choice
+    scheduled: tuple[Series, ...]
+    choice: Choice
+    aims: Aims
+    kept: int
     candidates: int
+    loose: bool
+    compared: tuple[result.Compared, ...]
+    polished: result.Polished | None
+    order: result.Ordered
+    robust: result.Robust | None
+    how_many: result.HowMany | None
 
 
 def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
-    """The best plan found, or None where the study asks for none. Raises InputError for what exchange cannot do."""
-    design = resolved.study.design
-    if design is None or not resolved.candidates:
+    """The best plan found, or None where the study asks for none. Raises InputError for what cannot be done."""
+    design, asked = resolved.study.design, resolved.asked
+    if design is None or asked is None or not resolved.candidates:
         return None
-    place = resolved.study.place.key("design")
-    if design.criterion not in ("D", "E"):
-        raise place.key("criterion").error("exchange designs know D and E", 'write "D" or "E"', design.criterion)
-    measurement, candidates = resolved.measurement, resolved.candidates
-    instruments = [measurement.setups[s.setup].instrument for s in candidates]
-    if any(c.shared for i in instruments for c in i.channels):
-        problem = "exchange takes readings with noise of their own, not told against a run's reference"
-        raise place.key("candidates").error(problem, "give the plan as [[design.reference]]")
-    channels = {len(i.channels) for i in instruments}
-    if len(channels) > 1:
-        problem = f"the candidates' instruments have {' and '.join(map(str, sorted(channels)))} channels"
-        raise place.key("candidates").error(problem, "take candidates with equally many")
-    free = measurement.free
-    rows = information.scaled(measurement, candidates, measurement.nominal, design.scaling)[:, free]
-    rows = rows.reshape(-1, channels.pop(), rows.shape[1])  # one block a reading
-    prior = np.eye(rows.shape[2]) if design.prior else None
-    if prior is not None and design.scaling != "tolerance":
-        raise place.key("prior").error("tolerances enter in their own unit", 'write scaling = "tolerance" beside it')
+    place, aims = resolved.study.place.key("design"), Aims(resolved, design)
+    problem = _problem(resolved, design, aims, place)
+    choice = _best(problem, aims, design.judged_by, rng, place.key("compound" if design.compound else "criterion"))
+    compared = _compared(problem, aims, choice, rng, place.key("compare"))
+    sturdy, curve = None, None
+    if design.robust is not None:
+        choice, sturdy = robust.choose(problem, aims, choice, design.robust, rng, place.key("robust"))
+    if design.how_many is not None:
+        seed = resolved.study.seed
+        curve = how_many.curve(problem, aims, choice, design.how_many, seed, place.key("how_many"))
+    series = problem.candidates.take(choice.indices)
+    measurement = _mounted(resolved, [*asked.kept, *series])
+    smoother = None
+    if design.polish is not None and design.polish.enabled:
+        smoother = polish.polished(resolved, aims, measurement, series, asked.kept)
+        measurement, series = smoother.measurement, smoother.series
+    arranged = order.arrange(resolved, measurement, asked.kept, series, rng)
+    return Chosen(
+        measurement=measurement,
+        series=arranged.series,
+        scheduled=arranged.scheduled,
+        choice=choice,
+        aims=aims,
+        kept=sum(map(len, asked.kept)),
+        candidates=len(problem.candidates),
+        loose=problem.limited and problem.loose,
+        compared=compared,
+        polished=None if smoother is None else smoother.told,
+        order=arranged.told,
+        robust=sturdy,
+        how_many=curve,
+    )
+
+
+def _problem(resolved: Resolved, design: Design, aims: Aims, place: Place) -> search.Problem:
+    """Candidates with what is held, and the rules."""
+    asked, measurement = resolved.asked, resolved.measurement
+    assert asked is not None
     try:
-        choice = exchange.choose(rows, design.readings, rng, _known(design.criterion), prior, design.starts)
-    except ValueError as error:
-        raise place.key("readings").error(str(error), "ask for more readings, or give more candidates") from error
-    return Chosen(_split(measurement, candidates, choice.indices), choice, len(rows))
-
-
-def _known(criterion: str) -> Literal["D", "E"]:
-    return "E" if criterion == "E" else "D"
-
-
-def _split(measurement: Measurement, candidates: Sequence[Series], indices: Index) -> tuple[Series, ...]:
-    """The chosen readings of each candidate series, one level after the other so that little is travelled."""
-    chosen, start = [], 0
-    for s in candidates:
-        mine = indices[(indices >= start) & (indices < start + len(s))] - start
-        start += len(s)
-        if not mine.size:
-            continue
-        command = s.commands()[mine]
-        order = np.lexsort(command.T[::-1]) if s.index.shape[1] == 1 or _one_run(s) else np.arange(len(mine))
-        taken = s.take(mine[order])
-        if _one_run(s):
-            first = measurement.machine.command[0].name
-            labels = grids.labels(taken.commands(), first, measurement.machine.command, Place(""))
-            taken = dataclasses.replace(taken, run=np.array(labels, dtype=np.str_))
-        chosen.append(taken)
-    return tuple(chosen)
-
-
-def _one_run(series: Series) -> bool:
-    return len(set(series.run)) == 1
-
-
-def section(resolved: Resolved, chosen: Chosen, seen: explain.Seen) -> result.Design:
-    """The design with the given plans scored beside it."""
-    design = resolved.study.design
-    assert design is not None
-    choice = chosen.choice
-    plans = [_score("chosen", seen, choice.criterion)]
-    for plan in resolved.references:
-        if set(plan.setups) <= set(resolved.measurement.setups):
-            other = explain.look(resolved.measurement, plan.series, design.scaling)
-            if other.verdict.rank == seen.verdict.rank:
-                plans.append(_score(plan.name, other, choice.criterion))
-    plans = _against_first(plans, seen.verdict.rank)
-    return result.Design(
-        criterion=choice.criterion,
-        n=plans[0].n,
-        value=choice.value,
-        bound=choice.bound,
-        efficiency=choice.efficiency,
-        kappa=plans[0].kappa,
-        observability=plans[0].observability,
-        poses=poses(resolved.measurement, chosen.series),
-        scaling=design.scaling,
-        candidates=chosen.candidates,
-        plans=plans,
-    )
-
-
-def _score(name: str, seen: explain.Seen, criterion: str) -> result.PlanScore:
-    s = seen.verdict.identifiable
-    n = sum(len(x) for x in seen.series)
-    logdet = 2.0 * float(np.log(s).sum())
-    return result.PlanScore(
-        name=name,
-        n=n,
-        criterion=criterion,
-        value=logdet if criterion == "D" else float(s[-1] ** 2),
-        logdet=logdet,
-        efficiency=1.0,
-        kappa=criteria.kappa(s),
-        observability=criteria.observability(s, n),
-    )
-
-
-def _against_first(plans: list[result.PlanScore], directions: int) -> list[result.PlanScore]:
-    """D-efficiency per reading of each plan against the first."""
-    best = plans[0]
-    return [
-        result.PlanScore(
-            name=p.name,
-            n=p.n,
-            criterion=p.criterion,
-            value=p.value,
-            logdet=p.logdet,
-            efficiency=float(np.exp((p.logdet - best.logdet) / directions) * best.n / p.n),
-            kappa=p.kappa,
-            observability=p.observability,
+        found = candidates.of(
+            measurement, resolved.candidates, measurement.nominal, design.scaling, whole_runs=design.whole_runs
         )
-        for p in plans
-    ]
+    except ValueError as error:
+        raise place.key("whole_runs").error(str(error), "give each run a table of its own") from error
+    if design.prior or asked.kept:
+        found = found.with_prior(_held(aims, measurement, asked.kept))
+    rules = found.rules(
+        size=design.size,
+        budget=None if design.budget_min is None else 60.0 * design.budget_min - seconds(measurement, asked.kept),
+        most_setups=design.setups_max,
+        apart=asked.apart,
+    )
+    mounted = {s.setup for s in asked.kept}
+    taken = tuple(k for k, name in enumerate(found.setups) if name in mounted)
+    return search.Problem(found, dataclasses.replace(rules, taken=taken), design.starts)
 
 
-def poses(measurement: Measurement, series: Sequence[Series]) -> list[result.Pose]:
-    """The readings as poses to command, in working order."""
-    table = []
-    nominal = measurement.nominal
-    for s in series:
-        channels = measurement.setups[s.setup].instrument.channels
-        y = measurement.readings([s], nominal).reshape(len(s), len(channels))
-        seen: dict[str, int] = {}
-        for k, run in enumerate(s.run):
-            seen[run] = seen.get(run, 0) + 1
-            read = {
-                quantities.column(c.name, c.unit): describe.shown(float(v), c.unit)
-                for c, v in zip(channels, y[k], strict=True)
-            }
-            table.append(
-                result.Pose(s.setup, str(run), seen[run], describe.command(measurement.machine, s.commands()[k]), read)
+def _held(aims: Aims, measurement: Measurement, kept: tuple[Series, ...]) -> Array:
+    return aims.information(measurement, kept) if kept else np.eye(int(measurement.free.sum()))
+
+
+def _best(problem: search.Problem, aims: Aims, name: str, rng: np.random.Generator, place: Place) -> Choice:
+    try:
+        return search.best(problem, aims.criterion(name, problem.candidates), rng)
+    except ValueError as error:
+        remedy = "ask for more readings, or give more candidates"
+        raise place.error(str(error), remedy if ":" not in str(error) else "see `oed list criteria`", name) from error
+
+
+def _compared(
+    problem: search.Problem, aims: Aims, main: Choice, rng: np.random.Generator, place: Place
+) -> tuple[result.Compared, ...]:
+    """Designs for further criteria, each plan scored by each criterion; the main one first."""
+    if not aims.design.compare:
+        return ()
+    own = aims.design.judged_by
+    names = list(dict.fromkeys([own, *aims.design.compare]))
+    choices = {own: main} | {n: _best(problem, aims, n, rng, place) for n in names if n != own}
+    made = []
+    for name in names:
+        criterion = aims.criterion(name, problem.candidates)
+        judged = {n: problem.judged(criterion, c.indices) for n, c in choices.items()}
+        c = choices[name]
+        made.append(
+            result.Compared(
+                name=name,
+                value=c.value,
+                bound=c.bound,
+                efficiency=c.efficiency,
+                proven=c.proven,
+                gain=float(np.exp(judged[name][0] - judged[own][0])),
+                values={n: number for n, (_, number) in judged.items()},
             )
-    return table
+        )
+    return tuple(made)
+
+
+def _mounted(resolved: Resolved, series: list[Series]) -> Measurement:
+    """The machine with the set-ups that a plan uses; with all of them where recorded readings are to be fitted."""
+    said = resolved.study.readings
+    if resolved.dataset is not None or (said is not None and not said.simulate):
+        return resolved.measurement
+    return resolved.measure({s.setup for s in series})
 
 
 def kappa_map(circles: Circles, scaling: Scaling) -> result.KappaMap:
@@ -180,18 +171,11 @@ def kappa_map(circles: Circles, scaling: Scaling) -> result.KappaMap:
     return result.KappaMap(circles.title, list(circles.circles), list(circles.points), table)
 
 
-def _seconds(setup: Setup) -> float:
-    """Time of one planned reading with all passes that are averaged into it."""
-    passes = len(setup.protocol.passes) if setup.protocol.average else 1
-    return setup.instrument.cost.reading * passes
-
-
 def plan(resolved: Resolved, seen: explain.Seen, predicted: Mapping[str, float]) -> result.Plan:
     """The readings as one stage, with its cost in minutes."""
     measurement = seen.measurement
     setups = list(dict.fromkeys(s.setup for s in seen.series))
-    cost = sum(measurement.setups[n].instrument.cost.setup for n in setups)
-    cost += sum(_seconds(measurement.setups[s.setup]) * len(s) for s in seen.series)
+    cost = seconds(measurement, seen.series)
     stage = result.Stage(
         measurement=", ".join(dict.fromkeys(measurement.setups[n].instrument.name for n in setups)),
         setups=setups,
@@ -202,3 +186,9 @@ def plan(resolved: Resolved, seen: explain.Seen, predicted: Mapping[str, float])
         predicted=dict(predicted),
     )
     return result.Plan([stage], stage.cost, [p.name for p in resolved.references])
+
+
+def seconds(measurement: Measurement, series: Sequence[Series]) -> float:
+    """Time to mount the set-ups and take the readings of a plan, s."""
+    mounting = sum(measurement.setups[n].instrument.cost.setup for n in dict.fromkeys(s.setup for s in series))
+    return mounting + sum(candidates.reading_time(measurement, s.setup) * len(s) for s in series)

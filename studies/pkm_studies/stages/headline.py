@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,6 +17,7 @@ def sentences(sections: Mapping[str, Any]) -> list[str]:
         *_accuracy(sections.get("prediction")),
         *_held_out(sections.get("held_out") or []),
         *_rank(sections.get("identifiability")),
+        *_gain(sections.get("design")),
         *_design(sections.get("design")),
         *_fit(sections.get("estimate")),
         *_posterior(sections.get("posterior")),
@@ -67,14 +69,31 @@ def _rank(section: result.Identifiability | None) -> list[str]:
 def _design(section: result.Design | None) -> list[str]:
     if section is None:
         return []
-    told = f"The {section.criterion}-optimal {section.n} readings reach log det {section.plans[0].logdet:.2f}"
-    others = [f"{p.logdet:.2f} for {p.name} ({100 * p.efficiency:.0f} % D-efficiency)" for p in section.plans[1:]]
-    sure = (
-        "" if section.efficiency is None else f" (certified to {100 * section.efficiency:.1f} % of the best possible)"
-    )
-    told += sure
+    d = section.criterion == "D"
+    told = f"The {section.criterion}-optimal {section.n} readings reach "
+    told += f"log det {section.plans[0].logdet:.2f}" if d else f"{section.criterion} = {number(section.value)}"
+    reached = [f"{p.logdet:.2f}" if d else number(p.value) for p in section.plans]
+    others = [
+        f"{value} for {p.name} ({100 * p.efficiency:.0f} % {section.criterion}-efficiency)"
+        for p, value in zip(section.plans[1:], reached[1:], strict=True)
+    ]
+    if section.proven:
+        told += " (proven optimal)"
+    elif section.efficiency is not None:
+        told += f" (certified to {percent(section.efficiency)} % of the best possible)"
     against = f", against {'; '.join(others)}" if others else ""
     return [f"{told}{against}; condition number {number(section.kappa)} ({section.scaling} scaling)."]
+
+
+def _gain(section: result.Design | None) -> list[str]:
+    """How much more accurate the machine becomes than with the first reference plan."""
+    if section is None or len(section.plans) < 2 or not section.plans[0].gain:
+        return []
+    gain, first = section.plans[0].gain.values(), section.plans[1]
+    reading = f"{section.n} readings in {', '.join(section.setups)}"
+    return [
+        f"With the {reading}, the pose is {min(gain):.2g} to {max(gain):.2g} times as accurate as with {first.name}."
+    ]
 
 
 def _fit(section: result.Estimate | None) -> list[str]:
@@ -98,3 +117,8 @@ def _posterior(section: result.Posterior | None) -> list[str]:
 def number(value: float) -> str:
     """Three significant digits, without an exponent in the usual range."""
     return f"{value:.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
+def percent(share: float) -> str:
+    """A share in percent with one digit, never rounded up: 99.96 % is not all."""
+    return f"{math.floor(1000 * share * (1 + 1e-12)) / 10:.1f}"

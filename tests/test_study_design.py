@@ -1,0 +1,198 @@
+"""Criteria of a study's [design] against all subsets, with any instruments; what is refused."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sample
+from design_sample import CUP, EXTRA, GRID, KNOWN, chosen, rows, section, text, value
+
+from oed import information
+from oed.measurement import Series
+from pkm_studies import pipeline, study
+from pkm_studies.errors import InputError
+
+# -- criteria: all 56 choices of 3 readings out of 8 -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["D", "Ds", "A", "c", "I", "G", "O1", "O5", "kappa", "O2"])
+def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
+    resolved, found = chosen(text(f'criterion = "{name}"\n' + KNOWN + EXTRA))
+    h = rows(resolved)
+    best = max(value(name, h[list(some)], resolved) for some in itertools.combinations(range(8), 3))
+    sign = -1.0 if name == "kappa" else 1.0
+    made = section(resolved, found)
+    size = abs(best)
+    assert sign * found.choice.value == pytest.approx(value(name, h[found.choice.indices], resolved), rel=1e-5)
+    assert sign * found.choice.value == pytest.approx(best, abs=2e-5 * size)
+    assert made.bound is not None
+    assert sign * made.bound >= best - 1e-5 * size
+    assert made.plans[0].value == pytest.approx(made.value, rel=1e-7)
+    assert made.words.startswith(("Proven optimal", "Certified to"))
+
+
+@pytest.mark.parametrize("name", ["E", "O3", "O4"])
+def test_eigenvalues_without_tolerances(name: str) -> None:
+    """18 of 20 readings, over the directions that all of them see."""
+    tables = GRID.format(name="cup").replace("[1086, 1246]", "[1086, 1146, 1206, 1266]").replace("230", "200, 230")
+    resolved, found = chosen(text(f'criterion = "{name}"\nreadings = 18\n', tables=tables))
+    m = resolved.measurement
+    h = (m.jacobian(resolved.candidates, m.nominal) / m.lengths)[:, m.free]
+    assert len(h) == 20
+    basis = np.linalg.svd(h, full_matrices=False)[2][: found.choice.directions].T
+    told = []
+    for out in itertools.combinations(range(20), 2):
+        w = np.linalg.eigvalsh((np.delete(h, out, axis=0) @ basis).T @ (np.delete(h, out, axis=0) @ basis))
+        told.append({"E": w[0], "O3": np.sqrt(max(w[0], 0.0)), "O4": w[0] / np.sqrt(w[-1])}[name])
+    assert found.choice.value == pytest.approx(max(told), rel=1e-5)
+    assert "directions that the candidates see" in section(resolved, found).words
+
+
+def test_compound_is_the_mean_of_logarithms() -> None:
+    resolved, found = chosen(text("compound = { D = 3.0, A = 1.0 }\n" + KNOWN))
+    h = rows(resolved)
+
+    def mean(some: tuple[int, ...]) -> float:
+        one = value("D", h[list(some)], resolved) / h.shape[1]
+        return 0.75 * one - 0.25 * float(np.log(-value("A", h[list(some)], resolved)))
+
+    best = max(mean(some) for some in itertools.combinations(range(8), 3))
+    assert found.choice.value == pytest.approx(best, rel=1e-6)
+    assert section(resolved, found).compound == {"D": 3.0, "A": 1.0}
+
+
+def test_compared_designs_score_each_other() -> None:
+    resolved, found = chosen(text('criterion = "D"\ncompare = ["A", "c"]\n' + KNOWN + EXTRA))
+    h, table = rows(resolved), {c.name: c for c in found.compared}
+    assert list(table) == ["D", "A", "c"]
+    assert table["D"].gain == 1.0
+    for name in ("A", "c"):
+        assert table[name].gain >= 1.0
+        assert table[name].values["D"] == pytest.approx(value(name, h[found.choice.indices], resolved), rel=1e-5)
+        assert table[name].gain == pytest.approx(table[name].values["D"] / table[name].values[name], rel=1e-6)
+
+
+def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
+    more = GRID.format(name="cup").replace("candidates", "reference").replace('"cup"', '"cup"\nname = "given"')
+    made = study.parse(text("criterion = 'I'\n" + KNOWN, tables=GRID.format(name="cup") + more), Path("x.study.toml"))
+    found = pipeline.run(made, tmp_path, report=False)
+    assert found.design is not None
+    assert found.prediction is not None
+    plan, given = found.design.plans
+    for name, component in found.prediction.components.items():
+        key = f"{name}_{found.prediction.unit[name]}"
+        assert plan.predicted[key] == pytest.approx(component.known.rms, rel=1e-9)
+        assert plan.gain[key] == pytest.approx(given.predicted[key] / plan.predicted[key])
+    assert given.n == 8
+    assert given.gain["x_um"] == 1.0
+
+
+# -- instruments -----------------------------------------------------------------------------------------------
+
+
+def test_readings_that_share_a_reference() -> None:
+    """Lines told against one reference: the plan's information is that of its correlated readings."""
+    planar = (
+        'schema = 1\nname = "small"\nmachine = { model = "planar_2dof" }\n[[setup]]\nname = "rm5"\ninstrument = "rm5"\n'
+    )
+    design = '[design]\nreadings = 4\nscaling = "tolerance"\nprior = true\n[[design.candidates]]\nsetup = "rm5"\n'
+    grid = 'y_mm = [0, -1200, -600, 600, 1200]\nz_mm = [0, 750, 1500]\nruns_by = "z"\n'
+    resolved, found = chosen(planar + design + grid)
+    m, (whole,) = resolved.measurement, resolved.candidates
+    assert len(whole) == 12
+
+    def told(series: list[Series]) -> float:
+        h = information.scaled(m, series, m.nominal, "tolerance")[:, m.free]
+        return float(np.linalg.slogdet(h.T @ h + np.eye(h.shape[1]))[1])
+
+    every = itertools.combinations(range(12), 4)
+    best = max(told([whole.take(np.array(some))]) for some in every)
+    assert found.choice.value == pytest.approx(best, rel=1e-8)
+    assert told(list(found.series)) == pytest.approx(best, rel=1e-8)
+    with pytest.raises(InputError, match="does not profile out"):
+        chosen(planar + design.replace("readings = 4", 'readings = 4\ncriterion = "E"') + grid)
+
+
+def test_instruments_with_different_channels() -> None:
+    tracker = '[[setup]]\nname = "tracker"\ninstrument = "pose_tracker"\n'
+    resolved, found = chosen(text(KNOWN, tables=GRID.format(name="cup") + TRACKED, setups=CUP + tracker))
+    m = resolved.measurement
+    bar, seen = resolved.candidates
+    assert len(m.setups["cup"].sigma) != len(m.setups["tracker"].sigma)
+
+    def told(series: list[Series]) -> float:
+        h = information.scaled(m, series, m.nominal, "tolerance")[:, m.free]
+        return float(np.linalg.slogdet(h.T @ h + np.eye(h.shape[1]))[1])
+
+    every = (np.array(some) for some in itertools.combinations(range(12), 3))
+    split = ([(bar, s[s < 8]), (seen, s[s >= 8] - 8)] for s in every)
+    best = max(told([series.take(k) for series, k in parts if k.size]) for parts in split)
+    assert found.choice.value == pytest.approx(best, rel=1e-8)
+    assert told(list(found.series)) == pytest.approx(best, rel=1e-8)
+
+
+TRACKED = """
+[[design.candidates]]
+setup = "tracker"
+z_mm = [1086, 1246]
+psi_deg = [0, 130]
+theta_deg = 20
+"""
+
+
+# -- refusals --------------------------------------------------------------------------------------------------
+
+REFUSED = {
+    "criterion and compound": ('criterion = "A"\ncompound = { D = 1.0 }', "design.compound", "keep criterion or"),
+    "unknown part": ("compound = { F = 1.0 }", "design.compound.F", "no such criterion"),
+    "negative share": ("compound = { D = -1.0 }", "design.compound.D", "> 0"),
+    "I alone": ('criterion = "I"', "design.criterion", "prior = true"),
+    "c of nothing": ('criterion = "c"', "design.criterion", "add combination"),
+    "combination": ("combination = { dq9 = 1.0 }", "design.combination.dq9", "did you mean dq"),
+    "interest": ('interest = ["xx*"]', "design.interest[1]", "no parameter"),
+    "accuracy": ("accuracy = { x_deg = 1.0 }", "design.accuracy.x_deg", "x_um"),
+    "apart": ("apart = { phi_deg = 1.0 }", "design.apart.phi_deg", "did you mean psi_deg"),
+    "set-ups": ("setups_max = 1", "design.setups_max", "prior = true"),
+    "keep": ('keep = "former"', "design.keep", "no such reference plan"),
+    "compare": ('compare = ["D", "F"]', "design.compare[2]", "allowed: D"),
+    "prior": ("prior = true", "design.prior", 'scaling = "tolerance"'),
+    "polish": ('criterion = "G"\n' + KNOWN + "polish = { }", "design.polish", "no slope"),
+    "polish of nothing": ("polish = { free = { cap = {} } }", "design.polish.free.cap", "did you mean cup"),
+    "polish unit": ("polish = { free = { cup = { length = [0, 1] } } }", "design.polish.free.cup.length", "length_mm"),
+    "limits": ("limits = { joints = { q9_mm = { from = 0, to = 1 } } }", "design.limits.joints.q9_mm", "q1_mm"),
+    "nothing moves": (
+        "limits = { spheres = [{ at_mm = [0, 0, 0], radius_mm = 1 }] }",
+        "design.limits",
+        "links_mm, bar_mm or both",
+    ),
+    "no candidate": ("limits = { joints = { q1_mm = { from = 0, to = 1 } } }", "design.limits", "no candidate of cup"),
+    "chance": ("limits = { travel_chance = 0.5 }", "design.limits.travel_chance", "give travel_mm"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused_with_field_and_remedy(name: str) -> None:
+    said, field, words = REFUSED[name]
+    with pytest.raises(InputError) as error:
+        sample.resolved(text(said + "\n"))
+    assert error.value.field == field, str(error.value)
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("said", "field", "words"),
+    [
+        ("readings = 4", "design.criterion", "cannot determine"),
+        ("readings = 9", "design.criterion", "cannot choose 9"),
+        (KNOWN + "budget_min = 5", "design.criterion", "raise the budget"),
+        (KNOWN + "order = { reference_every_min = 0.1 }", "design.order.reference_every_min", "raise it"),
+    ],
+)
+def test_what_cannot_be_chosen(said: str, field: str, words: str) -> None:
+    with pytest.raises(InputError) as error:
+        chosen(text(said + "\n"))
+    assert error.value.field == field, str(error.value)
+    assert words in str(error.value)
