@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 import numpy as np
+import report_fixture_design
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -71,7 +72,7 @@ def sample() -> dict[str, Any]:
             "one tool length": _identifiability(21, 18, rng),
             "two tool lengths, two set-ups": _identifiability(24, 23, rng),
         },
-        "design": _design(poses),
+        "design": report_fixture_design.design(poses),
         "kappa_maps": _kappa_maps(rng),
         "plan": _plan(),
         "estimate": _estimate(rng),
@@ -226,41 +227,6 @@ def _words(lost: int) -> list[dict[str, Any]]:
     ]
     remedies = ["a second tool length (two of the three)", "an instrument that reads orientation (all three)"]
     return words + ([{"kind": "lost", "text": spin, "remedies": remedies}] if lost else [])
-
-
-def _design(poses: list[dict[str, Any]]) -> dict[str, Any]:
-    plans = [
-        _score("chosen", 30, -58.68, 0.977, 5210.0),
-        _score("two circles of 15 (paper)", 30, -65.58, 0.68, 3748.0),
-        _score("random, best of 200", 30, -63.2, 0.78, 9120.0),
-    ]
-    return {
-        "criterion": "D",
-        "n": 30,
-        "value": -58.68,
-        "bound": -58.20,
-        "efficiency": 0.977,
-        "kappa": 5210.0,
-        "observability": plans[0]["observability"],
-        "poses": poses,
-        "scaling": "lengths in mm, angles times 540 mm",
-        "candidates": 1512,
-        "plans": plans,
-    }
-
-
-def _score(name: str, n: int, logdet: float, efficiency: float, kappa: float) -> dict[str, Any]:
-    observability = {"O1": 0.0173, "O2": 1.0 / kappa, "O3": 0.00124, "O4": 3.2e-7, "O5": 0.0044}
-    return {
-        "name": name,
-        "n": n,
-        "criterion": "D",
-        "value": logdet,
-        "logdet": logdet,
-        "efficiency": efficiency,
-        "kappa": kappa,
-        "observability": observability,
-    }
 
 
 def _kappa_maps(rng: np.random.Generator) -> list[dict[str, Any]]:

@@ -25,12 +25,17 @@ from pkm_reports import pdf as pdf_writer
 from pkm_reports.figures import (
     accuracy,
     budget,
+    compared,
     corner,
     held_out,
+    how_many,
     kappa,
     machine,
     parameters,
+    path,
+    predicted,
     residuals,
+    robust,
     singular,
     workspace,
 )
@@ -124,7 +129,7 @@ def test_the_question_and_the_answers_come_first(full: tuple[Path, Path]) -> Non
 def test_every_figure_has_a_caption_with_a_number(full: tuple[Path, Path]) -> None:
     page = full[0].read_text(encoding="utf-8")
     figures = re.findall(r'<figure class="picture">.*?</figure>', page, re.DOTALL)
-    assert len(figures) == 10
+    assert len(figures) == 15
     for k, figure in enumerate(figures, 1):
         caption = _shown(figure.partition("<figcaption>")[2])
         assert f"Figure {k}." in caption
@@ -180,6 +185,12 @@ def test_text_of_the_study_is_never_markup(tmp_path: Path) -> None:
     result["held_out"][0]["name"] = NASTY
     for key in ("setup", "run"):
         result["design"]["poses"][0][key] = NASTY
+    design = result["design"]
+    design |= {"words": NASTY, "setups": [NASTY], "refused": {NASTY: 2}, "criterion": NASTY}
+    design["plans"][1]["name"] = design["compared"][1]["name"] = NASTY
+    design["polished"] |= {"words": NASTY, "setups": {NASTY: {NASTY: 1.0}}}
+    design["order"]["setups"] = [NASTY, "b"]
+    design["how_many"] |= {"words": NASTY, "accuracy": {NASTY: [1.0] * 6}}
     page, book = write_report(result, tmp_path)
     text = page.read_text(encoding="utf-8")
     assert "<b>&" not in text
@@ -200,6 +211,11 @@ EMPTY: list[tuple[Callable[[Any], Figure], Any]] = [
     (budget.draw, {"x": {"budget": {}}}),
     (workspace.draw, {"components": {}, "map": []}),
     (held_out.draw, [{"residuals": []}]),
+    (compared.draw, {"compared": []}),
+    (predicted.draw, [{"name": "chosen"}]),
+    (path.draw, [{"setup": "a", "command": {}}]),
+    (robust.draw, {"values": [None], "nominal_values": []}),
+    (how_many.draw, {"sizes": [10, 20], "accuracy": {"z_um": [None, None]}}),
 ]
 
 
@@ -222,6 +238,11 @@ def test_figures_keep_all_words_inside(build: Callable[[], dict[str, Any]]) -> N
         (accuracy.draw, result["prediction"]),
         (budget.draw, result["prediction"]["components"]),
         (workspace.draw, result["prediction"]),
+        (compared.draw, result["design"]),
+        (predicted.draw, result["design"]["plans"]),
+        (path.draw, result["design"]["poses"]),
+        (robust.draw, result["design"]["robust"]),
+        (how_many.draw, result["design"]["how_many"]),
     ]
     with style.applied():
         for draw, part in parts:
@@ -312,3 +333,8 @@ def test_words() -> None:
     assert words.listing(["a", "b", "c"]) == "a, b and c"
     assert words.combination({"a": -0.5, "b": 1.0}) == "b − 0.5\N{NO-BREAK SPACE}a"
     assert words.fixed(-0.0001, 2) == "0.00"
+    assert words.certain(0.99999) == "99.9\N{NO-BREAK SPACE}%"
+    assert words.certain(0.973) == "97.3\N{NO-BREAK SPACE}%"
+    assert words.parted("psi_arcsec") == ("psi", "arcsec")
+    assert words.parted("no_unit") == ("no unit", "")
+    assert words.factor(3.046) == "3.05×"

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib import font_manager, ft2font
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, Formatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, Formatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from pkm_reports import words
 
@@ -152,11 +152,16 @@ class PlainLog(Formatter):
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         """Label of one tick."""
-        return words.plain(x, 2) if x > 0 else ""
+        return words.plain(x, 3) if x > 0 else ""
+
+
+def legend_columns(labels: Sequence[str]) -> int:
+    """How many entries of a legend below the figure stand side by side."""
+    return max(1, min(len(labels), 110 // (7 + max(map(len, labels), default=1))))
 
 
 def log_axis(axes: Axes, which: str) -> None:
-    """Logarithmic scale with plain labels; a range of under two decades is labelled at 1, 2, 5."""
+    """Logarithmic scale with plain labels; a range of under two decades is labelled at 1, 2, 5, a short one evenly."""
     getattr(axes, f"set_{which}scale")("log")
     axis = getattr(axes, f"{which}axis")
     low, high = sorted(getattr(axes, f"get_{which}lim")())
@@ -166,6 +171,8 @@ def log_axis(axes: Axes, which: str) -> None:
     axis.set_minor_formatter(NullFormatter())
     if narrow:
         axis.set_minor_locator(NullLocator())
+    if high < 6.0 * low:
+        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
 
 
 def fixed_ticks(axes: Axes, which: str, places: Sequence[float], labels: Sequence[str]) -> None:

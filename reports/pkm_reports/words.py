@@ -106,23 +106,38 @@ def percent(share: Any) -> str:
     return f"{fixed(x, 1 if near_an_end else 0)}{GAP}%"
 
 
-def heading(name: str) -> str:
-    """A column title from a field name: z_mm -> z [mm]."""
+def certain(share: Any) -> str:
+    """A guaranteed share as percent with one decimal, never rounded up: 99.96 % is not all."""
+    x = number(share)
+    return f"{fixed(math.floor(1000.0 * x * (1.0 + 1e-12)) / 10.0, 1)}{GAP}%" if math.isfinite(x) else MISSING
+
+
+def factor(ratio: Any) -> str:
+    """How many times as good: 3.05×."""
+    x = number(ratio)
+    return f"{num(x)}×" if math.isfinite(x) else MISSING
+
+
+def parted(name: str) -> tuple[str, str]:
+    """Stem and unit of a field name, the unit empty where there is none: z_um -> z, um."""
     try:
         stem, suffix = units.split(name)
     except units.UnitError:
-        return str(name).replace("_", " ")
+        stem, suffix = str(name), ""
+    return stem.replace("_", " "), suffix
+
+
+def heading(name: str) -> str:
+    """A column title from a field name: z_mm -> z [mm]."""
+    stem, suffix = parted(name)
     sign = unit(suffix)
-    return f"{stem.replace('_', ' ')} [{sign}]" if sign else stem.replace("_", " ")
+    return f"{stem} [{sign}]" if sign else stem
 
 
 def labelled(name: str, value: Any, digits: int = 5) -> str:
     """A named number from a field: length_mm, 300 -> length 300 mm."""
-    try:
-        stem, suffix = units.split(name)
-    except units.UnitError:
-        return f"{str(name).replace('_', ' ')}{GAP}{plain(value, digits)}"
-    return f"{stem.replace('_', ' ')}{GAP}{with_unit(plain(value, digits), suffix)}"
+    stem, suffix = parted(name)
+    return f"{stem}{GAP}{with_unit(plain(value, digits), suffix)}"
 
 
 def numbers(fields: dict[str, Any], digits: int = 5) -> str:

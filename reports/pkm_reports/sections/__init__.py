@@ -8,6 +8,7 @@ from typing import Any, Final
 from pkm_reports.blocks import Section
 from pkm_reports.sections import (
     accuracy,
+    design,
     held_out,
     identifiability,
     identification,
@@ -17,7 +18,7 @@ from pkm_reports.sections import (
     record,
 )
 
-CHAPTERS: Final = (plan, kappa, identifiability, identification, posterior, accuracy, held_out, record)
+CHAPTERS: Final = (plan, design, kappa, identifiability, identification, posterior, accuracy, held_out, record)
 
 
 def chapters(result: Mapping[str, Any]) -> list[Section]:

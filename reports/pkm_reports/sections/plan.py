@@ -1,8 +1,7 @@
-"""Which readings to take, in which order: drawing, plan, stages, and other plans to compare with."""
+"""Which readings to take, in which order: drawing, stages, working order, readings."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -16,12 +15,12 @@ from pkm_reports.blocks import (
     Paragraph,
     Picture,
     Table,
-    absent,
     number_column,
     text_column,
     transposed,
 )
 from pkm_reports.figures import machine
+from pkm_reports.sections.parts import order
 
 ANCHOR: Final = "plan"
 TITLE: Final = "Machine and plan"
@@ -29,14 +28,13 @@ Part = Mapping[str, Any]
 
 
 def blocks(result: Part) -> list[Block]:
-    """Drawing, stages, the readings in order, plans compared."""
+    """Drawing, stages, the working order, the readings."""
     design, drawing = result.get("design"), result.get("drawing")
     made: list[Block] = [Paragraph(_about(result["machine"]))]
     if drawing:
         made.append(Picture("machine", lambda: machine.draw(drawing), _seen(drawing)))
     made += _stages(result["plan"]) if result.get("plan") else []
-    made += [*_plans(design), *_readings(design)] if design else absent("Choosing readings")
-    return made
+    return made + ([Paragraph(_chosen(design)), *order.blocks(design), *_readings(design)] if design else [])
 
 
 def _about(info: Part) -> str:
@@ -65,11 +63,13 @@ def _readings(design: Part) -> list[Block]:
     commands = list(dict.fromkeys(key for pose in poses for key in pose["command"]))
     readings = list(dict.fromkeys(key for pose in poses for key in pose["reading"]))
     columns = [
+        Column("No.", number=True),
         *text_column("Set-up", "Run"),
-        *number_column("Order", *[words.heading(c) for c in commands]),
+        *number_column("Order in run", *[words.heading(c) for c in commands]),
         *number_column(*[f"{words.heading(r)}, nominal" for r in readings]),
     ]
-    cells = [[str(p["setup"]) for p in poses], [str(p["run"]) for p in poses], [str(p["order"]) for p in poses]]
+    cells = [[str(k) for k in range(1, len(poses) + 1)]]
+    cells += [[str(p[key]) for p in poses] for key in ("setup", "run", "order")]
     cells += [words.column([p["command"].get(c) for p in poses]) for c in commands]
     cells += [words.column([p["reading"].get(r) for p in poses]) for r in readings]
     return [Table(columns, transposed(cells), _told(poses))]
@@ -81,63 +81,20 @@ def _told(poses: Sequence[Part]) -> str:
     for setup in dict.fromkeys(str(p["setup"]) for p in poses):
         mine = [p for p in poses if p["setup"] == setup]
         runs = list(dict.fromkeys(str(p["run"]) for p in mine))
-        parts.append(f"{words.count(len(mine), 'reading')} in {setup} ({words.listing(runs, 4)})")
+        named = f" ({words.listing(runs, 4)})" if runs != ["1"] else ""
+        parts.append(f"{words.count(len(mine), 'reading')} in {setup}{named}")
     return f"The readings to take, from top to bottom: {words.listing(parts, 5)}. The machine is commanded to each row."
 
 
-def _plans(design: Part) -> list[Block]:
-    plans = design.get("plans") or []
-    if not plans:
-        return [Paragraph(_verdict(design))]
-    names = list(dict.fromkeys(key for p in plans for key in p.get("observability") or {}))
-    cells = [
-        [str(p["name"]) for p in plans],
-        [str(p["n"]) for p in plans],
-        [words.fixed(p["logdet"], 2) for p in plans],
-        [words.percent(p["efficiency"]) for p in plans],
-        [words.num(p["kappa"], 4) for p in plans],
-        *[[words.num((p.get("observability") or {}).get(o), 3) for p in plans] for o in names],
-    ]
-    gain = "D-efficiency" if all(p["criterion"] == "D" for p in plans) else "Efficiency"
-    columns = [Column("Plan", wide=True), *number_column("Readings", "log det", gain, "κ", *names)]
-    marks = ["chosen" if _is_chosen(p, design) else "" for p in plans]
-    return [Paragraph(_verdict(design)), Table(columns, transposed(cells), _compared(design, plans), marks)]
-
-
-def _is_chosen(score: Part, design: Part) -> bool:
-    return score["name"] == "chosen" or all(score.get(key) == design.get(key) for key in ("n", "value", "kappa"))
-
-
-def _verdict(design: Part) -> str:
-    """What was optimised, out of how many candidates, and how far from the bound it ended."""
+def _chosen(design: Part) -> str:
+    """What was chosen, by what, out of how many."""
     text = f"{words.count(design['n'], 'reading')} were chosen"
     if design.get("candidates"):
         text += f" out of {words.count(design['candidates'], 'candidate')}"
-    text += f" by criterion {design['criterion']}, which they bring to {words.num(design['value'], 4)}"
-    if design.get("bound") is not None:
-        text += f"; no choice can pass {words.num(design['bound'], 4)}"
-    if design.get("efficiency") is not None:
-        text += f" (efficiency {words.percent(design['efficiency'])})"
-    return f"{text}. Scaling of the parameters: {design['scaling']}."
-
-
-def _compared(design: Part, plans: Sequence[Part]) -> str:
-    """Caption of the comparison: the chosen plan against the best and worst of the others."""
-    text = "The chosen plan (marked) and plans to compare it with. Higher log det is better, lower κ is better."
-    mine = [p for p in plans if _is_chosen(p, design)]
-    others = [p for p in plans if not _is_chosen(p, design) and words.number(p["efficiency"]) > 0.0]
-    if not mine or not others or not words.number(mine[0]["efficiency"]) > 0.0:
-        return text
-    rival = max(others, key=lambda p: words.number(p["efficiency"]))
-    share = words.number(rival["efficiency"]) / words.number(mine[0]["efficiency"])
-    if share > 1.0:
-        return f"{text} The plan “{rival['name']}” is ahead of the chosen one."
-    text += f" The next best, “{rival['name']}”, is worth {words.percent(share)} of the chosen one"
-    if rival["criterion"] != "D" or rival["n"] != mine[0]["n"]:
-        return f"{text}."
-    # D-efficiency grows in proportion to the number of readings.
-    more = math.ceil(rival["n"] / share - rival["n"])
-    return f"{text}: it would take about {words.count(more, 'reading')} more to learn as much."
+    text += f" by criterion {design['criterion']}"
+    kept = design.get("kept") or 0
+    text += f"; {kept} of them belonged to the plan before" if kept else ""
+    return f"{text}. How good the choice is known to be is told in the next chapter."
 
 
 def _stages(plan: Part) -> list[Block]:
@@ -156,7 +113,7 @@ def _stages(plan: Part) -> list[Block]:
         [words.num(s["kappa"], 4) for s in stages],
         [words.numbers(s.get("predicted") or {}, 3) for s in stages],
     ]
-    columns = [Column("Stage", number=True), *text_column("Measurement", "Set-ups")]
+    columns = [Column("Stage", number=True), Column("Measurement"), Column("Set-ups", wide=True)]
     columns += number_column("Readings", "Identifies", "Cost [min]", "κ")
     columns.append(Column("Predicted afterwards", wide=True))
     caption = f"The plan as stages, in order; together {words.quantity(plan['cost'], 'min')} of machine time."
