@@ -21,6 +21,8 @@ from pkm_reports.figures import singular
 ANCHOR: Final = "identifiability"
 TITLE: Final = "What the readings can see"
 Part = Mapping[str, Any]
+#: lost directions of a variant beyond which they are counted, not described
+MANY = 8
 VERDICTS: Final = {
     "seen": ("seen", "good"),
     "combination": ("only in combination", ""),
@@ -125,6 +127,9 @@ def _variants(variants: Mapping[str, Part], part: Part | None) -> Table:
 
 
 def _lost(part: Part) -> str:
+    """What is lost, in words where it has a name; of many directions only how many: result.json lists them."""
+    if part["n"] - part["rank"] > MANY:
+        return f"{part['n'] - part['rank']} directions: far too few readings, or too alike, on their own."
     told = [words.sentence(g["text"]) for g in part.get("words") or [] if g["kind"] == "lost"]
     if told:
         return " ".join(told)
