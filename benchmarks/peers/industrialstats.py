@@ -1,0 +1,31 @@
+"""industrialstats: row exchange over a candidate set, which is handed over in place of its grid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peers import SIZE, Choice, Task
+
+REQUIRES = ("industrialstats==0.3.0",)
+
+
+def exchange(rows: np.ndarray) -> Choice:
+    """Its `OptimalDesign` with its 5 random starts (they take no seed)."""
+    import pandas as pd
+    from industrialstats.designs.base import Factor
+    from industrialstats.designs.optimal import OptimalDesign
+
+    names = [f"x{k}" for k in range(rows.shape[1])]
+    factors = [Factor(name, [-5.0, 5.0], "continuous") for name in names]
+    design = OptimalDesign(factors, SIZE, "D", model_terms=names)
+    design.candidate_set = pd.DataFrame(rows, columns=names)
+    numbers = {row.tobytes(): number for number, row in enumerate(rows)}
+
+    def choose() -> list[int]:
+        found = design.generate_design()[names].to_numpy(dtype=float)
+        return [numbers[np.ascontiguousarray(row).tobytes()] for row in found]
+
+    return choose
+
+
+TASKS = (Task("A, D", "row exchange, 5 starts", exchange, "may repeat rows; no E"),)

@@ -1,0 +1,30 @@
+"""pyDOE3: polynomial models in factors only, so the 21 columns are its factors and an intercept comes on top."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peers import SIZE, Choice, Task
+
+REQUIRES = ("pydoe3==1.6.2",)
+
+
+def optimal(rows: np.ndarray, criterion: str, method: str) -> Choice:
+    """Its `optimal_design` of degree 1; the rows are found again by their values."""
+    from pyDOE3.doe_optimal import optimal_design
+
+    numbers = {row.tobytes(): number for number, row in enumerate(rows)}
+
+    def choose() -> list[int]:
+        found, _ = optimal_design(rows, SIZE, 1, criterion=criterion, method=method)
+        return [numbers[np.ascontiguousarray(row).tobytes()] for row in found]
+
+    return choose
+
+
+NOTE = "always adds an intercept"
+TASKS = (
+    Task("A, D", "greedy (its default)", lambda rows: optimal(rows, "D", "sequential"), NOTE),
+    Task("A, D", "DETMAX", lambda rows: optimal(rows, "D", "detmax"), NOTE),
+    Task("A, E", "DETMAX", lambda rows: optimal(rows, "E", "detmax"), NOTE),
+)
