@@ -11,7 +11,7 @@ imports: medians of three for this project, one run for the others. A ratio is t
 problem. The table for a README holds the best row of each package, and what was stopped.
 
 Problems C0 to C2 (`hexapod.py`, three instances): 10 of 2000 poses of a hexapod with 42 parameters, six correlated
-readings a pose, no prior, D. Sixty readings for 42 unknowns leave the relaxation loose, by 9 to 13 % from instance to
+readings a pose, no prior, D. Sixty readings for 42 unknowns leave 10 to 13 % between plan and bound, from instance to
 instance: more rounds and wider pools find no better plan, and branching lowers the bound. The packages' row exchanges
 take no blocks, so cvxpy alone is beside it, with columns turned so that equal weights give the unit matrix (as they
 come, Clarabel fails on them).

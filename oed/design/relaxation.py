@@ -230,18 +230,20 @@ def _moved(objective: Objective, active: Index, weights: Array, caps: Array) -> 
     with more damping where the step is too long; else straight to the first bound, or from one weight to another."""
     slopes, curvature = objective.newton(active, weights)
     value = objective.value(active, weights)
+    longest: tuple[Array, Index] | None = None
     for damp in DAMPING:
         step, free = _direction(slopes, curvature, weights, caps, damp)
         if not free.size:
             break
+        longest = longest or (step, free)
         bent = weights.copy()
         bent[free] = _projected(weights[free] + step, float(weights[free].sum()), caps[free])
         if objective.value(active, bent) > value:
             return bent
-        if damp == DAMPING[0]:
-            straight = _straight(objective, active, weights, step, free, caps)
-            if straight is not None:
-                return straight
+    # last: it lets go of one weight at a time, and wide blocks have hundreds to let go
+    straight = None if longest is None else _straight(objective, active, weights, *longest, caps)
+    if straight is not None:
+        return straight
     step, free = _exchanged(slopes, curvature, weights, caps)
     return None if not free.size else _straight(objective, active, weights, step, free, caps)
 
