@@ -1,7 +1,8 @@
 """No plan within the budget is better than this: a bound over all combinations of measurements.
 
-Whatever the order of its stages, a plan that mounts the options T and reads candidates i of them leaves at most the
-information L = L0 + sum_(s in T) S_s about the machine, with the set-ups' own unknowns profiled out,
+Whatever the order of its stages, a plan that mounts the options T and reads candidates i of them, at most N_s of each
+(the highest of its numbers of readings), leaves at most the information L = L0 + sum_(s in T) S_s about the machine,
+with the set-ups' own unknowns profiled out,
 
     S_s = min over G of  sum_(i in s) w_i (x_i - z_i G)^T (x_i - z_i G) + G^T G,
 
@@ -9,7 +10,7 @@ x_i, z_i the rows' parts on machine and set-up (prior variances of 1). So any G 
 and with a supporting line of the criterion at any L, log phi(L') <= v + log <R R^T, L'>,
 
     phi(T) <= exp(v) ( <R R^T, L0> + min over prices l >= 0 of  l (B - sum_T mounting_s)
-                       + sum_(s in T) [ |G_s R|^2 + sum_(i in s) max(0, |(x_i - z_i G_s) R|^2 - l c_i) ] ).
+                       + sum_(s in T) [ |G_s R|^2 + sum_(N_s largest i in s) max(0, |(x_i - z_i G_s) R|^2 - l c_i) ] ).
 
 One line bounds all combinations at once. The one with the highest bound is solved exactly as a relaxation (all its
 readings' best weights within the time left), which draws a new line, tight there; until no combination can be better
@@ -32,23 +33,31 @@ from oed.design.certificate import SAFE
 from oed.design.criterion import Criterion
 from oed.planning.goal import Goal
 from oed.planning.option import Option
-from oed.planning.stage import available
+from oed.planning.stage import available_at_most
 
 #: combinations that are bounded one by one; beyond, only the best ones of each line are
 COMBINATIONS = 200_000
 #: prices at which time is tried, as shares of the highest worth a candidate has for its time
 PRICES = np.append(0.0, np.geomspace(1e-5, 1.0, 40))
+#: combinations that are told as hopeful
+HOPEFUL = 4
 #: gap in log phi of a combination's relaxation
 TOLERANCE = 3e-3
+#: relaxations in which the prices of a reading are settled that keep each option's number, and what they may miss it by
+SETTLE, MISS = 6, 0.02
 
 
 @dataclasses.dataclass(frozen=True)
 class Bounded:
-    """No plan has a smaller goal value than `value`. `lines` were drawn; `closed` where it is good enough."""
+    """No plan has a smaller goal value than `value`. `lines` were drawn; `closed` where it is good enough.
+
+    hopeful: combinations that may hold a better plan, the likeliest first, as {option: relaxed number of readings}
+    """
 
     value: float
     lines: int
     closed: bool
+    hopeful: tuple[dict[int, float], ...] = ()
 
 
 def bound(
@@ -68,12 +77,14 @@ def bound(
     target = -2.0 * math.log(known) + 2.0 * math.log1p(loss)
     problem = _Problem(parts, mounting, goal, held, budget)
     above = np.full(len(combinations), np.inf)
+    relaxed: dict[int, dict[int, float]] = {}
     drawn = 0
     while drawn < lines:
         best = int(np.argmax(above))
         if above[best] <= target:
             break
         weights = problem.solved([s for s in combinations[best] if s >= 0])
+        relaxed[best] = {int(s): float(w.sum()) for s, w in weights.items()}
         line = problem.bounds(combinations, weights)
         stuck = line[best] >= above[best] - 1e-9
         above = np.minimum(above, line)
@@ -81,12 +92,16 @@ def bound(
         if stuck:  # the relaxation's own tolerance is reached: this is its best bound
             break
     highest = float(above.max())
-    return Bounded(math.exp(-0.5 * highest), drawn, highest <= target)
+    better = [k for k in relaxed if above[k] > -2.0 * math.log(known)]
+    hopeful = tuple(relaxed[k] for k in sorted(better, key=lambda k: -above[k])[:HOPEFUL])
+    return Bounded(math.exp(-0.5 * highest), drawn, highest <= target, hopeful)
 
 
 def _combinations(mounting: Array, budget: float, most: int) -> Index:
-    """Combinations (T, most) of options that the budget mounts, filled up with -1; only those to which no further
-    option could be added for nothing. Raises ValueError where there are too many."""
+    """Combinations (T, most) of options that the budget mounts, filled up with -1.
+
+    Raises ValueError where there are too many.
+    """
     count = len(mounting)
     most = min(most, count)
     total = sum(math.comb(count, k) for k in range(1, most + 1))
@@ -102,18 +117,32 @@ def _combinations(mounting: Array, budget: float, most: int) -> Index:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Part:
-    """An option's rows on the machine (C, k, n) and on its own unknowns (C, k, r), and times (C,)."""
+    """An option's rows on the machine (C, k, n) and on its own unknowns (C, k, r), times (C,), and the most readings
+    that it takes."""
 
     machine: Array
     own: Array
     cost: Array
+    most: int
+
+    @property
+    def longest(self) -> float:
+        """Time that its readings can take at the most."""
+        return float(np.sort(self.cost)[-self.most :].sum())
+
+    def worth(self, gain: Array, prices: Array) -> Array:
+        """Best sum (P,) of gains (C,) less what the time costs, at each price, of no more than `most` candidates."""
+        left = np.maximum(gain - prices[:, None] * self.cost, 0.0)
+        if self.most < left.shape[1]:
+            left = np.partition(left, -self.most, axis=1)[:, -self.most :]
+        return np.asarray(left.sum(axis=1))
 
     @classmethod
     def of(cls, option: Option, n: int) -> _Part:
         """Readings are lost, at the least, to what the set-up's own unknowns do within the travel."""
-        chances = available(option, np.zeros((n, n)))
+        chances = available_at_most(option, np.zeros((n, n)))
         blocks = option.candidates.blocks * np.sqrt(chances)[:, None, None]
-        return cls(blocks[:, :, :n], blocks[:, :, n:], option.seconds)
+        return cls(blocks[:, :, :n], blocks[:, :, n:], option.seconds, option.counts[-1])
 
     def profile(self, weights: Array) -> Array:
         """G (r, n) that attains the minimum at weights (C,)."""
@@ -149,15 +178,36 @@ class _Problem:
             block[:, : part.machine.shape[1], start : start + more] = part.own
             rows.append(block)
             start += more
-        cost = np.concatenate([self.parts[s].cost for s in some])
         base = np.eye(wide)
         base[:n, :n] = self.held
-        time = min(self.budget - float(self.mounting[list(some)].sum()), float(cost.sum()))
-        criterion = [c for c in self.goal.criterion(wide - n).ladder() if c.smooth][-1]
-        scaled = np.concatenate(rows) / np.sqrt(cost)[:, None, None]
-        found = relaxation.relax(scaled, time, base, cost, TOLERANCE, criterion).weights / cost
+        time = self.budget - float(self.mounting[list(some)].sum())
+        found = self._settled(some, np.concatenate(rows), base, time)
         ends = np.cumsum([len(self.parts[s].cost) for s in some])[:-1]
         return dict(zip(some, np.split(found, ends), strict=True))
+
+    def _settled(self, some: Sequence[int], rows: Array, base: Array, time: float) -> Array:
+        """Best weights of all candidates of a combination within the time and each option's number of readings.
+
+        One price for everything: time, and beside it `extra` seconds for each reading of an option whose number would
+        be exceeded, until none is.
+        """
+        parts = [self.parts[s] for s in some]
+        owner = np.repeat(np.arange(len(parts)), [len(p.cost) for p in parts])
+        own_cost = np.concatenate([p.cost for p in parts])
+        most, mean = np.array([p.most for p in parts]), np.array([p.cost.mean() for p in parts])
+        time = min(time, sum(p.longest for p in parts))
+        criterion = _last_smooth(self.goal.criterion(rows.shape[2] - len(self.held)))
+        price = mean
+        for _ in range(SETTLE):
+            cost = own_cost + (price - mean)[owner]
+            total = min(time + float((price - mean) @ most), float(cost.sum()))
+            scaled = rows / np.sqrt(cost)[:, None, None]
+            found = np.asarray(relaxation.relax(scaled, total, base, cost, TOLERANCE, criterion).weights / cost)
+            used = np.bincount(owner, found)
+            if (used <= most * (1.0 + MISS)).all():
+                break
+            price = np.maximum(mean, price * used / most)
+        return found
 
     def bounds(self, combinations: Index, weights: dict[int, Array]) -> Array:
         """Bound (T,) of log phi of every combination, by the line at the weights of one."""
@@ -170,8 +220,7 @@ class _Problem:
         ]
         prices = PRICES * max(float((g / p.cost).max()) for g, p in zip(gains, self.parts, strict=True))
         worth = np.array([
-            np.maximum(g[None, :] - prices[:, None] * p.cost[None, :], 0.0).sum(axis=1)
-            + float(np.sum((profile @ root) ** 2)) - prices * mount
+            p.worth(g, prices) + float(np.sum((profile @ root) ** 2)) - prices * mount
             for g, p, profile, mount in zip(gains, self.parts, profiles, self.mounting, strict=True)
         ])  # fmt: skip
         worth = np.vstack([worth, np.zeros(len(prices))])  # the last row stands for no option
@@ -180,6 +229,9 @@ class _Problem:
         return np.asarray(value + np.log(held + carried) + SAFE)
 
     def _line(self, m: Array) -> tuple[float, Array]:
-        criterion: Criterion = [c for c in self.goal.criterion(0).ladder() if c.smooth][-1]
-        told = criterion.support(m)
+        told = _last_smooth(self.goal.criterion(0)).support(m)
         return told.value, told.root
+
+
+def _last_smooth(criterion: Criterion) -> Criterion:
+    return [c for c in criterion.ladder() if c.smooth][-1]

@@ -25,7 +25,7 @@ class Option:
     """One measurement of the catalogue.
 
     candidates  readings (or whole runs) over its own set-ups, in units of tolerance and noise
-    counts      numbers of candidates worth trying, ascending
+    counts      numbers of candidates worth trying, ascending; no plan takes more than the last
     mounting    time to mount all its set-ups, s;  seconds (C,) time of each candidate
     travel      m or rad: a reading is lost where it lies farther from the expected one (None: any range)
     price       of doing it, in money, beside the time; operator: who can do it
@@ -84,6 +84,8 @@ def option(
     if not possible:
         raise ValueError(f"measurement {name}: none of {list(counts)} readings can be taken out of {len(found)}")
     seconds = found.cost if reading is None else reading * found.members[:, 1].astype(float)
+    if not (seconds > 0.0).all():
+        raise ValueError(f"measurement {name}: every reading takes some time, but {float(seconds.min()):g} s are told")
     return Option(
         name=name,
         candidates=found,

@@ -5,7 +5,8 @@ stage after each of them; a stage's readings are chosen for the goal with what i
 chance of being within the instrument's travel. So a rough stage comes first where it makes the next one possible, and
 not where it does not. The best sequences are then worked out exactly (readings lost together, cut-off from the exact
 model), and time is moved between their stages while that helps. All plans on the way make the Pareto front of accuracy
-against time; a bound (`oed.planning.bound`) tells how far the best one can be from any plan.
+against time. A bound (`oed.planning.bound`) tells how far the best one can be from any plan, and names the combinations
+of measurements that could still be better: these are worked out as well.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ from oed.planning.stage import Stage
 BEAM, EXACT = 6, 6
 #: share of a number of readings by which it is raised or lowered while time is moved
 STEP = 0.25
+#: value up to which a plan at a first look may reach the wanted accuracy when worked out
+NEAR = 1.1
+#: times that time is moved at the most
+ROUNDS = 6
 #: relative gain below which a change counts as none
 GAIN = 1e-3
 
@@ -105,14 +110,18 @@ def plan(
             f"the budget of {budget / 60:.1f} min pays for no measurement: the least is {cheapest / 60:.1f} min"
         )
     exact = search.exactly(found, start)
+    known = min(p.value for p in exact)
+    told = bounding.bound(options, goal, staging.inverse(start), budget, stages, known, loss)
+    exact = [search.checked(p, start) for p in exact + search.tried(told.hopeful, start)]
     most_accurate = min(exact, key=lambda p: p.value)
+    told = dataclasses.replace(told, closed=most_accurate.value <= told.value * (1.0 + loss) * (1.0 + 1e-9))
     front = _front([search.empty(start), *search.seen.values(), *exact])
     best, reached = most_accurate, True
     if goal.wanted:
-        reached = most_accurate.value <= 1.0
-        enough = [p for p in exact + search.cheaper(front, start) if p.value <= 1.0]
-        best = min(enough, key=lambda p: p.seconds) if enough else most_accurate
-    told = bounding.bound(options, goal, staging.inverse(start), budget, stages, most_accurate.value, loss)
+        cheaper = [search.checked(p, start) for p in search.cheaper(exact, start)]
+        enough = [p for p in exact + cheaper if p.value <= 1.0]
+        best, reached = (min(enough, key=lambda p: p.seconds), True) if enough else (most_accurate, False)
+        front = _front([*front, *enough])
     ranked = sorted((p for p in exact if p is not best), key=lambda p: p.value)
     return Planned(best, reached, tuple(front), tuple(ranked), told, most_accurate, search.next_gain(best, start))
 
@@ -163,14 +172,14 @@ class _Search:
     def _children(self, parent: Plan, start: Array) -> list[Plan]:
         left = self.budget - parent.seconds
         done = set(parent.names)
-        before = parent.stages[-1].covariance if parent.stages else start
+        before = parent.stages[-1].kinds if parent.stages else start
         children = []
         for option in self.options:
             if option.name in done:
                 continue
             chances = staging.available(option, before)
             for count in self._counts(option, left):
-                children.append(self._with(parent, option, count, before, chances))
+                children.append(self._with(parent, option, count, before, chances, left - option.mounting))
         return children
 
     def _counts(self, option: Option, left: float) -> list[int]:
@@ -181,10 +190,13 @@ class _Search:
         full = min(most, option.counts[-1])
         return sorted({*wanted, full}) if full >= option.counts[0] else []
 
-    def _with(self, parent: Plan, option: Option, count: int, before: Array, chances: Array, climbs: int = 0) -> Plan:
-        criterion = self.goal.criterion(option.candidates.blocks.shape[2] - len(before))
-        held = staging.inverse(before)
-        chosen = staging.choose(option, count, held, before, criterion, chances, climbs)
+    def _with(
+        self, parent: Plan, option: Option, count: int, before: Array, chances: Array, left: float = np.inf
+    ) -> Plan:
+        """A further stage of at most `left` seconds for its readings, at a first look."""
+        criterion = self.goal.criterion(option.candidates.blocks.shape[2] - before.shape[-1])
+        held = staging.inverse(staging.mean(before))
+        chosen = staging.choose(option, count, held, criterion, chances, 0, left)
         stage = staging.told(option, chosen, before, self.rng, exact=False)
         return self._grown(parent, stage)
 
@@ -209,61 +221,143 @@ class _Search:
             self._told(1.0 + 0.25 * (k + 1) / EXACT)
         return told
 
-    def cheaper(self, front: Sequence[Plan], start: Array) -> list[Plan]:
-        """Plans of the front that seem to reach the goal, worked out, cheapest first."""
-        near = [p for p in front if p.stages and p.value <= 1.05][:EXACT]
-        return [self._worked([(s.option, len(s.chosen)) for s in p.stages], start) for p in near]
+    def checked(self, plan: Plan, start: Array) -> Plan:
+        """A plan that may lose readings, told by many other machines than it was chosen for."""
+        if not any(len(s.kinds) > 1 for s in plan.stages):
+            return plan
+        made, before = self.empty(start), start
+        for k, s in enumerate(plan.stages):
+            rng = np.random.default_rng([18, k])
+            made = self._grown(made, staging.told(s.option, s.chosen, before, rng, draws=staging.MANY))
+            before = made.stages[-1].kinds
+        return made
 
-    def _worked(self, steps: Sequence[tuple[Option, int]], start: Array) -> Plan:
-        """A sequence with stated numbers of readings, exactly."""
-        made = self.empty(start)
-        before = start
-        # the same machines are drawn whatever was tried before, so that two plans differ by their readings alone
+    def tried(self, hopeful: Sequence[dict[int, float]], start: Array) -> list[Plan]:
+        """Plans of combinations with relaxed numbers of readings, rounded so that the time pays for them."""
+        told = []
+        for relaxed in hopeful:
+            steps = [
+                (self.options[s], int(np.clip(n, self.options[s].counts[0], self.options[s].counts[-1])))
+                for s, n in relaxed.items()
+            ]
+            while _spent(steps) > self.budget * (1 + 1e-9):
+                spare = [n - o.counts[0] for o, n in steps]
+                if max(spare) <= 0:
+                    break
+                k = int(np.argmax(spare))
+                steps[k] = (steps[k][0], steps[k][1] - 1)
+            else:
+                told.append(self._moved(self._worked(self._ordered(steps, start), start), start))
+        return told
+
+    def _ordered(self, steps: Sequence[tuple[Option, int]], start: Array) -> list[tuple[Option, int]]:
+        """Next always the measurement that is the least likely to lose its readings."""
+        rest, ordered, before = list(steps), list[tuple[Option, int]](), start
+        while rest:
+            chances = [float(staging.available(o, before).mean()) for o, _ in rest]
+            ordered.append(rest.pop(int(np.argmax(np.round(chances, 3)))))
+            before = self._worked(ordered, start).stages[-1].kinds
+        return ordered
+
+    def cheaper(self, exact: Sequence[Plan], start: Array) -> list[Plan]:
+        """Plans that reach the goal, or seem to, with as few readings as still reach it: of every combination of
+        measurements the shortest, and those worked out."""
+        shortest: dict[tuple[str, ...], Plan] = {}
+        for p in sorted(self.seen.values(), key=lambda p: p.seconds):
+            if p.value <= NEAR:
+                shortest.setdefault(tuple(sorted(p.names)), p)
+        near = sorted(shortest.values(), key=lambda p: p.seconds)[:EXACT]
+        return [self._trimmed(p, start) for p in [*near, *(p for p in exact if p.value <= 1.0)]]
+
+    def _trimmed(self, plan: Plan, start: Array) -> Plan:
+        """A plan without readings that the goal can do without, in the stage where they take the longest first."""
+        steps = [(s.option, len(s.chosen)) for s in plan.stages]
+        best = self._worked(steps, start)
+        best = min(best, self._worked(steps, start, best), key=lambda p: p.value)
+        for k in sorted(range(len(steps)), key=lambda k: -float(steps[k][0].seconds.mean())):
+            option, most = steps[k]
+            least = option.counts[0]
+            while best.value <= 1.0 and least < most:
+                middle = (least + most) // 2
+                made = self._worked([*steps[:k], (option, middle), *steps[k + 1 :]], start, best)
+                if made.value <= 1.0:
+                    best, most = made, middle
+                else:
+                    least = middle + 1
+            steps[k] = (option, most)
+        return best
+
+    def _worked(self, steps: Sequence[tuple[Option, int]], start: Array, like: Plan | None = None) -> Plan:
+        """A sequence with stated numbers of readings, exactly.
+
+        Each stage's readings are chosen with what is known before it, and with what the later stages will add in a plan
+        `like` this one, where there is one.
+        """
+        made, before = self.empty(start), start
         for k, (option, count) in enumerate(steps):
-            criterion = self.goal.criterion(option.candidates.blocks.shape[2] - len(before))
+            criterion = self.goal.criterion(option.candidates.blocks.shape[2] - before.shape[-1])
+            held = staging.inverse(staging.mean(before))
+            if like is not None:
+                held = held + sum(s.information for s in like.stages[k + 1 :])
             chances = staging.available(option, before)
-            chosen = staging.choose(option, count, staging.inverse(before), before, criterion, chances, 3)
+            left = self._left(made.seconds, steps[k:], like.stages[k + 1 :] if like else ())
+            chosen = staging.choose(option, count, held, criterion, chances, 3, left)
+            # the same machines are drawn whatever was tried before, so that two plans differ by their readings alone
             stage = staging.told(option, chosen, before, np.random.default_rng([17, k]))
-            before = stage.covariance
+            before = stage.kinds
             made = self._grown(made, stage)
         return made
 
+    def _left(self, spent: float, steps: Sequence[tuple[Option, int]], later: Sequence[Stage]) -> float:
+        """Time for the readings of the first of the steps: the others keep what they took in a like plan, and at the
+        least what they need."""
+        (option, count), rest = steps[0], steps[1:]
+        most = self.budget - spent - option.mounting - _spent(rest)
+        kept = [
+            o.mounting + (s.seconds - o.mounting) * c / len(s.chosen) for (o, c), s in zip(rest, later, strict=False)
+        ]
+        return min(most, max(self.budget - spent - option.mounting - sum(kept), _time(option, count)))
+
     def _moved(self, plan: Plan, start: Array) -> Plan:
-        """Time moved from one stage to another, and to the end of the budget, while that helps."""
-        steps = [(s.option, len(s.chosen)) for s in plan.stages]
-        best = self._worked(steps, start)
-        for _ in range(2):
-            better = False
-            for trial in self._moves([(s.option, len(s.chosen)) for s in best.stages]):
-                made = self._worked(trial, start)
-                if made.seconds <= self.budget * (1 + 1e-9) and made.value < best.value * (1 - GAIN):
-                    best, better = made, True
-                    break
-            if not better:
+        """Readings chosen anew beside those of the later stages, the time that is left spent, and time moved from one
+        stage to another, while that helps."""
+        best = self._worked([(s.option, len(s.chosen)) for s in plan.stages], start)
+        for _ in range(ROUNDS):
+            steps = [(s.option, len(s.chosen)) for s in best.stages]
+            made = (self._worked(trial, start, best) for trial in [steps, *self._moves(steps)])
+            better = next((m for m in made if m.value < best.value * (1 - GAIN)), None)
+            if better is None:
                 break
+            best = better
         return best
 
     def _moves(self, steps: list[tuple[Option, int]]) -> list[list[tuple[Option, int]]]:
-        """Fewer readings in one stage, and as many more in another as the time then pays for."""
+        """All stages filled up with the time left, then fewer readings in one and as many more in others as that
+        pays for."""
+        count = range(len(steps))
+        filled = [self._filled(steps, last) for last in count]
         trials = []
-        for give in range(len(steps)):
-            for take in range(len(steps)):
-                if give == take:
-                    continue
-                trial = list(steps)
-                option, count = trial[give]
-                less = max(option.counts[0], int(count * (1 - STEP)))
-                trial[give] = (option, less)
-                spent = sum(o.mounting + _time(o, c) for k, (o, c) in enumerate(trial) if k != take)
-                full = self._counts(trial[take][0], self.budget - spent)
-                if full and full[-1] > trial[take][1] and less < count:
-                    trial[take] = (trial[take][0], full[-1])
-                    trials.append(trial)
-        return trials
+        for give in count:
+            option, number = steps[give]
+            less = max(option.counts[0], int(number * (1 - STEP)))
+            if less < number:
+                lowered = [*steps[:give], (option, less), *steps[give + 1 :]]
+                trials += [self._filled(lowered, give, first) for first in count if first != give]
+        return [t for k, t in enumerate(filled + trials) if t != steps and t not in (filled + trials)[:k]]
+
+    def _filled(self, steps: list[tuple[Option, int]], last: int, first: int = 0) -> list[tuple[Option, int]]:
+        """As many readings as the time pays for, in stage `first`, then in the others, in `last` at the end."""
+        order = sorted(range(len(steps)), key=lambda k: (k == last, k != first))
+        filled = list(steps)
+        for k in order:
+            full = self._counts(filled[k][0], self.budget - _spent(filled[:k] + filled[k + 1 :]))
+            if full and full[-1] > filled[k][1]:
+                filled[k] = (filled[k][0], full[-1])
+        return filled
 
     def next_gain(self, best: Plan, start: Array) -> tuple[str, float] | None:
         """The option whose further stage would gain most, and its relative gain."""
-        before = best.stages[-1].covariance if best.stages else start
+        before = best.stages[-1].kinds if best.stages else start
         gains = []
         for option in self.options:
             if option.name in best.names:
@@ -275,6 +369,11 @@ class _Search:
 
 def _time(option: Option, count: int) -> float:
     return float(np.sort(option.seconds)[:count].sum())
+
+
+def _spent(steps: Sequence[tuple[Option, int]]) -> float:
+    """Least time of stages with these numbers of readings."""
+    return sum(o.mounting + _time(o, c) for o, c in steps)
 
 
 def _front(plans: Sequence[Plan]) -> list[Plan]:

@@ -19,9 +19,13 @@ from pkm_studies.study import ClaimTable, StudyFile
 LONGEST = 200
 
 
-def check_claims(study: StudyFile, result: Mapping[str, Any]) -> list[Claim]:
-    """Each claim of [expect], in order. `result` is the result as plain tables and lists."""
-    return [_check(name, table, result) for name, table in study.expect.items()]
+def check_claims(study: StudyFile, result: Mapping[str, Any], only: tuple[str, ...] | None = None) -> list[Claim]:
+    """Each claim of [expect], in order. `result` is the result as plain tables and lists.
+
+    `only`: the sections that were made; claims about others are left out.
+    """
+    asked = {n: t for n, t in study.expect.items() if only is None or re.split(r"[.\[]", t.of)[0] in only}
+    return [_check(name, table, result) for name, table in asked.items()]
 
 
 def lookup(result: object, path: str) -> Any:

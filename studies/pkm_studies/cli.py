@@ -136,6 +136,32 @@ def identify(
 
 
 @app.command()
+def plan(
+    study: StudyPath,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [out/NAME-plan].")] = None,
+    after: Annotated[
+        Path | None, typer.Option(metavar="RESULT_DIR", help="Plan the rest, with what was identified there.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed instead of the study's.")] = None,
+    quiet: Quiet = False,
+) -> int:
+    """Plan which measurements to do, in which order; read and fit nothing."""
+    from pkm_studies import display, files
+    from pkm_studies.study import load
+
+    said = load(study)
+    folder = out or Path("out") / f"{said.name}-plan"
+    files.free(folder)
+    from pkm_studies import pipeline
+
+    with display.shown(quiet=quiet) as shown:
+        result = pipeline.plan_stages(said, folder, after=after, seed=seed, progress=shown)
+    if not quiet and result.plan is not None:
+        display.stages(result.plan)
+    return _tell(result, folder, quiet)
+
+
+@app.command()
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with a result.json.", show_default=False)],
 ) -> int:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pkm_studies.progress import Progress, Silent
+
+if TYPE_CHECKING:
+    from pkm_studies.result import Plan
 
 
 class Lines(Silent):
@@ -53,3 +56,25 @@ def _rich() -> Any:
 
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
     return Progress(*columns, console=Console(stderr=True), transient=True)
+
+
+def stages(plan: Plan) -> None:
+    """The plan as a table, with what to know beside it, on stdout."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"Plan: {plan.cost:.0f} of {plan.budget_min or plan.cost:.0f} min")
+    for name in ("Stage", "Measurement", "Set-ups", "Readings", "Lost", "Min", "Rank", "Accuracy afterwards"):
+        table.add_column(name, justify="left" if name in ("Measurement", "Set-ups", "Accuracy afterwards") else "right")
+    for k, s in enumerate(plan.stages):
+        told = ", ".join(f"{n.rpartition('_')[0]} {v:.3g} {n.rpartition('_')[2]}" for n, v in s.accuracy.items())
+        time = f"{s.begin_min or 0.0:.0f}-{s.end_min or s.cost:.0f}"
+        row = [str(s.readings), f"{s.lost or 0.0:.1f}", time, str(s.rank or s.identifies), told]
+        table.add_row(str(k + 1), s.measurement, ", ".join(s.setups), *row)
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    console.print(table)
+    for text in [plan.after, *plan.needs, plan.stop]:
+        if text:
+            console.print(text, markup=False)
+    for one in plan.compared:
+        console.print(f"{one.name}: rank {one.rank}, weakest {one.weakest:.3g}. {one.words}", markup=False)

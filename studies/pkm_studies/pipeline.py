@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,11 +18,12 @@ from pkm_studies import claims, files, result
 from pkm_studies.progress import Progress, Silent
 from pkm_studies.resolve import Resolved, resolve
 from pkm_studies.result import StudyResult
-from pkm_studies.stages import choose, describe, fit, foresee, headline, score, see
+from pkm_studies.stages import choose, describe, fit, foresee, headline, plan, plan_files, score, see
+from pkm_studies.stages.learned import Learned, learned
 from pkm_studies.study import Study
 
 #: independent random streams of the stages: adding draws in one leaves the others as they were
-DESIGN, TRUTH, NOISE, SAMPLER, PREDICT, MACHINES, HELD_OUT = range(7)
+DESIGN, TRUTH, NOISE, SAMPLER, PREDICT, MACHINES, HELD_OUT, PLAN, CAMPAIGN = range(9)
 
 
 def run(
@@ -51,12 +50,25 @@ def identify_readings(
     return run(study, out, seed=seed, progress=progress, readings=list(readings))
 
 
+def plan_stages(
+    study: Study, out: Path, *, after: Path | None = None, seed: int | None = None, progress: Progress | None = None
+) -> StudyResult:
+    """The study's plan alone: nothing is read or fitted. `after`: a folder with what was identified already.
+
+    Raises InputError where the study lists no measurement, or the time pays for none.
+    """
+    job = _Job(study, out, study.seed if seed is None else seed, progress or Silent(), [])
+    return job.plan_only(after)
+
+
 def simulate_readings(study: Study, out: Path, *, seed: int | None = None) -> tuple[Path, Path]:
     """Readings of the study's virtual machine as CSV in `out`, its truth in `out` with the suffix .truth.json."""
     from oed import dataset
 
     job = _Job(study, out.parent, study.seed if seed is None else seed, Silent(), [])
-    series = job.planned(job.design())
+    chosen = job.design()
+    job.plan(None)
+    series = job.planned(chosen)
     truth, y = job.virtual(series)
     made = dataset.from_series(series, y, job.measurement)
     files.out_folder(out.parent)
@@ -79,6 +91,8 @@ class _Job:
         self.measurement: Measurement = self.resolved.measurement
         self.sections: dict[str, Any] = {}
         self.planned_series: tuple[Series, ...] = ()
+        self.made: plan.Made | None = None
+        self.replaced = bool(readings)
         self.warnings = list(self.resolved.warnings)
 
     def rng(self, stream: int) -> np.random.Generator:
@@ -88,6 +102,8 @@ class _Job:
     def run(self, *, report: bool) -> StudyResult:
         files.out_folder(self.out)
         chosen = self.design()
+        if not self.replaced:
+            self.plan(None)
         series, y, truth, held = self._readings(chosen)
         seen = self._identifiability(chosen, series)
         self._design_sections(chosen, seen)
@@ -97,9 +113,26 @@ class _Job:
         if held is not None and drawn is not None:
             self.progress.stage("held-out readings")
             self.sections["held_out"] = foresee.held_out(self.measurement, *held, drawn, self.rng(HELD_OUT))
-        self.sections["plan"] = choose.plan(self.resolved, seen, headline.predicted(self.sections))
+        if self.made is None:
+            self.sections["plan"] = choose.plan(self.resolved, seen, headline.predicted(self.sections))
         self.sections["drawing"] = describe.drawing(self.measurement, series)
         return self._finish(chosen, report=report)
+
+    def plan_only(self, after: Path | None) -> StudyResult:
+        """The plan, its readings' identifiability and drawing, and the claims about them."""
+        place = self.study.place.key("plan").key("measurement")
+        if self.resolved.plan is None:
+            raise place.error("the study lists no measurement to plan with", "add [[plan.measurement]] tables")
+        files.out_folder(self.out)
+        known = None if after is None else learned(self.resolved, after, load_result(after))
+        if known is not None:
+            self.resolved = known.resolved
+        self.plan(known)
+        assert self.made is not None
+        seen = self._identifiability(None, self.made.series)
+        self.measurement = seen.measurement
+        self.sections["drawing"] = describe.drawing(self.measurement, self.made.series)
+        return self._finish(None, report=False, only=("plan", "identifiability"))
 
     # -- stages --------------------------------------------------------------------------------------------
 
@@ -112,6 +145,20 @@ class _Job:
             self._note_moved(chosen)
         return chosen
 
+    def plan(self, known: Learned | None) -> None:
+        """The plan of stages, where the study lists measurements; without a design, its readings are those planned."""
+        if self.resolved.plan is None:
+            return
+        self.progress.stage("plan")
+        machines = self.rng(CAMPAIGN)
+        self.made = plan.plan(self.resolved, [self.seed, PLAN], machines, self.progress, known)
+        assert self.made is not None
+        self.sections["plan"] = self.made.section
+        if not self.resolved.candidates or known is not None:
+            self.planned_series = tuple(s for stage in self.made.scheduled for s in stage)
+            if self.resolved.dataset is None:
+                self.measurement = self.made.measurement
+
     def _note_moved(self, chosen: choose.Chosen) -> None:
         for name, values in (chosen.polished.setups if chosen.polished else {}).items():
             told = ", ".join(f"{k} = {v:.6g}" for k, v in values.items())
@@ -123,10 +170,13 @@ class _Job:
         """The chosen plan, or the first given one. Raises InputError where there is none."""
         if chosen is not None:
             return chosen.series
+        if self.made is not None:
+            return self.made.series
         if self.resolved.references:
             return self.resolved.references[0].series
         raise self.study.place.key("design").error(
-            "the study has neither readings nor a plan", "add [[design.candidates]], [[design.reference]] or [readings]"
+            "the study has neither readings nor a plan",
+            "add [[design.candidates]], [[design.reference]], [[plan.measurement]] or [readings]",
         )
 
     def virtual(self, series: Sequence[Series]) -> tuple[Array, Array]:
@@ -244,7 +294,10 @@ class _Job:
 
     # -- results -------------------------------------------------------------------------------------------
 
-    def _finish(self, chosen: choose.Chosen | None, *, report: bool) -> StudyResult:
+    def _finish(
+        self, chosen: choose.Chosen | None, *, report: bool, only: tuple[str, ...] | None = None
+    ) -> StudyResult:
+        """The result, written. `only`: sections of which claims are looked at, by default all."""
         study = self.study
         made = StudyResult(
             schema=result.SCHEMA,
@@ -262,7 +315,7 @@ class _Job:
             warnings=list(dict.fromkeys(self.warnings)),
             **self.sections,
         )
-        found = claims.check_claims(study, msgspec.to_builtins(made))
+        found = claims.check_claims(study, msgspec.to_builtins(made), only)
         seconds = round(time.perf_counter() - self.started, 3)
         made = msgspec.structs.replace(made, claims=found, seconds=seconds)
         self._write(made)
@@ -271,20 +324,33 @@ class _Job:
             write_report(self.out, html=study.report.html, pdf=study.report.pdf)
         return made
 
-    def _poses_csv(self) -> str:
-        """The plan as a readings file to fill in: the readings' cells are empty."""
+    @staticmethod
+    def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
+        """Planned readings as a readings file to fill in: the readings' cells are empty."""
         from oed import dataset
 
-        count = len(self.measurement.owners(self.planned_series))
-        return dataset.to_csv(dataset.from_series(self.planned_series, np.full(count, np.nan), self.measurement))
+        count = len(measurement.owners(series))
+        return dataset.to_csv(dataset.from_series(series, np.full(count, np.nan), measurement))
 
     def _write(self, made: StudyResult) -> None:
         text = msgspec.json.format(msgspec.json.encode(made), indent=1)
         files.write_whole(self.out / "result.json", text)
-        if made.design is not None:
-            files.write_whole(self.out / "poses.csv", self._poses_csv())
+        if made.design is not None or self.planned_series:
+            files.write_whole(self.out / "poses.csv", self._poses_csv(self.planned_series, self.measurement))
         if made.plan is not None:
-            files.write_whole(self.out / "plan.csv", _plan_csv(made.plan))
+            files.write_whole(self.out / "plan.csv", plan_files.stages_csv(made.plan))
+        if self.made is not None:
+            told = plan_files.poses_json(self.made)
+            files.write_whole(self.out / "plan_poses.json", told)
+            if self.study.report.pdf:
+                self._write_sheet(made, told)
+
+    def _write_sheet(self, made: StudyResult, poses: bytes | str) -> None:
+        """The page to print and fill in at the machine."""
+        from pkm_reports import write_sheet
+
+        stages = msgspec.json.decode(poses)["stages"]
+        write_sheet(msgspec.to_builtins(made), [p for s in stages for p in s["poses"]], self.out)
 
 
 def write_report(folder: Path, *, html: bool = True, pdf: bool = True) -> tuple[Path, ...]:
@@ -306,19 +372,3 @@ def load_result(folder: Path) -> Mapping[str, Any]:
         raise Place(str(path)).error(f"this is no result: {error}", "make it again with `oed run`") from error
     found: Mapping[str, Any] = msgspec.to_builtins(checked)
     return found
-
-
-def _plan_csv(plan: result.Plan) -> str:
-    rows = [
-        [k + 1, s.measurement, " ".join(s.setups), s.readings, s.identifies, f"{s.cost:.1f}", f"{s.kappa:.4g}"]
-        for k, s in enumerate(plan.stages)
-    ]
-    return _csv(["stage", "measurement", "setups", "readings", "identifies", "cost_min", "kappa"], rows)
-
-
-def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return text.getvalue()

@@ -19,10 +19,11 @@ from oed.instrument import Protocol, Setup, mount
 from oed.kinematics import AssemblyError
 from oed.machine import Machine, Parameter
 from oed.measurement import Measurement, Series
-from pkm_studies import catalogue, grids, naming, quantities, resolve_design
+from pkm_studies import catalogue, grids, naming, quantities, resolve_design, resolve_plan
 from pkm_studies.errors import Place, suggest
 from pkm_studies.grids import Circles, Plan
 from pkm_studies.resolve_design import Asked
+from pkm_studies.resolve_plan import PlanAsked
 from pkm_studies.study import SetupTable, Study
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class Resolved:
     measurement  machine with the set-ups that candidates and readings use; where there are neither, with those of the
                  reference plans, or all: a set-up that only [[kappa]] or a reference plan names stays out
     candidates   one series for each [[design.candidates]], within its limits; refused {reason: number of others}
-    asked        what [design] asks for
+    asked        what [design] asks for;  plan: what [plan] asks for, where it lists measurements
     references   the given plans, by name
     truth        parameters (SI) of the virtual machine by name, nominal where absent
     dataset      the readings, where the study has some
@@ -54,6 +55,7 @@ class Resolved:
     candidates: tuple[Series, ...]
     refused: Mapping[str, int]
     asked: Asked | None
+    plan: PlanAsked | None
     references: tuple[Plan, ...]
     kappa: tuple[Circles, ...]
     truth: Mapping[str, float]
@@ -74,7 +76,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     machine = _machine(study, model)
     setups = _setups(study, machine)
     machine, setups = _tolerances(study, machine, setups)
-    measure = _measurer(machine, setups)
+    measure = measurer(machine, setups)
     everything = measure(setups)
     candidates, refused, warnings = resolve_design.candidates(study, everything)
     references = resolve_design.references(study, everything)
@@ -90,6 +92,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         candidates=candidates,
         refused=refused,
         asked=asked,
+        plan=resolve_plan.planned(study, measure, setups),
         references=references,
         kappa=tuple(resolve_design.circles(study, k, i, measure) for i, k in enumerate(study.kappa)),
         truth=_truth(study, everything),
@@ -286,7 +289,7 @@ def _not_negative(value: float, place: Place) -> None:
 # -- measurements and grids --------------------------------------------------------------------------------
 
 
-def _measurer(machine: Machine, setups: Mapping[str, Setup]) -> Callable[[Iterable[str]], Measurement]:
+def measurer(machine: Machine, setups: Mapping[str, Setup]) -> Callable[[Iterable[str]], Measurement]:
     made: dict[tuple[str, ...], Measurement] = {}
 
     def measure(names: Iterable[str]) -> Measurement:

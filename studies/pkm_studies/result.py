@@ -7,6 +7,12 @@ from __future__ import annotations
 
 import msgspec
 
+from pkm_studies.result_plan import Plan as Plan
+from pkm_studies.result_plan import Sd as Sd
+from pkm_studies.result_plan import Sequence as Sequence
+from pkm_studies.result_plan import Stage as Stage
+from pkm_studies.result_plan import Way as Way
+
 SCHEMA = 1
 
 
@@ -285,26 +291,6 @@ class Claim(Part, frozen=True):
     measured: float | str
     wanted: str
     met: bool
-
-
-class Stage(Part, frozen=True):
-    """One stage of the plan: measurement, what it identifies, its cost (min)."""
-
-    measurement: str
-    setups: list[str]
-    readings: int
-    identifies: int
-    cost: float
-    kappa: float
-    predicted: dict[str, float]
-
-
-class Plan(Part, frozen=True):
-    """The plan as stages."""
-
-    stages: list[Stage]
-    cost: float
-    alternatives: list[str]
 
 
 class Line(Part, frozen=True):

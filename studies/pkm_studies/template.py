@@ -53,7 +53,7 @@ def text(name: str, model: str, machine: Machine, reference: str, instrument: In
         _noise(instrument),
         _prior(machine),
         _design(machine, instrument),
-        _rest(machine),
+        _rest(machine, instrument),
     ]
     return "\n".join(blocks)
 
@@ -122,10 +122,14 @@ def _design(machine: Machine, instrument: Instrument) -> str:
     criteria = 'criterion = "D"  # or Ds, A, c, I, G, E, kappa, O1 to O5: see `oed schema study`'
     lines = ["[design]", criteria, "readings = 30", 'scaling = "length"', ""]
     lines += ["[[design.candidates]]", f'setup = "{SETUP}"']
+    return "\n".join([*lines, *_grid(machine, instrument)]) + "\n"
+
+
+def _grid(machine: Machine, instrument: Instrument) -> list[str]:
     hold = _held(machine, instrument)
-    for c in machine.command:
-        lines.append(f'{c.name} = "hold"  # led by the instrument' if c.name == hold else _axis(c, machine))
-    return "\n".join(lines) + "\n"
+    return [
+        f'{c.name} = "hold"  # led by the instrument' if c.name == hold else _axis(c, machine) for c in machine.command
+    ]
 
 
 def _axis(c: Coordinate, machine: Machine) -> str:
@@ -141,8 +145,9 @@ def _turns(c: Coordinate) -> bool:
     return c.unit == "rad" and c.lower <= 0.0 and c.upper >= 2.0 * math.pi - 1e-9
 
 
-def _rest(machine: Machine) -> str:
+def _rest(machine: Machine, instrument: Instrument) -> str:
     axes = "\n".join(_axis(c, machine) for c in machine.command)
+    plan = _plan(machine, instrument)
     return f"""\
 [readings]
 simulate = true  # or: files = ["{machine.name}.readings.csv"]
@@ -152,9 +157,28 @@ draw = true  # the virtual machine's errors come from the tolerances
 reference = "home"  # home, absolute or best_fit
 {axes}
 
+{plan}
 # Claims: `pytest` on this file tells whether they hold.
 # [expect]
 # rank = {{ of = "identifiability.rank", min = 1 }}
+"""
+
+
+def _plan(machine: Machine, instrument: Instrument) -> str:
+    """A plan with one measurement; a pointer where the set-up's place is a placeholder, which tells no noise."""
+    about = "# Which measurement at which stage, within a time: see [plan] in `oed schema study`, and `oed plan`.\n"
+    if any(s.default is None for s in instrument.settings):
+        return about
+    grid = "\n".join(f"# {line}" for line in _grid(machine, instrument))
+    return f"""\
+{about}# [plan]
+# budget_min = 120.0
+
+# [[plan.measurement]]
+# name = "first"
+# setup = "{SETUP}"
+# counts = [6, 12, 24]
+{grid}
 """
 
 

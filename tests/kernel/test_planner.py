@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from kernel import plan_catalogues as small
 import pytest
 
+from kernel import plan_catalogues as small
 from oed.planning import bound, search, stage
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 from pkm_reports.blocks import Section
 from pkm_reports.sections import (
     accuracy,
+    campaign,
     design,
     held_out,
     identifiability,
@@ -22,5 +23,11 @@ CHAPTERS: Final = (plan, design, kappa, identifiability, identification, posteri
 
 
 def chapters(result: Mapping[str, Any]) -> list[Section]:
-    """All chapters; one whose stage did not run says so in a sentence."""
-    return [Section(chapter.ANCHOR, chapter.TITLE, chapter.blocks(result)) for chapter in CHAPTERS]
+    """All chapters; one whose stage did not run says so in a sentence.
+
+    A plan that was searched for has a chapter of its own, the first; the next then leaves its stages out.
+    """
+    made = [(chapter, result) for chapter in CHAPTERS]
+    if campaign.planned(result):
+        made = [(campaign, result), (plan, {**result, "plan": None}), *made[1:]]
+    return [Section(chapter.ANCHOR, chapter.TITLE, chapter.blocks(seen)) for chapter, seen in made]

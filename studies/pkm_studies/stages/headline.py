@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pkm_studies import result
+from pkm_studies.stages import plan_words
 
 MOST = 5
 
@@ -14,6 +15,7 @@ MOST = 5
 def sentences(sections: Mapping[str, Any]) -> list[str]:
     """Up to five sentences out of the sections that are there, the most useful first."""
     told = [
+        *plan_words.sentences(sections.get("plan")),
         *_accuracy(sections.get("prediction")),
         *_held_out(sections.get("held_out") or []),
         *_rank(sections.get("identifiability")),
