@@ -19,14 +19,6 @@ from oed.batch import Array
 SAFE = 1e-12
 
 
-def e_bound(dual: Array, prior: Array, values: Array, size: float, cap: Array | float) -> float:
-    """Bound of the least eigenvalue, from any positive semidefinite `dual` (n, n) of trace 1.
-
-    lambda_min(M') <= tr(Z M') = tr(Z M0) + sum_i w'_i tr(Z A_i); values (C,): tr(Z A_i) of every candidate.
-    """
-    return float(np.trace(dual @ prior)) + carried(values, size, cap) * (1.0 + 1e-13)
-
-
 def carried(slopes: Array, size: float, cap: Array | float) -> float:
     """max sum_i w_i slopes_i over 0 <= w_i <= cap_i, sum w = size: the best candidates, filled to their caps."""
     if np.ndim(cap):

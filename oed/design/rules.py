@@ -116,15 +116,6 @@ class Rules:
             place=None if self.place is None else self.place[pool],
         )
 
-    def check(self, chosen: Index) -> None:
-        """Raises ValueError where a plan breaks a rule."""
-        for k in range(len(chosen)):
-            rest = np.delete(chosen, k)
-            count = int(max(chosen)) + 1 if self.cost is None and self.setup is None else -1
-            size = count if count >= 0 else len(self.cost if self.cost is not None else self.setup)  # type: ignore[arg-type]
-            if not self.allowed(rest, max(size, int(max(chosen)) + 1))[chosen[k]]:
-                raise ValueError(f"the plan breaks its rules at candidate {chosen[k]}")
-
     # -- what a relaxation may spend -------------------------------------------------------------------------
 
     def limits(self, count: int) -> Iterator[tuple[Index, float, Array | None]]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from oed.batch import Array
 from oed.design.blocks import Index
+from oed.design.criterion.protocol import inverse
 from oed.planning import bound as bounding
 from oed.planning import stage as staging
 from oed.planning.goal import Goal
@@ -111,7 +112,7 @@ def plan(
         )
     exact = search.exactly(found, start)
     known = min(p.value for p in exact)
-    told = bounding.bound(options, goal, staging.inverse(start), budget, stages, known, loss)
+    told = bounding.bound(options, goal, inverse(start), budget, stages, known, loss)
     exact = [search.checked(p, start) for p in exact + search.tried(told.hopeful, start)]
     most_accurate = min(exact, key=lambda p: p.value)
     told = dataclasses.replace(told, closed=most_accurate.value <= told.value * (1.0 + loss) * (1.0 + 1e-9))
@@ -195,7 +196,7 @@ class _Search:
     ) -> Plan:
         """A further stage of at most `left` seconds for its readings, at a first look."""
         criterion = self.goal.criterion(option.candidates.blocks.shape[2] - before.shape[-1])
-        held = staging.inverse(staging.mean(before))
+        held = inverse(staging.mean(before))
         chosen = staging.choose(option, count, held, criterion, chances, 0, left)
         stage = staging.told(option, chosen, before, self.rng, exact=False)
         return self._grown(parent, stage)
@@ -296,7 +297,7 @@ class _Search:
         made, before = self.empty(start), start
         for k, (option, count) in enumerate(steps):
             criterion = self.goal.criterion(option.candidates.blocks.shape[2] - before.shape[-1])
-            held = staging.inverse(staging.mean(before))
+            held = inverse(staging.mean(before))
             if like is not None:
                 held = held + sum(s.information for s in like.stages[k + 1 :])
             chances = staging.available(option, before)

@@ -23,6 +23,7 @@ from scipy.special import erf
 from oed.batch import Array
 from oed.design.blocks import Index
 from oed.design.criterion import Criterion
+from oed.design.criterion.protocol import inverse
 from oed.design.judge import Single
 from oed.design.rules import Rules
 from oed.design.search import climb, greedy
@@ -278,8 +279,3 @@ def _blurred(option: Option, chosen: Index, blocks: Array, cut: Array) -> Array:
     rows = _sizes(option, chosen)
     factor = np.add.reduceat(ratio, np.cumsum(rows) - rows) / rows
     return np.asarray(blocks / np.sqrt(factor)[:, None, None])
-
-
-def inverse(m: Array) -> Array:
-    inverted = np.linalg.inv(m)
-    return np.asarray(0.5 * (inverted + inverted.T))

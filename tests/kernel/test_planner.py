@@ -16,8 +16,7 @@ def test_no_plan_beats_the_bound_and_the_planner_finds_nearly_the_best(seed: int
     options, goal = small.catalogue(np.random.default_rng(seed), alike=seed % 2 == 0)
     value, time = small.every_plan(options, goal, 2)
     within = (time > 0.0) & (time <= 60.0 * minutes)
-    if not within.any():
-        pytest.skip("the budget mounts nothing")
+    assert within.any()
     best = float(value[within].min())
     found = search.plan(options, goal, 60.0 * minutes, np.random.default_rng(0), stages=2)
     assert found.bound.value <= best * (1 + 1e-9)

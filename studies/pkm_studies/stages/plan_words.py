@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.batch import Array
+from oed.design.criterion.protocol import inverse
 from oed.planning import stage as staging
 from oed.planning.option import Option
 from oed.planning.search import Plan as Found
@@ -100,10 +101,10 @@ def _proof(task: Task, found: Planned) -> str:
 
 def _ever(task: Task) -> str:
     """What all candidate readings together would leave: the limit of set-ups and instruments."""
-    held = staging.inverse(task.start)
+    held = inverse(task.start)
     for option in task.asked.options:
         held = held + staging.information(option.candidates.blocks, np.ones(len(option.candidates)), len(held))
-    left = staging.inverse(held)
+    left = inverse(held)
     value = task.goal.value(left)
     if value > 1.0:
         return f"Even all readings of all measurements would miss it by a factor of {value:.3g}: a set-up or an " + (
