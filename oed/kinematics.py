@@ -86,6 +86,7 @@ class Kinematics:
         self._components = Batched("components", [c, error], [components])
         self._components_slope = Batched("components_slope", [c], [ca.jacobian(components, error)])
         self._home_sign: float | None = None
+        self._struts = _struts(machine, (x, q, p), (xs, qs, ps), phi)
         self._skeleton = (
             None
             if machine.skeleton is None
@@ -167,6 +168,28 @@ class Kinematics:
         wide_x = np.broadcast_to(start, (m, n, start.shape[-1])).reshape(m * n, -1)
         x, bad = _newton(lambda z, keep: self._forward(z, wide_q[keep], wide_p[keep]), wide_x.copy(), step)
         return (x, bad) if single else (x.reshape(m, n, -1), bad.reshape(m, n))
+
+    def forward_each(self, q: Array, p: Array, start: Array) -> Array:
+        """As `forward`, with parameters p (n, np) of its own for each pose; result (n, nx). Raises AssemblyError."""
+        x, bad = _newton(lambda z, keep: self._forward(z, q[keep], p[keep]), np.array(start, dtype=float))
+        if bad.any():
+            where = np.flatnonzero(bad)
+            raise AssemblyError(
+                f"{self.machine.name}: pose numbers {_listed(where)} cannot be assembled with their changes; "
+                "make the effects smaller, or keep away from singular poses",
+                where,
+            )
+        return x
+
+    def struts(self, x: Array, q: Array, p: Array) -> tuple[Array, Array, Array]:
+        """Ends (n, nq, 3) of the struts at base and platform, and change of joint (n, nq) per metre of strut.
+
+        Raises ValueError for a machine that does not tell its struts.
+        """
+        if self._struts is None:
+            raise ValueError(f"machine {self.machine.name} does not tell its struts: give Machine.struts")
+        base, platform, by_joint = self._struts(x, q, p)
+        return base.swapaxes(1, 2), platform.swapaxes(1, 2), -1.0 / by_joint
 
     def start_at(self, q: Array) -> Array:
         """Start poses (n, nx) for joints without a command: followed from the home pose in small steps."""
@@ -252,6 +275,19 @@ def _twist(rotation: ca.SX, tip: ca.SX, x: ca.SX) -> ca.SX:
         spin = ca.reshape(ca.jacobian(ca.vec(rotation), x[j]), 3, 3) @ rotation.T
         columns.append(ca.vertcat(spin[2, 1], spin[0, 2], spin[1, 0]))
     return ca.vertcat(ca.jacobian(tip, x), ca.horzcat(*columns))
+
+
+def _struts(machine: Machine, vectors: Sequence[Expr], named: Sequence[Values], phi: Expr) -> Batched | None:
+    """Struts' ends (3, nq) at base and platform, and slope of the row that holds each joint over it."""
+    if machine.struts is None:
+        return None
+    ends, slopes = machine.struts(*named), []
+    for k in range(len(machine.joints)):
+        q = vectors[1][k]
+        row = next(phi[i] for i in range(phi.numel()) if ca.depends_on(phi[i], q))
+        slopes.append(ca.jacobian(row, q))
+    base, platform = (ca.horzcat(*side) for side in zip(*ends, strict=True))
+    return Batched("struts", list(vectors), [base, platform, ca.vertcat(*slopes)])
 
 
 def misfit(phi: Expr, x: Expr) -> Expr | None:

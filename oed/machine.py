@@ -91,6 +91,9 @@ class Machine:
     guess(c)               start for Newton at a command: (pose values, joint values)
     read_error(c, twist)   components of a small pose error [translation, rotation vector] of the tool point
     skeleton(x, q, p)      for drawings: polylines of points (3,)
+    struts(x, q, p)        ends (base, platform), points (3,) in the base frame, of the strut that each joint drives:
+                           what gravity, heat and bending act on. The first row of the closure that holds joint k is
+                           the distance of its ends less what it should be, m
     """
 
     name: str
@@ -109,6 +112,7 @@ class Machine:
     guess: Callable[[Values], tuple[Sequence[Expr], Sequence[Expr]]]
     read_error: Callable[[Values, Sequence[Expr]], Sequence[Expr]] = _no_error
     skeleton: Callable[[Values, Values, Values], Sequence[Sequence[Expr]]] | None = None
+    struts: Callable[[Values, Values, Values], Sequence[tuple[Expr, Expr]]] | None = None
     frame: tuple[str, ...] = ()  # parameters held at nominal because they only choose the base frame
     groups: tuple[PointGroup, ...] = ()
     about: str = ""

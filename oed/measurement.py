@@ -236,6 +236,37 @@ class Measurement:
         """dy/dtheta (N, n) at theta (n,), SI."""
         return np.vstack([self._slope(s, theta) for s in series])
 
+    def response(self, series: Series, theta: Array) -> Response:
+        """Slopes of a series' readings over joints, parameters and set-up, pose by pose, at theta (n,)."""
+        p, s = theta[: len(self.machine.parameters)], theta[self._nuisance[series.setup]]
+        x = self._poses(series, theta[None], strict=True)[0]
+        by_pose, by_setup, by_machine = self._slopes(series, x, p, s)
+        dq, dp = self.kinematics.joint_sensitivity(x, series.q, p), self.kinematics.sensitivity(x, series.q, p)
+        places = [series.index[:, j] for j in range(series.index.shape[1])]
+        joints = tuple(slope @ dq[k] for slope, k in zip(by_pose, places, strict=True))
+        parameters = [slope @ dp[k] for slope, k in zip(by_pose, places, strict=True)]
+        if by_machine is not None:
+            parameters[0] = parameters[0] + by_machine
+        return Response(joints, tuple(parameters), by_setup)
+
+    def moved(self, series: Series, theta: Array, joints: Array, parameters: Array, nuisances: Array) -> Array:
+        """Exact readings (N,) of a series at theta (n,) where each pose has changes of its own.
+
+        joints (m, nq) are added to what the joints do, parameters (m, np) to the machine's, nuisances (n, ns) to the
+        set-up's unknowns at each reading. Raises AssemblyError.
+        """
+        p, s = theta[: len(self.machine.parameters)] + parameters, theta[self._nuisance[series.setup]] + nuisances
+        q = series.q + joints
+        x = self.kinematics.forward_each(q, p, series.start)
+        places = [series.index[:, j] for j in range(series.index.shape[1])]
+        view = self._views[series.setup]
+        inner = [*(q[k] for k in places), p[places[0]]] if view.inner else []
+        return view.read([*(x[k] for k in places), s, *inner]).ravel()
+
+    def nuisances(self, setup: str) -> slice:
+        """Where the unknowns of a set-up are in theta."""
+        return self._nuisance[setup]
+
     def owners(self, series: Sequence[Series]) -> list[str]:
         """Set-up of each reading (N,), in the order of `readings`."""
         return [s.setup for s in series for _ in range(len(s) * len(self.setups[s.setup].sigma))]
@@ -333,10 +364,7 @@ class Measurement:
         x = self._poses(series, theta[None], strict=True)[0]
         self.kinematics.refuse_singular(x, series.q, p)
         dx = self.kinematics.sensitivity(x, series.q, p)
-        frames = [x[series.index[:, j]] for j in range(series.index.shape[1])]
-        view = self._views[series.setup]
-        inner = [*(series.q[series.index[:, j]] for j in range(series.index.shape[1])), p] if view.inner else []
-        by_pose, by_setup, by_machine = view.slopes([*frames, s, *inner])
+        by_pose, by_setup, by_machine = self._slopes(series, x, p, s)
         rows = np.zeros((len(series), by_setup.shape[1], len(theta)))
         for j, slope in enumerate(by_pose):
             rows[:, :, : len(p)] += slope @ dx[series.index[:, j]]
@@ -344,6 +372,26 @@ class Measurement:
             rows[:, :, : len(p)] += by_machine
         rows[:, :, self._nuisance[series.setup]] = by_setup
         return rows.reshape(-1, len(theta))
+
+    def _slopes(self, series: Series, x: Array, p: Array, s: Array) -> tuple[list[Array], Array, Array | None]:
+        """Slopes (n, channels, .) of a series' readings over each pose, over s, and over p beside the poses."""
+        frames = [x[series.index[:, j]] for j in range(series.index.shape[1])]
+        view = self._views[series.setup]
+        inner = [*(series.q[series.index[:, j]] for j in range(series.index.shape[1])), p] if view.inner else []
+        return view.slopes([*frames, s, *inner])
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Response:
+    """How n readings of a set-up answer to changes at the poses they see, SI.
+
+    joints      for each pose of a reading, (n, channels, nq);  parameters likewise, (n, channels, np)
+    nuisances   (n, channels, ns) to the set-up's unknowns at the time of the reading
+    """
+
+    joints: tuple[Array, ...]
+    parameters: tuple[Array, ...]
+    nuisances: Array
 
 
 class _View:

@@ -125,6 +125,7 @@ machine = Machine(
     guess=guess,
     read_error=read_error,
     skeleton=skeleton,
+    struts=lambda x, q, p: [_joints(x, p, i) for i in LIMBS],
     frame=("db1x", "db2y", "db3y", "db1z", "db2z", "db3z"),  # Eq. (16)
     groups=(
         PointGroup(

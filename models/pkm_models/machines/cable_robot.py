@@ -84,4 +84,5 @@ machine = Machine(
     target=lambda c: [c["x"], c["y"], c["z"]],
     guess=lambda c: ([c["x"], c["y"], c["z"]], [_motor(c, i) for i in LINES]),
     skeleton=lambda x, q, p: [[_anchor(p, i), _mover(x)] for i in LINES],
+    struts=lambda x, q, p: [(_anchor(p, i), _mover(x)) for i in LINES],
 )  # fmt: skip

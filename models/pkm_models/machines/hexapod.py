@@ -92,6 +92,7 @@ machine = Machine(
     guess=lambda c: ([c[n] for n in (*XYZ, *ANGLES)], [c["z"] + ABOVE] * 6),
     read_error=lambda c, twist: twist,
     skeleton=skeleton,
+    struts=lambda x, q, p: [_joints(x, p, i) for i in LEGS],
     groups=(
         _group("platform joints", "the tool point", "da", A),
         _group("base joints", "the base centre", "db", B),

@@ -86,5 +86,6 @@ machine = Machine(
     target=lambda c: [c["x"], c["y"], c["z"]],
     guess=guess,
     skeleton=skeleton,
+    struts=lambda x, q, p: [(_carriage(i, q, p), _tool(x)) for i in TOWERS],
     frame=("angle3",),  # turning all towers together only turns the base frame
 )

@@ -93,4 +93,5 @@ machine = Machine(
     target=lambda c: [c["x"], c["y"], c["z"]],
     guess=lambda c: ([c["x"], c["y"], c["z"]], [ca.norm_2(ca.vertcat(R_FRAME - R_PLATFORM, c["z"]))] * 3),
     skeleton=skeleton,
+    struts=lambda x, q, p: [_ends(x, p, i) for i in LEGS],
 )

@@ -79,4 +79,5 @@ machine = Machine(
     guess=guess,
     read_error=lambda c, twist: [twist[1], twist[2]],
     skeleton=skeleton,
+    struts=lambda x, q, p: [(_slider(i, q, p), _platform(x)) for i in LIMBS],
 )

@@ -134,6 +134,7 @@ machine = Machine(
     guess=guess,
     read_error=read_error,
     skeleton=skeleton,
+    struts=lambda x, q, p: [joints(x, q, p, i) for i in LIMBS],
     groups=(
         PointGroup("platform joints", "the tool tip", _BALLS),  # type: ignore[arg-type]
         PointGroup("slider joints", "the machine's axis", _SLIDERS),

@@ -1,0 +1,131 @@
+"""What an unmodelled effect is: changes of joints, parameters, set-up or readings as functions of the machine's state.
+
+An effect is linear in its coefficients: each is one `Column`, a change per unit of the coefficient at each pose, with
+the coefficient's physical prior standard deviation. What the form depends on nonlinearly (a time constant, a screw's
+pitch) are its `constants`, given as a grid over which the diagnosis marginalises. The same columns give the effect's
+signature in the readings (H delta p, to first order) and, through the exact closure, a virtual machine that has it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.batch import Array
+from oed.machine import Machine
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class State:
+    """What the machine was like at m poses of a set-up, its teach or reference poses among them. nq joints; SI.
+
+    machine      the machine
+    setup        name of the set-up
+    pose         (m, nx) coordinates of the pose;  tool (m, 3) the tool point in the base frame
+    joints       (m, nq) what the joints were sent to
+    sense        (m, nq) sign of each joint's motion, from the order of poses in a run; where a joint stands still, that
+                 of its last motion; 0 where nothing is known (a teach pose)
+    reversal     (m, nq) how far each joint has gone since its last reversal in the run, m or rad
+    rate         (m, nq) joint velocity, from order and feed;  NaN where the feed is not known
+    force        (m, nq) generalised force in each joint per newton pulling along gravity at the tool point (J^-T w)
+    strut        (m, nq) length of the strut that the joint drives;  along (m, nq, 3) its direction, base to platform
+    base         (m, nq, 3) and platform (m, nq, 3) its ends in the base frame
+    per_length   (m, nq) change of the joint worth a strut longer by 1 m (joint unit over m)
+    phase        (m,) place along the run, the same for both directions of travel, rad in [0, 2 pi)
+    run          (m,) label of the run;  order (m,) in it
+    time, feed, payload, direction   (m,), NaN where unknown
+    temperature  {body: (m,)} K
+    span         first and last time of all set-ups together, s; NaN where unknown
+    """
+
+    machine: Machine
+    setup: str
+    pose: Array
+    tool: Array
+    joints: Array
+    sense: Array
+    reversal: Array
+    rate: Array
+    force: Array
+    strut: Array
+    along: Array
+    base: Array
+    platform: Array
+    per_length: Array
+    phase: Array
+    run: NDArray[np.str_]
+    order: Array
+    time: Array
+    feed: Array
+    payload: Array
+    direction: Array
+    temperature: Mapping[str, Array]
+    span: tuple[float, float]
+
+    @property
+    def limbs(self) -> range:
+        """Numbers of the joints, from 0."""
+        return range(self.joints.shape[1])
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Column:
+    """One coefficient of an effect: what a unit of it changes at each of m poses, and its prior standard deviation.
+
+    joints      {joint number from 0: (m,)} change of what the joint really does, m or rad
+    parameters  {name: (m,)} change of a geometric parameter of the machine, SI
+    nuisances   {name: (m,)} change of an unknown of the set-up (`cup_x`), SI; the instrument's own names
+    reading     {channel, or "*" for all: (m,)} what is added to the reading at the pose read, SI
+    name        of the coefficient: columns of one name in several set-ups share it (`leg 1`, `leg 1 length`); a
+                coefficient of one set-up has that in its name
+    label       block it belongs to, `leg 1`, or "" for all
+    scale       prior standard deviation of the coefficient
+    shape       true for columns that only let a form adapt beside the textbook's own
+    Names that a machine or a set-up does not have are left out; a column that changes nothing is dropped.
+    """
+
+    name: str
+    scale: float
+    label: str = ""
+    joints: Mapping[int, Array] = dataclasses.field(default_factory=dict)
+    parameters: Mapping[str, Array] = dataclasses.field(default_factory=dict)
+    nuisances: Mapping[str, Array] = dataclasses.field(default_factory=dict)
+    reading: Mapping[str, Array] = dataclasses.field(default_factory=dict)
+    shape: bool = False
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Effect:
+    """An unmodelled effect.
+
+    needs       covariates without which it cannot be tested: `time`, `feed`, `payload`, `time or temp_leg`; with
+                `direction: both`, `payload: 2`, `feed: 2` as many different values are wanted
+    constants   nonlinear constants with the values that the diagnosis marginalises over
+    columns     (state, constants by name) -> its columns in one set-up
+    remedy      what a machine builder does about it
+    exposed_by  the reading that tells it from its rivals
+    unfit       why it cannot occur on a machine, in words; None, as by default, where it can
+    """
+
+    name: str
+    source: str
+    about: str
+    columns: Callable[..., Iterable[Column]]
+    needs: tuple[str, ...] = ()
+    constants: Mapping[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
+    remedy: str = ""
+    exposed_by: str = ""
+    unfit: Callable[[Machine], str | None] = lambda machine: None
+
+    def grid(self) -> list[dict[str, float]]:
+        """Every combination of the constants' values."""
+        grid: list[dict[str, float]] = [{}]
+        for name, values in self.constants.items():
+            grid = [point | {name: value} for point in grid for value in values]
+        return grid

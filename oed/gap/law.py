@@ -1,0 +1,109 @@
+"""The noise that real readings have, and the metric in which what the parameters absorb no longer counts.
+
+In units of the stated noise, the readings of a run have the covariance
+
+    level^2 [ V^1/2 B V^1/2 + repeat^2 1 1^T + wander^2 exp(-|k - l| / reach) ],
+
+B the instrument's own correlation (often 1), V the variances of single readings (heavy tails), `repeat` how well a run
+repeats, `wander` an error that is carried along a run over `reach` readings. Channels of one reading wander apart.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg
+
+from oed.batch import Array
+from oed.gap.problem import Index, Problem
+
+
+@dataclasses.dataclass(frozen=True)
+class Law:
+    """A noise law, in units of the stated noise.
+
+    repeat, wander, reach   see the module; reach in readings
+    variance (N,)           of single readings over the level's; ones where tails are light
+    level                   factor on everything; 1 where it is marginalised elsewhere
+    tails                   degrees of freedom of the readings' Student t, inf where they are normal
+    """
+
+    repeat: float
+    wander: float
+    reach: float
+    variance: Array
+    level: float = 1.0
+    tails: float = np.inf
+
+    def block(self, problem: Problem, number: int, rows: Index | None = None) -> Array:
+        """Covariance (k, k) of a run's readings, or of those of its `rows` (positions within the run)."""
+        members = problem.blocks[number]
+        base = problem.base[number]
+        if rows is not None:
+            members, base = members[rows], None if base is None else base[np.ix_(rows, rows)]
+        root = np.sqrt(self.variance[members])
+        own = np.diag(root**2) if base is None else base * np.outer(root, root)
+        same = problem.group[members][:, None] == problem.group[members][None, :]
+        gap = np.abs(problem.along[members][:, None] - problem.along[members][None, :])
+        related = self.repeat**2 + self.wander**2 * np.exp(-gap / self.reach)
+        return np.asarray(self.level**2 * (own + related * same))
+
+
+def plain(problem: Problem) -> Law:
+    """The stated noise and nothing else."""
+    return Law(0.0, 0.0, 1.0, np.ones(len(problem)))
+
+
+class Metric:
+    """Inner products of changes of the readings after the parameters have absorbed what they can.
+
+    u, v (N, k) in units of the stated noise: <u, v> = u^T M v with M = (Sigma + H Lambda H^T)^-1.
+    """
+
+    def __init__(self, problem: Problem, law: Law, rows: Index | None = None) -> None:
+        """`rows`: the readings that count (all by default); vectors given are still of all N readings."""
+        self._parts: list[tuple[Index, Array]] = []
+        counted = np.ones(len(problem), dtype=bool)
+        if rows is not None:
+            counted[:] = False
+            counted[rows] = True
+        self.size = int(counted.sum())
+        log_det = 0.0
+        for k, members in enumerate(problem.blocks):
+            mine = np.flatnonzero(counted[members])
+            if mine.size:
+                factor = linalg.cholesky(law.block(problem, k, mine), lower=True, check_finite=False)
+                self._parts.append((members[mine], factor))
+                log_det += 2.0 * float(np.log(np.diag(factor)).sum())
+        white = self.white(problem.slopes)
+        inner = np.eye(white.shape[1]) + white.T @ white
+        self._root = linalg.cholesky(inner, lower=True, check_finite=False)
+        self._absorb = linalg.solve_triangular(self._root, white.T, lower=True, check_finite=False)
+        #: log determinant of Sigma, and of Sigma + H Lambda H^T
+        self.log_det_noise = log_det
+        self.log_det = log_det + 2.0 * float(np.log(np.diag(self._root)).sum())
+
+    def white(self, values: Array) -> Array:
+        """Values (N,) or (N, k) whitened by the noise alone, run after run."""
+        done = [
+            linalg.solve_triangular(factor, values[members], lower=True, check_finite=False)
+            for members, factor in self._parts
+        ]
+        return np.concatenate(done)
+
+    def parts(self, values: Array) -> tuple[Array, Array]:
+        """What inner products need of values (N, k): <u, v> = u0^T v0 - u1^T v1."""
+        white = self.white(values)
+        return white, self._absorb @ white
+
+    def gram(self, u: Array, v: Array) -> Array:
+        """Inner products (k, l) of (N, k) and (N, l)."""
+        (u0, u1), (v0, v1) = self.parts(u), self.parts(v)
+        return np.asarray(u0.T @ v0 - u1.T @ v1)
+
+
+def join(rows: Sequence[Index]) -> Index:
+    """Index sets as one."""
+    return np.concatenate(rows) if rows else np.empty(0, dtype=np.intp)

@@ -1,0 +1,149 @@
+"""Residuals made ready for a diagnosis: what calibration leaves, with what it may still absorb.
+
+With theta_hat the fitted parameters, H their slopes and N(nominal, Lambda) their prior, readings are, to first order,
+
+    y = f(theta_hat) + H (theta - theta_hat) + G beta + e,      so that
+    r = y - f(theta_hat) + H (theta_hat - nominal) ~ N(G beta, Sigma + H Lambda H^T):
+
+whatever value of theta the fit ended at, what the parameters can explain is taken out by Lambda, not by the fit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oed import identify
+from oed.batch import Array
+from oed.effect import State
+from oed.gap import state as states_of
+from oed.measurement import Measurement, Response, Series
+
+Index = NDArray[np.intp]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Problem:
+    """N readings in units of their stated noise, and the n parameters that absorb.
+
+    measurement, series, theta   what was fitted, and the fit (n_all,), SI
+    states, responses            one a series
+    sigma (N,)                   stated noise, SI
+    residual (N,)                r over sigma
+    slopes (N, n)                H over sigma, per prior standard deviation of each free parameter
+    names (n,)                   of those parameters
+    base                         stated correlation of each run's readings, (k, k) or None where independent
+    blocks                       index sets of the runs: readings whose noise may be related
+    along (N,)                   number of each reading in its run, from 0
+    group (N,)                   instrument channel that each reading is of: noise has a level of its own in each
+    rows                         one row a reading of a channel: setup, run, order, channel, covariates, phase
+    """
+
+    measurement: Measurement
+    series: tuple[Series, ...]
+    theta: Array
+    states: tuple[State, ...]
+    responses: tuple[Response, ...]
+    sigma: Array
+    residual: Array
+    slopes: Array
+    names: tuple[str, ...]
+    base: tuple[Array | None, ...]
+    blocks: tuple[Index, ...]
+    along: Array
+    group: NDArray[np.intp]
+    rows: pd.DataFrame
+
+    def __len__(self) -> int:
+        return len(self.residual)
+
+    def of(self, values: Array) -> Array:
+        """Changes of the readings (N, ...), SI, in units of their stated noise."""
+        return values / self.sigma.reshape(-1, *[1] * (values.ndim - 1))
+
+    def with_residual(self, residual: Array) -> Problem:
+        """The same readings with other residuals (N,), in units of their stated noise."""
+        return dataclasses.replace(self, residual=residual)
+
+
+def prepare(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    covariates: pd.DataFrame,
+    *,
+    gravity: tuple[float, float, float] = states_of.DOWN,
+    stages: Sequence[Sequence[str]] = (("*",),),
+) -> Problem:
+    """Fit the calibration parameters to readings y (N,), SI, and lay out what is left.
+
+    `covariates` has one row a reading of the series, as in a Dataset. Raises IdentificationError.
+    """
+    series = tuple(series)
+    found = identify.identify(measurement, series, y, stages=stages, estimate_noise=False)
+    return planned(measurement, series, covariates, found.theta, y, gravity=gravity)
+
+
+def planned(
+    measurement: Measurement,
+    series: Sequence[Series],
+    covariates: pd.DataFrame,
+    theta: Array | None = None,
+    y: Array | None = None,
+    *,
+    gravity: tuple[float, float, float] = states_of.DOWN,
+) -> Problem:
+    """The problem of readings y (N,) at parameters theta (n,); of readings only planned, with residuals of 0."""
+    series = tuple(series)
+    theta = measurement.nominal if theta is None else theta
+    jacobian = measurement.jacobian(series, theta)
+    y = measurement.readings(series, theta) if y is None else y
+    noise = measurement.noise(series)
+    free = np.flatnonzero(measurement.free)
+    left = y - measurement.readings(series, theta) + jacobian @ (theta - measurement.nominal)
+    made = tuple(states_of.states(measurement, series, covariates, theta, gravity))
+    rows = _rows(measurement, series, covariates, made)
+    blocks = tuple(rows.groupby(["setup", "run"], sort=False).indices.values())
+    covariance = None if noise.root is None else (noise.root @ noise.root.T).tocsr()
+    base = [None if covariance is None else covariance[b][:, b].toarray() / np.outer(noise.sigma[b], noise.sigma[b])
+            for b in blocks]  # fmt: skip
+    along = np.zeros(len(rows))
+    for b in blocks:
+        along[b] = rows["order"].to_numpy(dtype=float)[b]
+    kinds = rows["instrument"] + "." + rows["channel"]
+    return Problem(
+        measurement=measurement,
+        series=series,
+        theta=theta,
+        states=made,
+        responses=tuple(measurement.response(s, theta) for s in series),
+        sigma=noise.sigma,
+        residual=left / noise.sigma,
+        slopes=jacobian[:, free] * measurement.tolerance[free] / noise.sigma[:, None],
+        names=tuple(measurement.names[k] for k in free),
+        base=tuple(base),
+        blocks=tuple(np.asarray(b, dtype=np.intp) for b in blocks),
+        along=along,
+        group=pd.factorize(kinds)[0].astype(np.intp),
+        rows=rows,
+    )
+
+
+def _rows(
+    measurement: Measurement, series: tuple[Series, ...], covariates: pd.DataFrame, states: Sequence[State]
+) -> pd.DataFrame:
+    """One row a reading of a channel, in the order of y."""
+    parts, start = [], 0
+    for s, state in zip(series, states, strict=True):
+        rows = covariates.iloc[start : start + len(s)].reset_index(drop=True)
+        start += len(s)
+        instrument = measurement.setups[s.setup].instrument
+        rows = rows.assign(instrument=instrument.name, phase=state.phase[s.index[:, 0]], reading=np.arange(len(s)))
+        channels = [c.name for c in instrument.channels]
+        wide = rows.loc[rows.index.repeat(len(channels))].reset_index(drop=True)
+        parts.append(wide.assign(channel=np.tile(channels, len(s))))
+    return pd.concat(parts, ignore_index=True)

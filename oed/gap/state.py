@@ -1,0 +1,177 @@
+"""The machine's state at every pose of a series: what effects are functions of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oed.batch import Array
+from oed.effect import State
+from oed.measurement import Index, Measurement, Series
+
+TEMPERATURE = "temp_"
+DOWN = (0.0, 0.0, -1.0)
+#: share of a run's longest extent that the second must have for it to be a loop rather than a line
+LOOP = 0.2
+
+
+def states(
+    measurement: Measurement,
+    series: tuple[Series, ...],
+    covariates: pd.DataFrame,
+    theta: Array,
+    gravity: tuple[float, float, float] = DOWN,
+) -> list[State]:
+    """One State a series, over all its poses, at theta (n,); `covariates` has one row a reading, in their order."""
+    times = _column(covariates, "time")
+    known = np.isfinite(times).any()
+    span = (float(np.nanmin(times)), float(np.nanmax(times))) if known else (np.nan, np.nan)
+    made, start = [], 0
+    for s in series:
+        rows = covariates.iloc[start : start + len(s)]
+        made.append(_state(measurement, s, rows, theta, span, np.array(gravity, dtype=float)))
+        start += len(s)
+    return made
+
+
+def _state(
+    measurement: Measurement,
+    series: Series,
+    rows: pd.DataFrame,
+    theta: Array,
+    span: tuple[float, float],
+    gravity: Array,
+) -> State:
+    kinematics, machine = measurement.kinematics, measurement.machine
+    p, q = theta[: len(machine.parameters)], series.q
+    x = measurement.poses(series, theta)
+    tool = np.array(measurement.setups[series.setup].tool)
+    _, tip, twist = kinematics.frames(x, tool)
+    by_joint = kinematics.joint_sensitivity(x, q, p)
+    force = np.einsum("k,mkj->mj", gravity / np.linalg.norm(gravity), twist[:, :3] @ by_joint)
+    base, platform, per_length = _struts(measurement, x, q, p)
+    between = platform - base
+    length = np.linalg.norm(between, axis=-1)
+    owner = _owner(series)  # for each pose the reading whose covariates hold there
+    run, order = series.run[owner], rows["order"].to_numpy(dtype=float)[owner]
+    order[series.index[:, 0]] = rows["order"].to_numpy(dtype=float)
+    referred = np.setdiff1d(np.arange(len(x)), series.index[:, 0])
+    order[referred] -= 1.0
+    taught = referred if measurement.setups[series.setup].teach is not None else np.empty(0, dtype=np.intp)
+    known = {name: _column(rows, name)[owner] for name in ("time", "feed", "payload", "direction")}
+    bodies = [str(c) for c in rows.columns if str(c).startswith(TEMPERATURE)]
+    sense, rate, reversal = _motion(q, tip, run, order, known["feed"], taught)
+    return State(
+        machine=machine,
+        setup=series.setup,
+        pose=x,
+        tool=tip,
+        joints=q,
+        sense=sense,
+        reversal=reversal,
+        rate=rate,
+        force=force,
+        strut=length,
+        along=between / length[..., None],
+        base=base,
+        platform=platform,
+        per_length=per_length,
+        phase=_phase(tip, run, taught),
+        run=run,
+        order=order,
+        temperature={c.removeprefix(TEMPERATURE): _column(rows, c)[owner] for c in bodies},
+        span=span,
+        **known,
+    )
+
+
+def _struts(measurement: Measurement, x: Array, q: Array, p: Array) -> tuple[Array, Array, Array]:
+    """As `Kinematics.struts`; NaN for a machine that does not tell its struts."""
+    if measurement.machine.struts is None:
+        lost = np.full((*q.shape, 3), np.nan)
+        return lost, lost, np.full(q.shape, np.nan)
+    return measurement.kinematics.struts(x, q, p)
+
+
+def _column(rows: pd.DataFrame, name: str) -> Array:
+    if name not in rows.columns:
+        return np.full(len(rows), np.nan)
+    return np.asarray(rows[name].to_numpy(dtype=float))
+
+
+def _owner(series: Series) -> Index:
+    """For each pose (m,) the first reading that sees it."""
+    owner = np.zeros(len(series.q), dtype=np.intp)
+    for column in series.index.T[::-1]:
+        owner[column[::-1]] = np.arange(len(series))[::-1]
+    return owner
+
+
+def _motion(
+    q: Array, tip: Array, run: NDArray[np.str_], order: Array, feed: Array, still: Index
+) -> tuple[Array, Array, Array]:
+    """Sense, rate and distance since the last reversal (m, nq) of each joint, from the order of poses in each run."""
+    sense, rate, reversal = np.zeros(q.shape), np.full(q.shape, np.nan), np.zeros(q.shape)
+    rate[still] = 0.0
+    moving = np.setdiff1d(np.arange(len(q)), still)
+    for label in dict.fromkeys(run[moving]):
+        at = moving[run[moving] == label]
+        at = at[np.argsort(order[at], kind="stable")]
+        if len(at) < 2:
+            rate[at] = 0.0
+            continue
+        step = np.diff(q[at], axis=0)
+        path = np.linalg.norm(np.diff(tip[at], axis=0), axis=1)
+        sense[at] = _sense(np.vstack([step[:1], step]))
+        slope = np.gradient(q[at], np.maximum(np.concatenate([[0.0], np.cumsum(np.maximum(path, 1e-9))]), 0.0), axis=0)
+        rate[at] = slope * feed[at, None]
+        reversal[at] = _since(np.abs(np.vstack([step[:1], step])), sense[at])
+    return sense, rate, reversal
+
+
+def _sense(step: Array) -> Array:
+    """Sign of each joint's step (k, nq) to its pose, kept where it stands still."""
+    size = np.abs(step)
+    sign = np.where(size > 1e-6 * max(float(size.max()), 1e-12), np.sign(step), 0.0)
+    for k in range(1, len(sign)):
+        sign[k] = np.where(sign[k] == 0.0, sign[k - 1], sign[k])
+    for k in range(len(sign) - 2, -1, -1):
+        sign[k] = np.where(sign[k] == 0.0, sign[k + 1], sign[k])
+    return sign
+
+
+def _since(step: Array, sense: Array) -> Array:
+    """Distance (k, nq) gone since the last change of sense; a run's start counts as none, far away."""
+    gone = np.zeros(step.shape)
+    gone[0] = np.inf
+    for k in range(1, len(step)):
+        gone[k] = np.where(sense[k] == sense[k - 1], gone[k - 1] + step[k], step[k])
+    return gone
+
+
+def _phase(tip: Array, run: NDArray[np.str_], taught: Index) -> Array:
+    """Place (m,) of each pose along its run, rad: the angle in a loop's plane, or the way along a line."""
+    phase = np.zeros(len(tip))
+    moving = np.setdiff1d(np.arange(len(tip)), taught)
+    for label in dict.fromkeys(run[moving]):
+        at = moving[run[moving] == label]
+        off = tip[at] - tip[at].mean(axis=0)
+        _, extent, axes = np.linalg.svd(off, full_matrices=False)
+        if len(at) < 3 or extent[0] < 1e-9:
+            continue
+        if extent[1] > LOOP * extent[0]:
+            phase[at] = _angle(off, axes)
+        else:
+            along = off @ (axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))]))
+            phase[at] = 2.0 * np.pi * (along - along.min()) / (np.ptp(along) * (1.0 + 1e-9))
+    return phase
+
+
+def _angle(off: Array, axes: Array) -> Array:
+    """Angle (k,) in [0, 2 pi) about the normal of a loop's plane, from the base's x axis (or y, across it)."""
+    normal = axes[2] * np.sign(axes[2][np.argmax(np.abs(axes[2]))])
+    start = np.eye(3)[0 if abs(normal[0]) < 0.9 else 1]
+    first = start - normal * (start @ normal)
+    first /= np.linalg.norm(first)
+    return np.asarray(np.mod(np.arctan2(off @ np.cross(normal, first), off @ first), 2.0 * np.pi))
