@@ -38,6 +38,7 @@ class State:
     run          (m,) label of the run;  order (m,) in it
     time, feed, payload, direction   (m,), NaN where unknown
     temperature  {body: (m,)} K
+    home         (nx,) the home pose
     span         first and last time of all set-ups together, s; NaN where unknown
     """
 
@@ -63,6 +64,7 @@ class State:
     payload: Array
     direction: Array
     temperature: Mapping[str, Array]
+    home: Array
     span: tuple[float, float]
 
     @property

@@ -26,6 +26,7 @@ class Law:
 
     repeat, wander, reach   see the module; reach in readings
     variance (N,)           of single readings over the level's; ones where tails are light
+    ratio (N,)              noise of each reading's channel over the first one's, both over the stated; None: ones
     level                   factor on everything; 1 where it is marginalised elsewhere
     tails                   degrees of freedom of the readings' Student t, inf where they are normal
     """
@@ -36,6 +37,7 @@ class Law:
     variance: Array
     level: float = 1.0
     tails: float = np.inf
+    ratio: Array | None = None
 
     def block(self, problem: Problem, number: int, rows: Index | None = None) -> Array:
         """Covariance (k, k) of a run's readings, or of those of its `rows` (positions within the run)."""
@@ -48,7 +50,10 @@ class Law:
         same = problem.group[members][:, None] == problem.group[members][None, :]
         gap = np.abs(problem.along[members][:, None] - problem.along[members][None, :])
         related = self.repeat**2 + self.wander**2 * np.exp(-gap / self.reach)
-        return np.asarray(self.level**2 * (own + related * same))
+        covariance = self.level**2 * (own + related * same)
+        if self.ratio is not None:
+            covariance *= np.outer(self.ratio[members], self.ratio[members])
+        return np.asarray(covariance)
 
 
 def plain(problem: Problem) -> Law:
@@ -97,6 +102,11 @@ class Metric:
         """What inner products need of values (N, k): <u, v> = u0^T v0 - u1^T v1."""
         white = self.white(values)
         return white, self._absorb @ white
+
+    def fitted(self, values: Array) -> Array:
+        """Parameters (n,), in prior standard deviations, that explain values (N,) best."""
+        _, absorbed = self.parts(values)
+        return np.asarray(linalg.solve_triangular(self._root, absorbed, lower=True, trans="T", check_finite=False))
 
     def gram(self, u: Array, v: Array) -> Array:
         """Inner products (k, l) of (N, k) and (N, l)."""

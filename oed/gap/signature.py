@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oed.batch import Array
 from oed.effect import Column, Effect, State
@@ -38,7 +39,7 @@ class Signature:
     names: tuple[str, ...]
     labels: tuple[str, ...]
     scales: Array
-    shape: Array
+    shape: NDArray[np.bool_]
 
 
 def signature(

@@ -81,6 +81,7 @@ def _state(
         run=run,
         order=order,
         temperature={c.removeprefix(TEMPERATURE): _column(rows, c)[owner] for c in bodies},
+        home=kinematics.inverse(machine.home_command[None])[0][0],
         span=span,
         **known,
     )

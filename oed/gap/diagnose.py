@@ -1,0 +1,234 @@
+"""From residuals to a verdict: the noise, which effects, where, how far, and what to do next."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from scipy import linalg
+
+from oed.batch import Array
+from oed.effect import Effect
+from oed.gap import classes, library, scatter, which
+from oed.gap.diagnosis import UNKNOWN, Answer, Coefficient, Diagnosis, Size, Verdict
+from oed.gap.evidence import level
+from oed.gap.law import Law, Metric
+from oed.gap.library import Library
+from oed.gap.problem import Problem
+from oed.gap.unknown import PROCESSES
+from oed.gap.which import Hypothesis, Search
+
+#: sizes at which the wide model, beside which noise is told, holds the effects and the unknown processes
+WIDE_EFFECT, WIDE_UNKNOWN = 0.3, 2.0
+#: laws tried beyond those of the wide model and of no gap: what the search finds under these
+ROUNDS = 2
+#: answers are told down to this probability
+TOLD = 0.002
+#: log posterior by which a rival may be behind and still belong to an effect's class
+ALIVE = 4.0
+
+
+def diagnose(problem: Problem, effects: Sequence[Effect], rng: np.random.Generator) -> Diagnosis:
+    """Diagnose residuals with a library of effects."""
+    made = searches(problem, effects)
+    return conclude(problem, made, effects)
+
+
+def conclude(problem: Problem, made: Sequence[Search], effects: Sequence[Effect]) -> Diagnosis:
+    """The diagnosis that searches under several noise laws come to."""
+    hypotheses = which.compare(made)
+    shares = which.probabilities(hypotheses)
+    scores = {h.key: h.score for h in hypotheses}
+    answers = _answers(made, hypotheses, shares, scores)
+    best = hypotheses[0]
+    search = made[best.law]
+    found = _explained(problem, search, best)
+    return Diagnosis(
+        problem=problem,
+        verdict=verdict(answers[0]),
+        answers=answers,
+        set95=_set95(answers),
+        marginal=_marginal(search.library.effects, hypotheses, shares),
+        law=dataclasses.replace(search.law, level=found.level),
+        noise_words=scatter.words(problem, dataclasses.replace(search.law, level=found.level)),
+        coefficients=found.coefficients,
+        sizes=found.sizes,
+        explained=found.explained * problem.sigma,
+        unexplained=found.unexplained * problem.sigma,
+        before=found.before * problem.sigma,
+        after=found.after * problem.sigma,
+        where=(),
+        closure=(),
+        not_testable=search.library.not_testable,
+        confusable=tuple(dict.fromkeys(c for a in answers[:1] for c in a.classes if len(c) > 1)),
+        next=(),
+    )
+
+
+# -- answers -----------------------------------------------------------------------------------------------
+
+
+def _answers(
+    made: Sequence[Search],
+    hypotheses: Sequence[Hypothesis],
+    shares: Array,
+    scores: Mapping[tuple[frozenset[str], bool], float],
+) -> tuple[Answer, ...]:
+    """Hypotheses gathered into classes, by probability: one that stands for another is counted with it."""
+    left = dict(zip([h.key for h in hypotheses], shares, strict=True))
+    answers: list[Answer] = []
+    for h in hypotheses:
+        if h.key not in left or (left[h.key] < TOLD and answers):
+            continue
+        members = classes.of(made[h.law], h, scores, ALIVE) if h.effects else []
+        total = 0.0
+        for key in list(left):
+            if key[1] == h.unknown and _stands_for(key[0], members):
+                total += left.pop(key)
+        names = (*h.effects, UNKNOWN) if h.unknown else h.effects
+        answers.append(Answer(names, float(total), tuple(members)))
+    return tuple(sorted(answers, key=lambda a: -a.probability))
+
+
+def _stands_for(effects: frozenset[str], members: Sequence[tuple[str, ...]]) -> bool:
+    """Whether a set of effects takes exactly one member of each class."""
+    if len(effects) != len(members):
+        return False
+    if not members:
+        return True
+    return any(_stands_for(effects - {name}, members[1:]) for name in members[0] if name in effects)
+
+
+def verdict(answer: Answer) -> Verdict:
+    """The kind of an answer."""
+    if not answer.effects:
+        return "none"
+    if answer.effects == (UNKNOWN,):
+        return "unknown"
+    if UNKNOWN in answer.effects:
+        return "mixture"
+    if any(len(c) > 1 for c in answer.classes):
+        return "class"
+    return "effect" if len(answer.effects) == 1 else "mixture"
+
+
+def _set95(answers: Sequence[Answer]) -> tuple[Answer, ...]:
+    """The fewest answers that together have 95 %."""
+    total, kept = 0.0, []
+    for answer in answers:
+        kept.append(answer)
+        total += answer.probability
+        if total >= 0.95:
+            break
+    return tuple(kept)
+
+
+def _marginal(names: Iterable[str], hypotheses: Sequence[Hypothesis], shares: Array) -> dict[str, float]:
+    told = {n: float(sum(p for h, p in zip(hypotheses, shares, strict=True) if n in h.effects)) for n in names}
+    return told | {UNKNOWN: float(sum(p for h, p in zip(hypotheses, shares, strict=True) if h.unknown))}
+
+
+# -- what the best hypothesis explains ---------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class _Explained:
+    """In units of the noise: parts of the residual, what the fit leaves without and with the effects."""
+
+    coefficients: tuple[Coefficient, ...]
+    sizes: tuple[Size, ...]
+    explained: Array
+    unexplained: Array
+    before: Array
+    after: Array
+    level: float
+
+
+def _explained(problem: Problem, search: Search, h: Hypothesis) -> _Explained:
+    metric = Metric(problem, search.law)
+    known = search.library
+    chosen = [known.atoms[k].columns for k in h.atoms]
+    parts = [s * known.columns[:, c] for c, s in zip(chosen, h.sizes, strict=True)]
+    extra = np.zeros((len(problem), 0))
+    if h.process is not None:
+        extra = h.process_size * search.processes.columns[:, search.processes.atoms[h.process].columns]
+    columns = np.hstack([np.zeros((len(problem), 0)), *parts, extra])
+    inner = metric.gram(columns, columns) + np.eye(columns.shape[1])
+    told = metric.gram(columns, problem.residual[:, None])[:, 0]
+    beta, spread = np.linalg.solve(inner, told), linalg.inv(inner)
+    noise = level(search.given(h.atoms, h.sizes))
+    known_part = columns[:, : columns.shape[1] - extra.shape[1]] @ beta[: columns.shape[1] - extra.shape[1]]
+    unknown_part = extra @ beta[columns.shape[1] - extra.shape[1] :]
+    coefficients, sizes, start = [], [], 0
+    for effect, rows, size, part in zip(h.effects, chosen, h.sizes, parts, strict=True):
+        here = slice(start, start + len(rows))
+        start += len(rows)
+        signal = part @ beta[here]
+        unit = size * known.scales[rows]
+        sd = noise * np.sqrt(np.diag(spread)[here]) * unit
+        coefficients += [
+            Coefficient(effect, known.names[c], known.labels[c], float(m), float(s))
+            for c, m, s in zip(rows, beta[here] * unit, sd, strict=True)
+        ]
+        energy = float(metric.gram(signal[:, None], signal[:, None])[0, 0])
+        sizes.append(Size(effect, _by_channel(problem, signal), float(np.sqrt(max(energy, 0.0))) / noise))
+    before = _left(problem, metric, problem.residual)
+    after = _left(problem, metric, problem.residual - known_part)
+    return _Explained(tuple(coefficients), tuple(sizes), known_part, unknown_part, before, after, noise)
+
+
+def _by_channel(problem: Problem, signal: Array) -> dict[str, float]:
+    """Root mean square, SI, of a change of the readings in each channel."""
+    values = signal * problem.sigma
+    names = problem.rows["channel"].to_numpy()
+    return {str(n): float(np.sqrt(np.mean(values[names == n] ** 2))) for n in dict.fromkeys(names)}
+
+
+def _left(problem: Problem, metric: Metric, residual: Array) -> Array:
+    """What the parameters leave of a residual (N,) where they are fitted to it."""
+    return residual - problem.slopes @ metric.fitted(residual)
+
+
+# -- searches ----------------------------------------------------------------------------------------------
+
+
+def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
+    """The search under each of the noise laws that suit the readings."""
+    known = library.build(problem, effects)
+    processes = library.build(problem, PROCESSES)
+    law = scatter.robust(problem, _wide(known, processes))
+    laws = [scatter.fit(problem, _wide(known, processes), law), scatter.fit(problem, np.zeros((len(problem), 0)), law)]
+    made = [Search(problem, known, processes, *pair) for pair in laws]
+    for _ in range(ROUNDS):
+        best = which.compare(made)[0]
+        columns = _columns(known, processes, best)
+        pair = scatter.fit(problem, columns, made[best.law].law)
+        if any(_same(pair[0], s.law) for s in made):
+            break
+        made.append(Search(problem, known, processes, *pair))
+    return made
+
+
+def _same(a: Law, b: Law) -> bool:
+    sizes = np.array([[v.repeat, v.wander, np.log(v.reach)] for v in (a, b)])
+    return bool(np.abs(sizes[0, :2] - sizes[1, :2]).max() < 0.05 and abs(sizes[0, 2] - sizes[1, 2]) < 0.2)
+
+
+def _wide(known: Library, processes: Library) -> Array:
+    """Columns (N, k) that hold any gap: the middle form of every effect, and all processes."""
+    chosen = []
+    for effect in known.effects:
+        atoms = known.atoms_of(effect)
+        widest = max(len(known.atoms[k].columns) for k in atoms)
+        full = [k for k in atoms if len(known.atoms[k].columns) == widest]
+        chosen.append(WIDE_EFFECT * known.columns[:, known.atoms[full[len(full) // 2]].columns])
+    return np.hstack([*chosen, WIDE_UNKNOWN * processes.columns])
+
+
+def _columns(known: Library, processes: Library, h: Hypothesis) -> Array:
+    """Columns (N, k) of a hypothesis, each times its size."""
+    parts = [size * known.columns[:, known.atoms[atom].columns] for atom, size in zip(h.atoms, h.sizes, strict=True)]
+    if h.process is not None:
+        parts.append(h.process_size * processes.columns[:, processes.atoms[h.process].columns])
+    return np.hstack([np.zeros((known.columns.shape[0], 0)), *parts])

@@ -1,0 +1,115 @@
+"""Evidence in closed form. With Gram matrix A = G^T M G and b = G^T M r, coefficients N(0, t^2) in units of the noise,
+
+    2 log p(r | G, t) - 2 log p(r | no gap) = -log |1 + t^2 A| - (N + 2a) log(1 - gain / (2b0 + r^T M r)),
+    gain = b^T (1 / t^2 + A)^-1 b,
+
+where the noise's level s has been integrated out: s^2 is inverse gamma (a, b0), and all prior variances go with it.
+Columns selected before are taken out by the Schur complement, so that each step of a search is of this form again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg, special
+
+from oed.batch import Array
+from oed.gap.law import Law, Metric
+from oed.gap.problem import Index, Problem
+
+#: sizes of effects against their physical prior scales, equally likely
+SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0])
+#: inverse gamma prior of the squared noise level: its stated value to within a factor of about two
+SHAPE, RATE = 2.0, 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Grams:
+    """Gram matrix (K, K), projections b (K,), and what the residual has left; `size` readings.
+
+    log_det of Sigma + H Lambda H^T;  rest: r^T M r;  base: log evidence of no further column
+    """
+
+    gram: Array
+    b: Array
+    rest: float
+    size: int
+    base: float
+
+    def given(self, columns: Index, size: float) -> Grams:
+        """With `columns` selected, their coefficients N(0, size^2)."""
+        if not len(columns):
+            return self
+        inner = self.gram[np.ix_(columns, columns)] + np.eye(len(columns)) / size**2
+        factor = linalg.cholesky(inner, lower=True)
+        half = linalg.solve_triangular(factor, self.gram[columns], lower=True)
+        told = linalg.solve_triangular(factor, self.b[columns], lower=True)
+        gain = float(told @ told)
+        log_det = 2.0 * float(np.log(np.diag(factor)).sum()) + 2.0 * len(columns) * np.log(size)
+        return Grams(
+            gram=self.gram - half.T @ half,
+            b=self.b - half.T @ told,
+            rest=self.rest - gain,
+            size=self.size,
+            base=self.base + self._log_ratio(np.array(gain), np.array(log_det)).item(),
+        )
+
+    def without(self, columns: Index) -> Grams:
+        """With what `columns` could explain taken out of all others, as for coefficients without a prior."""
+        if not len(columns):
+            return self
+        values, vectors = np.linalg.eigh(self.gram[np.ix_(columns, columns)])
+        kept = values > 1e-9 * max(float(values[-1]), 1e-300)
+        root = vectors[:, kept] / np.sqrt(values[kept])
+        half = root.T @ self.gram[columns]
+        told = root.T @ self.b[columns]
+        return dataclasses.replace(self, gram=self.gram - half.T @ half, b=self.b - half.T @ told)
+
+    def _log_ratio(self, gain: Array, log_det: Array) -> Array:
+        left = np.maximum(1.0 - gain / (2.0 * RATE + self.rest), 1e-300)
+        return np.asarray(-0.5 * log_det - (0.5 * self.size + SHAPE) * np.log(left))
+
+    def log_evidences(self, choices: Sequence[Index], sizes: Array = SIZES) -> Array:
+        """Log evidence (atoms, sizes) of each choice of columns at each prior size, over no further column."""
+        found = np.zeros((len(choices), len(sizes)))
+        counts = np.array([len(c) for c in choices], dtype=int)
+        for count in np.unique(counts):
+            at = np.flatnonzero(counts == count)
+            rows = np.array([choices[int(k)] for k in at])
+            values, vectors = np.linalg.eigh(self.gram[rows[:, :, None], rows[:, None, :]])
+            values = np.maximum(values, 0.0)
+            told = np.einsum("akj,ak->aj", vectors, self.b[rows]) ** 2
+            wide = 1.0 + values[:, None, :] * sizes[None, :, None] ** 2
+            gain = (told[:, None, :] * sizes[None, :, None] ** 2 / wide).sum(axis=2)
+            found[at] = self._log_ratio(gain, np.log(wide).sum(axis=2))
+        return found
+
+
+def grams(problem: Problem, metric: Metric, columns: Array) -> Grams:
+    """Of columns (N, K) in a metric; `base` is the log evidence of no gap, of the readings in units of their noise."""
+    white, absorbed = metric.parts(np.column_stack([problem.residual, columns]))
+    full = white.T @ white - absorbed.T @ absorbed
+    rest = float(full[0, 0])
+    half = 0.5 * metric.size + SHAPE
+    base = (
+        -0.5 * metric.log_det
+        - half * np.log(RATE + 0.5 * rest)
+        + special.gammaln(half)
+        - special.gammaln(SHAPE)
+        + SHAPE * np.log(RATE)
+        - 0.5 * metric.size * np.log(2.0 * np.pi)
+    )
+    return Grams(full[1:, 1:], full[1:, 0], rest, metric.size, float(base))
+
+
+def log_evidence(problem: Problem, law: Law, columns: Array, size: float | Array) -> float:
+    """Log evidence of the readings, the law's level integrated out, with columns of prior N(0, size^2)."""
+    found = grams(problem, Metric(problem, law), columns * size)
+    return found.given(np.arange(columns.shape[1]), 1.0).base
+
+
+def level(found: Grams) -> float:
+    """Noise level where what is left has been explained: the mode of s."""
+    return float(np.sqrt((RATE + 0.5 * found.rest) / (0.5 * found.size + SHAPE)))

@@ -1,0 +1,120 @@
+"""Every form of every effect that the readings can test, laid out as columns of one matrix.
+
+An effect may act with all its coefficients or in one limb alone, as in the textbook or with its shape adapted, and with
+other constants: each such form is an `Atom`, a choice of columns. All atoms of an effect share its prior probability.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from oed.batch import Array
+from oed.effect import Effect
+from oed.gap.problem import Index, Problem
+from oed.gap.signature import Signature, signature, untestable
+
+#: prior share of an effect's forms in which one limb alone has it
+ALONE = 0.4
+#: prior share of its textbook form, where it has columns that adapt the shape
+TEXTBOOK = 0.5
+#: signature, in units of the noise over all readings, below which an effect cannot be seen at all
+UNSEEN = 0.3
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Atom:
+    """One form of one effect.
+
+    columns     (k,) which of the library's; log_weight: of its prior share among the effect's forms
+    """
+
+    effect: str
+    constants: Mapping[str, float]
+    columns: Index
+    log_weight: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Library:
+    """Columns (N, K) of all atoms in units of the noise, per prior standard deviation of each coefficient.
+
+    names, labels (K,), scales (K,)   of the coefficients;  not_testable {effect: why}
+    """
+
+    columns: Array
+    atoms: tuple[Atom, ...]
+    names: tuple[str, ...]
+    labels: tuple[str, ...]
+    scales: Array
+    not_testable: Mapping[str, str]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects that have atoms, in order."""
+        return tuple(dict.fromkeys(a.effect for a in self.atoms))
+
+    def atoms_of(self, effect: str) -> list[int]:
+        """Numbers of an effect's atoms."""
+        return [k for k, a in enumerate(self.atoms) if a.effect == effect]
+
+
+def build(problem: Problem, effects: Sequence[Effect]) -> Library:
+    """All atoms of the effects that these readings can test."""
+    blocks: list[Array] = []
+    atoms: list[Atom] = []
+    names: list[str] = []
+    labels: list[str] = []
+    scales: list[Array] = []
+    refused: dict[str, str] = {}
+    for effect in effects:
+        reason = untestable(effect, problem.states)
+        if reason is not None:
+            refused[effect.name] = reason
+            continue
+        forms = _forms(problem, effect)
+        if not forms:
+            refused[effect.name] = "it changes none of these readings"
+            continue
+        for form in forms:
+            start = len(names)
+            blocks.append(problem.of(form.columns))
+            names += form.names
+            labels += form.labels
+            scales.append(form.scales)
+            atoms += _atoms(form, start, math.log(1.0 / len(forms)))
+    columns = np.hstack(blocks) if blocks else np.zeros((len(problem), 0))
+    joined = np.concatenate(scales) if scales else np.zeros(0)
+    return Library(columns, tuple(atoms), tuple(names), tuple(labels), joined, refused)
+
+
+def _forms(problem: Problem, effect: Effect) -> list[Signature]:
+    """The effect's signatures over its grid of constants; those that change no reading are left out."""
+    made = [
+        signature(effect, point, problem.states, problem.responses, problem.measurement, problem.series)
+        for point in effect.grid()
+    ]
+    return [s for s in made if s.names and np.linalg.norm(problem.of(s.columns)) > UNSEEN]
+
+
+def _atoms(form: Signature, start: int, log_weight: float) -> list[Atom]:
+    """Forms of one signature: all limbs or one, with or without the columns that adapt."""
+    limbs = list(dict.fromkeys(n for n in form.labels if n))
+    choices: list[tuple[Index, float]] = []
+    everything = np.arange(len(form.names), dtype=np.intp)
+    if len(limbs) > 1 and len(limbs) < len(form.names) + 1 and all(form.labels):
+        choices.append((everything, 1.0 - ALONE))
+        choices += [(np.flatnonzero([n == limb for n in form.labels]), ALONE / len(limbs)) for limb in limbs]
+    else:
+        choices.append((everything, 1.0))
+    made = []
+    for rows, share in choices:
+        plain = rows[~form.shape[rows]]
+        forms = [(rows, 1.0)] if plain.size in (0, rows.size) else [(plain, TEXTBOOK), (rows, 1.0 - TEXTBOOK)]
+        for chosen, part in forms:
+            weight = log_weight + math.log(share * part)
+            made.append(Atom(form.effect, form.constants, start + chosen, weight))
+    return made

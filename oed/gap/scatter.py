@@ -1,0 +1,150 @@
+"""The noise law, estimated: repeatability between runs, an error carried along a run, heavy tails.
+
+The law is found where the evidence is largest for a given explanation. Readings far off are found beside a model wide
+enough to hold any gap, by what each reading is predicted to be from all others, so that no gap is taken for an outlier.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from scipy import linalg, optimize, stats
+
+from oed.batch import Array
+from oed.gap import evidence
+from oed.gap.law import Law, plain
+from oed.gap.problem import Problem
+
+#: degrees of freedom of the readings' Student t that are tried
+TAILS = (2.5, 3.0, 4.0, 6.0, 10.0, np.inf)
+#: prior of log(1 + share) of the run's and the carried error: of the size of the noise, a factor of e either way
+SPREAD = 1.0
+#: prior of the log of the reach, in readings: about eight, a factor of e either way
+REACH = np.log(8.0)
+ROUNDS = 3
+#: where a search begins: white, runs that do not repeat, an error carried along
+STARTS = tuple(np.array(v) for v in ((-2.0, -2.0, REACH), (0.0, -2.0, REACH), (-2.0, 0.5, REACH)))
+
+
+def fit(problem: Problem, columns: Array, start: Law | None = None, size: float | Array = 1.0) -> tuple[Law, float]:
+    """The law that explains the residual best beside columns (N, k) of prior N(0, size^2), and its log prior.
+
+    The variances of single readings stay as in `start`; the level is 1, since the evidence integrates it out.
+    """
+    start = plain(problem) if start is None else start
+    wide, groups = columns * size, int(problem.group.max()) + 1
+
+    def law(v: Array) -> Law:
+        ratio = np.exp(np.concatenate([[0.0], v[3:]]))[problem.group] if groups > 1 else None
+        return dataclasses.replace(
+            start, repeat=_size(v[0]), wander=_size(v[1]), reach=float(np.exp(v[2])), level=1.0, ratio=ratio
+        )
+
+    def cost(v: Array) -> float:
+        if not (-8.0 < v[0] < 5.0 and -8.0 < v[1] < 5.0 and -0.7 < v[2] < 5.0 and np.abs(v[3:]).max(initial=0.0) < 4.0):
+            return 1e9
+        return -(evidence.log_evidence(problem, law(v), wide, 1.0) + _prior(v))
+
+    first = _first(problem, start)
+    known = start.repeat > 0.0 or start.wander > 0.0
+    starts = [first] if known else [np.concatenate([v, first[3:]]) for v in STARTS]
+    best = min((_descend(cost, v) for v in starts), key=lambda found: found[1])
+    return law(best[0]), _prior(best[0])
+
+
+def _first(problem: Problem, law: Law) -> Array:
+    """Coordinates of a law."""
+    groups = int(problem.group.max()) + 1
+    ratios = np.zeros(groups - 1)
+    if law.ratio is not None:
+        ratios = np.log([law.ratio[problem.group == g][0] for g in range(1, groups)])
+    return np.array([_inverse(law.repeat), _inverse(law.wander), np.log(law.reach), *ratios])
+
+
+def _descend(cost: Callable[[Array], float], start: Array) -> tuple[Array, float]:
+    simplex = np.vstack([start, *(start + 0.7 * e for e in np.eye(len(start)))])
+    options = {"initial_simplex": simplex, "xatol": 0.05, "fatol": 0.05, "maxfev": 60 + 20 * len(start)}
+    found = optimize.minimize(cost, start, method="Nelder-Mead", options=options)
+    return found.x, float(found.fun)
+
+
+def _size(v: float) -> float:
+    """A share of the noise from its coordinate: the logarithm, smoothly ending at 0."""
+    return float(np.exp(v)) if v > -6.0 else 0.0
+
+
+def _inverse(size: float) -> float:
+    return float(np.clip(np.log(max(size, 1e-3)), -4.0, 4.0))
+
+
+def _prior(v: Array) -> float:
+    """Log prior: each share about half the noise; small ones are all alike."""
+    shares = np.maximum(v[:2], -2.0)
+    told = ((shares + 1.0) / 1.5) ** 2
+    return float(-0.5 * told.sum() - 0.5 * ((v[2] - REACH) / SPREAD) ** 2 - 0.5 * (v[3:] ** 2).sum())
+
+
+def robust(problem: Problem, columns: Array, size: float | Array = 1.0) -> Law:
+    """The law beside a wide model (columns (N, k) of prior N(0, size^2)), with the variance of each reading."""
+    law, _ = fit(problem, columns, None, size)
+    for _ in range(ROUNDS):
+        far, degrees = _apart(problem, law, columns * size)
+        law = dataclasses.replace(law, variance=far, tails=degrees)
+        if not np.isfinite(degrees):
+            break
+        law, _ = fit(problem, columns, law, size)
+    return law
+
+
+def _apart(problem: Problem, law: Law, columns: Array) -> tuple[Array, float]:
+    """Variance (N,) of each reading over the level's, and the degrees of freedom of their Student t.
+
+    Told by t_i = (C^-1 r)_i / (C^-1)_ii^1/2, the standardised error of predicting each reading from all others.
+    """
+    size = len(problem)
+    covariance = columns @ columns.T + problem.slopes @ problem.slopes.T
+    for k, members in enumerate(problem.blocks):
+        covariance[np.ix_(members, members)] += law.block(problem, k)
+    inverse = linalg.inv(covariance, check_finite=False)
+    # a reading is told from the others with its present variance: what it would be with that of an ordinary one
+    own = 1.0 / np.diag(inverse)
+    error = (inverse @ problem.residual) * own
+    ordinary = np.maximum(own - (law.variance - 1.0), 0.2)
+    t = error / np.sqrt(ordinary)
+    scale = np.median(np.abs(t)) / stats.norm.ppf(0.75)
+    fits = [_tail(t, degrees) for degrees in TAILS]
+    degrees, scale = max(fits, key=lambda f: f[2])[:2]
+    if not np.isfinite(degrees) or fits[-1][2] > max(f[2] for f in fits[:-1]) - 3.0:
+        return np.ones(size), np.inf
+    # what an outlier adds to its own reading only, in terms of the ordinary noise
+    factor = (degrees + (t / scale) ** 2) / (degrees + 1.0)
+    return np.maximum(factor, 1.0 / 3.0), float(degrees)
+
+
+def _tail(t: Array, degrees: float) -> tuple[float, float, float]:
+    """Degrees of freedom, best scale, and log likelihood of errors t under a Student t."""
+    shape = stats.t(degrees) if np.isfinite(degrees) else stats.norm
+
+    def cost(log_scale: float) -> float:
+        return float(len(t) * log_scale - shape.logpdf(t * np.exp(-log_scale)).sum())
+
+    middle = np.log(np.median(np.abs(t)) + 1e-12)
+    found = optimize.minimize_scalar(cost, bounds=(middle - 3.0, middle + 3.0), method="bounded")
+    return degrees, float(np.exp(found.x)), -float(found.fun)
+
+
+def words(problem: Problem, law: Law) -> tuple[str, ...]:
+    """A law as a person reads it."""
+    told = [f"single readings scatter by {law.level:.2g} times the stated noise"]
+    if law.repeat > 0.2:
+        told.append(f"a run repeats to {law.level * law.repeat:.2g} times the stated noise")
+    if law.wander > 0.2:
+        told.append(
+            f"an error of {law.level * law.wander:.2g} times the stated noise is carried along over about "
+            f"{law.reach:.0f} readings"
+        )
+    if np.isfinite(law.tails):
+        told.append(f"readings far off are frequent (Student t with {law.tails:.2g} degrees of freedom)")
+    return tuple(told)

@@ -1,0 +1,237 @@
+"""Which effects act: a search over sets of effects, with and without an unknown remainder, by closed-form evidence.
+
+An effect's evidence is the sum over its forms (atoms) and sizes. For a set of effects the sum over all combinations is
+taken about the best one: with a* the best forms,
+
+    log sum_a w(a) p(r | a) ~ log p(r | a*) + sum_i ( log sum_a_i w(a_i) p(r | a_i, a*_others) - log p(r | a*) ).
+
+The noise law is a nuisance: every set of effects is given the one of several laws that suits it best.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from scipy import special
+
+from oed.batch import Array
+from oed.gap import evidence
+from oed.gap.evidence import SIZES, Grams
+from oed.gap.law import Law, Metric
+from oed.gap.library import Library
+from oed.gap.problem import Index, Problem
+
+#: prior probabilities: no gap, one effect, two, three, an unknown alone, one or two with an unknown remainder
+PRIOR = {"none": 0.50, "one": 0.26, "two": 0.08, "three": 0.02, "unknown": 0.06, "one+": 0.06, "two+": 0.02}
+#: how large an unknown may be, against a micrometre
+UNKNOWN_SIZES = np.array([0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
+#: log evidence below the best at which sets are not taken further, and how many are
+BEHIND, WIDE = 14.0, 8
+ROUNDS = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects, with or without an unknown remainder.
+
+    atoms, sizes   best form and size of each effect;  process: the best unknown process's number, and its size
+    log_evidence   of the readings, over forms and sizes;  log_prior;  law: number of the noise law that suits it best
+    """
+
+    effects: tuple[str, ...]
+    unknown: bool
+    atoms: tuple[int, ...]
+    sizes: tuple[float, ...]
+    process: int | None
+    process_size: float
+    log_evidence: float
+    log_prior: float
+    law: int = 0
+
+    @property
+    def score(self) -> float:
+        """Log posterior up to a constant."""
+        return self.log_evidence + self.log_prior
+
+    @property
+    def key(self) -> tuple[frozenset[str], bool]:
+        """What it says, whatever the forms."""
+        return frozenset(self.effects), self.unknown
+
+
+class Search:
+    """The search under one noise law."""
+
+    def __init__(self, problem: Problem, library: Library, processes: Library, law: Law, log_prior: float) -> None:
+        self.problem, self.library, self.processes, self.law, self.log_prior = (
+            problem,
+            library,
+            processes,
+            law,
+            log_prior,
+        )
+        self.grams: Grams = evidence.grams(
+            problem, Metric(problem, law), np.hstack([library.columns, processes.columns])
+        )
+        offset = library.columns.shape[1]
+        self._atoms = [a.columns for a in library.atoms]
+        self._weights = np.array([a.log_weight for a in library.atoms])
+        self._owner = np.array([a.effect for a in library.atoms])
+        self._processes = [a.columns + offset for a in processes.atoms]
+        self._process_weights = np.array([a.log_weight for a in processes.atoms]) - np.log(
+            max(len(processes.effects), 1)
+        )
+
+    def columns_of(self, atom: int) -> Index:
+        """Columns of a form."""
+        return self._atoms[atom]
+
+    # -- sets of effects -----------------------------------------------------------------------------------
+
+    def given(self, atoms: Sequence[int], sizes: Sequence[float]) -> Grams:
+        """Grams with these forms selected."""
+        found = self.grams
+        for atom, size in zip(atoms, sizes, strict=True):
+            found = found.given(self._atoms[atom], size)
+        return found
+
+    def screen(self, found: Grams, without: Iterable[str]) -> dict[str, tuple[float, int, float]]:
+        """Each further effect's log evidence over `found`, its best form and size."""
+        left = np.flatnonzero(~np.isin(self._owner, list(without)))
+        if not left.size:
+            return {}
+        told = found.log_evidences([self._atoms[k] for k in left])
+        weighed = told + self._weights[left, None] - np.log(len(SIZES))
+        best = {}
+        for effect in dict.fromkeys(self._owner[left]):
+            at = np.flatnonzero(self._owner[left] == effect)
+            row, column = np.unravel_index(int(np.argmax(weighed[at])), weighed[at].shape)
+            best[str(effect)] = (
+                float(special.logsumexp(weighed[at])),
+                int(left[at[row]]),
+                float(SIZES[column]),
+            )
+        return best
+
+    def settle(self, effects: Sequence[str], atoms: Sequence[int], sizes: Sequence[float]) -> Hypothesis:
+        """Best forms of a set of effects by turns, from a start, and the set's evidence over all forms."""
+        chosen, size = list(atoms), list(sizes)
+        small, places = self._small(effects)
+        spare = 0.0
+        for _ in range(ROUNDS):
+            before, spare = (tuple(chosen), tuple(size)), 0.0
+            for i, effect in enumerate(effects):
+                others = small
+                for j in range(len(effects)):
+                    if j != i:
+                        others = others.given(places[chosen[j]], size[j])
+                mine = self.library.atoms_of(effect)
+                told = others.log_evidences([places[k] for k in mine])
+                weighed = told + self._weights[mine, None] - np.log(len(SIZES))
+                row, column = np.unravel_index(int(np.argmax(weighed)), weighed.shape)
+                chosen[i], size[i] = mine[row], float(SIZES[column])
+                spare += float(special.logsumexp(weighed)) - float(told[row, column])
+            if (tuple(chosen), tuple(size)) == before:
+                break
+        last = small
+        for atom, s in zip(chosen, size, strict=True):
+            last = last.given(places[atom], s)
+        return Hypothesis(
+            effects=tuple(effects),
+            unknown=False,
+            atoms=tuple(chosen),
+            sizes=tuple(size),
+            process=None,
+            process_size=0.0,
+            log_evidence=last.base + spare + self.log_prior,
+            log_prior=self._prior(len(effects), False),
+        )
+
+    def _small(self, effects: Sequence[str]) -> tuple[Grams, dict[int, Index]]:
+        """Grams of the columns of some effects alone, and where their atoms' columns are in them."""
+        atoms = [k for effect in effects for k in self.library.atoms_of(effect)]
+        used = np.unique(np.concatenate([np.empty(0, dtype=np.intp), *[self._atoms[k] for k in atoms]]))
+        part = dataclasses.replace(self.grams, gram=self.grams.gram[np.ix_(used, used)], b=self.grams.b[used])
+        return part, {k: np.searchsorted(used, self._atoms[k]) for k in atoms}
+
+    def with_unknown(self, known: Hypothesis) -> Hypothesis:
+        """The same set of effects with an unknown remainder, orthogonal to them."""
+        selected = [self._atoms[k] for k in known.atoms]
+        plain = self.grams
+        for atom, size in zip(selected, known.sizes, strict=True):
+            plain = plain.given(atom, size)
+        columns = np.concatenate([np.empty(0, dtype=np.intp), *selected])
+        apart = self.grams.without(columns)
+        apart = dataclasses.replace(apart, rest=plain.rest, base=plain.base)
+        if not self._processes:
+            return dataclasses.replace(known, unknown=True, log_evidence=-np.inf, log_prior=-np.inf)
+        told = apart.log_evidences(self._processes, UNKNOWN_SIZES) + self._process_weights[:, None]
+        told = told - np.log(len(UNKNOWN_SIZES))
+        row, column = np.unravel_index(int(np.argmax(told)), told.shape)
+        return dataclasses.replace(
+            known,
+            unknown=True,
+            process=int(row),
+            process_size=float(UNKNOWN_SIZES[column]),
+            log_evidence=known.log_evidence + float(special.logsumexp(told)),
+            log_prior=self._prior(len(known.effects), True),
+        )
+
+    def _prior(self, count: int, unknown: bool) -> float:
+        number = max(len(self.library.effects), 1)
+        names = {0: "none", 1: "one", 2: "two", 3: "three"}
+        if unknown:
+            names = {0: "unknown", 1: "one+", 2: "two+", 3: "two+"}
+        return float(np.log(PRIOR[names[count]]) - np.log(special.comb(number, count)))
+
+    # -- the search ----------------------------------------------------------------------------------------
+
+    def run(self) -> list[Hypothesis]:
+        """The hypotheses worth comparing, best first: none, singles, pairs and triples, and these with an unknown."""
+        empty = self.settle((), (), ())
+        singles = self._grown([empty])
+        pairs = self._grown(singles[:WIDE])
+        triples = self._grown(pairs[: WIDE // 2])
+        known = [empty, *singles, *pairs, *triples]
+        known.sort(key=lambda h: -h.score)
+        worth = [h for h in known if h.score > known[0].score - 2.0 * BEHIND][: 2 * WIDE]
+        if empty not in worth:
+            worth.append(empty)
+        mixed = [self.with_unknown(h) for h in worth]
+        return sorted([*known, *mixed], key=lambda h: -h.score)
+
+    def _grown(self, bases: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Each base with one effect more: the best few settled, best first."""
+        tried: dict[frozenset[str], tuple[float, Hypothesis, str, int, float]] = {}
+        for base in bases:
+            found = self.given(base.atoms, base.sizes)
+            for effect, (gain, atom, size) in self.screen(found, base.effects).items():
+                key, told = frozenset((*base.effects, effect)), base.log_evidence + gain
+                if key not in tried or tried[key][0] < told:
+                    tried[key] = (told, base, effect, atom, size)
+        ranked = sorted(tried.values(), key=lambda t: -t[0])
+        if bases and len(bases[0].effects) > 0:
+            ranked = [t for t in ranked if t[0] > ranked[0][0] - BEHIND][: 2 * WIDE]
+        made = [
+            self.settle((*base.effects, effect), (*base.atoms, atom), (*base.sizes, size))
+            for _, base, effect, atom, size in ranked
+        ]
+        return sorted(made, key=lambda h: -h.score)
+
+
+def compare(searches: Sequence[Search]) -> list[Hypothesis]:
+    """Hypotheses under the law that suits each best, by log posterior, best first."""
+    best: dict[tuple[frozenset[str], bool], Hypothesis] = {}
+    for number, search in enumerate(searches):
+        for h in search.run():
+            if h.key not in best or best[h.key].score < h.score:
+                best[h.key] = dataclasses.replace(h, law=number)
+    return sorted(best.values(), key=lambda h: -h.score)
+
+
+def probabilities(hypotheses: Sequence[Hypothesis]) -> Array:
+    """Posterior probabilities of hypotheses."""
+    scores = np.array([h.score for h in hypotheses])
+    return np.asarray(special.softmax(scores))
