@@ -38,6 +38,8 @@ class State:
     run          (m,) label of the run;  order (m,) in it
     time, feed, payload, direction   (m,), NaN where unknown
     temperature  {body: (m,)} K
+    start        {body: its temperature at the session's first reading, K}
+    settings     of the set-up, by name, SI
     home         (nx,) the home pose
     span         first and last time of all set-ups together, s; NaN where unknown
     """
@@ -64,6 +66,8 @@ class State:
     payload: Array
     direction: Array
     temperature: Mapping[str, Array]
+    start: Mapping[str, float]
+    settings: Mapping[str, float]
     home: Array
     span: tuple[float, float]
 

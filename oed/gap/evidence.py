@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg, special
 
 from oed.batch import Array
-from oed.gap.law import Law, Metric
+from oed.gap.law import Law, Metric, Whitener
 from oed.gap.problem import Index, Problem
 
 #: sizes of effects against their physical prior scales, equally likely
@@ -37,6 +37,10 @@ class Grams:
     rest: float
     size: int
     base: float
+
+    def part(self, columns: Index) -> Grams:
+        """Grams of some columns alone."""
+        return dataclasses.replace(self, gram=self.gram[np.ix_(columns, columns)], b=self.b[columns])
 
     def given(self, columns: Index, size: float) -> Grams:
         """With `columns` selected, their coefficients N(0, size^2)."""
@@ -92,22 +96,42 @@ def grams(problem: Problem, metric: Metric, columns: Array) -> Grams:
     white, absorbed = metric.parts(np.column_stack([problem.residual, columns]))
     full = white.T @ white - absorbed.T @ absorbed
     rest = float(full[0, 0])
-    half = 0.5 * metric.size + SHAPE
-    base = (
-        -0.5 * metric.log_det
+    return Grams(full[1:, 1:], full[1:, 0], rest, metric.size, _student(metric.log_det, rest, metric.size))
+
+
+def _student(log_det: float, rest: float, size: int) -> float:
+    """Log density of readings with r^T C^-1 r = rest, their level integrated out."""
+    half = 0.5 * size + SHAPE
+    return float(
+        -0.5 * log_det
         - half * np.log(RATE + 0.5 * rest)
         + special.gammaln(half)
         - special.gammaln(SHAPE)
         + SHAPE * np.log(RATE)
-        - 0.5 * metric.size * np.log(2.0 * np.pi)
+        - 0.5 * size * np.log(2.0 * np.pi)
     )
-    return Grams(full[1:, 1:], full[1:, 0], rest, metric.size, float(base))
 
 
-def log_evidence(problem: Problem, law: Law, columns: Array, size: float | Array) -> float:
-    """Log evidence of the readings, the law's level integrated out, with columns of prior N(0, size^2)."""
-    found = grams(problem, Metric(problem, law), columns * size)
-    return found.given(np.arange(columns.shape[1]), 1.0).base
+def compressed(problem: Problem, columns: Array) -> Array:
+    """Columns (N, k') with the same covariance as [H Lambda^1/2, columns], without what is far below the noise."""
+    both = np.hstack([problem.slopes, columns])
+    left, values, _ = np.linalg.svd(both, full_matrices=False)
+    kept = values > 0.03
+    return np.asarray(left[:, kept] * values[kept])
+
+
+def log_evidence(problem: Problem, law: Law, columns: Array) -> float:
+    """Log evidence of the readings, the law's level integrated out: r ~ N(0, s^2 (Sigma + columns columns^T)).
+
+    `columns` (N, k) hold the parameters' slopes too, as from `compressed`.
+    """
+    whitener = Whitener(problem, law)
+    white = whitener.white(np.column_stack([problem.residual, columns]))
+    full = white.T @ white
+    factor = linalg.cholesky(full[1:, 1:] + np.eye(columns.shape[1]), lower=True, check_finite=False)
+    told = linalg.solve_triangular(factor, full[1:, 0], lower=True, check_finite=False)
+    log_det = whitener.log_det + 2.0 * float(np.log(np.diag(factor)).sum())
+    return _student(log_det, float(full[0, 0] - told @ told), whitener.size)
 
 
 def level(found: Grams) -> float:

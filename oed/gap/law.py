@@ -61,6 +61,45 @@ def plain(problem: Problem) -> Law:
     return Law(0.0, 0.0, 1.0, np.ones(len(problem)))
 
 
+class Whitener:
+    """W with W Sigma W^T = 1 for a law's covariance, and log |Sigma|. Runs of one length are done at once."""
+
+    def __init__(self, problem: Problem, law: Law, rows: Index | None = None) -> None:
+        """`rows`: the readings that count (all by default); vectors given are still of all N readings."""
+        self._parts: list[tuple[Index, Array]] = []
+        self.log_det = 0.0
+        for members, numbers, within in _packs(problem, rows):
+            blocks = [law.block(problem, k, None if w is None else w) for k, w in zip(numbers, within, strict=True)]
+            factor = np.linalg.cholesky(np.array(blocks))
+            self.log_det += 2.0 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
+            self._parts.append((members, np.asarray(np.linalg.inv(factor), dtype=float)))
+        self.size = sum(members.size for members, _ in self._parts)
+
+    def white(self, values: Array) -> Array:
+        """Values (N,) or (N, k) whitened."""
+        wide = values[:, None] if values.ndim == 1 else values
+        done = [(inverse @ wide[members]).reshape(members.size, wide.shape[1]) for members, inverse in self._parts]
+        white = np.concatenate(done)
+        return white[:, 0] if values.ndim == 1 else white
+
+
+def _packs(problem: Problem, rows: Index | None) -> list[tuple[Index, list[int], list[Index | None]]]:
+    """Runs by their number of readings: members (B, k), numbers of the runs, and the positions kept in each."""
+    counted = np.ones(len(problem), dtype=bool)
+    if rows is not None:
+        counted[:] = False
+        counted[rows] = True
+    packs: dict[int, tuple[list[Index], list[int], list[Index | None]]] = {}
+    for k, members in enumerate(problem.blocks):
+        mine = np.flatnonzero(counted[members])
+        if mine.size:
+            pack = packs.setdefault(mine.size, ([], [], []))
+            pack[0].append(members[mine])
+            pack[1].append(k)
+            pack[2].append(None if mine.size == len(members) else mine)
+    return [(np.array(members), numbers, within) for members, numbers, within in packs.values()]
+
+
 class Metric:
     """Inner products of changes of the readings after the parameters have absorbed what they can.
 
@@ -69,34 +108,19 @@ class Metric:
 
     def __init__(self, problem: Problem, law: Law, rows: Index | None = None) -> None:
         """`rows`: the readings that count (all by default); vectors given are still of all N readings."""
-        self._parts: list[tuple[Index, Array]] = []
-        counted = np.ones(len(problem), dtype=bool)
-        if rows is not None:
-            counted[:] = False
-            counted[rows] = True
-        self.size = int(counted.sum())
-        log_det = 0.0
-        for k, members in enumerate(problem.blocks):
-            mine = np.flatnonzero(counted[members])
-            if mine.size:
-                factor = linalg.cholesky(law.block(problem, k, mine), lower=True, check_finite=False)
-                self._parts.append((members[mine], factor))
-                log_det += 2.0 * float(np.log(np.diag(factor)).sum())
+        self._whitener = Whitener(problem, law, rows)
+        self.size = self._whitener.size
         white = self.white(problem.slopes)
         inner = np.eye(white.shape[1]) + white.T @ white
         self._root = linalg.cholesky(inner, lower=True, check_finite=False)
         self._absorb = linalg.solve_triangular(self._root, white.T, lower=True, check_finite=False)
         #: log determinant of Sigma, and of Sigma + H Lambda H^T
-        self.log_det_noise = log_det
-        self.log_det = log_det + 2.0 * float(np.log(np.diag(self._root)).sum())
+        self.log_det_noise = self._whitener.log_det
+        self.log_det = self.log_det_noise + 2.0 * float(np.log(np.diag(self._root)).sum())
 
     def white(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened by the noise alone, run after run."""
-        done = [
-            linalg.solve_triangular(factor, values[members], lower=True, check_finite=False)
-            for members, factor in self._parts
-        ]
-        return np.concatenate(done)
+        return self._whitener.white(values)
 
     def parts(self, values: Array) -> tuple[Array, Array]:
         """What inner products need of values (N, k): <u, v> = u0^T v0 - u1^T v1."""

@@ -34,7 +34,7 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
     The variances of single readings stay as in `start`; the level is 1, since the evidence integrates it out.
     """
     start = plain(problem) if start is None else start
-    wide, groups = columns * size, int(problem.group.max()) + 1
+    wide, groups = evidence.compressed(problem, columns * size), int(problem.group.max()) + 1
 
     def law(v: Array) -> Law:
         ratio = np.exp(np.concatenate([[0.0], v[3:]]))[problem.group] if groups > 1 else None
@@ -45,7 +45,7 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
     def cost(v: Array) -> float:
         if not (-8.0 < v[0] < 5.0 and -8.0 < v[1] < 5.0 and -0.7 < v[2] < 5.0 and np.abs(v[3:]).max(initial=0.0) < 4.0):
             return 1e9
-        return -(evidence.log_evidence(problem, law(v), wide, 1.0) + _prior(v))
+        return -(evidence.log_evidence(problem, law(v), wide) + _prior(v))
 
     first = _first(problem, start)
     known = start.repeat > 0.0 or start.wander > 0.0
@@ -65,7 +65,7 @@ def _first(problem: Problem, law: Law) -> Array:
 
 def _descend(cost: Callable[[Array], float], start: Array) -> tuple[Array, float]:
     simplex = np.vstack([start, *(start + 0.7 * e for e in np.eye(len(start)))])
-    options = {"initial_simplex": simplex, "xatol": 0.05, "fatol": 0.05, "maxfev": 60 + 20 * len(start)}
+    options = {"initial_simplex": simplex, "xatol": 0.1, "fatol": 0.1, "maxfev": 20 * len(start)}
     found = optimize.minimize(cost, start, method="Nelder-Mead", options=options)
     return found.x, float(found.fun)
 

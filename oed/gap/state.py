@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -27,12 +29,24 @@ def states(
     times = _column(covariates, "time")
     known = np.isfinite(times).any()
     span = (float(np.nanmin(times)), float(np.nanmax(times))) if known else (np.nan, np.nan)
-    made, start = [], 0
+    first = _first(covariates, times)
+    made, begin = [], 0
     for s in series:
-        rows = covariates.iloc[start : start + len(s)]
-        made.append(_state(measurement, s, rows, theta, span, np.array(gravity, dtype=float)))
-        start += len(s)
+        rows = covariates.iloc[begin : begin + len(s)]
+        made.append(_state(measurement, s, rows, theta, span, first, np.array(gravity, dtype=float)))
+        begin += len(s)
     return made
+
+
+def _first(covariates: pd.DataFrame, times: Array) -> dict[str, float]:
+    """Each temperature at the session's first reading that has one."""
+    order = np.argsort(times, kind="stable")
+    found = {}
+    for name in (str(c) for c in covariates.columns if str(c).startswith(TEMPERATURE)):
+        values = _column(covariates, name)[order]
+        known = values[np.isfinite(values)]
+        found[name] = float(known[0]) if known.size else np.nan
+    return found
 
 
 def _state(
@@ -41,6 +55,7 @@ def _state(
     rows: pd.DataFrame,
     theta: Array,
     span: tuple[float, float],
+    start: Mapping[str, float],
     gravity: Array,
 ) -> State:
     kinematics, machine = measurement.kinematics, measurement.machine
@@ -82,6 +97,8 @@ def _state(
         order=order,
         temperature={c.removeprefix(TEMPERATURE): _column(rows, c)[owner] for c in bodies},
         home=kinematics.inverse(machine.home_command[None])[0][0],
+        start={c.removeprefix(TEMPERATURE): v for c, v in start.items()},
+        settings=measurement.setups[series.setup].settings,
         span=span,
         **known,
     )

@@ -30,6 +30,7 @@ UNKNOWN_SIZES = np.array([0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
 #: log evidence below the best at which sets are not taken further, and how many are
 BEHIND, WIDE = 14.0, 8
 ROUNDS = 4
+_NONE = np.empty(0, dtype=np.intp)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +80,8 @@ class Search:
         self._atoms = [a.columns for a in library.atoms]
         self._weights = np.array([a.log_weight for a in library.atoms])
         self._owner = np.array([a.effect for a in library.atoms])
+        self._of = {e: np.array(library.atoms_of(e), dtype=np.intp) for e in library.effects}
+        self._known: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._processes = [a.columns + offset for a in processes.atoms]
         self._process_weights = np.array([a.log_weight for a in processes.atoms]) - np.log(
             max(len(processes.effects), 1)
@@ -118,26 +121,25 @@ class Search:
     def settle(self, effects: Sequence[str], atoms: Sequence[int], sizes: Sequence[float]) -> Hypothesis:
         """Best forms of a set of effects by turns, from a start, and the set's evidence over all forms."""
         chosen, size = list(atoms), list(sizes)
-        small, places = self._small(effects)
         spare = 0.0
         for _ in range(ROUNDS):
             before, spare = (tuple(chosen), tuple(size)), 0.0
             for i, effect in enumerate(effects):
-                others = small
-                for j in range(len(effects)):
-                    if j != i:
-                        others = others.given(places[chosen[j]], size[j])
-                mine = self.library.atoms_of(effect)
-                told = others.log_evidences([places[k] for k in mine])
+                told = self._beside(effect, [chosen[j] for j in range(len(effects)) if j != i],
+                                    [size[j] for j in range(len(effects)) if j != i])  # fmt: skip
+                mine = self._of[effect]
                 weighed = told + self._weights[mine, None] - np.log(len(SIZES))
                 row, column = np.unravel_index(int(np.argmax(weighed)), weighed.shape)
-                chosen[i], size[i] = mine[row], float(SIZES[column])
+                chosen[i], size[i] = int(mine[row]), float(SIZES[column])
                 spare += float(special.logsumexp(weighed)) - float(told[row, column])
             if (tuple(chosen), tuple(size)) == before:
                 break
-        last = small
-        for atom, s in zip(chosen, size, strict=True):
-            last = last.given(places[atom], s)
+        used = [self._atoms[k] for k in chosen]
+        last = self.grams.part(np.concatenate([_NONE, *used]))
+        start = 0
+        for columns, s in zip(used, size, strict=True):
+            last = last.given(np.arange(start, start + len(columns)), s)
+            start += len(columns)
         return Hypothesis(
             effects=tuple(effects),
             unknown=False,
@@ -149,12 +151,20 @@ class Search:
             log_prior=self._prior(len(effects), False),
         )
 
-    def _small(self, effects: Sequence[str]) -> tuple[Grams, dict[int, Index]]:
-        """Grams of the columns of some effects alone, and where their atoms' columns are in them."""
-        atoms = [k for effect in effects for k in self.library.atoms_of(effect)]
-        used = np.unique(np.concatenate([np.empty(0, dtype=np.intp), *[self._atoms[k] for k in atoms]]))
-        part = dataclasses.replace(self.grams, gram=self.grams.gram[np.ix_(used, used)], b=self.grams.b[used])
-        return part, {k: np.searchsorted(used, self._atoms[k]) for k in atoms}
+    def _beside(self, effect: str, others: Sequence[int], sizes: Sequence[float]) -> Array:
+        """Log evidence (atoms, sizes) of an effect's forms over none, beside other forms that are selected."""
+        key = (effect, tuple(zip(others, sizes, strict=True)))
+        if key not in self._known:
+            used = [self._atoms[k] for k in others]
+            mine = np.unique(np.concatenate([self._atoms[k] for k in self._of[effect]]))
+            part = self.grams.part(np.concatenate([*used, mine]))
+            start = 0
+            for columns, size in zip(used, sizes, strict=True):
+                part = part.given(np.arange(start, start + len(columns)), size)
+                start += len(columns)
+            places = [start + np.searchsorted(mine, self._atoms[k]) for k in self._of[effect]]
+            self._known[key] = part.log_evidences(places)
+        return self._known[key]
 
     def with_unknown(self, known: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
@@ -162,7 +172,7 @@ class Search:
         plain = self.grams
         for atom, size in zip(selected, known.sizes, strict=True):
             plain = plain.given(atom, size)
-        columns = np.concatenate([np.empty(0, dtype=np.intp), *selected])
+        columns = np.concatenate([_NONE, *selected])
         apart = self.grams.without(columns)
         apart = dataclasses.replace(apart, rest=plain.rest, base=plain.base)
         if not self._processes:

@@ -1,7 +1,7 @@
 """What there is to choose from, and how a name in a study becomes an object.
 
 A model is named by its short name (`a3_head`), by `package.module:attribute`, or by `path/to/file.py:attribute`
-relative to the study; in the last two the attribute may be left out where it is `machine` or `instrument`.
+relative to the study; in the last two the attribute may be left out where it is `machine`, `instrument` or `effect`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 from pkm_studies.errors import InputError, Place, shorten, suggest
 
@@ -34,12 +34,10 @@ class Entry:
 
 
 def listing(kind: str) -> list[Entry]:
-    """The catalogue of one of KINDS, by name. There are no effects yet, so that list is empty."""
-    if kind == "effects":
-        return []
+    """The catalogue of one of KINDS, by name."""
     if kind == "criteria":
         return [Entry(c.name, c.about, c.source, f"oed.criteria:{c.name}") for c in _criteria().values()]
-    found = _found("machines" if kind == "machines" else "instruments")
+    found = _found(kind)
     return [Entry(name, item.about, item.source, where) for name, (where, item) in sorted(found.items())]
 
 
@@ -61,6 +59,13 @@ def instrument(reference: str, folder: Path, place: Place) -> Any:
     return _lookup(reference, "instruments", Instrument, folder, place)
 
 
+def effect(reference: str, folder: Path, place: Place) -> Any:
+    """The `oed.effect.Effect` that `reference` names. Raises InputError."""
+    from oed.effect import Effect
+
+    return _lookup(reference, "effects", Effect, folder, place)
+
+
 def criterion(name: str, place: Place) -> str:
     """The name of a known criterion. Raises InputError."""
     known = _criteria()
@@ -75,12 +80,14 @@ def _criteria() -> Mapping[str, Any]:
 
 
 @functools.cache
-def _found(kind: Literal["machines", "instruments"]) -> dict[str, tuple[str, Any]]:
-    """Every machine or instrument of `pkm_models` by its name, with its long name."""
+def _found(kind: str) -> dict[str, tuple[str, Any]]:
+    """Every machine, instrument or effect of `pkm_models` by its name, with its long name."""
+    from oed.effect import Effect
     from oed.instrument import Instrument
     from oed.machine import Machine
 
-    wanted = Machine if kind == "machines" else Instrument
+    kinds: dict[str, Any] = {"machines": Machine, "instruments": Instrument, "effects": Effect}
+    wanted = kinds[kind]
     package = importlib.import_module(f"pkm_models.{kind}")
     found: dict[str, tuple[str, Any]] = {}
     for info in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
@@ -90,7 +97,7 @@ def _found(kind: Literal["machines", "instruments"]) -> dict[str, tuple[str, Any
     return found
 
 
-def _lookup(reference: str, kind: Literal["machines", "instruments"], wanted: type, folder: Path, place: Place) -> Any:
+def _lookup(reference: str, kind: str, wanted: type, folder: Path, place: Place) -> Any:
     module_name, _, attribute = reference.rpartition(":")
     if not module_name and reference.endswith(".py"):
         module_name, attribute = reference, ""
@@ -106,7 +113,7 @@ def _lookup(reference: str, kind: Literal["machines", "instruments"], wanted: ty
     raise place.error(problem, suggest(attribute, there, "there is"), reference)
 
 
-def _by_short_name(name: str, kind: Literal["machines", "instruments"], place: Place) -> Any:
+def _by_short_name(name: str, kind: str, place: Place) -> Any:
     found = _found(kind)
     if name not in found:
         remedy = suggest(name, sorted(found), "known") + ", or a file of your own: path/to/file.py:attribute"

@@ -100,9 +100,11 @@ def _student(problem: Problem, law: Law, columns: np.ndarray) -> float:
 @pytest.mark.parametrize("size", [0.1, 1.0, 3.0])
 def test_evidence_is_the_student_density(problem: Problem, size: float) -> None:
     law, columns = _law(problem), np.random.default_rng(3).standard_normal((len(problem), 5))
-    assert evidence.log_evidence(problem, law, columns, size) == pytest.approx(_student(problem, law, size * columns))
+    assert evidence.log_evidence(problem, law, np.hstack([problem.slopes, size * columns])) == pytest.approx(
+        _student(problem, law, size * columns)
+    )
     none = np.zeros((len(problem), 0))
-    assert evidence.log_evidence(problem, law, none, 1.0) == pytest.approx(_student(problem, law, none))
+    assert evidence.log_evidence(problem, law, problem.slopes) == pytest.approx(_student(problem, law, none))
 
 
 def test_columns_one_after_the_other(problem: Problem) -> None:
@@ -167,5 +169,5 @@ def test_outliers_are_found_and_no_others() -> None:
     assert np.isfinite(law.tails)
     assert np.median(law.variance[far]) > 8.0 * np.median(np.delete(law.variance, far))
     clean = dataclasses.replace(law, variance=np.ones(len(problem)), tails=np.inf)
-    told = [evidence.log_evidence(problem.with_residual(y), v, none, 1.0) for v in (law, clean)]
+    told = [evidence.log_evidence(problem.with_residual(y), v, problem.slopes) for v in (law, clean)]
     assert told[0] > told[1]

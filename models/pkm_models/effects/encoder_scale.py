@@ -6,11 +6,13 @@ from collections.abc import Iterable
 
 from oed.effect import Column, Effect, State
 
+SCALE = 50e-6
+
 
 def columns(state: State) -> Iterable[Column]:
-    """s_i q_i, one coefficient a joint."""
+    """s_i q_i, one coefficient a joint; where q is counted from is the joint's zero, which is geometry."""
     for i in state.limbs:
-        yield Column(f"leg {i + 1}", 50e-6, label=f"leg {i + 1}", joints={i: state.joints[:, i]})
+        yield Column(f"leg {i + 1}", SCALE, f"leg {i + 1}", {i: state.joints[:, i]})
 
 
 effect = Effect(

@@ -1,0 +1,19 @@
+"""What effects on a bar need to know of it."""
+
+from __future__ import annotations
+
+from oed.effect import State
+
+NOMINAL = 0.3  # m, where a set-up does not tell
+
+
+def length(state: State) -> float | None:
+    """Nominal length of the set-up's bar, m; None where it does not tell."""
+    told = state.settings.get("length")
+    return None if told is None else float(told)
+
+
+def label(state: State) -> str:
+    """The bar by its length, or by its set-up: bars of one nominal length are one bar."""
+    known = length(state)
+    return f"{state.setup} bar" if known is None else f"bar {1e3 * known:g} mm"

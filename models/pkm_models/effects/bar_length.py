@@ -1,0 +1,27 @@
+"""A bar that is not as long as it says: a constant in its readings. Calibrators leave 1 um, an unzeroed bar 10 um."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from oed.effect import Column, Effect, State
+from pkm_models.effects import bar
+
+WRONG = 10e-6  # m
+
+
+def columns(state: State) -> Iterable[Column]:
+    """A constant a bar: what reads too much is shorter than it says."""
+    yield Column(bar.label(state), WRONG, reading={"length": np.ones(len(state))})
+
+
+effect = Effect(
+    name="bar_length",
+    source="ISO 230-4 (ball bars); data sheets of calibrators: 0.5 to 1 um",
+    about="a bar (or calliper) whose zero is wrong",
+    columns=columns,
+    remedy="calibrate the bar's length on a calibrator before use",
+    exposed_by="a second bar length, or a laser interferometer",
+)

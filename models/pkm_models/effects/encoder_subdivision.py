@@ -1,0 +1,40 @@
+"""Subdivision error of a linear encoder: periodic over one signal period of its scale.
+
+Catalogues give up to 1 % of the signal period: 0.2 um of a 20 um grating, 10 um of a magnetic scale of 1 mm. What
+the encoder shows is known exactly, so poses far apart see the period as well as dense ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from oed.effect import Column, Effect, State
+from pkm_models.effects import terms
+
+SHARE = 0.005  # of the period
+PERIODS = (10e-6, 20e-6, 30e-6, 40e-6, 100e-6, 200e-6, 1e-3, 2e-3)
+
+
+def columns(state: State, period: float) -> Iterable[Column]:
+    """Sine and cosine of the place within a period a leg; shape: two in a period."""
+    for i in state.limbs:
+        leg = f"leg {i + 1}"
+        for k in (1, 2):
+            angle = 2.0 * np.pi * k * state.joints[:, i] / period
+            for name, value in (("sin", np.sin(angle)), ("cos", np.cos(angle))):
+                scale = SHARE * period * (1.0 if k == 1 else terms.ADAPT)
+                yield Column(f"{leg} {name} {k}", scale, leg, {i: value}, shape=k > 1)
+
+
+effect = Effect(
+    name="encoder_subdivision",
+    source="catalogues of linear encoders: position error within a signal period up to 1 % of it",
+    about="error of each encoder within a signal period",
+    columns=columns,
+    constants={"period": PERIODS},
+    remedy="clean and align the reading head, adjust offset, amplitude and phase of its signals",
+    exposed_by="slow, dense readings over a few signal periods",
+    unfit=terms.turning,
+)

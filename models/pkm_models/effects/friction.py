@@ -1,0 +1,45 @@
+"""Friction that winds up the drive: a joint stays F / k(l) behind, in the sense in which it moves.
+
+Guides and seals take 20 to 100 N, drives give 20 to 100 N/um at the screw's middle, less at its far end: 1 to 5 um
+(Altintas et al. 2011, CIRP Annals 60, 779-796, machine tool feed drives).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from oed.effect import Column, Effect, State
+from pkm_models.effects import terms
+
+WIND_UP = 4e-6  # m
+STRIBECK = 0.010  # m/s, Armstrong-Helouvry et al. 1994, Automatica 30: mixed lubrication up to some 10 mm/s
+
+
+def columns(state: State, distance: float) -> Iterable[Column]:
+    """-sense F / k(l) a leg; shape: friction by load, wind-up after a reversal, more of it at low speed."""
+    unit, known = terms.metre(state), terms.travel(state.machine)
+    screw = np.where(known.guide.any(axis=1), 1.0 + 0.5 * terms.place(state), state.strut / known.strut)
+    behind = -state.sense * unit * screw
+    load = np.abs(state.force * state.per_length) * len(state.limbs) / 2.0
+    fresh = np.exp(-state.reversal / (distance * unit))
+    slow = np.nan_to_num(np.exp(-np.abs(state.rate) / (STRIBECK * unit)), nan=0.0)
+    for i in state.limbs:
+        leg = f"leg {i + 1}"
+        yield Column(leg, WIND_UP, leg, {i: behind[:, i]})
+        for name, form in (("load", load), ("fresh", fresh), ("slow", slow)):
+            yield Column(f"{leg} {name}", terms.ADAPT * WIND_UP, leg, {i: behind[:, i] * form[:, i]}, shape=True)
+
+
+effect = Effect(
+    name="friction",
+    source="Altintas et al. 2011, CIRP Annals 60, 779-796 (feed drives)",
+    about="friction that winds up each drive, against its motion",
+    columns=columns,
+    needs=("direction: both",),
+    constants={"distance": terms.REVERSAL},
+    remedy="lubricate, check the leg's seals and guides, close the loop by a linear encoder, or compensate friction",
+    exposed_by="circles in both directions at a slow feed, and with another load",
+    unfit=terms.no_struts,
+)

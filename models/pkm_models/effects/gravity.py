@@ -1,0 +1,44 @@
+"""Gravity on compliant legs: a leg gives by its load (J^-T w)_i times c0 + c1 l_i. Legs of 50 N/um give 20 um a kN."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from oed.batch import Array
+from oed.effect import Column, Effect, State
+from pkm_models.effects import terms
+
+GIVES = 20e-6  # m, of a joint that carries the whole weight
+
+
+def columns(state: State, weight: float) -> Iterable[Column]:
+    """Drives (c0) and struts (c1), alike in all legs; shape: legs that differ, bending, payload placed elsewhere."""
+    load = 1.0 + np.nan_to_num(state.payload) / weight
+    drive = state.force * terms.metre(state) ** 2
+    strut = state.force * state.per_length**2 * state.strut / terms.travel(state.machine).strut
+    extra = (load - 1.0)[:, None]
+    small = terms.ADAPT * GIVES
+    yield Column("drives", GIVES, "", _all(drive * load[:, None]))
+    yield Column("struts", GIVES, "", _all(strut * load[:, None]))
+    yield Column("bending", small, "", _all(drive * terms.place(state) ** 2 * load[:, None]), shape=True)
+    yield Column("payload", small, "", _all(drive * extra), shape=True)
+    for i in state.limbs:
+        yield Column(f"leg {i + 1}", small, f"leg {i + 1}", {i: drive[:, i] * load}, shape=True)
+
+
+def _all(change: Array) -> dict[int, Array]:
+    return {i: change[:, i] for i in range(change.shape[1])}
+
+
+effect = Effect(
+    name="gravity",
+    source="Merlet 2006, Parallel Robots (stiffness): dl = k^-1 J^-T w; legs of machine tools have 20 to 100 N/um",
+    about="legs that give under the weight of platform and payload",
+    columns=columns,
+    constants={"weight": terms.WEIGHTS},
+    remedy="stiffen or counterbalance, or compensate with a stiffness model and the payload of the job",
+    exposed_by="the same circle with and without a payload",
+    unfit=terms.no_struts,
+)

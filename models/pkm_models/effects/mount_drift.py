@@ -1,0 +1,45 @@
+"""A mount that drifts: cup or instrument frame moves during the session. Magnetic bases creep by 1 to 5 um."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from oed.effect import Column, Effect, State
+from pkm_models.effects import terms
+
+CREEP, TURN = 5e-6, 10e-6  # m, rad in a session
+#: unknowns of set-ups that a mount has
+UNKNOWNS = {
+    **{f"{name}_{k}": CREEP for name in ("cup", "shift") for k in "xyz"},
+    **{f"turn_{k}": TURN for k in "xyz"},
+    "offset": CREEP,
+    "tilt": TURN,
+}
+#: readings of instruments without such unknowns: a displacement, of a laser or micrometer
+READINGS = ("dy", "dz")
+
+
+def columns(state: State) -> Iterable[Column]:
+    """In step with time, an unknown of each set-up; shape: a drift that comes to rest."""
+    time = terms.share(state)
+    block = f"set-up {state.setup}"
+    for name, form, part in (("", time, 1.0), (" settling", -np.expm1(-5.0 * time) - time, terms.ADAPT)):
+        for unknown, scale in UNKNOWNS.items():
+            full = f"{state.setup} {unknown}{name}"
+            yield Column(full, part * scale, block, nuisances={unknown: form}, shape=bool(name))
+        for channel in READINGS:
+            full = f"{state.setup} {channel}{name}"
+            yield Column(full, part * CREEP, block, reading={channel: form}, shape=bool(name))
+
+
+effect = Effect(
+    name="mount_drift",
+    source="ISO 230-3 (drift tests); data sheets of magnetic bases: 1 to 5 um in hours",
+    about="a cup or instrument that moves during the session",
+    columns=columns,
+    needs=("time",),
+    remedy="clamp the mount to the table, let it settle, and teach the cup again between runs",
+    exposed_by="a set-up repeated at the session's end",
+)

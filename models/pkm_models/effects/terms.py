@@ -1,0 +1,172 @@
+"""Terms that several effects share: where a joint is in its travel, warming up, what a metre is worth in a joint."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+
+from oed.batch import Array
+from oed.effect import State
+from oed.kinematics import AssemblyError, Kinematics
+from oed.machine import Machine
+
+STEEL = 11.5e-6  # 1/K, thermal expansion (ISO 230-3)
+#: time constants of warming up, s: a motor's housing half an hour, a machine frame four hours (ISO 230-3, annex)
+TIMES = (1800.0, 3600.0, 7200.0, 14400.0)
+#: how much smaller a column that only lets the form adapt is expected to be than the textbook's
+ADAPT = 0.4
+#: weights of the moved platform, N
+WEIGHTS = (200.0, 600.0, 2000.0)
+#: joint travel over which lost motion builds up after a reversal, m; steps between poses are of this size
+REVERSAL = (2e-3, 10e-3)
+REMEMBERED = 32
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Travel:
+    """Of a nominal machine, over the corners and the middle of its workspace; nq joints, SI.
+
+    low, high (nq,)   least and largest value of each joint
+    strut (nq,)       mean length of its strut, NaN where the machine does not tell it
+    guide (nq, 3)     direction in which a joint moves the base end of its strut; 0 for a strut that changes its length
+    """
+
+    low: Array
+    high: Array
+    strut: Array
+    guide: Array
+
+
+_known: dict[int, tuple[Machine, Travel]] = {}
+
+
+def travel(machine: Machine) -> Travel:
+    """The machine's travel, remembered."""
+    found = _known.get(id(machine))
+    if found is None or found[0] is not machine:
+        found = _known[id(machine)] = (machine, _travel(machine))
+        while len(_known) > REMEMBERED:
+            del _known[next(iter(_known))]
+    return found[1]
+
+
+def _travel(machine: Machine) -> Travel:
+    kinematics, p = Kinematics(machine), machine.nominal
+    levels = 5 if len(machine.command) <= 3 else 3
+    sides = [np.linspace(c.lower, c.upper, levels) for c in machine.workspace()]
+    command = np.vstack([machine.home_command, *itertools.product(*sides)])
+    x, q = _reached(kinematics, command[np.isfinite(command).all(axis=1)])
+    low, high = q.min(axis=0), q.max(axis=0)
+    if machine.struts is None:
+        return Travel(low, high, np.full(len(low), np.nan), np.zeros((len(low), 3)))
+    step = 1e-3 * (high - low)
+    base, platform, _ = kinematics.struts(x, q, p)
+    moved, _, _ = kinematics.struts(x, q + step, p)
+    shift = ((moved - base) / step[:, None]).mean(axis=0)
+    length = np.linalg.norm(shift, axis=1, keepdims=True)
+    guide = np.where(length > 1e-6, shift / np.maximum(length, 1e-6), 0.0)
+    return Travel(low, high, np.linalg.norm(platform - base, axis=-1).mean(axis=0), guide)
+
+
+def _reached(kinematics: Kinematics, command: Array) -> tuple[Array, Array]:
+    """Poses and joints of the commands within reach; the first, home, is."""
+    while True:
+        try:
+            return kinematics.inverse(command)
+        except AssemblyError as error:
+            command = np.delete(command, error.indices, axis=0)
+
+
+def place(state: State) -> Array:
+    """Where each joint (m, nq) is in its travel, from -1 to 1."""
+    known = travel(state.machine)
+    return 2.0 * (state.joints - known.low) / (known.high - known.low) - 1.0
+
+
+def wave(at: Array, degree: int) -> Array:
+    """Legendre polynomial of a place in [-1, 1]; held at its end beyond."""
+    return np.asarray(np.polynomial.Legendre.basis(degree)(np.clip(at, -1.0, 1.0)))
+
+
+def metre(state: State) -> Array:
+    """What a metre of strut is worth in each joint (m, nq), without sign: 1 where a joint is a length."""
+    turning = np.array([c.unit == "rad" for c in state.machine.joints])
+    worth = np.where(np.isfinite(state.per_length), np.abs(state.per_length), 1.0 / state.machine.lever)
+    return np.where(turning, worth, 1.0)
+
+
+def stretched(state: State, shift: Array) -> Array:
+    """Joint changes (m, nq) worth base ends displaced by shift (m, nq, 3), m.
+
+    |A - B - shift| = l is |A - B| = l + along . shift to first order.
+    """
+    return np.asarray(state.per_length * np.einsum("mjk,mjk->mj", state.along, shift))
+
+
+def radial(state: State) -> Array:
+    """Horizontal unit vectors (m, nq, 3) from the middle of the base ends to each; x where an end is in the middle."""
+    away = state.base - state.base.mean(axis=1, keepdims=True)
+    away[..., 2] = 0.0
+    length = np.linalg.norm(away, axis=-1, keepdims=True)
+    middle = length < 1e-3 * state.machine.lever
+    return np.where(middle, np.array([1.0, 0.0, 0.0]), away / np.where(middle, 1.0, length))
+
+
+def no_struts(machine: Machine) -> str | None:
+    """Why an effect that acts on struts cannot be computed; None where it can."""
+    return None if machine.struts is not None else "it does not tell its struts: give Machine.struts"
+
+
+def turning(machine: Machine) -> str | None:
+    """Why an effect of linear drives cannot occur; None where it can."""
+    return "its joints turn: it has no linear drives" if any(c.unit == "rad" for c in machine.joints) else None
+
+
+def filled(values: Array) -> Array:
+    """Values with gaps (NaN) closed from their neighbours; zeros where nothing is known."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.zeros(len(values))
+    return np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
+
+
+def since(state: State) -> Array:
+    """Time (m,) since the session's first reading, s; zeros where no time is known."""
+    return filled(state.time - state.span[0])
+
+
+def share(state: State) -> Array:
+    """Time (m,) as a share of the session, 0 to 1."""
+    length = state.span[1] - state.span[0]
+    return since(state) / length if length > 0.0 else np.zeros(len(state))
+
+
+def warming(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:
+    """How warm a body is at each pose (m,): (whether it was measured, as in the textbook, what may come to it).
+
+    Measured, K above the session's start: and how far a body that follows with time constant tau (s) lags behind.
+    Not measured, 1 - exp(-t / tau), as a share of the final rise: and a faster part, 1 - exp(-4 t / tau).
+    """
+    kelvin = state.temperature.get(body, np.full(len(state), np.nan))
+    time = since(state)
+    if np.isfinite(kelvin).any():
+        start = state.start.get(body, kelvin[np.isfinite(kelvin)][0])
+        rise = filled(kelvin - start)
+        return True, rise, _lag(rise, time, tau) - rise
+    return False, -np.expm1(-time / tau), -np.expm1(-4.0 * time / tau)
+
+
+def _lag(value: Array, time: Array, tau: float) -> Array:
+    """First-order lag of a value that goes in straight lines between times; settled at the first."""
+    order = np.argsort(time, kind="stable")
+    behind = np.empty(len(value))
+    last = float(value[order[0]])
+    for k, (before, now) in enumerate(zip(np.concatenate([order[:1], order[:-1]]), order, strict=True)):
+        step = time[now] - time[before] if k else 0.0
+        if step > 0.0:
+            slope, keep = (value[now] - value[before]) / step, np.exp(-step / tau)
+            last = value[now] - slope * tau + (last - value[before] + slope * tau) * keep
+        behind[now] = last
+    return behind

@@ -1,0 +1,164 @@
+"""What every effect must do on every machine, and how effects are named. One by one: test_effects_by_hand.py."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from effects_sample import CARRIAGES, HERE, NAMES, ROUND, columns, effect_of, session, small
+from kernel.cases import CASES
+
+from oed.gap.signature import exact, signature, untestable
+from pkm_studies import catalogue
+from pkm_studies.errors import InputError
+
+
+def fits(machine: str, name: str) -> bool:
+    if name == "guideway":
+        return machine in CARRIAGES
+    return not (machine == "cable_robot" and name in ("screw_cyclic", "encoder_subdivision"))
+
+
+PAIRS = [(machine, name) for machine in CASES for name in NAMES]
+FITTING = [(machine, name) for machine, name in PAIRS if fits(machine, name)]
+
+
+# -- every effect ------------------------------------------------------------------------------------------
+
+
+def test_the_library_is_that_of_the_contract() -> None:
+    entries = catalogue.listing("effects")
+    assert sorted(e.name for e in entries) == sorted(NAMES)
+    assert all(e.where == f"pkm_models.effects.{e.name}:effect" for e in entries)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_effect_says_what_it_is_and_what_to_do(name: str) -> None:
+    effect = effect_of(name)
+    for text in (effect.about, effect.remedy, effect.exposed_by):  # one short sentence each
+        assert 10 < len(text) <= 120
+        assert not text.endswith(".")
+        assert ". " not in text
+    assert effect.source
+    assert len(effect.grid()) <= 16
+
+
+@pytest.mark.parametrize(("machine", "name"), PAIRS)
+def test_it_fits_or_says_why_not(machine: str, name: str) -> None:
+    reason = effect_of(name).unfit(CASES[machine].machine)
+    assert (reason is None) == fits(machine, name)
+
+
+@pytest.mark.parametrize(("machine", "name"), FITTING)
+def test_columns_are_finite_and_of_the_poses_length(machine: str, name: str) -> None:
+    s = session(machine)
+    for state in s.states:
+        made = columns(name, state)
+        assert 1 <= len(made) <= max(27, 7 * len(state.limbs))
+        assert any(not c.shape for c in made.values())
+        for c in made.values():
+            assert c.scale > 0.0
+            assert c.label in ("", f"set-up {state.setup}", *(f"leg {i + 1}" for i in state.limbs))
+            changes = [*c.joints.values(), *c.parameters.values(), *c.nuisances.values(), *c.reading.values()]
+            assert changes
+            assert all(v.shape == (len(state),) and np.isfinite(v).all() for v in changes)
+
+
+@pytest.mark.parametrize(("machine", "name"), FITTING)
+def test_the_signature_is_the_slope_of_the_exact_machine(machine: str, name: str, rng: np.random.Generator) -> None:
+    """The error of first order falls with the square of the size."""
+    s, effect = session(machine), effect_of(name)
+    point = effect.grid()[len(effect.grid()) // 2]
+    found = signature(effect, point, s.states, s.responses, s.measurement, s.series)
+    assert found.names
+    assert np.isfinite(found.columns).all()
+    drawn = rng.standard_normal(len(found.names))
+    theta, zero = s.measurement.nominal, s.measurement.readings(s.series, s.measurement.nominal)
+    errors = []
+    for size in (4.0, 2.0):
+        factors = {n: size * d for n, d in zip(found.names, drawn, strict=True)}
+        real = exact(s.measurement, s.series, theta, s.states, [(effect, point, factors)]) - zero
+        first = found.columns @ (size * drawn)
+        errors.append(np.linalg.norm(real - first))
+        assert errors[-1] < 0.02 * np.linalg.norm(real) + 1e-11
+    assert errors[1] < 0.3 * errors[0] + 1e-11
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_covariates_it_is_not_testable_or_does_without(name: str) -> None:
+    wanted = {
+        "leg_thermal": "time or temp_leg or temp_leg1",
+        "frame_thermal": "time or temp_frame",
+        "bar_thermal": "time or temp_bar",
+        "mount_drift": "time",
+        "step": "time",
+        "backlash": "direction: both",
+        "friction": "direction: both",
+        "servo_lag": "feed",
+    }
+    bare, full = session("planar_2dof", ()), session("planar_2dof")
+    assert untestable(effect_of(name), full.states) is None
+    reason = untestable(effect_of(name), bare.states)
+    if name in wanted:
+        assert reason == f"the readings do not have {wanted[name]}"
+    else:
+        assert reason is None
+    for state in bare.states:  # nor does one set-up without them spoil a session that has them
+        for c in columns(name, state).values():
+            assert all(np.isfinite(v).all() for v in (*c.joints.values(), *c.nuisances.values(), *c.reading.values()))
+
+
+def test_one_direction_alone_shows_no_backlash() -> None:
+    state = session("a3_head").states[0]
+    one = small(state, ROUND)
+    assert untestable(effect_of("backlash"), [one]) == "the readings do not have direction: both"
+    assert untestable(effect_of("backlash"), [state]) is None
+
+
+def test_a_temperature_stands_for_time() -> None:
+    warm = session("planar_2dof", ("temp_leg",))
+    assert untestable(effect_of("leg_thermal"), warm.states) is None
+    assert untestable(effect_of("frame_thermal"), warm.states) is not None
+
+
+@pytest.mark.parametrize("name", ["leg_thermal", "gravity", "friction", "joint_runout", "guideway"])
+def test_a_machine_without_struts_is_told(name: str) -> None:
+    machine = dataclasses.replace(CASES["a3_head"].machine, struts=None)
+    assert effect_of(name).unfit(machine) == "it does not tell its struts: give Machine.struts"
+
+
+# -- names in a study --------------------------------------------------------------------------------------
+
+OWN = """\
+import numpy as np
+
+from oed.effect import Column, Effect
+
+effect = Effect(
+    name="wind", source="the weather", about="wind on the head", columns=lambda state: [Column("wind", 1e-6)]
+)
+"""
+
+
+def test_an_effect_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "wind.py").write_text(OWN, encoding="utf-8")
+    assert catalogue.effect("wind.py", tmp_path, HERE).name == "wind"
+    assert catalogue.effect("wind.py:effect", tmp_path, HERE).about == "wind on the head"
+    assert catalogue.effect("pkm_models.effects.backlash:effect", tmp_path, HERE) is effect_of("backlash")
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        ("backlesh", "no such effect; did you mean backlash?"),
+        ("wind.py:storm", "there is no storm in it"),
+        ("pkm_models.machines.a3_head:machine", "machine is no Effect"),
+        ("calm.py", "there is no such file"),
+    ],
+)
+def test_a_wrong_name_is_told(reference: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "wind.py").write_text(OWN, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        catalogue.effect(reference, tmp_path, HERE)
+    assert words in str(caught.value)
+    assert "gap.effects" in str(caught.value)
