@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 from scipy import linalg
 
 from oed.batch import Array
 from oed.effect import Effect
-from oed.gap import classes, library, scatter, which
-from oed.gap.diagnosis import UNKNOWN, Answer, Coefficient, Diagnosis, Size, Verdict
-from oed.gap.evidence import level
+from oed.gap import advice, classes, closure, library, scatter, where, which
+from oed.gap.diagnosis import UNKNOWN, Answer, Block, Closure, Coefficient, Diagnosis, Size, Verdict
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
 from oed.gap.problem import Problem
@@ -32,12 +32,57 @@ ALIVE = 4.0
 def diagnose(problem: Problem, effects: Sequence[Effect], rng: np.random.Generator) -> Diagnosis:
     """Diagnose residuals with a library of effects."""
     made = searches(problem, effects)
-    return conclude(problem, made, effects)
-
-
-def conclude(problem: Problem, made: Sequence[Search], effects: Sequence[Effect]) -> Diagnosis:
-    """The diagnosis that searches under several noise laws come to."""
     hypotheses = which.compare(made)
+    found = conclude(problem, made, hypotheses, effects)
+    located, shrunk = _placed(problem, made[hypotheses[0].law], hypotheses[0], found, rng)
+    return dataclasses.replace(found, where=located, closure=shrunk)
+
+
+def _placed(
+    problem: Problem, search: Search, best: Hypothesis, found: Diagnosis, rng: np.random.Generator
+) -> tuple[tuple[Block, ...], tuple[Closure, ...]]:
+    """Where the gap lies, and how far it shrinks on held-out readings; nothing where there is none."""
+    if found.verdict == "none":
+        return (), ()
+    known = search.library
+    columns = [known.columns[:, known.atoms[k].columns] for k in best.atoms]
+    labels = [known.labels[c] for k in best.atoms for c in known.atoms[k].columns]
+    told = where.where(
+        problem, found.law, rng, columns=np.hstack(columns) if columns else None, labels=labels if columns else None
+    )
+    forms = _forms(search, best)
+    if not forms:
+        return told, ()
+    splits: tuple[Literal["within", "whole"], ...] = ("within", "whole")
+    shrunk = tuple(closure.closure(problem, found.law, forms, rng, split=split) for split in splits)
+    return told, shrunk
+
+
+def _forms(search: Search, best: Hypothesis) -> list[Array]:
+    """Columns (N, k), at their sizes, of the forms of the selected effects between which training readings choose."""
+    made: dict[tuple[tuple[int, float], ...], Array] = {}
+    level = search.level(best)
+
+    def add(atoms: Sequence[int], sizes: Sequence[float]) -> None:
+        parts = [level * s * search.library.columns[:, search.columns_of(k)] for k, s in zip(atoms, sizes, strict=True)]
+        if best.process is not None:
+            process = search.processes.columns[:, search.processes.atoms[best.process].columns]
+            parts.append(level * best.process_size * process)
+        if parts:
+            made[tuple(zip(atoms, sizes, strict=True))] = np.hstack(parts)
+
+    for i in range(max(len(best.atoms), 1)):
+        for factor in (1.0, 0.5, 2.0):
+            add(best.atoms, [s * factor if j == i else s for j, s in enumerate(best.sizes)])
+        for atom, size in search.alternatives(best, i) if best.atoms else []:
+            add([*best.atoms[:i], atom, *best.atoms[i + 1 :]], [*best.sizes[:i], size, *best.sizes[i + 1 :]])
+    return list(made.values())
+
+
+def conclude(
+    problem: Problem, made: Sequence[Search], hypotheses: Sequence[Hypothesis], effects: Sequence[Effect]
+) -> Diagnosis:
+    """The diagnosis that searches under several noise laws come to, without where and how far."""
     shares = which.probabilities(hypotheses)
     scores = {h.key: h.score for h in hypotheses}
     answers = _answers(made, hypotheses, shares, scores)
@@ -62,7 +107,7 @@ def conclude(problem: Problem, made: Sequence[Search], effects: Sequence[Effect]
         closure=(),
         not_testable=search.library.not_testable,
         confusable=tuple(dict.fromkeys(c for a in answers[:1] for c in a.classes if len(c) > 1)),
-        next=(),
+        next=advice.advise(answers, effects, search.library.not_testable),
     )
 
 
@@ -157,7 +202,7 @@ def _explained(problem: Problem, search: Search, h: Hypothesis) -> _Explained:
     inner = metric.gram(columns, columns) + np.eye(columns.shape[1])
     told = metric.gram(columns, problem.residual[:, None])[:, 0]
     beta, spread = np.linalg.solve(inner, told), linalg.inv(inner)
-    noise = level(search.given(h.atoms, h.sizes))
+    noise = search.level(h)
     known_part = columns[:, : columns.shape[1] - extra.shape[1]] @ beta[: columns.shape[1] - extra.shape[1]]
     unknown_part = extra @ beta[columns.shape[1] - extra.shape[1] :]
     coefficients, sizes, start = [], [], 0

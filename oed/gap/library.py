@@ -94,7 +94,7 @@ def build(problem: Problem, effects: Sequence[Effect]) -> Library:
 def _forms(problem: Problem, effect: Effect) -> list[Signature]:
     """The effect's signatures over its grid of constants; those that change no reading are left out."""
     made = [
-        signature(effect, point, problem.states, problem.responses, problem.measurement, problem.series)
+        signature(effect, point, problem.states, problem.responses, problem.measurement, problem.series, problem.sigma)
         for point in effect.grid()
     ]
     return [s for s in made if s.names and np.linalg.norm(problem.of(s.columns)) > UNSEEN]

@@ -23,7 +23,7 @@ TAILS = (2.5, 3.0, 4.0, 6.0, 10.0, np.inf)
 SPREAD = 1.0
 #: prior of the log of the reach, in readings: about eight, a factor of e either way
 REACH = np.log(8.0)
-ROUNDS = 3
+ROUNDS = 2
 #: where a search begins: white, runs that do not repeat, an error carried along
 STARTS = tuple(np.array(v) for v in ((-2.0, -2.0, REACH), (0.0, -2.0, REACH), (-2.0, 0.5, REACH)))
 
@@ -43,7 +43,7 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
         )
 
     def cost(v: Array) -> float:
-        if not (-8.0 < v[0] < 5.0 and -8.0 < v[1] < 5.0 and -0.7 < v[2] < 5.0 and np.abs(v[3:]).max(initial=0.0) < 4.0):
+        if not (-8.0 < v[0] < 5.0 and -8.0 < v[1] < 5.0 and 0.4 < v[2] < 4.5 and np.abs(v[3:]).max(initial=0.0) < 4.0):
             return 1e9
         return -(evidence.log_evidence(problem, law(v), wide) + _prior(v))
 

@@ -49,8 +49,9 @@ def signature(
     responses: Sequence[Response],
     measurement: Measurement,
     series: Sequence[Series],
+    sigma: Array | None = None,
 ) -> Signature:
-    """The effect's signature in the readings of all series, at its `constants`."""
+    """The effect's signature in the readings of all series, at its `constants`; sigma (N,): their noise, SI."""
     sizes = [r.nuisances.shape[0] * r.nuisances.shape[1] for r in responses]
     ends = np.cumsum([0, *sizes])
     found: dict[str, Column] = {}
@@ -60,7 +61,7 @@ def signature(
             if column.name not in values:
                 found[column.name], values[column.name] = column, np.zeros(ends[-1])
             values[column.name][ends[k] : ends[k + 1]] += column.scale * _read(column, response, measurement, s)
-    sigma = measurement.sigma(series)
+    sigma = measurement.sigma(series) if sigma is None else sigma
     kept = [n for n, v in values.items() if np.linalg.norm(v / sigma) > NOTHING]
     return Signature(
         effect=effect.name,

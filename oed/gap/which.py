@@ -30,6 +30,8 @@ UNKNOWN_SIZES = np.array([0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
 #: log evidence below the best at which sets are not taken further, and how many are
 BEHIND, WIDE = 14.0, 8
 ROUNDS = 4
+#: expected lambda of a form below which its size is taken for none at all
+SEEN = 9.0
 _NONE = np.empty(0, dtype=np.intp)
 
 
@@ -80,8 +82,13 @@ class Search:
         self._atoms = [a.columns for a in library.atoms]
         self._weights = np.array([a.log_weight for a in library.atoms])
         self._owner = np.array([a.effect for a in library.atoms])
+        energy = np.array([np.diag(self.grams.gram)[c].sum() for c in self._atoms]).reshape(-1, 1) * SIZES**2
+        worth = (energy > SEEN) | (SIZES[-1] == SIZES)
+        #: log weight (atoms, sizes) of each form at each size; sizes that could not be seen are no hypotheses
+        self._shares = np.where(worth, self._weights[:, None] - np.log(worth.sum(axis=1, keepdims=True)), -np.inf)
         self._of = {e: np.array(library.atoms_of(e), dtype=np.intp) for e in library.effects}
         self._known: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
+        self._found: list[Hypothesis] = []
         self._processes = [a.columns + offset for a in processes.atoms]
         self._process_weights = np.array([a.log_weight for a in processes.atoms]) - np.log(
             max(len(processes.effects), 1)
@@ -100,13 +107,30 @@ class Search:
             found = found.given(self._atoms[atom], size)
         return found
 
+    def level(self, h: Hypothesis) -> float:
+        """Noise level that a hypothesis leaves."""
+        found = self.given(h.atoms, h.sizes)
+        if h.process is not None:
+            found = found.given(self._processes[h.process], h.process_size)
+        return evidence.level(found)
+
+    def alternatives(self, h: Hypothesis, i: int, count: int = 4) -> list[tuple[int, float]]:
+        """The next best forms of the i-th effect of a hypothesis, with their best sizes."""
+        others = [j for j in range(len(h.effects)) if j != i]
+        told = self._beside(h.effects[i], [h.atoms[j] for j in others], [h.sizes[j] for j in others])
+        mine = self._of[h.effects[i]]
+        weighed = told + self._shares[mine]
+        order = np.argsort(-weighed.max(axis=1))[: count + 1]
+        chosen = [(int(mine[k]), float(SIZES[np.argmax(weighed[k])])) for k in order]
+        return [c for c in chosen if c[0] != h.atoms[i]][:count]
+
     def screen(self, found: Grams, without: Iterable[str]) -> dict[str, tuple[float, int, float]]:
         """Each further effect's log evidence over `found`, its best form and size."""
         left = np.flatnonzero(~np.isin(self._owner, list(without)))
         if not left.size:
             return {}
         told = found.log_evidences([self._atoms[k] for k in left])
-        weighed = told + self._weights[left, None] - np.log(len(SIZES))
+        weighed = told + self._shares[left]
         best = {}
         for effect in dict.fromkeys(self._owner[left]):
             at = np.flatnonzero(self._owner[left] == effect)
@@ -128,7 +152,7 @@ class Search:
                 told = self._beside(effect, [chosen[j] for j in range(len(effects)) if j != i],
                                     [size[j] for j in range(len(effects)) if j != i])  # fmt: skip
                 mine = self._of[effect]
-                weighed = told + self._weights[mine, None] - np.log(len(SIZES))
+                weighed = told + self._shares[mine]
                 row, column = np.unravel_index(int(np.argmax(weighed)), weighed.shape)
                 chosen[i], size[i] = int(mine[row]), float(SIZES[column])
                 spare += float(special.logsumexp(weighed)) - float(told[row, column])
@@ -200,6 +224,11 @@ class Search:
 
     def run(self) -> list[Hypothesis]:
         """The hypotheses worth comparing, best first: none, singles, pairs and triples, and these with an unknown."""
+        if not self._found:
+            self._found = self._run()
+        return self._found
+
+    def _run(self) -> list[Hypothesis]:
         empty = self.settle((), (), ())
         singles = self._grown([empty])
         pairs = self._grown(singles[:WIDE])

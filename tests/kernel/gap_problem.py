@@ -1,0 +1,64 @@
+"""Small readings for tests of the diagnosis: an A3 head with a ball bar, circles at several heights, both ways."""
+
+import functools
+
+import numpy as np
+import pandas as pd
+
+from oed.gap.law import Law
+from oed.gap.problem import Problem, planned
+from oed.instrument import mount
+from oed.measurement import Measurement
+from pkm_models.instruments import ball_bar
+from pkm_models.machines import a3_head
+
+TEACH = (1.40, 0.0, 0.0)
+HEIGHTS = (1.10, 1.16, 1.22)
+
+
+@functools.cache
+def circles(points: int = 24, heights: tuple[float, ...] = HEIGHTS, passes: int = 1) -> Problem:
+    """Circles, each forward and backward, `passes` times; a reading every 6 s."""
+    measurement = Measurement(a3_head.machine, [mount(ball_bar.instrument, "bar", teach=TEACH)])
+    psi = np.linspace(-np.pi, np.pi, points, endpoint=False)
+    commands, rows = [], []
+    for number in range(passes):
+        for height in heights:
+            for direction in (1, -1):
+                run = f"z {height:g} way {direction} pass {number + 1}"
+                commands.append(np.column_stack([np.full(points, height), psi[::direction], np.full(points, 0.5)]))
+                rows += [{"setup": "bar", "run": run, "order": k + 1, "direction": direction} for k in range(points)]
+    covariates = pd.DataFrame(rows)
+    covariates["time"] = 6.0 * np.arange(len(covariates))
+    series = measurement.series("bar", np.vstack(commands), run=list(covariates["run"]))
+    return planned(measurement, [series], covariates)
+
+
+def law(problem: Problem) -> Law:
+    """A law with everything: repeatability, an error carried along, readings of different scatter, a level."""
+    return Law(0.7, 0.9, 5.0, np.random.default_rng(3).uniform(0.6, 1.8, len(problem)), level=1.3)
+
+
+def dense(problem: Problem, law: Law) -> np.ndarray:
+    """Covariance (N, N) of readings without a gap, reading by reading from the law's formula."""
+    total = np.diag(law.variance)
+    for members in problem.blocks:
+        for i in members:
+            for j in members:
+                lag = abs(problem.along[i] - problem.along[j])
+                total[i, j] += law.repeat**2 + law.wander**2 * np.exp(-lag / law.reach)
+    return law.level**2 * total + problem.slopes @ problem.slopes.T
+
+
+def in_joint(problem: Problem, limb: int, change: np.ndarray) -> np.ndarray:
+    """Change (N,) of the readings, in units of the noise, where a joint is off by `change` (m,) at each pose, m."""
+    (series,), (response,) = problem.series, problem.responses
+    total = np.zeros(len(problem))
+    for slope, place in zip(response.joints, series.index.T, strict=True):
+        total += slope[:, 0, limb] * change[place]
+    return problem.of(total)
+
+
+def sized(change: np.ndarray, covariance: np.ndarray, size: float) -> np.ndarray:
+    """The change (N,) as large as makes the oracle's sqrt(lambda) = size."""
+    return change * size / np.sqrt(change @ np.linalg.solve(covariance, change))

@@ -1,0 +1,321 @@
+"""Where a gap lies: the scan's numbers against dense textbook formulae, its places against virtual machines."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+
+from kernel import gap_problem as case
+from kernel.cases import CASES, reading_series
+from oed.gap import where as scan
+from oed.gap.diagnosis import Block
+from oed.gap.law import plain
+from oed.gap.problem import Problem, planned
+from oed.gap.where import legs_of, where
+
+KINDS = ("leg", "run", "time", "phase", "direction")
+
+
+def first(blocks: tuple[Block, ...], kind: str) -> str:
+    """The best block of a kind."""
+    return next(b.block for b in blocks if b.block.startswith(kind))
+
+
+class Machines:
+    """Draws readings of virtual machines with a gap of a stated size."""
+
+    def __init__(self, problem: Problem, law: scan.Law) -> None:
+        self.problem, self.law = problem, law
+        self.covariance = case.dense(problem, law)
+        self.root = np.linalg.cholesky(self.covariance)
+
+    def located(self, change: np.ndarray | None, size: float, rng: np.random.Generator) -> tuple[Block, ...]:
+        r = self.root @ rng.standard_normal(len(self.problem))
+        if change is not None:
+            r += case.sized(change, self.covariance, size)
+        return where(self.problem.with_residual(r), self.law, rng, draws=100)
+
+
+@pytest.fixture(scope="module")
+def machines() -> Machines:
+    problem = case.circles()
+    return Machines(problem, case.law(problem))
+
+
+# -- the numbers -------------------------------------------------------------------------------------------
+
+
+def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(rng: np.random.Generator) -> None:
+    problem = case.circles()
+    law = case.law(problem)
+    covariance = case.dense(problem, law)
+    r = 3.0 * rng.standard_normal(len(problem))
+    bases = [rng.standard_normal((len(problem), k)) * 10.0 ** rng.uniform(-3, 3) for k in (1, 4, 4)]
+    looks = [scan._Look("x", "", basis) for basis in bases]
+    root = scan._Root(problem, law)
+    found = scan._Scan(root, looks)
+    energy = found.energy(root.scores(r)[:, None])[:, 0]
+    own = scan._log_tail(energy, found.rank)
+    assert_allclose(found.least(root.scores(r)[:, None]), own.min())
+    for look, e, p in zip(looks, energy, own, strict=True):
+        B, MB = look.basis, np.linalg.solve(covariance, look.basis)
+        expected = r @ MB @ np.linalg.solve(B.T @ MB, MB.T @ r)
+        assert_allclose(e, expected, rtol=1e-6)
+        assert_allclose(p, stats.chi2.logsf(expected, B.shape[1]), rtol=1e-6)
+    assert_allclose(root.scores(r) @ root.scores(r), r @ np.linalg.solve(covariance, r), rtol=1e-6)
+
+
+def test_what_the_parameters_can_absorb_is_no_column(rng: np.random.Generator) -> None:
+    problem = case.circles()
+    root = scan._Root(problem, plain(problem))
+    k = problem.names.index("dq1")
+    assert np.linalg.norm(problem.slopes[:, k]) > 1000.0
+    other = rng.standard_normal(len(problem))
+    basis = np.column_stack([problem.slopes[:, k], other, problem.slopes[:, k] + 1e-6 * other])
+    assert scan._Scan(root, [scan._Look("x", "", basis)]).rank[0] == 1
+
+
+@pytest.mark.parametrize("rank", [1.0, 2.0, 5.0, 14.0])
+def test_far_tails_do_not_underflow(rank: float) -> None:
+    near = np.array([0.0, 1.0, 30.0, 500.0])
+    assert_allclose(scan._log_tail(near, rank), stats.chi2.logsf(near, rank), rtol=1e-9, atol=1e-12)
+    # beyond, the tail's recurrence Q(a + 1, x) = Q(a, x) + x^a e^-x / Gamma(a + 1), whose second term dominates
+    x = 2000.0
+    a, b = scan._log_tail(np.array(2 * x), rank), scan._log_tail(np.array(2 * x), rank + 2.0)
+    added = rank / 2.0 * np.log(x) - x - float(scan.special.gammaln(rank / 2.0 + 1.0))
+    assert_allclose(b, np.logaddexp(a, added), rtol=1e-8)
+    assert scan._log_tail(np.array(3.0), 0.0) == 0.0
+
+
+def test_corrected_p_values_are_those_of_a_bootstrap_that_fits_again() -> None:
+    """Reading by reading: draw machines and noise, look everywhere, take the least p-value."""
+    problem = case.circles(12, (1.10, 1.22))
+    law = case.law(problem)
+    covariance = case.dense(problem, law)
+    rng = np.random.default_rng(5)
+    r = np.linalg.cholesky(covariance) @ rng.standard_normal(len(problem))
+    r += case.sized(case.in_joint(problem, 1, 1e-6 * problem.states[0].sense[:, 1]), covariance, 4.5)
+    found = {b.block: b.p_value for b in where(problem.with_residual(r), law, rng, draws=2000)}
+    looks = list(scan._looks(problem))
+    inverse = np.linalg.inv(covariance)
+    drawn = rng.multivariate_normal(np.zeros(len(problem)), covariance, size=400, method="eigh")
+    values = np.vstack([r, drawn])
+    own = np.empty((len(looks), len(values)))
+    quiet = np.linalg.inv(covariance - problem.slopes @ problem.slopes.T)
+    for k, look in enumerate(looks):
+        size = np.sqrt(np.einsum("nk,nm,mk->k", look.basis, quiet, look.basis))
+        B = look.basis / np.where(size > 0.0, size, 1.0)
+        inner, vectors = np.linalg.eigh(B.T @ inverse @ B)
+        kept = vectors[:, inner > scan.SURVIVES] / np.sqrt(inner[inner > scan.SURVIVES])
+        explained = np.square(kept.T @ (B.T @ (inverse @ values.T))).sum(axis=0)
+        own[k] = stats.chi2.sf(explained, kept.shape[1]) if kept.size else 1.0
+    least = own[:, 1:].min(axis=0)
+    place = {name: min(own[k, 0] for k, look in enumerate(looks) if look.place == name) for name in ("leg 1", "leg 2")}
+    for name, p in place.items():
+        expected = np.mean(least <= p)
+        assert abs(found[name] - expected) < 4.0 * np.sqrt(max(expected * (1 - expected), 0.01) / 400)
+
+
+def test_false_alarms_are_as_stated(machines: Machines) -> None:
+    """400 sets without a gap, drawn with dense matrices, against one bootstrap: the least p-value is uniform."""
+    rng, problem = np.random.default_rng(11), machines.problem
+    root = scan._Root(problem, machines.law)
+    family = scan._Scan(root, list(scan._looks(problem)))
+    least = family.least(rng.standard_normal((len(problem), 500)))
+    quiet = family.energy(root.scores(machines.root @ rng.standard_normal((len(problem), 400))))
+    told = [scan._corrected(scan._log_tail(e, family.rank), least).min() for e in quiet.T]
+    assert 6 <= np.sum(np.array(told) <= 0.05) <= 36  # 20 expected, both samplings' spread three times over
+    assert stats.kstest(told, "uniform").pvalue > 0.002
+
+
+def test_false_alarms_of_the_whole_call(machines: Machines) -> None:
+    rng = np.random.default_rng(12)
+    assert sum(min(b.p_value for b in machines.located(None, 0.0, rng)) <= 0.05 for _ in range(30)) <= 6
+
+
+# -- the places --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["sense", "wave", "bend", "warm"])
+def test_effect_in_one_leg_is_found_there(machines: Machines, form: str) -> None:
+    rng = np.random.default_rng(2)
+    state = machines.problem.states[0]
+    right = []
+    for k in range(12):
+        limb, q = k % 3, state.joints[:, k % 3]
+        u = (q - q.min()) / np.ptp(q)
+        change = {
+            "sense": state.sense[:, limb],
+            "wave": np.cos(2.0 * np.pi * u * rng.uniform(3.0, 12.0) + rng.uniform(0.0, 6.0)),
+            "bend": np.sign(u - 0.5) * np.abs(u - 0.5) ** 1.5,
+            "warm": np.exp(-state.time / 300.0),
+        }[form]
+        found = machines.located(case.in_joint(machines.problem, limb, 1e-6 * change), 8.0, rng)
+        right.append(first(found, "leg") == f"leg {limb + 1}")
+        assert found[0].p_value < 0.05
+    assert np.mean(right) >= 11 / 12
+
+
+def test_the_same_change_in_all_legs_is_told_as_that(machines: Machines, rng: np.random.Generator) -> None:
+    state = machines.problem.states[0]
+    change = sum(case.in_joint(machines.problem, k, 1e-6 * state.sense[:, k]) for k in range(3))
+    found = machines.located(change, 12.0, rng)
+    assert found[0].block == scan.ALL
+    assert {b.block for b in found} >= {"leg 1", "leg 2", "leg 3"}
+    one = machines.located(case.in_joint(machines.problem, 1, 1e-6 * state.sense[:, 1]), 12.0, rng)
+    assert scan.ALL not in {b.block for b in one}
+
+
+def test_fault_in_one_run_is_found_there(machines: Machines) -> None:
+    rng = np.random.default_rng(4)
+    problem, right = machines.problem, 0
+    for k in range(12):
+        members = problem.blocks[k % 6]
+        change = np.zeros(len(problem))
+        change[members] = np.cos(problem.rows["phase"].to_numpy()[members] + rng.uniform(0.0, 6.0))
+        found = machines.located(change, 8.0, rng)
+        right += first(found, "run") == f"run {problem.rows['run'][members[0]]}"
+    assert right >= 11
+
+
+@pytest.mark.parametrize("limb", [None, 0, 2])
+def test_step_is_found_at_its_time(machines: Machines, limb: int | None) -> None:
+    rng = np.random.default_rng(6)
+    problem, state = machines.problem, machines.problem.states[0]
+    missed = []
+    for start in np.linspace(150.0, 700.0, 8):
+        change = (problem.rows["time"].to_numpy() >= start).astype(float)
+        if limb is not None:
+            change = case.in_joint(problem, limb, 1e-6 * (state.time >= start))
+        found = machines.located(change, 14.0, rng)
+        begin, end = (float(v) for v in first(found, "time").removeprefix("time ").split("-"))
+        missed.append(abs(begin - start))
+        assert end == problem.rows["time"].max()
+    assert np.median(missed) <= 6.0  # one reading: 6 s
+    assert np.max(missed) <= 60.0
+
+
+def test_shift_for_a_while_is_told_with_both_ends(machines: Machines, rng: np.random.Generator) -> None:
+    time = machines.problem.rows["time"].to_numpy()
+    found = machines.located(((time >= 348.0) & (time <= 510.0)).astype(float), 14.0, rng)
+    begin, end = (float(v) for v in first(found, "time").removeprefix("time ").split("-"))
+    assert abs(begin - 348.0) <= 18.0
+    assert abs(end - 510.0) <= 18.0
+
+
+def test_bump_in_the_phase_is_found_there_over_the_start_too(machines: Machines, rng: np.random.Generator) -> None:
+    phase = np.rad2deg(machines.problem.rows["phase"].to_numpy())
+    bump = ((phase >= 330.0) | (phase < 30.0)).astype(float)
+    assert first(machines.located(bump, 14.0, rng), "phase") == "phase 330-30"
+
+
+def test_fault_in_one_direction_is_found(machines: Machines, rng: np.random.Generator) -> None:
+    rows = machines.problem.rows
+    change = (rows["direction"] == -1) * np.cos(2.0 * rows["phase"] + 1.0)
+    found = {b.block: b.p_value for b in machines.located(change.to_numpy(), 14.0, rng)}
+    assert min(found["direction +1"], found["direction -1"]) < 1e-6
+
+
+def test_what_the_calibration_absorbs_is_nowhere(machines: Machines, rng: np.random.Generator) -> None:
+    problem = machines.problem
+    r = machines.root @ rng.standard_normal(len(problem)) + 3.0 * problem.slopes[:, problem.names.index("dq2")]
+    assert np.abs(r).max() > 1000.0
+    assert where(problem.with_residual(r), machines.law, rng)[0].p_value > 0.05
+
+
+def test_selected_effects_own_columns_are_one_more_look(machines: Machines, rng: np.random.Generator) -> None:
+    problem = machines.problem
+    odd = rng.standard_normal(len(problem.states[0].time))  # a form that no general basis has
+    columns = np.column_stack([case.in_joint(problem, k, 1e-6 * odd) for k in range(3)])
+    r = machines.root @ rng.standard_normal(len(problem)) + case.sized(columns[:, 1], machines.covariance, 7.0)
+    labels = ["leg 1", "leg 2", "leg 3"]
+    told = where(problem.with_residual(r), machines.law, rng, columns=columns, labels=labels)
+    assert (told[0].block, told[0].p_value < 1e-3) == ("leg 2", True)
+    blind = where(problem.with_residual(r), machines.law, rng)
+    assert min(b.p_value for b in blind) > told[0].p_value
+    with pytest.raises(ValueError, match=r"\(144, 2\) fits the labels"):
+        where(problem, machines.law, rng, columns=columns, labels=labels[:2])
+
+
+def test_same_seed_same_places_sorted_and_told_once(machines: Machines) -> None:
+    a, b = (machines.located(None, 0.0, np.random.default_rng(3)) for _ in range(2))
+    assert a == b
+    assert [x.p_value for x in a] == sorted(x.p_value for x in a)
+    assert len({x.block for x in a}) == len(a)
+    assert all(0.0 <= x.strength <= 1.0 and 0.0 < x.p_value <= 1.0 for x in a)
+    assert {kind for kind in KINDS if any(x.block.startswith(kind) for x in a)} == set(KINDS)
+
+
+@pytest.mark.parametrize(
+    ("machine", "setup"),
+    [("hexapod", "camera"), ("prs_spindle", "pose_tracker"), ("planar_2dof", "rm3"), ("cable_robot", "redundancy")],
+)
+def test_readings_without_covariates_and_with_several_channels(
+    machine: str, setup: str, rng: np.random.Generator
+) -> None:
+    measurement, series = reading_series(CASES[machine], setup, rng, 40)
+    labels = np.array([f"r{k // 10}" for k in range(len(series))])
+    if measurement.setups[setup].instrument.reference != "run":
+        series = dataclasses.replace(series, run=labels)
+    order = pd.Series(series.run).groupby(series.run).cumcount() + 2
+    table = pd.DataFrame({"setup": setup, "run": series.run, "order": order})
+    problem = planned(measurement, [series], table)
+    r = problem.residual + rng.standard_normal(len(problem))
+    found = where(problem.with_residual(r), plain(problem), rng, draws=100)
+    names = {b.block for b in found}
+    assert {f"leg {k + 1}" for k in problem.states[0].limbs} <= names
+    assert not any(n.startswith(("time", "direction")) for n in names)
+    hit = r.copy()
+    hit[problem.blocks[1]] += 30.0 * rng.standard_normal(len(problem.blocks[1]))
+    found = where(problem.with_residual(hit), plain(problem), rng, draws=100)
+    assert first(found, "run") == f"run {problem.rows['run'][problem.blocks[1][0]]}"
+
+
+# -- legs by their coefficients ----------------------------------------------------------------------------
+
+
+def posterior(G: np.ndarray, covariance: np.ndarray, r: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of the coefficients, by the textbook."""
+    precision = G.T @ np.linalg.solve(covariance, G) + np.diag(scale**-2.0)
+    return np.linalg.solve(precision, G.T @ np.linalg.solve(covariance, r)), np.linalg.inv(precision)
+
+
+def test_legs_of_is_the_test_of_a_block_beside_the_others(machines: Machines, rng: np.random.Generator) -> None:
+    labels, scale = ["leg 1", "leg 1", "leg 2", "", "leg 3"], np.array([1.0, 0.3, 2.0, 1.0, 0.5])
+    G = rng.standard_normal((len(machines.problem), 5))
+    r = machines.root @ rng.standard_normal(len(G)) + G @ [0.1, 0.2, -0.6, 1.0, 0.0]
+    found = {b.block: b for b in legs_of(labels, *posterior(G, machines.covariance, r, scale), scale=scale)}
+    own = {}
+    for name in ("leg 1", "leg 2", "leg 3"):
+        mine = np.array([label == name for label in labels])
+        rest = machines.covariance + (G[:, ~mine] * scale[~mine] ** 2) @ G[:, ~mine].T
+        B, MB = G[:, mine], np.linalg.solve(rest, G[:, mine])
+        own[name] = stats.chi2.sf(r @ MB @ np.linalg.solve(B.T @ MB, MB.T @ r), mine.sum())
+    ranked = sorted(own, key=own.__getitem__)
+    holm = np.maximum.accumulate([min(own[n] * (3 - k), 1.0) for k, n in enumerate(ranked)])
+    assert_allclose([found[n].p_value for n in ranked], holm, rtol=1e-5)
+    assert sum(b.strength for b in found.values()) == pytest.approx(1.0)
+    assert list(found) == ranked
+
+
+def test_legs_of_tells_the_leg_and_is_quiet_without_one(machines: Machines) -> None:
+    rng = np.random.default_rng(8)
+    state, scale = machines.problem.states[0], np.ones(3)
+    G = np.column_stack([case.in_joint(machines.problem, k, 3e-6 * state.sense[:, k]) for k in range(3)])
+    labels, alarms, right = ["leg 1", "leg 2", "leg 3"], 0, 0
+    for k in range(200):
+        quiet = machines.root @ rng.standard_normal(len(G))
+        alarms += legs_of(labels, *posterior(G, machines.covariance, quiet, scale))[0].p_value <= 0.05
+        loud = quiet + case.sized(G[:, k % 3], machines.covariance, 6.0)
+        best = legs_of(labels, *posterior(G, machines.covariance, loud, scale))[0]
+        right += best.block == labels[k % 3] and best.p_value < 0.05
+    assert 2 <= alarms <= 20
+    assert right >= 0.95 * 200
+
+
+def test_legs_of_refuses_what_does_not_fit() -> None:
+    with pytest.raises(ValueError, match="do not fit"):
+        legs_of(["leg 1"], np.zeros(2), np.eye(2))
