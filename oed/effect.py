@@ -39,6 +39,7 @@ class State:
     time, feed, payload, direction   (m,), NaN where unknown
     temperature  {body: (m,)} K
     start        {body: its temperature at the session's first reading, K}
+    channels     names of the instrument's channels
     settings     of the set-up, by name, SI
     home         (nx,) the home pose
     span         first and last time of all set-ups together, s; NaN where unknown
@@ -67,6 +68,7 @@ class State:
     direction: Array
     temperature: Mapping[str, Array]
     start: Mapping[str, float]
+    channels: tuple[str, ...]
     settings: Mapping[str, float]
     home: Array
     span: tuple[float, float]

@@ -11,7 +11,7 @@ from scipy import linalg
 
 from oed.batch import Array
 from oed.effect import Effect
-from oed.gap import advice, classes, closure, library, scatter, where, which
+from oed.gap import advice, classes, closure, library, scatter, waves, where, which
 from oed.gap.diagnosis import UNKNOWN, Answer, Block, Closure, Coefficient, Diagnosis, Size, Verdict
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
@@ -242,9 +242,13 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     """The search under each of the noise laws that suit the readings."""
     known = library.build(problem, effects)
     processes = library.build(problem, PROCESSES)
-    law = scatter.robust(problem, _wide(known, processes))
-    laws = [scatter.fit(problem, _wide(known, processes), law), scatter.fit(problem, np.zeros((len(problem), 0)), law)]
-    made = [Search(problem, known, processes, *pair) for pair in laws]
+    nothing = np.zeros((len(problem), 0))
+    calm, _ = scatter.fit(problem, nothing)
+    wide = scatter.robust(problem, _wide(known, processes), start=calm)
+    calm = dataclasses.replace(calm, variance=wide[0].variance, tails=wide[0].tails)
+    plain = scatter.fit(problem, nothing, calm)
+    processes = waves.added(processes, problem, plain[0])
+    made = [Search(problem, known, processes, *pair) for pair in (wide, plain)]
     for _ in range(ROUNDS):
         best = which.compare(made)[0]
         columns = _columns(known, processes, best)

@@ -98,6 +98,7 @@ def _state(
         temperature={c.removeprefix(TEMPERATURE): _column(rows, c)[owner] for c in bodies},
         home=kinematics.inverse(machine.home_command[None])[0][0],
         start={c.removeprefix(TEMPERATURE): v for c, v in start.items()},
+        channels=tuple(c.name for c in measurement.setups[series.setup].instrument.channels),
         settings=measurement.setups[series.setup].settings,
         span=span,
         **known,

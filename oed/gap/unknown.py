@@ -38,12 +38,18 @@ def _time(state: State) -> Array:
     return _share(state.time, *state.span) if np.isfinite(state.span[0]) else np.zeros(len(state))
 
 
+def _read(state: State, name: str, size: float, wave: Array) -> Iterable[Column]:
+    """The same form in each channel of the readings, with a coefficient of its own."""
+    for channel in state.channels:
+        yield Column(f"{name} {channel}", size, label=f"channel {channel}", reading={channel: wave})
+
+
 def over_time(state: State) -> Iterable[Column]:
     """Drift of the readings, and of each joint."""
     if not np.isfinite(state.span[0]):
         return
     for k, wave in enumerate(_cosines(_time(state), 8), start=1):
-        yield Column(f"time {k}", UNIT / (1.0 + k / 4.0), reading={"*": wave})
+        yield from _read(state, f"time {k}", UNIT / (1.0 + k / 4.0), wave)
 
 
 def joints_over_time(state: State) -> Iterable[Column]:
@@ -61,7 +67,7 @@ def windows(state: State) -> Iterable[Column]:
         return
     share = _time(state)
     for k in range(12):
-        yield Column(f"window {k}", UNIT, reading={"*": np.exp(-0.5 * ((share - (k + 0.5) / 12.0) / 0.045) ** 2)})
+        yield from _read(state, f"window {k}", UNIT, np.exp(-0.5 * ((share - (k + 0.5) / 12.0) / 0.045) ** 2))
 
 
 def over_pose(state: State) -> Iterable[Column]:
@@ -79,7 +85,7 @@ def _products(state: State, values: Array, name: str, degree: int) -> Iterable[C
     for order in range(1, degree + 1):
         for combination in combinations_with_replacement(range(values.shape[1]), order):
             product = np.prod(values[:, combination], axis=1)
-            yield Column(f"{name} {combination}", UNIT / order, reading={"*": product})
+            yield from _read(state, f"{name} {combination}", UNIT / order, product)
 
 
 def over_travel(state: State) -> Iterable[Column]:
@@ -96,9 +102,9 @@ def over_phase(state: State) -> Iterable[Column]:
     sign = np.where(np.isfinite(state.direction), state.direction, 0.0)
     for k in range(1, 9):
         for name, wave in (("c", np.cos(k * state.phase)), ("s", np.sin(k * state.phase))):
-            yield Column(f"phase {name}{k}", UNIT, reading={"*": wave})
-            yield Column(f"phase {name}{k} direction", UNIT, reading={"*": wave * sign})
-    yield Column("direction", UNIT, reading={"*": sign})
+            yield from _read(state, f"phase {name}{k}", UNIT, wave)
+            yield from _read(state, f"phase {name}{k} direction", UNIT, wave * sign)
+    yield from _read(state, "direction", UNIT, sign)
 
 
 def over_sense(state: State) -> Iterable[Column]:
@@ -117,12 +123,12 @@ def over_load(state: State) -> Iterable[Column]:
     if np.ptp(load) == 0.0 and not load.any():
         return
     load = load / LOAD
-    yield Column("load", UNIT, reading={"*": load})
+    yield from _read(state, "load", UNIT, load)
     values = _coordinates(state) * load[:, None]
     yield from _products(state, values, "load", 1)
     for k in range(1, 5):
-        yield Column(f"load c{k}", UNIT, reading={"*": load * np.cos(k * state.phase)})
-        yield Column(f"load s{k}", UNIT, reading={"*": load * np.sin(k * state.phase)})
+        yield from _read(state, f"load c{k}", UNIT, load * np.cos(k * state.phase))
+        yield from _read(state, f"load s{k}", UNIT, load * np.sin(k * state.phase))
 
 
 def over_feed(state: State) -> Iterable[Column]:
@@ -132,11 +138,11 @@ def over_feed(state: State) -> Iterable[Column]:
         return
     sign = np.where(np.isfinite(state.direction), state.direction, 1.0)
     feed = (feed - FEED) / FEED
-    yield Column("feed", UNIT, reading={"*": feed})
+    yield from _read(state, "feed", UNIT, feed)
     for k in range(1, 5):
         for name, wave in (("c", np.cos(k * state.phase)), ("s", np.sin(k * state.phase))):
-            yield Column(f"feed {name}{k}", UNIT, reading={"*": feed * wave})
-            yield Column(f"feed {name}{k} direction", UNIT, reading={"*": feed * wave * sign})
+            yield from _read(state, f"feed {name}{k}", UNIT, feed * wave)
+            yield from _read(state, f"feed {name}{k} direction", UNIT, feed * wave * sign)
 
 
 def _process(name: str, about: str, columns: object) -> Effect:
