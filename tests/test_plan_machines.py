@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from oracles import planar_geometry as oracle
 
-from oed import predict
+from oed import predict, simulate
+from oed.identify import identify
 from oed.instrument import mount
 from oed.machine import Machine
 from oed.measurement import Measurement
-from oed.planning import campaign, search
+from oed.planning import campaign, refit, search
 from oed.planning import stage as staging
 from oed.planning.goal import Goal, goal_of
 from oed.planning.option import Option, option
@@ -141,15 +142,15 @@ def test_rm4_then_rm5_as_in_the_paper() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("home", [1e-3, 8e-3])
 def test_thirty_measurements_four_stages_eight_hours(home: float) -> None:
-    """Certified to 5 % within a minute."""
+    """Certified to 5 % within a minute of processor time."""
     machine = a3(home, 0.3e-3, 5e-3)
     some = bars(machine, 0.2e-3, TOOLS, BARS, around=18)[:28]
     options = [*some, tracker(machine, "rough", 50e-6, 600.0), tracker(machine, "fine", 10e-6, 2700.0)]
     assert len(options) == 30
     goal = accuracy(machine, OVER)
-    start = time.perf_counter()
+    start = time.process_time()
     found = search.plan(options, goal, 8 * 3600.0, np.random.default_rng(0), stages=4)
-    assert time.perf_counter() - start < 60.0
+    assert time.process_time() - start < 60.0
     assert found.loss <= 0.05
     assert found.bound.closed
 
@@ -185,13 +186,14 @@ def test_a_bar_alone_loses_what_is_predicted() -> None:
     one, two = bars(machine, 0.2e-3, (0.0,), (0.3,))[:2]
     rng, before, stages = np.random.default_rng(2), np.eye(24 - len(machine.frame)), []
     for made in (one, two):
-        stages.append(staging.told(made, np.arange(0, 48, 2), before, rng))
-        before = stages[-1].kinds
+        stages.append(staging.told(made, np.arange(0, 48, 2), before, rng, draws=1000))
+        before = stages[-1].known
     seen = campaign.carry_out(stages, OVER[::6], 40, np.random.default_rng(6))
     assert seen.stages[0].lost_predicted > 0.5
     assert seen.stages[0].lost == pytest.approx(seen.stages[0].lost_predicted, abs=0.08)
     assert seen.stages[1].lost == pytest.approx(seen.stages[1].lost_predicted, abs=0.15)
-    assert ((seen.stages[0].ratio > 0.7) & (seen.stages[0].ratio < 1.7)).all()
+    for done in seen.stages:
+        assert ((done.ratio > 0.65) & (done.ratio < 1.5)).all(), (done.name, done.ratio)
 
 
 def test_compensation_brings_the_bar_s_readings_back() -> None:
@@ -200,13 +202,41 @@ def test_compensation_brings_the_bar_s_readings_back() -> None:
     rough, bar = tracker(machine, "rough", 50e-6, 600.0), bars(machine, 0.2e-3, (0.0,), (0.3,))[0]
     rng = np.random.default_rng(2)
     first = staging.told(rough, np.arange(16), np.eye(24 - len(machine.frame)), rng)
-    stages = [first, staging.told(bar, np.arange(0, 48, 2), first.kinds, rng)]
+    stages = [first, staging.told(bar, np.arange(0, 48, 2), first.known, rng)]
     lost = [
         campaign.carry_out(stages, OVER[::12], 12, np.random.default_rng(6), compensated=c).stages[1].lost
         for c in (True, False)
     ]
     assert lost[0] < 0.02
     assert lost[1] > 0.5
+
+
+def test_machines_are_drawn_from_what_was_learned() -> None:
+    """The second stage alone, from the covariance that the first one left, is as accurate as both in a row."""
+    first, second = planar(1320.0).best.stages
+    over = np.array([[y, z] for y in (-1.5, -0.5, 0.5, 1.5) for z in (0.0, 0.7, 1.5)])
+    start = first.covariance
+    rng = np.random.default_rng(0)
+    told = staging.told(second.option, second.chosen, start, rng)
+    seen = campaign.carry_out([told], over, 60, np.random.default_rng(2), start=start).stages[0]
+    both = campaign.carry_out([first, second], over, 60, np.random.default_rng(2)).stages[1]
+    assert seen.predicted == pytest.approx(both.predicted, rel=1e-3)
+    assert ((seen.ratio > 0.75) & (seen.ratio < 1.3)).all(), seen.ratio
+    assert 0.88 < seen.held < 0.99
+    # drawn from the tolerances instead, the same stage alone is far worse
+    apart = campaign.carry_out([staging.told(second.option, second.chosen, np.eye(7), rng)], over, 5, rng).stages[0]
+    assert apart.predicted[0] > 5.0 * seen.predicted[0]
+
+
+def test_refits_are_the_fits_of_identify() -> None:
+    """Readings of drawn machines, fitted from nominal by either."""
+    option_ = planar(660.0).best.stages[0].option
+    m, rng = option_.measurement, np.random.default_rng(4)
+    for _ in range(3):
+        y = simulate.read(m, option_.series, simulate.draw(m, rng), rng)
+        one, other = refit.refit(m, option_.series, y, m.nominal), identify(m, option_.series, y)
+        assert (np.abs(one.theta - other.theta)[m.free] < 1e-3 * other.sd[m.free]).all()
+        assert np.sqrt(np.diag(one.covariance)) == pytest.approx(other.sd, rel=1e-3)
 
 
 def test_the_same_seed_gives_the_same_campaign() -> None:

@@ -98,6 +98,12 @@ def test_a_loss_is_never_rounded_down(loss: float, told: str) -> None:
     assert any(f"at most {told}\N{NO-BREAK SPACE}%" in text for text in texts)
 
 
+def test_a_large_loss_is_a_factor() -> None:
+    plan = report_fixture_plan.plan(wanted=False) | {"loss": 10.44}
+    texts = [b.text for b in campaign.blocks(_small(plan)) if b.kind == "paragraph"]
+    assert any("at most a factor of 11.5" in text for text in texts)
+
+
 @pytest.mark.parametrize("kind", ["absent", "null"])
 @pytest.mark.parametrize("name", [*sorted(Plan.__struct_fields__), "all"])
 def test_each_part_of_the_plan_may_be_missing(kind: str, name: str) -> None:

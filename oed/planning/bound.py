@@ -12,9 +12,13 @@ and with a supporting line of the criterion at any L, log phi(L') <= v + log <R 
     phi(T) <= exp(v) ( <R R^T, L0> + min over prices l >= 0 of  l (B - sum_T mounting_s)
                        + sum_(s in T) [ |G_s R|^2 + sum_(N_s largest i in s) max(0, |(x_i - z_i G_s) R|^2 - l c_i) ] ).
 
+A machine that is out of the travel of every reading of every option in T stays as it is, whatever is mounted first: it
+gives no reading, so that nothing is told, so that the next option can not follow it either. Their share bounds phi(T)
+from below, by drawn machines (`_never_read`).
+
 One line bounds all combinations at once. The one with the highest bound is solved exactly as a relaxation (all its
 readings' best weights within the time left), which draws a new line, tight there; until no combination can be better
-than wanted. Travel only takes readings away, and what linearisation cuts off is left out: both raise the bound.
+than wanted. Other losses of readings, and what linearisation cuts off, only make plans worse and are left out.
 """
 
 from __future__ import annotations
@@ -33,7 +37,7 @@ from oed.design.certificate import SAFE
 from oed.design.criterion import Criterion
 from oed.planning.goal import Goal
 from oed.planning.option import Option
-from oed.planning.stage import available_at_most
+from oed.planning.travel import available_at_most, own_columns, within
 
 #: combinations that are bounded one by one; beyond, only the best ones of each line are
 COMBINATIONS = 200_000
@@ -41,6 +45,8 @@ COMBINATIONS = 200_000
 PRICES = np.append(0.0, np.geomspace(1e-5, 1.0, 40))
 #: combinations that are told as hopeful
 HOPEFUL = 4
+#: machines drawn to tell which no reading can follow
+MACHINES = 4000
 #: gap in log phi of a combination's relaxation
 TOLERANCE = 3e-3
 #: relaxations in which the prices of a reading are settled that keep each option's number, and what they may miss it by
@@ -76,7 +82,7 @@ def bound(
         return Bounded(np.inf, 0, True)
     target = -2.0 * math.log(known) + 2.0 * math.log1p(loss)
     problem = _Problem(parts, mounting, goal, held, budget)
-    above = np.full(len(combinations), np.inf)
+    above = -2.0 * np.log(_never_read(options, goal, held, combinations))
     relaxed: dict[int, dict[int, float]] = {}
     drawn = 0
     while drawn < lines:
@@ -95,6 +101,30 @@ def bound(
     better = [k for k in relaxed if above[k] > -2.0 * math.log(known)]
     hopeful = tuple(relaxed[k] for k in sorted(better, key=lambda k: -above[k])[:HOPEFUL])
     return Bounded(math.exp(-0.5 * highest), drawn, highest <= target, hopeful)
+
+
+def _never_read(options: Sequence[Option], goal: Goal, held: Array, combinations: Index) -> Array:
+    """Goal value (T,) at the least, by the machines that no reading of a combination can follow; 0 where all can.
+
+    Estimated from drawn machines and lowered by four of its standard errors.
+    """
+    rng, n = np.random.default_rng(19), len(held)
+    errors = rng.standard_normal((MACHINES, n)) @ np.linalg.cholesky(np.linalg.inv(held)).T
+    out = np.zeros((len(options) + 1, MACHINES), dtype=bool)
+    out[-1] = True  # stands for no option
+    for k, o in enumerate(options):
+        if o.travel is not None:
+            own = rng.standard_normal((MACHINES, own_columns(o)))
+            out[k] = ~within(o, np.arange(len(o.candidates)), errors, own).any(axis=1)
+    squares = np.stack([np.sum((errors @ f.T) ** 2, axis=1) for f in goal.factors], axis=1)
+    least = np.zeros(len(combinations))
+    for part in np.array_split(np.arange(len(combinations)), max(len(combinations) // 1000, 1)):
+        left = out[combinations[part]].all(axis=1).astype(float)
+        mean = left @ squares / MACHINES
+        error = np.sqrt(np.maximum(left @ squares**2 / MACHINES - mean**2, 0.0) / MACHINES)
+        told = np.sqrt(np.maximum(mean - 4.0 * error, 0.0))
+        least[part] = told.max(axis=1) if goal.wanted else np.sqrt(np.mean(told**2, axis=1))
+    return np.maximum(least, 1e-300)
 
 
 def _combinations(mounting: Array, budget: float, most: int) -> Index:

@@ -23,14 +23,17 @@ from oed import compensate, predict, simulate
 from oed.batch import Array
 from oed.compensate import NO_TOOL, ErrorModel
 from oed.design.blocks import Index
-from oed.identify import identify
 from oed.instrument import Setup
 from oed.kinematics import Kinematics
 from oed.measurement import Measurement, Series
+from oed.planning.known import roots
+from oed.planning.refit import refit
 from oed.planning.stage import Stage
 
 #: standard deviations to either side of a 95 % interval
 SIDES = 1.959964
+#: share of a component's widest interval below which one is not looked at
+STILL = 1e-6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -76,18 +79,21 @@ def carry_out(
     *,
     reference: predict.Reference = "home",
     compensated: bool = True,
+    start: Array | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Campaign:
     """Virtual machines through the stages, looked at over workspace commands (n, n_dof), SI.
 
     compensated  whether the controller is told what was identified after each stage; else it stays nominal, and so do
                  the values expected of an instrument with travel
+    start        (n, n) covariance of the machine's free parameters before, in units of their tolerances; those alone
+                 where it is not told. Machines are drawn from it about the nominal one
 
     Raises ValueError where there is no stage or no machine, IdentificationError where a fit does not converge.
     """
     if not stages or machines < 1:
         raise ValueError(f"{len(stages)} stages and {machines} machines: at least one of each is needed")
-    work = _Work(_steps(stages), _Workspace.of(stages[0].option.measurement, command, reference), compensated)
+    work = _Work(_steps(stages), _Workspace.of(stages[0].option.measurement, command, reference), compensated, start)
     looked = []
     for k in range(machines):
         looked.append(work.machine(rng))
@@ -172,9 +178,10 @@ class _Workspace:
         """What is left, and whether the intervals of a covariance (np, np), SI, hold it."""
         errors = self.errors(controller, believed, truth)
         half = SIDES * np.sqrt(self.variance(covariance))
-        moved, free = half.max(axis=0) > 0.0, self.tolerance > 0.0
+        # what hardly moves, as at home itself, has an interval and an error of rounding
+        moved, free = half > STILL * half.max(axis=0), self.tolerance > 0.0
         held = np.abs(truth - believed)[free] <= SIDES * np.sqrt(np.diag(covariance))[free]
-        poses = (np.abs(errors) <= half)[:, moved]
+        poses = (np.abs(errors) <= half)[moved]
         return _Looked(np.mean(errors**2, axis=0), lost, float(held.mean()), float(poses.mean()))
 
 
@@ -263,10 +270,36 @@ class _Work:
     steps: tuple[_Step, ...]
     space: _Workspace
     compensated: bool
+    start: Array | None
+
+    def root(self, measurement: Measurement) -> Array | None:
+        """R (free, free) with R R^T what is known of machine and set-ups before; None for the tolerances alone."""
+        if self.start is None:
+            return None
+        made, n = np.eye(int(measurement.free.sum())), len(self.start)
+        made[:n, :n] = roots(self.start[None])[0]
+        return made
+
+    def drawn(self, measurement: Measurement, rng: np.random.Generator) -> Array:
+        """True parameters (n,) of a machine and of all set-ups."""
+        truth, root = simulate.draw(measurement, rng), self.root(measurement)
+        if root is not None:
+            free, nominal, tolerance = measurement.free, measurement.nominal, measurement.tolerance
+            truth[free] = nominal[free] + tolerance[free] * (root @ ((truth - nominal)[free] / tolerance[free]))
+        return truth
+
+    def before(self, measurement: Measurement) -> Array:
+        """Covariance (n, n) before, SI."""
+        root, free = self.root(measurement), measurement.free
+        made = np.diag(measurement.tolerance**2)
+        if root is not None:
+            scaled = measurement.tolerance[free, None] * root
+            made[np.ix_(free, free)] = scaled @ scaled.T
+        return made
 
     def machine(self, rng: np.random.Generator) -> list[_Looked]:
         """One virtual machine through all stages."""
-        truth = simulate.draw(self.steps[-1].measurement, rng)
+        truth = self.drawn(self.steps[-1].measurement, rng)
         keep = len(self.space.tolerance)
         nominal = theta = self.space.kinematics.machine.nominal
         series: tuple[Series, ...] = ()
@@ -280,9 +313,9 @@ class _Work:
             controller = believed[:keep] if self.compensated else None
             taken = step.taken(truth[: len(believed)], expected, controller, rng)
             series, y = series + taken.series, [*y, taken.y]
-            theta, covariance = believed, np.diag(measurement.tolerance**2)
+            theta, covariance = believed, self.before(measurement)
             if series:
-                found = identify(measurement, series, np.concatenate(y), start=believed)
+                found = refit(measurement, series, np.concatenate(y), believed, self.root(measurement))
                 theta, covariance = found.theta, found.covariance
             sends = theta[:keep] if self.compensated else nominal
             looked.append(self.space.look(sends, theta[:keep], truth[:keep], covariance[:keep, :keep], taken.lost))

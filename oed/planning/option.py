@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -49,6 +50,17 @@ class Option:
     def machine_columns(self) -> int:
         """Columns of the blocks that are the machine's parameters; the others are the option's own unknowns."""
         return int(self.measurement.free[: len(self.measurement.machine.parameters)].sum())
+
+    @cached_property
+    def first_channels(self) -> Array:
+        """Slopes (readings, free) of every reading's first channel, SI over tolerances: what the travel is about."""
+        measurement, places, start = self.measurement, [], 0
+        for s in self.series:
+            channels = len(measurement.setups[s.setup].sigma)
+            places.append(start + channels * np.arange(len(s)))
+            start += channels * len(s)
+        rows = measurement.jacobian(self.series, measurement.nominal) * measurement.tolerance
+        return np.asarray(rows[np.concatenate(places)][:, measurement.free])
 
     @property
     def series(self) -> tuple[Series, ...]:

@@ -21,7 +21,9 @@ from oed.design.blocks import Index
 from oed.design.criterion.protocol import inverse
 from oed.planning import bound as bounding
 from oed.planning import stage as staging
+from oed.planning import travel
 from oed.planning.goal import Goal
+from oed.planning.known import Known, known
 from oed.planning.option import Option
 from oed.planning.stage import Stage
 
@@ -32,9 +34,11 @@ STEP = 0.25
 #: value up to which a plan at a first look may reach the wanted accuracy when worked out
 NEAR = 1.1
 #: times that time is moved at the most
-ROUNDS = 6
+ROUNDS = 8
 #: relative gain below which a change counts as none
 GAIN = 1e-3
+#: values that differ by less are alike, as drawn machines tell them; then the plan that is so many times as bent counts
+ALIKE, STRAIGHTER = 3e-3, 0.9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,6 +59,12 @@ class Plan:
     def price(self) -> float:
         """Money, besides time."""
         return float(sum(s.option.price for s in self.stages))
+
+    @property
+    def bent(self) -> float:
+        """Most that linearisation cuts off of any reading after its stage, in units of its noise."""
+        shares = [s.cut_off / s.option.measurement.sigma(s.series) for s in self.stages if s.cut_off.size]
+        return max((float(share.max()) for share in shares), default=0.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,11 +120,11 @@ def plan(
         raise ValueError(
             f"the budget of {budget / 60:.1f} min pays for no measurement: the least is {cheapest / 60:.1f} min"
         )
-    exact = search.exactly(found, start)
+    exact = [search.checked(p, start) for p in search.exactly(found, start)]
     known = min(p.value for p in exact)
     told = bounding.bound(options, goal, inverse(start), budget, stages, known, loss)
-    exact = [search.checked(p, start) for p in exact + search.tried(told.hopeful, start)]
-    most_accurate = min(exact, key=lambda p: p.value)
+    exact += [search.checked(p, start) for p in search.tried(told.hopeful, start)]
+    most_accurate = _best(exact)
     told = dataclasses.replace(told, closed=most_accurate.value <= told.value * (1.0 + loss) * (1.0 + 1e-9))
     front = _front([search.empty(start), *search.seen.values(), *exact])
     best, reached = most_accurate, True
@@ -173,12 +183,12 @@ class _Search:
     def _children(self, parent: Plan, start: Array) -> list[Plan]:
         left = self.budget - parent.seconds
         done = set(parent.names)
-        before = parent.stages[-1].kinds if parent.stages else start
+        before = parent.stages[-1].known if parent.stages else start
         children = []
         for option in self.options:
             if option.name in done:
                 continue
-            chances = staging.available(option, before)
+            chances = travel.available(option, before)
             for count in self._counts(option, left):
                 children.append(self._with(parent, option, count, before, chances, left - option.mounting))
         return children
@@ -192,14 +202,18 @@ class _Search:
         return sorted({*wanted, full}) if full >= option.counts[0] else []
 
     def _with(
-        self, parent: Plan, option: Option, count: int, before: Array, chances: Array, left: float = np.inf
+        self, parent: Plan, option: Option, count: int, before: Array | Known, chances: Array, left: float = np.inf
     ) -> Plan:
         """A further stage of at most `left` seconds for its readings, at a first look."""
-        criterion = self.goal.criterion(option.candidates.blocks.shape[2] - before.shape[-1])
-        held = inverse(staging.mean(before))
+        criterion = self.goal.criterion(self._more(option))
+        held = inverse(known(before).square)
         chosen = staging.choose(option, count, held, criterion, chances, 0, left)
         stage = staging.told(option, chosen, before, self.rng, exact=False)
         return self._grown(parent, stage)
+
+    def _more(self, option: Option) -> int:
+        """Unknowns of an option beside the machine's."""
+        return int(option.candidates.blocks.shape[2] - self.goal.factors.shape[2])
 
     def _grown(self, parent: Plan, stage: Stage) -> Plan:
         return Plan(
@@ -223,14 +237,12 @@ class _Search:
         return told
 
     def checked(self, plan: Plan, start: Array) -> Plan:
-        """A plan that may lose readings, told by many other machines than it was chosen for."""
-        if not any(len(s.kinds) > 1 for s in plan.stages):
-            return plan
-        made, before = self.empty(start), start
+        """A plan told by many other machines than it was chosen for."""
+        made, before = self.empty(start), known(start)
         for k, s in enumerate(plan.stages):
             rng = np.random.default_rng([18, k])
-            made = self._grown(made, staging.told(s.option, s.chosen, before, rng, draws=staging.MANY))
-            before = made.stages[-1].kinds
+            made = self._grown(made, staging.told(s.option, s.chosen, before, rng, draws=travel.MANY))
+            before = made.stages[-1].known
         return made
 
     def tried(self, hopeful: Sequence[dict[int, float]], start: Array) -> list[Plan]:
@@ -253,11 +265,12 @@ class _Search:
 
     def _ordered(self, steps: Sequence[tuple[Option, int]], start: Array) -> list[tuple[Option, int]]:
         """Next always the measurement that is the least likely to lose its readings."""
-        rest, ordered, before = list(steps), list[tuple[Option, int]](), start
+        rest, ordered = list(steps), list[tuple[Option, int]]()
+        before: Array | Known = start
         while rest:
-            chances = [float(staging.available(o, before).mean()) for o, _ in rest]
+            chances = [float(travel.available(o, before).mean()) for o, _ in rest]
             ordered.append(rest.pop(int(np.argmax(np.round(chances, 3)))))
-            before = self._worked(ordered, start).stages[-1].kinds
+            before = self._worked(ordered, start).stages[-1].known
         return ordered
 
     def cheaper(self, exact: Sequence[Plan], start: Array) -> list[Plan]:
@@ -294,18 +307,18 @@ class _Search:
         Each stage's readings are chosen with what is known before it, and with what the later stages will add in a plan
         `like` this one, where there is one.
         """
-        made, before = self.empty(start), start
+        made, before = self.empty(start), known(start)
         for k, (option, count) in enumerate(steps):
-            criterion = self.goal.criterion(option.candidates.blocks.shape[2] - before.shape[-1])
-            held = inverse(staging.mean(before))
-            if like is not None:
-                held = held + sum(s.information for s in like.stages[k + 1 :])
-            chances = staging.available(option, before)
-            left = self._left(made.seconds, steps[k:], like.stages[k + 1 :] if like else ())
+            criterion = self.goal.criterion(self._more(option))
+            held = inverse(known(before).square)
+            later = _of(like, steps[k + 1 :])
+            held = held + sum((s.information for s in later), np.zeros_like(held))
+            chances = travel.available(option, before)
+            left = self._left(made.seconds, steps[k:], later)
             chosen = staging.choose(option, count, held, criterion, chances, 3, left)
             # the same machines are drawn whatever was tried before, so that two plans differ by their readings alone
             stage = staging.told(option, chosen, before, np.random.default_rng([17, k]))
-            before = stage.kinds
+            before = stage.known
             made = self._grown(made, stage)
         return made
 
@@ -326,7 +339,7 @@ class _Search:
         for _ in range(ROUNDS):
             steps = [(s.option, len(s.chosen)) for s in best.stages]
             made = (self._worked(trial, start, best) for trial in [steps, *self._moves(steps)])
-            better = next((m for m in made if m.value < best.value * (1 - GAIN)), None)
+            better = next((m for m in made if _better(m, best)), None)
             if better is None:
                 break
             best = better
@@ -334,7 +347,7 @@ class _Search:
 
     def _moves(self, steps: list[tuple[Option, int]]) -> list[list[tuple[Option, int]]]:
         """All stages filled up with the time left, then fewer readings in one and as many more in others as that
-        pays for."""
+        pays for, then neighbours in the other order."""
         count = range(len(steps))
         filled = [self._filled(steps, last) for last in count]
         trials = []
@@ -344,6 +357,7 @@ class _Search:
             if less < number:
                 lowered = [*steps[:give], (option, less), *steps[give + 1 :]]
                 trials += [self._filled(lowered, give, first) for first in count if first != give]
+        trials += [[*steps[:k], steps[k + 1], steps[k], *steps[k + 2 :]] for k in count[:-1]]
         return [t for k, t in enumerate(filled + trials) if t != steps and t not in (filled + trials)[:k]]
 
     def _filled(self, steps: list[tuple[Option, int]], last: int, first: int = 0) -> list[tuple[Option, int]]:
@@ -358,14 +372,34 @@ class _Search:
 
     def next_gain(self, best: Plan, start: Array) -> tuple[str, float] | None:
         """The option whose further stage would gain most, and its relative gain."""
-        before = best.stages[-1].kinds if best.stages else start
+        before = best.stages[-1].known if best.stages else start
         gains = []
         for option in self.options:
             if option.name in best.names:
                 continue
-            grown = self._with(best, option, option.counts[-1], before, staging.available(option, before))
+            grown = self._with(best, option, option.counts[-1], before, travel.available(option, before))
             gains.append((option.name, 1.0 - grown.value / best.value))
         return max(gains, key=lambda g: g[1], default=None)
+
+
+def _better(one: Plan, other: Plan) -> bool:
+    """Whether one plan is more accurate, or as accurate with the straighter readings: rough before fine."""
+    alike = abs(one.value - other.value) < ALIKE * other.value
+    if alike and min(one.bent, other.bent) < STRAIGHTER * max(one.bent, other.bent):
+        return one.bent < other.bent
+    return one.value < other.value * (1 - GAIN)
+
+
+def _best(plans: Sequence[Plan]) -> Plan:
+    """The most accurate plan; of those that are alike, the one of the straightest readings."""
+    least = min(p.value for p in plans)
+    return min((p for p in plans if p.value <= least * (1 + ALIKE)), key=lambda p: p.bent)
+
+
+def _of(like: Plan | None, steps: Sequence[tuple[Option, int]]) -> list[Stage]:
+    """The stages of a like plan that measure what these steps do, in their order; none where it has not all of them."""
+    there = {} if like is None else {s.option.name: s for s in like.stages}
+    return [there[o.name] for o, _ in steps] if all(o.name in there for o, _ in steps) else []
 
 
 def _time(option: Option, count: int) -> float:

@@ -1,16 +1,17 @@
 """What a stage tells: readings chosen, taken as far as the instrument follows, identified, compensated.
 
-Before a stage the machine's parameters have covariance S (in tolerance units). A reading y_i = h_i d + e_i of a machine
-with error d ~ N(0, S) and a set-up with unknowns s ~ N(0, 1) is lost where |h_i d| is beyond the instrument's travel.
-Those that are taken add information; the set-up's own unknowns are profiled out,
+Before a stage the machine's parameters have covariance S (in tolerance units). Readings that can be taken (`travel`)
+add information; the set-up's own unknowns are profiled out,
 
     L' = L + M_mm - M_ms (1 + M_ss)^-1 M_sm.
 
-A machine that is far off loses nearly all readings, and will lose those of the next stage as well. So machines are
-drawn, each keeps its own covariance (a kind), and S is their mean.
+A machine that is far off loses nearly all readings, and will lose those of the next stage as well. So where readings
+may be lost machines are drawn, and each is carried on with its own covariance and its own error (`known`). With d and s
+the errors of machine and set-up before, S_j the joint covariance after, the readings' noise e leaves the error
 
-What linearisation cuts off is estimated from the exact model: with errors d' ~ N(0, S') left after the stage,
-r_i = y_i(d') - y_i(0) - h_i d' has a root mean square c_i, which the stage's readings carry beside their noise.
+    d' = S_j ( diag(S^-1, 1) (d, s) - H^T e ).
+
+What linearisation cuts off is estimated from the exact model, and profiled out as well (`cut_off`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.special import erf
+from numpy.typing import NDArray
 
 from oed.batch import Array
 from oed.design.blocks import Index
@@ -27,17 +28,20 @@ from oed.design.criterion.protocol import inverse
 from oed.design.judge import Single
 from oed.design.rules import Rules
 from oed.design.search import climb, greedy
-from oed.measurement import Measurement, Series
+from oed.measurement import Series
+from oed.planning import cut_off as cutting
+from oed.planning import travel
+from oed.planning.known import Known, known, roots
 from oed.planning.option import Option
 
-#: machines drawn to tell which readings are lost, and what linearisation cuts off
+#: machines drawn to tell which readings are lost
 DRAWS = 48
 #: machines drawn for a first look
 ROUGH = 12
+#: machines drawn to tell what linearisation cuts off, at the most; for each pattern of lost readings, at the least
+CUT, CUT_LEAST = 96, 3
 #: chance of being read beyond which no machines are drawn
 CERTAIN = 0.999
-#: machines drawn to tell how often a whole run can be read
-MANY = 1000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,8 +52,7 @@ class Stage:
     seconds     time for mounting and reading
     available   (N,) probability that each chosen candidate can be read at all
     cut_off     (readings,) root mean square, SI, of what linearisation cuts off after the stage
-    kinds       (P, n, n) covariances of the machine's parameters after it, in tolerance units, all equally likely: one
-                where no reading is lost
+    known       of the machine after it
     information (n, n) that it adds
     """
 
@@ -58,77 +61,18 @@ class Stage:
     seconds: float
     available: Array
     cut_off: Array
-    kinds: Array
+    known: Known
     information: Array
 
     @property
     def covariance(self) -> Array:
-        """Covariance (n, n) of the machine's parameters after it, in tolerance units."""
-        return mean(self.kinds)
+        """Mean square errors (n, n) of the machine's parameters after it, in tolerance units."""
+        return self.known.square
 
     @property
     def series(self) -> tuple[Series, ...]:
         """The readings to take."""
         return self.option.taken(self.chosen)
-
-
-def available(option: Option, covariance: Array) -> Array:
-    """Probability (C,) that a machine with covariance (n, n), or kinds (P, n, n), can be read at each candidate.
-
-    Readings of one run are lost together; how often, is told by drawn machines.
-    """
-    if option.travel is None:
-        return np.ones(len(option.candidates))
-    first, count = option.candidates.members.T
-    if (count == 1).all():
-        return np.asarray(_singly(option, covariance)[first])
-    everyone = np.arange(len(option.candidates))
-    each = max(MANY // len(_kinds(covariance)), 1)
-    return np.asarray(_within(option, everyone, covariance, np.random.default_rng(0), each).mean(axis=0))
-
-
-def available_at_most(option: Option, covariance: Array) -> Array:
-    """A bound (C,) of the same from above: a run is no more likely to be read than the farthest of its readings."""
-    if option.travel is None:
-        return np.ones(len(option.candidates))
-    single = _singly(option, covariance)
-    return np.array([single[first : first + count].min() for first, count in option.candidates.members])
-
-
-def _singly(option: Option, covariance: Array) -> Array:
-    """Probability (readings,) that each reading by itself is within the travel, by machine and set-up."""
-    assert option.travel is not None
-    rows, n = _rows(option), option.machine_columns
-    own = np.sum(rows[:, n:] ** 2, axis=1)
-    by_machine = np.einsum("in,pnm,im->pi", rows[:, :n], _kinds(covariance), rows[:, :n], optimize=True)
-    deviation = np.sqrt(np.maximum(own + by_machine, 1e-300))
-    return np.asarray(erf(option.travel / deviation / np.sqrt(2.0)).mean(axis=0))
-
-
-def _kinds(covariance: Array) -> Array:
-    """(P, n, n) of a covariance (n, n), or of kinds."""
-    return covariance[None] if covariance.ndim == 2 else covariance
-
-
-def mean(covariance: Array) -> Array:
-    """Covariance (n, n) over all kinds (P, n, n)."""
-    return np.asarray(_kinds(covariance).mean(axis=0))
-
-
-def _rows(option: Option) -> Array:
-    """First channel of each reading (readings, free), SI over tolerances."""
-    measurement = option.measurement
-    rows = (measurement.jacobian(option.series, measurement.nominal) * measurement.tolerance)[:, measurement.free]
-    return np.asarray(rows[_first_channels(measurement, option.series)])
-
-
-def _first_channels(measurement: Measurement, series: tuple[Series, ...]) -> Index:
-    rows, start = [], 0
-    for s in series:
-        channels = len(measurement.setups[s.setup].sigma)
-        rows.append(start + channels * np.arange(len(s)))
-        start += channels * len(s)
-    return np.concatenate(rows)
 
 
 def choose(
@@ -172,38 +116,110 @@ def _cheapest(time: Array, count: int, seconds: float) -> Index:
 
 
 def told(
-    option: Option, chosen: Index, covariance: Array, rng: np.random.Generator, exact: bool = True, draws: int = DRAWS
+    option: Option,
+    chosen: Index,
+    before: Array | Known,
+    rng: np.random.Generator,
+    exact: bool = True,
+    draws: int | None = None,
 ) -> Stage:
-    """The stage that reads the chosen candidates of a machine with covariance (n, n), or kinds (P, n, n).
+    """The stage that reads the chosen candidates of a machine of which `before` is known, or a covariance (n, n).
 
-    `exact` = False draws few machines, and takes no cut-off; else so many are drawn where readings may be lost.
+    `exact` = False draws few machines, and takes no cut-off; else `draws` where readings may be lost, and half as many
+    to tell what is cut off.
     """
     chosen = np.sort(chosen)  # the order of their readings
-    kinds = _kinds(covariance)
-    held = np.asarray(np.linalg.inv(kinds), dtype=float)
-    chances = available(option, covariance)[chosen]
+    state = known(before)
+    chances = travel.available(option, state)[chosen]
+    draws = (draws or DRAWS) if exact else ROUGH
+    machines = _machines(option, chosen, state, chances, draws, rng)
     blocks, cut = option.candidates.blocks[chosen], np.zeros(0)
-    shares = np.ones((1, len(chosen)))
-    if option.travel is not None and chances.min() < CERTAIN:
-        each = max((draws if exact else ROUGH) // len(kinds), 1)
-        shares = _within(option, chosen, kinds, rng, each).astype(float)
-        held = np.repeat(held, each, axis=0)
-    left = _left(blocks, held, shares)
+    rows, owner = blocks.reshape(-1, blocks.shape[2]), np.repeat(np.arange(len(chosen)), blocks.shape[1])
+    gained = np.array([_gram(rows[p[owner] > 0.0]) for p in machines.patterns])
     if exact:
-        cut = cut_off(option, chosen, left, rng, shares)
-        left = _left(_blurred(option, chosen, blocks, cut), held, shares)
+        left = machines.left(gained)
+        each = max(min(draws // 2, CUT) // len(machines.patterns), CUT_LEAST)
+        found = cutting.cut_off(option, chosen, left, machines.patterns, machines.which, each, rng)
+        cut = found.rms
+        if found.columns is not None:
+            gained = _disturbed(option, chosen, machines.patterns, found.columns, np.isfinite(cut))
+    after = machines.after(gained, rng)
     seconds = option.mounting + float(option.seconds[chosen].sum())
-    added = inverse(left.mean(axis=0)) - inverse(kinds.mean(axis=0))
-    return Stage(option, chosen, seconds, chances, cut, left, added)
+    added = inverse(after.square) - inverse(state.square)
+    return Stage(option, chosen, seconds, chances, cut, after, added)
 
 
-def _left(blocks: Array, held: Array, shares: Array) -> Array:
-    """Covariances (P, n, n) after blocks are read, from information (P, n, n) before and shares (P or 1, N) read."""
-    n = held.shape[1]
-    patterns, which = np.unique(shares, axis=0, return_inverse=True)
-    gained = np.array([information(blocks, p, n) for p in patterns])[which.ravel()]
-    left = np.linalg.inv(held + gained)
-    return np.asarray(0.5 * (left + np.swapaxes(left, 1, 2)))
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Machines:
+    """Machines before a stage: kinds (P, n, n), errors (P, n) with those of the set-up `own` (P, s), and losses.
+
+    patterns (G, N) of candidates taken;  which (P,) of them each machine follows
+    """
+
+    kinds: Array
+    errors: Array | None
+    own: Array
+    lost: NDArray[np.bool_]
+    patterns: Array
+    which: Index
+
+    def prior(self, wide: int) -> Array:
+        """Information (P, wide, wide) about parameters, and 1 about each other unknown."""
+        n = self.kinds.shape[1]
+        made = np.tile(np.eye(wide), (len(self.kinds), 1, 1))
+        made[:, :n, :n] = np.linalg.inv(self.kinds)
+        return made
+
+    def left(self, gained: Array) -> Array:
+        """Covariances (P, w, w) of all unknowns after information (G, w, w) of each pattern."""
+        joint = np.linalg.inv(self.prior(gained.shape[1]) + gained[self.which])
+        return np.asarray(0.5 * (joint + np.swapaxes(joint, 1, 2)))
+
+    def after(self, gained: Array, rng: np.random.Generator) -> Known:
+        """What is known after information (G, w, w) of each pattern."""
+        n, wide, joint = self.kinds.shape[1], gained.shape[1], self.left(gained)
+        kinds = joint[:, :n, :n]
+        if self.errors is None:
+            return Known(kinds, None, self.lost, np.asarray(kinds.mean(axis=0)))
+        others = rng.standard_normal((len(kinds), wide - n))
+        others[:, : self.own.shape[1]] = self.own
+        before = np.einsum("pnm,pm->pn", self.prior(wide), np.hstack([self.errors, others]))
+        read = np.einsum("pnm,pm->pn", roots(gained)[self.which], rng.standard_normal((len(kinds), wide)))
+        errors = np.einsum("pnm,pm->pn", joint[:, :n], before - read)
+        # the mean over the noise, for a machine that has lost readings; one that has not is as its covariance says
+        far = np.einsum("pnm,pm->pn", joint[:, :n], before)
+        noise = joint[:, :n] @ gained[self.which] @ np.swapaxes(joint[:, :n], 1, 2)
+        square = np.where(self.lost[:, None, None], noise + far[:, :, None] * far[:, None], kinds)
+        return Known(kinds, errors, self.lost, np.asarray(square.mean(axis=0)))
+
+
+def _machines(
+    option: Option, chosen: Index, state: Known, chances: Array, draws: int, rng: np.random.Generator
+) -> _Machines:
+    """Those that are known, or, where readings may be lost, so many drawn from them."""
+    extra = option.candidates.blocks.shape[2] - state.columns
+    if option.travel is None or chances.min() >= CERTAIN:
+        own = rng.standard_normal((len(state.kinds) if state.errors is not None else 0, extra))
+        which = np.zeros(len(state.kinds), dtype=np.intp)
+        return _Machines(state.kinds, state.errors, own, state.lost, np.ones((1, len(chosen))), which)
+    kinds, errors, lost = state.drawn(max(draws // len(state.kinds), 1), rng)
+    own = rng.standard_normal((len(kinds), extra))
+    taken = travel.within(option, chosen, errors, own[:, : travel.own_columns(option)])
+    patterns, which = np.unique(taken, axis=0, return_inverse=True)
+    return _Machines(kinds, errors, own, lost | ~taken.all(axis=1), patterns.astype(float), which.ravel())
+
+
+def _disturbed(option: Option, chosen: Index, patterns: Array, columns: Array, reached: Array) -> Array:
+    """Information (G, w + m, w + m) of each pattern with columns (G, readings, m) of what is cut off; readings that no
+    machine reaches tell nothing."""
+    rows = cutting.rows(option, chosen)
+    owner = np.repeat(np.arange(len(chosen)), cutting.sizes(option, chosen))
+    wide = [np.hstack([rows, c])[(p[owner] > 0.0) & reached] for p, c in zip(patterns, columns, strict=True)]
+    return np.array([_gram(w) for w in wide])
+
+
+def _gram(rows: Array) -> Array:
+    return np.asarray(rows.T @ rows)
 
 
 def information(blocks: Array, shares: Array, columns: int) -> Array:
@@ -215,67 +231,3 @@ def information(blocks: Array, shares: Array, columns: int) -> Array:
     own = m[columns:, columns:] + np.eye(blocks.shape[2] - columns)
     side = m[columns:, :columns]
     return np.asarray(m[:columns, :columns] - side.T @ np.linalg.solve(own, side))
-
-
-def _within(option: Option, chosen: Index, covariance: Array, rng: np.random.Generator, each: int) -> Array:
-    """Which chosen candidates drawn machines can read (P each, N), all their readings being within the travel: `each`
-    machines of every kind, one kind after the other."""
-    assert option.travel is not None
-    n = option.machine_columns
-    roots = _roots(np.repeat(_kinds(covariance), each, axis=0))
-    errors = rng.standard_normal((len(roots), int(option.measurement.free.sum())))
-    errors[:, :n] = np.einsum("pnm,pm->pn", roots, errors[:, :n])
-    off = np.abs(errors @ _rows(option).T) <= option.travel
-    first, count = option.candidates.members[chosen].T
-    # the last column is only an end that `reduceat` may name
-    padded = np.hstack([off, np.ones((len(off), 1), dtype=bool)])
-    return np.asarray(np.logical_and.reduceat(padded, np.column_stack([first, first + count]).ravel(), axis=1)[:, ::2])
-
-
-def _roots(covariances: Array) -> Array:
-    """R (P, n, n) with R R^T = covariances, positive semidefinite up to rounding."""
-    values, vectors = np.linalg.eigh(covariances)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
-
-
-def cut_off(option: Option, chosen: Index, covariance: Array, rng: np.random.Generator, shares: Array) -> Array:
-    """Root mean square (readings,), SI, of exact readings less their linearisation, for machines drawn from the
-    covariance (n, n), or kinds (P, n, n), around the nominal one.
-
-    shares (P or 1, N): machines that do not read a candidate do not count for it, nor those that cannot reach its pose;
-    inf where none can.
-    """
-    measurement, n = option.measurement, option.machine_columns
-    series = option.taken(chosen)
-    free = np.flatnonzero(measurement.free)
-    scale = measurement.tolerance[free]
-    kinds = _kinds(covariance)
-    each = max(DRAWS // 2 // len(kinds), 1)
-    roots = _roots(np.repeat(kinds, each, axis=0))
-    errors = np.zeros((len(roots), len(measurement.nominal)))
-    errors[:, free[:n]] = np.einsum("pnm,pm->pn", roots, rng.standard_normal((len(roots), n))) * scale[:n]
-    exact = measurement.try_readings(series, measurement.nominal + errors)
-    linear = errors @ measurement.jacobian(series, measurement.nominal).T
-    miss = exact - measurement.readings(series, measurement.nominal) - linear
-    read = np.repeat(shares, _sizes(option, chosen), axis=1) > 0.0
-    read = np.repeat(read, each, axis=0) if len(read) > 1 else read
-    reached = np.isfinite(miss) & read
-    mean = np.sum(np.where(reached, miss, 0.0) ** 2, axis=0) / np.maximum(reached.sum(axis=0), 1)
-    hopeless = (~np.isfinite(miss)).all(axis=0)
-    return np.asarray(np.where(hopeless, np.inf, np.sqrt(mean)))
-
-
-def _sizes(option: Option, chosen: Index) -> Index:
-    """Numbers, with all channels, that each chosen candidate (N,) reads."""
-    candidates = option.candidates
-    channels = np.array([len(option.measurement.setups[name].sigma) for name in candidates.setups])
-    return np.asarray(candidates.members[chosen, 1] * channels[candidates.setup[chosen]])
-
-
-def _blurred(option: Option, chosen: Index, blocks: Array, cut: Array) -> Array:
-    """Blocks (N, k, n) with the readings' noise raised by the cut-off, by the mean over each candidate's readings."""
-    sigma = option.measurement.sigma(option.taken(chosen))
-    ratio = 1.0 + (cut / sigma) ** 2
-    rows = _sizes(option, chosen)
-    factor = np.add.reduceat(ratio, np.cumsum(rows) - rows) / rows
-    return np.asarray(blocks / np.sqrt(factor)[:, None, None])

@@ -7,6 +7,7 @@ from kernel import plan_catalogues as catalogues
 from oed.planning import bound as bounding
 from oed.planning import stage as staging
 from oed.planning.goal import Goal
+from oed.planning.known import Known, known
 from oed.planning.option import Option
 
 
@@ -79,11 +80,11 @@ def test_readings_lost_to_the_setup_itself_stay_within_the_bound(monkeypatch: py
             )
             for o in options
         ]
-        before = np.eye(3)
+        before: np.ndarray | Known = np.eye(3)
         for o in short:
             chosen = rng.permutation(len(o.candidates))[: o.counts[-1]]
-            before = staging.told(o, chosen, before, rng, exact=False).kinds
-        value = goal.value(staging.mean(before))
+            before = staging.told(o, chosen, before, rng, exact=False).known
+        value = goal.value(known(before).square)
         assert bounded(short, goal, 1e5, value).value <= value
 
 

@@ -20,7 +20,7 @@ TOLD: Final = 4
 #: factor below which a parameter's standard deviation counts as unchanged by a stage
 IMPROVED: Final = 1.05
 #: signs of a combination that is held, longer ones are cut
-LONGEST: Final = 44
+LONGEST: Final = 56
 Part = Mapping[str, Any]
 
 
@@ -98,8 +98,18 @@ def _loss(plan: Part) -> str:
     return f"{text} (proven with {words.count(lines, 'supporting line')})." if lines else f"{text}."
 
 
+def _cut(combination: str) -> str:
+    """A combination of parameters, a long one without its last terms."""
+    if len(combination) <= LONGEST:
+        return combination
+    whole = combination[: LONGEST + 1]
+    return f"{whole[: max(whole.rfind(' + '), whole.rfind(' - '))]} …" if " " in whole else words.cut(whole, LONGEST)
+
+
 def _at_most(loss: float) -> str:
-    """A guaranteed loss, never rounded down: one decimal of a percent."""
+    """A guaranteed loss, never rounded down: one decimal of a percent, or from the double on a factor."""
+    if loss >= 1.0:
+        return f"at most a factor of {words.fixed(math.ceil(10.0 * (1.0 + loss) - 1e-9) / 10.0, 1)}"
     return f"at most {words.fixed(math.ceil(1000.0 * loss - 1e-9) / 10.0, 1)}{words.GAP}%"
 
 
@@ -187,7 +197,7 @@ def _identified(plan: Part, machine: Part) -> Table:
     rows = []
     for k, stage in enumerate(plan["stages"], 1):
         after = stage.get("parameters") or {}
-        held = words.listing((words.cut(str(h), LONGEST) for h in stage.get("held") or []), 8) or "nothing"
+        held = words.listing((_cut(str(h)) for h in stage.get("held") or []), 8) or "nothing"
         rows.append([str(k), str(stage["measurement"]), _tightened(before, after), held])
         before = after
     columns = [Column("Stage", number=True), Column("Measurement"), Column("Improved most", wide=True)]

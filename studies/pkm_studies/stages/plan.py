@@ -136,11 +136,11 @@ def plan(
         raise task.place.key("budget_min").error(str(error), remedy, task.budget / 60.0) from error
     best = _worthwhile(task, found)
     section, arranged, measurement = _section(task, found, best)
-    realised = _virtual(task, best, section.stages, machines, progress) if known is None else section.stages
+    realised = _virtual(task, best, section.stages, machines, progress, None if known is None else known.covariance)
     section = msgspec.structs.replace(
         section,
         stages=realised,
-        virtual_machines=task.said.virtual_machines if known is None else 0,
+        virtual_machines=task.said.virtual_machines,
         alternatives=list(plan_words.alternatives(task, found, best)),
         needs=plan_words.needs(task, found),
         stop=plan_words.stop(task, found, best),
@@ -297,9 +297,14 @@ def _held(task: Task, stage: Stage, sofar: explain.Seen) -> list[str]:
 
 
 def _virtual(
-    task: Task, best: Found, stages: list[result.Stage], rng: np.random.Generator, progress: Progress
+    task: Task,
+    best: Found,
+    stages: list[result.Stage],
+    rng: np.random.Generator,
+    progress: Progress,
+    start: Array | None,
 ) -> list[result.Stage]:
-    """The stages with what virtual machines make of them."""
+    """The stages with what virtual machines make of them, drawn from what was learned (`start`), or the tolerances."""
     if not task.said.virtual_machines:
         return stages
     from oed.planning import campaign
@@ -313,6 +318,7 @@ def _virtual(
         task.said.virtual_machines,
         rng,
         reference=task.resolved.study.prediction.reference,
+        start=start,
         progress=progress.share,
     )
     told = []

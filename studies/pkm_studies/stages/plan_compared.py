@@ -11,13 +11,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import criteria, explain
+from oed.batch import Array
 from oed.planning import stage as staging
+from oed.planning.known import Known
 from oed.planning.search import Plan as Found
 from oed.planning.search import Planned
+from oed.planning.stage import Stage
 from pkm_studies import result
 from pkm_studies.errors import InputError
 from pkm_studies.stages.plan import ANY, Task
-from pkm_studies.stages.plan_words import percent
+from pkm_studies.stages.plan_words import better, no_more
 
 #: share by which times may differ and count as the same
 SAME = 1e-6
@@ -47,20 +50,21 @@ def compared(task: Task, names: Sequence[str], found: Planned) -> result.Sequenc
         plan=task.way(best),
         gain={k: v / other[k] for k, v in own.items() if other.get(k, 0.0) > 0.0},
         bound=bound,
-        words=_words(task, asked, best, bound),
+        words=_words(task, asked, best, bound, asked.seconds if time is None else time),
     )
 
 
 def taken(task: Task, names: Sequence[str]) -> Found:
     """All candidates of each measurement, one after the other."""
-    covariance, stages = task.start, []
+    known: Array | Known = task.start
+    stages: list[Stage] = []
     for k, name in enumerate(names):
         option = task.asked.named(name)
         rng = np.random.default_rng([*task.seed, k])
-        stages.append(staging.told(option, np.arange(len(option.candidates)), covariance, rng))
-        covariance = stages[-1].covariance
+        stages.append(staging.told(option, np.arange(len(option.candidates)), known, rng))
+        known = stages[-1].known
     accuracy = tuple(task.goal.accuracy(c) for c in [task.start, *(s.covariance for s in stages)])
-    return Found(tuple(stages), sum(s.seconds for s in stages), task.goal.value(covariance), accuracy)
+    return Found(tuple(stages), sum(s.seconds for s in stages), task.goal.value(stages[-1].covariance), accuracy)
 
 
 def _within(task: Task, names: Sequence[str], found: Planned) -> Found:
@@ -87,12 +91,13 @@ def _best(task: Task, asked: Found, found: Planned, time: float) -> tuple[Found,
     return min(best, asked, key=lambda p: p.value), bound.value
 
 
-def _words(task: Task, asked: Found, best: Found, bound: float) -> str:
-    time = f"{asked.seconds / 60.0:.0f} min"
+def _words(task: Task, asked: Found, best: Found, bound: float, seconds: float) -> str:
+    time = f"{seconds / 60.0:.0f} min"
     if best is asked or asked.value < best.value * (1.0 + SAME):
-        most = percent(max(asked.value / bound - 1.0, 0.0))
-        return f"No better plan of {time} was found; none is more than {most} better."
-    text = f"In the same {time}, {', then '.join(best.names)} is {asked.value / best.value:.3g} times as accurate"
+        most = no_more(max(asked.value / bound - 1.0, 0.0))
+        return f"No better plan of {time} was found; none is more than {most}."
+    text = f"In {time}, {', then '.join(best.names)} is {better(asked.value, best.value)}"
     if task.goal.wanted and best.value > 1.0 and bound > 1.0:
         return f"{text}; what is wanted is out of reach in that time (proven: {bound:.3g} times it is the least)."
-    return f"{text}; no plan of that time is more than {percent(max(best.value / bound - 1.0, 0.0))} better than that."
+    most = no_more(max(best.value / bound - 1.0, 0.0))
+    return f"{text}; no plan of that time is more than {most}."

@@ -69,7 +69,7 @@ def why(task: Task, other: Found, best: Found) -> str:
     elif worse > 5e-4:
         parts.append(f"{percent(worse)} less accurate {time}")
     elif worse < -5e-4:
-        parts.append(f"{percent(-worse)} more accurate {time}")
+        parts.append(f"{better(best.value, other.value)} {time}")
     else:
         parts.append(f"as accurate {time}")
     return "; ".join(parts)
@@ -137,21 +137,40 @@ def _reached(task: Task, covariance: Array, name: str) -> str:
 def stop(task: Task, found: Planned, best: Found) -> str:
     """The next best stage, and what it would gain."""
     if best is not found.best:
-        name, gain = found.best.names[-1], 1.0 - found.best.value / best.value
-        told = f"a further stage ({', '.join(found.best.names)}) would make it {percent(gain)} more accurate"
-        return f"Stop: {told}, less than the {percent(task.said.worth)} that are worth it."
+        gain, names = 1.0 - found.best.value / best.value, ", then ".join(found.best.names)
+        told = f"{len(found.best.stages)} stages ({names}) would leave errors {percent(gain)} smaller"
+        return f"after these {len(best.stages)}; {told}, less than the {percent(task.said.worth)} that are worth it."
     if found.next_gain is None:
-        return "Every measurement of the list is in the plan."
+        return "after the last stage; every measurement of the list is in the plan."
     name, gain = found.next_gain
     if gain < 5e-4:
-        return f"No further measurement of the list helps; the next one would be {name}."
-    text = f"The next best stage would be {name}: {percent(gain)} more accurate, were there time for it"
-    return f"{text} (not worth it)." if gain < task.said.worth else f"{text}."
+        return f"after the last stage; no further measurement of the list helps (the next best is {name})."
+    text = f"after the last stage; a further one, {name}, would leave errors {percent(gain)} smaller"
+    if gain < task.said.worth:
+        return f"{text}, less than the {percent(task.said.worth)} that are worth it."
+    option = task.asked.named(name)
+    least = option.mounting + float(np.sort(option.seconds)[: option.counts[0]].sum())
+    if task.budget - best.seconds >= least and len(best.stages) >= task.said.stages:
+        return f"{text}, but the study allows {task.said.stages} stages."
+    return f"{text}, were there time for it."
 
 
 def percent(share: float) -> str:
     """A share in percent, with a digit where it is small."""
     return f"{100.0 * share:.0f} %" if share >= 0.1 else f"{100.0 * share:.1f} %"
+
+
+def better(own: float, other: float) -> str:
+    """How much more accurate than `own` another value is: a share, or from twice on a factor."""
+    ratio = own / other
+    if ratio >= 2.0:
+        return f"{ratio:.3g} times as accurate"
+    return f"{percent(ratio - 1.0)} more accurate"
+
+
+def no_more(loss: float) -> str:
+    """By how much a plan may be better that misses the best possible one by a share at the most."""
+    return f"{percent(loss)} better" if loss < 1.0 else f"{loss + 1.0:.3g} times as accurate"
 
 
 def _time(one: float, other: float) -> str:
@@ -170,5 +189,5 @@ def sentences(section: result.Plan | None) -> Sequence[str]:
     if section.goal:
         told.append("The wanted accuracy is reached." if section.reached else " ".join(section.needs))
     if section.loss is not None:
-        told.append(f"No plan within {section.budget_min:.0f} min is more than {percent(section.loss)} better (bound).")
+        told.append(f"No plan within {section.budget_min:.0f} min is more than {no_more(section.loss)} (bound).")
     return told
