@@ -79,6 +79,19 @@ class Series:
         taken = self.take(np.concatenate(rows))
         return dataclasses.replace(taken, run=np.array(labels, dtype=np.str_))
 
+    def parted(self) -> Series:
+        """The same readings with a pose of its own for each: the passes of a run share poses, but not their state.
+
+        References stay shared: the taught pose by all readings, the first pose of a run by the run.
+        """
+        own, rest = self.index[:, 0], self.index[:, 1:]
+        referred, place = np.unique(rest, return_inverse=True)
+        kept = np.concatenate([own, referred])
+        index = np.column_stack([np.arange(len(own)), len(own) + place.reshape(rest.shape)]).astype(np.intp)
+        return dataclasses.replace(
+            self, q=self.q[kept], start=self.start[kept], command=self.command[kept], index=index
+        )
+
     def commands(self) -> Array:
         """Command (n, n_dof) of the pose that each reading reads."""
         return self.command[self.index[:, 0]]

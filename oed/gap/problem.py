@@ -98,7 +98,7 @@ def planned(
     gravity: tuple[float, float, float] = states_of.DOWN,
 ) -> Problem:
     """The problem of readings y (N,) at parameters theta (n,); of readings only planned, with residuals of 0."""
-    series = tuple(series)
+    series = tuple(s.parted() for s in series)
     theta = measurement.nominal if theta is None else theta
     jacobian = measurement.jacobian(series, theta)
     y = measurement.readings(series, theta) if y is None else y

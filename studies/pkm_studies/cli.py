@@ -136,6 +136,30 @@ def identify(
 
 
 @app.command()
+def diagnose(
+    study: StudyPath,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.", show_default=False)],
+    readings: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="The readings [those of the study].", show_default=False)
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed instead of the study's.")] = None,
+    quiet: Quiet = False,
+) -> int:
+    """Find what causes the gap between model and machine: which effect, where, how far it shrinks."""
+    from pkm_studies import display, files
+    from pkm_studies.study import load
+
+    said = load(study)
+    files.free(out)
+    from pkm_studies import pipeline
+
+    given = None if readings is None else [readings]
+    with display.shown(quiet=quiet) as shown:
+        result = pipeline.diagnose_readings(said, given, out, seed=seed, progress=shown)
+    return _tell(result, out, quiet)
+
+
+@app.command()
 def plan(
     study: StudyPath,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [out/NAME-plan].")] = None,
@@ -166,9 +190,9 @@ def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with a result.json.", show_default=False)],
 ) -> int:
     """Write the HTML and PDF report again from result.json."""
-    from pkm_studies import pipeline
+    from pkm_studies import stored
 
-    for written in pipeline.write_report(folder):
+    for written in stored.write_report(folder):
         print(f"Report: {written}")
     return DONE
 

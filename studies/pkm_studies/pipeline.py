@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -14,16 +14,19 @@ import oed
 from oed import explain, identify, posterior, predict, simulate
 from oed.batch import Array
 from oed.measurement import Measurement, Series
-from pkm_studies import claims, files, result
+from pkm_studies import claims, files, resolve_gap, result, stored
 from pkm_studies.progress import Progress, Silent
 from pkm_studies.resolve import Resolved, resolve
 from pkm_studies.result import StudyResult
-from pkm_studies.stages import choose, describe, fit, foresee, headline, plan, plan_files, score, see
+from pkm_studies.stages import choose, describe, fit, foresee, gap, gap_before, gap_virtual, headline, plan, score, see
 from pkm_studies.stages.learned import Learned, learned
 from pkm_studies.study import Study
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 #: independent random streams of the stages: adding draws in one leaves the others as they were
-DESIGN, TRUTH, NOISE, SAMPLER, PREDICT, MACHINES, HELD_OUT, PLAN, CAMPAIGN = range(9)
+DESIGN, TRUTH, NOISE, SAMPLER, PREDICT, MACHINES, HELD_OUT, PLAN, CAMPAIGN, EFFECTS, GAP, BEFORE = range(12)
 
 
 def run(
@@ -50,6 +53,22 @@ def identify_readings(
     return run(study, out, seed=seed, progress=progress, readings=list(readings))
 
 
+def diagnose_readings(
+    study: Study,
+    readings: Sequence[Path] | None,
+    out: Path,
+    *,
+    seed: int | None = None,
+    progress: Progress | None = None,
+) -> StudyResult:
+    """What calibration leaves of the readings (the study's own where None), and which effects cause it.
+
+    Raises InputError where there are no readings.
+    """
+    job = _Job(study, out, study.seed if seed is None else seed, progress or Silent(), readings)
+    return job.diagnose_only()
+
+
 def plan_stages(
     study: Study, out: Path, *, after: Path | None = None, seed: int | None = None, progress: Progress | None = None
 ) -> StudyResult:
@@ -69,13 +88,17 @@ def simulate_readings(study: Study, out: Path, *, seed: int | None = None) -> tu
     chosen = job.design()
     job.plan(None)
     series = job.planned(chosen)
-    truth, y = job.virtual(series)
-    made = dataset.from_series(series, y, job.measurement)
+    series, truth, y, covariates, acting = job.virtual(series)
+    if covariates is not None:
+        covariates = covariates.drop(columns=["setup", "run", "order"])
+    made = dataset.from_series(series, y, job.measurement, covariates)
     files.out_folder(out.parent)
     dataset.save(out, made)
-    table = {
+    table: dict[str, Any] = {
         p.name: {"value": float(v), "unit": p.unit} for p, v in zip(job.measurement.parameters, truth, strict=True)
     }
+    if acting:
+        table["effects"] = acting
     beside = out.with_name(out.name.removesuffix(".readings.csv").removesuffix(".csv") + ".truth.json")
     return out, files.write_whole(beside, msgspec.json.format(msgspec.json.encode(table), indent=1))
 
@@ -92,6 +115,7 @@ class _Job:
         self.sections: dict[str, Any] = {}
         self.planned_series: tuple[Series, ...] = ()
         self.made: plan.Made | None = None
+        self.covariates: pd.DataFrame | None = None  # of the readings that are fitted
         self.replaced = bool(readings)
         self.warnings = list(self.resolved.warnings)
 
@@ -107,7 +131,9 @@ class _Job:
         series, y, truth, held = self._readings(chosen)
         seen = self._identifiability(chosen, series)
         self._design_sections(chosen, seen)
+        self._gap_before(series)
         estimate, drawn = self._fit(series, y, truth)
+        self._gap(series, y, estimate, self.resolved.gap)
         # a virtual machine only exercises the plan: what is told is the accuracy foreseen before any reading
         self._prediction(series, None if truth is not None else estimate)
         if held is not None and drawn is not None:
@@ -124,7 +150,7 @@ class _Job:
         if self.resolved.plan is None:
             raise place.error("the study lists no measurement to plan with", "add [[plan.measurement]] tables")
         files.out_folder(self.out)
-        known = None if after is None else learned(self.resolved, after, load_result(after))
+        known = None if after is None else learned(self.resolved, after, stored.load_result(after))
         if known is not None:
             self.resolved = known.resolved
         self.plan(known)
@@ -133,6 +159,25 @@ class _Job:
         self.measurement = seen.measurement
         self.sections["drawing"] = describe.drawing(self.measurement, self.made.series)
         return self._finish(None, report=False, only=("plan", "identifiability"))
+
+    def diagnose_only(self) -> StudyResult:
+        """Fit and diagnosis, and the claims about them; design, posterior and prediction are left out."""
+        data, said = self.resolved.dataset, self.study.readings
+        if data is None and said is None:
+            raise self.study.place.key("readings").error(
+                "there are no readings to diagnose", "give --readings FILE.csv"
+            )
+        files.out_folder(self.out)
+        chosen = self.design() if data is None else None
+        if data is None:
+            self.plan(None)
+        series, y, truth, _ = self._readings(chosen)
+        self._identifiability(None, series)
+        estimate, _ = self._fit(series, y, truth, sample=False)
+        asked = self.resolved.gap or resolve_gap.asked(self.study, self.resolved.machine, always=True)
+        self._gap(series, y, estimate, asked)
+        self.sections["drawing"] = describe.drawing(self.measurement, series)
+        return self._finish(None, report=True, only=("gap", "estimate", "identifiability", "identifiability_of"))
 
     # -- stages --------------------------------------------------------------------------------------------
 
@@ -179,14 +224,22 @@ class _Job:
             "add [[design.candidates]], [[design.reference]], [[plan.measurement]] or [readings]",
         )
 
-    def virtual(self, series: Sequence[Series]) -> tuple[Array, Array]:
-        """True parameters and readings of the study's virtual machine."""
+    def virtual(
+        self, series: Sequence[Series]
+    ) -> tuple[tuple[Series, ...], Array, Array, pd.DataFrame | None, list[dict[str, Any]]]:
+        """Series, true parameters, readings, covariates and acting effects of the study's virtual machine."""
         said = self.study.readings
         drawn = said is None or said.draw or not self.resolved.truth  # a nominal machine would tell nothing
         truth = simulate.draw(self.measurement, self.rng(TRUTH)) if drawn else self.measurement.nominal
         for k, name in enumerate(self.measurement.names):
             truth[k] = self.resolved.truth.get(name, truth[k])
-        return truth, simulate.read(self.measurement, series, truth, self.rng(NOISE))
+        asked = self.resolved.gap
+        if asked is None:
+            return tuple(series), truth, simulate.read(self.measurement, series, truth, self.rng(NOISE)), None, []
+        planned = gap_virtual.laid_out(self.measurement, series, asked)
+        exact, told = gap_virtual.readings(self.measurement, planned, truth, asked, self.rng(EFFECTS))
+        y = exact + self.measurement.noise(planned.series).draw(self.rng(NOISE), exact.shape)
+        return planned.series, truth, y, planned.covariates, told
 
     def _readings(
         self, chosen: choose.Chosen | None
@@ -198,11 +251,12 @@ class _Job:
             fitted = self.resolved.fit or tuple(n for n in data.setups if n not in kept_out)
             mine, rest = data.take(fitted), data.take(kept_out)
             self._note_dropped(data.dropped)
+            self.covariates = mine.covariates
             return mine.series, mine.y, None, (rest.series, rest.y) if kept_out else None
         series = self.planned(chosen)
         if self.study.readings is None:
             return series, None, None, None
-        truth, y = self.virtual(series)
+        series, truth, y, self.covariates, _ = self.virtual(series)
         return series, y, truth, None
 
     def _note_dropped(self, count: int) -> None:
@@ -226,7 +280,7 @@ class _Job:
             self.sections["design"] = score.section(self.resolved, chosen, seen)
 
     def _fit(
-        self, series: Sequence[Series], y: Array | None, truth: Array | None
+        self, series: Sequence[Series], y: Array | None, truth: Array | None, *, sample: bool = True
     ) -> tuple[identify.Estimate | None, posterior.Posterior | None]:
         if y is None:
             return None, None
@@ -241,7 +295,7 @@ class _Job:
         )
         self.sections["estimate"] = fit.estimate_section(self.measurement, series, found, truth)
         self.warnings += self.sections["estimate"].warnings
-        if not self.study.posterior.enabled:
+        if not (sample and self.study.posterior.enabled):
             return found, None
         posterior.prepare()
         self.progress.stage("posterior")
@@ -263,6 +317,41 @@ class _Job:
             drawn, self.out / "posterior.nc", {"study": self.study.name, "units": "SI", "seed": str(self.seed)}
         )
         return found, drawn
+
+    def _gap_before(self, series: Sequence[Series]) -> None:
+        """What the readings could find, and the runs that [gap.design] chooses, where the study has a [gap]."""
+        asked, wanted = self.resolved.gap, self.resolved.gap_design
+        if asked is None:
+            return
+        self.progress.stage("what the readings could find")
+        rows = self.covariates
+        if rows is None:
+            planned = gap_virtual.laid_out(self.measurement, series, asked)
+            series, rows = planned.series, planned.covariates
+        designed = None if wanted is None else (self.resolved.measure({r.setup for r in wanted.runs}), wanted)
+        made = gap_before.foresee(
+            self.measurement, series, rows, asked.effects, asked.gravity, self.rng(BEFORE), designed
+        )
+        self.sections["gap_before"] = made.section
+        if made.poses_csv is not None:
+            files.write_whole(self.out / "gap_poses.csv", made.poses_csv)
+
+    def _gap(
+        self,
+        series: Sequence[Series],
+        y: Array | None,
+        estimate: identify.Estimate | None,
+        asked: resolve_gap.GapAsked | None,
+    ) -> None:
+        """The diagnosis of what the fit leaves, where the study asks for one and there are readings."""
+        if asked is None or y is None or estimate is None:
+            return
+        self.progress.stage("diagnosis")
+        rows = self.covariates
+        if rows is None:
+            rows = gap_virtual.laid_out(self.measurement, series, asked).covariates
+        found = gap.diagnose(self.measurement, series, y, rows, estimate.theta, asked, self.rng(GAP))
+        self.sections["gap"] = gap.section(found, asked.effects)
 
     def _judge(self, drawn: posterior.Posterior) -> None:
         least = float(np.nanmin(drawn.ess))
@@ -318,57 +407,8 @@ class _Job:
         found = claims.check_claims(study, msgspec.to_builtins(made), only)
         seconds = round(time.perf_counter() - self.started, 3)
         made = msgspec.structs.replace(made, claims=found, seconds=seconds)
-        self._write(made)
+        stored.write(self.out, made, self.planned_series, self.measurement, self.made, sheet=study.report.pdf)
         if report and (study.report.html or study.report.pdf):
             self.progress.stage("report")
-            write_report(self.out, html=study.report.html, pdf=study.report.pdf)
+            stored.write_report(self.out, html=study.report.html, pdf=study.report.pdf)
         return made
-
-    @staticmethod
-    def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
-        """Planned readings as a readings file to fill in: the readings' cells are empty."""
-        from oed import dataset
-
-        count = len(measurement.owners(series))
-        return dataset.to_csv(dataset.from_series(series, np.full(count, np.nan), measurement))
-
-    def _write(self, made: StudyResult) -> None:
-        text = msgspec.json.format(msgspec.json.encode(made), indent=1)
-        files.write_whole(self.out / "result.json", text)
-        if made.design is not None or self.planned_series:
-            files.write_whole(self.out / "poses.csv", self._poses_csv(self.planned_series, self.measurement))
-        if made.plan is not None:
-            files.write_whole(self.out / "plan.csv", plan_files.stages_csv(made.plan))
-        if self.made is not None:
-            told = plan_files.poses_json(self.made)
-            files.write_whole(self.out / "plan_poses.json", told)
-            if self.study.report.pdf:
-                self._write_sheet(made, told)
-
-    def _write_sheet(self, made: StudyResult, poses: bytes | str) -> None:
-        """The page to print and fill in at the machine."""
-        from pkm_reports import write_sheet
-
-        stages = msgspec.json.decode(poses)["stages"]
-        write_sheet(msgspec.to_builtins(made), [p for s in stages for p in s["poses"]], self.out)
-
-
-def write_report(folder: Path, *, html: bool = True, pdf: bool = True) -> tuple[Path, ...]:
-    """HTML and PDF from the result in a folder."""
-    from pkm_reports import write_report as write
-
-    return write(load_result(folder), folder, html=html, pdf=pdf)
-
-
-def load_result(folder: Path) -> Mapping[str, Any]:
-    """The stored result of a folder as plain data. Raises InputError where there is none, or it is no result."""
-    path = folder / "result.json"
-    text = files.read_text(path, limit=1 << 28, what="result")
-    try:
-        checked = msgspec.json.decode(text, type=StudyResult)
-    except msgspec.DecodeError as error:
-        from pkm_studies.errors import Place
-
-        raise Place(str(path)).error(f"this is no result: {error}", "make it again with `oed run`") from error
-    found: Mapping[str, Any] = msgspec.to_builtins(checked)
-    return found

@@ -19,10 +19,21 @@ from oed.instrument import Protocol, Setup, mount
 from oed.kinematics import AssemblyError
 from oed.machine import Machine, Parameter
 from oed.measurement import Measurement, Series
-from pkm_studies import catalogue, grids, naming, quantities, resolve_design, resolve_plan
+from pkm_studies import (
+    catalogue,
+    grids,
+    naming,
+    quantities,
+    resolve_design,
+    resolve_gap,
+    resolve_gap_design,
+    resolve_plan,
+)
 from pkm_studies.errors import Place, suggest
 from pkm_studies.grids import Circles, Plan
 from pkm_studies.resolve_design import Asked
+from pkm_studies.resolve_gap import GapAsked
+from pkm_studies.resolve_gap_design import GapDesignAsked
 from pkm_studies.resolve_plan import PlanAsked
 from pkm_studies.study import SetupTable, Study
 
@@ -44,6 +55,7 @@ class Resolved:
     fit          set-ups whose readings are fitted; None: all but `predict`
     stages       patterns of the parameters freed in turn
     prediction   commands (n, n_dof) at which accuracy is predicted
+    gap          what [gap] asks for, where there is one;  gap_design  likewise [gap.design]
     warnings     what was left out, in words
     """
 
@@ -64,6 +76,8 @@ class Resolved:
     predict: tuple[str, ...]
     stages: tuple[tuple[str, ...], ...]
     prediction: Array | None
+    gap: GapAsked | None
+    gap_design: GapDesignAsked | None
     warnings: tuple[str, ...]
 
 
@@ -101,6 +115,8 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         predict=predict,
         stages=tuple(tuple(stage) for stage in study.identify.stages),
         prediction=_prediction(study, machine),
+        gap=resolve_gap.asked(study, machine),
+        gap_design=resolve_gap_design.asked(study, references, everything),
         warnings=warnings,
     )
 

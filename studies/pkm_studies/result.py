@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import msgspec
 
+from pkm_studies.result_gap import Gap as Gap
+from pkm_studies.result_gap_before import GapBefore as GapBefore
 from pkm_studies.result_plan import Plan as Plan
 from pkm_studies.result_plan import Sd as Sd
 from pkm_studies.result_plan import Sequence as Sequence
@@ -354,6 +356,8 @@ class StudyResult(Part, frozen=True):
     posterior: Posterior | None = None
     prediction: Prediction | None = None
     held_out: list[HeldOut] = []
+    gap: Gap | None = None
+    gap_before: GapBefore | None = None
     drawing: Drawing | None = None
     warnings: list[str] = []
     claims: list[Claim] = []

@@ -10,6 +10,8 @@ from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
+from pkm_studies.study_gap import Gap as Gap
+
 Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9][A-Za-z0-9_-]*$")]
 Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
 Whole = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
@@ -391,12 +393,6 @@ class Prediction(Part, frozen=True, kw_only=True):
     reference: Literal["home", "absolute", "best_fit"] = "home"
     virtual_machines: Whole = 0
     coordinates: dict[str, Axis] = {}
-
-
-class Gap(Part, frozen=True, kw_only=True):
-    """[gap]."""
-
-    effects: list[str] = []
 
 
 class Report(Part, frozen=True, kw_only=True):

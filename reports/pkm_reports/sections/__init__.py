@@ -10,6 +10,8 @@ from pkm_reports.sections import (
     accuracy,
     campaign,
     design,
+    gap,
+    gap_before,
     held_out,
     identifiability,
     identification,
@@ -25,9 +27,14 @@ CHAPTERS: Final = (plan, design, kappa, identifiability, identification, posteri
 def chapters(result: Mapping[str, Any]) -> list[Section]:
     """All chapters; one whose stage did not run says so in a sentence.
 
-    A plan that was searched for has a chapter of its own, the first; the next then leaves its stages out.
+    A plan that was searched for has a chapter of its own, the first; the next then leaves its stages out. A diagnosis
+    has one where there was one, before all others, and what the readings could find comes after it.
     """
     made = [(chapter, result) for chapter in CHAPTERS]
     if campaign.planned(result):
         made = [(campaign, result), (plan, {**result, "plan": None}), *made[1:]]
+    if gap_before.present(result):
+        made = [(gap_before, result), *made]
+    if gap.present(result):
+        made = [(gap, result), *made]
     return [Section(chapter.ANCHOR, chapter.TITLE, chapter.blocks(seen)) for chapter, seen in made]

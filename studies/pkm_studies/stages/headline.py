@@ -13,9 +13,11 @@ MOST = 5
 
 
 def sentences(sections: Mapping[str, Any]) -> list[str]:
-    """Up to five sentences out of the sections that are there, the most useful first."""
+    """Up to five sentences out of the sections that are there, the most useful first; a diagnosis' own before them."""
+    found: result.Gap | None = sections.get("gap")
     told = [
         *plan_words.sentences(sections.get("plan")),
+        *_told_apart(sections.get("gap_before")),
         *_accuracy(sections.get("prediction")),
         *_held_out(sections.get("held_out") or []),
         *_rank(sections.get("identifiability")),
@@ -24,7 +26,12 @@ def sentences(sections: Mapping[str, Any]) -> list[str]:
         *_fit(sections.get("estimate")),
         *_posterior(sections.get("posterior")),
     ]
-    return told[:MOST]
+    return [*(found.words if found is not None else []), *told[:MOST]]
+
+
+def _told_apart(found: result.GapBefore | None) -> list[str]:
+    """What the runs of [gap.design] tell apart."""
+    return found.words[:1] if found is not None and found.chosen is not None else []
 
 
 def predicted(sections: Mapping[str, Any]) -> dict[str, float]:

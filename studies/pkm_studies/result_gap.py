@@ -1,0 +1,148 @@
+"""What a diagnosis of the gap between model and machine ends in: the `gap` section of result.json.
+
+Names of the first block of fields of `Gap` are fixed by the contract. Sizes and residuals are in the fine unit of their
+channel. A number that is not known is null.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Base: frozen, unknown fields refused."""
+
+
+class Answer(Part, frozen=True):
+    """One explanation: effects that act together (none: no gap; `unknown`: a shape that no known effect has).
+
+    classes: for each effect the names that these readings cannot tell it from, itself among them
+    """
+
+    effects: list[str]
+    probability: float
+    classes: list[list[str]] = []
+
+
+class Where(Part, frozen=True):
+    """A place of the gap: `leg 1`, `run ID`, `time A-B` (s), `phase A-B` (deg), `direction +1`; strength: its share."""
+
+    block: str
+    p_value: float
+    strength: float | None = None
+
+
+class Closure(Part, frozen=True):
+    """How far the gap shrinks on readings kept out: (s0 - s1) / (s0 - s_noise), 95 % interval, chance of harm."""
+
+    split: str  # within | whole
+    value: float | None
+    low: float | None
+    high: float | None
+    p_worse: float | None
+    s0: float | None
+    s1: float | None
+    s_noise: float | None
+    n: int
+
+
+class About(Part, frozen=True):
+    """An effect in words; `missing`: why these readings cannot test it, `column`: what would have to be recorded."""
+
+    about: str
+    remedy: str
+    exposed_by: str
+    source: str
+    missing: str = ""
+    column: str = ""
+
+
+class Coefficient(Part, frozen=True):
+    """A coefficient of a selected effect, SI; `prior_sd` is the size that was expected of it."""
+
+    effect: str
+    name: str
+    label: str
+    value: float
+    sd: float
+    unit: str
+    prior_sd: float | None
+
+
+class Size(Part, frozen=True):
+    """Size of a selected effect in the readings, rms by channel in its fine unit; detectability sqrt(lambda)."""
+
+    effect: str
+    rms: dict[str, float]
+    detectability: float | None
+
+
+class Trace(Part, frozen=True):
+    """One channel of one run: residual before and after, and what the effects and a remainder of unknown form explain
+    of it, each as calibration leaves it, in `unit`.
+
+    kind   circle: `at` is the angle in degrees; line: the way along it in mm; points: the number of the reading
+    base   name of the run without its pass: both directions of a circle share it
+    radius of a circle, mm
+    """
+
+    setup: str
+    run: str
+    base: str
+    channel: str
+    unit: str
+    kind: str
+    at: list[float]
+    before: list[float]
+    explained: list[float]
+    unexplained: list[float]
+    after: list[float]
+    direction: int | None = None
+    payload: float | None = msgspec.field(default=None, name="payload_N")
+    feed_mm_min: float | None = None
+    radius_mm: float | None = None
+
+
+class Spot(Part, frozen=True):
+    """A place of the tool (base frame, mm) with the rms residual of its readings, before and after."""
+
+    at: list[float]
+    before: float
+    after: float
+
+
+class Gap(Part, frozen=True):
+    """The diagnosis of one set of readings.
+
+    verdict   none, effect, class (one of several that cannot be told apart), mixture (several, or one and an unknown
+              remainder), unknown
+    set95     the fewest answers that hold 95 % of the probability together
+    selected  effects of the best answer, `unknown` aside
+    spots     rms residual by place of the tool, in `spots_unit` ("sigma": in units of the stated noise)
+    words     one finding a sentence, the most important first
+    next      what to do about it
+    """
+
+    verdict: str
+    answers: list[Answer]
+    set95: list[Answer]
+    where: list[Where]
+    closure: list[Closure]
+    not_testable: list[str]
+    confusable: list[list[str]]
+
+    selected: list[str]
+    tried: list[str]
+    marginal: dict[str, float]
+    about: dict[str, About]
+    coefficients: list[Coefficient]
+    sizes: list[Size]
+    noise: list[str]
+    units: dict[str, str]  # of each channel
+    rms_before: dict[str, float]
+    rms_after: dict[str, float]
+    traces: list[Trace]
+    spots: list[Spot]
+    spots_unit: str
+    words: list[str]
+    next: list[str]

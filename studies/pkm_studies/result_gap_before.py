@@ -1,0 +1,132 @@
+"""What planned readings could find, before any is taken: the `gap_before` section of result.json.
+
+Detectability is sqrt(lambda), in units of the noise over all readings after calibration has absorbed what it can.
+Sizes in readings are in the fine unit of their channel (`units`); coefficients' sizes are SI. What is not known is
+null.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Base: frozen, unknown fields refused."""
+
+
+class Shared(Part, frozen=True):
+    """A combination of an effect's coefficients that a rival imitates: sqrt(lambda) before and after it is absorbed."""
+
+    words: str
+    combination: dict[str, float]
+    seen: float
+    apart: float
+    angle_deg: float
+
+
+class Rival(Part, frozen=True):
+    """How well an effect can be told from another: sqrt(lambda_k|j), smallest principal angle."""
+
+    name: str
+    apart: float
+    angle_deg: float
+    shared: list[Shared]
+
+
+class Detectable(Part, frozen=True):
+    """What could be found of one effect.
+
+    detectability  at its expected size, over the values of its constants from `low` to `high`; `power`: chance of
+                   finding it at 1 % false alarm
+    signature      rms of its readings at that size; `absorbed`: share of it that calibration absorbs
+    least, median  smallest rms that is found with 90 % power: in the form seen best, and typically
+    sizes          least size of each coefficient by itself
+    """
+
+    name: str
+    about: str
+    columns: int
+    detectability: float
+    low: float
+    high: float
+    power: float
+    visible: bool
+    signature: dict[str, float]
+    absorbed: float
+    least: dict[str, float | None]
+    median: dict[str, float | None]
+    sizes: dict[str, float | None]
+    rivals: list[Rival]
+    not_testable: str | None
+
+
+class Table(Part, frozen=True):
+    """All effects over one plan of `readings` readings.
+
+    names, apart, angles_deg   (K), (K x K): row after column is absorbed; detectability on the diagonal
+    classes    groups of visible effects that can not all be told apart;  absorbed: pairs, the first not from the second
+    exact      pairs of which some combinations are the same to these readings
+    """
+
+    readings: int
+    effects: list[Detectable]
+    names: list[str]
+    apart: list[list[float]]
+    angles_deg: list[list[float]]
+    classes: list[list[str]]
+    absorbed: list[list[str]]
+    exact: list[list[str]]
+
+
+class ChosenRun(Part, frozen=True):
+    """A run to take, under its condition (SI)."""
+
+    setup: str
+    run: str
+    condition: dict[str, float]
+    seconds: float
+
+
+class Told(Part, frozen=True):
+    """A combination of an effect's coefficients against a rival: sqrt(lambda) of the chosen runs, and of the readings
+    planned without [gap.design] (null where they cannot test it)."""
+
+    effect: str
+    rival: str
+    words: str
+    seen: float
+    apart: float
+    before: float | None
+
+
+class Chosen(Part, frozen=True):
+    """Runs chosen to tell effects apart, `kept` ones among them.
+
+    apart, bound   least sqrt(lambda_k|j) over all pairs; no plan under the rules exceeds the bound
+    before         the same of the readings planned without [gap.design]
+    efficiency     of the compound with D, against its bound;  proven: all plans were tried
+    volume         log det of the parameters' information, in tolerances
+    """
+
+    candidates: int
+    kept: int
+    runs: list[ChosenRun]
+    apart: float
+    bound: float
+    before: float | None
+    efficiency: float
+    proven: bool
+    share: float
+    volume: float
+    seconds: float
+    told: list[Told]
+    table: Table
+
+
+class GapBefore(Part, frozen=True):
+    """What the planned readings could find, and the runs that [gap.design] chose."""
+
+    table: Table
+    units: dict[str, str]
+    chosen: Chosen | None
+    words: list[str]
