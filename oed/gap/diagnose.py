@@ -26,7 +26,7 @@ ROUNDS = 2
 #: answers are told down to this probability
 TOLD = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
-ALIVE = 4.0
+ALIVE = 3.5
 
 
 def diagnose(problem: Problem, effects: Sequence[Effect], rng: np.random.Generator) -> Diagnosis:

@@ -9,7 +9,7 @@ from them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, product
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from oed.effect import Column, Effect, State
 UNIT = 1e-6
 #: feed (m/s) and payload (N) of usual size
 FEED, LOAD = 1.0 / 60.0, 100.0
+#: readings that a run must have for its harmonics to mean something
+WAVES = 24
 SOURCE = "Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464, for discrepancies as processes"
 
 
@@ -84,8 +86,37 @@ def _coordinates(state: State) -> Array:
 def _products(state: State, values: Array, name: str, degree: int) -> Iterable[Column]:
     for order in range(1, degree + 1):
         for combination in combinations_with_replacement(range(values.shape[1]), order):
-            product = np.prod(values[:, combination], axis=1)
-            yield from _read(state, f"{name} {combination}", UNIT / order, product)
+            power = np.prod(values[:, combination], axis=1)
+            yield from _read(state, f"{name} {combination}", UNIT / order, power)
+
+
+def at_a_place(state: State) -> Iterable[Column]:
+    """Something at a place of the workspace: bumps about the middles of the tool's box, an eighth and a half wide."""
+    span = np.maximum(np.ptp(state.tool, axis=0), 1e-9)
+    for sides in product((0.0, 1.0), repeat=3):
+        kept = [k for k in range(3) if span[k] > 0.02]
+        if any(side for k, side in enumerate(sides) if k not in kept):
+            continue
+        corner = state.tool.min(axis=0) + np.array(sides) * span
+        away = (((state.tool - corner) / span)[:, kept] ** 2).sum(axis=1)
+        for width in (0.25, 0.5):
+            name = "".join(str(int(s)) for s in sides)
+            yield from _read(state, f"corner {name} {width}", UNIT, np.exp(-0.5 * away / width**2))
+
+
+def in_a_run(state: State) -> Iterable[Column]:
+    """Something in one run: its level and harmonics."""
+    for run in dict.fromkeys(state.run):
+        here = state.run == run
+        if here.sum() < WAVES:
+            continue
+        waves = [np.ones(len(state))]
+        for k in range(1, 5):
+            waves += [np.cos(k * state.phase), np.sin(k * state.phase)]
+        for k, wave in enumerate(waves):
+            place = f"run {state.setup} {run}"
+            for channel in state.channels:
+                yield Column(f"{place} {k} {channel}", UNIT, label=place, reading={channel: np.where(here, wave, 0.0)})
 
 
 def over_travel(state: State) -> Iterable[Column]:
@@ -154,6 +185,8 @@ PROCESSES: Sequence[Effect] = (
     _process("joints over time", "drift of the joints", joints_over_time),
     _process("for a while", "a disturbance for part of the session", windows),
     _process("over the pose", "a smooth error over the workspace", over_pose),
+    _process("at a place", "an error at a place of the workspace", at_a_place),
+    _process("in a run", "an error in one run", in_a_run),
     _process("over the travel", "an error of the joints over their travel", over_travel),
     _process("along the runs", "harmonics along the runs, with direction", over_phase),
     _process("with the motion", "an error with the sign of the joints' motion", over_sense),

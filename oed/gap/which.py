@@ -24,7 +24,7 @@ from oed.gap.library import Library
 from oed.gap.problem import Index, Problem
 
 #: prior probabilities: no gap, one effect, two, three, an unknown alone, one or two with an unknown remainder
-PRIOR = {"none": 0.50, "one": 0.26, "two": 0.08, "three": 0.02, "unknown": 0.06, "one+": 0.06, "two+": 0.02}
+PRIOR = {"none": 0.42, "one": 0.30, "two": 0.07, "three": 0.01, "unknown": 0.10, "one+": 0.08, "two+": 0.02}
 #: how large an unknown may be, against a micrometre
 UNKNOWN_SIZES = np.array([0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
 #: log evidence below the best at which sets are not taken further, and how many are
@@ -82,17 +82,27 @@ class Search:
         self._atoms = [a.columns for a in library.atoms]
         self._weights = np.array([a.log_weight for a in library.atoms])
         self._owner = np.array([a.effect for a in library.atoms])
-        energy = np.array([np.diag(self.grams.gram)[c].sum() for c in self._atoms]).reshape(-1, 1) * SIZES**2
-        worth = (energy > SEEN) | (SIZES[-1] == SIZES)
-        #: log weight (atoms, sizes) of each form at each size; sizes that could not be seen are no hypotheses
-        self._shares = np.where(worth, self._weights[:, None] - np.log(worth.sum(axis=1, keepdims=True)), -np.inf)
+        #: log weight (atoms, sizes) of each form at each size
+        self._shares = self._weights[:, None] + self._weighed(self._atoms, SIZES)
         self._of = {e: np.array(library.atoms_of(e), dtype=np.intp) for e in library.effects}
         self._known: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._found: list[Hypothesis] = []
         self._processes = [a.columns + offset for a in processes.atoms]
-        self._process_weights = np.array([a.log_weight for a in processes.atoms]) - np.log(
-            max(len(processes.effects), 1)
+        self._process_shares = (
+            np.array([a.log_weight for a in processes.atoms])[:, None]
+            - np.log(max(len(processes.effects), 1))
+            + self._weighed(self._processes, UNKNOWN_SIZES)
         )
+
+    def _weighed(self, choices: Sequence[Index], sizes: Array) -> Array:
+        """Log prior share (atoms, sizes) of each size: those that could not be seen are no hypotheses."""
+        if not choices:
+            return np.zeros((0, len(sizes)))
+        own = np.diag(self.grams.gram)
+        energy = np.array([own[c].sum() for c in choices])[:, None] * sizes**2
+        worth = energy > SEEN
+        worth[:, -1] = True
+        return np.asarray(np.where(worth, -np.log(worth.sum(axis=1, keepdims=True)), -np.inf))
 
     def columns_of(self, atom: int) -> Index:
         """Columns of a form."""
@@ -201,8 +211,7 @@ class Search:
         apart = dataclasses.replace(apart, rest=plain.rest, base=plain.base)
         if not self._processes:
             return dataclasses.replace(known, unknown=True, log_evidence=-np.inf, log_prior=-np.inf)
-        told = apart.log_evidences(self._processes, UNKNOWN_SIZES) + self._process_weights[:, None]
-        told = told - np.log(len(UNKNOWN_SIZES))
+        told = apart.log_evidences(self._processes, UNKNOWN_SIZES) + self._process_shares
         row, column = np.unravel_index(int(np.argmax(told)), told.shape)
         return dataclasses.replace(
             known,

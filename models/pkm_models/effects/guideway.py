@@ -13,17 +13,17 @@ from oed.effect import Column, Effect, State
 from oed.machine import Machine
 from pkm_models.effects import terms
 
-#: standard deviations (m) of Legendre polynomials 2 to 5 over the travel
-CURVE = {2: 10e-6, 3: 7e-6, 4: 4e-6, 5: 3e-6}
+#: standard deviations (m) of Legendre polynomials 2 to 7 over the travel
+CURVE = {2: 10e-6, 3: 7e-6, 4: 4e-6, 5: 3e-6, 6: 2.5e-6, 7: 2e-6}
 
 
 def columns(state: State) -> Iterable[Column]:
-    """Towards and from the middle (radial) and across, a leg; degrees 4 and 5 let the form adapt."""
+    """Towards and from the middle (radial) and across, a leg; degrees above 3 let the form adapt."""
     guide, at = terms.travel(state.machine).guide, terms.place(state)
     out = terms.radial(state)
     out = out - np.einsum("mjk,jk->mj", out, guide)[..., None] * guide
     out /= np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-9)
-    for name, direction, most in (("radial", out, 5), ("across", np.cross(guide, out), 3)):
+    for name, direction, most in (("radial", out, 7), ("across", np.cross(guide, out), 5)):
         seen = terms.stretched(state, direction)
         for i in state.limbs:
             for degree, scale in CURVE.items():

@@ -1,0 +1,1 @@
+"""Benchmarks: speed beside named alternatives, and diagnosis of readings whose cause is withheld."""

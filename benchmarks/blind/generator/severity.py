@@ -1,0 +1,81 @@
+"""How visible an effect is to the best possible test: lambda = dy^T M dy with M = (Sigma + J Lambda J^T)^-1.
+
+dy is the exact nonlinear difference of the noise-free readings, J the slopes over parameters and set-up unknowns at the
+true machine, Lambda their tolerances squared. A flat direction (another effect, of free size) can be absorbed as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import linalg
+
+from benchmarks.blind.generator.machines import Array
+
+Size = Callable[[Array], float]
+
+
+class Metric:
+    """The metric M of a case; `seen(v)` (N, k) are vectors in coordinates in which M is the identity."""
+
+    def __init__(self, sigma: Array, J: Array, prior: Array) -> None:
+        self._root = linalg.cholesky(sigma, lower=True, check_finite=False)
+        self._J = self._white(J * prior)
+        u, s, _ = linalg.svd(self._J, full_matrices=False, check_finite=False)
+        self._u, self._shrink = u, 1.0 - 1.0 / np.sqrt(1.0 + s**2)
+
+    def _white(self, v: Array) -> Array:
+        return np.asarray(linalg.solve_triangular(self._root, v, lower=True, check_finite=False))
+
+    def seen(self, v: Array) -> Array:
+        """M^1/2 v for v (N,) or (N, k)."""
+        w = self._white(v)
+        shrink = self._shrink if w.ndim == 1 else self._shrink[:, None]
+        return np.asarray(w - self._u @ (shrink * (self._u.T @ w)))
+
+    def size(self, v: Array) -> float:
+        """sqrt(lambda) of a difference of readings v (N,)."""
+        return float(np.linalg.norm(self.seen(v)))
+
+    def beside(self, way: Array) -> Size:
+        """As `size`, once the direction `way` (N,), in the coordinates of `seen`, is absorbed."""
+        unit = way / np.linalg.norm(way)
+
+        def size(v: Array) -> float:
+            seen = self.seen(v)
+            return float(np.linalg.norm(seen - (seen @ unit) * unit))
+
+        return size
+
+
+def beyond(seen: Array, columns: Array) -> float:
+    """Length of what is left of `seen` (N,) once columns (N, k), in the same coordinates, are absorbed freely."""
+    size = np.linalg.norm(columns, axis=0)
+    kept = columns[:, size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)]
+    if not kept.shape[1]:
+        return float(np.linalg.norm(seen))
+    kept = kept / np.linalg.norm(kept, axis=0)
+    values, vectors = np.linalg.eigh(kept.T @ kept)
+    good = values > 1e-10 * values[-1]
+    share = vectors[:, good].T @ (kept.T @ seen)
+    return float(np.sqrt(max(float(seen @ seen) - float((share**2 / values[good]).sum()), 0.0)))
+
+
+def amplitude(change: Callable[[float], Array], wanted: Size, target: float, start: float) -> float:
+    """The amplitude at which `wanted(change(a))` is the target; secant steps from `start`. Raises ArithmeticError."""
+    a0, f0 = 0.0, 0.0
+    a = start
+    for _ in range(8):
+        f = wanted(change(a))
+        if not np.isfinite(f) or f <= 1e-12:
+            raise ArithmeticError("this effect leaves no trace in the readings")
+        if abs(f - target) < 2e-4 * target:
+            return a
+        slope = (f - f0) / (a - a0)
+        a0, f0, a = a, f, a + (target - f) / slope if slope > 0 else a * target / f
+        if a <= 0:
+            a = a0 * target / f0
+    if abs(f - target) < 0.01 * target:
+        return a0
+    raise ArithmeticError(f"no amplitude gives sqrt(lambda) {target}: {f} at {a0}")

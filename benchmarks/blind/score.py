@@ -1,0 +1,142 @@
+"""Score the results of a set: the only part that opens labels and truth (with `oracle` and `listing`).
+
+    python -m benchmarks.blind score --cases SET --results RESULTS --out SCORE --table RESULTS.md
+
+From nothing to that page, one line after the other (N: number of cases; a second machine can take part by --dask):
+
+    python -m benchmarks.blind generate --set blind --cases 1000 --seed N --out SET
+    python -m benchmarks.blind run --cases SET --out RESULTS
+    python -m benchmarks.blind list --cases SET --kinds single --least 6 --withhold --out WITHHELD
+    python -m benchmarks.blind run --cases SET --out RESULTS --list WITHHELD
+    python -m benchmarks.blind score --cases SET --results RESULTS --out SCORE --table RESULTS.md
+
+SCORE/ then holds rows.csv (every measure, for all cases, for each machine and for each method), paired.csv, score.json,
+and confusion*.csv and .png. Needs the results of `run`; the oracle's figures are kept in RESULTS/oracle.
+"""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from benchmarks.blind import confusion, entries, loading, measures, oracle, table
+from benchmarks.blind.entries import BASELINES, DIAGNOSIS, Entry
+from benchmarks.blind.measures import Paired, Row
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """Everything that the page and the files tell.
+
+    rows      the diagnosis's over all cases;  beside: each baseline's;  machines: the diagnosis's, machine by machine
+    paired    comparisons with the baselines;  withheld: (effect, cases, rows) of results without an effect
+    """
+
+    entries: Sequence[Entry]
+    rows: Sequence[Row]
+    beside: Mapping[str, Sequence[Row]]
+    machines: Mapping[str, Sequence[Row]]
+    paired: Sequence[Paired]
+    withheld: Mapping[str, Sequence[Row]]
+    about: Mapping[str, Any]
+
+
+def run(
+    folder: Path,
+    results: Path,
+    *,
+    out: Path,
+    page: Path | None = None,
+    workers: int = 0,
+    again: bool = False,
+    told: Callable[[str], None] = print,
+) -> Score:
+    """Score a set's results, write the files, print the table. Raises ValueError, OSError."""
+    missing = [f for f in ("labels.jsonl", "manifest.jsonl") if not (folder / f).is_file()]
+    if missing:
+        raise ValueError(f"{folder}: there is no {missing[0]}; give --cases the folder that `generate` wrote")
+    cases = [c for c in loading.manifest(folder) if _is_there(results, c.id)]
+    if not cases:
+        raise ValueError(f"{results}: there is no result of a case in {folder}; diagnose them first with `run`")
+    acting = {label["id"]: [e["name"] for e in label["effects"]] for label in entries.labels(folder)}
+    figures = oracle.run(folder, results, cases, acting, workers=workers, again=again, told=told)
+    made = score(entries.read(folder, results, figures), entries.withheld(folder, results, figures))
+    _write(made, out)
+    text = table.markdown(
+        [*made.rows, *made.withheld.get("all", ())], made.beside, made.paired, made.machines, made.about
+    )
+    if page is not None:
+        loading.write(page, text)
+    told(text)
+    told(confusion.text(confusion.confusion(made.entries)))
+    return made
+
+
+def _is_there(results: Path, name: str) -> bool:
+    return (results / f"{name}.json").is_file() or any((results / "without").glob(f"*/{name}.json"))
+
+
+def score(found: Sequence[Entry], withheld: Sequence[tuple[str, Entry]] = ()) -> Score:
+    """All measures of some entries."""
+    methods = [m for m in BASELINES if any(m in e.said for e in found)]
+    rows = [*measures.rows(found), *measures.own_rows(found), *measures.reliability(found)]
+    by_machine = {m: [e for e in found if e.machine == m] for m in sorted({e.machine for e in found})}
+    without: dict[str, Sequence[Row]] = {}
+    if withheld:
+        without["all"] = measures.withheld_rows([e for _, e in withheld])
+        for name in sorted({n for n, _ in withheld}):
+            without[name] = measures.withheld_rows([e for n, e in withheld if n == name])
+    return Score(
+        entries=found,
+        rows=rows,
+        beside={m: measures.rows(found, m) for m in methods},
+        machines={m: _of_machine(some) for m, some in by_machine.items()},
+        paired=[p for m in methods for p in measures.compared(found, m)],
+        withheld=without,
+        about={
+            "cases": len(found),
+            "failed": sum(e.said[DIAGNOSIS] is None for e in found),
+            "kinds": dict(collections.Counter(e.kind for e in found).most_common()),
+            "machines": dict(collections.Counter(e.machine for e in found).most_common()),
+            "withheld": len(withheld),
+        },
+    )
+
+
+def _of_machine(some: Sequence[Entry]) -> list[Row]:
+    """A machine's rows; there the right class is of its own cases, seen machine or not, and null cases are together."""
+    null = [measures.alarm(e, e.said[DIAGNOSIS]) for e in some if e.kind == "null"]
+    apart = [measures.right_class(e, e.said[DIAGNOSIS]) for e in measures.told_apart(some)]
+    rows = [r for r in measures.rows(some) if not r.key.startswith("right class") or r.key == "right class 6"]
+    return [
+        measures.share("alarm", "false alarm, all laws", null),
+        measures.share("right class", measures.RIGHT_CLASS, apart),
+        *rows,
+        *measures.own_rows(some),
+    ]
+
+
+def _write(made: Score, out: Path) -> None:
+    groups: dict[tuple[str, str], Sequence[Row]] = {(DIAGNOSIS, "all"): made.rows}
+    groups |= {(m, "all"): rows for m, rows in made.beside.items()}
+    groups |= {(DIAGNOSIS, m): rows for m, rows in made.machines.items()}
+    groups |= {(DIAGNOSIS, f"without {n}"): rows for n, rows in made.withheld.items()}
+    flat = [{"method": m, "cases of": g} | r.told() for (m, g), rows in groups.items() for r in rows]
+    paired = [dataclasses.asdict(p) | {"better": p.verdict} for p in made.paired]
+    loading.write(out / "rows.csv", pd.DataFrame(flat).to_csv(index=False))
+    loading.write(out / "paired.csv", pd.DataFrame(paired).to_csv(index=False))
+    matrices = {}
+    for method in (DIAGNOSIS, *made.beside):
+        matrix = confusion.confusion(made.entries, method)
+        name = "confusion" if method == DIAGNOSIS else f"confusion_{method}"
+        matrices[method] = matrix.counts.to_dict(orient="index")
+        loading.write(out / f"{name}.csv", matrix.counts.to_csv())
+        confusion.picture(matrix, out / f"{name}.png", f"What acts and what was answered: {method}")
+    whole = {"about": made.about, "rows": flat, "paired": paired, "confusion": matrices}
+    loading.write(out / "score.json", json.dumps(whole, indent=1, default=int))
