@@ -240,10 +240,10 @@ def _left(problem: Problem, metric: Metric, residual: Array) -> Array:
 
 def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     """The search under each of the noise laws that suit the readings."""
-    known = library.build(problem, effects)
-    processes = library.build(problem, PROCESSES)
     nothing = np.zeros((len(problem), 0))
     calm, _ = scatter.fit(problem, nothing)
+    known = library.build(problem, effects, Metric(problem, calm))
+    processes = library.build(problem, PROCESSES)
     wide = scatter.robust(problem, _wide(known, processes), start=calm)
     calm = dataclasses.replace(calm, variance=wide[0].variance, tails=wide[0].tails)
     plain = scatter.fit(problem, nothing, calm)

@@ -14,6 +14,8 @@ import numpy as np
 
 from oed.batch import Array
 from oed.effect import Effect
+from oed.gap import evidence
+from oed.gap.law import Metric
 from oed.gap.problem import Index, Problem
 from oed.gap.signature import Signature, signature, untestable
 
@@ -23,6 +25,8 @@ ALONE = 0.4
 TEXTBOOK = 0.5
 #: signature, in units of the noise over all readings, below which an effect cannot be seen at all
 UNSEEN = 0.3
+#: values of the constants beyond which only the best few are kept
+MANY, KEPT = 16, 8
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -62,8 +66,11 @@ class Library:
         return [k for k, a in enumerate(self.atoms) if a.effect == effect]
 
 
-def build(problem: Problem, effects: Sequence[Effect]) -> Library:
-    """All atoms of the effects that these readings can test."""
+def build(problem: Problem, effects: Sequence[Effect], metric: Metric | None = None) -> Library:
+    """All atoms of the effects that these readings can test.
+
+    With a metric, an effect of many constants keeps the few that explain most, each with its prior weight among all.
+    """
     blocks: list[Array] = []
     atoms: list[Atom] = []
     names: list[str] = []
@@ -79,13 +86,14 @@ def build(problem: Problem, effects: Sequence[Effect]) -> Library:
         if not forms:
             refused[effect.name] = "it changes none of these readings"
             continue
-        for form in forms:
+        count = len(forms)
+        for form in forms if metric is None else _best(problem, metric, forms):
             start = len(names)
             blocks.append(problem.of(form.columns))
             names += form.names
             labels += form.labels
             scales.append(form.scales)
-            atoms += _atoms(form, start, math.log(1.0 / len(forms)))
+            atoms += _atoms(form, start, -math.log(count))
     columns = np.hstack(blocks) if blocks else np.zeros((len(problem), 0))
     joined = np.concatenate(scales) if scales else np.zeros(0)
     return Library(columns, tuple(atoms), tuple(names), tuple(labels), joined, refused)
@@ -98,6 +106,19 @@ def _forms(problem: Problem, effect: Effect) -> list[Signature]:
         for point in effect.grid()
     ]
     return [s for s in made if s.names and np.linalg.norm(problem.of(s.columns)) > UNSEEN]
+
+
+def _best(problem: Problem, metric: Metric, forms: Sequence[Signature]) -> list[Signature]:
+    """The forms that explain most of the residual, where there are many."""
+    if len(forms) <= MANY:
+        return list(forms)
+    scores = []
+    for form in forms:
+        found = evidence.grams(problem, metric, problem.of(form.columns))
+        choices = [a.columns for a in _atoms(form, 0, 0.0)]
+        scores.append(float(found.log_evidences(choices).max()))
+    order = np.argsort(scores)[::-1][:KEPT]
+    return [forms[k] for k in sorted(order)]
 
 
 def _atoms(form: Signature, start: int, log_weight: float) -> list[Atom]:

@@ -51,7 +51,7 @@ def over_time(state: State) -> Iterable[Column]:
     if not np.isfinite(state.span[0]):
         return
     for k, wave in enumerate(_cosines(_time(state), 8), start=1):
-        yield from _read(state, f"time {k}", UNIT / (1.0 + k / 4.0), wave)
+        yield from _read(state, f"time {k}", UNIT / k, wave)
 
 
 def joints_over_time(state: State) -> Iterable[Column]:
@@ -60,7 +60,7 @@ def joints_over_time(state: State) -> Iterable[Column]:
         return
     for i in state.limbs:
         for k, wave in enumerate(_cosines(_time(state), 5), start=1):
-            yield Column(f"leg {i + 1} time {k}", UNIT / (1.0 + k / 3.0), label=f"leg {i + 1}", joints={i: wave})
+            yield Column(f"leg {i + 1} time {k}", UNIT / k, label=f"leg {i + 1}", joints={i: wave})
 
 
 def windows(state: State) -> Iterable[Column]:
@@ -87,7 +87,7 @@ def _products(state: State, values: Array, name: str, degree: int) -> Iterable[C
     for order in range(1, degree + 1):
         for combination in combinations_with_replacement(range(values.shape[1]), order):
             power = np.prod(values[:, combination], axis=1)
-            yield from _read(state, f"{name} {combination}", UNIT / order, power)
+            yield from _read(state, f"{name} {combination}", UNIT / 2.0 ** (order - 1), power)
 
 
 def at_a_place(state: State) -> Iterable[Column]:
@@ -133,8 +133,8 @@ def over_phase(state: State) -> Iterable[Column]:
     sign = np.where(np.isfinite(state.direction), state.direction, 0.0)
     for k in range(1, 9):
         for name, wave in (("c", np.cos(k * state.phase)), ("s", np.sin(k * state.phase))):
-            yield from _read(state, f"phase {name}{k}", UNIT, wave)
-            yield from _read(state, f"phase {name}{k} direction", UNIT, wave * sign)
+            yield from _read(state, f"phase {name}{k}", UNIT / k, wave)
+            yield from _read(state, f"phase {name}{k} direction", UNIT / k, wave * sign)
     yield from _read(state, "direction", UNIT, sign)
 
 
@@ -158,8 +158,8 @@ def over_load(state: State) -> Iterable[Column]:
     values = _coordinates(state) * load[:, None]
     yield from _products(state, values, "load", 1)
     for k in range(1, 5):
-        yield from _read(state, f"load c{k}", UNIT, load * np.cos(k * state.phase))
-        yield from _read(state, f"load s{k}", UNIT, load * np.sin(k * state.phase))
+        yield from _read(state, f"load c{k}", UNIT / k, load * np.cos(k * state.phase))
+        yield from _read(state, f"load s{k}", UNIT / k, load * np.sin(k * state.phase))
 
 
 def over_feed(state: State) -> Iterable[Column]:
@@ -172,8 +172,8 @@ def over_feed(state: State) -> Iterable[Column]:
     yield from _read(state, "feed", UNIT, feed)
     for k in range(1, 5):
         for name, wave in (("c", np.cos(k * state.phase)), ("s", np.sin(k * state.phase))):
-            yield from _read(state, f"feed {name}{k}", UNIT, feed * wave)
-            yield from _read(state, f"feed {name}{k} direction", UNIT, feed * wave * sign)
+            yield from _read(state, f"feed {name}{k}", UNIT / k, feed * wave)
+            yield from _read(state, f"feed {name}{k} direction", UNIT / k, feed * wave * sign)
 
 
 def _process(name: str, about: str, columns: object) -> Effect:

@@ -24,9 +24,9 @@ from oed.gap.library import Library
 from oed.gap.problem import Index, Problem
 
 #: prior probabilities: no gap, one effect, two, three, an unknown alone, one or two with an unknown remainder
-PRIOR = {"none": 0.42, "one": 0.30, "two": 0.07, "three": 0.01, "unknown": 0.10, "one+": 0.08, "two+": 0.02}
+PRIOR = {"none": 0.42, "one": 0.29, "two": 0.06, "three": 0.01, "unknown": 0.12, "one+": 0.08, "two+": 0.02}
 #: how large an unknown may be, against a micrometre
-UNKNOWN_SIZES = np.array([0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
+UNKNOWN_SIZES = np.array([0.3, 1.0, 3.0, 10.0, 30.0])
 #: log evidence below the best at which sets are not taken further, and how many are
 BEHIND, WIDE = 14.0, 8
 ROUNDS = 4
@@ -79,6 +79,7 @@ class Search:
             problem, Metric(problem, law), np.hstack([library.columns, processes.columns])
         )
         offset = library.columns.shape[1]
+        self._own = self.grams.part(np.arange(offset))
         self._atoms = [a.columns for a in library.atoms]
         self._weights = np.array([a.log_weight for a in library.atoms])
         self._owner = np.array([a.effect for a in library.atoms])
@@ -203,15 +204,19 @@ class Search:
     def with_unknown(self, known: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
         selected = [self._atoms[k] for k in known.atoms]
-        plain = self.grams
-        for atom, size in zip(selected, known.sizes, strict=True):
-            plain = plain.given(atom, size)
         columns = np.concatenate([_NONE, *selected])
-        apart = self.grams.without(columns)
+        plain, start = self.grams.part(columns), 0
+        for atom, size in zip(selected, known.sizes, strict=True):
+            plain = plain.given(np.arange(start, start + len(atom)), size)
+            start += len(atom)
+        offset = self._own.gram.shape[0]
+        part = self.grams.part(np.concatenate([columns, np.arange(offset, self.grams.gram.shape[0])]))
+        apart = part.without(np.arange(start))
         apart = dataclasses.replace(apart, rest=plain.rest, base=plain.base)
         if not self._processes:
             return dataclasses.replace(known, unknown=True, log_evidence=-np.inf, log_prior=-np.inf)
-        told = apart.log_evidences(self._processes, UNKNOWN_SIZES) + self._process_shares
+        places = [c - offset + start for c in self._processes]
+        told = apart.log_evidences(places, UNKNOWN_SIZES) + self._process_shares
         row, column = np.unravel_index(int(np.argmax(told)), told.shape)
         return dataclasses.replace(
             known,
@@ -247,14 +252,16 @@ class Search:
         worth = [h for h in known if h.score > known[0].score - 2.0 * BEHIND][: 2 * WIDE]
         if empty not in worth:
             worth.append(empty)
-        mixed = [self.with_unknown(h) for h in worth]
+        mixed = [self.with_unknown(h) for h in worth if h in worth[:WIDE] or h is empty]
         return sorted([*known, *mixed], key=lambda h: -h.score)
 
     def _grown(self, bases: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Each base with one effect more: the best few settled, best first."""
         tried: dict[frozenset[str], tuple[float, Hypothesis, str, int, float]] = {}
         for base in bases:
-            found = self.given(base.atoms, base.sizes)
+            found = self._own
+            for atom, size in zip(base.atoms, base.sizes, strict=True):
+                found = found.given(self._atoms[atom], size)
             for effect, (gain, atom, size) in self.screen(found, base.effects).items():
                 key, told = frozenset((*base.effects, effect)), base.log_evidence + gain
                 if key not in tried or tried[key][0] < told:

@@ -8,7 +8,7 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 LOST, KNOCKED = 20e-6, 10e-6  # m
-COUNT = 15
+COUNT = 59
 WHEN = tuple((k + 1) / (COUNT + 1) for k in range(COUNT))  # share of the session
 
 
