@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from oed.batch import Array
-from oed.gap.problem import Index, Problem
+from oed.gap.problem import Index, Pack, Problem
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +56,19 @@ class Law:
         return np.asarray(covariance)
 
 
+def _covariances(law: Law, pack: Pack) -> Array:
+    """As `Law.block`, of all runs of a pack: (B, k, k)."""
+    members = pack.members
+    root = np.sqrt(law.variance[members])
+    covariance = pack.base * (root[:, :, None] * root[:, None, :])
+    related = law.repeat**2 + law.wander**2 * np.exp(pack.gap * (-1.0 / law.reach))
+    covariance += np.where(pack.same, related, 0.0)
+    if law.ratio is not None:
+        ratio = law.ratio[members]
+        covariance *= ratio[:, :, None] * ratio[:, None, :]
+    return np.asarray(law.level**2 * covariance)
+
+
 def plain(problem: Problem) -> Law:
     """The stated noise and nothing else."""
     return Law(0.0, 0.0, 1.0, np.ones(len(problem)))
@@ -68,9 +81,8 @@ class Whitener:
         """`rows`: the readings that count (all by default); vectors given are still of all N readings."""
         self._parts: list[tuple[Index, Array]] = []
         self.log_det = 0.0
-        for members, numbers, within in _packs(problem, rows):
-            blocks = [law.block(problem, k, None if w is None else w) for k, w in zip(numbers, within, strict=True)]
-            factor = np.linalg.cholesky(np.array(blocks))
+        for members, covariance in _blocks(problem, law, rows):
+            factor = np.linalg.cholesky(covariance)
             self.log_det += 2.0 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
             self._parts.append((members, np.asarray(np.linalg.inv(factor), dtype=float)))
         self.size = sum(members.size for members, _ in self._parts)
@@ -83,21 +95,20 @@ class Whitener:
         return white[:, 0] if values.ndim == 1 else white
 
 
-def _packs(problem: Problem, rows: Index | None) -> list[tuple[Index, list[int], list[Index | None]]]:
-    """Runs by their number of readings: members (B, k), numbers of the runs, and the positions kept in each."""
-    counted = np.ones(len(problem), dtype=bool)
-    if rows is not None:
-        counted[:] = False
-        counted[rows] = True
-    packs: dict[int, tuple[list[Index], list[int], list[Index | None]]] = {}
+def _blocks(problem: Problem, law: Law, rows: Index | None) -> list[tuple[Index, Array]]:
+    """Members (B, k) and covariances (B, k, k) of the runs, those of one length together."""
+    if rows is None:
+        return [(pack.members, _covariances(law, pack)) for pack in problem.packs]
+    counted = np.zeros(len(problem), dtype=bool)
+    counted[rows] = True
+    found: dict[int, tuple[list[Index], list[Array]]] = {}
     for k, members in enumerate(problem.blocks):
         mine = np.flatnonzero(counted[members])
         if mine.size:
-            pack = packs.setdefault(mine.size, ([], [], []))
+            pack = found.setdefault(mine.size, ([], []))
             pack[0].append(members[mine])
-            pack[1].append(k)
-            pack[2].append(None if mine.size == len(members) else mine)
-    return [(np.array(members), numbers, within) for members, numbers, within in packs.values()]
+            pack[1].append(law.block(problem, k, mine))
+    return [(np.array(members), np.array(blocks)) for members, blocks in found.values()]
 
 
 class Metric:

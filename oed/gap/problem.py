@@ -11,6 +11,7 @@ whatever value of theta the fit ended at, what the parameters can explain is tak
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,6 +25,17 @@ from oed.gap import state as states_of
 from oed.measurement import Measurement, Response, Series
 
 Index = NDArray[np.intp]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Pack:
+    """Runs of one number k of readings. members (B, k);  base (B, k, k) stated correlation;  same (B, k, k): whether
+    two readings are of one channel;  gap (B, k, k): how many readings lie between them."""
+
+    members: Index
+    base: Array
+    same: NDArray[np.bool_]
+    gap: Array
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -60,6 +72,24 @@ class Problem:
 
     def __len__(self) -> int:
         return len(self.residual)
+
+    @functools.cached_property
+    def packs(self) -> tuple[Pack, ...]:
+        """The runs by their number of readings."""
+        sizes: dict[int, list[int]] = {}
+        for k, members in enumerate(self.blocks):
+            sizes.setdefault(len(members), []).append(k)
+        return tuple(self._pack(numbers) for numbers in sizes.values())
+
+    def _pack(self, numbers: list[int]) -> Pack:
+        members = np.array([self.blocks[k] for k in numbers])
+        base = np.zeros((*members.shape, members.shape[1]))
+        for i, k in enumerate(numbers):
+            known = self.base[k]
+            base[i] = np.eye(members.shape[1]) if known is None else known
+        same = self.group[members][:, :, None] == self.group[members][:, None, :]
+        gap = np.abs(self.along[members][:, :, None] - self.along[members][:, None, :])
+        return Pack(members, base, same, gap)
 
     def of(self, values: Array) -> Array:
         """Changes of the readings (N, ...), SI, in units of their stated noise."""
