@@ -2,7 +2,8 @@
 #
 #   make study   run the A3 study to a report          make lint    style, types, layers
 #   make test    the tests                             make wheel   the wheel, into dist/
-#   make slow    the long studies                      make clean   what was built (distclean: .venv too)
+#   make slow    the long studies and tests (nightly)  make clean   what was built (distclean: .venv too)
+#   make blind   the blind benchmark, 40 cases         make blind BLIND_CASES=1000   all of it
 #
 # Another interpreter: make PYTHON=python3.12 study
 
@@ -14,11 +15,18 @@ STUDY := a3_ball_bar
 # tenfold.
 PYTEST_ARGS ?= -n 2 --dist loadfile
 export OPENBLAS_NUM_THREADS ?= 1
+# The blind benchmark: a folder for each seed and number of cases; what is there already is not made again. A diagnosis
+# that fails stops nothing: the score counts it as wrong.
+BLIND_CASES ?= 40
+BLIND_SEED ?= 1
+BLIND_WORKERS ?= 0
+BLIND = out/blind/$(BLIND_CASES)-$(BLIND_SEED)
+BLIND_DO = $(BIN)/python -m benchmarks.blind
 UV_WANTED := 'uv>=0.13,<1'
 
 SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --python $(BIN)/python
 
-.PHONY: study test slow lint format wheel lock clean distclean setup setup-dev
+.PHONY: study test slow blind lint format wheel lock clean distclean setup setup-dev
 .DEFAULT_GOAL := study
 
 setup: $(VENV)/.stamp-run
@@ -32,6 +40,15 @@ test: setup-dev
 
 slow: setup-dev
 	$(BIN)/pytest -m slow $(PYTEST_ARGS)
+
+blind: setup-dev
+	$(BLIND_DO) generate --set blind --cases $(BLIND_CASES) --seed $(BLIND_SEED) --out $(BLIND)/set
+	-$(BLIND_DO) run --cases $(BLIND)/set --out $(BLIND)/results --workers $(BLIND_WORKERS)
+	$(BLIND_DO) list --cases $(BLIND)/set --kinds single --least 6 --withhold --out $(BLIND)/withheld
+	-$(BLIND_DO) run --cases $(BLIND)/set --out $(BLIND)/results --list $(BLIND)/withheld --workers $(BLIND_WORKERS)
+	$(BLIND_DO) score --cases $(BLIND)/set --results $(BLIND)/results --out $(BLIND)/score \
+	  --table $(BLIND)/RESULTS.md --workers $(BLIND_WORKERS)
+	@echo "Table: $(BLIND)/RESULTS.md"
 
 lint: setup-dev
 	$(BIN)/ruff check

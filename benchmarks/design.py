@@ -39,12 +39,12 @@ from pathlib import Path
 from typing import Any
 
 import cvxpy as cp
-import hexapod
 import numpy as np
-from peers import BOUND_B, COLUMNS, FACTORS, SIZE, Task, busy, candidates, value
 
+import hexapod
 from oed.design import branch, condition, exchange, relaxation
 from oed.design.blocks import as_blocks, information
+from peers import BOUND_B, COLUMNS, FACTORS, SIZE, Task, busy, candidates, value
 
 HERE = Path(__file__).resolve().parent
 PEERS = sorted(path.stem for path in (HERE / "peers").glob("[a-z]*.py"))

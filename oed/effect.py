@@ -38,6 +38,7 @@ class State:
     run          (m,) label of the run;  order (m,) in it
     time, feed, payload, direction   (m,), NaN where unknown
     temperature  {body: (m,)} K
+    session      (k,) times of all readings of the session, sorted, s; empty where unknown
     start        {body: its temperature at the session's first reading, K}
     channels     names of the instrument's channels
     settings     of the set-up, by name, SI
@@ -67,6 +68,7 @@ class State:
     payload: Array
     direction: Array
     temperature: Mapping[str, Array]
+    session: Array
     start: Mapping[str, float]
     channels: tuple[str, ...]
     settings: Mapping[str, float]

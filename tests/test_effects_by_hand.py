@@ -22,11 +22,23 @@ def test_leg_thermal_by_hand() -> None:
         "leg 3 per kelvin"
     ]
     assert warm.scale * warm.joints[2] == pytest.approx([0.0, 13.8e-6])
-    timed = small(state, 2, time=np.array([0.0, 3600.0]), **known)
+    timed = small(state, 2, time=np.array([0.0, 3600.0]), session=np.linspace(0.0, 3600.0, 61), **known)
     rise = columns("leg_thermal", timed, tau=3600.0)["leg 3 rise"]
     assert rise.joints[2] == pytest.approx([0.0, 11.5e-6 * 0.6 * (1.0 - np.exp(-1.0))])
     own = small(state, 2, temperature={"leg3": np.array([0.0, 1.0])}, **known)
     assert columns("leg_thermal", own)["leg 3 per kelvin"].joints[2] == pytest.approx([0.0, 0.6])
+
+
+def test_what_warms_at_work_cools_in_breaks() -> None:
+    """Ten runs of ten minutes, a break of two hours, and ten more: cooled by exp(-7200 / tau) over the break."""
+    state = session("hexapod").states[0]
+    first = np.concatenate([600.0 * k + np.arange(0.0, 301.0, 10.0) for k in range(10)])
+    both = np.concatenate([first, first + first[-1] + 7200.0])
+    before, after = float(first[-1]), float(first[-1] + 7200.0)
+    timed = small(state, 2, time=np.array([before, after]), session=both)
+    share = terms.warming(timed, "leg", 5400.0)[1]
+    assert share[0] == pytest.approx(1.0 - np.exp(-before / 5400.0))
+    assert share[1] == pytest.approx(share[0] * np.exp(-7200.0 / 5400.0))
 
 
 def test_a_body_lags_behind_its_sensor() -> None:

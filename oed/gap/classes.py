@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from oed.batch import Array
-from oed.gap.evidence import Grams
+from oed.gap.evidence import SIZES, Grams
 from oed.gap.problem import Index
 from oed.gap.which import Hypothesis, Search
 
@@ -21,7 +21,7 @@ TELLS = 5.0
 #: share of lambda_k that a rival leaves, below which no reading of this kind tells them apart
 EXACT = 0.04
 #: largest size, against its physical prior scale, that a rival is granted
-RIVAL = 3.0
+RIVAL = float(SIZES[-1])
 
 
 def of(

@@ -19,8 +19,9 @@ from oed.gap.problem import Problem
 from oed.gap.unknown import PROCESSES
 from oed.gap.which import Hypothesis, Search
 
-#: sizes at which the wide model, beside which noise is told, holds the effects and the unknown processes
-WIDE_EFFECT, WIDE_UNKNOWN = 0.3, 2.0
+#: root mean square, in units of the noise, that each effect and process has at least in the wide model, beside which
+#: noise is told
+WIDE = 0.7
 #: laws tried beyond those of the wide model and of no gap: what the search finds under these
 ROUNDS = 2
 #: answers are told down to this probability
@@ -267,12 +268,14 @@ def _same(a: Law, b: Law) -> bool:
 def _wide(known: Library, processes: Library) -> Array:
     """Columns (N, k) that hold any gap: the middle form of every effect, and all processes."""
     chosen = []
-    for effect in known.effects:
-        atoms = known.atoms_of(effect)
-        widest = max(len(known.atoms[k].columns) for k in atoms)
-        full = [k for k in atoms if len(known.atoms[k].columns) == widest]
-        chosen.append(WIDE_EFFECT * known.columns[:, known.atoms[full[len(full) // 2]].columns])
-    return np.hstack([*chosen, WIDE_UNKNOWN * processes.columns])
+    for source in (known, processes):
+        for effect in source.effects:
+            atoms = source.atoms_of(effect)
+            widest = max(len(source.atoms[k].columns) for k in atoms)
+            full = [k for k in atoms if len(source.atoms[k].columns) == widest]
+            columns = source.columns[:, source.atoms[full[len(full) // 2]].columns]
+            chosen.append(columns * (WIDE / np.sqrt((columns**2).sum() / len(columns))))
+    return np.hstack(chosen)
 
 
 def _columns(known: Library, processes: Library, h: Hypothesis) -> Array:

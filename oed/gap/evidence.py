@@ -19,8 +19,9 @@ from oed.batch import Array
 from oed.gap.law import Law, Metric, Whitener
 from oed.gap.problem import Index, Problem
 
-#: sizes of effects against their physical prior scales, equally likely
-SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0])
+#: sizes of effects against their physical prior scales, equally likely: the scales are of a good machine tool, and a
+#: printer's errors are ten times as large
+SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0])
 #: inverse gamma prior of the squared noise level: its stated value to within a factor of about two
 SHAPE, RATE = 2.0, 2.0
 

@@ -18,7 +18,7 @@ from oed.gap.law import Law, plain
 from oed.gap.problem import Problem
 
 #: degrees of freedom of the readings' Student t that are tried
-TAILS = (2.5, 3.0, 4.0, 6.0, 10.0, np.inf)
+TAILS = (3.0, 4.0, 6.0, 10.0, np.inf)
 #: prior of log(1 + share) of the run's and the carried error: of the size of the noise, a factor of e either way
 SPREAD = 1.0
 #: prior of the log of the reach, in readings: about eight, a factor of e either way
@@ -121,7 +121,7 @@ def _apart(problem: Problem, law: Law, columns: Array) -> tuple[Array, float]:
         return np.ones(size), np.inf
     # what an outlier adds to its own reading only, in terms of the ordinary noise
     factor = (degrees + (t / scale) ** 2) / (degrees + 1.0)
-    return np.maximum(factor, 1.0 / 3.0), float(degrees)
+    return np.maximum(factor, 1.0), float(degrees)
 
 
 def _tail(t: Array, degrees: float) -> tuple[float, float, float]:

@@ -27,13 +27,12 @@ def states(
 ) -> list[State]:
     """One State a series, over all its poses, at theta (n,); `covariates` has one row a reading, in their order."""
     times = _column(covariates, "time")
-    known = np.isfinite(times).any()
-    span = (float(np.nanmin(times)), float(np.nanmax(times))) if known else (np.nan, np.nan)
+    session = np.unique(times[np.isfinite(times)])
     first = _first(covariates, times)
     made, begin = [], 0
     for s in series:
         rows = covariates.iloc[begin : begin + len(s)]
-        made.append(_state(measurement, s, rows, theta, span, first, np.array(gravity, dtype=float)))
+        made.append(_state(measurement, s, rows, theta, session, first, np.array(gravity, dtype=float)))
         begin += len(s)
     return made
 
@@ -54,7 +53,7 @@ def _state(
     series: Series,
     rows: pd.DataFrame,
     theta: Array,
-    span: tuple[float, float],
+    session: Array,
     start: Mapping[str, float],
     gravity: Array,
 ) -> State:
@@ -97,10 +96,11 @@ def _state(
         order=order,
         temperature={c.removeprefix(TEMPERATURE): _column(rows, c)[owner] for c in bodies},
         home=kinematics.inverse(machine.home_command[None])[0][0],
+        session=session,
         start={c.removeprefix(TEMPERATURE): v for c, v in start.items()},
         channels=tuple(c.name for c in measurement.setups[series.setup].instrument.channels),
         settings=measurement.setups[series.setup].settings,
-        span=span,
+        span=(float(session[0]), float(session[-1])) if session.size else (np.nan, np.nan),
         **known,
     )
 

@@ -21,10 +21,26 @@ from pkm_studies.study import SUFFIX
 
 #: values a coordinate of the grid that is offered, and the share of the workspace they span
 VALUES, SHARE = 5, 0.6
+#: readings of the plan that is offered, where the grid has as many
+READINGS = 30
 TURN = 12
 #: share of the grid's poses to which an instrument must be able to lead the tool for a coordinate to be "hold"
 LED = 0.3
 SETUP = "setup1"
+GAP = """\
+# What calibration leaves: `oed diagnose` looks for its causes in any readings; with [gap], `oed run` does as well, and
+# tells beforehand which causes could be found. It knows more with columns time_s, direction, feed_mm_min, payload_N.
+# [gap]
+# effects = ["all"]  # of `oed list effects`, or files of your own
+# gravity = [0.0, 0.0, -1.0]  # its direction in the base frame
+
+# [gap.conditions]  # how the virtual machine is read
+# start_min = 30.0
+# feed_mm_min = 1000.0
+
+# [[gap.acting]]  # what it has
+# effect = "encoder_scale"
+"""
 
 
 def write(name: str, machine: str, instrument: str, folder: Path) -> Path:
@@ -120,9 +136,12 @@ def _prior(machine: Machine) -> str:
 
 def _design(machine: Machine, instrument: Instrument) -> str:
     criteria = 'criterion = "D"  # or Ds, A, c, I, G, E, kappa, O1 to O5: see `oed schema study`'
-    lines = ["[design]", criteria, "readings = 30", 'scaling = "length"', ""]
+    grid = _grid(machine, instrument)
+    counts = [int(n) for n in re.findall(r"count = (\d+)", "\n".join(grid))]
+    readings = min(READINGS, math.prod(counts) // 2)  # fewer than there are candidates
+    lines = ["[design]", criteria, f"readings = {readings}", 'scaling = "length"', ""]
     lines += ["[[design.candidates]]", f'setup = "{SETUP}"']
-    return "\n".join([*lines, *_grid(machine, instrument)]) + "\n"
+    return "\n".join([*lines, *grid]) + "\n"
 
 
 def _grid(machine: Machine, instrument: Instrument) -> list[str]:
@@ -158,6 +177,7 @@ reference = "home"  # home, absolute or best_fit
 {axes}
 
 {plan}
+{GAP}
 # Claims: `pytest` on this file tells whether they hold.
 # [expect]
 # rank = {{ of = "identifiability.rank", min = 1 }}

@@ -143,11 +143,16 @@ def share(state: State) -> Array:
     return since(state) / length if length > 0.0 else np.zeros(len(state))
 
 
+#: gaps (s) that are more than the way to the next pose, and how many times their median a break is
+PAUSE, BREAK = 60.0, 2.5
+
+
 def warming(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:
     """How warm a body is at each pose (m,): (whether it was measured, as in the textbook, what may come to it).
 
     Measured, K above the session's start: and how far a body that follows with time constant tau (s) lags behind.
-    Not measured, 1 - exp(-t / tau), as a share of the final rise: and a faster part, 1 - exp(-4 t / tau).
+    Not measured, as a share of the final rise: it warms with tau while readings are taken and cools in breaks, 1 -
+    exp(-t / tau) where there are none; and a faster part, with tau / 4.
     """
     kelvin = state.temperature.get(body, np.full(len(state), np.nan))
     time = since(state)
@@ -155,7 +160,22 @@ def warming(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:
         start = state.start.get(body, kelvin[np.isfinite(kelvin)][0])
         rise = filled(kelvin - start)
         return True, rise, _lag(rise, time, tau) - rise
-    return False, -np.expm1(-time / tau), -np.expm1(-4.0 * time / tau)
+    return False, _worked(state, tau), _worked(state, tau / 4.0)
+
+
+def _worked(state: State, tau: float) -> Array:
+    """Share (m,) of its final temperature that a body has: T' = (u - T) / tau, u = 1 at work and 0 in breaks."""
+    session = state.session
+    if not session.size:
+        return np.zeros(len(state))
+    gaps = np.diff(session)
+    between = gaps[gaps > PAUSE]
+    idle = gaps > max(BREAK * float(np.median(between)) if between.size else np.inf, PAUSE)
+    kept = np.exp(-gaps / tau)
+    share = np.zeros(len(session))
+    for k, (still, factor) in enumerate(zip(idle, kept, strict=True)):
+        share[k + 1] = share[k] * factor + (0.0 if still else 1.0 - factor)
+    return np.interp(np.where(np.isfinite(state.time), state.time, session[0]), session, share)
 
 
 def _lag(value: Array, time: Array, tau: float) -> Array:
