@@ -38,6 +38,7 @@ class State:
     run          (m,) label of the run;  order (m,) in it
     time, feed, payload, direction   (m,), NaN where unknown
     temperature  {body: (m,)} K
+    heaviest     largest payload of the session, N; 0 where unknown
     session      (k,) times of all readings of the session, sorted, s; empty where unknown
     start        {body: its temperature at the session's first reading, K}
     channels     names of the instrument's channels
@@ -68,6 +69,7 @@ class State:
     payload: Array
     direction: Array
     temperature: Mapping[str, Array]
+    heaviest: float
     session: Array
     start: Mapping[str, float]
     channels: tuple[str, ...]

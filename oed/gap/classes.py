@@ -19,7 +19,7 @@ from oed.gap.which import Hypothesis, Search
 #: sqrt(lambda_{k|j}) below which a rival may stand for an effect
 TELLS = 5.0
 #: share of lambda_k that a rival leaves, below which no reading of this kind tells them apart
-EXACT = 0.04
+EXACT = 0.002
 #: largest size, against its physical prior scale, that a rival is granted
 RIVAL = float(SIZES[-1])
 

@@ -22,8 +22,6 @@ from oed.gap.which import Hypothesis, Search
 #: root mean square, in units of the noise, that each effect and process has at least in the wide model, beside which
 #: noise is told
 WIDE = 0.7
-#: laws tried beyond those of the wide model and of no gap: what the search finds under these
-ROUNDS = 2
 #: answers are told down to this probability
 TOLD = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
@@ -35,22 +33,24 @@ def diagnose(problem: Problem, effects: Sequence[Effect], rng: np.random.Generat
     made = searches(problem, effects)
     hypotheses = which.compare(made)
     found = conclude(problem, made, hypotheses, effects)
-    located, shrunk = _placed(problem, made[hypotheses[0].law], hypotheses[0], found, rng)
+    best = hypotheses[0]
+    if found.verdict == "none":  # what the likeliest effect would close is told all the same, nil or not
+        best = next((h for h in hypotheses if h.effects and not h.unknown), best)
+    located, shrunk = _placed(problem, made[best.law], best, found, rng)
     return dataclasses.replace(found, where=located, closure=shrunk)
 
 
 def _placed(
     problem: Problem, search: Search, best: Hypothesis, found: Diagnosis, rng: np.random.Generator
 ) -> tuple[tuple[Block, ...], tuple[Closure, ...]]:
-    """Where the gap lies, and how far it shrinks on held-out readings; nothing where there is none."""
-    if found.verdict == "none":
-        return (), ()
+    """Where the gap lies (nowhere if there is none), and how far it shrinks on held-out readings."""
     known = search.library
-    columns = [known.columns[:, known.atoms[k].columns] for k in best.atoms]
-    labels = [known.labels[c] for k in best.atoms for c in known.atoms[k].columns]
-    told = where.where(
-        problem, found.law, rng, columns=np.hstack(columns) if columns else None, labels=labels if columns else None
-    )
+    told: tuple[Block, ...] = ()
+    if found.verdict != "none":
+        parts = [known.columns[:, known.atoms[k].columns] for k in best.atoms]
+        labels = [known.labels[c] for k in best.atoms for c in known.atoms[k].columns]
+        columns = np.hstack(parts) if parts else None
+        told = where.where(problem, found.law, rng, columns=columns, labels=labels if parts else None)
     forms = _forms(search, best)
     if not forms:
         return told, ()
@@ -249,15 +249,21 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     calm = dataclasses.replace(calm, variance=wide[0].variance, tails=wide[0].tails)
     plain = scatter.fit(problem, nothing, calm)
     processes = waves.added(processes, problem, plain[0])
-    made = [Search(problem, known, processes, *pair) for pair in (wide, plain)]
-    for _ in range(ROUNDS):
-        best = which.compare(made)[0]
-        columns = _columns(known, processes, best)
-        pair = scatter.fit(problem, columns, made[best.law].law)
-        if any(_same(pair[0], s.law) for s in made):
-            break
-        made.append(Search(problem, known, processes, *pair))
+    made = [Search(problem, known, processes, *pair) for pair in (plain, wide, scatter.quiet(plain[0]))]
+    # what each law would have act is given the law that suits it: a load's runs, say, are not taken for poor repeats
+    for start in list(made):
+        _refitted(made, start, start.run()[0])
+    best = which.compare(made)[0]
+    _refitted(made, made[best.law], best)
     return made
+
+
+def _refitted(made: list[Search], start: Search, best: Hypothesis) -> None:
+    """Add the search under the law that suits a hypothesis, unless it is there."""
+    columns = _columns(start.library, start.processes, best)
+    pair = scatter.fit(start.problem, columns, start.law)
+    if not any(_same(pair[0], s.law) for s in made):
+        made.append(Search(start.problem, start.library, start.processes, *pair))
 
 
 def _same(a: Law, b: Law) -> bool:

@@ -24,6 +24,8 @@ SPREAD = 1.0
 #: prior of the log of the reach, in readings: about eight, a factor of e either way
 REACH = np.log(8.0)
 ROUNDS = 2
+#: log of a share of the noise below which it makes no difference
+_LEAST = -2.0
 #: where a search begins: white, runs that do not repeat, an error carried along
 STARTS = tuple(np.array(v) for v in ((-2.0, -2.0, REACH), (0.0, -2.0, REACH), (-2.0, 0.5, REACH)))
 
@@ -81,9 +83,15 @@ def _inverse(size: float) -> float:
 
 def _prior(v: Array) -> float:
     """Log prior: each share about half the noise; small ones are all alike."""
-    shares = np.maximum(v[:2], -2.0)
+    shares = np.maximum(v[:2], _LEAST)
     told = ((shares + 1.0) / 1.5) ** 2
     return float(-0.5 * told.sum() - 0.5 * ((v[2] - REACH) / SPREAD) ** 2 - 0.5 * (v[3:] ** 2).sum())
+
+
+def quiet(law: Law) -> tuple[Law, float]:
+    """The law without errors that a run or its readings share, and its log prior: whatever is seen is then a gap."""
+    v = np.array([_LEAST, _LEAST, REACH])
+    return dataclasses.replace(law, repeat=_size(_LEAST), wander=_size(_LEAST), reach=float(np.exp(REACH))), _prior(v)
 
 
 def robust(problem: Problem, columns: Array, size: float | Array = 1.0, start: Law | None = None) -> tuple[Law, float]:

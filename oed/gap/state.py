@@ -28,11 +28,12 @@ def states(
     """One State a series, over all its poses, at theta (n,); `covariates` has one row a reading, in their order."""
     times = _column(covariates, "time")
     session = np.unique(times[np.isfinite(times)])
+    heaviest = float(np.nanmax(np.abs(_column(covariates, "payload")), initial=0.0))
     first = _first(covariates, times)
     made, begin = [], 0
     for s in series:
         rows = covariates.iloc[begin : begin + len(s)]
-        made.append(_state(measurement, s, rows, theta, session, first, np.array(gravity, dtype=float)))
+        made.append(_state(measurement, s, rows, theta, session, heaviest, first, np.array(gravity, dtype=float)))
         begin += len(s)
     return made
 
@@ -54,6 +55,7 @@ def _state(
     rows: pd.DataFrame,
     theta: Array,
     session: Array,
+    heaviest: float,
     start: Mapping[str, float],
     gravity: Array,
 ) -> State:
@@ -96,6 +98,7 @@ def _state(
         order=order,
         temperature={c.removeprefix(TEMPERATURE): _column(rows, c)[owner] for c in bodies},
         home=kinematics.inverse(machine.home_command[None])[0][0],
+        heaviest=heaviest,
         session=session,
         start={c.removeprefix(TEMPERATURE): v for c, v in start.items()},
         channels=tuple(c.name for c in measurement.setups[series.setup].instrument.channels),
@@ -140,19 +143,20 @@ def _motion(
         if len(at) < 2:
             rate[at] = 0.0
             continue
-        step = np.diff(q[at], axis=0)
-        path = np.linalg.norm(np.diff(tip[at], axis=0), axis=1)
-        sense[at] = _sense(np.vstack([step[:1], step]))
-        slope = np.gradient(q[at], np.maximum(np.concatenate([[0.0], np.cumsum(np.maximum(path, 1e-9))]), 0.0), axis=0)
+        step = np.abs(np.diff(q[at], axis=0))
+        path = np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(tip[at], axis=0), axis=1), 1e-9))])
+        slope = np.gradient(q[at], path, axis=0)
+        # between two readings a joint may turn back: its motion at a pose is the path's slope there, not the step
+        sense[at] = _sense(slope)
         rate[at] = slope * feed[at, None]
-        reversal[at] = _since(np.abs(np.vstack([step[:1], step])), sense[at])
+        reversal[at] = _since(np.vstack([step[:1], step]), sense[at])
     return sense, rate, reversal
 
 
-def _sense(step: Array) -> Array:
-    """Sign of each joint's step (k, nq) to its pose, kept where it stands still."""
-    size = np.abs(step)
-    sign = np.where(size > 1e-6 * max(float(size.max()), 1e-12), np.sign(step), 0.0)
+def _sense(slope: Array) -> Array:
+    """Sign of each joint's motion (k, nq) at its poses, kept where it stands still."""
+    size = np.abs(slope)
+    sign = np.where(size > 1e-6 * max(float(size.max()), 1e-12), np.sign(slope), 0.0)
     for k in range(1, len(sign)):
         sign[k] = np.where(sign[k] == 0.0, sign[k - 1], sign[k])
     for k in range(len(sign) - 2, -1, -1):

@@ -18,8 +18,8 @@ from oed.effect import Column, Effect, State
 
 #: prior standard deviation of a process, m in the reading or the joint: a micrometre
 UNIT = 1e-6
-#: feed (m/s) and payload (N) of usual size
-FEED, LOAD = 1.0 / 60.0, 100.0
+#: feed (m/s) of usual size
+FEED = 1.0 / 60.0
 #: readings that a run must have for its harmonics to mean something
 WAVES = 24
 SOURCE = "Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464, for discrepancies as processes"
@@ -151,9 +151,9 @@ def over_sense(state: State) -> Iterable[Column]:
 def over_load(state: State) -> Iterable[Column]:
     """An error that comes with the payload, over the pose and along the runs."""
     load = np.where(np.isfinite(state.payload), state.payload, 0.0)
-    if np.ptp(load) == 0.0 and not load.any():
+    if state.heaviest == 0.0:
         return
-    load = load / LOAD
+    load = load / state.heaviest
     yield from _read(state, "load", UNIT, load)
     values = _coordinates(state) * load[:, None]
     yield from _products(state, values, "load", 1)

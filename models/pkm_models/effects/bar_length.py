@@ -23,5 +23,5 @@ effect = Effect(
     about="a bar (or calliper) whose zero is wrong",
     columns=columns,
     remedy="calibrate the bar's length on a calibrator before use",
-    exposed_by="a second bar length, or a laser interferometer",
+    exposed_by="a second known tool length, a second bar calibrated apart, or a laser interferometer",
 )

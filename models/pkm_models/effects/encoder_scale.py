@@ -21,5 +21,5 @@ effect = Effect(
     about="scale error of each joint's encoder or screw",
     columns=columns,
     remedy="measure each joint's scale with a laser interferometer and correct it in the controller",
-    exposed_by="a laser interferometer along a joint, or bars of two known lengths",
+    exposed_by="a laser interferometer along a joint, or a second known tool length",
 )
