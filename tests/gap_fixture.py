@@ -150,6 +150,7 @@ def diagnosis(problem: Problem) -> Diagnosis:
         marginal={"cold": 0.01, "backlash": 0.98},
         law=plain(problem),
         noise_words=("The noise is as stated.",),
+        constants={},
         coefficients=tuple(
             Coefficient("backlash", n, n, float(b * s * 2.0), float(e * s * 2.0))
             for n, b, e, s in zip(found.names, beta, sd, found.scales, strict=True)

@@ -51,9 +51,7 @@ def _placed(
         labels = [known.labels[c] for k in best.atoms for c in known.atoms[k].columns]
         columns = np.hstack(parts) if parts else None
         told = where.where(problem, found.law, rng, columns=columns, labels=labels if parts else None)
-    forms = _forms(search, best)
-    if not forms:
-        return told, ()
+    forms = _forms(search, best) or [np.zeros((len(problem), 1))]  # nothing to add closes nothing, and is told so
     splits: tuple[Literal["within", "whole"], ...] = ("within", "whole")
     shrunk = tuple(closure.closure(problem, found.law, forms, rng, split=split) for split in splits)
     return told, shrunk
@@ -98,6 +96,7 @@ def conclude(
         marginal=_marginal(search.library.effects, hypotheses, shares),
         law=dataclasses.replace(search.law, level=found.level),
         noise_words=scatter.words(problem, dataclasses.replace(search.law, level=found.level)),
+        constants={e: search.library.atoms[k].constants for e, k in zip(best.effects, best.atoms, strict=True)},
         coefficients=found.coefficients,
         sizes=found.sizes,
         explained=found.explained * problem.sigma,

@@ -83,6 +83,7 @@ class Diagnosis:
     answers        by probability;  set95: the fewest that together have 95 %
     marginal       {effect: probability that it acts}
     law            noise as estimated;  noise_words: the same in words
+    constants      {effect: its constants' values in the form that suits the readings best}
     coefficients, sizes   of the selected effects
     explained      (N,) part of the residual that the selected effects explain, SI
     unexplained    (N,) part that an unknown remainder explains, SI
@@ -97,6 +98,7 @@ class Diagnosis:
     marginal: Mapping[str, float]
     law: Law
     noise_words: tuple[str, ...]
+    constants: Mapping[str, Mapping[str, float]]
     coefficients: tuple[Coefficient, ...]
     sizes: tuple[Size, ...]
     explained: Array

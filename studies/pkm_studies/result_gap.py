@@ -117,6 +117,7 @@ class Gap(Part, frozen=True):
     verdict   none, effect, class (one of several that cannot be told apart), mixture (several, or one and an unknown
               remainder), unknown
     set95     the fewest answers that hold 95 % of the probability together
+    constants  of each selected effect, SI
     selected  effects of the best answer, `unknown` aside
     spots     rms residual by place of the tool, in `spots_unit` ("sigma": in units of the stated noise)
     words     one finding a sentence, the most important first
@@ -146,3 +147,4 @@ class Gap(Part, frozen=True):
     spots_unit: str
     words: list[str]
     next: list[str]
+    constants: dict[str, dict[str, float]] = {}

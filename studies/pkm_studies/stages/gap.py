@@ -56,6 +56,7 @@ def section(found: Diagnosis, effects: Sequence[Effect]) -> result_gap.Gap:
         tried=[e.name for e in effects],
         marginal={n: float(p) for n, p in sorted(found.marginal.items(), key=lambda item: -item[1])},
         about=about,
+        constants={effect: dict(values) for effect, values in found.constants.items()},
         coefficients=_coefficients(found, effects),
         sizes=[_size(s, fine) for s in found.sizes],
         noise=list(found.noise_words),
