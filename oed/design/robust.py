@@ -93,7 +93,7 @@ def choose(
 def _relaxed(parts: tuple[Plain, ...], rules: Rules, risk: Risk, level: float) -> Relaxed:
     """The relaxation under the number of readings, or the budget (mounting left out), whichever is tighter."""
     best: Relaxed | None = None
-    for total, cost in _totals(rules, parts[0].count):
+    for total, cost in rules.totals(parts[0].count):
         scaled = parts if cost is None else tuple(_per(p, cost) for p in parts)
         found: Relaxed | None = None
         for sharp in SHARP[:1] if risk == "mean" else SHARP:
@@ -107,16 +107,6 @@ def _relaxed(parts: tuple[Plain, ...], rules: Rules, risk: Risk, level: float) -
         best = told if best is None or told.bound < best.bound else best
     assert best is not None
     return best
-
-
-def _totals(rules: Rules, count: int) -> list[tuple[float, Array | None]]:
-    totals: list[tuple[float, Array | None]] = []
-    if rules.size is not None:
-        totals.append((float(min(rules.size, count)), None))
-    if rules.budget is not None:
-        assert rules.cost is not None
-        totals.append((float(min(rules.budget, rules.cost.sum())), rules.cost))
-    return totals
 
 
 def _per(part: Plain, cost: Array) -> Plain:

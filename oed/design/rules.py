@@ -59,6 +59,16 @@ class Rules:
         """Whether only the number counts."""
         return self.budget is None and self.most_setups is None and self.apart <= 0.0
 
+    def totals(self, count: int) -> list[tuple[float, Array | None]]:
+        """Sums that the weights of `count` candidates, or what they cost, are held to; mounting is left out, which only
+        raises a bound."""
+        totals: list[tuple[float, Array | None]] = []
+        if self.size is not None:
+            totals.append((float(min(self.size, count)), None))
+        if self.budget is not None and self.cost is not None:
+            totals.append((float(min(self.budget, self.cost.sum())), self.cost))
+        return totals
+
     def spent(self, chosen: Index) -> float:
         """Time that a plan takes, s."""
         readings = 0.0 if self.cost is None else float(self.cost[chosen].sum())

@@ -27,7 +27,7 @@ from oed.batch import Array
 from oed.effect import Effect
 from oed.gap.law import Law, Metric
 from oed.gap.problem import Index, Problem
-from oed.gap.signature import Signature, signature, untestable
+from oed.gap.signature import Signature, untestable
 
 #: false alarm and power that "is found" stands for
 FALSE_ALARM, POWER = 0.01, 0.90
@@ -222,10 +222,7 @@ class _Table:
         if reason is not None:
             self.refused[effect.name] = reason
             return []
-        made = [
-            signature(effect, point, problem.states, problem.responses, problem.measurement, problem.series)
-            for point in effect.grid()
-        ]
+        made = [problem.signature(effect, point) for point in effect.grid()]
         kept = [s for s in made if s.names]
         if not kept:
             self.refused[effect.name] = "it changes none of these readings"

@@ -11,7 +11,6 @@ repeats, `wander` an error that is carried along a run over `reach` readings. Ch
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 from scipy import linalg
@@ -41,23 +40,12 @@ class Law:
 
     def block(self, problem: Problem, number: int, rows: Index | None = None) -> Array:
         """Covariance (k, k) of a run's readings, or of those of its `rows` (positions within the run)."""
-        members = problem.blocks[number]
-        base = problem.base[number]
-        if rows is not None:
-            members, base = members[rows], None if base is None else base[np.ix_(rows, rows)]
-        root = np.sqrt(self.variance[members])
-        own = np.diag(root**2) if base is None else base * np.outer(root, root)
-        same = problem.group[members][:, None] == problem.group[members][None, :]
-        gap = np.abs(problem.along[members][:, None] - problem.along[members][None, :])
-        related = self.repeat**2 + self.wander**2 * np.exp(-gap / self.reach)
-        covariance = self.level**2 * (own + related * same)
-        if self.ratio is not None:
-            covariance *= np.outer(self.ratio[members], self.ratio[members])
-        return np.asarray(covariance)
+        pack = problem.pack([number])
+        return np.asarray(_covariances(self, pack if rows is None else pack.take(rows))[0])
 
 
 def _covariances(law: Law, pack: Pack) -> Array:
-    """As `Law.block`, of all runs of a pack: (B, k, k)."""
+    """Covariances (B, k, k) of the runs of a pack."""
     members = pack.members
     root = np.sqrt(law.variance[members])
     covariance = pack.base * (root[:, :, None] * root[:, None, :])
@@ -125,9 +113,8 @@ class Metric:
         inner = np.eye(white.shape[1]) + white.T @ white
         self._root = linalg.cholesky(inner, lower=True, check_finite=False)
         self._absorb = linalg.solve_triangular(self._root, white.T, lower=True, check_finite=False)
-        #: log determinant of Sigma, and of Sigma + H Lambda H^T
-        self.log_det_noise = self._whitener.log_det
-        self.log_det = self.log_det_noise + 2.0 * float(np.log(np.diag(self._root)).sum())
+        #: log determinant of Sigma + H Lambda H^T
+        self.log_det = self._whitener.log_det + 2.0 * float(np.log(np.diag(self._root)).sum())
 
     def white(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened by the noise alone, run after run."""
@@ -147,8 +134,3 @@ class Metric:
         """Inner products (k, l) of (N, k) and (N, l)."""
         (u0, u1), (v0, v1) = self.parts(u), self.parts(v)
         return np.asarray(u0.T @ v0 - u1.T @ v1)
-
-
-def join(rows: Sequence[Index]) -> Index:
-    """Index sets as one."""
-    return np.concatenate(rows) if rows else np.empty(0, dtype=np.intp)

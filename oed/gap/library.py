@@ -17,7 +17,7 @@ from oed.effect import Effect
 from oed.gap import evidence
 from oed.gap.law import Metric
 from oed.gap.problem import Index, Problem
-from oed.gap.signature import Signature, signature, untestable
+from oed.gap.signature import Signature, untestable
 
 #: prior share of an effect's forms in which one limb alone has it
 ALONE = 0.4
@@ -101,10 +101,7 @@ def build(problem: Problem, effects: Sequence[Effect], metric: Metric | None = N
 
 def _forms(problem: Problem, effect: Effect) -> list[Signature]:
     """The effect's signatures over its grid of constants; those that change no reading are left out."""
-    made = [
-        signature(effect, point, problem.states, problem.responses, problem.measurement, problem.series, problem.sigma)
-        for point in effect.grid()
-    ]
+    made = [problem.signature(effect, point) for point in effect.grid()]
     return [s for s in made if s.names and np.linalg.norm(problem.of(s.columns)) > UNSEEN]
 
 

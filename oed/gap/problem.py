@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from oed import identify
 from oed.batch import Array
-from oed.effect import State
+from oed.effect import Effect, State
 from oed.gap import state as states_of
+from oed.gap.signature import Signature, signature
 from oed.measurement import Measurement, Response, Series
 
 Index = NDArray[np.intp]
@@ -36,6 +37,11 @@ class Pack:
     base: Array
     same: NDArray[np.bool_]
     gap: Array
+
+    def take(self, rows: Index) -> Pack:
+        """The readings at positions `rows` (k',) of each run."""
+        both = (slice(None), rows[:, None], rows)
+        return Pack(self.members[:, rows], self.base[both], self.same[both], self.gap[both])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -79,9 +85,10 @@ class Problem:
         sizes: dict[int, list[int]] = {}
         for k, members in enumerate(self.blocks):
             sizes.setdefault(len(members), []).append(k)
-        return tuple(self._pack(numbers) for numbers in sizes.values())
+        return tuple(self.pack(numbers) for numbers in sizes.values())
 
-    def _pack(self, numbers: list[int]) -> Pack:
+    def pack(self, numbers: list[int]) -> Pack:
+        """Runs, by their numbers, that have one number of readings."""
         members = np.array([self.blocks[k] for k in numbers])
         base = np.zeros((*members.shape, members.shape[1]))
         for i, k in enumerate(numbers):
@@ -90,6 +97,10 @@ class Problem:
         same = self.group[members][:, :, None] == self.group[members][:, None, :]
         gap = np.abs(self.along[members][:, :, None] - self.along[members][:, None, :])
         return Pack(members, base, same, gap)
+
+    def signature(self, effect: Effect, constants: Mapping[str, float]) -> Signature:
+        """An effect's signature in these readings at its constants, SI."""
+        return signature(effect, constants, self.states, self.responses, self.measurement, self.series, self.sigma)
 
     def of(self, values: Array) -> Array:
         """Changes of the readings (N, ...), SI, in units of their stated noise."""

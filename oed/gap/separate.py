@@ -27,7 +27,7 @@ from oed.gap.apart import SHARP, Judge, Separation, Target
 from oed.gap.detect import ROOM, in_words
 from oed.gap.law import Law
 from oed.gap.problem import Index, Problem
-from oed.gap.signature import Signature, signature, untestable
+from oed.gap.signature import Signature, untestable
 
 #: forms of an effect (values of its constants) that stand for its grid
 FORMS = 6
@@ -304,7 +304,7 @@ def _hardest(pool: Pool, runs: Index) -> list[int]:
 def _relaxed(found: Separation, rules: Rules) -> Relaxed:
     """The relaxation's weights and bound, under the number of runs or the budget, whichever is tighter."""
     best: Relaxed | None = None
-    for total, cost in _totals(rules, found.count):
+    for total, cost in rules.totals(found.count):
         per = np.ones(found.count) if cost is None else cost
         scaled = dataclasses.replace(found, grams=found.grams / per[:, None, None])
         told: Relaxed | None = None
@@ -320,16 +320,6 @@ def _relaxed(found: Separation, rules: Rules) -> Relaxed:
     return best
 
 
-def _totals(rules: Rules, count: int) -> list[tuple[float, Array | None]]:
-    """Sums that the weights (or what they cost) are held to; mounting is left out, which only raises the bound."""
-    totals: list[tuple[float, Array | None]] = []
-    if rules.size is not None:
-        totals.append((float(min(rules.size, count)), None))
-    if rules.budget is not None and rules.cost is not None:
-        totals.append((float(min(rules.budget, rules.cost.sum())), rules.cost))
-    return totals
-
-
 def _signatures(problem: Problem, effect: Effect) -> list[Signature]:
     """The effect's forms, at most `FORMS` of its grid. Raises ValueError where no candidate can test it."""
     reason = untestable(effect, problem.states)
@@ -337,7 +327,7 @@ def _signatures(problem: Problem, effect: Effect) -> list[Signature]:
     if len(grid) > FORMS:
         grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, FORMS).round().astype(int))]
     made = [] if reason is not None else [
-        signature(effect, point, problem.states, problem.responses, problem.measurement, problem.series)
+        problem.signature(effect, point)
         for point in grid
     ]  # fmt: skip
     kept = [s for s in made if s.names]

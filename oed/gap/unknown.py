@@ -47,7 +47,7 @@ def _read(state: State, name: str, size: float, wave: Array) -> Iterable[Column]
 
 
 def over_time(state: State) -> Iterable[Column]:
-    """Drift of the readings, and of each joint."""
+    """Drift of the readings."""
     if not np.isfinite(state.span[0]):
         return
     for k, wave in enumerate(_cosines(_time(state), 8), start=1):
