@@ -9,6 +9,7 @@ signature in the readings (H delta p, to first order) and, through the exact clo
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
@@ -16,6 +17,9 @@ from numpy.typing import NDArray
 
 from oed.batch import Array
 from oed.machine import Machine
+
+#: singular value of the tool's motion by its joints, against the largest, below which a direction is none of its own
+STIFF = 0.05
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -31,6 +35,7 @@ class State:
     reversal     (m, nq) how far each joint has gone since its last reversal in the run, m or rad
     rate         (m, nq) joint velocity, from order and feed;  NaN where the feed is not known
     force        (m, nq) generalised force in each joint per newton pulling along gravity at the tool point (J^-T w)
+    twist        (m, 6, nq) motion of the tool point (3, m) and rotation (3, rad), base frame, per unit of each joint
     strut        (m, nq) length of the strut that the joint drives;  along (m, nq, 3) its direction, base to platform
     base         (m, nq, 3) and platform (m, nq, 3) its ends in the base frame
     per_length   (m, nq) change of the joint worth a strut longer by 1 m (joint unit over m)
@@ -56,6 +61,7 @@ class State:
     reversal: Array
     rate: Array
     force: Array
+    twist: Array
     strut: Array
     along: Array
     base: Array
@@ -76,6 +82,13 @@ class State:
     settings: Mapping[str, float]
     home: Array
     span: tuple[float, float]
+
+    @functools.cached_property
+    def pushing(self) -> Array:
+        """Joint changes (m, nq, 3) that displace the tool along each axis of the base, without turning it if they can;
+        nothing along an axis in which joints hardly move it."""
+        motion = self.twist if len(self.limbs) >= 6 else self.twist[:, :3]
+        return np.asarray(np.linalg.pinv(motion, rcond=STIFF)[:, :, :3])
 
     @property
     def limbs(self) -> range:

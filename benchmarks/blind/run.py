@@ -206,6 +206,7 @@ def _law(law: Law) -> dict[str, Any]:
     return {
         "repeat": law.repeat,
         "wander": law.wander,
+        "sway": law.sway,
         "reach": law.reach,
         "level": law.level,
         "tails": _known(law.tails),
@@ -220,6 +221,7 @@ def law_of(said: dict[str, Any], size: int) -> Law:
     return Law(
         repeat=said["repeat"],
         wander=said["wander"],
+        sway=said.get("sway", 0.0),
         reach=said["reach"],
         variance=np.array(variance, dtype=float),
         level=said["level"],

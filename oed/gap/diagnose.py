@@ -16,7 +16,7 @@ from oed.gap.diagnosis import UNKNOWN, Answer, Block, Closure, Coefficient, Diag
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
 from oed.gap.problem import Problem
-from oed.gap.unknown import PROCESSES
+from oed.gap.unknown import LOCAL, PROCESSES
 from oed.gap.which import Hypothesis, Search
 
 #: root mean square, in units of the noise, that each effect and process has at least in the wide model, beside which
@@ -266,15 +266,15 @@ def _refitted(made: list[Search], start: Search, best: Hypothesis) -> None:
 
 
 def _same(a: Law, b: Law) -> bool:
-    sizes = np.array([[v.repeat, v.wander, np.log(v.reach)] for v in (a, b)])
-    return bool(np.abs(sizes[0, :2] - sizes[1, :2]).max() < 0.05 and abs(sizes[0, 2] - sizes[1, 2]) < 0.2)
+    sizes = np.array([[v.repeat, v.wander, v.sway, np.log(v.reach)] for v in (a, b)])
+    return bool(np.abs(sizes[0, :3] - sizes[1, :3]).max() < 0.05 and abs(sizes[0, 3] - sizes[1, 3]) < 0.2)
 
 
 def _wide(known: Library, processes: Library) -> Array:
-    """Columns (N, k) that hold any gap: the middle form of every effect, and all processes."""
+    """Columns (N, k) that hold any gap: the middle form of every effect, and all processes that are not local."""
     chosen = []
     for source in (known, processes):
-        for effect in source.effects:
+        for effect in (e for e in source.effects if e not in LOCAL):
             atoms = source.atoms_of(effect)
             widest = max(len(source.atoms[k].columns) for k in atoms)
             full = [k for k in atoms if len(source.atoms[k].columns) == widest]

@@ -58,38 +58,61 @@ class Grams:
             b=self.b - half.T @ told,
             rest=self.rest - gain,
             size=self.size,
-            base=self.base + self._log_ratio(np.array(gain), np.array(log_det)).item(),
+            base=self.base + self.log_ratio(np.array(gain), np.array(log_det)).item(),
         )
 
     def without(self, columns: Index) -> Grams:
         """With what `columns` could explain taken out of all others, as for coefficients without a prior."""
         if not len(columns):
             return self
-        values, vectors = np.linalg.eigh(self.gram[np.ix_(columns, columns)])
-        kept = values > 1e-9 * max(float(values[-1]), 1e-300)
-        root = vectors[:, kept] / np.sqrt(values[kept])
+        root = inverse_root(self.gram[np.ix_(columns, columns)])
         half = root.T @ self.gram[columns]
         told = root.T @ self.b[columns]
         return dataclasses.replace(self, gram=self.gram - half.T @ half, b=self.b - half.T @ told)
 
-    def _log_ratio(self, gain: Array, log_det: Array) -> Array:
+    def log_ratio(self, gain: Array, log_det: Array) -> Array:
+        """Log evidence of columns that explain `gain` of the rest, over that of none."""
         left = np.maximum(1.0 - gain / (2.0 * RATE + self.rest), 1e-300)
         return np.asarray(-0.5 * log_det - (0.5 * self.size + SHAPE) * np.log(left))
 
     def log_evidences(self, choices: Sequence[Index], sizes: Array = SIZES) -> Array:
         """Log evidence (atoms, sizes) of each choice of columns at each prior size, over no further column."""
         found = np.zeros((len(choices), len(sizes)))
-        counts = np.array([len(c) for c in choices], dtype=int)
-        for count in np.unique(counts):
-            at = np.flatnonzero(counts == count)
-            rows = np.array([choices[int(k)] for k in at])
-            values, vectors = np.linalg.eigh(self.gram[rows[:, :, None], rows[:, None, :]])
-            values = np.maximum(values, 0.0)
-            told = np.einsum("akj,ak->aj", vectors, self.b[rows]) ** 2
-            wide = 1.0 + values[:, None, :] * sizes[None, :, None] ** 2
-            gain = (told[:, None, :] * sizes[None, :, None] ** 2 / wide).sum(axis=2)
-            found[at] = self._log_ratio(gain, np.log(wide).sum(axis=2))
+        for at, rows in by_count(choices):
+            found[at] = self.log_ratio(*explained(self.gram[rows[:, :, None], rows[:, None, :]], self.b[rows], sizes))
         return found
+
+
+def inverse_root(gram: Array) -> Array:
+    """R (k, m) with R R^T the pseudo-inverse of a Gram matrix (k, k)."""
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > 1e-9 * max(float(values.max(initial=0.0)), 1e-300)
+    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]))
+
+
+def by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
+    """Choices of columns, those with as many together: their numbers (a,) and their columns (a, d)."""
+    counts = np.array([len(c) for c in choices], dtype=int)
+    groups = [np.flatnonzero(counts == count) for count in np.unique(counts)]
+    return [(at, np.array([choices[int(k)] for k in at])) for at in groups]
+
+
+def explained(gram: Array, b: Array, sizes: Array) -> tuple[Array, Array]:
+    """What columns of Gram matrices (a, d, d) and projections b (a, d) explain at each prior size, and log
+    determinants: (a, sizes) each."""
+    values, vectors = np.linalg.eigh(gram)
+    values = np.maximum(values, 0.0)
+    told = np.einsum("akj,ak->aj", vectors, b) ** 2
+    wide = 1.0 + values[:, None, :] * sizes[None, :, None] ** 2
+    return (told[:, None, :] * sizes[None, :, None] ** 2 / wide).sum(axis=2), np.log(wide).sum(axis=2)
+
+
+def carried(gram: Array, b: Array, sizes: Array | float) -> float:
+    """Energy b^T C A C b, C = (A + 1 / sizes^2)^-1, of what columns are found to explain, beyond what they would of
+    mere noise: the trace of C A."""
+    spread = np.linalg.inv(gram + np.eye(len(b)) / np.square(sizes))
+    mean = spread @ b
+    return max(float(mean @ gram @ mean) - float(np.trace(spread @ gram)), 0.0)
 
 
 def grams(problem: Problem, metric: Metric, columns: Array) -> Grams:

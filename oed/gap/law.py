@@ -2,10 +2,11 @@
 
 In units of the stated noise, the readings of a run have the covariance
 
-    level^2 [ V^1/2 B V^1/2 + repeat^2 1 1^T + wander^2 exp(-|k - l| / reach) ],
+    level^2 [ V^1/2 B V^1/2 + repeat^2 1 1^T + sway^2 cos(phi_k - phi_l) + wander^2 exp(-|k - l| / reach) ],
 
-B the instrument's own correlation (often 1), V the variances of single readings (heavy tails), `repeat` how well a run
-repeats, `wander` an error that is carried along a run over `reach` readings. Channels of one reading wander apart.
+B the instrument's own correlation (often 1), V the variances of single readings (heavy tails), `repeat` how well a
+run's level repeats and `sway` its first harmonic (a bar set up anew is centred anew, ISO 230-4), `wander` an error that
+is carried along a run over `reach` readings. Channels of one reading wander apart.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from oed.gap.problem import Index, Pack, Problem
 class Law:
     """A noise law, in units of the stated noise.
 
-    repeat, wander, reach   see the module; reach in readings
+    repeat, wander, reach, sway   see the module; reach in readings
     variance (N,)           of single readings over the level's; ones where tails are light
     ratio (N,)              noise of each reading's channel over the first one's, both over the stated; None: ones
     level                   factor on everything; 1 where it is marginalised elsewhere
@@ -37,6 +38,7 @@ class Law:
     level: float = 1.0
     tails: float = np.inf
     ratio: Array | None = None
+    sway: float = 0.0
 
     def block(self, problem: Problem, number: int, rows: Index | None = None) -> Array:
         """Covariance (k, k) of a run's readings, or of those of its `rows` (positions within the run)."""
@@ -49,7 +51,7 @@ def _covariances(law: Law, pack: Pack) -> Array:
     members = pack.members
     root = np.sqrt(law.variance[members])
     covariance = pack.base * (root[:, :, None] * root[:, None, :])
-    related = law.repeat**2 + law.wander**2 * np.exp(pack.gap * (-1.0 / law.reach))
+    related = law.repeat**2 + law.wander**2 * np.exp(pack.gap * (-1.0 / law.reach)) + law.sway**2 * pack.turn
     covariance += np.where(pack.same, related, 0.0)
     if law.ratio is not None:
         ratio = law.ratio[members]

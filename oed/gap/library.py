@@ -25,8 +25,12 @@ ALONE = 0.4
 TEXTBOOK = 0.5
 #: signature, in units of the noise over all readings, below which an effect cannot be seen at all
 UNSEEN = 0.3
+#: blocks of a form beyond which it is not tried in all of them at once
+BLOCKS = 12
 #: values of the constants beyond which only the best few are kept
 MANY, KEPT = 16, 8
+#: constants in a grid that is looked through by turns, and best values of the first that the others are tried at
+LARGE, TURN = 200, 4
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -82,39 +86,66 @@ def build(problem: Problem, effects: Sequence[Effect], metric: Metric | None = N
         if reason is not None:
             refused[effect.name] = reason
             continue
-        forms = _forms(problem, effect)
+        forms = _forms(problem, effect, metric)
         if not forms:
             refused[effect.name] = "it changes none of these readings"
             continue
-        count = len(forms)
-        for form in forms if metric is None else _best(problem, metric, forms):
+        for form, log_weight in forms:
             start = len(names)
             blocks.append(problem.of(form.columns))
             names += form.names
             labels += form.labels
             scales.append(form.scales)
-            atoms += _atoms(form, start, -math.log(count))
+            atoms += _atoms(form, start, log_weight)
     columns = np.hstack(blocks) if blocks else np.zeros((len(problem), 0))
     joined = np.concatenate(scales) if scales else np.zeros(0)
     return Library(columns, tuple(atoms), tuple(names), tuple(labels), joined, refused)
 
 
-def _forms(problem: Problem, effect: Effect) -> list[Signature]:
-    """The effect's signatures over its grid of constants; those that change no reading are left out."""
-    made = [problem.signature(effect, point) for point in effect.grid()]
+def _forms(problem: Problem, effect: Effect, metric: Metric | None) -> list[tuple[Signature, float]]:
+    """The effect's signatures over its grid of constants, each with its log prior weight; those that change no reading
+    are left out. With a metric, of many only the best few.
+
+    A grid of very many is looked through by turns: the first constant with the others at their first values, which
+    have half the weight; then, with a metric, all values of the others at the best few of the first.
+    """
+    grid = effect.grid()
+    if len(grid) <= LARGE:
+        return _best(problem, metric, _weighed(_seen(problem, effect, grid), 1.0))
+    name = next(iter(effect.constants))
+    plain = {n: values[0] for n, values in effect.constants.items() if n != name}
+    first = _seen(problem, effect, [{name: value, **plain} for value in effect.constants[name]])
+    if metric is None or not first:
+        return _weighed(first, 1.0)
+    found = _weighed(first, 0.5)
+    leading = {form.constants[name] for form, _ in _best(problem, metric, found, TURN)}
+    more = [p for p in grid if p[name] in leading and any(p[n] != v for n, v in plain.items())]
+    share = 0.5 * len(leading) / len(first)
+    return _best(problem, metric, [*found, *_weighed(_seen(problem, effect, more), share)])
+
+
+def _seen(problem: Problem, effect: Effect, points: Sequence[Mapping[str, float]]) -> list[Signature]:
+    made = [problem.signature(effect, point) for point in points]
     return [s for s in made if s.names and np.linalg.norm(problem.of(s.columns)) > UNSEEN]
 
 
-def _best(problem: Problem, metric: Metric, forms: Sequence[Signature]) -> list[Signature]:
-    """The forms that explain most of the residual, where there are many."""
-    if len(forms) <= MANY:
+def _weighed(forms: Sequence[Signature], share: float) -> list[tuple[Signature, float]]:
+    """Forms that have a share of an effect's prior, each as much as another."""
+    return [(form, math.log(share / len(forms))) for form in forms]
+
+
+def _best(
+    problem: Problem, metric: Metric | None, forms: Sequence[tuple[Signature, float]], kept: int = KEPT
+) -> list[tuple[Signature, float]]:
+    """The forms that explain most of the residual, where there are many and a metric."""
+    if metric is None or len(forms) <= MANY:
         return list(forms)
     scores = []
-    for form in forms:
+    for form, log_weight in forms:
         found = evidence.grams(problem, metric, problem.of(form.columns))
         choices = [a.columns for a in _atoms(form, 0, 0.0)]
-        scores.append(float(found.log_evidences(choices).max()))
-    order = np.argsort(scores)[::-1][:KEPT]
+        scores.append(float(found.log_evidences(choices).max()) + log_weight)
+    order = np.argsort(scores)[::-1][:kept]
     return [forms[k] for k in sorted(order)]
 
 
@@ -124,8 +155,10 @@ def _atoms(form: Signature, start: int, log_weight: float) -> list[Atom]:
     choices: list[tuple[Index, float]] = []
     everything = np.arange(len(form.names), dtype=np.intp)
     if len(limbs) > 1 and len(limbs) < len(form.names) + 1 and all(form.labels):
-        choices.append((everything, 1.0 - ALONE))
-        choices += [(np.flatnonzero([n == limb for n in form.labels]), ALONE / len(limbs)) for limb in limbs]
+        alone = ALONE if len(limbs) <= BLOCKS else 1.0
+        if alone < 1.0:
+            choices.append((everything, 1.0 - alone))
+        choices += [(np.flatnonzero([n == limb for n in form.labels]), alone / len(limbs)) for limb in limbs]
     else:
         choices.append((everything, 1.0))
     made = []

@@ -31,17 +31,19 @@ Index = NDArray[np.intp]
 @dataclasses.dataclass(frozen=True, slots=True)
 class Pack:
     """Runs of one number k of readings. members (B, k);  base (B, k, k) stated correlation;  same (B, k, k): whether
-    two readings are of one channel;  gap (B, k, k): how many readings lie between them."""
+    two readings are of one channel;  gap (B, k, k): how many readings lie between them;  turn (B, k, k): cosine of the
+    phase between them."""
 
     members: Index
     base: Array
     same: NDArray[np.bool_]
     gap: Array
+    turn: Array
 
     def take(self, rows: Index) -> Pack:
         """The readings at positions `rows` (k',) of each run."""
         both = (slice(None), rows[:, None], rows)
-        return Pack(self.members[:, rows], self.base[both], self.same[both], self.gap[both])
+        return Pack(self.members[:, rows], self.base[both], self.same[both], self.gap[both], self.turn[both])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -96,7 +98,8 @@ class Problem:
             base[i] = np.eye(members.shape[1]) if known is None else known
         same = self.group[members][:, :, None] == self.group[members][:, None, :]
         gap = np.abs(self.along[members][:, :, None] - self.along[members][:, None, :])
-        return Pack(members, base, same, gap)
+        phase = self.rows["phase"].to_numpy(dtype=float)[members]
+        return Pack(members, base, same, gap, np.cos(phase[:, :, None] - phase[:, None, :]))
 
     def signature(self, effect: Effect, constants: Mapping[str, float]) -> Signature:
         """An effect's signature in these readings at its constants, SI."""

@@ -27,7 +27,7 @@ ROUNDS = 2
 #: log of a share of the noise below which it makes no difference
 _LEAST = -2.0
 #: where a search begins: white, runs that do not repeat, an error carried along
-STARTS = tuple(np.array(v) for v in ((-2.0, -2.0, REACH), (0.0, -2.0, REACH), (-2.0, 0.5, REACH)))
+STARTS = tuple(np.array(v) for v in ((-2.0, -2.0, REACH, -2.0), (0.0, -2.0, REACH, -1.0), (-2.0, 0.5, REACH, -2.0)))
 
 
 def fit(problem: Problem, columns: Array, start: Law | None = None, size: float | Array = 1.0) -> tuple[Law, float]:
@@ -40,18 +40,16 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
     wide, groups = evidence.compressed(problem, columns * size), int(problem.group.max()) + 1
 
     def law(v: Array) -> Law:
-        ratio = np.exp(np.concatenate([[0.0], v[3:]]))[problem.group] if groups > 1 else None
-        return dataclasses.replace(
-            start, repeat=_size(v[0]), wander=_size(v[1]), reach=float(np.exp(v[2])), level=1.0, ratio=ratio
-        )
+        ratio = np.exp(np.concatenate([[0.0], v[4:]]))[problem.group] if groups > 1 else None
+        return dataclasses.replace(_law(start, v), level=1.0, ratio=ratio)
 
     def cost(v: Array) -> float:
-        if not (-8.0 < v[0] < 5.0 and -8.0 < v[1] < 5.0 and 0.4 < v[2] < 4.5 and np.abs(v[3:]).max(initial=0.0) < 4.0):
+        if not (np.abs(v[[0, 1, 3]] + 1.5).max() < 6.5 and 0.4 < v[2] < 4.5 and np.abs(v[4:]).max(initial=0.0) < 4.0):
             return 1e9
         return -(evidence.log_evidence(problem, law(v), wide) + _prior(v))
 
     first = _first(problem, start)
-    starts = [first] if given else [np.concatenate([v, first[3:]]) for v in STARTS]
+    starts = [first] if given else [np.concatenate([v, first[4:]]) for v in STARTS]
     best = min((_descend(cost, v) for v in starts), key=lambda found: found[1])
     return law(best[0]), _prior(best[0])
 
@@ -62,7 +60,13 @@ def _first(problem: Problem, law: Law) -> Array:
     ratios = np.zeros(groups - 1)
     if law.ratio is not None:
         ratios = np.log([law.ratio[problem.group == g][0] for g in range(1, groups)])
-    return np.array([_inverse(law.repeat), _inverse(law.wander), np.log(law.reach), *ratios])
+    return np.array([_inverse(law.repeat), _inverse(law.wander), np.log(law.reach), _inverse(law.sway), *ratios])
+
+
+def _law(start: Law, v: Array) -> Law:
+    """The law at coordinates (4,) of its shares and its reach."""
+    shares = [_size(v[k]) for k in (0, 1, 3)]
+    return dataclasses.replace(start, repeat=shares[0], wander=shares[1], reach=float(np.exp(v[2])), sway=shares[2])
 
 
 def _descend(cost: Callable[[Array], float], start: Array) -> tuple[Array, float]:
@@ -83,15 +87,15 @@ def _inverse(size: float) -> float:
 
 def _prior(v: Array) -> float:
     """Log prior: each share about half the noise; small ones are all alike."""
-    shares = np.maximum(v[:2], _LEAST)
+    shares = np.maximum(v[[0, 1, 3]], _LEAST)
     told = ((shares + 1.0) / 1.5) ** 2
-    return float(-0.5 * told.sum() - 0.5 * ((v[2] - REACH) / SPREAD) ** 2 - 0.5 * (v[3:] ** 2).sum())
+    return float(-0.5 * told.sum() - 0.5 * ((v[2] - REACH) / SPREAD) ** 2 - 0.5 * (v[4:] ** 2).sum())
 
 
 def quiet(law: Law) -> tuple[Law, float]:
     """The law without errors that a run or its readings share, and its log prior: whatever is seen is then a gap."""
-    v = np.array([_LEAST, _LEAST, REACH])
-    return dataclasses.replace(law, repeat=_size(_LEAST), wander=_size(_LEAST), reach=float(np.exp(REACH))), _prior(v)
+    v = np.array([_LEAST, _LEAST, REACH, _LEAST])
+    return _law(law, v), _prior(v)
 
 
 def robust(problem: Problem, columns: Array, size: float | Array = 1.0, start: Law | None = None) -> tuple[Law, float]:
@@ -149,6 +153,8 @@ def words(problem: Problem, law: Law) -> tuple[str, ...]:
     told = [f"single readings scatter by {law.level:.2g} times the stated noise"]
     if law.repeat > 0.2:
         told.append(f"a run repeats to {law.level * law.repeat:.2g} times the stated noise")
+    if law.sway > 0.2:
+        told.append(f"a run's first harmonic repeats to {law.level * law.sway:.2g} times the stated noise")
     if law.wander > 0.2:
         told.append(
             f"an error of {law.level * law.wander:.2g} times the stated noise is carried along over about "

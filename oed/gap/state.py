@@ -65,7 +65,8 @@ def _state(
     tool = np.array(measurement.setups[series.setup].tool)
     _, tip, twist = kinematics.frames(x, tool)
     by_joint = kinematics.joint_sensitivity(x, q, p)
-    force = np.einsum("k,mkj->mj", gravity / np.linalg.norm(gravity), twist[:, :3] @ by_joint)
+    by_joint = twist @ by_joint
+    force = np.einsum("k,mkj->mj", gravity / np.linalg.norm(gravity), by_joint[:, :3])
     base, platform, per_length = _struts(measurement, x, q, p)
     between = platform - base
     length = np.linalg.norm(between, axis=-1)
@@ -88,6 +89,7 @@ def _state(
         reversal=reversal,
         rate=rate,
         force=force,
+        twist=by_joint,
         strut=length,
         along=between / length[..., None],
         base=base,

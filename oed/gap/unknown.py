@@ -8,8 +8,8 @@ from them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from itertools import combinations_with_replacement, product
+from collections.abc import Callable, Iterable, Sequence
+from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -21,7 +21,9 @@ UNIT = 1e-6
 #: feed (m/s) of usual size
 FEED = 1.0 / 60.0
 #: readings that a run must have for its harmonics to mean something
-WAVES = 24
+WAVES = 8
+#: where bumps are: shares of the session, angles of a run; half a sector's width, rad
+CENTRES, SECTORS, SECTOR = [(k + 0.5) / 12.0 for k in range(12)], [np.pi * k / 6.0 for k in range(12)], 0.35
 SOURCE = "Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464, for discrepancies as processes"
 
 
@@ -46,12 +48,33 @@ def _read(state: State, name: str, size: float, wave: Array) -> Iterable[Column]
         yield Column(f"{name} {channel}", size, label=f"channel {channel}", reading={channel: wave})
 
 
+def _tool(state: State, name: str, size: float, wave: Array) -> Iterable[Column]:
+    """The tool displaced along each axis of the base."""
+    for k, axis in enumerate("xyz"):
+        change = state.pushing[:, :, k] * wave[:, None]
+        yield Column(f"{name} {axis}", size, joints={i: change[:, i] for i in state.limbs})
+
+
+def _both(state: State, name: str, size: float, wave: Array) -> Iterable[Column]:
+    """The same form in the readings and in the tool's place."""
+    yield from _read(state, name, size, wave)
+    yield from _tool(state, name, size, wave)
+
+
 def over_time(state: State) -> Iterable[Column]:
     """Drift of the readings."""
     if not np.isfinite(state.span[0]):
         return
     for k, wave in enumerate(_cosines(_time(state), 8), start=1):
         yield from _read(state, f"time {k}", UNIT / k, wave)
+
+
+def tool_over_time(state: State) -> Iterable[Column]:
+    """Drift of the tool's place."""
+    if not np.isfinite(state.span[0]):
+        return
+    for k, wave in enumerate(_cosines(_time(state), 8), start=1):
+        yield from _tool(state, f"time {k}", UNIT / k, wave)
 
 
 def joints_over_time(state: State) -> Iterable[Column]:
@@ -63,13 +86,16 @@ def joints_over_time(state: State) -> Iterable[Column]:
             yield Column(f"leg {i + 1} time {k}", UNIT / k, label=f"leg {i + 1}", joints={i: wave})
 
 
-def windows(state: State) -> Iterable[Column]:
-    """Something for a while: bumps of a twelfth of the session."""
+def windows(state: State, when: float, lasts: float) -> Iterable[Column]:
+    """Something for a while: a bump at a share of the session."""
     if not np.isfinite(state.span[0]):
         return
-    share = _time(state)
-    for k in range(12):
-        yield from _read(state, f"window {k}", UNIT, np.exp(-0.5 * ((share - (k + 0.5) / 12.0) / 0.045) ** 2))
+    yield from _both(state, "while", UNIT, np.exp(-0.5 * ((_time(state) - when) / lasts) ** 2))
+
+
+def run_start(state: State, readings: float) -> Iterable[Column]:
+    """Something that fades after a run's first readings."""
+    yield from _both(state, "start", UNIT, np.exp(-np.maximum(state.order, 0.0) / readings))
 
 
 def over_pose(state: State) -> Iterable[Column]:
@@ -90,18 +116,22 @@ def _products(state: State, values: Array, name: str, degree: int) -> Iterable[C
             yield from _read(state, f"{name} {combination}", UNIT / 2.0 ** (order - 1), power)
 
 
-def at_a_place(state: State) -> Iterable[Column]:
-    """Something at a place of the workspace: bumps about the middles of the tool's box, an eighth and a half wide."""
-    span = np.maximum(np.ptp(state.tool, axis=0), 1e-9)
-    for sides in product((0.0, 1.0), repeat=3):
-        kept = [k for k in range(3) if span[k] > 0.02]
-        if any(side for k, side in enumerate(sides) if k not in kept):
-            continue
-        corner = state.tool.min(axis=0) + np.array(sides) * span
-        away = (((state.tool - corner) / span)[:, kept] ** 2).sum(axis=1)
-        for width in (0.25, 0.5):
-            name = "".join(str(int(s)) for s in sides)
-            yield from _read(state, f"corner {name} {width}", UNIT, np.exp(-0.5 * away / width**2))
+def at_a_place(state: State, corner: float, width: float) -> Iterable[Column]:
+    """Something at a place: a bump about a corner, or the middle, of the box in which the tool moves."""
+    low, span = state.tool.min(axis=0), np.ptp(state.tool, axis=0)
+    sides = np.array([(int(corner) >> k) & 1 for k in range(3)]) if corner < 8 else np.full(3, 0.5)
+    wide = span > 0.02
+    if (sides[~wide] == 1).any():
+        return
+    away = ((state.tool - low - sides * span) / np.where(wide, span, 1.0))[:, wide]
+    yield from _both(state, "place", UNIT, np.exp(-0.5 * (away**2).sum(axis=1) / width**2))
+
+
+def in_a_sector(state: State, centre: float, way: float) -> Iterable[Column]:
+    """Something in a sector of the runs, in one direction of travel."""
+    off = np.angle(np.exp(1j * (state.phase - centre)))
+    wave = np.exp(-0.5 * (off / SECTOR) ** 2) * (state.direction == way)
+    yield from _both(state, "sector", UNIT, wave)
 
 
 def in_a_run(state: State) -> Iterable[Column]:
@@ -111,7 +141,7 @@ def in_a_run(state: State) -> Iterable[Column]:
         if here.sum() < WAVES:
             continue
         waves = [np.ones(len(state))]
-        for k in range(1, 5):
+        for k in (1, 2):
             waves += [np.cos(k * state.phase), np.sin(k * state.phase)]
         for k, wave in enumerate(waves):
             place = f"run {state.setup} {run}"
@@ -136,6 +166,30 @@ def over_phase(state: State) -> Iterable[Column]:
             yield from _read(state, f"phase {name}{k}", UNIT / k, wave)
             yield from _read(state, f"phase {name}{k} direction", UNIT / k, wave * sign)
     yield from _read(state, "direction", UNIT, sign)
+
+
+def tool_over_phase(state: State) -> Iterable[Column]:
+    """The tool displaced by harmonics along the runs, common to both directions and opposite in them."""
+    sign = np.where(np.isfinite(state.direction), state.direction, 0.0)
+    yield from _tool(state, "direction", UNIT, sign)
+    for k in range(1, 4):
+        for name, wave in (("c", np.cos(k * state.phase)), ("s", np.sin(k * state.phase))):
+            yield from _tool(state, f"phase {name}{k}", UNIT / k, wave)
+            yield from _tool(state, f"phase {name}{k} direction", UNIT / k, wave * sign)
+
+
+def of_another(state: State, shift: float) -> Iterable[Column]:
+    """An error of each joint with the motion of another, over its own travel."""
+    count = len(state.limbs)
+    if shift >= count:
+        return
+    rate = np.where(np.isfinite(state.rate), state.rate, state.sense)
+    rate = rate / np.maximum(np.abs(rate).max(axis=0), 1e-12)
+    for i in state.limbs:
+        other, q = rate[:, (i + int(shift)) % count], state.joints[:, i]
+        at = 2.0 * _share(q, float(q.min()), float(q.max())) - 1.0
+        for name, change in (("rate", other), ("speed", np.abs(other)), ("rate travel", other * at)):
+            yield Column(f"leg {i + 1} {name}", UNIT, label=f"leg {i + 1}", joints={i: change})
 
 
 def over_sense(state: State) -> Iterable[Column]:
@@ -176,20 +230,47 @@ def over_feed(state: State) -> Iterable[Column]:
             yield from _read(state, f"feed {name}{k} direction", UNIT / k, feed * wave * sign)
 
 
-def _process(name: str, about: str, columns: object) -> Effect:
-    return Effect(name=name, source=SOURCE, about=about, columns=columns)  # type: ignore[arg-type]
+def tool_over_feed(state: State) -> Iterable[Column]:
+    """The tool displaced with the feed, along the runs."""
+    feed = np.where(np.isfinite(state.feed), state.feed, 0.0)
+    if not feed.any():
+        return
+    feed = (feed - FEED) / FEED
+    yield from _tool(state, "feed", UNIT, feed)
+    for k in range(1, 3):
+        yield from _tool(state, f"feed c{k}", UNIT / k, feed * np.cos(k * state.phase))
+        yield from _tool(state, f"feed s{k}", UNIT / k, feed * np.sin(k * state.phase))
 
 
+def _process(name: str, about: str, columns: Callable[..., Iterable[Column]], **constants: Sequence[float]) -> Effect:
+    return Effect(
+        name=name,
+        source=SOURCE,
+        about=about,
+        columns=columns,
+        constants={n: tuple(v) for n, v in constants.items()},
+        needs=("direction: both",) if "way" in constants else (),
+    )
+
+
+#: processes that act on few readings: beside them no reading is far off
+LOCAL = ("for a while", "at the start of runs", "at a place", "in a run", "in a sector")
 PROCESSES: Sequence[Effect] = (
     _process("over time", "drift of the readings", over_time),
+    _process("tool over time", "drift of the tool's place", tool_over_time),
     _process("joints over time", "drift of the joints", joints_over_time),
-    _process("for a while", "a disturbance for part of the session", windows),
+    _process("for a while", "a disturbance for part of the session", windows, when=CENTRES, lasts=(0.04, 0.1)),
+    _process("at the start of runs", "an error that fades after a run's start", run_start, readings=(1.5, 5.0)),
     _process("over the pose", "a smooth error over the workspace", over_pose),
-    _process("at a place", "an error at a place of the workspace", at_a_place),
+    _process("at a place", "an error at a place of the workspace", at_a_place, corner=range(9), width=(0.2, 0.4)),
     _process("in a run", "an error in one run", in_a_run),
     _process("over the travel", "an error of the joints over their travel", over_travel),
     _process("along the runs", "harmonics along the runs, with direction", over_phase),
+    _process("tool along the runs", "the tool displaced along the runs, with direction", tool_over_phase),
+    _process("in a sector", "an error in a sector, one way", in_a_sector, centre=SECTORS, way=(-1.0, 1.0)),
     _process("with the motion", "an error with the sign of the joints' motion", over_sense),
+    _process("with another's motion", "an error of a joint with another's motion", of_another, shift=range(1, 6)),
     _process("with the load", "an error with the payload", over_load),
     _process("with the feed", "an error with the feed", over_feed),
+    _process("tool with the feed", "the tool displaced with the feed", tool_over_feed),
 )

@@ -5,13 +5,17 @@ taken about the best one: with a* the best forms,
 
     log sum_a w(a) p(r | a) ~ log p(r | a*) + sum_i ( log sum_a_i w(a_i) p(r | a_i, a*_others) - log p(r | a*) ).
 
+An effect rarely has the form that it has in a book. Where it carries most of the gap and an unknown remainder beside it
+the rest, it is likelier that it acts in a form of its own than that something unknown looks like it: an unknown alone
+is held against the best effect with a remainder by the share of the gap that this effect carries.
+
 The noise law is a nuisance: every set of effects is given the one of several laws that suits it best.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from scipy import special
@@ -32,6 +36,8 @@ BEHIND, WIDE = 14.0, 8
 ROUNDS = 4
 #: expected lambda of a form below which its size is taken for none at all
 SEEN = 9.0
+#: log odds of an effect beside an unknown remainder: slope and even point in its share of the gap, and their bound
+SLOPE, EVEN, STEEPEST = 8.0, 0.4, 6.0
 _NONE = np.empty(0, dtype=np.intp)
 
 
@@ -41,6 +47,7 @@ class Hypothesis:
 
     atoms, sizes   best form and size of each effect;  process: the best unknown process's number, and its size
     log_evidence   of the readings, over forms and sizes;  log_prior;  law: number of the noise law that suits it best
+    share          of what the readings hold beyond noise that the effects explain, not the unknown remainder
     """
 
     effects: tuple[str, ...]
@@ -52,6 +59,7 @@ class Hypothesis:
     log_evidence: float
     log_prior: float
     law: int = 0
+    share: float = 1.0
 
     @property
     def score(self) -> float:
@@ -89,6 +97,7 @@ class Search:
         self._known: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._found: list[Hypothesis] = []
         self._processes = [a.columns + offset for a in processes.atoms]
+        self._process_groups = evidence.by_count(self._processes) if self._processes else []
         self._process_shares = (
             np.array([a.log_weight for a in processes.atoms])[:, None]
             - np.log(max(len(processes.effects), 1))
@@ -147,7 +156,7 @@ class Search:
             at = np.flatnonzero(self._owner[left] == effect)
             row, column = np.unravel_index(int(np.argmax(weighed[at])), weighed[at].shape)
             best[str(effect)] = (
-                float(special.logsumexp(weighed[at])),
+                float(np.logaddexp.reduce(weighed[at], axis=None)),
                 int(left[at[row]]),
                 float(SIZES[column]),
             )
@@ -166,25 +175,20 @@ class Search:
                 weighed = told + self._shares[mine]
                 row, column = np.unravel_index(int(np.argmax(weighed)), weighed.shape)
                 chosen[i], size[i] = int(mine[row]), float(SIZES[column])
-                spare += float(special.logsumexp(weighed)) - float(told[row, column])
+                spare += float(np.logaddexp.reduce(weighed, axis=None)) - float(told[row, column])
             if (tuple(chosen), tuple(size)) == before:
                 break
-        used = [self._atoms[k] for k in chosen]
-        last = self.grams.part(np.concatenate([_NONE, *used]))
-        start = 0
-        for columns, s in zip(used, size, strict=True):
-            last = last.given(np.arange(start, start + len(columns)), s)
-            start += len(columns)
-        return Hypothesis(
+        found = Hypothesis(
             effects=tuple(effects),
             unknown=False,
             atoms=tuple(chosen),
             sizes=tuple(size),
             process=None,
             process_size=0.0,
-            log_evidence=last.base + spare + self.log_prior,
+            log_evidence=spare + self.log_prior,
             log_prior=self._prior(len(effects), False),
         )
+        return dataclasses.replace(found, log_evidence=self._selected(found).base + found.log_evidence)
 
     def _beside(self, effect: str, others: Sequence[int], sizes: Sequence[float]) -> Array:
         """Log evidence (atoms, sizes) of an effect's forms over none, beside other forms that are selected."""
@@ -203,29 +207,54 @@ class Search:
 
     def with_unknown(self, known: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
-        selected = [self._atoms[k] for k in known.atoms]
-        columns = np.concatenate([_NONE, *selected])
-        plain, start = self.grams.part(columns), 0
-        for atom, size in zip(selected, known.sizes, strict=True):
-            plain = plain.given(np.arange(start, start + len(atom)), size)
-            start += len(atom)
-        offset = self._own.gram.shape[0]
-        part = self.grams.part(np.concatenate([columns, np.arange(offset, self.grams.gram.shape[0])]))
-        apart = part.without(np.arange(start))
-        apart = dataclasses.replace(apart, rest=plain.rest, base=plain.base)
         if not self._processes:
             return dataclasses.replace(known, unknown=True, log_evidence=-np.inf, log_prior=-np.inf)
-        places = [c - offset + start for c in self._processes]
-        told = apart.log_evidences(places, UNKNOWN_SIZES) + self._process_shares
+        selected = np.concatenate([_NONE, *[self._atoms[k] for k in known.atoms]])
+        sizes = np.concatenate(
+            [np.empty(0), *[np.full(len(self._atoms[k]), s) for k, s in zip(known.atoms, known.sizes, strict=True)]]
+        )
+        plain = self._selected(known)
+        told = np.empty((len(self._processes), len(UNKNOWN_SIZES)))
+        for numbers, gram, b in self._apart(selected):
+            told[numbers] = plain.log_ratio(*evidence.explained(gram, b, UNKNOWN_SIZES))
+        told += self._process_shares
         row, column = np.unravel_index(int(np.argmax(told)), told.shape)
+        size, level = float(UNKNOWN_SIZES[column]), evidence.level(plain) ** 2
+        _, gram, b = next(self._apart(selected, [int(row)]))
+        rest = evidence.carried(gram[0] / level, b[0] / level, size * np.sqrt(level))
+        mine = evidence.carried(
+            self.grams.gram[np.ix_(selected, selected)] / level, self.grams.b[selected] / level, sizes * np.sqrt(level)
+        )
         return dataclasses.replace(
             known,
             unknown=True,
             process=int(row),
-            process_size=float(UNKNOWN_SIZES[column]),
-            log_evidence=known.log_evidence + float(special.logsumexp(told)),
+            process_size=size,
+            share=mine / (mine + rest) if mine + rest > 0.0 else 0.5,
+            log_evidence=known.log_evidence + float(np.logaddexp.reduce(told, axis=None)),
             log_prior=self._prior(len(known.effects), True),
         )
+
+    def _selected(self, h: Hypothesis) -> Grams:
+        """Grams of the columns of a set of effects alone, these selected."""
+        columns = [self._atoms[k] for k in h.atoms]
+        found, start = self.grams.part(np.concatenate([_NONE, *columns])), 0
+        for mine, size in zip(columns, h.sizes, strict=True):
+            found = found.given(np.arange(start, start + len(mine)), size)
+            start += len(mine)
+        return found
+
+    def _apart(self, selected: Index, some: Sequence[int] | None = None) -> Iterator[tuple[Index, Array, Array]]:
+        """Processes, or some of them, with as many columns: their numbers (a,), Gram matrices (a, d, d), projections
+        (a, d), without what selected columns could explain."""
+        gram, b = self.grams.gram, self.grams.b
+        root = evidence.inverse_root(gram[np.ix_(selected, selected)])
+        half, told = root.T @ gram[selected], root.T @ b[selected]
+        groups = self._process_groups if some is None else evidence.by_count([self._processes[k] for k in some])
+        for at, rows in groups:
+            over = half[:, rows]
+            left = gram[rows[:, :, None], rows[:, None, :]] - np.einsum("kad,kae->ade", over, over)
+            yield at, left, b[rows] - np.einsum("kad,k->ad", over, told)
 
     def _prior(self, count: int, unknown: bool) -> float:
         number = max(len(self.library.effects), 1)
@@ -281,9 +310,28 @@ def compare(searches: Sequence[Search]) -> list[Hypothesis]:
     best: dict[tuple[frozenset[str], bool], Hypothesis] = {}
     for number, search in enumerate(searches):
         for h in search.run():
+            h = _named(dataclasses.replace(h, law=number))
             if h.key not in best or best[h.key].score < h.score:
-                best[h.key] = dataclasses.replace(h, law=number)
+                best[h.key] = h
+    alone, mixed = (frozenset[str](), True), [h for h in best.values() if h.unknown and h.effects]
+    if mixed and alone in best:
+        most = max(mixed, key=lambda h: h.score)
+        worth = max(_odds(most.share), 0.0)
+        best[alone] = dataclasses.replace(best[alone], log_prior=best[alone].log_prior - worth)
     return sorted(best.values(), key=lambda h: -h.score)
+
+
+def _odds(share: float) -> float:
+    """Log odds that an effect acts, from its share of what the readings hold beyond noise: known effects in forms of
+    their own keep most of it, what chance lends to a rival of an unknown one is little."""
+    return float(np.clip(SLOPE * (share - EVEN), -STEEPEST, STEEPEST))
+
+
+def _named(h: Hypothesis) -> Hypothesis:
+    """With the prior of effects beside an unknown remainder that carry little of the gap lowered."""
+    if not h.unknown or not h.effects:
+        return h
+    return dataclasses.replace(h, log_prior=h.log_prior + min(_odds(h.share), 0.0))
 
 
 def probabilities(hypotheses: Sequence[Hypothesis]) -> Array:

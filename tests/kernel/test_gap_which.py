@@ -149,7 +149,7 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     hum = np.where(dy, 2.0 * np.sin(2.0 * np.pi * time / 173.0 + 1.0), 0.0)
     none = library.build(problem, ())
     made = waves.added(none, problem.with_residual(problem.residual + hum), plain(problem))
-    assert made.atoms[0].constants["period"] == pytest.approx(173.0, rel=0.01)
+    assert made.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
     search = Search(problem.with_residual(problem.residual + hum), none, made, plain(problem), 0.0)
     best = which.compare([search])[0]
     assert best.key == (frozenset(), True)

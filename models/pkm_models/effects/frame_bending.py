@@ -1,4 +1,4 @@
-"""A frame or an over-constrained linkage that bends: a smooth field of the pose in each leg, beyond what is rigid.
+"""A frame or an over-constrained linkage that bends: the tool is displaced by a smooth field, beyond what is rigid.
 
 Constant and linear parts are geometry; what is left of a 2-DOF machine with struts of 3.35 m after its calibration is
 50 to 70 um (Chang, Li and Li 2011).
@@ -6,6 +6,7 @@ Constant and linear parts are geometry; what is left of a 2-DOF machine with str
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 
 import numpy as np
@@ -18,19 +19,15 @@ FIELD = 20e-6  # m, at a lever's distance from the middle of the workspace
 
 
 def columns(state: State) -> Iterable[Column]:
-    """Products of the reference tool point's coordinates towards the leg (r), across it (t) and upwards (z)."""
-    offset, out = _offset(state), terms.radial(state)
-    r = np.einsum("mjk,mk->mj", out, offset)
-    t = out[..., 0] * offset[:, 1:2] - out[..., 1] * offset[:, :1]
-    z, unit = offset[:, 2:], terms.metre(state)
-    plain = {"rr": r * r, "rz": r * z, "zz": z * z}
-    adapting = {"tt": t * t, "rrr": r**3, "rrz": r * r * z, "rzz": r * z * z}
-    for name, field in (plain | adapting).items():
-        shape = name in adapting
-        change = unit * field
-        for i in state.limbs:
-            scale = terms.ADAPT * FIELD if shape else FIELD
-            yield Column(f"leg {i + 1} {name}", scale, f"leg {i + 1}", {i: change[:, i]}, shape=shape)
+    """Products of the reference tool point's coordinates displace the tool; shape: cubic ones."""
+    offset = _offset(state)
+    for degree, scale in ((2, FIELD), (3, terms.ADAPT * FIELD)):
+        for factors in itertools.combinations_with_replacement(range(3), degree):
+            field = offset[:, factors].prod(axis=1)
+            for k, axis in enumerate("xyz"):
+                change = state.pushing[:, :, k] * field[:, None]
+                name = f"{axis} by {''.join('xyz'[f] for f in factors)}"
+                yield Column(name, scale, "", {i: change[:, i] for i in state.limbs}, shape=degree > 2)
 
 
 def _offset(state: State) -> Array:
@@ -50,5 +47,4 @@ effect = Effect(
     columns=columns,
     remedy="stiffen the frame, relieve the over-constraint, or correct by a measured grid with interpolation",
     exposed_by="a dense grid of poses, read by a laser or tracker",
-    unfit=terms.no_struts,
 )

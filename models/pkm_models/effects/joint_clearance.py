@@ -12,19 +12,21 @@ import numpy as np
 from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
-PLAY, SOFT = 10e-6, 0.1  # m; share of the load within which a joint is not yet at its stop
+PLAY = 10e-6  # m
+SOFT = (0.01, 0.05, 0.2)  # share of the load within which a joint is not yet at its stop
 
 
-def columns(state: State, weight: float) -> Iterable[Column]:
-    """delta sgn(leg force) / 2 a leg; shape: a change of sides that takes some load."""
+def columns(state: State, weight: float, soft: float) -> Iterable[Column]:
+    """delta tanh(leg force / its soft share) / 2 a leg; shape: another stop, and play that differs along the travel."""
     load = 1.0 + np.nan_to_num(state.payload) / weight
     pull = state.force * state.per_length * load[:, None]
     half = 0.5 * state.per_length
+    at = terms.place(state)
     for i in state.limbs:
-        leg, side = f"leg {i + 1}", np.sign(pull[:, i])
+        leg, side = f"leg {i + 1}", np.tanh(pull[:, i] / soft)
         yield Column(leg, PLAY, leg, {i: half[:, i] * side})
-        soft = np.tanh(pull[:, i] / SOFT) - side
-        yield Column(f"{leg} soft", terms.ADAPT * PLAY, leg, {i: half[:, i] * soft}, shape=True)
+        for name, form in (("harder", np.tanh(pull[:, i] / (0.3 * soft))), ("slope", at[:, i] * np.abs(side))):
+            yield Column(f"{leg} {name}", terms.ADAPT * PLAY, leg, {i: half[:, i] * form}, shape=True)
 
 
 effect = Effect(
@@ -32,7 +34,7 @@ effect = Effect(
     source="catalogues of rod ends and spherical joints: internal clearance 5 to 20 um",
     about="play of the joints at a leg's ends, taken up by the sign of its load",
     columns=columns,
-    constants={"weight": terms.WEIGHTS},
+    constants={"weight": terms.WEIGHTS, "soft": SOFT},
     remedy="preload or renew the joints of the leg",
     exposed_by="pull and push at the platform, at poses where a leg's load changes its sign",
     unfit=terms.no_struts,

@@ -17,15 +17,27 @@ RUNOUT = 4e-6  # m
 
 
 def columns(state: State) -> Iterable[Column]:
-    """Twice a turn at the base joint and, where the platform turns, at the platform joint of each leg."""
-    ends = {"base": np.arctan2(np.einsum("mjk,mjk->mj", state.along, terms.radial(state)), state.along[..., 2])}
+    """Twice a turn at the base joint and, where the platform turns, at the platform joint of each leg; shape: once and
+    three times, as the joint swings in its leg's plane, and twice as it swings across."""
+    out, up = terms.radial(state), np.array([0.0, 0.0, 1.0])
+    ends = {"base": _swing(state, out)}
     if any(c.unit == "rad" for c in state.machine.pose) and len(state.limbs) > 2:
         ends["platform"] = _at_platform(state)
-    for end, angle in ends.items():
+    waves = [
+        (end + word, k, angle) for end, angle in ends.items() for word, k in (("", 2), (" once", 1), (" thrice", 3))
+    ]
+    for name, order, angle in [*waves, ("base across", 2, _swing(state, np.cross(up, out)))]:
+        shape = name not in ends
+        scale = terms.ADAPT * RUNOUT if shape else RUNOUT
         for i in state.limbs:
-            for name, value in (("sin", np.sin(2.0 * angle[:, i])), ("cos", np.cos(2.0 * angle[:, i]))):
+            for part, value in (("sin", np.sin(order * angle[:, i])), ("cos", np.cos(order * angle[:, i]))):
                 change = {i: state.per_length[:, i] * value}
-                yield Column(f"leg {i + 1} {end} {name}", RUNOUT, f"leg {i + 1}", change)
+                yield Column(f"leg {i + 1} {name} {part}", scale, f"leg {i + 1}", change, shape=shape)
+
+
+def _swing(state: State, way: Array) -> Array:
+    """Angle (m, nq) of each strut to the vertical, towards `way` (m, nq, 3)."""
+    return np.asarray(np.arctan2(np.einsum("mjk,mjk->mj", state.along, way), state.along[..., 2]))
 
 
 def _at_platform(state: State) -> Array:

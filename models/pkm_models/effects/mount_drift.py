@@ -11,11 +11,11 @@ from pkm_models.effects import terms
 
 CREEP, TURN = 5e-6, 10e-6  # m, rad in a session
 #: unknowns of set-ups that a mount has
+ANGLES = (*(f"turn_{k}" for k in "xyz"), "tilt")
 UNKNOWNS = {
     **{f"{name}_{k}": CREEP for name in ("cup", "shift") for k in "xyz"},
-    **{f"turn_{k}": TURN for k in "xyz"},
     "offset": CREEP,
-    "tilt": TURN,
+    **dict.fromkeys(ANGLES, TURN),
 }
 #: readings of instruments without such unknowns: a displacement, of a laser or micrometer
 READINGS = ("dy", "dz")
