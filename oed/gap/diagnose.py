@@ -16,7 +16,7 @@ from oed.gap.diagnosis import UNKNOWN, Answer, Block, Closure, Coefficient, Diag
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
 from oed.gap.problem import Problem
-from oed.gap.unknown import LOCAL, PROCESSES
+from oed.gap.unknown import BROAD, PROCESSES
 from oed.gap.which import Hypothesis, Search
 
 #: root mean square, in units of the noise, that each effect and process has at least in the wide model, beside which
@@ -47,14 +47,21 @@ def _placed(
     known = search.library
     told: tuple[Block, ...] = ()
     if found.verdict != "none":
-        parts = [known.columns[:, known.atoms[k].columns] for k in best.atoms]
-        labels = [known.labels[c] for k in best.atoms for c in known.atoms[k].columns]
-        columns = np.hstack(parts) if parts else None
-        told = where.where(problem, found.law, rng, columns=columns, labels=labels if parts else None)
+        chosen = [known.atoms[_widest(known, k)].columns for k in best.atoms]
+        columns = np.hstack([known.columns[:, c] for c in chosen]) if chosen else None
+        labels = [known.labels[c] for c in np.concatenate(chosen)] if chosen else None
+        told = where.where(problem, found.law, rng, columns=columns, labels=labels, known=not best.unknown)
     forms = _forms(search, best) or [np.zeros((len(problem), 1))]  # nothing to add closes nothing, and is told so
     splits: tuple[Literal["within", "whole"], ...] = ("within", "whole")
     shrunk = tuple(closure.closure(problem, found.law, forms, rng, split=split) for split in splits)
     return told, shrunk
+
+
+def _widest(known: Library, atom: int) -> int:
+    """The form of the same effect and constants, in all limbs, with as many columns as it can have."""
+    mine = known.atoms[atom]
+    alike = [k for k in known.atoms_of(mine.effect) if known.atoms[k].constants == mine.constants]
+    return max(alike, key=lambda k: len(known.atoms[k].columns))
 
 
 def _forms(search: Search, best: Hypothesis) -> list[Array]:
@@ -271,10 +278,10 @@ def _same(a: Law, b: Law) -> bool:
 
 
 def _wide(known: Library, processes: Library) -> Array:
-    """Columns (N, k) that hold any gap: the middle form of every effect, and all processes that are not local."""
+    """Columns (N, k) that hold any gap: the middle form of every effect, and the broad processes."""
     chosen = []
-    for source in (known, processes):
-        for effect in (e for e in source.effects if e not in LOCAL):
+    for source, names in ((known, known.effects), (processes, [e for e in processes.effects if e in BROAD])):
+        for effect in names:
             atoms = source.atoms_of(effect)
             widest = max(len(source.atoms[k].columns) for k in atoms)
             full = [k for k in atoms if len(source.atoms[k].columns) == widest]

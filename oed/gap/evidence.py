@@ -115,12 +115,27 @@ def carried(gram: Array, b: Array, sizes: Array | float) -> float:
     return max(float(mean @ gram @ mean) - float(np.trace(spread @ gram)), 0.0)
 
 
+class Parts:
+    """Columns (N, K) in a metric, of which some at a time are wanted as Grams."""
+
+    def __init__(self, problem: Problem, metric: Metric, columns: Array) -> None:
+        self._columns = metric.parts(columns)
+        self._residual = metric.parts(problem.residual[:, None])
+        self._size = metric.size
+        self._rest = float(sum(s * (r**2).sum() for s, r in zip((1.0, -1.0), self._residual, strict=True)))
+        self._base = _student(metric.log_det, self._rest, metric.size)
+
+    def grams(self, some: slice = slice(None)) -> Grams:
+        """Of some columns; `base` is the log evidence of no gap, of the readings in units of their noise."""
+        white, absorbed = (part[:, some] for part in self._columns)
+        gram = white.T @ white - absorbed.T @ absorbed
+        b = white.T @ self._residual[0] - absorbed.T @ self._residual[1]
+        return Grams(gram, b[:, 0], self._rest, self._size, self._base)
+
+
 def grams(problem: Problem, metric: Metric, columns: Array) -> Grams:
     """Of columns (N, K) in a metric; `base` is the log evidence of no gap, of the readings in units of their noise."""
-    white, absorbed = metric.parts(np.column_stack([problem.residual, columns]))
-    full = white.T @ white - absorbed.T @ absorbed
-    rest = float(full[0, 0])
-    return Grams(full[1:, 1:], full[1:, 0], rest, metric.size, _student(metric.log_det, rest, metric.size))
+    return Parts(problem, metric, columns).grams()
 
 
 def _student(log_det: float, rest: float, size: int) -> float:

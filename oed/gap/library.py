@@ -140,11 +140,13 @@ def _best(
     """The forms that explain most of the residual, where there are many and a metric."""
     if metric is None or len(forms) <= MANY:
         return list(forms)
+    ends = np.cumsum([0, *(len(form.names) for form, _ in forms)])
+    every = evidence.Parts(problem, metric, problem.of(np.hstack([form.columns for form, _ in forms])))
     scores = []
-    for form, log_weight in forms:
-        found = evidence.grams(problem, metric, problem.of(form.columns))
+    for (form, log_weight), start, end in zip(forms, ends, ends[1:], strict=False):
         choices = [a.columns for a in _atoms(form, 0, 0.0)]
-        scores.append(float(found.log_evidences(choices).max()) + log_weight)
+        found = every.grams(slice(start, end)).log_evidences(choices)
+        scores.append(float(found.max()) + log_weight)
     order = np.argsort(scores)[::-1][:kept]
     return [forms[k] for k in sorted(order)]
 

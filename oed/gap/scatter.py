@@ -23,7 +23,6 @@ TAILS = (3.0, 4.0, 6.0, 10.0, np.inf)
 SPREAD = 1.0
 #: prior of the log of the reach, in readings: about eight, a factor of e either way
 REACH = np.log(8.0)
-ROUNDS = 2
 #: log of a share of the noise below which it makes no difference
 _LEAST = -2.0
 #: where a search begins: white, runs that do not repeat, an error carried along
@@ -102,31 +101,24 @@ def robust(problem: Problem, columns: Array, size: float | Array = 1.0, start: L
     """The law beside a wide model (columns (N, k) of prior N(0, size^2)), with the variance of each reading; and its
     log prior. `start`: where the search begins, which beside nothing is found at a tenth of the cost."""
     law, prior = fit(problem, columns, start, size)
-    for _ in range(ROUNDS):
-        far, degrees = _apart(problem, law, columns * size)
-        law = dataclasses.replace(law, variance=far, tails=degrees)
-        if not np.isfinite(degrees):
-            break
-        law, prior = fit(problem, columns, law, size)
-    return law, prior
+    far, degrees = _apart(problem, law, columns * size)
+    if not np.isfinite(degrees):
+        return law, prior
+    return fit(problem, columns, dataclasses.replace(law, variance=far, tails=degrees), size)
 
 
 def _apart(problem: Problem, law: Law, columns: Array) -> tuple[Array, float]:
     """Variance (N,) of each reading over the level's, and the degrees of freedom of their Student t.
 
-    Told by t_i = (C^-1 r)_i / (C^-1)_ii^1/2, the standardised error of predicting each reading from all others.
+    Told by t_i = (C^-1 r)_i / (C^-1)_ii^1/2, the standardised error of predicting each reading from all others; once,
+    for where the variances of outliers are in C already, nothing about them is strange any more.
     """
     size = len(problem)
     covariance = columns @ columns.T + problem.slopes @ problem.slopes.T
     for k, members in enumerate(problem.blocks):
         covariance[np.ix_(members, members)] += law.block(problem, k)
     inverse = linalg.inv(covariance, check_finite=False)
-    # a reading is told from the others with its present variance: what it would be with that of an ordinary one
-    own = 1.0 / np.diag(inverse)
-    error = (inverse @ problem.residual) * own
-    ordinary = np.maximum(own - (law.variance - 1.0), 0.2)
-    t = error / np.sqrt(ordinary)
-    scale = np.median(np.abs(t)) / stats.norm.ppf(0.75)
+    t = (inverse @ problem.residual) / np.sqrt(np.diag(inverse))
     fits = [_tail(t, degrees) for degrees in TAILS]
     degrees, scale = max(fits, key=lambda f: f[2])[:2]
     if not np.isfinite(degrees) or fits[-1][2] > max(f[2] for f in fits[:-1]) - 3.0:

@@ -253,8 +253,17 @@ def _process(name: str, about: str, columns: Callable[..., Iterable[Column]], **
     )
 
 
-#: processes that act on few readings: beside them no reading is far off
-LOCAL = ("for a while", "at the start of runs", "at a place", "in a run", "in a sector")
+#: processes that act on all readings alike, few enough that each reading is still told by the others
+BROAD = (
+    "over time",
+    "joints over time",
+    "over the pose",
+    "over the travel",
+    "along the runs",
+    "with the motion",
+    "with the load",
+    "with the feed",
+)
 PROCESSES: Sequence[Effect] = (
     _process("over time", "drift of the readings", over_time),
     _process("tool over time", "drift of the tool's place", tool_over_time),

@@ -11,7 +11,7 @@ import dataclasses
 import math
 
 import numpy as np
-from scipy import signal, special
+from scipy import signal, stats
 
 from oed.batch import Array
 from oed.gap.law import Law, Metric
@@ -23,6 +23,10 @@ NAME = "a steady wave"
 #: frequencies a resolution cell, most of them, how many peaks of each kind are kept
 OVER, MOST, KEPT = 1.5, 6000, 4
 CHUNK = 512
+#: shortest period that is looked for in time, s, however far apart readings are, where their times are not regular
+SHORTEST = 12.0
+#: places between two frequencies at which a peak is looked at closely
+FINE = np.linspace(-0.8, 0.8, 9)
 #: readings that a feed must have, and ticks that a clock must have, for its waves to mean something
 LEAST = 16
 
@@ -85,6 +89,9 @@ def _in_time(problem: Problem) -> list[_Band]:
     if len(ticks) < LEAST:
         return []
     step, joints = float(np.median(np.diff(ticks))), _joints(problem)
+    places = (ticks - ticks[0]) / step
+    if known and np.abs(places - np.round(places)).max() > 0.05:  # times that are not regular tell fast waves from slow
+        step = min(step, 0.5 * SHORTEST)
     channels = [np.where(problem.group == g, UNIT / problem.sigma, 0.0)[:, None] for g in np.unique(problem.group)]
     carriers = [*channels, *(joints[:, i, None] for i in range(joints.shape[1])), _tool(problem, joints)]
     return [_Band("s", clock, carriers, _frequencies(float(np.ptp(clock)) + step, step))]
@@ -143,34 +150,54 @@ def _arc(problem: Problem) -> Array:
 def _peaks(problem: Problem, metric: Metric, band: _Band) -> list[_Peak]:
     """The strongest waves of a band on each of its carriers."""
     found = []
-    for carrier in band.carriers:
-        tail = _tails(problem, metric, carrier, band)
+    for carrier, tail in zip(band.carriers, _tails(problem, metric, band), strict=True):
         peaks, _ = signal.find_peaks(np.concatenate([[-1.0], -tail, [-1.0]]), distance=int(2 * OVER))
         for k in peaks[np.argsort(tail[peaks - 1])][:KEPT] - 1:
-            columns = _waves(carrier, band.clock, band.frequencies[k : k + 1])[:, :, 0]
-            found.append(_Peak(float(tail[k]), columns, band.unit, 1.0 / float(band.frequencies[k])))
+            near = _close(band, carrier, int(k))
+            tails = _tails(problem, metric, near)[0]
+            best = float(near.frequencies[np.argmin(tails)])
+            columns = _waves(carrier, _both(band.clock, np.array([best])))[:, :, 0]
+            found.append(_Peak(float(tails.min()), columns, band.unit, 1.0 / best))
     return found
 
 
-def _waves(carrier: Array, clock: Array, frequencies: Array) -> Array:
-    """Columns (N, 2 c, k): cosine and sine of each frequency on each column of a carrier (N, c)."""
+def _close(band: _Band, carrier: Array, k: int) -> _Band:
+    """The band about its k-th frequency, on one carrier."""
+    step = float(np.diff(band.frequencies[:2])[0]) if len(band.frequencies) > 1 else 0.0
+    return dataclasses.replace(band, carriers=[carrier], frequencies=band.frequencies[k] + step * FINE)
+
+
+def _both(clock: Array, frequencies: Array) -> Array:
+    """Cosine and sine (N, 2, k) of each frequency."""
     angle = 2.0 * np.pi * clock[:, None] * frequencies[None, :]
-    both = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.asarray((carrier[:, :, None, None] * both[:, None]).reshape(len(clock), -1, len(frequencies)))
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _tails(problem: Problem, metric: Metric, carrier: Array, band: _Band) -> Array:
-    """Log tail probability (k,) of the energy that each wave explains of the residual, its phases free."""
-    told_by = metric.parts(problem.residual[:, None])
-    tails = np.empty(len(band.frequencies))
-    for start in range(0, len(tails), CHUNK):
-        waves = _waves(carrier, band.clock, band.frequencies[start : start + CHUNK])
-        size, width = waves.shape[1], waves.shape[2]
-        parts = [v.reshape(-1, size, width) for v in metric.parts(waves.reshape(len(problem), -1))]
-        inner = sum(s * np.einsum("nif,njf->fij", v, v) for s, v in zip((1.0, -1.0), parts, strict=True))
-        told = sum(s * np.einsum("nif,n->fi", v, r[:, 0]) for s, v, r in zip((1.0, -1.0), parts, told_by, strict=True))
-        trace = np.trace(inner, axis1=1, axis2=2)[:, None, None] + 1e-300
-        inner = inner + 1e-6 * trace * np.eye(size)
-        energy = np.einsum("fi,fi->f", told, np.linalg.solve(inner, told[:, :, None])[:, :, 0])
-        tails[start : start + CHUNK] = special.chdtrc(size, energy).clip(1e-300)
-    return np.asarray(np.log(tails))
+def _waves(carrier: Array, both: Array) -> Array:
+    """Columns (N, 2 c, k): cosines and sines (N, 2, k) on each column of a carrier (N, c)."""
+    return np.asarray((carrier[:, :, None, None] * both[:, None]).reshape(len(carrier), -1, both.shape[2]))
+
+
+def _tails(problem: Problem, metric: Metric, band: _Band) -> Array:
+    """Log tail probability (carriers, k) of the energy that each wave explains of the residual, its phases free."""
+    residual = metric.parts(problem.residual[:, None])
+    tails = np.empty((len(band.carriers), len(band.frequencies)))
+    for start in range(0, tails.shape[1], CHUNK):
+        here = slice(start, start + CHUNK)
+        both = _both(band.clock, band.frequencies[here])
+        for row, carrier in zip(tails, band.carriers, strict=True):
+            row[here] = _tail(metric, _waves(carrier, both), residual)
+    return tails
+
+
+def _tail(metric: Metric, waves: Array, residual: tuple[Array, Array]) -> Array:
+    """Log tail probability (k,) of what waves (N, c, k) explain."""
+    size, width = waves.shape[1:]
+    inner, told = np.zeros((width, size, size)), np.zeros((width, size))
+    for sign, v, r in zip((1.0, -1.0), metric.parts(waves.reshape(len(waves), -1)), residual, strict=True):
+        part = np.ascontiguousarray(v.reshape(-1, size, width).transpose(2, 1, 0))
+        inner += sign * (part @ part.transpose(0, 2, 1))
+        told += sign * (part @ r[:, 0])
+    inner += (1e-6 * np.trace(inner, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(size)
+    energy = np.einsum("fi,fi->f", told, np.linalg.solve(inner, told[:, :, None])[:, :, 0])
+    return np.asarray(stats.chi2.logsf(energy, size))

@@ -65,6 +65,7 @@ def where(
     *,
     columns: Array | None = None,
     labels: Sequence[str] | None = None,
+    known: bool = False,
     draws: int = 500,
 ) -> tuple[Block, ...]:
     """Blocks in which the gap lies, those that confine it best first.
@@ -72,6 +73,8 @@ def where(
     columns, labels  (N, k) of the selected effects, in units of the stated noise, and the blocks (`leg 1`, "") that
                      they belong to: those of a leg are one more look at it. That they were chosen is not in the
                      correction: `legs_of` tells whether a leg carries them
+    known            whether these effects are all there is: legs are then told by the effects' own columns alone, if
+                     all of them belong to a leg or a set-up
     draws            of the bootstrap
 
     Told are all legs (and `all legs` where the same change in each confines the gap better than any one leg) and, of
@@ -79,7 +82,7 @@ def where(
     `strength` is the block's share of the energy that the residual has beyond what the noise accounts for; it means
     something where p is small. The law is taken as known, its level too. Raises ValueError for columns that do not fit.
     """
-    looks = list(_looks(problem, columns, labels))
+    looks = list(_looks(problem, columns, labels, known))
     root = _Root(problem, law)
     scan = _Scan(root, looks)
     scores = root.scores(problem.residual)
@@ -228,7 +231,7 @@ def _told(found: Sequence[_Found]) -> list[_Found]:
     kept: list[_Found] = []
     for f in ranked:
         same = [k for k in kept if k.look.kind == f.look.kind]
-        if f.look.kind == "leg":
+        if f.look.kind in ("leg", "set-up"):
             new = f.look.place not in [k.look.place for k in same] and (f.look.place != ALL or not same)
         else:
             apart = not any(k.look.cells & f.look.cells for k in same)
@@ -238,9 +241,12 @@ def _told(found: Sequence[_Found]) -> list[_Found]:
     return sorted(kept, key=lambda f: f.own)
 
 
-def _looks(problem: Problem, columns: Array | None = None, labels: Sequence[str] | None = None) -> Iterator[_Look]:
+def _looks(
+    problem: Problem, columns: Array | None = None, labels: Sequence[str] | None = None, known: bool = False
+) -> Iterator[_Look]:
     """The whole family."""
-    yield from _legs(problem)
+    if not (known and labels is not None and labels and all(labels)):
+        yield from _legs(problem)
     yield from _selected(problem, columns, labels)
     for family in (_runs, _times, _phases, _directions):
         yield from family(problem)
@@ -316,8 +322,9 @@ def _selected(problem: Problem, columns: Array | None, labels: Sequence[str] | N
     if columns.shape != (len(problem), len(labels)):
         raise ValueError(f"columns have the shape {columns.shape}; ({len(problem)}, {len(labels)}) fits the labels")
     for name in dict.fromkeys(labels):
-        if name.startswith("leg "):
-            yield _Look("leg", name, columns[:, [label == name for label in labels]])
+        kind = next((k for k in ("leg", "set-up") if name.startswith(f"{k} ")), "")
+        if kind:
+            yield _Look(kind, name, columns[:, [label == name for label in labels]])
 
 
 # -- looks: runs, times, phases, directions ----------------------------------------------------------------
@@ -385,6 +392,7 @@ def _window(problem: Problem, first: float, last: float, cells: frozenset[int]) 
     there = [((s.time >= first) & (s.time <= last)).astype(float)[:, None] for s in problem.states]
     legs = [_joint(problem, limb, there) for limb in problem.states[0].limbs]
     yield _Look("time", place, np.hstack(legs), cells, "legs")
+    yield from (_Look("time", place, leg, cells, f"leg {limb}") for limb, leg in enumerate(legs, start=1))
 
 
 def _number(value: float) -> str:
