@@ -87,7 +87,8 @@ class State:
     def pushing(self) -> Array:
         """Joint changes (m, nq, 3) that displace the tool along each axis of the base, without turning it if they can;
         nothing along an axis in which joints hardly move it."""
-        motion = self.twist if len(self.limbs) >= 6 else self.twist[:, :3]
+        size = np.repeat([1.0, self.machine.lever], 3)[:, None]
+        motion = self.twist * size if len(self.limbs) >= 6 else self.twist[:, :3]
         return np.asarray(np.linalg.pinv(motion, rcond=STIFF)[:, :, :3])
 
     @property

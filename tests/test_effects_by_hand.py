@@ -1,12 +1,14 @@
 """For each effect a number worked out in another way: by hand, from the machine's own parameters, by virtual work."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pandas as pd
 import pytest
 from effects_sample import HOURS, ROUND, columns, effect_of, session, small
 from kernel.cases import CASES
+from scipy.spatial.transform import Rotation
 
 from oed.gap.signature import exact, signature
 from oed.gap.state import states
@@ -203,14 +205,26 @@ def test_cyclic_errors_come_back_after_a_period(name: str, constant: str, period
 
 
 def test_joint_runout_goes_twice_a_turn() -> None:
-    """A strut that leans outwards by 45 degrees is a quarter of its turn from an upright one."""
-    state = small(session("hexapod").states[0], 2)
-    out = terms.radial(state)[1, 3]
-    along = state.along.copy()
-    along[0, 3], along[1, 3] = (0.0, 0.0, 1.0), np.sqrt(0.5) * (out + np.array([0.0, 0.0, 1.0]))
+    """Upright, 45 degrees outwards, 45 degrees across: an eighth of the joint's turn is a quarter of the error's."""
+    state = small(session("hexapod").states[0], 3)
+    up, out = np.array([0.0, 0.0, 1.0]), terms.radial(state)[1, 3]
+    across = np.array([-out[1], out[0], 0.0])
+    along, half = state.along.copy(), np.sqrt(0.5)
+    along[:, 3] = up, half * (out + up), half * (across + up)
     made = columns("joint_runout", dataclasses.replace(state, along=along))
-    assert made["leg 4 base cos"].joints[3] == pytest.approx([1.0, 0.0], abs=1e-12)
-    assert made["leg 4 base sin"].joints[3] == pytest.approx([0.0, 1.0])
+    wanted = {
+        "base": ([0.0, 1.0, 0.0], [1.0, 0.0, 1.0]),
+        "base once": ([0.0, half, 0.0], [1.0, half, 1.0]),
+        "base thrice": ([0.0, half, 0.0], [1.0, -half, 1.0]),
+        "base across": ([0.0, 0.0, 1.0], [1.0, 1.0, 0.0]),
+    }
+    for name, waves in wanted.items():
+        for part, wave in zip(("sin", "cos"), waves, strict=True):
+            column = made[f"leg 4 {name} {part}"]
+            assert column.scale * column.joints[3] == pytest.approx(
+                (4e-6 if name == "base" else 1.6e-6) * np.array(wave), abs=1e-17
+            )
+            assert column.shape == (name != "base")
     assert not any("platform" in n for n in columns("joint_runout", session("linear_delta").states[0]))
 
 
@@ -222,10 +236,30 @@ def test_joint_runout_at_the_platform_turns_with_it() -> None:
         state, base=state.base @ turn.T, platform=state.platform @ turn.T, along=state.along @ turn.T
     )
     before, after = columns("joint_runout", state), columns("joint_runout", turned)
-    assert len(before) == 24
+    assert len(before) == 6 * 2 * (3 + 3 + 1)  # legs, sine and cosine; base, platform, across
     for name, c in before.items():
         (i,) = c.joints
         assert after[name].joints[i] == pytest.approx(c.joints[i])
+
+
+def test_joint_runout_at_the_platform_is_of_its_joint_s_angle() -> None:
+    """A platform that tilts by 0.1 rad in a leg's plane, under a strut that stays, turns that joint by 0.1 rad."""
+    state, i, angle = session("hexapod").states[0], 3, 0.1
+    tilted = state.platform.copy()
+    for k, ends in enumerate(state.platform):
+        middle = ends.mean(axis=0)
+        normal = np.linalg.svd(ends - middle)[2][2]
+        axis = np.cross(normal, ends[i] - middle)
+        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
+        tilted[k] = middle + turn.apply(ends - middle)
+    before, after = columns("joint_runout", state), columns("joint_runout", dataclasses.replace(state, platform=tilted))
+    for word, order in ((" once", 1), ("", 2), (" thrice", 3)):
+        waves = [
+            made[f"leg 4 platform{word} cos"].joints[i] + 1j * made[f"leg 4 platform{word} sin"].joints[i]
+            for made in (before, after)
+        ]
+        assert np.abs(waves[0]) == pytest.approx(1.0)
+        assert np.abs(np.angle(waves[1] / waves[0])) == pytest.approx(order * angle)
 
 
 def test_joint_clearance_changes_sides_with_the_load() -> None:
@@ -234,6 +268,35 @@ def test_joint_clearance_changes_sides_with_the_load() -> None:
     two = small(state, 2, force=np.full((2, 6), -0.2), payload=np.array([0.0, -400.0]))
     column = columns("joint_clearance", two, weight=200.0)["leg 6"]
     assert column.scale * column.joints[5] == pytest.approx([-5e-6, 5e-6])
+
+
+def test_joint_clearance_is_taken_up_by_the_load_that_statics_give() -> None:
+    """Forces and moments of six struts on the platform balance its weight and payload: some of the play is taken up."""
+    state = session("hexapod").states[1]
+    lever = np.cross(state.platform - state.tool[:, None], state.along)
+    struts = np.concatenate([state.along, lever], axis=-1).transpose(0, 2, 1)
+    weight = np.array([0.0, 0.0, -600.0, 0.0, 0.0, 0.0]) * (1.0 + state.payload[:, None] / 600.0)
+    tension = np.linalg.solve(struts, weight[..., None])[..., 0]
+    assert (tension < 0.0).all()
+    assert state.payload.max() > 0.0
+    made = columns("joint_clearance", state, weight=600.0, soft=0.2)
+    for i in range(6):
+        for name, play, soft in (("", 10e-6, 0.2), (" harder", 4e-6, 0.06)):
+            column = made[f"leg {i + 1}{name}"]
+            wanted = 0.5 * play * np.tanh(tension[:, i] / (soft * 600.0))
+            assert column.scale * column.joints[i] == pytest.approx(wanted)
+            assert column.shape == bool(name)
+
+
+def test_joint_clearance_that_differs_along_the_travel_is_play() -> None:
+    """At a place s of its travel a leg has (1 + s / 2) of its play, on whichever side its load is."""
+    state = session("hexapod").states[0]
+    two = small(state, 2, force=np.full((2, 6), -0.2), payload=np.array([0.0, -400.0]))
+    two = dataclasses.replace(two, joints=two.joints[[0, 0]])
+    made = columns("joint_clearance", two, weight=200.0)
+    play = made["leg 6"].joints[5] + 0.5 * made["leg 6 slope"].joints[5]
+    assert play[0] == pytest.approx(-play[1])
+    assert abs(play[0]) == pytest.approx(0.5 * (1.0 + 0.5 * abs(terms.place(two)[0, 5])))
 
 
 def test_bar_length_is_a_constant_of_bars_alone() -> None:
@@ -273,24 +336,99 @@ def test_mount_drift_of_a_laser_without_unknowns_is_in_its_readings() -> None:
     assert made["rm1 dy"].reading["dy"] == pytest.approx(state.time / HOURS)
 
 
-def test_step_begins_when_it_is_said() -> None:
+@pytest.mark.parametrize(("when", "lasts", "first", "last"), [
+    (0.25, 9.0, 1800.0, np.inf), (0.25, 0.27, 1800.0, 3744.0), (0.75, -0.37, 2736.0, 5400.0),
+    (0.25, -0.5, -np.inf, 1800.0),
+])  # fmt: skip
+def test_step_is_there_in_its_window(when: float, lasts: float, first: float, last: float) -> None:
+    """In a session of two hours; what adapts lets it begin 40 s or 80 s later, where it begins in the session."""
     state = session("planar_2dof").states[0]
-    made = columns("step", state, when=0.25)
-    late = state.time >= 0.25 * HOURS
-    assert 0 < late.sum() < len(state)
-    assert made["leg 1"].joints == {0: pytest.approx(late.astype(float))}
-    assert made["set-up ball_bar"].reading["*"] == pytest.approx(late.astype(float))
-    assert made["leg 2 latest"].joints[1].sum() == ((state.time >= 1800.0) & (state.time < 1800.0 + 80.0)).sum()
-    assert made["leg 2 later"].joints[1].sum() == ((state.time >= 1800.0) & (state.time < 1800.0 + 40.0)).sum()
+    assert state.span == (0.0, HOURS)
+    time = np.concatenate([np.linspace(0.0, HOURS, len(state) - 6), first + np.array([-1, 1, 39, 41, 79, 81])])
+    state = dataclasses.replace(state, time=np.where(np.isfinite(time), time, 0.0))
+    made = columns("step", state, when=when, lasts=lasts)
+    inside = (state.time >= first) & (state.time < last)
+    assert 0 < inside.sum() < len(state)
+    for leg in (0, 1):
+        there = made[f"leg {leg + 1}"]
+        assert there.joints == {leg: pytest.approx(inside.astype(float))}
+        assert there.scale * there.joints[leg] == pytest.approx(20e-6 * inside)
+        for name, late in (("later", 40.0), ("latest", 80.0)):
+            behind = there.joints[leg] - made[f"leg {leg + 1} {name}"].joints[leg]
+            assert behind == pytest.approx((inside & (state.time >= first + late)).astype(float))
 
 
-def test_frame_bending_is_the_same_seen_from_every_leg() -> None:
-    """A tool point a lever out towards a leg, half a lever up: one unit of rr, half of rz, no tt."""
-    state = small(session("a3_head").states[0], 3)
-    lever, pose = state.machine.lever, np.zeros((3, 6))
-    angle = -0.5 * np.pi + 2.0 * np.pi * np.arange(3) / 3.0
-    pose[:, 0], pose[:, 1], pose[:, 2] = lever * np.cos(angle), lever * np.sin(angle), 1.166 + 0.5 * lever
-    made = columns("frame_bending", dataclasses.replace(state, pose=pose))
-    for i in range(3):
-        for mode, wanted in (("rr", 1.0), ("tt", 0.0), ("rz", 0.5), ("zz", 0.25), ("rrr", 1.0), ("rrz", 0.5)):
-            assert made[f"leg {i + 1} {mode}"].joints[i][i] == pytest.approx(wanted, abs=1e-9)
+def test_step_of_a_mount_is_a_cup_or_a_camera_elsewhere_meanwhile() -> None:
+    s = session("a3_head")
+    m, theta, effect = s.measurement, s.measurement.nominal, effect_of("step")
+    start = m.readings(s.series, theta)
+    time = np.concatenate([state.time[series.index[:, 0]] for state, series in zip(s.states, s.series, strict=True)])
+    time = np.repeat(time, [1] * 2 * ROUND + [3] * 2 * ROUND)  # one length, three coordinates
+    meanwhile = (time >= 0.25 * HOURS) & (time < 0.75 * HOURS)
+    bar = np.arange(len(time)) < 2 * ROUND
+    for name, unknown, size, mine in (
+        ("set-up ball_bar cup_x", "ball_bar.cup_x", 10e-6, bar),
+        ("set-up camera shift_z", "camera.shift_z", 10e-6, ~bar),
+        ("set-up camera turn_y", "camera.turn_y", 20e-6, ~bar),
+    ):
+        away = theta.copy()
+        away[m.names.index(unknown)] += size
+        moved = m.readings(s.series, away)
+        assert np.abs(moved - start)[mine & meanwhile].max() > 1e-6
+        knocked = exact(m, s.series, theta, s.states, [(effect, {"when": 0.25, "lasts": 0.5}, {name: 1.0})])
+        assert knocked == pytest.approx(np.where(meanwhile, moved, start), abs=1e-12)
+
+
+def test_step_of_a_laser_without_unknowns_is_in_its_readings() -> None:
+    state = dataclasses.replace(session("planar_2dof").states[0], setup="rm1")
+    column = columns("step", state, when=0.25)["set-up rm1 dy"]
+    assert column.scale * column.reading["dy"] == pytest.approx(10e-6 * (state.time >= 1800.0))
+    assert not column.joints
+
+
+@pytest.mark.parametrize("machine", CASES)
+def test_pushing_displaces_the_tool_as_it_says(machine: str) -> None:
+    """By differences of the forward kinematics: along each axis that the machine has; a hexapod does not turn."""
+    s, step = session(machine), 1e-5
+    kinematics, p = s.measurement.kinematics, s.measurement.nominal[: len(s.case.machine.parameters)]
+    for state, series in zip(s.states, s.series, strict=True):
+        tool = np.array(s.measurement.setups[series.setup].tool)
+        for k, axis in enumerate(np.eye(3)):
+            change = step * state.pushing[:, :, k]
+            if machine == "planar_2dof" and k == 0:
+                assert change == pytest.approx(0.0, abs=1e-12 * step)
+                continue
+            ends = [
+                kinematics.frames(kinematics.forward(series.q + sign * change, p, series.start), tool)
+                for sign in (0.5, -0.5)
+            ]
+            assert (ends[0][1] - ends[1][1]) / step == pytest.approx(np.tile(axis, (len(state), 1)), abs=1e-5)
+            if machine == "hexapod":
+                assert ends[0][0] == pytest.approx(ends[1][0], abs=1e-5 * step)
+
+
+@pytest.mark.parametrize(("machine", "middle", "lever"), [
+    ("a3_head", (0.0, 0.0, 1.166), 0.54), ("linear_delta", (0.0, 0.0, 0.2), 0.16175),
+    ("planar_2dof", (0.0, 0.0, 0.75), 1.0),
+])  # fmt: skip
+def test_frame_bending_displaces_what_a_camera_sees(
+    machine: str, middle: tuple[float, float, float], lever: float
+) -> None:
+    """By 20 um times a product of two coordinates of the tool, 8 um times one of three, along the axis named alone."""
+    s = session(machine)
+    m, theta, (state, series) = s.measurement, s.measurement.nominal, (s.states[1], s.series[1])
+    pose = dict(zip([c.name for c in m.machine.pose], m.poses(series, theta).T, strict=True))
+    zero = np.zeros(len(state))
+    at = {k: (pose.get(k, zero) - c) / lever for k, c in zip("xyz", middle, strict=True)}
+    start, able = m.readings([series], theta), "yz" if machine == "planar_2dof" else "xyz"
+    made, acting = columns("frame_bending", state), set()
+    for name, column in made.items():
+        axis, factors = name.split(" by ")
+        assert column.shape == (len(factors) == 3)
+        field = (8e-6 if column.shape else 20e-6) * np.prod([at[k] for k in factors], axis=0)
+        seen = exact(m, [series], theta, [state], [(effect_of("frame_bending"), {}, {name: 1.0})]) - start
+        wanted = np.column_stack([field if k == axis and k in able else zero for k in "xyz"])
+        assert seen.reshape(-1, 3) == pytest.approx(wanted, abs=1e-3 * np.abs(wanted).max() + 1e-14)
+        acting |= {name} if wanted.any() else set()
+    forms = [f for n in (2, 3) for f in itertools.combinations_with_replacement(able, n)]
+    assert acting == {f"{axis} by {''.join(form)}" for axis in able for form in forms}

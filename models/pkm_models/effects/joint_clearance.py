@@ -25,7 +25,7 @@ def columns(state: State, weight: float, soft: float) -> Iterable[Column]:
     for i in state.limbs:
         leg, side = f"leg {i + 1}", np.tanh(pull[:, i] / soft)
         yield Column(leg, PLAY, leg, {i: half[:, i] * side})
-        for name, form in (("harder", np.tanh(pull[:, i] / (0.3 * soft))), ("slope", at[:, i] * np.abs(side))):
+        for name, form in (("harder", np.tanh(pull[:, i] / (0.3 * soft))), ("slope", at[:, i] * side)):
             yield Column(f"{leg} {name}", terms.ADAPT * PLAY, leg, {i: half[:, i] * form}, shape=True)
 
 
