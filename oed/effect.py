@@ -35,6 +35,7 @@ class State:
     reversal     (m, nq) how far each joint has gone since its last reversal in the run, m or rad
     rate         (m, nq) joint velocity, from order and feed;  NaN where the feed is not known
     force        (m, nq) generalised force in each joint per newton pulling along gravity at the tool point (J^-T w)
+    weight       (m, nq) the same at the middle of the platform's joints; at the tool point where struts are not told
     twist        (m, 6, nq) motion of the tool point (3, m) and rotation (3, rad), base frame, per unit of each joint
     strut        (m, nq) length of the strut that the joint drives;  along (m, nq, 3) its direction, base to platform
     base         (m, nq, 3) and platform (m, nq, 3) its ends in the base frame
@@ -61,6 +62,7 @@ class State:
     reversal: Array
     rate: Array
     force: Array
+    weight: Array
     twist: Array
     strut: Array
     along: Array

@@ -65,9 +65,10 @@ def _state(
     tool = np.array(measurement.setups[series.setup].tool)
     _, tip, twist = kinematics.frames(x, tool)
     by_joint = kinematics.joint_sensitivity(x, q, p)
-    by_joint = twist @ by_joint
-    force = np.einsum("k,mkj->mj", gravity / np.linalg.norm(gravity), by_joint[:, :3])
+    by_joint, down = twist @ by_joint, gravity / np.linalg.norm(gravity)
+    force = np.einsum("k,mkj->mj", down, by_joint[:, :3])
     base, platform, per_length = _struts(measurement, x, q, p)
+    moment = np.nan_to_num(np.cross(platform.mean(axis=1) - tip, down))
     between = platform - base
     length = np.linalg.norm(between, axis=-1)
     owner = _owner(series)  # for each pose the reading whose covariates hold there
@@ -89,6 +90,7 @@ def _state(
         reversal=reversal,
         rate=rate,
         force=force,
+        weight=force + np.einsum("mk,mkj->mj", moment, by_joint[:, 3:]),
         twist=by_joint,
         strut=length,
         along=between / length[..., None],

@@ -14,18 +14,19 @@ GIVES = 20e-6  # m, of a joint that carries the whole weight
 
 
 def columns(state: State, weight: float) -> Iterable[Column]:
-    """Drives (c0) and struts (c1), alike in all legs; shape: legs that differ, bending, payload placed elsewhere."""
-    load = 1.0 + np.nan_to_num(state.payload) / weight
-    drive = state.force * terms.metre(state) ** 2
-    strut = state.force * state.per_length**2 * state.strut / terms.travel(state.machine).strut
-    extra = (load - 1.0)[:, None]
+    """Drives (c0) and struts (c1), alike in all legs; shape: legs that differ, bending, weights that act elsewhere."""
+    extra = state.force * (np.nan_to_num(state.payload) / weight)[:, None]
+    load, square = state.weight + extra, terms.metre(state) ** 2
+    drive = load * square
+    strut = load * state.per_length**2 * state.strut / terms.travel(state.machine).strut
     small = terms.ADAPT * GIVES
-    yield Column("drives", GIVES, "", _all(drive * load[:, None]))
-    yield Column("struts", GIVES, "", _all(strut * load[:, None]))
-    yield Column("bending", small, "", _all(drive * terms.place(state) ** 2 * load[:, None]), shape=True)
-    yield Column("payload", small, "", _all(drive * extra), shape=True)
+    yield Column("drives", GIVES, "", _all(drive))
+    yield Column("struts", GIVES, "", _all(strut))
+    yield Column("bending", small, "", _all(drive * terms.place(state) ** 2), shape=True)
+    yield Column("payload", small, "", _all(extra * square), shape=True)
+    yield Column("place", small, "", _all((state.force - state.weight) * square), shape=True)
     for i in state.limbs:
-        yield Column(f"leg {i + 1}", small, f"leg {i + 1}", {i: drive[:, i] * load}, shape=True)
+        yield Column(f"leg {i + 1}", small, f"leg {i + 1}", {i: drive[:, i]}, shape=True)
 
 
 def _all(change: Array) -> dict[int, Array]:

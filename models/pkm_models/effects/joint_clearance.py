@@ -18,8 +18,8 @@ SOFT = (0.01, 0.05, 0.2)  # share of the load within which a joint is not yet at
 
 def columns(state: State, weight: float, soft: float) -> Iterable[Column]:
     """delta tanh(leg force / its soft share) / 2 a leg; shape: another stop, and play that differs along the travel."""
-    load = 1.0 + np.nan_to_num(state.payload) / weight
-    pull = state.force * state.per_length * load[:, None]
+    extra = state.force * (np.nan_to_num(state.payload) / weight)[:, None]
+    pull = (state.weight + extra) * state.per_length
     half = 0.5 * state.per_length
     at = terms.place(state)
     for i in state.limbs:
