@@ -89,8 +89,9 @@ def test_guideway_is_the_slider_joint_displaced() -> None:
 
 
 @pytest.mark.parametrize("machine", ["hexapod", "a3_head", "linear_delta"])
-def test_gravity_lowers_the_tool_by_the_work_it_does(machine: str) -> None:
-    """Castigliano: with joints of compliance c under a weight W at the tool point it sinks by W c sum_i (dz/dq_i)^2."""
+def test_gravity_lowers_the_platform_by_the_work_it_does(machine: str) -> None:
+    """Castigliano: with joints of compliance c under a weight W its place sinks by W c sum_i (dz/dq_i)^2: the weight's
+    the middle of the platform's joints, a payload's the tool point."""
     s = session(machine)
     state, series, kinematics = s.states[1], s.series[1], s.measurement.kinematics
     state = dataclasses.replace(state, payload=np.full(len(state), np.nan))
@@ -98,16 +99,18 @@ def test_gravity_lowers_the_tool_by_the_work_it_does(machine: str) -> None:
     theta = s.measurement.nominal
     p, tool, step = theta[: len(s.case.machine.parameters)], np.array(s.case.setups["camera"].tool), 1e-6
 
-    def height(q: np.ndarray) -> np.ndarray:
-        return kinematics.frames(kinematics.forward(q, p, series.start), tool)[1][:, 2]
+    def heights(q: np.ndarray) -> np.ndarray:
+        x = kinematics.forward(q, p, series.start)
+        return np.array([kinematics.struts(x, q, p)[1].mean(axis=1)[:, 2], kinematics.frames(x, tool)[1][:, 2]])
 
-    slopes = [
-        (height(series.q + step * e) - height(series.q - step * e)) / (2.0 * step) for e in np.eye(series.q.shape[1])
-    ]
+    eye = np.eye(series.q.shape[1])
+    ends = [(heights(series.q + step * e), heights(series.q - step * e)) for e in eye]
+    middle, tip = np.moveaxis([(up - down) / (2.0 * step) for up, down in ends], 1, 0)
     moved = series.q + 1e-6 * np.column_stack([drives.joints[i] for i in state.limbs])
-    assert height(moved) - height(series.q) == pytest.approx(-1e-6 * np.sum(np.square(slopes), axis=0), rel=1e-3)
+    sunk = heights(moved)[0] - heights(series.q)[0]
+    assert sunk == pytest.approx(-1e-6 * np.sum(np.square(middle), axis=0), rel=1e-3)
     heavy = columns("gravity", dataclasses.replace(state, payload=np.full(len(state), 300.0)), weight=600.0)["drives"]
-    assert heavy.joints[0] == pytest.approx(1.5 * drives.joints[0])
+    assert heavy.joints[0] - drives.joints[0] == pytest.approx(-0.5 * tip[0], rel=1e-5)
 
 
 def test_backlash_turns_over_where_a_leg_does() -> None:
@@ -265,7 +268,8 @@ def test_joint_runout_at_the_platform_is_of_its_joint_s_angle() -> None:
 def test_joint_clearance_changes_sides_with_the_load() -> None:
     """Standing legs are pressed; 400 N upwards on a platform of 200 N pulls them."""
     state = session("hexapod").states[0]
-    two = small(state, 2, force=np.full((2, 6), -0.2), payload=np.array([0.0, -400.0]))
+    even = np.full((2, 6), -0.2)
+    two = small(state, 2, force=even, weight=even, payload=np.array([0.0, -400.0]))
     column = columns("joint_clearance", two, weight=200.0)["leg 6"]
     assert column.scale * column.joints[5] == pytest.approx([-5e-6, 5e-6])
 
@@ -275,7 +279,9 @@ def test_joint_clearance_is_taken_up_by_the_load_that_statics_give() -> None:
     state = session("hexapod").states[1]
     lever = np.cross(state.platform - state.tool[:, None], state.along)
     struts = np.concatenate([state.along, lever], axis=-1).transpose(0, 2, 1)
-    weight = np.array([0.0, 0.0, -600.0, 0.0, 0.0, 0.0]) * (1.0 + state.payload[:, None] / 600.0)
+    down, middle = np.array([0.0, 0.0, -600.0]), state.platform.mean(axis=1) - state.tool
+    weight = np.hstack([np.tile(down, (len(state), 1)), np.cross(middle, down)])
+    weight[:, 2] -= state.payload  # at the tool
     tension = np.linalg.solve(struts, weight[..., None])[..., 0]
     assert (tension < 0.0).all()
     assert state.payload.max() > 0.0
@@ -291,7 +297,8 @@ def test_joint_clearance_is_taken_up_by_the_load_that_statics_give() -> None:
 def test_joint_clearance_that_differs_along_the_travel_is_play() -> None:
     """At a place s of its travel a leg has (1 + s / 2) of its play, on whichever side its load is."""
     state = session("hexapod").states[0]
-    two = small(state, 2, force=np.full((2, 6), -0.2), payload=np.array([0.0, -400.0]))
+    even = np.full((2, 6), -0.2)
+    two = small(state, 2, force=even, weight=even, payload=np.array([0.0, -400.0]))
     two = dataclasses.replace(two, joints=two.joints[[0, 0]])
     made = columns("joint_clearance", two, weight=200.0)
     play = made["leg 6"].joints[5] + 0.5 * made["leg 6 slope"].joints[5]

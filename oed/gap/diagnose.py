@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -26,6 +26,8 @@ WIDE = 0.7
 TOLD = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
 ALIVE = 3.5
+#: members from which on a class beside a named effect is told as unknown
+VAGUE = 4
 
 
 def diagnose(problem: Problem, effects: Sequence[Effect], rng: np.random.Generator) -> Diagnosis:
@@ -47,10 +49,14 @@ def _placed(
     known = search.library
     told: tuple[Block, ...] = ()
     if found.verdict != "none":
-        chosen = [known.atoms[_widest(known, k)].columns for k in best.atoms]
+        named = [s.effect for s in found.sizes]
+        kept = [k for e, k in zip(best.effects, best.atoms, strict=True) if e in named]
+        chosen = [known.atoms[_widest(known, k)].columns for k in kept]
         columns = np.hstack([known.columns[:, c] for c in chosen]) if chosen else None
         labels = [known.labels[c] for c in np.concatenate(chosen)] if chosen else None
-        told = where.where(problem, found.law, rng, columns=columns, labels=labels, known=not best.unknown)
+        told = where.where(
+            problem, found.law, rng, columns=columns, labels=labels, known=UNKNOWN not in found.answers[0].effects
+        )
     forms = _forms(search, best) or [np.zeros((len(problem), 1))]  # nothing to add closes nothing, and is told so
     splits: tuple[Literal["within", "whole"], ...] = ("within", "whole")
     shrunk = tuple(closure.closure(problem, found.law, forms, rng, split=split) for split in splits)
@@ -94,7 +100,8 @@ def conclude(
     answers = _answers(made, hypotheses, shares, scores)
     best = hypotheses[0]
     search = made[best.law]
-    found = _explained(problem, search, best)
+    named = {name for c in answers[0].classes for name in c}
+    found = _explained(problem, search, best, named if named & set(best.effects) else set(best.effects))
     return Diagnosis(
         problem=problem,
         verdict=verdict(answers[0]),
@@ -103,7 +110,11 @@ def conclude(
         marginal=_marginal(search.library.effects, hypotheses, shares),
         law=dataclasses.replace(search.law, level=found.level),
         noise_words=scatter.words(problem, dataclasses.replace(search.law, level=found.level)),
-        constants={e: search.library.atoms[k].constants for e, k in zip(best.effects, best.atoms, strict=True)},
+        constants={
+            e: search.library.atoms[k].constants
+            for e, k in zip(best.effects, best.atoms, strict=True)
+            if e in [s.effect for s in found.sizes]
+        },
         coefficients=found.coefficients,
         sizes=found.sizes,
         explained=found.explained * problem.sigma,
@@ -138,9 +149,25 @@ def _answers(
         for key in list(left):
             if key[1] == h.unknown and _stands_for(key[0], members):
                 total += left.pop(key)
-        names = (*h.effects, UNKNOWN) if h.unknown else h.effects
-        answers.append(Answer(names, float(total), tuple(members)))
+        _tell(answers, members, h.unknown, float(total))
     return tuple(sorted(answers, key=lambda a: -a.probability))
+
+
+def _tell(answers: list[Answer], members: Sequence[tuple[str, ...]], unknown: bool, probability: float) -> None:
+    """Add an answer, or its probability to the one that says the same.
+
+    What acts beside a named effect and may be any of many is told as unknown: a name drawn from them would be a guess.
+    """
+    told = list(members)
+    if len(members) > 1:
+        told = [m for m in members if len(m) < VAGUE] or [min(members, key=len)]
+    unknown = unknown or len(told) < len(members)
+    names = tuple(m[0] for m in told)
+    for k, a in enumerate(answers):
+        if (UNKNOWN in a.effects) == unknown and _stands_for(frozenset(names), a.classes):
+            answers[k] = dataclasses.replace(a, probability=a.probability + probability)
+            return
+    answers.append(Answer((*names, UNKNOWN) if unknown else names, probability, tuple(told)))
 
 
 def _stands_for(effects: frozenset[str], members: Sequence[tuple[str, ...]]) -> bool:
@@ -197,7 +224,8 @@ class _Explained:
     level: float
 
 
-def _explained(problem: Problem, search: Search, h: Hypothesis) -> _Explained:
+def _explained(problem: Problem, search: Search, h: Hypothesis, named: Collection[str]) -> _Explained:
+    """Of a hypothesis; effects that are not `named` count with what is unknown."""
     metric = Metric(problem, search.law)
     known = search.library
     chosen = [known.atoms[k].columns for k in h.atoms]
@@ -210,13 +238,14 @@ def _explained(problem: Problem, search: Search, h: Hypothesis) -> _Explained:
     told = metric.gram(columns, problem.residual[:, None])[:, 0]
     beta, spread = np.linalg.solve(inner, told), linalg.inv(inner)
     noise = search.level(h)
-    known_part = columns[:, : columns.shape[1] - extra.shape[1]] @ beta[: columns.shape[1] - extra.shape[1]]
-    unknown_part = extra @ beta[columns.shape[1] - extra.shape[1] :]
-    coefficients, sizes, start = [], [], 0
+    known_part, coefficients, sizes, start = np.zeros(len(problem)), [], [], 0
     for effect, rows, size, part in zip(h.effects, chosen, h.sizes, parts, strict=True):
         here = slice(start, start + len(rows))
         start += len(rows)
+        if effect not in named:
+            continue
         signal = part @ beta[here]
+        known_part = known_part + signal
         unit = size * known.scales[rows]
         sd = noise * np.sqrt(np.diag(spread)[here]) * unit
         coefficients += [
@@ -227,6 +256,7 @@ def _explained(problem: Problem, search: Search, h: Hypothesis) -> _Explained:
         sizes.append(Size(effect, _by_channel(problem, signal), float(np.sqrt(max(energy, 0.0))) / noise))
     before = _left(problem, metric, problem.residual)
     after = _left(problem, metric, problem.residual - known_part)
+    unknown_part = columns @ beta - known_part
     return _Explained(tuple(coefficients), tuple(sizes), known_part, unknown_part, before, after, noise)
 
 
