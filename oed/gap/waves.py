@@ -23,8 +23,10 @@ NAME = "a steady wave"
 #: frequencies a resolution cell, most of them, how many peaks of each kind are kept
 OVER, MOST, KEPT = 1.5, 6000, 4
 CHUNK = 512
-#: shortest period that is looked for in time, s, however far apart readings are, where their times are not regular
-SHORTEST = 12.0
+#: shortest period that is looked for in time, s, where times are not regular; shortest along the path, m
+SHORTEST, FINEST = 12.0, 0.02
+#: periods in the session up to which waves are slow: these few are looked at apart from the many fast ones
+SLOW = 100.0
 #: places between two frequencies at which a peak is looked at closely
 FINE = np.linspace(-0.8, 0.8, 9)
 #: readings that a feed must have, and ticks that a clock must have, for its waves to mean something
@@ -52,10 +54,10 @@ class _Peak:
 
 
 def added(processes: Library, problem: Problem, law: Law) -> Library:
-    """The processes with the strongest steady waves beside them."""
+    """The processes with the strongest steady waves of each kind beside them: slow, fast, along the path."""
     metric = Metric(problem, law)
     found: list[tuple[_Peak, float]] = []
-    for bands in (_in_time(problem), _along_path(problem)):
+    for bands in (*([band] for band in _in_time(problem)), _along_path(problem)):
         count = sum(len(b.frequencies) * len(b.carriers) for b in bands)
         peaks = [p for b in bands for p in _peaks(problem, metric, b)]
         peaks.sort(key=lambda p: p.log_tail)
@@ -90,11 +92,14 @@ def _in_time(problem: Problem) -> list[_Band]:
         return []
     step, joints = float(np.median(np.diff(ticks))), _joints(problem)
     places = (ticks - ticks[0]) / step
-    if known and np.abs(places - np.round(places)).max() > 0.05:  # times that are not regular tell fast waves from slow
-        step = min(step, 0.5 * SHORTEST)
+    regular = not known or bool(np.abs(places - np.round(places)).max() <= 0.05)
+    most = 0.5 / step if regular else 1.0 / SHORTEST  # irregular times tell fast waves from slow, however far apart
     channels = [np.where(problem.group == g, UNIT / problem.sigma, 0.0)[:, None] for g in np.unique(problem.group)]
     carriers = [*channels, *(joints[:, i, None] for i in range(joints.shape[1])), _tool(problem, joints)]
-    return [_Band("s", clock, carriers, _frequencies(float(np.ptp(clock)) + step, step))]
+    span = float(np.ptp(clock)) + step
+    middle = min(SLOW / span, most)
+    bands = [_Band("s", clock, carriers, _frequencies(span, 1.0 / span, middle))]
+    return [*bands, _Band("s", clock, carriers, _frequencies(span, middle, most))] if most > middle else bands
 
 
 def _along_path(problem: Problem) -> list[_Band]:
@@ -107,15 +112,15 @@ def _along_path(problem: Problem) -> list[_Band]:
         steps = steps[steps > 1e-6]
         if here.sum() < LEAST or not steps.size:
             continue
-        frequencies = _frequencies(float(arc[here].max()), float(np.median(steps)))
+        span = float(arc[here].max())
+        frequencies = _frequencies(span, 1.0 / span, max(1.0 / FINEST, 1.0 / span))
         bands.append(_Band("m", arc, [np.where(here[:, None], carrier, 0.0)], frequencies))
     return bands
 
 
-def _frequencies(span: float, step: float) -> Array:
-    """From one period in a span to one in two steps."""
-    count = int(min(max(OVER * span / (2.0 * step), 1.0), MOST))
-    return np.linspace(1.0 / span, max(0.5 / step, 1.0 / span), count)
+def _frequencies(span: float, low: float, high: float) -> Array:
+    """From one to another, so close that no wave over a span falls between them."""
+    return np.linspace(low, high, int(min(max(OVER * span * (high - low), 1.0), MOST)))
 
 
 def _joints(problem: Problem) -> Array:
