@@ -15,7 +15,7 @@ from oed.gap import advice, classes, closure, library, scatter, waves, where, wh
 from oed.gap.diagnosis import UNKNOWN, Answer, Block, Closure, Coefficient, Diagnosis, Size, Verdict
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
-from oed.gap.problem import Problem
+from oed.gap.problem import Index, Problem
 from oed.gap.unknown import BROAD, PROCESSES
 from oed.gap.which import Hypothesis, Search
 
@@ -46,28 +46,34 @@ def _placed(
     problem: Problem, search: Search, best: Hypothesis, found: Diagnosis, rng: np.random.Generator
 ) -> tuple[tuple[Block, ...], tuple[Closure, ...]]:
     """Where the gap lies (nowhere if there is none), and how far it shrinks on held-out readings."""
-    known = search.library
     told: tuple[Block, ...] = ()
     if found.verdict != "none":
-        named = [s.effect for s in found.sizes]
-        kept = [k for e, k in zip(best.effects, best.atoms, strict=True) if e in named]
-        chosen = [known.atoms[_widest(known, k)].columns for k in kept]
-        columns = np.hstack([known.columns[:, c] for c in chosen]) if chosen else None
-        labels = [known.labels[c] for c in np.concatenate(chosen)] if chosen else None
-        told = where.where(
-            problem, found.law, rng, columns=columns, labels=labels, known=UNKNOWN not in found.answers[0].effects
-        )
+        columns, labels = _carrying(search, best, [s.effect for s in found.sizes])
+        sure = UNKNOWN not in found.answers[0].effects
+        told = where.where(problem, found.law, rng, columns=columns, labels=labels, known=sure)
     forms = _forms(search, best) or [np.zeros((len(problem), 1))]  # nothing to add closes nothing, and is told so
     splits: tuple[Literal["within", "whole"], ...] = ("within", "whole")
     shrunk = tuple(closure.closure(problem, found.law, forms, rng, split=split) for split in splits)
     return told, shrunk
 
 
-def _widest(known: Library, atom: int) -> int:
-    """The form of the same effect and constants, in all limbs, with as many columns as it can have."""
-    mine = known.atoms[atom]
-    alike = [k for k in known.atoms_of(mine.effect) if known.atoms[k].constants == mine.constants]
-    return max(alike, key=lambda k: len(known.atoms[k].columns))
+def _carrying(search: Search, best: Hypothesis, named: Collection[str]) -> tuple[Array | None, list[str] | None]:
+    """Columns (N, k) of the named effects and of the unknown process, in all limbs, and the blocks they belong to."""
+    parts = [(search.library, k) for e, k in zip(best.effects, best.atoms, strict=True) if e in named]
+    if best.process is not None:
+        parts.append((search.processes, best.process))
+    if not parts:
+        return None, None
+    chosen = [(source, _widest(source, atom)) for source, atom in parts]
+    columns = np.hstack([source.columns[:, rows] for source, rows in chosen])
+    return columns, [source.labels[c] for source, rows in chosen for c in rows]
+
+
+def _widest(source: Library, atom: int) -> Index:
+    """Columns of the form of the same effect and constants that has as many as it can have."""
+    mine = source.atoms[atom]
+    alike = [a.columns for a in source.atoms if (a.effect, a.constants) == (mine.effect, mine.constants)]
+    return max(alike, key=len)
 
 
 def _forms(search: Search, best: Hypothesis) -> list[Array]:

@@ -17,45 +17,23 @@ confines it best.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import special
 
 from oed.batch import Array
+from oed.gap import looks as looking
 from oed.gap.diagnosis import Block
 from oed.gap.law import Law, Metric
 from oed.gap.problem import Index, Problem
 
-#: all legs alike, among the blocks
-ALL = "all legs"
-#: change of a joint that legs' columns stand for, m (or rad): only its ratio among the columns counts
-UNIT = 1e-6
 #: share of a direction's energy that must survive the calibration, or be its own, for it to count as a column
 SURVIVES = 1e-4
-#: half-periods of the waves along a leg's travel; periods of the fine ones
-SMOOTH = range(6)
-FINE = np.arange(2.5, 40.5, 0.5)
-#: cells of the session and of the phase that windows are made of; the longest window of the phase, in cells
-CELLS, SECTORS, WIDEST = 16, 12, 6
-#: readings that a run must have for its waves and its phase to mean something
-WAVES = 8
 #: log p-value that a window of the session may be worse by than another and go first, if it lasts to the end
 LASTING = 2.0
 #: blocks of a kind that are told, beyond the first only those with p-values below
 TOLD, LIKELY = 4, 0.05
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class _Look:
-    """One basis (N, k), in units of the noise, for a fault at a place; `cells` of its kind that the place holds;
-    `form` tells looks at one place apart."""
-
-    kind: str
-    place: str
-    basis: Array
-    cells: frozenset[int] = frozenset()
-    form: str = ""
 
 
 def where(
@@ -70,9 +48,9 @@ def where(
 ) -> tuple[Block, ...]:
     """Blocks in which the gap lies, those that confine it best first.
 
-    columns, labels  (N, k) of the selected effects, in units of the stated noise, and the blocks (`leg 1`, "") that
-                     they belong to: those of a leg are one more look at it. That they were chosen is not in the
-                     correction: `legs_of` tells whether a leg carries them
+    columns, labels  (N, k) of what was selected, in units of the stated noise, and the blocks (`leg 1`, "") that they
+                     belong to: those of a leg are one more look at it, few are looked for in each run. That they were
+                     chosen is not in the correction: `legs_of` tells whether a leg carries them
     known            whether these effects are all there is: legs are then told by the effects' own columns alone, if
                      all of them belong to a leg or a set-up
     draws            of the bootstrap
@@ -82,7 +60,7 @@ def where(
     `strength` is the block's share of the energy that the residual has beyond what the noise accounts for; it means
     something where p is small. The law is taken as known, its level too. Raises ValueError for columns that do not fit.
     """
-    looks = list(_looks(problem, columns, labels, known))
+    looks = list(looking.looks(problem, columns, labels, known))
     root = _Root(problem, law)
     scan = _Scan(root, looks)
     scores = root.scores(problem.residual)
@@ -155,7 +133,7 @@ class _Root:
 class _Scan:
     """All looks made orthonormal in the metric, those with as many columns together."""
 
-    def __init__(self, root: _Root, looks: Sequence[_Look]) -> None:
+    def __init__(self, root: _Root, looks: Sequence[looking.Look]) -> None:
         self._parts: list[tuple[Index, Array]] = []  # numbers of the looks (g,); directions (g, k, N)
         self.rank = np.zeros(len(looks))
         widths = np.array([look.basis.shape[1] for look in looks])
@@ -210,7 +188,7 @@ def _log_tail(energy: Array, rank: Array | float) -> Array:
 class _Found:
     """A look with the log of its own p-value, the corrected p-value and its share of the energy."""
 
-    look: _Look
+    look: looking.Look
     own: float
     p: float
     strength: float
@@ -232,7 +210,7 @@ def _told(found: Sequence[_Found]) -> list[_Found]:
     for f in ranked:
         same = [k for k in kept if k.look.kind == f.look.kind]
         if f.look.kind in ("leg", "set-up"):
-            new = f.look.place not in [k.look.place for k in same] and (f.look.place != ALL or not same)
+            new = f.look.place not in [k.look.place for k in same] and (f.look.place != looking.ALL or not same)
         else:
             apart = not any(k.look.cells & f.look.cells for k in same)
             new = apart and (not same or (len(same) < TOLD and f.p < LIKELY))
@@ -241,177 +219,19 @@ def _told(found: Sequence[_Found]) -> list[_Found]:
     return sorted(kept, key=lambda f: f.own)
 
 
-def _looks(
-    problem: Problem, columns: Array | None = None, labels: Sequence[str] | None = None, known: bool = False
-) -> Iterator[_Look]:
-    """The whole family."""
-    if not (known and labels is not None and labels and all(labels)):
-        yield from _legs(problem)
-    yield from _selected(problem, columns, labels)
-    for family in (_runs, _times, _phases, _directions):
-        yield from family(problem)
-
-
-# -- looks: legs -------------------------------------------------------------------------------------------
-
-
-def _joint(problem: Problem, limb: int, change: Sequence[Array]) -> Array:
-    """Readings (N, k), in units of the noise, per unit of k changes (m, k) of a joint at the poses of each series."""
-    parts = []
-    for series, response, values in zip(problem.series, problem.responses, change, strict=True):
-        total = np.zeros((*response.nuisances.shape[:2], values.shape[1]))
-        for slope, place in zip(response.joints, series.index.T, strict=True):
-            total += slope[:, :, limb, None] * values[place, None, :]
-        parts.append(total.reshape(-1, values.shape[1]))
-    return problem.of(UNIT * np.concatenate(parts))
-
-
-def _legs(problem: Problem) -> Iterator[_Look]:
-    """Each leg by itself, and the same change in all of them."""
-    each = [list(_leg(problem, limb)) for limb in problem.states[0].limbs]
-    for limb, bases in enumerate(each):
-        yield from (_Look("leg", f"leg {limb + 1}", basis) for basis in bases)
-    if len(each) > 1:
-        yield from (_Look("leg", ALL, np.sum(bases, axis=0)) for bases in zip(*each, strict=True))
-
-
-def _leg(problem: Problem, limb: int) -> Iterator[Array]:
-    """Bases of one leg: smooth in what it may depend on, each alone and all together; periodic; shifted from a time."""
-    forms = [_forms(problem, k, limb) for k in range(len(problem.states))]
-    smooth = [_joint(problem, limb, [f[name] for f in forms]) for name in forms[0]]
-    yield from smooth
-    yield np.hstack(smooth)
-    turns = [2.0 * np.pi * _travel(problem, k, limb)[:, None] * FINE for k in range(len(forms))]
-    sine, cosine = (_joint(problem, limb, [wave(t) for t in turns]) for wave in (np.sin, np.cos))
-    yield from (np.column_stack([sine[:, k], cosine[:, k]]) for k in range(len(FINE)))
-    starts = _starts(problem)
-    if len(starts) > 1:
-        shifts = [(np.nan_to_num(s.time, nan=-np.inf)[:, None] >= starts[1:]).astype(float) for s in problem.states]
-        yield from _joint(problem, limb, shifts).T[:, :, None]
-
-
-def _travel(problem: Problem, number: int, limb: int) -> Array:
-    """Place (m,) of a leg in its travel over all series, 0 to 1."""
-    every = np.concatenate([s.joints[:, limb] for s in problem.states])
-    span = float(np.ptp(every))
-    return np.asarray((problem.states[number].joints[:, limb] - every.min()) / (span if span > 0.0 else 1.0))
-
-
-def _forms(problem: Problem, number: int, limb: int) -> dict[str, Array]:
-    """What a leg's error may be a smooth function of, (m, k) each; the same names for every leg and series."""
-    state, u = problem.states[number], _travel(problem, number, limb)
-    forms = {
-        "travel": np.cos(np.pi * u[:, None] * np.array(SMOOTH)),
-        "sense": state.sense[:, limb, None] * np.column_stack([np.ones_like(u), u]),
-    }
-    force = state.force[:, limb] if np.isfinite(state.force).all() else np.zeros_like(u)
-    load = np.nan_to_num(state.payload)
-    forms["load"] = force[:, None] * np.column_stack([np.ones_like(u), u, load, load * u])
-    if np.isfinite(state.span).all():
-        at = np.nan_to_num((state.time - state.span[0]) / max(state.span[1] - state.span[0], 1e-12))
-        forms["time"] = np.column_stack([at, at**2, at * u])
-    if all(np.isfinite(s.rate).all() for s in problem.states):
-        forms["rate"] = state.rate[:, limb, None] * np.column_stack([np.ones_like(u), u])
-    return forms
-
-
-def _selected(problem: Problem, columns: Array | None, labels: Sequence[str] | None) -> Iterator[_Look]:
-    """The selected effects' own columns of each leg."""
-    if columns is None or labels is None:
-        return
-    if columns.shape != (len(problem), len(labels)):
-        raise ValueError(f"columns have the shape {columns.shape}; ({len(problem)}, {len(labels)}) fits the labels")
-    for name in dict.fromkeys(labels):
-        kind = next((k for k in ("leg", "set-up") if name.startswith(f"{k} ")), "")
-        if kind:
-            yield _Look(kind, name, columns[:, [label == name for label in labels]])
-
-
-# -- looks: runs, times, phases, directions ----------------------------------------------------------------
-
-
-def _channels(problem: Problem) -> Array:
-    """One column (N, channels) for each kind of reading."""
-    return np.asarray(problem.group[:, None] == np.unique(problem.group), dtype=float)
-
-
-def _waves(problem: Problem) -> Array:
-    """Offset and harmonics of the phase (N, k) in each kind of reading: two, or one where there are several kinds."""
-    phase, kinds = problem.rows["phase"].to_numpy(dtype=float), _channels(problem)
-    orders = (1, 2) if kinds.shape[1] == 1 else (1,)
-    forms = [np.ones_like(phase)] + [wave(k * phase) for k in orders for wave in (np.cos, np.sin)]
-    return np.hstack([f[:, None] * kinds for f in forms])
-
-
-def _runs(problem: Problem) -> Iterator[_Look]:
-    """An offset of each run; harmonics in it where it is long enough."""
-    if len(problem.blocks) < 2:
-        return
-    labels = problem.rows[["setup", "run"]].iloc[[b[0] for b in problem.blocks]].astype(str)
-    alike = labels["run"].duplicated(keep=False).to_numpy()
-    offsets, waves = _channels(problem), _waves(problem)
-    for k, (members, setup, run) in enumerate(zip(problem.blocks, labels["setup"], labels["run"], strict=True)):
-        place = f"run {setup} {run}" if alike[k] else f"run {run}"
-        for basis in (offsets, waves)[: 2 if len(members) >= WAVES * offsets.shape[1] else 1]:
-            inside = np.zeros((len(problem), 1))
-            inside[members] = 1.0
-            yield _Look("run", place, inside * basis, frozenset({k}))
-
-
-def _clock(problem: Problem) -> Array:
-    """Time (N,) of each reading, s; NaN where unknown."""
-    if "time" not in problem.rows.columns:
-        return np.full(len(problem), np.nan)
-    return np.asarray(problem.rows["time"].to_numpy(dtype=float))
-
-
-def _starts(problem: Problem) -> Array:
-    """Times at which the cells of the session start, s, with about as many readings in each; empty without times."""
-    times = _clock(problem)
-    times = np.sort(times[np.isfinite(times)])
-    return np.unique(times[np.arange(CELLS) * len(times) // CELLS]) if len(times) else times
-
-
-def _times(problem: Problem) -> Iterator[_Look]:
-    """Shifts of the reading, or of the legs, from one cell of the session to another.
-
-    The start of the session is what they are told against: a shift until t cannot be told from one back from t on.
-    """
-    starts, clock = _starts(problem), _clock(problem)
-    stops = np.append(starts[1:], np.inf)
-    for a in range(1, len(starts)):
-        for b in range(a, len(starts)):
-            inside = clock[(clock >= starts[a]) & (clock < stops[b])]
-            yield from _window(problem, float(inside.min()), float(inside.max()), frozenset(range(a, b + 1)))
-
-
-def _window(problem: Problem, first: float, last: float, cells: frozenset[int]) -> Iterator[_Look]:
-    """Looks at the readings taken from `first` to `last`, s."""
-    place, clock = f"time {_number(first)}-{_number(last)}", _clock(problem)
-    yield _Look("time", place, ((clock >= first) & (clock <= last))[:, None] * _channels(problem), cells, "reading")
-    there = [((s.time >= first) & (s.time <= last)).astype(float)[:, None] for s in problem.states]
-    legs = [_joint(problem, limb, there) for limb in problem.states[0].limbs]
-    yield _Look("time", place, np.hstack(legs), cells, "legs")
-    yield from (_Look("time", place, leg, cells, f"leg {limb}") for limb, leg in enumerate(legs, start=1))
-
-
-def _number(value: float) -> str:
-    return f"{value:.1f}".removesuffix(".0")
-
-
 def _sharp(problem: Problem, root: _Root, found: _Found) -> _Found:
     """A likely window of the session with its ends moved, by up to a cell, to where it explains most."""
     look = found.look
     if look.kind != "time" or found.p >= LIKELY:
         return found
-    clock = _clock(problem)
-    starts, clock = _starts(problem), np.unique(clock[np.isfinite(clock)])
+    clock = looking.clock_of(problem)
+    starts, clock = looking.starts_of(problem), np.unique(clock[np.isfinite(clock)])
     bounds = np.append(starts, np.inf)
     a, b = min(look.cells), max(look.cells) + 1
     score = root.scores(problem.residual)[:, None]
 
     def best(windows: Sequence[tuple[float, float]]) -> tuple[float, float]:
-        tried = [w for at in windows for w in _window(problem, *at, look.cells) if w.form == look.form]
+        tried = [w for at in windows for w in looking.window(problem, *at, look.cells) if w.form == look.form]
         return windows[int(np.argmax(_Scan(root, tried).energy(score)[:, 0]))]
 
     last = float(clock[clock < bounds[b]].max())
@@ -419,40 +239,5 @@ def _sharp(problem: Problem, root: _Root, found: _Found) -> _Found:
     if b < len(starts):
         ends = clock[(clock >= max(first, bounds[b - 1])) & (clock < bounds[b + 1])]
         first, last = best([(first, float(t)) for t in ends])
-    moved = next(w for w in _window(problem, first, last, look.cells) if w.form == look.form)
+    moved = next(w for w in looking.window(problem, first, last, look.cells) if w.form == look.form)
     return dataclasses.replace(found, look=moved)
-
-
-def _phases(problem: Problem) -> Iterator[_Look]:
-    """Bumps in windows of the phase: the same both ways, or with the direction's sign."""
-    valid = np.zeros(len(problem), dtype=bool)
-    phase = problem.rows["phase"].to_numpy(dtype=float)
-    for members in problem.blocks:
-        valid[members] = len(np.unique(np.round(phase[members], 9))) >= WAVES
-    sector = np.minimum((phase / (2.0 * np.pi) * SECTORS).astype(int), SECTORS - 1)
-    way = _way(problem)
-    signs = [np.ones(len(problem))] + ([way] if way.min() < 0.0 < way.max() else [])
-    for start in range(SECTORS if valid.any() else 0):
-        for length in range(1, WIDEST + 1):
-            cells = frozenset((start + k) % SECTORS for k in range(length))
-            inside = valid & np.isin(sector, list(cells))
-            ends = 360 * start // SECTORS, 360 * ((start + length - 1) % SECTORS + 1) // SECTORS
-            for sign in signs:
-                basis = (inside * sign)[:, None] * _channels(problem)
-                yield _Look("phase", f"phase {ends[0]}-{ends[1]}", basis, cells)
-
-
-def _way(problem: Problem) -> Array:
-    """Direction (N,) of each reading's run, +1 or -1; 0 where unknown."""
-    if "direction" not in problem.rows.columns:
-        return np.zeros(len(problem))
-    return np.asarray(np.sign(np.nan_to_num(problem.rows["direction"].to_numpy(dtype=float))))
-
-
-def _directions(problem: Problem) -> Iterator[_Look]:
-    """Offset and harmonics of all readings of a direction, where both were taken."""
-    way = _way(problem)
-    if not way.min(initial=0.0) < 0.0 < way.max(initial=0.0):
-        return
-    for sign in (1, -1):
-        yield _Look("direction", f"direction {sign:+d}", (way == sign)[:, None] * _waves(problem), frozenset({sign}))
