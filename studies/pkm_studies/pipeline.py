@@ -11,12 +11,13 @@ import msgspec
 import numpy as np
 
 import oed
-from oed import explain, identify, posterior, predict, simulate
+from oed import explain, identify, posterior, predict, simulate, units
 from oed.batch import Array
 from oed.measurement import Measurement, Series
-from pkm_studies import claims, files, resolve_gap, result, stored
+from pkm_studies import claims, files, resolve_gap, resolve_gap_design, result, stored
 from pkm_studies.progress import Progress, Silent
 from pkm_studies.resolve import Resolved, resolve
+from pkm_studies.resolve_gap_design import GapDesignAsked
 from pkm_studies.result import StudyResult
 from pkm_studies.stages import choose, describe, fit, foresee, gap, gap_before, gap_virtual, headline, plan, score, see
 from pkm_studies.stages.learned import Learned, learned
@@ -158,7 +159,10 @@ class _Job:
         seen = self._identifiability(None, self.made.series)
         self.measurement = seen.measurement
         self.sections["drawing"] = describe.drawing(self.measurement, self.made.series)
-        return self._finish(None, report=False, only=("plan", "identifiability"))
+        cause = self.resolved.gap_design
+        if cause is not None and cause.follows:
+            self._gap_before(self.made.series)
+        return self._finish(None, report=False, only=("plan", "identifiability", "gap_before"))
 
     def diagnose_only(self) -> StudyResult:
         """Fit and diagnosis, and the claims about them; design, posterior and prediction are left out."""
@@ -328,6 +332,8 @@ class _Job:
         if rows is None:
             planned = gap_virtual.laid_out(self.measurement, series, asked)
             series, rows = planned.series, planned.covariates
+        if wanted is not None and wanted.follows:
+            wanted = self._following(wanted)
         designed = None if wanted is None else (self.resolved.measure({r.setup for r in wanted.runs}), wanted)
         made = gap_before.foresee(
             self.measurement, series, rows, asked.effects, asked.gravity, self.rng(BEFORE), designed
@@ -335,6 +341,14 @@ class _Job:
         self.sections["gap_before"] = made.section
         if made.poses_csv is not None:
             files.write_whole(self.out / "gap_poses.csv", made.poses_csv)
+
+    def _following(self, wanted: GapDesignAsked) -> GapDesignAsked | None:
+        """[gap.design] with the plan's readings kept; None where there is no plan, since readings were given."""
+        if self.made is None or self.resolved.plan is None:
+            return None
+        left = self.resolved.plan.budget - units.factor("min") * self.made.section.cost
+        used = {s.setup for s in self.made.series} | {r.setup for r in wanted.runs}
+        return resolve_gap_design.following(wanted, self.made.series, left, self.resolved.measure(used))
 
     def _gap(
         self,

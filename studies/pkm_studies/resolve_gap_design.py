@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+import msgspec
 import numpy as np
 
 from oed import units
@@ -21,7 +22,7 @@ from pkm_studies.errors import Place, suggest
 from pkm_studies.grids import Plan
 from pkm_studies.study import Study
 from pkm_studies.study_gap import Conditions
-from pkm_studies.study_gap_design import GapDesign, RunCondition
+from pkm_studies.study_gap_design import PLAN, GapDesign, RunCondition
 
 MINUTE = units.factor("min")
 FEED = units.factor("mm") / units.factor("min")
@@ -34,18 +35,26 @@ class GapDesignAsked:
     """What [gap.design] asks for.
 
     runs    candidates, each under one condition;  kept  numbers of those taken in any case
-    rules   number, budget, set-ups, times
+    rules   number, budget, set-ups, times; None where a plan is followed that is not made yet
     wanted, rivals   effects;  share: of D
+    said, timing     the table, and how readings are taken
     """
 
     wanted: tuple[Effect, ...]
     rivals: tuple[Effect, ...]
     runs: tuple[Run, ...]
     kept: tuple[int, ...]
-    rules: Rules
+    rules: Rules | None
     share: float
     starts: int
     place: Place
+    said: GapDesign
+    timing: Conditions
+
+    @property
+    def follows(self) -> bool:
+        """Whether the plan of [plan] is to be kept."""
+        return self.rules is None
 
 
 def asked(study: Study, references: Sequence[Plan], measurement: Measurement) -> GapDesignAsked | None:
@@ -57,17 +66,40 @@ def asked(study: Study, references: Sequence[Plan], measurement: Measurement) ->
     rivals = _effects(study, said.rivals, measurement, place.key("rivals"))
     if len({e.name for e in (*wanted, *rivals)}) < 2:
         raise place.key("find").error("there is nothing to tell apart", "name two effects, or rivals", said.find)
-    runs, kept = _runs(said, references, measurement, study.gap.conditions, place)
+    timing, plans = study.gap.conditions, {p.name: p for p in references}
+    follows = said.keep == PLAN and PLAN not in plans and study.plan is not None and bool(study.plan.measurement)
+    runs, kept = _runs(msgspec.structs.replace(said, keep=None) if follows else said, plans, measurement, timing, place)
     return GapDesignAsked(
         wanted=wanted,
         rivals=rivals,
         runs=runs,
         kept=tuple(range(kept)),
-        rules=_rules(said, runs, kept, measurement, study.gap.conditions, place),
+        rules=None if follows else _rules(said, runs, kept, measurement, timing, place),
         share=said.share,
         starts=said.starts,
         place=place,
+        said=said,
+        timing=timing,
     )
+
+
+def following(asked: GapDesignAsked, series: Sequence[Series], left: float, measurement: Measurement) -> GapDesignAsked:
+    """With the readings of the plan kept that was to be followed.
+
+    left: what the plan leaves of its time, s: the budget where the table has neither that nor a number of runs.
+    Raises InputError.
+    """
+    said, kept = asked.said, []
+    if said.runs is None and said.budget_min is None:
+        if left < 1.0:
+            problem = "the plan leaves no time to find the cause of what it leaves"
+            raise asked.place.error(problem, "give budget_min, which is taken from the plan's time, or runs")
+        said = msgspec.structs.replace(said, budget_min=left / MINUTE)
+    for s in series:
+        kept += _of(s, PLAN, said.conditions[:1], _step(measurement, s, asked.timing), asked.place)
+    runs = (*kept, *asked.runs)
+    rules = _rules(said, runs, len(kept), measurement, asked.timing, asked.place)
+    return dataclasses.replace(asked, runs=runs, kept=tuple(range(len(kept))), rules=rules)
 
 
 def _effects(study: Study, names: Sequence[str], measurement: Measurement, place: Place) -> tuple[Effect, ...]:
@@ -85,10 +117,9 @@ def _effects(study: Study, names: Sequence[str], measurement: Measurement, place
 
 
 def _runs(
-    said: GapDesign, references: Sequence[Plan], measurement: Measurement, timing: Conditions, place: Place
+    said: GapDesign, plans: Mapping[str, Plan], measurement: Measurement, timing: Conditions, place: Place
 ) -> tuple[tuple[Run, ...], int]:
     """Runs of the plan kept, then every run of the named plans under every condition; and how many are kept."""
-    plans = {p.name: p for p in references}
     if not plans:
         raise place.error("there are no runs to choose from", "add [[design.reference]] plans with `runs_by`")
     for i, name in enumerate(said.candidates):
@@ -102,14 +133,18 @@ def _runs(
     def taken(name: str, conditions: Sequence[RunCondition]) -> list[Run]:
         found: list[Run] = []
         for series in plans[name].series:
-            step = measurement.setups[series.setup].instrument.cost.reading
-            step = step if timing.reading_s is None else timing.reading_s
+            step = _step(measurement, series, timing)
             found += _of(series, name if len(plans) > 1 else "", conditions, step, place)
         return found
 
     kept = [] if said.keep is None else taken(said.keep, said.conditions[:1])
     free = [r for n in said.candidates or plans if n != said.keep for r in taken(n, said.conditions)]
     return (*kept, *free), len(kept)
+
+
+def _step(measurement: Measurement, series: Series, timing: Conditions) -> float:
+    """Time of one reading, s."""
+    return measurement.setups[series.setup].instrument.cost.reading if timing.reading_s is None else timing.reading_s
 
 
 def _of(series: Series, plan: str, conditions: Sequence[RunCondition], step: float, place: Place) -> list[Run]:

@@ -17,6 +17,7 @@ from oed.planning.option import Option, option
 from pkm_studies import grids, naming, quantities
 from pkm_studies.errors import Place
 from pkm_studies.study import GridTable, Study
+from pkm_studies.study_gap_design import PLAN
 from pkm_studies.study_tables import MeasuredTable
 
 Measure = Callable[[Iterable[str]], Measurement]
@@ -26,7 +27,8 @@ Measure = Callable[[Iterable[str]], Measurement]
 class PlanAsked:
     """What [plan] asks for.
 
-    options  the measurements, in the study's order;  wanted {component: accuracy}, SI;  budget, s
+    options  the measurements, in the study's order;  wanted {component: accuracy}, SI
+    budget   time for accuracy, s;  reserved: time for the cause of what is left, s
     compare  sequences of names of measurements
     """
 
@@ -34,6 +36,7 @@ class PlanAsked:
     wanted: Mapping[str, float]
     budget: float
     compare: tuple[tuple[str, ...], ...]
+    reserved: float = 0.0
 
     def named(self, name: str) -> Option:
         """A measurement by its name."""
@@ -64,9 +67,24 @@ def planned(study: Study, measure: Measure, setups: Iterable[str], done: Iterabl
     return PlanAsked(
         options=tuple(_option(t, measure, p) for t, p in left),
         wanted=quantities.read(said.wanted, known, place.key("wanted")),
-        budget=60.0 * (said.budget_min or 0.0),
+        budget=60.0 * (said.budget_min or 0.0) - _reserved(study),
+        reserved=_reserved(study),
         compare=tuple(tuple(s) for s in said.compare if set(s) <= there),
     )
+
+
+def _reserved(study: Study) -> float:
+    """Time, s, that [gap.design] takes from the plan's to find the cause of what the plan leaves."""
+    design = None if study.gap is None else study.gap.design
+    if design is None or design.keep != PLAN or design.budget_min is None:
+        return 0.0
+    assert study.plan is not None
+    assert study.plan.budget_min is not None
+    if design.budget_min >= study.plan.budget_min:
+        place = study.place.key("gap").key("design").key("budget_min")
+        problem = f"the plan has {study.plan.budget_min:g} min in all, and none is left for accuracy"
+        raise place.error(problem, "give less, or [plan] more", design.budget_min)
+    return 60.0 * design.budget_min
 
 
 def _sound(study: Study, place: Place) -> None:

@@ -11,6 +11,10 @@ NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 
 
+#: `keep` with this name is the plan that [plan] makes
+PLAN = "plan"
+
+
 class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Base: frozen, unknown fields refused."""
 
@@ -34,7 +38,9 @@ class GapDesign(Part, frozen=True, kw_only=True):
     find        effects wanted, by name or file; each is told from every other one and from the `rivals`
     candidates  names of [[design.reference]] plans whose runs (circles, lines) can be taken; by default of all
     keep        name of a plan whose runs are taken in any case, under the first condition: one made for accuracy, to
-                which runs are added that find the cause of what it leaves. Number and budget are of the added runs
+                which runs are added that find the cause of what it leaves. Number and budget are of the added runs.
+                "plan": what [plan] chooses; `budget_min` is then taken from the time that [plan] has, and without it
+                and `runs` there is what the plan leaves of its time
     conditions  each run can be taken under each of them
     runs        how many to choose;  budget_min: time there is, mounting included; one of the two, or both
     share       share of D in what is maximised: 0 only tells effects apart, 1 only sees the parameters

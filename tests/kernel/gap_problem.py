@@ -35,18 +35,20 @@ def circles(points: int = 24, heights: tuple[float, ...] = HEIGHTS, passes: int 
 
 
 def law(problem: Problem) -> Law:
-    """A law with everything: repeatability, an error carried along, readings of different scatter, a level."""
-    return Law(0.7, 0.9, 5.0, np.random.default_rng(3).uniform(0.6, 1.8, len(problem)), level=1.3)
+    """A law with everything: a run's level and first harmonic, an error carried along, readings of different scatter,
+    a level."""
+    return Law(0.7, 0.9, 5.0, np.random.default_rng(3).uniform(0.6, 1.8, len(problem)), level=1.3, sway=0.6)
 
 
 def dense(problem: Problem, law: Law) -> np.ndarray:
     """Covariance (N, N) of readings without a gap, reading by reading from the law's formula."""
-    total = np.diag(law.variance)
+    total, phase = np.diag(law.variance), problem.rows["phase"].to_numpy(dtype=float)
     for members in problem.blocks:
         for i in members:
             for j in members:
                 lag = abs(problem.along[i] - problem.along[j])
                 total[i, j] += law.repeat**2 + law.wander**2 * np.exp(-lag / law.reach)
+                total[i, j] += law.sway**2 * np.cos(phase[i] - phase[j])
     return law.level**2 * total + problem.slopes @ problem.slopes.T
 
 

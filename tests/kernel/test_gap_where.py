@@ -10,6 +10,7 @@ from scipy import stats
 
 from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
+from oed.gap import looks as looking
 from oed.gap import where as scan
 from oed.gap.diagnosis import Block
 from oed.gap.law import plain
@@ -17,6 +18,7 @@ from oed.gap.problem import Problem, planned
 from oed.gap.where import legs_of, where
 
 KINDS = ("leg", "run", "time", "phase", "direction")
+LEGS = ["leg 1", "leg 2", "leg 3"]
 
 
 def first(blocks: tuple[Block, ...], kind: str) -> str:
@@ -54,7 +56,7 @@ def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(rng: n
     covariance = case.dense(problem, law)
     r = 3.0 * rng.standard_normal(len(problem))
     bases = [rng.standard_normal((len(problem), k)) * 10.0 ** rng.uniform(-3, 3) for k in (1, 4, 4)]
-    looks = [scan._Look("x", "", basis) for basis in bases]
+    looks = [looking.Look("x", "", basis) for basis in bases]
     root = scan._Root(problem, law)
     found = scan._Scan(root, looks)
     energy = found.energy(root.scores(r)[:, None])[:, 0]
@@ -75,7 +77,7 @@ def test_what_the_parameters_can_absorb_is_no_column(rng: np.random.Generator) -
     assert np.linalg.norm(problem.slopes[:, k]) > 1000.0
     other = rng.standard_normal(len(problem))
     basis = np.column_stack([problem.slopes[:, k], other, problem.slopes[:, k] + 1e-6 * other])
-    assert scan._Scan(root, [scan._Look("x", "", basis)]).rank[0] == 1
+    assert scan._Scan(root, [looking.Look("x", "", basis)]).rank[0] == 1
 
 
 @pytest.mark.parametrize("rank", [1.0, 2.0, 5.0, 14.0])
@@ -99,7 +101,7 @@ def test_corrected_p_values_are_those_of_a_bootstrap_that_fits_again() -> None:
     r = np.linalg.cholesky(covariance) @ rng.standard_normal(len(problem))
     r += case.sized(case.in_joint(problem, 1, 1e-6 * problem.states[0].sense[:, 1]), covariance, 4.5)
     found = {b.block: b.p_value for b in where(problem.with_residual(r), law, rng, draws=2000)}
-    looks = list(scan._looks(problem))
+    looks = list(looking.looks(problem))
     inverse = np.linalg.inv(covariance)
     drawn = rng.multivariate_normal(np.zeros(len(problem)), covariance, size=400, method="eigh")
     values = np.vstack([r, drawn])
@@ -123,7 +125,7 @@ def test_false_alarms_are_as_stated(machines: Machines) -> None:
     """400 sets without a gap, drawn with dense matrices, against one bootstrap: the least p-value is uniform."""
     rng, problem = np.random.default_rng(11), machines.problem
     root = scan._Root(problem, machines.law)
-    family = scan._Scan(root, list(scan._looks(problem)))
+    family = scan._Scan(root, list(looking.looks(problem)))
     least = family.least(rng.standard_normal((len(problem), 500)))
     quiet = family.energy(root.scores(machines.root @ rng.standard_normal((len(problem), 400))))
     told = [scan._corrected(scan._log_tail(e, family.rank), least).min() for e in quiet.T]
@@ -163,10 +165,10 @@ def test_the_same_change_in_all_legs_is_told_as_that(machines: Machines, rng: np
     state = machines.problem.states[0]
     change = sum(case.in_joint(machines.problem, k, 1e-6 * state.sense[:, k]) for k in range(3))
     found = machines.located(change, 12.0, rng)
-    assert found[0].block == scan.ALL
+    assert found[0].block == looking.ALL
     assert {b.block for b in found} >= {"leg 1", "leg 2", "leg 3"}
     one = machines.located(case.in_joint(machines.problem, 1, 1e-6 * state.sense[:, 1]), 12.0, rng)
-    assert scan.ALL not in {b.block for b in one}
+    assert looking.ALL not in {b.block for b in one}
 
 
 def test_fault_in_one_run_is_found_there(machines: Machines) -> None:
@@ -238,6 +240,66 @@ def test_selected_effects_own_columns_are_one_more_look(machines: Machines, rng:
     assert min(b.p_value for b in blind) > told[0].p_value
     with pytest.raises(ValueError, match=r"\(144, 2\) fits the labels"):
         where(problem, machines.law, rng, columns=columns, labels=labels[:2])
+
+
+def test_legs_of_a_known_effect_are_told_by_its_own_columns_alone(machines: Machines) -> None:
+    """A leg without a column of the effect is not told, nor are all; where the effects are not all there is, they are.
+
+    The form runs with the travel, as the general looks do too, and is the steeper in leg 2.
+    """
+    rng, problem = np.random.default_rng(21), machines.problem
+    odd = rng.standard_normal(len(problem.states[0].time))
+    columns = np.column_stack([case.in_joint(problem, k, 1e-6 * odd) for k in (1, 2)])
+    r = machines.root @ rng.standard_normal(len(problem)) + case.sized(columns[:, 0], machines.covariance, 7.0)
+    here = problem.with_residual(r)
+
+    def legs(labels: list[str], known: bool) -> list[str]:
+        told = where(here, machines.law, np.random.default_rng(22), columns=columns, labels=labels, known=known)
+        return [b.block for b in told if "leg" in b.block]
+
+    assert legs(["leg 2", "leg 3"], True) == ["leg 2", "leg 3"]
+    assert set(legs(["leg 2", "leg 3"], False)) >= {"leg 1", "leg 2", "leg 3"}
+    assert set(legs(["leg 2", ""], True)) >= {"leg 1", "leg 2", "leg 3"}
+
+
+def test_an_effects_own_columns_tell_its_leg_where_general_looks_mistake_it(machines: Machines) -> None:
+    """Another leg's smooth error beside the effect's: what else acts is not told where the effect is all there is."""
+    rng, problem = np.random.default_rng(23), machines.problem
+    state, right = problem.states[0], {True: 0, False: 0}
+    odd = rng.standard_normal(len(state.time))
+    columns = np.column_stack([case.in_joint(problem, k, 1e-6 * odd) for k in range(3)])
+    for k in range(9):
+        change = case.sized(columns[:, k % 3], machines.covariance, 6.0)
+        other = case.in_joint(problem, (k + 1) % 3, 1e-6 * state.sense[:, (k + 1) % 3])
+        r = change + case.sized(other, machines.covariance, 7.0) + machines.root @ rng.standard_normal(len(problem))
+        for known in right:
+            told = where(
+                problem.with_residual(r), machines.law, rng, columns=columns, labels=LEGS, known=known, draws=50
+            )
+            right[known] += first(told, "leg") == LEGS[k % 3]
+    assert right[True] >= 8
+    assert right[False] <= 4
+
+
+def test_a_selected_wave_is_told_in_a_run_that_has_it(machines: Machines) -> None:
+    """A wave too fast for the harmonics of the runs, in two of them."""
+    rng, problem = np.random.default_rng(24), machines.problem
+    clock = problem.rows["time"].to_numpy(dtype=float)
+    columns = np.column_stack([np.cos(clock / 4.7), np.sin(clock / 4.7)])
+    names, right, blind = [f"run {problem.rows['run'][b[0]]}" for b in problem.blocks], 0, 0
+    for k in range(6):
+        acting, change = (k, (k + 2) % 6), np.zeros(len(problem))
+        for run in acting:
+            change[problem.blocks[run]] = columns[problem.blocks[run]] @ [0.6, 0.8]
+        r = case.sized(change, machines.covariance, 9.0) + machines.root @ rng.standard_normal(len(problem))
+        here = problem.with_residual(r)
+        told = where(here, machines.law, rng, columns=columns, labels=["", ""], known=True, draws=100)
+        best = next(b for b in told if b.block.startswith("run"))
+        right += best.block in [names[run] for run in acting] and best.p_value < 0.02
+        without = where(here, machines.law, rng, draws=100)
+        blind += next(b for b in without if b.block.startswith("run")).p_value < 0.02
+    assert right == 6
+    assert blind <= 2
 
 
 def test_same_seed_same_places_sorted_and_told_once(machines: Machines) -> None:

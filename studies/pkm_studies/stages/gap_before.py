@@ -122,6 +122,7 @@ def _chosen(
     gravity: tuple[float, float, float],
     rng: np.random.Generator,
 ) -> tuple[result.Chosen, str]:
+    assert asked.rules is not None  # a plan that is followed is made by now
     problem, rows = runs.prepared(measurement, asked.runs, gravity=gravity)
     kept = np.array(asked.kept, dtype=np.intp)
     try:
@@ -158,7 +159,7 @@ def _chosen(
 def _clock(covariates: pd.DataFrame, asked: GapDesignAsked) -> np.ndarray:
     """Time of each reading (n,) where the runs are taken one after the other, s."""
     seconds = {(r.setup, r.name): r.seconds for r in asked.runs}
-    names, cost = dict.fromkeys(r.setup for r in asked.runs), asked.rules.setup_cost
+    names, cost = dict.fromkeys(r.setup for r in asked.runs), None if asked.rules is None else asked.rules.setup_cost
     mounting = dict.fromkeys(names, 0.0) if cost is None else dict(zip(names, cost.tolist(), strict=True))
     clock, mounted, times = 0.0, "", []
     for (setup, name), rows in covariates.groupby(["setup", "run"], sort=False):

@@ -133,7 +133,9 @@ def plan(
         found = task.search(progress=progress.share)
     except ValueError as error:
         remedy = "give more time, or list fewer measurements or stages" if task.asked.options else "plan no further"
-        raise task.place.key("budget_min").error(str(error), remedy, task.budget / 60.0) from error
+        if task.asked.reserved:
+            remedy += f" ({task.asked.reserved / 60.0:g} min of it are for [gap.design])"
+        raise task.place.key("budget_min").error(str(error), remedy, task.said.budget_min) from error
     best = _worthwhile(task, found)
     section, arranged, measurement = _section(task, found, best)
     realised = _virtual(task, best, section.stages, machines, progress, None if known is None else known.covariance)

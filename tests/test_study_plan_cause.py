@@ -1,0 +1,111 @@
+"""A plan for accuracy and runs that find the cause of what it leaves, in one time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from sample import changed
+
+from pkm_studies import pipeline, study
+from pkm_studies.errors import InputError
+from pkm_studies.resolve import resolve
+from pkm_studies.result import StudyResult
+
+STUDY = """\
+schema = 1
+name = "both"
+
+[machine]
+model = "planar_2dof"
+
+[[setup]]
+name = "rm5"
+instrument = "rm5"
+
+[noise]
+rm5 = { dy_um = 1.0, dz_um = 3.0 }
+
+[plan]
+budget_min = 150.0
+stages = 1
+
+[[plan.measurement]]
+name = "RM 5"
+setup = "rm5"
+counts = [2, 3]
+whole_runs = true
+y_mm = [0.0, -1500.0, -900.0, -300.0, 300.0, 900.0, 1500.0]
+z_mm = [0.0, 750.0, 1500.0]
+runs_by = "z"
+
+[prediction]
+reference = "home"
+y_mm = { from = -1500.0, to = 1500.0, count = 5 }
+z_mm = { from = 0.0, to = 1500.0, count = 5 }
+
+[[design.reference]]
+name = "lines"
+setup = "rm5"
+y_mm = [0.0, -1500.0, -900.0, -300.0, 300.0, 900.0, 1500.0]
+z_mm = [0.0, 300.0, 750.0, 1200.0, 1500.0]
+runs_by = "z"
+
+[gap]
+effects = ["gravity", "encoder_scale", "backlash"]
+
+[gap.design]
+find = ["gravity", "encoder_scale"]
+keep = "plan"
+candidates = ["lines"]
+conditions = [{ payload_N = 0.0 }, { payload_N = 1000.0 }]
+budget_min = 30.0
+"""
+
+
+def planned(text: str, out: Path) -> StudyResult:
+    return pipeline.plan_stages(study.parse(text, out / "both.study.toml"), out)
+
+
+def test_the_cause_takes_its_time_from_the_plan(tmp_path: Path) -> None:
+    found = planned(STUDY, tmp_path)
+    plan, before = found.plan, found.gap_before
+    assert plan.budget_min == pytest.approx(120.0)
+    assert plan.cost <= 120.0
+    chosen = before.chosen
+    assert chosen.kept == 3  # the lines of the plan
+    assert sum(r.seconds for r in chosen.runs[chosen.kept :]) <= 1800.0 + 1e-6
+    # without a second payload the plan's own lines say next to nothing of gravity
+    assert chosen.before < 1.0
+    assert chosen.apart > 5.0
+    assert {r.condition["payload"] for r in chosen.runs[chosen.kept :]} == {0.0, 1000.0}
+    assert (tmp_path / "gap_poses.csv").is_file()
+
+
+def test_without_a_time_of_its_own_it_has_what_the_plan_leaves(tmp_path: Path) -> None:
+    found = planned(changed(STUDY, ("budget_min = 30.0\n", "")), tmp_path)
+    plan, chosen = found.plan, found.gap_before.chosen
+    assert plan.budget_min == pytest.approx(150.0)
+    assert plan.cost + sum(r.seconds for r in chosen.runs[chosen.kept :]) / 60.0 <= 150.0 + 1e-6
+    assert len(chosen.runs) > chosen.kept
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("budget_min = 30.0", "budget_min = 150.0"), "gap.design.budget_min = 150"),
+        (("budget_min = 150.0", "budget_min = 100.0"), "30 min of it are for [gap.design]"),
+    ],
+)
+def test_too_little_time_is_refused(tmp_path: Path, change: tuple[str, str], told: str) -> None:
+    with pytest.raises(InputError) as error:
+        planned(changed(STUDY, change), tmp_path)
+    assert told in str(error.value)
+
+
+def test_a_plan_that_is_not_made_is_not_kept(tmp_path: Path) -> None:
+    text = STUDY[: STUDY.index("[plan]")] + STUDY[STUDY.index("[[design.reference]]") :]
+    with pytest.raises(InputError) as error:
+        resolve(study.parse(text, tmp_path / "both.study.toml"))
+    assert 'gap.design.keep = "plan"' in str(error.value)
+    assert "no such plan" in str(error.value)
