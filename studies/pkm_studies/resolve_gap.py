@@ -97,10 +97,10 @@ def _acting(study: Study, said: Acting, machine: Machine, place: Place) -> Actin
     for name in said.constants:
         if name not in effect.constants:
             raise place.key("constants").key(name).error("no such constant", suggest(name, effect.constants))
-    middle = {name: values[len(values) // 2] for name, values in effect.constants.items()}
+    usual = {n: v[len(v) // 2 if k == 0 else 0] for k, (n, v) in enumerate(effect.constants.items())}
     return ActingEffect(
         effect=effect,
-        constants=middle | said.constants,
+        constants=usual | said.constants,
         size=said.size,
         draw=said.draw,
         coefficients=said.coefficients or None,

@@ -50,7 +50,8 @@ class Acting(Part, frozen=True, kw_only=True):
     size          of its coefficients, in their prior standard deviations; drawn with that spread where `draw` is true
     coefficients  by name (`"leg 1" = 2`), in prior standard deviations times `size`; those not named are 0. By
                   default every coefficient of the textbook's form is 1
-    constants     its nonlinear constants, SI; by default the middle one of those that the diagnosis tries
+    constants     its nonlinear constants, SI; by default, of the values that the diagnosis tries, the middle one of the
+                  first constant and the first one of others
     """
 
     effect: str

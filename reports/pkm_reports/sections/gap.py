@@ -76,11 +76,12 @@ def _told(answer: Part) -> str:
 
 
 def _sizes(gap: Part) -> list[Block]:
-    sizes, units = gap.get("sizes") or [], gap.get("units") or {}
+    sizes, units, constants = gap.get("sizes") or [], gap.get("units") or {}, gap.get("constants") or {}
     rows = [
         [
             gap_causes.spoken(str(s["effect"])),
-            str((gap.get("about") or {}).get(s["effect"], {}).get("about", "")),
+            str((gap.get("about") or {}).get(s["effect"], {}).get("about", ""))
+            + _constants(constants.get(s["effect"])),
             words.listing(_channel(n, v, units) for n, v in (s.get("rms") or {}).items() if words.number(v) > LARGER),
             words.num(s.get("detectability")),
         ]
@@ -92,9 +93,16 @@ def _sizes(gap: Part) -> list[Block]:
     columns.append(Column("Detectability", number=True))
     caption = (
         "Effects found, with their size in the readings. Detectability: what calibration leaves of the effect, as a "
-        "multiple of the noise over all readings together; below about 5 an effect is hard to see."
+        "multiple of the noise over all readings together; below about 5 an effect is hard to see. In brackets: what "
+        "its form depends on, at the likeliest value, in SI units."
     )
     return [Table(columns, rows, caption)]
+
+
+def _constants(values: Mapping[str, Any] | None) -> str:
+    """What the form depends on, as the effect's file defines it, SI."""
+    told = ", ".join(f"{name} = {words.num(value)}" for name, value in (values or {}).items())
+    return f" ({told})" if told else ""
 
 
 def _channel(name: str, value: Any, units: Mapping[str, Any]) -> str:
