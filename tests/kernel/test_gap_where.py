@@ -243,10 +243,7 @@ def test_selected_effects_own_columns_are_one_more_look(machines: Machines, rng:
 
 
 def test_legs_of_a_known_effect_are_told_by_its_own_columns_alone(machines: Machines) -> None:
-    """A leg without a column of the effect is not told, nor are all; where the effects are not all there is, they are.
-
-    The form runs with the travel, as the general looks do too, and is the steeper in leg 2.
-    """
+    """A leg without a column of the effect is not told, nor are all; where more acts than the effect, they are."""
     rng, problem = np.random.default_rng(21), machines.problem
     odd = rng.standard_normal(len(problem.states[0].time))
     columns = np.column_stack([case.in_joint(problem, k, 1e-6 * odd) for k in (1, 2)])

@@ -6,86 +6,23 @@ import dataclasses
 import itertools
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import special
 
+from kernel.gap_lines import BOW, EFFECTS, SLIP, planted, readings
 from oed.effect import Column, Effect, State
 from oed.gap import diagnose as diagnosing
-from oed.gap import evidence, library, waves, which
-from oed.gap import problem as problems
+from oed.gap import evidence, library, which
 from oed.gap.diagnosis import UNKNOWN, Answer
 from oed.gap.law import Law, Metric, plain
 from oed.gap.problem import Problem
 from oed.gap.which import SIZES, Search
-from oed.instrument import mount
-from oed.measurement import Measurement
-from pkm_models.instruments import relative
-from pkm_models.machines import planar_2dof
-
-LINES, LENGTH = 8, 31
-
-
-def _problem(seed: int) -> Problem:
-    """Lines of a planar machine read by RM 5, each both ways, with times and feeds, noise alone."""
-    measurement = Measurement(planar_2dof.machine, [mount(relative.rm5, "lines")])
-    y = np.linspace(-1.4, 1.4, LENGTH)
-    ways = [1 if k % 2 == 0 else -1 for k in range(LINES)]
-    command = np.vstack([np.column_stack([y[::w], np.full(LENGTH, 0.4 * (k // 2))]) for k, w in enumerate(ways)])
-    labels = [f"line {k}" for k in range(LINES) for _ in range(LENGTH)]
-    series = measurement.series("lines", command, labels)
-    n = LENGTH - 1
-    covariates = pd.DataFrame(
-        {
-            "setup": "lines",
-            "run": series.run,
-            "order": np.tile(np.arange(2, LENGTH + 1), LINES),
-            "time": 40.0 * np.arange(len(series)),
-            "direction": np.repeat(np.array(ways, dtype=float), n),
-            "feed": np.repeat([1 / 60.0, 3 / 60.0], LINES * n // 2),
-        }
-    )
-    made = problems.planned(measurement, (series,), covariates)
-    rng = np.random.default_rng(seed)
-    noise = made.slopes @ rng.standard_normal(made.slopes.shape[1])
-    for k, members in enumerate(made.blocks):
-        noise[members] += np.linalg.cholesky(plain(made).block(made, k)) @ rng.standard_normal(len(members))
-    return made.with_residual(noise)
-
-
-def _bow(state: State, turns: float) -> list[Column]:
-    return [
-        Column(f"leg {i + 1}", 5e-6, f"leg {i + 1}", {i: np.cos(turns * np.pi * state.joints[:, i])})
-        for i in state.limbs
-    ]
-
-
-def _slip(state: State) -> list[Column]:
-    return [Column(f"leg {i + 1}", 5e-6, f"leg {i + 1}", {i: state.sense[:, i]}) for i in state.limbs]
-
-
-def _drift(state: State) -> list[Column]:
-    return [Column("drift", 5e-6, reading={"dy": np.nan_to_num(state.time) / 1e4})]
-
-
-BOW = Effect(name="bow", source="test", about="bow", columns=_bow, constants={"turns": (2.0, 3.0)}, remedy="straighten")
-SLIP = Effect(
-    name="slip", source="test", about="slip", columns=_slip, needs=("direction: both",), exposed_by="both ways"
-)
-DRIFT = Effect(name="drift", source="test", about="drift", columns=_drift, needs=("time",))
-EFFECTS = (BOW, SLIP, DRIFT)
 
 
 def _search(problem: Problem, effects: tuple[Effect, ...] = EFFECTS, law: Law | None = None) -> Search:
     made = library.build(problem, effects)
     none = library.build(problem, ())
     return Search(problem, made, none, plain(problem) if law is None else law, 0.0)
-
-
-def _with(problem: Problem, effect: Effect, factors: dict[str, float], **constants: float) -> Problem:
-    made = library.build(problem, [dataclasses.replace(effect, constants={k: (v,) for k, v in constants.items()})])
-    change = sum(factors[n] * made.columns[:, k] for k, n in enumerate(made.names) if n in factors)
-    return problem.with_residual(problem.residual + np.asarray(change))
 
 
 def _brute(search: Search, effects: tuple[str, ...]) -> float:
@@ -101,7 +38,7 @@ def _brute(search: Search, effects: tuple[str, ...]) -> float:
 
 @pytest.mark.parametrize("strength", [0.0, 1.0])
 def test_evidence_is_the_sum_over_all_forms(strength: float) -> None:
-    problem = _with(_with(_problem(1), BOW, {"leg 1": strength}, turns=3.0), SLIP, {"leg 2": strength})
+    problem = planted(planted(readings(1), BOW, {"leg 1": strength}, turns=3.0), SLIP, {"leg 2": strength})
     search = _search(problem)
     found = {h.key: h for h in search.run()}
     for names in ((), ("bow",), ("slip",)):
@@ -112,7 +49,7 @@ def test_evidence_is_the_sum_over_all_forms(strength: float) -> None:
 
 
 def test_prior_shares_add_up() -> None:
-    search = _search(_problem(2))
+    search = _search(readings(2))
     for effect in search.library.effects:
         mine = search.library.atoms_of(effect)
         assert np.exp(search._shares[mine]).sum() == pytest.approx(1.0)
@@ -120,17 +57,17 @@ def test_prior_shares_add_up() -> None:
 
 
 def test_planted_effects_are_named_and_no_others() -> None:
-    problem = _with(_with(_problem(3), BOW, {"leg 1": 2.0}, turns=2.0), SLIP, {"leg 2": 2.0})
+    problem = planted(planted(readings(3), BOW, {"leg 1": 2.0}, turns=2.0), SLIP, {"leg 2": 2.0})
     best = which.compare([_search(problem)])[0]
     assert set(best.effects) == {"bow", "slip"}
     atom = _search(problem).library.atoms[best.atoms[best.effects.index("bow")]]
     assert atom.constants == {"turns": 2.0}
-    assert which.compare([_search(_problem(3))])[0].effects == ()
+    assert which.compare([_search(readings(3))])[0].effects == ()
 
 
 def test_an_unknown_takes_nothing_from_a_selected_effect() -> None:
     """A process that lies in the span of what is selected explains nothing more."""
-    problem = _with(_problem(4), BOW, {"leg 1": 2.0, "leg 2": -1.0}, turns=2.0)
+    problem = planted(readings(4), BOW, {"leg 1": 2.0, "leg 2": -1.0}, turns=2.0)
     same = dataclasses.replace(BOW, name="process", constants={"turns": (2.0,)})
     search = Search(problem, library.build(problem, [BOW]), library.build(problem, [same]), plain(problem), 0.0)
     known = next(h for h in search.run() if h.key == (frozenset({"bow"}), False))
@@ -142,23 +79,8 @@ def test_an_unknown_takes_nothing_from_a_selected_effect() -> None:
     assert alone.log_evidence > known.log_evidence - 12.0
 
 
-def test_a_steady_wave_is_found_at_its_period() -> None:
-    problem = _problem(5)
-    time = problem.rows["time"].to_numpy()
-    dy = (problem.rows["channel"] == "dy").to_numpy()
-    hum = np.where(dy, 2.0 * np.sin(2.0 * np.pi * time / 173.0 + 1.0), 0.0)
-    none = library.build(problem, ())
-    made = waves.added(none, problem.with_residual(problem.residual + hum), plain(problem))
-    assert made.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
-    search = Search(problem.with_residual(problem.residual + hum), none, made, plain(problem), 0.0)
-    best = which.compare([search])[0]
-    assert best.key == (frozenset(), True)
-    quiet = Search(problem, none, waves.added(none, problem, plain(problem)), plain(problem), 0.0)
-    assert which.compare([quiet])[0].key == (frozenset(), False)
-
-
 def test_untestable_without_its_covariates() -> None:
-    problem = _problem(6)
+    problem = readings(6)
     states = tuple(
         dataclasses.replace(s, time=np.full(len(s), np.nan), direction=np.ones(len(s))) for s in problem.states
     )
@@ -170,7 +92,7 @@ def test_untestable_without_its_covariates() -> None:
 
 def test_many_constants_keep_the_few_that_explain() -> None:
     dense = dataclasses.replace(BOW, constants={"turns": tuple(np.linspace(1.0, 8.0, 57))})
-    problem = _with(_problem(7), BOW, {"leg 1": 2.0}, turns=5.0)
+    problem = planted(readings(7), BOW, {"leg 1": 2.0}, turns=5.0)
     law = plain(problem)
     made = library.build(problem, [dense], Metric(problem, law))
     kept = {a.constants["turns"] for a in made.atoms}
@@ -179,8 +101,63 @@ def test_many_constants_keep_the_few_that_explain() -> None:
     assert max(a.log_weight for a in made.atoms) < -np.log(57.0)
 
 
+def _curl(state: State, turns: float, bend: float) -> list[Column]:
+    """A bow that grows along the travel, from nothing to `bend` times itself."""
+    return [
+        Column(f"leg {i + 1}", 5e-6, f"leg {i + 1}", {i: np.cos(turns * np.pi * q) * (1.0 + bend * q)})
+        for i, q in enumerate(state.joints.T)
+    ]
+
+
+TURNS, BENDS = tuple(np.linspace(1.0, 8.0, 57)), (0.0, -0.1, 0.3, 1.0, 3.0)
+CURL = Effect(name="curl", source="test", about="curl", columns=_curl, constants={"turns": TURNS, "bend": BENDS})
+
+
+def test_a_large_grid_is_looked_through_by_turns() -> None:
+    assert len(CURL.grid()) > library.LARGE
+    problem = planted(readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1)
+    metric = Metric(problem, plain(problem))
+    made = library.build(problem, [CURL], metric)
+    kept = {(a.constants["turns"], a.constants["bend"]) for a in made.atoms}
+    assert (TURNS[31], -0.1) in kept
+    assert len(kept) == library.KEPT
+    best = which.compare([Search(problem, made, library.build(problem, ()), plain(problem), 0.0)])[0]
+    assert made.atoms[best.atoms[0]].constants == {"turns": TURNS[31], "bend": -0.1}
+    blind = library.build(problem, [CURL])
+    assert {a.constants["bend"] for a in blind.atoms} == {0.0}
+    assert {a.constants["turns"] for a in blind.atoms} == set(TURNS)
+    assert np.exp([a.log_weight for a in blind.atoms]).sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("bends", [BENDS, BENDS[:1], BENDS[:3]])
+def test_forms_have_the_prior_of_one_effect_before_any_is_dropped(
+    bends: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, chosen = planted(readings(10), BOW, {"leg 1": 2.0}, turns=5.0), []
+    dropping = library._best
+
+    def best(problem, metric, forms, *kept):  # type: ignore[no-untyped-def]
+        chosen.append([(dict(f.constants), w) for f, w in forms])
+        return dropping(problem, metric, forms, *kept)
+
+    monkeypatch.setattr(library, "_best", best)
+    effect = dataclasses.replace(CURL, constants={"turns": TURNS, "bend": bends})
+    library.build(problem, [effect], Metric(problem, plain(problem)))
+    forms, large = chosen[-1], len(effect.grid()) > library.LARGE
+    weights = np.exp([w for _, w in forms])
+    assert 0.5 <= weights.sum() <= 1.0 + 1e-9
+    points = [tuple(c.values()) for c, _ in forms]
+    assert len(set(points)) == len(points) == (57 + library.TURN * (len(bends) - 1) if large else 57 * len(bends))
+    if large:  # half of the prior is for the first values, and each form's is that of its share of all forms
+        plainly = np.array([c["bend"] == bends[0] for c, _ in forms])
+        assert weights[plainly].sum() == pytest.approx(0.5)
+        np.testing.assert_allclose(weights[~plainly], 0.5 / (57 * (len(bends) - 1)))
+    else:
+        np.testing.assert_allclose(weights, 1.0 / (57 * len(bends)))
+
+
 def test_diagnosis_from_end_to_end() -> None:
-    problem = _with(_problem(8), SLIP, {"leg 1": 2.0})
+    problem = planted(readings(8), SLIP, {"leg 1": 2.0})
     found = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0))
     assert found.verdict == "effect"
     assert found.answers[0].effects == ("slip",)
@@ -208,8 +185,43 @@ def test_verdicts() -> None:
         assert diagnosing.verdict(Answer(effects, 1.0, classes)) == wanted
 
 
+MANY = tuple(f"m{k}" for k in range(diagnosing.VAGUE))
+
+
+def _said(*parts: tuple[list[tuple[str, ...]], bool, float]) -> list[Answer]:
+    answers: list[Answer] = []
+    for members, unknown, probability in parts:
+        diagnosing._tell(answers, members, unknown, probability)
+    return answers
+
+
+def test_a_name_drawn_from_many_beside_a_named_effect_is_told_as_unknown() -> None:
+    assert _said(([("a", "b"), MANY], False, 0.4)) == [Answer(("a", UNKNOWN), 0.4, (("a", "b"),))]
+    assert _said(([MANY, ("a",)], False, 0.4)) == [Answer(("a", UNKNOWN), 0.4, (("a",),))]
+    few = MANY[:-1]
+    assert _said(([("a",), few], False, 0.4)) == [Answer(("a", few[0]), 0.4, (("a",), few))]
+    assert _said(([("a",), few], True, 0.4)) == [Answer(("a", few[0], UNKNOWN), 0.4, (("a",), few))]
+
+
+def test_of_two_vague_classes_the_smaller_stays_and_a_lone_one_as_it_is() -> None:
+    more = tuple(f"n{k}" for k in range(diagnosing.VAGUE + 1))
+    for members in ([more, MANY], [MANY, more]):
+        assert _said((members, False, 0.4)) == [Answer((MANY[0], UNKNOWN), 0.4, (MANY,))]
+    assert _said(([more], False, 0.4)) == [Answer((more[0],), 0.4, (more,))]
+    assert _said(([more], True, 0.4)) == [Answer((more[0], UNKNOWN), 0.4, (more,))]
+
+
+def test_probabilities_of_answers_that_say_the_same_are_added() -> None:
+    same = _said(([("a", "b")], True, 0.3), ([("b",), MANY], False, 0.2), ([("a",), MANY], True, 0.1))
+    assert [(a.effects, a.classes) for a in same] == [(("a", UNKNOWN), (("a", "b"),))]
+    assert same[0].probability == pytest.approx(0.6)
+    others = _said(([], False, 0.3), ([], True, 0.3), ([("a",)], False, 0.2), ([("a",)], True, 0.1), ([], True, 0.1))
+    assert [a.effects for a in others] == [(), (UNKNOWN,), ("a",), ("a", UNKNOWN)]
+    assert [a.probability for a in others] == pytest.approx([0.3, 0.4, 0.2, 0.1])
+
+
 def test_level_is_that_of_what_is_left() -> None:
-    problem = _problem(9)
+    problem = readings(9)
     search = _search(problem.with_residual(3.0 * problem.residual))
     assert search.level(search.run()[0]) == pytest.approx(3.0, rel=0.1)
     assert evidence.level(search.grams) == pytest.approx(3.0, rel=0.1)

@@ -1,0 +1,168 @@
+"""An unknown beside an effect in a form of its own, an unknown alone, and steady waves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kernel.gap_lines import EFFECTS, LINES, readings
+from oed.gap import library, waves, which
+from oed.gap.law import plain
+from oed.gap.library import Library
+from oed.gap.problem import Problem
+from oed.gap.unknown import PROCESSES
+from oed.gap.which import Search
+
+SMOOTH = [p for p in PROCESSES if p.name in ("over time", "over the pose", "over the travel", "along the runs")]
+#: root of the energy that is planted
+SIZE = 40.0
+
+
+def _some(made: Library, name: str, rng: np.random.Generator) -> np.ndarray:
+    """A draw (N,) of a process."""
+    chosen = made.columns[:, made.atoms[made.atoms_of(name)[0]].columns]
+    return np.asarray(chosen @ rng.standard_normal(chosen.shape[1]))
+
+
+def _apart(problem: Problem, parts: list[np.ndarray], energies: list[float]) -> np.ndarray:
+    """The sum (N,) of parts, each without what those before it hold, at energies r^T M r (dense)."""
+    noise = problem.slopes @ problem.slopes.T
+    for k, members in enumerate(problem.blocks):
+        noise[np.ix_(members, members)] += plain(problem).block(problem, k)
+    inverse, kept = np.linalg.inv(noise), []
+    for part, energy in zip(parts, energies, strict=True):
+        for other in kept:
+            part = part - other * (other @ inverse @ part) / (other @ inverse @ other)
+        kept.append(part * np.sqrt(energy / (part @ inverse @ part)))
+    return np.asarray(sum(kept))
+
+
+@pytest.mark.parametrize("seed", [20, 21, 24])
+def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -> None:
+    problem, rng = readings(seed), np.random.default_rng(seed)
+    known, processes = library.build(problem, EFFECTS), library.build(problem, SMOOTH)
+    whole = max((known.atoms[k].columns for k in known.atoms_of("bow")), key=len)
+    book, own = known.columns[:, whole] @ np.array([1.0, -0.6]), _some(processes, "over the travel", rng)
+    change = _apart(problem, [book, own], [0.75 * SIZE**2, 0.25 * SIZE**2])
+    acting = problem.with_residual(problem.residual + change)
+    best = which.compare([Search(acting, known, processes, plain(problem), 0.0)])[0]
+    assert best.key == (frozenset({"bow"}), True)
+    assert best.share == pytest.approx(0.75, abs=0.15)
+
+
+@pytest.mark.parametrize("seed", [20, 21, 24])
+def test_a_process_that_is_like_no_effect_is_unknown_alone(seed: int) -> None:
+    problem, rng = readings(seed), np.random.default_rng(seed)
+    known, processes = library.build(problem, EFFECTS), library.build(problem, SMOOTH)
+    change = _apart(problem, [_some(processes, "over the pose", rng)], [SIZE**2])
+    acting = problem.with_residual(problem.residual + change)
+    best, *others = which.compare([Search(acting, known, processes, plain(problem), 0.0)])
+    assert best.key == (frozenset(), True)
+    shares = [h.share for h in others if h.unknown]
+    assert shares
+    assert max(shares) < 0.35
+
+
+def test_odds_of_an_effect_rise_with_its_share() -> None:
+    told = [which._odds(float(s)) for s in np.linspace(-3.0, 4.0, 141)]
+    assert (np.diff(told) >= 0.0).all()
+    assert (min(told), max(told)) == (-which.STEEPEST, which.STEEPEST)
+    assert which._odds(which.EVEN) == 0.0
+    assert which._odds(which.EVEN + 0.1) == pytest.approx(0.1 * which.SLOPE)
+
+
+class _Told:
+    """A search that says what it is told to."""
+
+    def __init__(self, *hypotheses: which.Hypothesis) -> None:
+        self._hypotheses = hypotheses
+
+    def run(self) -> list[which.Hypothesis]:
+        return list(self._hypotheses)
+
+
+def _says(effects: tuple[str, ...], unknown: bool, score: float, share: float = 1.0) -> which.Hypothesis:
+    return which.Hypothesis(effects, unknown, (), (), None, 0.0, score, 0.0, share=share)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4, 0.7, 0.99])
+def test_an_unknown_alone_is_held_against_the_best_effect_by_its_share(share: float) -> None:
+    """Odds in the effect's favour cost the unknown alone, odds against it the effect; nothing else moves."""
+    odds, first = 8.0 * (share - 0.4), [_says((), False, -9.0), _says((), True, 0.0), _says(("a",), False, -1.0)]
+    first += [_says(("a",), True, 0.0, share), _says(("b",), True, -30.0, 0.9)]
+    second = [_says(("a",), False, -0.5), _says((), True, -2.0)]
+    told = {h.key: h for h in which.compare([_Told(*first), _Told(*second)])}  # type: ignore[list-item]
+    assert told[frozenset(), True].score == pytest.approx(-max(odds, 0.0))
+    assert told[frozenset({"a"}), True].score == pytest.approx(min(odds, 0.0))
+    assert told[frozenset({"b"}), True].score == -30.0
+    assert (told[frozenset({"a"}), False].score, told[frozenset({"a"}), False].law) == (-0.5, 1)
+    assert told[frozenset(), False].score == -9.0
+    assert len(told) == 5
+
+
+# -- waves -------------------------------------------------------------------------------------------------
+
+
+def test_a_steady_wave_is_found_at_its_period() -> None:
+    problem = readings(5)
+    time = problem.rows["time"].to_numpy()
+    dy = (problem.rows["channel"] == "dy").to_numpy()
+    hum = np.where(dy, 2.0 * np.sin(2.0 * np.pi * time / 173.0 + 1.0), 0.0)
+    none = library.build(problem, ())
+    made = waves.added(none, problem.with_residual(problem.residual + hum), plain(problem))
+    assert made.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
+    search = Search(problem.with_residual(problem.residual + hum), none, made, plain(problem), 0.0)
+    best = which.compare([search])[0]
+    assert best.key == (frozenset(), True)
+    quiet = Search(problem, none, waves.added(none, problem, plain(problem)), plain(problem), 0.0)
+    assert which.compare([quiet])[0].key == (frozenset(), False)
+
+
+def _waved(problem: Problem, wave: np.ndarray) -> tuple[Library, which.Hypothesis]:
+    """The waves found, and what a search beside them says, of a wave on the readings dy."""
+    acting = problem.with_residual(problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0))
+    none = library.build(problem, ())
+    made = waves.added(none, acting, plain(problem))
+    return made, which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
+
+
+def _periods(made: Library, unit: str) -> list[float]:
+    return [a.constants[f"period_{unit}"] for a in made.atoms if f"period_{unit}" in a.constants]
+
+
+def _on_the_way(problem: Problem) -> np.ndarray:
+    """Way (N,) of the tool since the first reading of its line, m, on the lines of the usual feed; NaN on others."""
+    state = problem.states[0]
+    y = state.tool[problem.series[0].index[:, 0], 1]
+    way = np.concatenate([np.abs(part - part[0]) for part in np.split(y, LINES)])
+    return np.where(problem.rows["feed"] < 2 / 60.0, np.repeat(way, 2), np.nan)
+
+
+@pytest.mark.parametrize(("uneven", "period"), [(0.03, 0.061), (0.0, 0.061), (0.03, 0.4)])
+def test_a_wave_along_the_path_is_found_at_its_period(uneven: float, period: float) -> None:
+    """A resonance at one feed, with readings every 93 mm. From even places any of its aliases is as good."""
+    problem = readings(31, uneven)
+    way = _on_the_way(problem)
+    made, best = _waved(problem, np.nan_to_num(2.5 * np.sin(2.0 * np.pi * way / period + 0.5)))
+    found = _periods(made, "m")[0]
+    if uneven:
+        assert found == pytest.approx(period, rel=0.01)
+    else:
+        turns = (2.8 / 30) / np.array([found, period])
+        off = np.abs(turns - np.round(turns))
+        assert off[0] == pytest.approx(off[1], abs=0.02)
+    assert best.key == (frozenset(), True)
+    assert "period_m" in made.atoms[best.process].constants
+    quiet, none = _waved(problem, np.zeros(len(problem)))
+    assert none.key == (frozenset(), False)
+    assert len(_periods(quiet, "m")) == waves.KEPT
+
+
+@pytest.mark.parametrize(("late", "wanted"), [(0.0, 1.0 / (1.0 / 27.0 - 1.0 / 40.0)), (15.0, 27.0)])
+def test_irregular_times_tell_a_wave_faster_than_the_readings(late: float, wanted: float) -> None:
+    """From every 40 s on the dot, a wave of 27 s looks like one of 83 s; from times that are off, it does not."""
+    problem = readings(32, late=late)
+    clock = problem.rows["time"].to_numpy(dtype=float)
+    made, best = _waved(problem, 2.5 * np.sin(2.0 * np.pi * clock / 27.0 + 0.5))
+    assert best.key == (frozenset(), True)
+    assert made.atoms[best.process].constants["period_s"] == pytest.approx(wanted, rel=0.01)
