@@ -34,8 +34,7 @@ def diagnose(problem: Problem, effects: Sequence[Effect], rng: np.random.Generat
     """Diagnose residuals with a library of effects."""
     made = searches(problem, effects)
     hypotheses = which.compare(made)
-    found = conclude(problem, made, hypotheses, effects)
-    best = hypotheses[0]
+    found, best = conclude(problem, made, hypotheses, effects)
     if found.verdict == "none":  # what the likeliest effect would close is told all the same, nil or not
         best = next((h for h in hypotheses if h.effects and not h.unknown), best)
     located, shrunk = _placed(problem, made[best.law], best, found, rng)
@@ -99,16 +98,16 @@ def _forms(search: Search, best: Hypothesis) -> list[Array]:
 
 def conclude(
     problem: Problem, made: Sequence[Search], hypotheses: Sequence[Hypothesis], effects: Sequence[Effect]
-) -> Diagnosis:
-    """The diagnosis that searches under several noise laws come to, without where and how far."""
+) -> tuple[Diagnosis, Hypothesis]:
+    """The diagnosis that searches under several noise laws come to, without where and how far; and the hypothesis that
+    its first answer stands for."""
     shares = which.probabilities(hypotheses)
     scores = {h.key: h.score for h in hypotheses}
-    answers = _answers(made, hypotheses, shares, scores)
-    best = hypotheses[0]
+    answers, best = _answers(made, hypotheses, shares, scores)
     search = made[best.law]
     named = {name for c in answers[0].classes for name in c}
     found = _explained(problem, search, best, named if named & set(best.effects) else set(best.effects))
-    return Diagnosis(
+    told = Diagnosis(
         problem=problem,
         verdict=verdict(answers[0]),
         answers=answers,
@@ -133,6 +132,7 @@ def conclude(
         confusable=tuple(dict.fromkeys(c for a in answers[:1] for c in a.classes if len(c) > 1)),
         next=advice.advise(answers, effects, search.library.not_testable),
     )
+    return told, best
 
 
 # -- answers -----------------------------------------------------------------------------------------------
@@ -143,10 +143,12 @@ def _answers(
     hypotheses: Sequence[Hypothesis],
     shares: Array,
     scores: Mapping[tuple[frozenset[str], bool], float],
-) -> tuple[Answer, ...]:
-    """Hypotheses gathered into classes, by probability: one that stands for another is counted with it."""
+) -> tuple[tuple[Answer, ...], Hypothesis]:
+    """Hypotheses gathered into classes, by probability: one that stands for another is counted with it. And the best
+    hypothesis of the first answer."""
     left = dict(zip([h.key for h in hypotheses], shares, strict=True))
     answers: list[Answer] = []
+    leading: list[Hypothesis] = []
     for h in hypotheses:
         if h.key not in left or (left[h.key] < TOLD and answers):
             continue
@@ -156,7 +158,9 @@ def _answers(
             if key[1] == h.unknown and _stands_for(key[0], members):
                 total += left.pop(key)
         _tell(answers, members, h.unknown, float(total))
-    return tuple(sorted(answers, key=lambda a: -a.probability))
+        leading += [h] * (len(answers) - len(leading))
+    order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
+    return tuple(answers[k] for k in order), leading[order[0]]
 
 
 def _tell(answers: list[Answer], members: Sequence[tuple[str, ...]], unknown: bool, probability: float) -> None:

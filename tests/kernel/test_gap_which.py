@@ -16,7 +16,7 @@ from oed.gap import evidence, library, which
 from oed.gap.diagnosis import UNKNOWN, Answer
 from oed.gap.law import Law, Metric, plain
 from oed.gap.problem import Problem
-from oed.gap.which import SIZES, Search
+from oed.gap.which import SIZES, Hypothesis, Search
 
 
 def _search(problem: Problem, effects: tuple[Effect, ...] = EFFECTS, law: Law | None = None) -> Search:
@@ -225,3 +225,21 @@ def test_level_is_that_of_what_is_left() -> None:
     search = _search(problem.with_residual(3.0 * problem.residual))
     assert search.level(search.run()[0]) == pytest.approx(3.0, rel=0.1)
     assert evidence.level(search.grams) == pytest.approx(3.0, rel=0.1)
+
+
+def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two that say the same, b beside something unknown, are together likelier than a, the likeliest single one."""
+    blank = {"sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0}
+    vague = tuple("cdefgh")
+    sets = [(("a",), False, 0.4), (("b", "c"), False, 0.3), (("b",), True, 0.3)]
+    made = [
+        Hypothesis(effects=e, unknown=u, atoms=tuple(0 for _ in e), log_evidence=float(np.log(p)), **blank)
+        for e, u, p in sets
+    ]
+    monkeypatch.setattr(
+        diagnosing.classes, "of", lambda search, h, scores, alive: [vague if e == "c" else (e,) for e in h.effects]
+    )
+    answers, best = diagnosing._answers([None], made, np.array([0.4, 0.3, 0.3]), {h.key: h.score for h in made})
+    assert answers[0].effects == ("b", UNKNOWN)
+    assert answers[0].probability == pytest.approx(0.6)
+    assert best.effects == ("b", "c")
