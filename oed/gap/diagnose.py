@@ -145,7 +145,7 @@ def _answers(
     scores: Mapping[tuple[frozenset[str], bool], float],
 ) -> tuple[tuple[Answer, ...], Hypothesis]:
     """Hypotheses gathered into classes, by probability: one that stands for another is counted with it. And the best
-    hypothesis of the first answer."""
+    hypothesis of the first answer. None goes first only where it is likelier than all others together."""
     left = dict(zip([h.key for h in hypotheses], shares, strict=True))
     answers: list[Answer] = []
     leading: list[Hypothesis] = []
@@ -160,6 +160,8 @@ def _answers(
         _tell(answers, members, h.unknown, float(total))
         leading += [h] * (len(answers) - len(leading))
     order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
+    if len(order) > 1 and not answers[order[0]].effects and answers[order[0]].probability < 0.5:
+        order[:2] = order[1::-1]  # that there is a gap is likelier than not, though no single explanation is
     return tuple(answers[k] for k in order), leading[order[0]]
 
 

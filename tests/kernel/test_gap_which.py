@@ -243,3 +243,23 @@ def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(monkeypatch: pytest
     assert answers[0].effects == ("b", UNKNOWN)
     assert answers[0].probability == pytest.approx(0.6)
     assert best.effects == ("b", "c")
+
+
+def test_a_gap_is_told_where_it_is_likelier_than_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    blank = {"sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0, "unknown": False}
+    monkeypatch.setattr(diagnosing.classes, "of", lambda search, h, scores, alive: [(e,) for e in h.effects])
+
+    def first(none: float) -> tuple[str, ...]:
+        shares = {(): none, ("a",): 0.6 * (1.0 - none), ("b",): 0.4 * (1.0 - none)}
+        made = [
+            Hypothesis(effects=e, atoms=tuple(0 for _ in e), log_evidence=float(np.log(p)), **blank)
+            for e, p in shares.items()
+        ]
+        scores = {h.key: h.score for h in made}
+        answers, best = diagnosing._answers([None], made, np.array(list(shares.values())), scores)
+        assert best.effects == answers[0].effects
+        assert sum(a.probability for a in answers) == pytest.approx(1.0)
+        return answers[0].effects
+
+    assert first(0.51) == ()
+    assert first(0.45) == ("a",)
