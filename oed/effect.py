@@ -93,6 +93,11 @@ class State:
         motion = self.twist * size if len(self.limbs) >= 6 else self.twist[:, :3]
         return np.asarray(np.linalg.pinv(motion, rcond=STIFF)[:, :, :3])
 
+    def displaced(self, axis: int, amount: Array) -> dict[int, Array]:
+        """Joint changes {joint: (m,)} that displace the tool along an axis of the base by `amount` (m,), m."""
+        change = self.pushing[:, :, axis] * amount[:, None]
+        return {i: change[:, i] for i in self.limbs}
+
     @property
     def limbs(self) -> range:
         """Numbers of the joints, from 0."""

@@ -25,6 +25,8 @@ SPREAD = 1.0
 REACH = np.log(8.0)
 #: log of a share of the noise below which it makes no difference
 _LEAST = -2.0
+#: coordinates of the shares: repeat, wander, sway
+_SHARES = [0, 1, 3]
 #: where a search begins: white, runs that do not repeat, an error carried along
 STARTS = tuple(np.array(v) for v in ((-2.0, -2.0, REACH, -2.0), (0.0, -2.0, REACH, -1.0), (-2.0, 0.5, REACH, -2.0)))
 
@@ -43,7 +45,7 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
         return dataclasses.replace(_law(start, v), level=1.0, ratio=ratio)
 
     def cost(v: Array) -> float:
-        if not (np.abs(v[[0, 1, 3]] + 1.5).max() < 6.5 and 0.4 < v[2] < 4.5 and np.abs(v[4:]).max(initial=0.0) < 4.0):
+        if not (np.abs(v[_SHARES] + 1.5).max() < 6.5 and 0.4 < v[2] < 4.5 and np.abs(v[4:]).max(initial=0.0) < 4.0):
             return 1e9
         return -(evidence.log_evidence(problem, law(v), wide) + _prior(v))
 
@@ -64,7 +66,7 @@ def _first(problem: Problem, law: Law) -> Array:
 
 def _law(start: Law, v: Array) -> Law:
     """The law at coordinates (4,) of its shares and its reach."""
-    shares = [_size(v[k]) for k in (0, 1, 3)]
+    shares = [_size(s) for s in v[_SHARES]]
     return dataclasses.replace(start, repeat=shares[0], wander=shares[1], reach=float(np.exp(v[2])), sway=shares[2])
 
 
@@ -86,7 +88,7 @@ def _inverse(size: float) -> float:
 
 def _prior(v: Array) -> float:
     """Log prior: each share about half the noise; small ones are all alike."""
-    shares = np.maximum(v[[0, 1, 3]], _LEAST)
+    shares = np.maximum(v[_SHARES], _LEAST)
     told = ((shares + 1.0) / 1.5) ** 2
     return float(-0.5 * told.sum() - 0.5 * ((v[2] - REACH) / SPREAD) ** 2 - 0.5 * (v[4:] ** 2).sum())
 

@@ -51,8 +51,7 @@ def _read(state: State, name: str, size: float, wave: Array) -> Iterable[Column]
 def _tool(state: State, name: str, size: float, wave: Array) -> Iterable[Column]:
     """The tool displaced along each axis of the base."""
     for k, axis in enumerate("xyz"):
-        change = state.pushing[:, :, k] * wave[:, None]
-        yield Column(f"{name} {axis}", size, joints={i: change[:, i] for i in state.limbs})
+        yield Column(f"{name} {axis}", size, joints=state.displaced(k, wave))
 
 
 def _both(state: State, name: str, size: float, wave: Array) -> Iterable[Column]:

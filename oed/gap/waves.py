@@ -54,10 +54,14 @@ class _Peak:
 
 
 def added(processes: Library, problem: Problem, law: Law) -> Library:
-    """The processes with the strongest steady waves of each kind beside them: slow, fast, along the path."""
-    metric = Metric(problem, law)
+    """The processes with the strongest steady waves of each kind beside them: slow, fast, along the path.
+
+    Each kind has the prior weight of a process.
+    """
+    metric, joints = Metric(problem, law), _joints(problem)
+    tool = _tool(problem, joints)
     found: list[tuple[_Peak, float]] = []
-    for bands in (*([band] for band in _in_time(problem)), _along_path(problem)):
+    for bands in (*([band] for band in _in_time(problem, joints, tool)), _along_path(problem, tool)):
         count = sum(len(b.frequencies) * len(b.carriers) for b in bands)
         peaks = [p for b in bands for p in _peaks(problem, metric, b)]
         peaks.sort(key=lambda p: p.log_tail)
@@ -79,7 +83,7 @@ def added(processes: Library, problem: Problem, law: Law) -> Library:
     )
 
 
-def _in_time(problem: Problem) -> list[_Band]:
+def _in_time(problem: Problem, joints: Array, tool: Array) -> list[_Band]:
     """Waves in time on a channel, on a joint, on the tool."""
     rows = problem.rows
     known = "time" in rows and rows["time"].notna().all()
@@ -90,22 +94,22 @@ def _in_time(problem: Problem) -> list[_Band]:
     ticks = np.unique(clock)
     if len(ticks) < LEAST:
         return []
-    step, joints = float(np.median(np.diff(ticks))), _joints(problem)
+    step = float(np.median(np.diff(ticks)))
     places = (ticks - ticks[0]) / step
     regular = not known or bool(np.abs(places - np.round(places)).max() <= 0.05)
     most = 0.5 / step if regular else 1.0 / SHORTEST  # irregular times tell fast waves from slow, however far apart
     channels = [np.where(problem.group == g, UNIT / problem.sigma, 0.0)[:, None] for g in np.unique(problem.group)]
-    carriers = [*channels, *(joints[:, i, None] for i in range(joints.shape[1])), _tool(problem, joints)]
+    carriers = [*channels, *(joints[:, i, None] for i in range(joints.shape[1])), tool]
     span = float(np.ptp(clock)) + step
     middle = min(SLOW / span, most)
     bands = [_Band("s", clock, carriers, _frequencies(span, 1.0 / span, middle))]
     return [*bands, _Band("s", clock, carriers, _frequencies(span, middle, most))] if most > middle else bands
 
 
-def _along_path(problem: Problem) -> list[_Band]:
+def _along_path(problem: Problem, tool: Array) -> list[_Band]:
     """Waves along the path of the tool, at one feed."""
     feed = problem.rows["feed"].to_numpy(dtype=float) if "feed" in problem.rows else np.full(len(problem), np.nan)
-    carrier, arc, bands = _tool(problem, _joints(problem)), _arc(problem), []
+    arc, bands = _arc(problem), []
     for value in np.unique(np.round(feed[np.isfinite(feed)], 9)):
         here = np.isclose(feed, value)
         steps = np.diff(arc[here])
@@ -114,7 +118,7 @@ def _along_path(problem: Problem) -> list[_Band]:
             continue
         span = float(arc[here].max())
         frequencies = _frequencies(span, 1.0 / span, max(1.0 / FINEST, 1.0 / span))
-        bands.append(_Band("m", arc, [np.where(here[:, None], carrier, 0.0)], frequencies))
+        bands.append(_Band("m", arc, [np.where(here[:, None], tool, 0.0)], frequencies))
     return bands
 
 

@@ -215,13 +215,14 @@ class Search:
         )
         plain = self._selected(known)
         told = np.empty((len(self._processes), len(UNKNOWN_SIZES)))
-        for numbers, gram, b in self._apart(selected):
+        apart = list(self._apart(selected))
+        for numbers, gram, b in apart:
             told[numbers] = plain.log_ratio(*evidence.explained(gram, b, UNKNOWN_SIZES))
         told += self._process_shares
         row, column = np.unravel_index(int(np.argmax(told)), told.shape)
         size, level = float(UNKNOWN_SIZES[column]), evidence.level(plain) ** 2
-        _, gram, b = next(self._apart(selected, [int(row)]))
-        rest = evidence.carried(gram[0] / level, b[0] / level, size * np.sqrt(level))
+        gram, b = next((g[n == row][0], p[n == row][0]) for n, g, p in apart if row in n)
+        rest = evidence.carried(gram / level, b / level, size * np.sqrt(level))
         mine = evidence.carried(
             self.grams.gram[np.ix_(selected, selected)] / level, self.grams.b[selected] / level, sizes * np.sqrt(level)
         )
@@ -244,14 +245,13 @@ class Search:
             start += len(mine)
         return found
 
-    def _apart(self, selected: Index, some: Sequence[int] | None = None) -> Iterator[tuple[Index, Array, Array]]:
-        """Processes, or some of them, with as many columns: their numbers (a,), Gram matrices (a, d, d), projections
-        (a, d), without what selected columns could explain."""
+    def _apart(self, selected: Index) -> Iterator[tuple[Index, Array, Array]]:
+        """Processes with as many columns: their numbers (a,), Gram matrices (a, d, d), projections (a, d), without what
+        selected columns could explain."""
         gram, b = self.grams.gram, self.grams.b
         root = evidence.inverse_root(gram[np.ix_(selected, selected)])
         half, told = root.T @ gram[selected], root.T @ b[selected]
-        groups = self._process_groups if some is None else evidence.by_count([self._processes[k] for k in some])
-        for at, rows in groups:
+        for at, rows in self._process_groups:
             over = half[:, rows]
             left = gram[rows[:, :, None], rows[:, None, :]] - np.einsum("kad,kae->ade", over, over)
             yield at, left, b[rows] - np.einsum("kad,k->ad", over, told)

@@ -36,7 +36,7 @@ class GapDesignAsked:
 
     runs    candidates, each under one condition;  kept  numbers of those taken in any case
     rules   number, budget, set-ups, times; None where a plan is followed that is not made yet
-    wanted, rivals   effects;  share: of D
+    wanted, rivals   effects
     said, timing     the table, and how readings are taken
     """
 
@@ -45,8 +45,6 @@ class GapDesignAsked:
     runs: tuple[Run, ...]
     kept: tuple[int, ...]
     rules: Rules | None
-    share: float
-    starts: int
     place: Place
     said: GapDesign
     timing: Conditions
@@ -75,8 +73,6 @@ def asked(study: Study, references: Sequence[Plan], measurement: Measurement) ->
         runs=runs,
         kept=tuple(range(kept)),
         rules=None if follows else _rules(said, runs, kept, measurement, timing, place),
-        share=said.share,
-        starts=said.starts,
         place=place,
         said=said,
         timing=timing,

@@ -63,12 +63,12 @@ def planned(study: Study, measure: Measure, setups: Iterable[str], done: Iterabl
             naming.known(name, names, place.key("compare").item(i).item(j), "measurement")
         if len(set(sequence)) < len(sequence):
             raise place.key("compare").item(i).error("a measurement is named twice", "name each once", sequence)
-    there = {t.name for t, _ in left}
+    there, reserved = {t.name for t, _ in left}, _reserved(study)
     return PlanAsked(
         options=tuple(_option(t, measure, p) for t, p in left),
         wanted=quantities.read(said.wanted, known, place.key("wanted")),
-        budget=60.0 * (said.budget_min or 0.0) - _reserved(study),
-        reserved=_reserved(study),
+        budget=60.0 * (said.budget_min or 0.0) - reserved,
+        reserved=reserved,
         compare=tuple(tuple(s) for s in said.compare if set(s) <= there),
     )
 

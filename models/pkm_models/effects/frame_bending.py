@@ -25,9 +25,8 @@ def columns(state: State) -> Iterable[Column]:
         for factors in itertools.combinations_with_replacement(range(3), degree):
             field = offset[:, factors].prod(axis=1)
             for k, axis in enumerate("xyz"):
-                change = state.pushing[:, :, k] * field[:, None]
                 name = f"{axis} by {''.join('xyz'[f] for f in factors)}"
-                yield Column(name, scale, "", {i: change[:, i] for i in state.limbs}, shape=degree > 2)
+                yield Column(name, scale, "", state.displaced(k, field), shape=degree > 2)
 
 
 def _offset(state: State) -> Array:

@@ -127,7 +127,7 @@ def _chosen(
     kept = np.array(asked.kept, dtype=np.intp)
     try:
         pool = separate.Pool(problem, plain(problem), rows, asked.wanted, asked.rivals)
-        found = separate.choose(pool, asked.rules, rng, share=asked.share, kept=kept, rounds=asked.starts)
+        found = separate.choose(pool, asked.rules, rng, share=asked.said.share, kept=kept, rounds=asked.said.starts)
     except ValueError as error:
         remedy = "give conditions that show it, or other effects or rules"
         raise asked.place.error(str(error), remedy) from error
@@ -147,7 +147,7 @@ def _chosen(
         before=None if not worst or None in worst else min(w for w in worst if w is not None),
         efficiency=found.efficiency,
         proven=found.proven,
-        share=asked.share,
+        share=asked.said.share,
         volume=found.volume,
         seconds=found.seconds,
         told=told,
