@@ -32,8 +32,8 @@ class State:
     joints       (m, nq) what the joints were sent to
     sense        (m, nq) sign of each joint's motion, from the order of poses in a run; where a joint stands still, that
                  of its last motion; 0 where nothing is known (a teach pose)
-    reversal     (m, nq) how far each joint has gone since its last reversal in the run, m or rad
-    rate         (m, nq) joint velocity, from order and feed;  NaN where the feed is not known
+    reversal     (m, nq) how far each joint has gone since it last turned back in the run, m or rad; inf before it does
+    rate         (m, nq) joint velocity, and acceleration (m, nq), at the run's feed;  NaN where the feed is not known
     force        (m, nq) generalised force in each joint per newton pulling along gravity at the tool point (J^-T w)
     weight       (m, nq) the same at the middle of the platform's joints; at the tool point where struts are not told
     twist        (m, 6, nq) motion of the tool point (3, m) and rotation (3, rad), base frame, per unit of each joint
@@ -61,6 +61,7 @@ class State:
     sense: Array
     reversal: Array
     rate: Array
+    acceleration: Array
     force: Array
     weight: Array
     twist: Array

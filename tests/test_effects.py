@@ -70,7 +70,8 @@ def test_columns_are_finite_and_of_the_poses_length(machine: str, name: str) -> 
 def test_the_signature_is_the_slope_of_the_exact_machine(machine: str, name: str, rng: np.random.Generator) -> None:
     """The error of first order falls with the square of the size."""
     s, effect = session(machine), effect_of(name)
-    point = effect.grid()[len(effect.grid()) // 2]
+    points = [p for p in effect.grid() if any(True for _ in effect.columns(s.states[0], **p))]
+    point = points[len(points) // 2]
     found = signature(effect, point, s.states, s.responses, s.measurement, s.series)
     assert found.names
     assert np.isfinite(found.columns).all()

@@ -109,7 +109,8 @@ def test_gravity_lowers_the_platform_by_the_work_it_does(machine: str) -> None:
     moved = series.q + 1e-6 * np.column_stack([drives.joints[i] for i in state.limbs])
     sunk = heights(moved)[0] - heights(series.q)[0]
     assert sunk == pytest.approx(-1e-6 * np.sum(np.square(middle), axis=0), rel=1e-3)
-    heavy = columns("gravity", dataclasses.replace(state, payload=np.full(len(state), 300.0)), weight=600.0)["drives"]
+    loaded = dataclasses.replace(state, payload=np.full(len(state), 300.0), heaviest=300.0)
+    heavy = columns("gravity", loaded, ratio=2.0)["drives"]
     assert heavy.joints[0] - drives.joints[0] == pytest.approx(-0.5 * tip[0], rel=1e-5)
 
 
@@ -143,10 +144,26 @@ def test_backlash_turns_over_where_a_leg_does() -> None:
 def test_friction_winds_up_more_where_the_leg_is_long() -> None:
     state = session("hexapod").states[0]
     strut = np.tile([[0.5], [0.75]], (1, 6))
-    two = small(state, 2, strut=strut, sense=np.ones((2, 6)))
+    two = small(state, 2, strut=strut, sense=np.ones((2, 6)), reversal=np.full((2, 6), np.inf))
     behind = columns("friction", two)["leg 5"].joints[4]
     assert behind[1] / behind[0] == pytest.approx(1.5)
     assert behind[0] < 0.0
+
+
+def test_friction_winds_up_anew_after_a_reversal() -> None:
+    """Dahl: ds/dx = (1 - s sign) / d from s = -sign, here integrated in small steps; halfway at d log 2."""
+    state, distance = session("hexapod").states[0], 0.5e-3
+    gone = distance * np.array([0.0, np.log(2.0), 1.0, 4.0])
+    wound = np.empty(4)
+    for k, way in enumerate(gone):
+        wound[k], steps = -1.0, 20_000
+        for _ in range(steps):
+            wound[k] += (1.0 - wound[k]) * way / distance / steps
+    made = small(state, 4, strut=np.ones((4, 6)), sense=np.ones((4, 6)), reversal=np.tile(gone[:, None], (1, 6)))
+    known = terms.travel(state.machine).strut
+    behind = columns("friction", made, distance=distance)["leg 2"].joints[1]
+    assert behind == pytest.approx(-wound / known[1], abs=1e-3)
+    assert behind[1] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_servo_lag_is_where_the_joint_was_before() -> None:
@@ -214,21 +231,22 @@ def test_joint_runout_goes_twice_a_turn() -> None:
     across = np.array([-out[1], out[0], 0.0])
     along, half = state.along.copy(), np.sqrt(0.5)
     along[:, 3] = up, half * (out + up), half * (across + up)
-    made = columns("joint_runout", dataclasses.replace(state, along=along))
+    swung = dataclasses.replace(state, along=along)
     wanted = {
-        "base": ([0.0, 1.0, 0.0], [1.0, 0.0, 1.0]),
-        "base once": ([0.0, half, 0.0], [1.0, half, 1.0]),
-        "base thrice": ([0.0, half, 0.0], [1.0, -half, 1.0]),
-        "base across": ([0.0, 0.0, 1.0], [1.0, 1.0, 0.0]),
+        (2, 0.0): ([0.0, 1.0, 0.0], [1.0, 0.0, 1.0]),
+        (1, 0.0): ([0.0, half, 0.0], [1.0, half, 1.0]),
+        (3, 0.0): ([0.0, half, 0.0], [1.0, -half, 1.0]),
+        (12, 0.0): ([0.0, 0.0, 0.0], [1.0, -1.0, 1.0]),
+        (2, 1.0): ([0.0, 0.0, 1.0], [1.0, 1.0, 0.0]),
     }
-    for name, waves in wanted.items():
+    sizes = {1: 1.6e-6, 2: 4e-6, 3: 1.6e-6, 12: 0.6e-6}
+    for (order, way), waves in wanted.items():
+        made = columns("joint_runout", swung, platform=0.0, across=way)
         for part, wave in zip(("sin", "cos"), waves, strict=True):
-            column = made[f"leg 4 {name} {part}"]
-            assert column.scale * column.joints[3] == pytest.approx(
-                (4e-6 if name == "base" else 1.6e-6) * np.array(wave), abs=1e-17
-            )
-            assert column.shape == (name != "base")
-    assert not any("platform" in n for n in columns("joint_runout", session("linear_delta").states[0]))
+            column = made[f"leg 4 {order} {part}"]
+            assert column.scale * column.joints[3] == pytest.approx(sizes[order] * np.array(wave), abs=1e-14)
+            assert column.shape == (order != 2)
+    assert not columns("joint_runout", session("linear_delta").states[0], platform=1.0)
 
 
 def test_joint_runout_at_the_platform_turns_with_it() -> None:
@@ -238,11 +256,12 @@ def test_joint_runout_at_the_platform_turns_with_it() -> None:
     turned = dataclasses.replace(
         state, base=state.base @ turn.T, platform=state.platform @ turn.T, along=state.along @ turn.T
     )
-    before, after = columns("joint_runout", state), columns("joint_runout", turned)
-    assert len(before) == 6 * 2 * (3 + 3 + 1)  # legs, sine and cosine; base, platform, across
-    for name, c in before.items():
-        (i,) = c.joints
-        assert after[name].joints[i] == pytest.approx(c.joints[i])
+    for end, way in itertools.product((0.0, 1.0), (0.0, 1.0)):
+        before, after = (columns("joint_runout", s, platform=end, across=way) for s in (state, turned))
+        assert len(before) == 6 * 2 * 6  # legs, sine and cosine, orders
+        for name, c in before.items():
+            (i,) = c.joints
+            assert after[name].joints[i] == pytest.approx(c.joints[i])
 
 
 def test_joint_runout_at_the_platform_is_of_its_joint_s_angle() -> None:
@@ -255,11 +274,11 @@ def test_joint_runout_at_the_platform_is_of_its_joint_s_angle() -> None:
         axis = np.cross(normal, ends[i] - middle)
         turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
         tilted[k] = middle + turn.apply(ends - middle)
-    before, after = columns("joint_runout", state), columns("joint_runout", dataclasses.replace(state, platform=tilted))
-    for word, order in ((" once", 1), ("", 2), (" thrice", 3)):
+    turned = dataclasses.replace(state, platform=tilted)
+    before, after = (columns("joint_runout", s, platform=1.0, across=0.0) for s in (state, turned))
+    for order in (1, 2, 3, 8):
         waves = [
-            made[f"leg 4 platform{word} cos"].joints[i] + 1j * made[f"leg 4 platform{word} sin"].joints[i]
-            for made in (before, after)
+            made[f"leg 4 {order} cos"].joints[i] + 1j * made[f"leg 4 {order} sin"].joints[i] for made in (before, after)
         ]
         assert np.abs(waves[0]) == pytest.approx(1.0)
         assert np.abs(np.angle(waves[1] / waves[0])) == pytest.approx(order * angle)
@@ -269,8 +288,8 @@ def test_joint_clearance_changes_sides_with_the_load() -> None:
     """Standing legs are pressed; 400 N upwards on a platform of 200 N pulls them."""
     state = session("hexapod").states[0]
     even = np.full((2, 6), -0.2)
-    two = small(state, 2, force=even, weight=even, payload=np.array([0.0, -400.0]))
-    column = columns("joint_clearance", two, weight=200.0)["leg 6"]
+    two = small(state, 2, force=even, weight=even, payload=np.array([0.0, -400.0]), heaviest=400.0)
+    column = columns("joint_clearance", two, ratio=0.5)["leg 6"]
     assert column.scale * column.joints[5] == pytest.approx([-5e-6, 5e-6])
 
 
@@ -285,7 +304,7 @@ def test_joint_clearance_is_taken_up_by_the_load_that_statics_give() -> None:
     tension = np.linalg.solve(struts, weight[..., None])[..., 0]
     assert (tension < 0.0).all()
     assert state.payload.max() > 0.0
-    made = columns("joint_clearance", state, weight=600.0, soft=0.2)
+    made = columns("joint_clearance", state, ratio=600.0 / state.heaviest, soft=0.2)
     for i in range(6):
         for name, play, soft in (("", 10e-6, 0.2), (" harder", 4e-6, 0.06)):
             column = made[f"leg {i + 1}{name}"]
@@ -298,9 +317,9 @@ def test_joint_clearance_that_differs_along_the_travel_is_play() -> None:
     """At a place s of its travel a leg has (1 + s / 2) of its play, on whichever side its load is."""
     state = session("hexapod").states[0]
     even = np.full((2, 6), -0.2)
-    two = small(state, 2, force=even, weight=even, payload=np.array([0.0, -400.0]))
+    two = small(state, 2, force=even, weight=even, payload=np.array([0.0, -400.0]), heaviest=400.0)
     two = dataclasses.replace(two, joints=two.joints[[0, 0]])
-    made = columns("joint_clearance", two, weight=200.0)
+    made = columns("joint_clearance", two, ratio=0.5)
     play = made["leg 6"].joints[5] + 0.5 * made["leg 6 slope"].joints[5]
     assert play[0] == pytest.approx(-play[1])
     assert abs(play[0]) == pytest.approx(0.5 * (1.0 + 0.5 * abs(terms.place(two)[0, 5])))

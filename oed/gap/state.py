@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from oed.batch import Array
 from oed.effect import State
+from oed.gap.motion import motion
 from oed.measurement import Index, Measurement, Series
 
 TEMPERATURE = "temp_"
@@ -78,16 +79,17 @@ def _state(
     taught = referred if measurement.setups[series.setup].teach is not None else np.empty(0, dtype=np.intp)
     known = {name: _column(rows, name)[owner] for name in ("time", "feed", "payload", "direction")}
     bodies = [str(c) for c in rows.columns if str(c).startswith(TEMPERATURE)]
-    sense, rate, reversal = _motion(q, tip, run, order, known["feed"], taught)
+    moved = motion(q, tip, run, order, known["feed"], taught)
     return State(
         machine=machine,
         setup=series.setup,
         pose=x,
         tool=tip,
         joints=q,
-        sense=sense,
-        reversal=reversal,
-        rate=rate,
+        sense=moved.sense,
+        reversal=moved.reversal,
+        rate=moved.rate,
+        acceleration=moved.acceleration,
         force=force,
         weight=force + np.einsum("mk,mkj->mj", moment, by_joint[:, 3:]),
         twist=by_joint,
@@ -131,49 +133,6 @@ def _owner(series: Series) -> Index:
     for column in series.index.T[::-1]:
         owner[column[::-1]] = np.arange(len(series))[::-1]
     return owner
-
-
-def _motion(
-    q: Array, tip: Array, run: NDArray[np.str_], order: Array, feed: Array, still: Index
-) -> tuple[Array, Array, Array]:
-    """Sense, rate and distance since the last reversal (m, nq) of each joint, from the order of poses in each run."""
-    sense, rate, reversal = np.zeros(q.shape), np.full(q.shape, np.nan), np.zeros(q.shape)
-    rate[still] = 0.0
-    moving = np.setdiff1d(np.arange(len(q)), still)
-    for label in dict.fromkeys(run[moving]):
-        at = moving[run[moving] == label]
-        at = at[np.argsort(order[at], kind="stable")]
-        if len(at) < 2:
-            rate[at] = 0.0
-            continue
-        step = np.abs(np.diff(q[at], axis=0))
-        path = np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(tip[at], axis=0), axis=1), 1e-9))])
-        slope = np.gradient(q[at], path, axis=0)
-        # between two readings a joint may turn back: its motion at a pose is the path's slope there, not the step
-        sense[at] = _sense(slope)
-        rate[at] = slope * feed[at, None]
-        reversal[at] = _since(np.vstack([step[:1], step]), sense[at])
-    return sense, rate, reversal
-
-
-def _sense(slope: Array) -> Array:
-    """Sign of each joint's motion (k, nq) at its poses, kept where it stands still."""
-    size = np.abs(slope)
-    sign = np.where(size > 1e-6 * max(float(size.max()), 1e-12), np.sign(slope), 0.0)
-    for k in range(1, len(sign)):
-        sign[k] = np.where(sign[k] == 0.0, sign[k - 1], sign[k])
-    for k in range(len(sign) - 2, -1, -1):
-        sign[k] = np.where(sign[k] == 0.0, sign[k + 1], sign[k])
-    return sign
-
-
-def _since(step: Array, sense: Array) -> Array:
-    """Distance (k, nq) gone since the last change of sense; a run's start counts as none, far away."""
-    gone = np.zeros(step.shape)
-    gone[0] = np.inf
-    for k in range(1, len(step)):
-        gone[k] = np.where(sense[k] == sense[k - 1], gone[k - 1] + step[k], step[k])
-    return gone
 
 
 def _phase(tip: Array, run: NDArray[np.str_], taught: Index) -> Array:

@@ -13,10 +13,12 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 PLAY = 10e-6  # m
+#: travel after a reversal over which play is taken up, m: no more than the play; over more it is friction that winds up
+TAKEN_UP = (0.1e-3, 0.3e-3)
 
 
 def columns(state: State, distance: float) -> Iterable[Column]:
-    """-b sense / 2 a leg; shape: play that differs along the travel, lost motion that builds up after a reversal."""
+    """-b sense / 2 a leg; shape: play that differs along the travel, and that is taken up after a reversal."""
     unit, at = terms.metre(state), terms.place(state)
     behind = -0.5 * state.sense * unit
     fresh = np.exp(-state.reversal / (distance * unit))
@@ -33,7 +35,7 @@ effect = Effect(
     about="play in each drive, taken up at each reversal of the joint",
     columns=columns,
     needs=("direction: both",),
-    constants={"distance": terms.REVERSAL},
+    constants={"distance": TAKEN_UP},
     remedy="preload or renew nuts and joints of the leg, or set the controller's backlash compensation a leg",
     exposed_by="the same circle in both directions, at two feeds",
 )

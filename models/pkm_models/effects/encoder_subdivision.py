@@ -14,7 +14,7 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 SHARE = 0.005  # of the period
-PERIODS = (10e-6, 20e-6, 30e-6, 40e-6, 100e-6, 200e-6, 1e-3, 2e-3)
+PERIODS = (10e-6, 20e-6, 30e-6, 40e-6, 100e-6, 200e-6, 1e-3, 2e-3, 5e-3)
 
 
 def columns(state: State, period: float) -> Iterable[Column]:

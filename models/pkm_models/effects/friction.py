@@ -18,17 +18,18 @@ STRIBECK = 0.010  # m/s, Armstrong-Helouvry et al. 1994, Automatica 30: mixed lu
 
 
 def columns(state: State, distance: float) -> Iterable[Column]:
-    """-sense F / k(l) a leg; shape: friction by load, wind-up after a reversal, more of it at low speed."""
+    """-sense F / k(l) a leg, wound up anew after each reversal (Dahl 1968); shape: friction by load, more of it at low
+    speed, and more along the travel."""
     unit, known = terms.metre(state), terms.travel(state.machine)
     screw = np.where(known.guide.any(axis=1), 1.0 + 0.5 * terms.place(state), state.strut / known.strut)
-    behind = -state.sense * unit * screw
+    wound = state.sense * (1.0 - 2.0 * np.exp(-state.reversal / (distance * unit)))
+    behind = -wound * unit * screw
     load = np.abs(state.force * state.per_length) * len(state.limbs) / 2.0
-    fresh = np.exp(-state.reversal / (distance * unit))
     slow = np.nan_to_num(np.exp(-np.abs(state.rate) / (STRIBECK * unit)), nan=0.0)
     for i in state.limbs:
         leg = f"leg {i + 1}"
         yield Column(leg, WIND_UP, leg, {i: behind[:, i]})
-        for name, form in (("load", load), ("fresh", fresh), ("slow", slow)):
+        for name, form in (("load", load), ("slow", slow), ("slope", terms.place(state))):
             yield Column(f"{leg} {name}", terms.ADAPT * WIND_UP, leg, {i: behind[:, i] * form[:, i]}, shape=True)
 
 

@@ -13,16 +13,19 @@ from pkm_models.effects import terms
 GIVES = 20e-6  # m, of a joint that carries the whole weight
 
 
-def columns(state: State, weight: float) -> Iterable[Column]:
-    """Drives (c0) and struts (c1), alike in all legs; shape: legs that differ, bending, weights that act elsewhere."""
-    extra = state.force * (np.nan_to_num(state.payload) / weight)[:, None]
-    load, square = state.weight + extra, terms.metre(state) ** 2
+def columns(state: State, ratio: float) -> Iterable[Column]:
+    """Drives (c0) and struts (c1), alike in all legs; shape: more along the travel, less where the load is large, legs
+    that differ, weights that act elsewhere."""
+    (load, extra), square, at = terms.loaded(state, ratio), terms.metre(state) ** 2, terms.place(state)
     drive = load * square
     strut = load * state.per_length**2 * state.strut / terms.travel(state.machine).strut
+    size = np.abs(drive) + 1e-9
     small = terms.ADAPT * GIVES
     yield Column("drives", GIVES, "", _all(drive))
     yield Column("struts", GIVES, "", _all(strut))
-    yield Column("bending", small, "", _all(drive * terms.place(state) ** 2), shape=True)
+    yield Column("travel", small, "", _all(drive * at), shape=True)
+    yield Column("bending", small, "", _all(drive * at**2), shape=True)
+    yield Column("hardening", small, "", _all(-drive * np.log(size / size.mean())), shape=True)
     yield Column("payload", small, "", _all(extra * square), shape=True)
     yield Column("place", small, "", _all((state.force - state.weight) * square), shape=True)
     for i in state.limbs:
@@ -38,7 +41,7 @@ effect = Effect(
     source="Merlet 2006, Parallel Robots (stiffness): dl = k^-1 J^-T w; legs of machine tools have 20 to 100 N/um",
     about="legs that give under the weight of platform and payload",
     columns=columns,
-    constants={"weight": terms.WEIGHTS},
+    constants={"ratio": terms.RATIOS},
     remedy="stiffen or counterbalance, or compensate with a stiffness model and the payload of the job",
     exposed_by="the same circle with and without a payload",
     unfit=terms.no_struts,

@@ -16,10 +16,9 @@ PLAY = 10e-6  # m
 SOFT = (0.01, 0.05, 0.2)  # share of the load within which a joint is not yet at its stop
 
 
-def columns(state: State, weight: float, soft: float) -> Iterable[Column]:
+def columns(state: State, ratio: float, soft: float) -> Iterable[Column]:
     """delta tanh(leg force / its soft share) / 2 a leg; shape: another stop, and play that differs along the travel."""
-    extra = state.force * (np.nan_to_num(state.payload) / weight)[:, None]
-    pull = (state.weight + extra) * state.per_length
+    pull = terms.loaded(state, ratio)[0] * state.per_length
     half = 0.5 * state.per_length
     at = terms.place(state)
     for i in state.limbs:
@@ -34,7 +33,7 @@ effect = Effect(
     source="catalogues of rod ends and spherical joints: internal clearance 5 to 20 um",
     about="play of the joints at a leg's ends, taken up by the sign of its load",
     columns=columns,
-    constants={"weight": terms.WEIGHTS, "soft": SOFT},
+    constants={"ratio": terms.RATIOS, "soft": SOFT},
     remedy="preload or renew the joints of the leg",
     exposed_by="pull and push at the platform, at poses where a leg's load changes its sign",
     unfit=terms.no_struts,

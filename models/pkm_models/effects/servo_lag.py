@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.batch import Array
 from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
@@ -15,27 +14,13 @@ DELAY, SECOND, FEED = 1e-3, 3e-4, 0.05  # s, s^2, m/s
 
 def columns(state: State) -> Iterable[Column]:
     """-T rate a leg; shape: acceleration, and a delay that grows with the rate."""
-    rate, faster = np.nan_to_num(state.rate), _acceleration(state)
+    rate, faster = np.nan_to_num(state.rate), np.nan_to_num(state.acceleration)
     bent = rate * np.abs(rate) / (FEED * terms.metre(state))
     for i in state.limbs:
         leg = f"leg {i + 1}"
         yield Column(leg, DELAY, leg, {i: -rate[:, i]})
         yield Column(f"{leg} acceleration", terms.ADAPT * SECOND, leg, {i: -faster[:, i]}, shape=True)
         yield Column(f"{leg} feed", terms.ADAPT * DELAY, leg, {i: -bent[:, i]}, shape=True)
-
-
-def _acceleration(state: State) -> Array:
-    """Joint accelerations (m, nq) along each run at constant feed; 0 where the feed is not known."""
-    found = np.zeros(state.joints.shape)
-    for label in dict.fromkeys(state.run):
-        at = np.flatnonzero((state.run == label) & np.isfinite(state.feed) & (state.sense != 0.0).any(axis=1))
-        at = at[np.argsort(state.order[at], kind="stable")]
-        if len(at) < 3:
-            continue
-        path = np.linalg.norm(np.diff(state.tool[at], axis=0), axis=1)
-        way = np.concatenate([[0.0], np.cumsum(np.maximum(path, 1e-9))])
-        found[at] = np.gradient(np.nan_to_num(state.rate[at]), way, axis=0) * state.feed[at, None]
-    return found
 
 
 effect = Effect(

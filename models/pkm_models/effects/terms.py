@@ -17,10 +17,11 @@ STEEL = 11.5e-6  # 1/K, thermal expansion (ISO 230-3)
 TIMES = (1800.0, 3600.0, 7200.0, 14400.0)
 #: how much smaller a column that only lets the form adapt is expected to be than the textbook's
 ADAPT = 0.4
-#: weights of the moved platform, N
-WEIGHTS = (200.0, 600.0, 2000.0)
-#: joint travel over which lost motion builds up after a reversal, m; steps between poses are of this size
-REVERSAL = (2e-3, 10e-3)
+#: weight of what moves over the heaviest payload: that of a printer is 10 N, of a hexapod 2 kN, and payloads go with it
+RATIOS = (0.3, 1.0, 3.0, 10.0)
+#: joint travel over which lost motion builds up after a reversal, m: drives on rolling elements slip after 0.1 mm and
+#: less (Futami et al. 1990, Nanotechnology 1, 31), seals and slack joints after more
+REVERSAL = (0.1e-3, 0.5e-3, 2e-3, 10e-3)
 REMEMBERED = 32
 
 
@@ -95,6 +96,13 @@ def metre(state: State) -> Array:
     turning = np.array([c.unit == "rad" for c in state.machine.joints])
     worth = np.where(np.isfinite(state.per_length), np.abs(state.per_length), 1.0 / state.machine.lever)
     return np.where(turning, worth, 1.0)
+
+
+def loaded(state: State, ratio: float) -> tuple[Array, Array]:
+    """Load (m, nq) of each joint per newton of what moves, and what the payload has of it; ratio: see `RATIOS`."""
+    share = np.nan_to_num(state.payload) / (ratio * state.heaviest) if state.heaviest > 0.0 else np.zeros(len(state))
+    extra = state.force * share[:, None]
+    return state.weight + extra, extra
 
 
 def stretched(state: State, shift: Array) -> Array:
