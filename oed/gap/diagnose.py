@@ -290,14 +290,17 @@ def _left(problem: Problem, metric: Metric, residual: Array) -> Array:
 def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     """The search under each of the noise laws that suit the readings."""
     nothing = np.zeros((len(problem), 0))
-    calm, _ = scatter.fit(problem, nothing)
+    calm, prior = scatter.fit(problem, nothing)
     known = library.build(problem, effects, Metric(problem, calm))
     processes = library.build(problem, PROCESSES)
     wide = scatter.robust(problem, _wide(known, processes), start=calm)
-    calm = dataclasses.replace(calm, variance=wide[0].variance, tails=wide[0].tails)
-    plain = scatter.fit(problem, nothing, calm)
+    tailed = bool(np.isfinite(wide[0].tails))
+    plain = scatter.robust(problem, nothing, start=calm) if tailed else (calm, prior)
+    laws = [plain, wide, scatter.quiet(plain[0])]
+    if tailed:  # what looks far off may be a gap, within a run at that
+        laws.append((calm, prior))
     processes = waves.added(processes, problem, plain[0])
-    made = [Search(problem, known, processes, *pair) for pair in (plain, wide, scatter.quiet(plain[0]))]
+    made = [Search(problem, known, processes, *pair) for pair in laws]
     # what each law would have act is given the law that suits it: a load's runs, say, are not taken for poor repeats
     for start in list(made):
         _refitted(made, start, start.run()[0])
@@ -309,14 +312,19 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
 def _refitted(made: list[Search], start: Search, best: Hypothesis) -> None:
     """Add the search under the law that suits a hypothesis, unless it is there."""
     columns = _columns(start.library, start.processes, best)
-    pair = scatter.fit(start.problem, columns, start.law)
+    if np.isfinite(made[1].law.tails):
+        ordinary = dataclasses.replace(start.law, variance=np.ones_like(start.law.variance), tails=np.inf)
+        pair = scatter.robust(start.problem, columns, start=ordinary)
+    else:
+        pair = scatter.fit(start.problem, columns, start.law)
     if not any(_same(pair[0], s.law) for s in made):
         made.append(Search(start.problem, start.library, start.processes, *pair))
 
 
 def _same(a: Law, b: Law) -> bool:
     sizes = np.array([[v.repeat, v.wander, v.sway, np.log(v.reach)] for v in (a, b)])
-    return bool(np.abs(sizes[0, :3] - sizes[1, :3]).max() < 0.05 and abs(sizes[0, 3] - sizes[1, 3]) < 0.2)
+    far = np.abs(np.log(a.variance) - np.log(b.variance)).sum()
+    return bool(np.abs(sizes[0, :3] - sizes[1, :3]).max() < 0.05 and abs(sizes[0, 3] - sizes[1, 3]) < 0.2 and far < 1.0)
 
 
 def _wide(known: Library, processes: Library) -> Array:

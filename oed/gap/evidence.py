@@ -22,6 +22,8 @@ from oed.gap.problem import Index, Problem
 #: sizes of effects against their physical prior scales, equally likely: the scales are of a good machine tool, and a
 #: printer's errors are ten times as large
 SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0])
+#: energy of a direction of columns, at their prior scales, that is far below the noise at the largest size too
+UNSEEN = 1e-4
 #: inverse gamma prior of the squared noise level: its stated value to within a factor of about two
 SHAPE, RATE = 2.0, 2.0
 
@@ -84,9 +86,9 @@ class Grams:
 
 
 def inverse_root(gram: Array) -> Array:
-    """R (k, m) with R R^T the pseudo-inverse of a Gram matrix (k, k)."""
+    """R (k, m) with R R^T the pseudo-inverse of a Gram matrix (k, k), without directions that no size makes visible."""
     values, vectors = np.linalg.eigh(gram)
-    kept = values > 1e-9 * max(float(values.max(initial=0.0)), 1e-300)
+    kept = values > max(1e-9 * float(values.max(initial=0.0)), UNSEEN)
     return np.asarray(vectors[:, kept] / np.sqrt(values[kept]))
 
 

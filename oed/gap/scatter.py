@@ -1,7 +1,8 @@
 """The noise law, estimated: repeatability between runs, an error carried along a run, heavy tails.
 
-The law is found where the evidence is largest for a given explanation. Readings far off are found beside a model wide
-enough to hold any gap, by what each reading is predicted to be from all others, so that no gap is taken for an outlier.
+The law is found where the evidence is largest for a given explanation. Readings far off are found by what each reading
+is predicted to be from all others: beside a model wide enough to hold any gap, so that no gap is taken for an outlier,
+and beside each explanation that competes. Their variances are not free: each has the prior that makes it a Student t.
 """
 
 from __future__ import annotations
@@ -49,10 +50,11 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
             return 1e9
         return -(evidence.log_evidence(problem, law(v), wide) + _prior(v))
 
+    far = outliers(start)
     first = _first(problem, start)
     starts = [first] if given else [np.concatenate([v, first[4:]]) for v in STARTS]
     best = min((_descend(cost, v) for v in starts), key=lambda found: found[1])
-    return law(best[0]), _prior(best[0])
+    return law(best[0]), _prior(best[0]) + far
 
 
 def _first(problem: Problem, law: Law) -> Array:
@@ -96,7 +98,21 @@ def _prior(v: Array) -> float:
 def quiet(law: Law) -> tuple[Law, float]:
     """The law without errors that a run or its readings share, and its log prior: whatever is seen is then a gap."""
     v = np.array([_LEAST, _LEAST, REACH, _LEAST])
-    return _law(law, v), _prior(v)
+    return _law(law, v), _prior(v) + outliers(law)
+
+
+def outliers(law: Law) -> float:
+    """Log prior of the variances v of single readings, over that of none.
+
+    A variance is the likeliest of a Student t's at an error e, e^2 = v (d + 1) - d for d degrees of freedom. So that
+    the evidence is that of the t, it takes log t(e) - log N(e; 0, v) for each reading, against the same at v = 1.
+    """
+    if not np.isfinite(law.tails):
+        return 0.0
+    far = np.append(1.0, law.variance[law.variance > 1.0])
+    error = np.sqrt(far * (law.tails + 1.0) - law.tails)
+    told = stats.t(law.tails).logpdf(error) - stats.norm.logpdf(error, scale=np.sqrt(far))
+    return float((told[1:] - told[0]).sum() - np.log(len(TAILS) - 1.0))
 
 
 def robust(problem: Problem, columns: Array, size: float | Array = 1.0, start: Law | None = None) -> tuple[Law, float]:

@@ -176,6 +176,22 @@ def test_outliers_are_found_and_no_others() -> None:
     assert told[0] > told[1]
 
 
+@pytest.mark.parametrize("degrees", [3.0, 6.0])
+def test_variances_of_outliers_have_the_prior_that_makes_a_student_t(problem: Problem, degrees: float) -> None:
+    """Variances at their likeliest under errors e make the normal density, with their prior, a t's: but for a constant
+    for each reading that is far off, against one just not so, and the choice among the numbers of degrees."""
+    errors = np.array([1.2, 2.0, 5.0, 9.0, 30.0])
+    variance = np.ones(len(problem))
+    variance[: len(errors)] = (degrees + errors**2) / (degrees + 1.0)
+    law = Law(0.0, 0.0, 1.0, variance, tails=degrees)
+    normal = stats.norm.logpdf(errors, scale=np.sqrt(variance[: len(errors)])).sum()
+    student = stats.t(degrees)
+    just = len(errors) * (student.logpdf(1.0) - stats.norm.logpdf(1.0))
+    wanted = student.logpdf(errors).sum() - normal - just - np.log(4.0)
+    assert scatter.outliers(law) == pytest.approx(wanted)
+    assert scatter.outliers(dataclasses.replace(law, tails=np.inf)) == 0.0
+
+
 def test_a_law_in_words_tells_the_first_harmonic(problem: Problem) -> None:
     law = Law(0.0, 0.0, 1.0, np.ones(len(problem)), level=2.0, sway=0.8)
     told = scatter.words(problem, law)
