@@ -29,8 +29,8 @@ UNSEEN = 0.3
 BLOCKS = 12
 #: values of the constants beyond which only the best few are kept
 MANY, KEPT = 16, 8
-#: constants in a grid that is looked through by turns, and best values of the first that the others are tried at
-LARGE, TURN = 200, 4
+#: constants in a grid that is looked through in textbook forms
+LARGE = 200
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -106,26 +106,31 @@ def _forms(problem: Problem, effect: Effect, metric: Metric | None) -> list[tupl
     """The effect's signatures over its grid of constants, each with its log prior weight; those that change no reading
     are left out. With a metric, of many only the best few.
 
-    A grid of very many is looked through by turns: the first constant with the others at their first values, which
-    have half the weight; then, with a metric, all values of the others at the best few of the first.
+    A grid of very many is looked through in textbook forms; in it, the first values of all constants but the first have
+    half the weight. Without a metric only these are tried.
     """
     grid = effect.grid()
     if len(grid) <= LARGE:
         return _best(problem, metric, _weighed(_seen(problem, effect, grid), 1.0))
     name = next(iter(effect.constants))
-    plain = {n: values[0] for n, values in effect.constants.items() if n != name}
-    first = _seen(problem, effect, [{name: value, **plain} for value in effect.constants[name]])
-    if metric is None or not first:
-        return _weighed(first, 1.0)
-    found = _weighed(first, 0.5)
-    leading = {form.constants[name] for form, _ in _best(problem, metric, found, TURN)}
-    more = [p for p in grid if p[name] in leading and any(p[n] != v for n, v in plain.items())]
-    share = 0.5 * len(leading) / len(first)
-    return _best(problem, metric, [*found, *_weighed(_seen(problem, effect, more), share)])
+    simple = {n: values[0] for n, values in effect.constants.items() if n != name}
+
+    def plain(point: Mapping[str, float]) -> bool:
+        return all(point[n] == value for n, value in simple.items())
+
+    first, rest = [p for p in grid if plain(p)], [p for p in grid if not plain(p)]
+    if metric is None:
+        return _weighed(_seen(problem, effect, first), 1.0)
+    weights = {True: math.log(0.5 / len(first)), False: math.log(0.5 / max(len(rest), 1))}
+    tried = _seen(problem, effect, [*first, *rest], textbook=True)
+    best = _best(problem, metric, [(form, weights[plain(form.constants)]) for form in tried])
+    return [(problem.signature(effect, form.constants), log_weight) for form, log_weight in best]
 
 
-def _seen(problem: Problem, effect: Effect, points: Sequence[Mapping[str, float]]) -> list[Signature]:
-    made = [problem.signature(effect, point) for point in points]
+def _seen(
+    problem: Problem, effect: Effect, points: Sequence[Mapping[str, float]], *, textbook: bool = False
+) -> list[Signature]:
+    made = [problem.signature(effect, point, textbook=textbook) for point in points]
     return [s for s in made if s.names and np.linalg.norm(problem.of(s.columns)) > UNSEEN]
 
 

@@ -101,9 +101,10 @@ class Problem:
         phase = self.rows["phase"].to_numpy(dtype=float)[members]
         return Pack(members, base, same, gap, np.cos(phase[:, :, None] - phase[:, None, :]))
 
-    def signature(self, effect: Effect, constants: Mapping[str, float]) -> Signature:
-        """An effect's signature in these readings at its constants, SI."""
-        return signature(effect, constants, self.states, self.responses, self.measurement, self.series, self.sigma)
+    def signature(self, effect: Effect, constants: Mapping[str, float], *, textbook: bool = False) -> Signature:
+        """An effect's signature in these readings at its constants, SI; without columns that adapt, if `textbook`."""
+        told = (self.states, self.responses, self.measurement, self.series)
+        return signature(effect, constants, *told, self.sigma, textbook=textbook)
 
     def of(self, values: Array) -> Array:
         """Changes of the readings (N, ...), SI, in units of their stated noise."""

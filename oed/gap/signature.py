@@ -50,14 +50,21 @@ def signature(
     measurement: Measurement,
     series: Sequence[Series],
     sigma: Array | None = None,
+    *,
+    textbook: bool = False,
 ) -> Signature:
-    """The effect's signature in the readings of all series, at its `constants`; sigma (N,): their noise, SI."""
+    """The effect's signature in the readings of all series, at its `constants`; sigma (N,): their noise, SI.
+
+    textbook: without the columns that only let the form adapt
+    """
     sizes = [r.nuisances.shape[0] * r.nuisances.shape[1] for r in responses]
     ends = np.cumsum([0, *sizes])
     found: dict[str, Column] = {}
     values: dict[str, Array] = {}
     for k, (state, response, s) in enumerate(zip(states, responses, series, strict=True)):
         for column in effect.columns(state, **constants):
+            if textbook and column.shape:
+                continue
             if column.name not in values:
                 found[column.name], values[column.name] = column, np.zeros(ends[-1])
             values[column.name][ends[k] : ends[k + 1]] += column.scale * _read(column, response, measurement, s)

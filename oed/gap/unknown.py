@@ -24,6 +24,8 @@ FEED = 1.0 / 60.0
 WAVES = 8
 #: where bumps are: shares of the session, angles of a run; half a sector's width, rad
 CENTRES, SECTORS, SECTOR = [(k + 0.5) / 12.0 for k in range(12)], [np.pi * k / 6.0 for k in range(12)], 0.35
+#: shares of a joint's travel within which a reversal is remembered
+SINCE = (0.002, 0.01)
 SOURCE = "Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464, for discrepancies as processes"
 
 
@@ -192,10 +194,14 @@ def of_another(state: State, shift: float) -> Iterable[Column]:
 
 
 def over_sense(state: State) -> Iterable[Column]:
-    """An error of each joint with the sign of its motion, over its travel."""
+    """An error of each joint with the sign of its motion, over its travel, and since it last turned back."""
     for i in state.limbs:
         q = state.joints[:, i]
         share = _share(q, float(q.min()), float(q.max()))
+        gone = state.reversal[:, i] / max(float(np.ptp(q)), 1e-12)
+        for k, since in enumerate(SINCE, start=1):
+            change = state.sense[:, i] * np.exp(-gone / since)
+            yield Column(f"leg {i + 1} turned {k}", UNIT, label=f"leg {i + 1}", joints={i: change})
         for k, wave in enumerate([np.ones(len(state)), *_cosines(share, 3)]):
             change = state.sense[:, i] * wave
             yield Column(f"leg {i + 1} sense {k}", UNIT / (1.0 + k / 2.0), label=f"leg {i + 1}", joints={i: change})

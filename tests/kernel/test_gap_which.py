@@ -17,6 +17,7 @@ from oed.gap.diagnosis import UNKNOWN, Answer
 from oed.gap.law import Law, Metric, plain
 from oed.gap.problem import Problem
 from oed.gap.which import SIZES, Hypothesis, Search
+from pkm_models.effects import step
 
 
 def _search(problem: Problem, effects: tuple[Effect, ...] = EFFECTS, law: Law | None = None) -> Search:
@@ -113,7 +114,7 @@ TURNS, BENDS = tuple(np.linspace(1.0, 8.0, 57)), (0.0, -0.1, 0.3, 1.0, 3.0)
 CURL = Effect(name="curl", source="test", about="curl", columns=_curl, constants={"turns": TURNS, "bend": BENDS})
 
 
-def test_a_large_grid_is_looked_through_by_turns() -> None:
+def test_a_large_grid_is_looked_through_whole() -> None:
     assert len(CURL.grid()) > library.LARGE
     problem = planted(readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1)
     metric = Metric(problem, plain(problem))
@@ -145,15 +146,46 @@ def test_forms_have_the_prior_of_one_effect_before_any_is_dropped(
     library.build(problem, [effect], Metric(problem, plain(problem)))
     forms, large = chosen[-1], len(effect.grid()) > library.LARGE
     weights = np.exp([w for _, w in forms])
-    assert 0.5 <= weights.sum() <= 1.0 + 1e-9
+    assert weights.sum() == pytest.approx(1.0)
     points = [tuple(c.values()) for c, _ in forms]
-    assert len(set(points)) == len(points) == (57 + library.TURN * (len(bends) - 1) if large else 57 * len(bends))
-    if large:  # half of the prior is for the first values, and each form's is that of its share of all forms
+    assert len(set(points)) == len(points) == 57 * len(bends)
+    if large:  # half of the prior is for the first values
         plainly = np.array([c["bend"] == bends[0] for c, _ in forms])
         assert weights[plainly].sum() == pytest.approx(0.5)
         np.testing.assert_allclose(weights[~plainly], 0.5 / (57 * (len(bends) - 1)))
     else:
         np.testing.assert_allclose(weights, 1.0 / (57 * len(bends)))
+
+
+def test_a_form_of_a_large_grid_adapts_once_it_is_chosen() -> None:
+    """The grid is looked through without columns that adapt; what is kept of it has them."""
+
+    def bent(state: State, turns: float, bend: float) -> list[Column]:
+        made = _curl(state, turns, bend)
+        return [*made, *(dataclasses.replace(c, name=f"{c.name} more", shape=True, joints=_cubed(c)) for c in made)]
+
+    problem = planted(readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1)
+    made = library.build(problem, [dataclasses.replace(CURL, columns=bent)], Metric(problem, plain(problem)))
+    kept = {(a.constants["turns"], a.constants["bend"]): [] for a in made.atoms}
+    for a in made.atoms:
+        kept[a.constants["turns"], a.constants["bend"]] += [made.names[k] for k in a.columns]
+    assert (TURNS[31], -0.1) in kept
+    assert all(set(names) == {"leg 1", "leg 2", "leg 1 more", "leg 2 more"} for names in kept.values())
+
+
+def _cubed(column: Column) -> dict[int, np.ndarray]:
+    return {i: change**3 for i, change in column.joints.items()}
+
+
+def test_a_step_within_a_run_is_neither_missed_nor_taken_for_outliers() -> None:
+    """A joint's zero lost for ten readings, by 3 and by 12 times the noise."""
+    effects = (*EFFECTS, step.effect)
+    for size in (0.5, 2.0):
+        problem = planted(readings(1), step.effect, {"leg 2": size}, when=0.5, lasts=0.04)
+        made = diagnosing.searches(problem, effects)
+        found, best = diagnosing.conclude(problem, made, which.compare(made), effects)
+        assert found.answers[0].effects == ("step",)
+        assert made[best.law].library.atoms[best.atoms[0]].constants == {"when": 0.5, "lasts": 0.04}
 
 
 def test_diagnosis_from_end_to_end() -> None:
