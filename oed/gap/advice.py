@@ -50,6 +50,11 @@ def _for(answer: Answer, known: Mapping[str, Effect]) -> list[str]:
 
 
 def _between(first: Answer, second: Answer, known: Mapping[str, Effect]) -> list[str]:
+    if not second.effects:
+        shown = [known[e].exposed_by for e in first.effects if e in known and known[e].exposed_by]
+        more = f" It would be shown by {_listed(shown)}." if shown else ""
+        chance = f"{100.0 * second.probability:.0f} %"
+        return [f"Noise alone has a probability of {chance}: read again before acting on the gap.{more}"]
     apart = [e for e in second.effects if e not in first.effects and e in known and known[e].exposed_by]
     return [f"To make sure that it is not {e}: {known[e].exposed_by}." for e in apart]
 

@@ -26,6 +26,8 @@ WIDE = 0.7
 TOLD = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
 ALIVE = 3.5
+#: probability from which on no gap is told: one that is missed costs more than one that is looked for in vain
+SURE = 0.75
 #: members from which on a class beside a named effect is told as unknown
 VAGUE = 4
 
@@ -145,7 +147,7 @@ def _answers(
     scores: Mapping[tuple[frozenset[str], bool], float],
 ) -> tuple[tuple[Answer, ...], Hypothesis]:
     """Hypotheses gathered into classes, by probability: one that stands for another is counted with it. And the best
-    hypothesis of the first answer. None goes first only where it is likelier than all others together."""
+    hypothesis of the first answer. None goes first only where it is sure."""
     left = dict(zip([h.key for h in hypotheses], shares, strict=True))
     answers: list[Answer] = []
     leading: list[Hypothesis] = []
@@ -160,8 +162,8 @@ def _answers(
         _tell(answers, members, h.unknown, float(total))
         leading += [h] * (len(answers) - len(leading))
     order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
-    if len(order) > 1 and not answers[order[0]].effects and answers[order[0]].probability < 0.5:
-        order[:2] = order[1::-1]  # that there is a gap is likelier than not, though no single explanation is
+    if len(order) > 1 and not answers[order[0]].effects and answers[order[0]].probability < SURE:
+        order[:2] = order[1::-1]
     return tuple(answers[k] for k in order), leading[order[0]]
 
 

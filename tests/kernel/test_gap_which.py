@@ -277,7 +277,7 @@ def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(monkeypatch: pytest
     assert best.effects == ("b", "c")
 
 
-def test_a_gap_is_told_where_it_is_likelier_than_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -> None:
     blank = {"sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0, "unknown": False}
     monkeypatch.setattr(diagnosing.classes, "of", lambda search, h, scores, alive: [(e,) for e in h.effects])
 
@@ -293,5 +293,6 @@ def test_a_gap_is_told_where_it_is_likelier_than_none(monkeypatch: pytest.Monkey
         assert sum(a.probability for a in answers) == pytest.approx(1.0)
         return answers[0].effects
 
-    assert first(0.51) == ()
+    assert first(0.76) == ()
+    assert first(0.74) == ("a",)
     assert first(0.45) == ("a",)

@@ -22,6 +22,8 @@ ALL_LEGS = "all legs"
 COMPARABLE = 0.5
 #: probability from which a second explanation is told
 MATTERS = 0.1
+#: probability from which a cause is told as a fact
+EVEN = 0.5
 #: what must be recorded for an effect's covariate
 COLUMNS = {
     "time": "time_s",
@@ -92,12 +94,15 @@ def _verdict(gap: Gap) -> list[str]:
             f"{len(gap.tried) - len(gap.not_testable)} effects that these readings can test."
         ]
     sizes = _sizes(gap)
+    comes = "comes" if best.probability >= EVEN else "may come"
     if gap.verdict == "class":
-        return [f"The gap comes from {_classes(gap)}; these readings cannot tell which {chance}{sizes}."]
+        return [f"The gap {comes} from {_classes(gap)}; these readings cannot tell which {chance}{sizes}."]
     named = listed([spoken(n) for n in gap.selected])
     if UNKNOWN in best.effects:
-        return [f"Part of the gap comes from {named} {chance}{sizes}; a remainder has a form that no known effect has."]
-    return [f"The gap comes from {named}{' together' if len(gap.selected) > 1 else ''} {chance}{sizes}."]
+        return [
+            f"Part of the gap {comes} from {named} {chance}{sizes}; a remainder has a form that no known effect has."
+        ]
+    return [f"The gap {comes} from {named}{' together' if len(gap.selected) > 1 else ''} {chance}{sizes}."]
 
 
 def _second(gap: Gap) -> list[str]:
@@ -106,6 +111,8 @@ def _second(gap: Gap) -> list[str]:
         return []
     other = gap.answers[1]
     named = listed([spoken(n) for n in other.effects]) or "no gap at all"
+    if other.probability > gap.answers[0].probability:
+        return [f"Noise alone (probability {percent(other.probability)}) is likelier, but not enough to be sure of it."]
     return [f"The next likely explanation is {named} (probability {percent(other.probability)})."]
 
 

@@ -1,0 +1,34 @@
+"""What to do next."""
+
+from __future__ import annotations
+
+from kernel.gap_lines import BOW, DRIFT, SLIP
+from oed.gap.advice import advise
+from oed.gap.diagnosis import UNKNOWN, Answer
+
+EFFECTS = (BOW, SLIP, DRIFT)
+
+
+def _answer(probability: float, *effects: str) -> Answer:
+    return Answer(effects, probability, tuple((e,) for e in effects if e != UNKNOWN))
+
+
+def test_a_sure_cause_is_answered_with_its_remedy() -> None:
+    assert advise([_answer(0.95, "bow"), _answer(0.05)], EFFECTS, {}) == ("bow: straighten.",)
+
+
+def test_an_unsure_cause_is_answered_with_the_reading_that_tells_its_rival() -> None:
+    told = advise([_answer(0.6, "bow"), _answer(0.4, "slip")], EFFECTS, {})
+    assert told == ("bow: straighten.", "To make sure that it is not slip: both ways.")
+
+
+def test_a_gap_that_noise_may_be_is_to_be_read_again() -> None:
+    told = advise([_answer(0.3, "slip"), _answer(0.66)], EFFECTS, {})
+    assert "Noise alone has a probability of 66 %" in told[-1]
+    assert "both ways" in told[-1]
+    assert "Noise alone" in advise([_answer(0.5, UNKNOWN), _answer(0.5)], EFFECTS, {})[-1]
+
+
+def test_no_gap_asks_for_what_was_not_recorded() -> None:
+    told = advise([_answer(0.9), _answer(0.1, "bow")], EFFECTS, {"drift": "the readings do not have time"})
+    assert told[-1] == "Record more with the readings: time."
