@@ -11,7 +11,7 @@ from scipy import linalg
 
 from oed.batch import Array
 from oed.effect import Effect
-from oed.gap import advice, classes, closure, library, scatter, waves, where, which
+from oed.gap import advice, classes, closure, library, scatter, spots, waves, where, which
 from oed.gap.diagnosis import UNKNOWN, Answer, Block, Closure, Coefficient, Diagnosis, Size, Verdict
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
@@ -25,11 +25,11 @@ WIDE = 0.7
 #: answers are told down to this probability
 TOLD = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
-ALIVE = 3.5
+ALIVE = 5.5
 #: probability from which on no gap is told: one that is missed costs more than one that is looked for in vain
 SURE = 0.75
 #: members from which on a class beside a named effect is told as unknown
-VAGUE = 4
+VAGUE = 6
 
 
 def diagnose(problem: Problem, effects: Sequence[Effect], rng: np.random.Generator) -> Diagnosis:
@@ -301,7 +301,7 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     laws = [plain, wide, scatter.quiet(plain[0])]
     if tailed:  # what looks far off may be a gap, within a run at that
         laws.append((calm, prior))
-    processes = waves.added(processes, problem, plain[0])
+    processes = spots.added(waves.added(processes, problem, plain[0]), problem, plain[0])
     made = [Search(problem, known, processes, *pair) for pair in laws]
     # what each law would have act is given the law that suits it: a load's runs, say, are not taken for poor repeats
     for start in list(made):

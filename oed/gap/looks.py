@@ -25,6 +25,8 @@ FINE = np.arange(2.5, 40.5, 0.5)
 CELLS, SECTORS, WIDEST = 16, 12, 6
 #: readings that a run must have for its waves and its phase to mean something
 WAVES = 8
+#: form of a look with what was selected; change of a reading against the largest that is none
+SELECTED, NOTHING = "selected", 1e-6
 #: columns up to which what was selected is looked for in each run
 FEW = 8
 
@@ -122,12 +124,31 @@ def _selected(problem: Problem, columns: Array | None, labels: Sequence[str] | N
     if columns.shape != (len(problem), len(labels)):
         raise ValueError(f"columns have the shape {columns.shape}; ({len(problem)}, {len(labels)}) fits the labels")
     for name in dict.fromkeys(labels):
+        mine = columns[:, [label == name for label in labels]]
         kind = next((k for k in ("leg", "set-up") if name.startswith(f"{k} ")), "")
         if kind:
-            yield Look(kind, name, columns[:, [label == name for label in labels]])
+            yield Look(kind, name, mine)
+        yield from _stretch(problem, mine)
     if 0 < columns.shape[1] <= FEW:
         for k, (place, inside) in enumerate(_places(problem)):
-            yield Look("run", place, inside[:, None] * columns, frozenset({k}), "selected")
+            yield Look("run", place, inside[:, None] * columns, frozenset({k}), SELECTED)
+
+
+def _stretch(problem: Problem, columns: Array) -> Iterator[Look]:
+    """The stretch of the session outside which selected columns (N, k) change nothing, if there is one; what changes at
+    the session's start is told from its end on, as by `_times`."""
+    starts, clock = starts_of(problem), clock_of(problem)
+    size = np.abs(columns).max(axis=1, initial=0.0)
+    inside = (size > NOTHING * max(float(size.max(initial=0.0)), 1e-300)) & np.isfinite(clock)
+    if len(starts) < 2 or not inside.any():
+        return
+    first, last, end = float(clock[inside].min()), float(clock[inside].max()), float(np.nanmax(clock))
+    if first <= starts[0] and last >= end:
+        return
+    if first <= starts[0]:
+        first, last = float(clock[clock > last].min()), end
+    low, high = (int(np.searchsorted(starts, t, side="right")) - 1 for t in (first, last))
+    yield Look("time", f"time {_number(first)}-{_number(last)}", columns, frozenset(range(low, high + 1)), SELECTED)
 
 
 # -- runs, times, phases, directions ---

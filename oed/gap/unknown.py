@@ -117,17 +117,6 @@ def _products(state: State, values: Array, name: str, degree: int) -> Iterable[C
             yield from _read(state, f"{name} {combination}", UNIT / 2.0 ** (order - 1), power)
 
 
-def at_a_place(state: State, corner: float, width: float) -> Iterable[Column]:
-    """Something at a place: a bump about a corner, or the middle, of the box in which the tool moves."""
-    low, span = state.tool.min(axis=0), np.ptp(state.tool, axis=0)
-    sides = np.array([(int(corner) >> k) & 1 for k in range(3)]) if corner < 8 else np.full(3, 0.5)
-    wide = span > 0.02
-    if (sides[~wide] == 1).any():
-        return
-    away = ((state.tool - low - sides * span) / np.where(wide, span, 1.0))[:, wide]
-    yield from _both(state, "place", UNIT, np.exp(-0.5 * (away**2).sum(axis=1) / width**2))
-
-
 def in_a_sector(state: State, centre: float, way: float) -> Iterable[Column]:
     """Something in a sector of the runs, in one direction of travel."""
     off = np.angle(np.exp(1j * (state.phase - centre)))
@@ -276,7 +265,6 @@ PROCESSES: Sequence[Effect] = (
     _process("for a while", "a disturbance for part of the session", windows, when=CENTRES, lasts=(0.04, 0.1)),
     _process("at the start of runs", "an error that fades after a run's start", run_start, readings=(1.5, 5.0)),
     _process("over the pose", "a smooth error over the workspace", over_pose),
-    _process("at a place", "an error at a place of the workspace", at_a_place, corner=range(9), width=(0.2, 0.4)),
     _process("in a run", "an error in one run", in_a_run),
     _process("over the travel", "an error of the joints over their travel", over_travel),
     _process("along the runs", "harmonics along the runs, with direction", over_phase),

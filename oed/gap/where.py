@@ -222,7 +222,7 @@ def _told(found: Sequence[_Found]) -> list[_Found]:
 def _sharp(problem: Problem, root: _Root, found: _Found) -> _Found:
     """A likely window of the session with its ends moved, by up to a cell, to where it explains most."""
     look = found.look
-    if look.kind != "time" or found.p >= LIKELY:
+    if look.kind != "time" or look.form == looking.SELECTED or found.p >= LIKELY:
         return found
     clock = looking.clock_of(problem)
     starts, clock = looking.starts_of(problem), np.unique(clock[np.isfinite(clock)])

@@ -299,6 +299,25 @@ def test_a_selected_wave_is_told_in_a_run_that_has_it(machines: Machines) -> Non
     assert blind <= 2
 
 
+@pytest.mark.parametrize(("low", "high", "told"), [
+    (0.30, 0.55, (0.30, 0.55)), (0.62, 1.0, (0.62, 1.0)), (0.0, 0.62, (0.62, 1.0)),
+])  # fmt: skip
+def test_a_selected_step_tells_its_own_time(machines: Machines, low: float, high: float, told: tuple) -> None:
+    """To the reading, where cells of the session tell it to a sixteenth; what ends is told from its end on."""
+    p, rng = machines.problem, np.random.default_rng(31)
+    time = p.rows["time"].to_numpy()
+    share = (time - time.min()) / np.ptp(time)
+    (state,) = p.states
+    at = (state.time - time.min()) / np.ptp(time)
+    change = case.in_joint(p, 1, ((at >= low) & (at <= high)).astype(float))
+    column = change[:, None] / np.abs(change).max()
+    r = machines.root @ rng.standard_normal(len(p)) + case.sized(change, machines.covariance, 12.0)
+    found = where(p.with_residual(r), machines.law, rng, columns=column, labels=["leg 2"], known=True)
+    inside = time[(share >= told[0]) & (share <= told[1])]
+    assert first(found, "time") == f"time {inside.min():.0f}-{inside.max():.0f}"
+    assert first(found, "leg") == "leg 2"
+
+
 def test_same_seed_same_places_sorted_and_told_once(machines: Machines) -> None:
     a, b = (machines.located(None, 0.0, np.random.default_rng(3)) for _ in range(2))
     assert a == b

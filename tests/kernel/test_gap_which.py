@@ -296,3 +296,16 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
     assert first(0.76) == ()
     assert first(0.74) == ("a",)
     assert first(0.45) == ("a",)
+
+
+def test_explanations_are_weighed_a_little_flatter_than_their_evidence() -> None:
+    """With evidences e^a and powers of 0.9 among gaps, as summed by hand; whether there is one is left alone."""
+    blank = {"atoms": (), "sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0}
+    told = [((), False, 1.0), (("a",), False, 3.0), (("b",), False, -2.0), ((), True, 0.5)]
+    made = [Hypothesis(effects=e, unknown=u, log_evidence=s, **blank) for e, u, s in told]
+    found = which.probabilities(made)
+    evidences = np.exp([s for _, _, s in told])
+    assert found[0] == pytest.approx(evidences[0] / evidences.sum())
+    assert found[1] / found[2] == pytest.approx(np.exp(0.9 * 5.0))
+    assert found.sum() == pytest.approx(1.0)
+    assert which.probabilities(made[:1]) == pytest.approx([1.0])
