@@ -27,7 +27,7 @@ TOLD = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
 ALIVE = 5.5
 #: probability from which on no gap is told: one that is missed costs more than one that is looked for in vain
-SURE = 0.75
+SURE = 0.65
 #: members from which on a class beside a named effect is told as unknown
 VAGUE = 6
 

@@ -1,5 +1,6 @@
-"""Steady waves, as an unknown process: in time (interference, a pump), or along the path at one feed (a resonance).
+"""Steady waves, as an unknown process.
 
+In time (interference, a pump), along the path at one feed (a resonance), or of a joint along its travel (a gear).
 Their frequency is anybody's guess, from one period in the session or a run to one in two readings. Of all frequencies
 (Lomb's periodogram, in the metric that lets the parameters absorb first) the strongest few are kept, each with the
 prior weight of one among all that were looked at.
@@ -25,6 +26,8 @@ OVER, MOST, KEPT = 1.5, 6000, 4
 CHUNK = 512
 #: shortest period that is looked for in time, s, where times are not regular; shortest along the path, m
 SHORTEST, FINEST = 12.0, 0.02
+#: longest and shortest period along a joint's travel, a share of it and m
+LONG, SHORT = 3.0, 1e-3
 #: periods in the session up to which waves are slow: these few are looked at apart from the many fast ones
 SLOW = 100.0
 #: places between two frequencies at which a peak is looked at closely
@@ -44,13 +47,13 @@ class _Band:
 
 
 def added(processes: Library, problem: Problem, law: Law) -> Library:
-    """The processes with the strongest steady waves of each kind beside them: slow, fast, along the path.
+    """The processes with the strongest steady waves of each kind beside them: slow, fast, along path and travel.
 
     Each kind has the prior weight of a process.
     """
     metric = Metric(problem, law)
     kinds: list[tuple[list[Peak], int]] = []
-    for bands in (*([band] for band in _in_time(problem)), _along_path(problem)):
+    for bands in (*([band] for band in _in_time(problem)), _along_path(problem), _along_travel(problem)):
         count = sum(len(b.frequencies) * len(b.carriers) for b in bands)
         kinds.append(([p for b in bands for p in _peaks(problem, metric, b)], count))
     return carriers.beside(processes, NAME, kinds, KEPT)
@@ -95,6 +98,19 @@ def _along_path(problem: Problem) -> list[_Band]:
         span = float(arc[here, 0].max())
         frequencies = _frequencies(span, 1.0 / span, max(1.0 / FINEST, 1.0 / span))
         bands.append(_Band("m", arc, [np.where(here[:, None, None], tool, 0.0)], frequencies))
+    return bands
+
+
+def _along_travel(problem: Problem) -> list[_Band]:
+    """Waves of a joint along its own travel."""
+    legs, bands = carriers.joints(problem), []
+    place = carriers.at_poses(problem, [s.joints for s in problem.states])
+    for i, joint in enumerate(problem.measurement.machine.joints):
+        clock = place[:, :, i] - place[:, :, i].min()
+        span = float(np.ptp(clock[:, 0]))
+        if joint.unit == "m" and span > SHORT * LEAST:
+            frequencies = _frequencies(span, LONG / span, 1.0 / SHORT)
+            bands.append(_Band("m", clock, [legs[:, i, None]], frequencies))
     return bands
 
 
