@@ -75,9 +75,9 @@ BAD = {
     "warming": ("[gap.conditions.temperature]\nleg = { rise_C = 1 }", "gap.conditions.temperature.leg", "after_min"),
     "acting": ('[[gap.acting]]\neffect = "gravty"', "gap.acting[1].effect", "gravity"),
     "constant": (
-        '[[gap.acting]]\neffect = "gravity"\nconstants = { wight = 1 }',
-        "gap.acting[1].constants.wight",
-        "did you mean weight",
+        '[[gap.acting]]\neffect = "gravity"\nconstants = { raito = 1 }',
+        "gap.acting[1].constants.raito",
+        "did you mean ratio",
     ),
     "field": ('[[gap.acting]]\neffect = "gravity"\nsizes = 2', "gap.acting[1].sizes", "did you mean size"),
 }

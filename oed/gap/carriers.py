@@ -12,12 +12,12 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import stats
 
 from oed.batch import Array
 from oed.gap.law import Metric
 from oed.gap.library import Atom, Library
 from oed.gap.problem import Problem
+from oed.gap.tail import log_tail
 from oed.gap.unknown import UNIT
 from oed.measurement import Series
 
@@ -117,4 +117,4 @@ def tails(metric: Metric, forms: Array, residual: tuple[Array, Array]) -> Array:
         told += sign * (part @ r[:, 0])
     inner += (1e-6 * np.trace(inner, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(size)
     energy = np.einsum("fi,fi->f", told, np.linalg.solve(inner, told[:, :, None])[:, :, 0])
-    return np.asarray(stats.chi2.logsf(energy, size))
+    return log_tail(energy, size)

@@ -26,8 +26,9 @@ WIDE = 0.7
 TOLD = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
 ALIVE = 5.5
-#: probability from which on no gap is told: one that is missed costs more than one that is looked for in vain
-SURE = 0.65
+#: probability from which on no gap is told: one that is missed costs more than one that is looked for in vain; and
+#: where what could be looked for is any of many
+SURE, EVEN = 0.65, 0.5
 #: members from which on a class beside a named effect is told as unknown
 VAGUE = 6
 
@@ -162,8 +163,10 @@ def _answers(
         _tell(answers, members, h.unknown, float(total))
         leading += [h] * (len(answers) - len(leading))
     order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
-    if len(order) > 1 and not answers[order[0]].effects and answers[order[0]].probability < SURE:
-        order[:2] = order[1::-1]
+    if len(order) > 1 and not answers[order[0]].effects:
+        vague = any(len(c) >= VAGUE for c in answers[order[1]].classes)
+        if answers[order[0]].probability < (EVEN if vague else SURE):
+            order[:2] = order[1::-1]
     return tuple(answers[k] for k in order), leading[order[0]]
 
 

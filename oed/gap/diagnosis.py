@@ -80,7 +80,7 @@ class Diagnosis:
 
     verdict        none, effect, class (which of several cannot be told), mixture (an effect and an unknown remainder,
                    or several effects), unknown
-    answers        by probability, none first only from a probability of 0.65 on
+    answers        by probability, none first only where it is sure, see `diagnose`
     set95          the fewest answers that together have 95 %
     marginal       {effect: probability that it acts}
     law            noise as estimated;  noise_words: the same in words

@@ -110,7 +110,7 @@ def _along_travel(problem: Problem) -> list[_Band]:
         span = float(np.ptp(clock[:, 0]))
         if joint.unit == "m" and span > SHORT * LEAST:
             frequencies = _frequencies(span, LONG / span, 1.0 / SHORT)
-            bands.append(_Band("m", clock, [legs[:, i, None]], frequencies))
+            bands.append(_Band("travel_m", clock, [legs[:, i, None]], frequencies))
     return bands
 
 

@@ -20,13 +20,13 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
 
 from oed.batch import Array
 from oed.gap import looks as looking
 from oed.gap.diagnosis import Block
 from oed.gap.law import Law, Metric
 from oed.gap.problem import Index, Problem
+from oed.gap.tail import log_tail
 
 #: share of a direction's energy that must survive the calibration, or be its own, for it to count as a column
 SURVIVES = 1e-4
@@ -65,7 +65,7 @@ def where(
     scan = _Scan(root, looks)
     scores = root.scores(problem.residual)
     energy = scan.energy(scores[:, None])[:, 0]
-    own = _log_tail(energy, scan.rank)
+    own = log_tail(energy, scan.rank)
     corrected = _corrected(own, scan.least(rng.standard_normal((len(problem), draws))))
     beyond = np.maximum(energy - scan.rank, 0.0)
     total = max(float(scores @ scores) - len(problem), float(beyond.max()), 1e-300)
@@ -100,7 +100,7 @@ def legs_of(labels: Sequence[str], mean: Array, covariance: Array, *, scale: flo
         values, vectors = np.linalg.eigh(inverse - np.eye(len(at)))
         known = values > 1e-9 * np.abs(values).max(initial=1.0)
         told = (vectors.T @ (inverse @ m[at]))[known]
-        own.append(float(_log_tail(np.array(told**2 / values[known]).sum(), float(known.sum()))))
+        own.append(float(log_tail(np.array(told**2 / values[known]).sum(), float(known.sum()))))
         energy.append(max(float(m[at] @ gained[np.ix_(at, at)] @ m[at]), 0.0))
     total, running, found = max(sum(energy), 1e-300), 0.0, []
     for rank, k in enumerate(np.argsort(own, kind="stable")):
@@ -162,7 +162,7 @@ class _Scan:
         energy = self.energy(scores)
         ranks = np.unique(self.rank)
         most = np.array([energy[self.rank == rank].max(axis=0) for rank in ranks])
-        return np.asarray(_log_tail(most, ranks[:, None]).min(axis=0))
+        return np.asarray(log_tail(most, ranks[:, None]).min(axis=0))
 
 
 def _corrected(own: Array, least: Array) -> Array:
@@ -170,15 +170,6 @@ def _corrected(own: Array, least: Array) -> Array:
     seen = (1.0 + np.searchsorted(np.sort(least), own, side="right")) / (len(least) + 1.0)
     with np.errstate(under="ignore"):
         return np.asarray(np.minimum(seen, np.exp(np.minimum(own + np.log(len(own)), 0.0))))
-
-
-def _log_tail(energy: Array, rank: Array | float) -> Array:
-    """Log of the chi-square's upper tail; its asymptote where that underflows; 0 for rank 0."""
-    a, x = np.maximum(rank, 1e-9) / 2.0, np.maximum(energy, 0.0) / 2.0
-    tail = special.gammaincc(a, x)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        far = -x + (a - 1.0) * np.log(x) - special.gammaln(a) + np.log1p((a - 1.0) / x)
-        return np.where(np.asarray(rank) == 0, 0.0, np.where(tail > 1e-280, np.log(tail), far))
 
 
 # -- what is told ------------------------------------------------------------------------------------------

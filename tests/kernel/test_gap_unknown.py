@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kernel.gap_lines import EFFECTS, LINES, readings
-from oed.gap import library, waves, which
+from oed.gap import carriers, library, waves, which
 from oed.gap.law import plain
 from oed.gap.library import Library
 from oed.gap.problem import Problem
@@ -166,3 +166,19 @@ def test_irregular_times_tell_a_wave_faster_than_the_readings(late: float, wante
     made, best = _waved(problem, 2.5 * np.sin(2.0 * np.pi * clock / 27.0 + 0.5))
     assert best.key == (frozenset(), True)
     assert made.atoms[best.process].constants["period_s"] == pytest.approx(wanted, rel=0.01)
+
+
+def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
+    """Of one of the two joints; the line's first pose, which all others are read against, has its part of it."""
+    problem = readings(33, uneven=0.03)
+    place = carriers.at_poses(problem, [s.joints for s in problem.states])[:, :, 0]
+    wave = 2.5 * np.sin(2.0 * np.pi * place / 0.037 + 0.4)[..., None]
+    change = carriers.acting(carriers.joints(problem)[:, 0, None], wave)[:, 0, 0]
+    change *= 2.0 / np.sqrt(np.mean(change**2))
+    none, acting = library.build(problem, ()), problem.with_residual(problem.residual + change)
+    made = waves.added(none, acting, plain(problem))
+    assert _periods(made, "travel_m")[0] == pytest.approx(0.037, rel=0.002)
+    best = which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
+    assert best.key == (frozenset(), True)
+    assert best.process is not None
+    assert made.atoms[best.process].constants["period_travel_m"] == pytest.approx(0.037, rel=0.002)

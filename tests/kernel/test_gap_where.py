@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
-from scipy import stats
+from scipy import special, stats
 
 from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
@@ -15,6 +15,7 @@ from oed.gap import where as scan
 from oed.gap.diagnosis import Block
 from oed.gap.law import plain
 from oed.gap.problem import Problem, planned
+from oed.gap.tail import log_tail
 from oed.gap.where import legs_of, where
 
 KINDS = ("leg", "run", "time", "phase", "direction")
@@ -60,7 +61,7 @@ def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(rng: n
     root = scan._Root(problem, law)
     found = scan._Scan(root, looks)
     energy = found.energy(root.scores(r)[:, None])[:, 0]
-    own = scan._log_tail(energy, found.rank)
+    own = log_tail(energy, found.rank)
     assert_allclose(found.least(root.scores(r)[:, None]), own.min())
     for look, e, p in zip(looks, energy, own, strict=True):
         B, MB = look.basis, np.linalg.solve(covariance, look.basis)
@@ -83,13 +84,13 @@ def test_what_the_parameters_can_absorb_is_no_column(rng: np.random.Generator) -
 @pytest.mark.parametrize("rank", [1.0, 2.0, 5.0, 14.0])
 def test_far_tails_do_not_underflow(rank: float) -> None:
     near = np.array([0.0, 1.0, 30.0, 500.0])
-    assert_allclose(scan._log_tail(near, rank), stats.chi2.logsf(near, rank), rtol=1e-9, atol=1e-12)
+    assert_allclose(log_tail(near, rank), stats.chi2.logsf(near, rank), rtol=1e-9, atol=1e-12)
     # beyond, the tail's recurrence Q(a + 1, x) = Q(a, x) + x^a e^-x / Gamma(a + 1), whose second term dominates
     x = 2000.0
-    a, b = scan._log_tail(np.array(2 * x), rank), scan._log_tail(np.array(2 * x), rank + 2.0)
-    added = rank / 2.0 * np.log(x) - x - float(scan.special.gammaln(rank / 2.0 + 1.0))
+    a, b = log_tail(np.array(2 * x), rank), log_tail(np.array(2 * x), rank + 2.0)
+    added = rank / 2.0 * np.log(x) - x - float(special.gammaln(rank / 2.0 + 1.0))
     assert_allclose(b, np.logaddexp(a, added), rtol=1e-8)
-    assert scan._log_tail(np.array(3.0), 0.0) == 0.0
+    assert log_tail(np.array(3.0), 0.0) == 0.0
 
 
 def test_corrected_p_values_are_those_of_a_bootstrap_that_fits_again() -> None:
@@ -128,7 +129,7 @@ def test_false_alarms_are_as_stated(machines: Machines) -> None:
     family = scan._Scan(root, list(looking.looks(problem)))
     least = family.least(rng.standard_normal((len(problem), 500)))
     quiet = family.energy(root.scores(machines.root @ rng.standard_normal((len(problem), 400))))
-    told = [scan._corrected(scan._log_tail(e, family.rank), least).min() for e in quiet.T]
+    told = [scan._corrected(log_tail(e, family.rank), least).min() for e in quiet.T]
     assert 6 <= np.sum(np.array(told) <= 0.05) <= 36  # 20 expected, both samplings' spread three times over
     assert stats.kstest(told, "uniform").pvalue > 0.002
 

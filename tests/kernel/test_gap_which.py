@@ -279,9 +279,13 @@ def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(monkeypatch: pytest
 
 def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -> None:
     blank = {"sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0, "unknown": False}
-    monkeypatch.setattr(diagnosing.classes, "of", lambda search, h, scores, alive: [(e,) for e in h.effects])
 
-    def first(none: float) -> tuple[str, ...]:
+    def first(none: float, members: int = 1) -> tuple[str, ...]:
+        def of(search: Search, h: Hypothesis, scores: object, alive: float) -> list[tuple[str, ...]]:
+            return [(e, *(f"{e}{k}" for k in range(1, members))) for e in h.effects]
+
+        monkeypatch.setattr(diagnosing.classes, "of", of)
+
         shares = {(): none, ("a",): 0.6 * (1.0 - none), ("b",): 0.4 * (1.0 - none)}
         made = [
             Hypothesis(effects=e, atoms=tuple(0 for _ in e), log_evidence=float(np.log(p)), **blank)
@@ -296,6 +300,8 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
     assert first(0.66) == ()
     assert first(0.64) == ("a",)
     assert first(0.45) == ("a",)
+    assert first(0.64, diagnosing.VAGUE) == ()  # what could be looked for is any of many
+    assert first(0.45, diagnosing.VAGUE) == ("a",)
 
 
 def test_explanations_are_weighed_a_little_flatter_than_their_evidence() -> None:
