@@ -57,8 +57,8 @@ def beside(processes: Library, name: str, kinds: Sequence[tuple[Sequence[Peak], 
 
 
 def every(problem: Problem) -> list[Array]:
-    """Readings (N, c, J), in units of the noise, per micrometre of each channel, each joint, the tool along each axis,
-    at each of the poses that a reading sees."""
+    """Readings (N, c, J), in units of the noise, per micrometre of each channel, then each joint, last the tool along
+    each axis, at each of the poses that a reading sees."""
     legs = joints(problem)
     channels = np.zeros((len(problem), len(np.unique(problem.group)), legs.shape[2]))
     channels[np.arange(len(problem)), problem.group, 0] = UNIT / problem.sigma

@@ -317,7 +317,7 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
 def _refitted(made: list[Search], start: Search, best: Hypothesis) -> None:
     """Add the search under the law that suits a hypothesis, unless it is there."""
     columns = _columns(start.library, start.processes, best)
-    if np.isfinite(made[1].law.tails):
+    if any(np.isfinite(s.law.tails) for s in made):
         ordinary = dataclasses.replace(start.law, variance=np.ones_like(start.law.variance), tails=np.inf)
         pair = scatter.robust(start.problem, columns, start=ordinary)
     else:

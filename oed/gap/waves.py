@@ -53,13 +53,19 @@ def added(processes: Library, problem: Problem, law: Law) -> Library:
     """
     metric = Metric(problem, law)
     kinds: list[tuple[list[Peak], int]] = []
-    for bands in (*([band] for band in _in_time(problem)), _along_path(problem), _along_travel(problem)):
+    every = carriers.every(problem)
+    legs, tool = every[-1 - len(problem.measurement.machine.joints) : -1], every[-1]
+    for bands in (
+        *([band] for band in _in_time(problem, every)),
+        _along_path(problem, tool),
+        _along_travel(problem, legs),
+    ):
         count = sum(len(b.frequencies) * len(b.carriers) for b in bands)
         kinds.append(([p for b in bands for p in _peaks(problem, metric, b)], count))
     return carriers.beside(processes, NAME, kinds, KEPT)
 
 
-def _in_time(problem: Problem) -> list[_Band]:
+def _in_time(problem: Problem, every: list[Array]) -> list[_Band]:
     """Waves in time on a channel, on a joint, on the tool."""
     rows = problem.rows
     known = "time" in rows and rows["time"].notna().all()
@@ -69,7 +75,9 @@ def _in_time(problem: Problem) -> list[_Band]:
     clock = time - time.min()
     ticks = np.unique(clock)
     against = (
-        carriers.at_poses(problem, [s.time - time.min() for s in problem.states]) if known else _begun(problem, clock)
+        carriers.at_poses(problem, [s.time - time.min() for s in problem.states])
+        if known
+        else _begun(problem, clock, every[0].shape[2])
     )
     if len(ticks) < LEAST:
         return []
@@ -77,18 +85,17 @@ def _in_time(problem: Problem) -> list[_Band]:
     places = (ticks - ticks[0]) / step
     regular = not known or bool(np.abs(places - np.round(places)).max() <= 0.05)
     most = 0.5 / step if regular else 1.0 / SHORTEST  # irregular times tell fast waves from slow, however far apart
-    acting, clocks = carriers.every(problem), np.column_stack([clock, against[:, 1:]])
+    clocks = np.column_stack([clock, against[:, 1:]])
     span = float(np.ptp(clock)) + step
     middle = min(SLOW / span, most)
-    bands = [_Band("s", clocks, acting, _frequencies(span, 1.0 / span, middle))]
-    return [*bands, _Band("s", clocks, acting, _frequencies(span, middle, most))] if most > middle else bands
+    bands = [_Band("s", clocks, every, _frequencies(span, 1.0 / span, middle))]
+    return [*bands, _Band("s", clocks, every, _frequencies(span, middle, most))] if most > middle else bands
 
 
-def _along_path(problem: Problem) -> list[_Band]:
+def _along_path(problem: Problem, tool: Array) -> list[_Band]:
     """Waves along the path of the tool, at one feed."""
     feed = problem.rows["feed"].to_numpy(dtype=float) if "feed" in problem.rows else np.full(len(problem), np.nan)
     arc, bands = _arc(problem), []
-    tool = carriers.tool(problem, carriers.joints(problem))
     for value in np.unique(np.round(feed[np.isfinite(feed)], 9)):
         here = np.isclose(feed, value)
         steps = np.diff(arc[here, 0])
@@ -101,16 +108,16 @@ def _along_path(problem: Problem) -> list[_Band]:
     return bands
 
 
-def _along_travel(problem: Problem) -> list[_Band]:
+def _along_travel(problem: Problem, legs: list[Array]) -> list[_Band]:
     """Waves of a joint along its own travel."""
-    legs, bands = carriers.joints(problem), []
+    bands: list[_Band] = []
     place = carriers.at_poses(problem, [s.joints for s in problem.states])
     for i, joint in enumerate(problem.measurement.machine.joints):
         clock = place[:, :, i] - place[:, :, i].min()
         span = float(np.ptp(clock[:, 0]))
         if joint.unit == "m" and span > SHORT * LEAST:
             frequencies = _frequencies(span, LONG / span, 1.0 / SHORT)
-            bands.append(_Band("travel_m", clock, [legs[:, i, None]], frequencies))
+            bands.append(_Band("travel_m", clock, [legs[i]], frequencies))
     return bands
 
 
@@ -119,9 +126,8 @@ def _frequencies(span: float, low: float, high: float) -> Array:
     return np.linspace(low, high, int(min(max(OVER * span * (high - low), 1.0), MOST)))
 
 
-def _begun(problem: Problem, clock: Array) -> Array:
-    """The clock (N, J) where no time is known: what a reading is read against was seen as its run began."""
-    seen = carriers.joints(problem).shape[2]
+def _begun(problem: Problem, clock: Array, seen: int) -> Array:
+    """The clock (N, seen) where no time is known: what a reading is read against was seen as its run began."""
     against = np.repeat(clock[:, None], seen, axis=1)
     for members in problem.blocks:
         against[members, 1:] = clock[members].min()

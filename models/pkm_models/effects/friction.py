@@ -15,13 +15,16 @@ from pkm_models.effects import terms
 
 WIND_UP = 4e-6  # m
 STRIBECK = 0.010  # m/s, Armstrong-Helouvry et al. 1994, Automatica 30: mixed lubrication up to some 10 mm/s
+#: joint travel over which a drive winds up after a reversal, m: on rolling elements 0.1 mm and less (Futami et al.
+#: 1990, Nanotechnology 1, 31), with seals and slack joints more
+WINDS_UP = (0.1e-3, 0.5e-3, 2e-3, 10e-3)
 
 
 def columns(state: State, distance: float) -> Iterable[Column]:
     """-sense F / k(l) a leg, wound up anew after each reversal (Dahl 1968); shape: friction by load, more of it at low
     speed, and more along the travel."""
-    unit, known = terms.metre(state), terms.travel(state.machine)
-    screw = np.where(known.guide.any(axis=1), 1.0 + 0.5 * terms.place(state), state.strut / known.strut)
+    unit, at, known = terms.metre(state), terms.place(state), terms.travel(state.machine)
+    screw = np.where(known.guide.any(axis=1), 1.0 + 0.5 * at, state.strut / known.strut)
     wound = state.sense * (1.0 - 2.0 * np.exp(-state.reversal / (distance * unit)))
     behind = -wound * unit * screw
     load = np.abs(state.force * state.per_length) * len(state.limbs) / 2.0
@@ -29,7 +32,7 @@ def columns(state: State, distance: float) -> Iterable[Column]:
     for i in state.limbs:
         leg = f"leg {i + 1}"
         yield Column(leg, WIND_UP, leg, {i: behind[:, i]})
-        for name, form in (("load", load), ("slow", slow), ("slope", terms.place(state))):
+        for name, form in (("load", load), ("slow", slow), ("slope", at)):
             yield Column(f"{leg} {name}", terms.ADAPT * WIND_UP, leg, {i: behind[:, i] * form[:, i]}, shape=True)
 
 
@@ -39,7 +42,7 @@ effect = Effect(
     about="friction that winds up each drive, against its motion",
     columns=columns,
     needs=("direction: both",),
-    constants={"distance": terms.REVERSAL},
+    constants={"distance": WINDS_UP},
     remedy="lubricate, check the leg's seals and guides, close the loop by a linear encoder, or compensate friction",
     exposed_by="circles in both directions at a slow feed, and with another load",
     unfit=terms.no_struts,

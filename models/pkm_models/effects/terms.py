@@ -19,9 +19,6 @@ TIMES = (1800.0, 3600.0, 7200.0, 14400.0)
 ADAPT = 0.4
 #: weight of what moves over the heaviest payload: that of a printer is 10 N, of a hexapod 2 kN, and payloads go with it
 RATIOS = (0.3, 1.0, 3.0, 10.0)
-#: joint travel over which lost motion builds up after a reversal, m: drives on rolling elements slip after 0.1 mm and
-#: less (Futami et al. 1990, Nanotechnology 1, 31), seals and slack joints after more
-REVERSAL = (0.1e-3, 0.5e-3, 2e-3, 10e-3)
 REMEMBERED = 32
 
 
