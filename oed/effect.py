@@ -145,6 +145,7 @@ class Effect:
     remedy      what a machine builder does about it
     exposed_by  the reading that tells it from its rivals
     unfit       why it cannot occur on a machine, in words; None, as by default, where it can
+    alike       whether all limbs, built alike, mostly have it alike where all have it
     """
 
     name: str
@@ -156,6 +157,7 @@ class Effect:
     remedy: str = ""
     exposed_by: str = ""
     unfit: Callable[[Machine], str | None] = lambda machine: None
+    alike: bool = False
 
     def grid(self) -> list[dict[str, float]]:
         """Every combination of the constants' values."""

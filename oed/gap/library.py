@@ -1,14 +1,16 @@
 """Every form of every effect that the readings can test, laid out as columns of one matrix.
 
-An effect may act with all its coefficients or in one limb alone, as in the textbook or with its shape adapted, and with
-other constants: each such form is an `Atom`, a choice of columns. All atoms of an effect share its prior probability.
+An effect may act with all its coefficients or in one limb alone, in all limbs alike or in each as it likes, as in the
+textbook or with its shape adapted, and with other constants: each such form is an `Atom`, a choice of columns. All atoms
+of an effect share its prior probability.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -21,6 +23,8 @@ from oed.gap.signature import Signature, untestable
 
 #: prior share of an effect's forms in which one limb alone has it
 ALONE = 0.4
+#: how much smaller the difference of limbs built alike is expected to be than what they share
+DIFFER = 0.3
 #: prior share of its textbook form, where it has columns that adapt the shape
 TEXTBOOK = 0.5
 #: signature, in units of the noise over all readings, below which an effect cannot be seen at all
@@ -90,13 +94,13 @@ def build(problem: Problem, effects: Sequence[Effect], metric: Metric | None = N
         if not forms:
             refused[effect.name] = "it changes none of these readings"
             continue
-        for form, log_weight in forms:
+        for form, log_weight, common in _with_alike(forms, effect.alike):
             start = len(names)
             blocks.append(problem.of(form.columns))
             names += form.names
             labels += form.labels
             scales.append(form.scales)
-            atoms += _atoms(form, start, log_weight)
+            atoms += _atoms(form, start, log_weight, common)
     columns = np.hstack(blocks) if blocks else np.zeros((len(problem), 0))
     joined = np.concatenate(scales) if scales else np.zeros(0)
     return Library(columns, tuple(atoms), tuple(names), tuple(labels), joined, refused)
@@ -156,15 +160,51 @@ def _best(
     return [forms[k] for k in sorted(order)]
 
 
-def _atoms(form: Signature, start: int, log_weight: float) -> list[Atom]:
-    """Forms of one signature: all limbs or one, with or without the columns that adapt."""
+def _with_alike(
+    forms: Sequence[tuple[Signature, float]], alike: bool
+) -> Iterator[tuple[Signature, float, Literal["", "too", "only"]]]:
+    """Forms with their log weights; each followed by that of limbs that are alike, if limbs may be, and which it is."""
+    for form, log_weight in forms:
+        joined = _alike(form) if alike else None
+        yield form, log_weight, "" if joined is None else "too"
+        if joined is not None:
+            yield joined, log_weight, "only"
+
+
+def _alike(form: Signature) -> Signature | None:
+    """The form of limbs that are alike: the sum over limbs of each kind of column, and the limbs' own differences from
+    it in the textbook's columns. None where limbs do not have the same kinds of columns."""
+    kinds: dict[str, list[int]] = {}
+    for k, (name, label) in enumerate(zip(form.names, form.labels, strict=True)):
+        kinds.setdefault(name.removeprefix(label).strip(), []).append(k)
+    limbs = set(form.labels)
+    if len(limbs) < 2 or "" in limbs or any({form.labels[k] for k in own} != limbs for own in kinds.values()):
+        return None
+    own = [k for k in range(len(form.names)) if not form.shape[k]]
+    return dataclasses.replace(
+        form,
+        columns=np.column_stack(
+            [*(form.columns[:, ks].sum(axis=1) for ks in kinds.values()), DIFFER * form.columns[:, own]]
+        ),
+        names=(*(f"all legs {kind}".strip() for kind in kinds), *(f"{form.names[k]} apart" for k in own)),
+        labels=("",) * len(kinds) + tuple(form.labels[k] for k in own),
+        scales=np.concatenate([[form.scales[ks[0]] for ks in kinds.values()], DIFFER * form.scales[own]]),
+        shape=np.array([*(form.shape[ks[0]] for ks in kinds.values()), *(False for _ in own)], dtype=bool),
+    )
+
+
+def _atoms(form: Signature, start: int, log_weight: float, common: Literal["", "too", "only"] = "") -> list[Atom]:
+    """Forms of one signature: all limbs or one, with or without the columns that adapt; limbs that are alike."""
     limbs = list(dict.fromkeys(n for n in form.labels if n))
     choices: list[tuple[Index, float]] = []
     everything = np.arange(len(form.names), dtype=np.intp)
-    if len(limbs) > 1 and len(limbs) < len(form.names) + 1 and all(form.labels):
+    all_of_them = (1.0 - ALONE if len(limbs) <= BLOCKS else 1.0) * (0.5 if common else 1.0)
+    if common == "only":
+        choices.append((everything, all_of_them))
+    elif len(limbs) > 1 and all(form.labels):
         alone = ALONE if len(limbs) <= BLOCKS else 1.0
         if alone < 1.0:
-            choices.append((everything, 1.0 - alone))
+            choices.append((everything, all_of_them))
         choices += [(np.flatnonzero([n == limb for n in form.labels]), alone / len(limbs)) for limb in limbs]
     else:
         choices.append((everything, 1.0))

@@ -38,4 +38,5 @@ effect = Effect(
     constants={"distance": TAKEN_UP},
     remedy="preload or renew nuts and joints of the leg, or set the controller's backlash compensation a leg",
     exposed_by="the same circle in both directions, at two feeds",
+    alike=True,
 )

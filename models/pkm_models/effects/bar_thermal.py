@@ -7,19 +7,34 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+
+from oed.batch import Array
 from oed.effect import Column, Effect, State
 from pkm_models.effects import bar, terms
 
 RISE = 1.0  # K
 
 
-def columns(state: State, tau: float) -> Iterable[Column]:
-    """-R alpha dT(t) a bar; shape: a second time constant."""
+def columns(state: State, tau: float, held: float) -> Iterable[Column]:
+    """-R alpha dT(t) a bar: what follows the shop, or (held) the warmth of the hand that mounted it, which fades from
+    the start of each set-up; shape: the other of the two, and a second time constant."""
     measured, warm, second = terms.warming(state, "bar", tau)
     name, long = bar.label(state), bar.length(state) or bar.NOMINAL
-    unit, scale, strain = ("per kelvin", terms.STEEL, 1.0) if measured else ("rise", RISE, terms.STEEL)
-    yield Column(f"{name} {unit}", scale, reading={"length": -strain * long * warm})
-    yield Column(f"{name} {unit} second", terms.ADAPT * scale, reading={"length": -strain * long * second}, shape=True)
+    unit, scale = ("per kelvin", terms.STEEL) if measured else ("rise", RISE * terms.STEEL)
+    shop = {unit: (scale, warm), f"{unit} second": (terms.ADAPT * scale, second)}
+    hand = {"held": (RISE * terms.STEEL, _fading(state, tau / 4.0))}
+    first, rest = (hand, shop) if held else (shop, hand)
+    for part, shape in ((first, False), (rest, True)):
+        for k, (kind, (size, form)) in enumerate(part.items()):
+            reading = {"length": -long * form}
+            yield Column(f"{name} {kind}", size, reading=reading, shape=shape or k > 0)
+
+
+def _fading(state: State, tau: float) -> Array:
+    """exp(-t / tau) since the set-up's first reading (m,); nothing where no time is known."""
+    known = state.time[np.isfinite(state.time)]
+    return np.exp(-(terms.filled(state.time) - known.min()) / tau) if known.size else np.zeros(len(state))
 
 
 effect = Effect(
@@ -28,7 +43,7 @@ effect = Effect(
     about="a bar that grows with its temperature",
     columns=columns,
     needs=("time or temp_bar",),
-    constants={"tau": terms.TIMES},
+    constants={"tau": terms.TIMES, "held": (0.0, 1.0)},
     remedy="let the bar reach the shop's temperature, do not hold it in the hand, or correct by its sensor",
     exposed_by="the bar zeroed again on its calibrator between runs",
 )

@@ -22,4 +22,5 @@ effect = Effect(
     columns=columns,
     remedy="measure each joint's scale with a laser interferometer and correct it in the controller",
     exposed_by="a laser interferometer along a joint, or a second known tool length",
+    alike=True,
 )

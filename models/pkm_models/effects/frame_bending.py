@@ -19,14 +19,26 @@ FIELD = 20e-6  # m, at a lever's distance from the middle of the workspace
 
 
 def columns(state: State) -> Iterable[Column]:
-    """Products of the reference tool point's coordinates displace the tool; shape: cubic ones."""
-    offset = _offset(state)
+    """Products of the reference tool point's coordinates displace the tool; shape: cubic ones, and more with payload."""
+    offset, load = _offset(state), _load(state)
     for degree, scale in ((2, FIELD), (3, terms.ADAPT * FIELD)):
         for factors in itertools.combinations_with_replacement(range(3), degree):
             field = offset[:, factors].prod(axis=1)
             for k, axis in enumerate("xyz"):
                 name = f"{axis} by {''.join('xyz'[f] for f in factors)}"
                 yield Column(name, scale, "", state.displaced(k, field), shape=degree > 2)
+    for degree in (1, 2):
+        for factors in itertools.combinations_with_replacement(range(3), degree):
+            field = load * offset[:, factors].prod(axis=1)
+            for k, axis in enumerate("xyz"):
+                name = f"{axis} by payload {''.join('xyz'[f] for f in factors)}"
+                yield Column(name, terms.ADAPT * FIELD, "", state.displaced(k, field), shape=True)
+
+
+def _load(state: State) -> Array:
+    """Payload (m,) as a share of the session's heaviest, beyond its mean; zeros where it does not change."""
+    share = np.nan_to_num(state.payload) / state.heaviest if state.heaviest > 0.0 else np.zeros(len(state))
+    return np.asarray(share - 0.5)
 
 
 def _offset(state: State) -> Array:

@@ -46,4 +46,5 @@ effect = Effect(
     remedy="lubricate, check the leg's seals and guides, close the loop by a linear encoder, or compensate friction",
     exposed_by="circles in both directions at a slow feed, and with another load",
     unfit=terms.no_struts,
+    alike=True,
 )

@@ -37,4 +37,5 @@ effect = Effect(
     remedy="preload or renew the joints of the leg",
     exposed_by="pull and push at the platform, at poses where a leg's load changes its sign",
     unfit=terms.no_struts,
+    alike=True,
 )

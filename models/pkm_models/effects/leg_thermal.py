@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
@@ -11,18 +13,22 @@ RISE = 3.0  # K
 
 
 def columns(state: State, tau: float) -> Iterable[Column]:
-    """The strut's growth a leg; shape: a second time constant, and what grows as the screw, or does not extend."""
+    """Growth a leg of what is driven: the strut, or the screw of a carriage; shape: a second time constant, a bearing
+    that is elsewhere, and the struts that a carriage moves."""
     known = terms.travel(state.machine)
     for i in state.limbs:
-        leg, own, rigid = f"leg {i + 1}", f"leg{i + 1}", not known.guide[i].any()
+        leg, own, carried = f"leg {i + 1}", f"leg{i + 1}", known.guide[i].any()
         measured, warm, second = terms.warming(state, own if own in state.temperature else "leg", tau)
         unit, scale, strain = ("per kelvin", terms.STEEL, 1.0) if measured else ("rise", RISE, terms.STEEL)
-        growth = strain * state.per_length[:, i] * state.strut[:, i]
-        other = strain * (state.per_length[:, i] * known.strut[i] if rigid else state.joints[:, i])
-        part = "ends" if rigid else "screw"
-        yield Column(f"{leg} {unit}", scale, leg, {i: growth * warm})
-        yield Column(f"{leg} {unit} second", terms.ADAPT * scale, leg, {i: growth * second}, shape=True)
-        yield Column(f"{leg} {unit} {part}", terms.ADAPT * scale, leg, {i: other * warm}, shape=True)
+        strut = state.per_length[:, i] * state.strut[:, i]
+        long = state.joints[:, i] if carried else strut
+        fixed = (
+            np.full(len(state), known.high[i] - known.low[i]) if carried else state.per_length[:, i] * known.strut[i]
+        )
+        yield Column(f"{leg} {unit}", scale, leg, {i: strain * long * warm})
+        shapes = {"second": long * second, "bearing": fixed * warm} | ({"strut": strut * warm} if carried else {})
+        for name, form in shapes.items():
+            yield Column(f"{leg} {unit} {name}", terms.ADAPT * scale, leg, {i: strain * form}, shape=True)
 
 
 effect = Effect(
@@ -35,4 +41,5 @@ effect = Effect(
     remedy="let the legs warm up before use, cool the screws, or compensate by a temperature sensor on each leg",
     exposed_by="a reference circle repeated in the course of hours",
     unfit=terms.no_struts,
+    alike=True,
 )

@@ -31,4 +31,5 @@ effect = Effect(
     needs=("feed",),
     remedy="match the position loop gains of the legs, or tune the velocity feed-forward",
     exposed_by="the same circle at two feeds, in both directions",
+    alike=True,
 )
