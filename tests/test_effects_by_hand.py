@@ -31,6 +31,17 @@ def test_leg_thermal_by_hand() -> None:
     assert columns("leg_thermal", own)["leg 3 per kelvin"].joints[2] == pytest.approx([0.0, 0.6])
 
 
+def test_leg_thermal_of_a_carriage_is_its_screw() -> None:
+    """A screw 2 K warmer at 0.25 m from its bearing: 5.75 um; the rod that the carriage moves is not driven."""
+    state = session("linear_delta").states[0]
+    warm = small(state, 2, joints=np.full((2, 3), 0.25), temperature={"leg": np.array([21.0, 23.0])})
+    made = columns("leg_thermal", warm)
+    assert made["leg 2 per kelvin"].scale * made["leg 2 per kelvin"].joints[1] == pytest.approx([0.0, 5.75e-6])
+    rod = made["leg 2 per kelvin strut"]
+    assert rod.shape
+    assert rod.joints[1] == pytest.approx(2.0 * state.strut[:2, 1] * state.per_length[:2, 1] * np.array([0.0, 1.0]))
+
+
 def test_what_warms_at_work_cools_in_breaks() -> None:
     """Ten runs of ten minutes, a break of two hours, and ten more: cooled by exp(-7200 / tau) over the break."""
     state = session("hexapod").states[0]
@@ -337,8 +348,15 @@ def test_bar_length_is_a_constant_of_bars_alone() -> None:
 def test_bar_thermal_by_hand() -> None:
     """A bar of 0.3 m, 2 K warmer, is 6.9 um longer and reads that much less."""
     state = small(session("a3_head").states[0], 2, temperature={"bar": np.array([20.0, 22.0])})
-    (column,) = [c for c in columns("bar_thermal", state).values() if not c.shape]
+    (column,) = [c for c in columns("bar_thermal", state, held=0.0).values() if not c.shape]
     assert column.scale * column.reading["length"] == pytest.approx([0.0, -6.9e-6])
+
+
+def test_bar_that_was_held_is_warm_at_the_start_of_each_setup() -> None:
+    """0.3 m of steel, 1 K from the hand: 3.45 um, 1.27 um of it left after a time constant, of 7200 s / 4."""
+    state = small(session("a3_head").states[0], 2, time=np.array([5000.0, 6800.0]))
+    (column,) = [c for c in columns("bar_thermal", state, tau=7200.0, held=1.0).values() if not c.shape]
+    assert column.scale * column.reading["length"] == pytest.approx([-3.45e-6, -3.45e-6 * np.exp(-1.0)])
 
 
 def test_mount_drift_is_a_cup_elsewhere_at_the_end() -> None:
@@ -450,6 +468,8 @@ def test_frame_bending_displaces_what_a_camera_sees(
     made, acting = columns("frame_bending", state), set()
     for name, column in made.items():
         axis, factors = name.split(" by ")
+        if factors.startswith("payload"):
+            continue
         assert column.shape == (len(factors) == 3)
         field = (8e-6 if column.shape else 20e-6) * np.prod([at[k] for k in factors], axis=0)
         seen = exact(m, [series], theta, [state], [(effect_of("frame_bending"), {}, {name: 1.0})]) - start
@@ -458,3 +478,20 @@ def test_frame_bending_displaces_what_a_camera_sees(
         acting |= {name} if wanted.any() else set()
     forms = [f for n in (2, 3) for f in itertools.combinations_with_replacement(able, n)]
     assert acting == {f"{axis} by {''.join(form)}" for axis in able for form in forms}
+
+
+def test_frame_bending_by_payload_changes_with_it_alone() -> None:
+    """From no payload to the heaviest: 8 um times a product of coordinates more, and nothing from one such to another."""
+    state = session("hexapod").states[0]
+    pose = np.repeat(state.pose[:1] + 0.1, 4, axis=0)
+    loads = np.array([0.0, 200.0, 200.0, np.nan])
+    loaded = small(state, 4, pose=pose, payload=loads, heaviest=200.0)
+    made = {n: c for n, c in columns("frame_bending", loaded).items() if "payload" in n}
+    assert len(made) == 27
+    offset = {c.name: p for c, p in zip(state.machine.pose, pose[0], strict=True)}
+    middle = {c.name: 0.5 * (c.lower + c.upper) for c in state.machine.command}
+    x = (offset["x"] - middle.get("x", 0.0)) / state.machine.lever
+    one = made["z by payload xx"]
+    change = np.column_stack([one.joints[i] for i in range(6)]) * one.scale
+    share = np.array([-0.5, 0.5, 0.5, -0.5])
+    assert change == pytest.approx(8e-6 * x**2 * share[:, None] * loaded.pushing[:, :, 2])

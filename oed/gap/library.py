@@ -1,8 +1,8 @@
 """Every form of every effect that the readings can test, laid out as columns of one matrix.
 
-An effect may act with all its coefficients or in one limb alone, in all limbs alike or in each as it likes, as in the
-textbook or with its shape adapted, and with other constants: each such form is an `Atom`, a choice of columns. All atoms
-of an effect share its prior probability.
+An effect may act in one limb alone, in all limbs alike or in each as it likes, as in the textbook or with its shape
+adapted, and with other constants: each such form is an `Atom`, a choice of columns. All atoms of an effect share its
+prior probability.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ FIELD = 20e-6  # m, at a lever's distance from the middle of the workspace
 
 
 def columns(state: State) -> Iterable[Column]:
-    """Products of the reference tool point's coordinates displace the tool; shape: cubic ones, and more with payload."""
+    """Products of the reference tool point's coordinates displace the tool; shape: cubic ones, and by payload."""
     offset, load = _offset(state), _load(state)
     for degree, scale in ((2, FIELD), (3, terms.ADAPT * FIELD)):
         for factors in itertools.combinations_with_replacement(range(3), degree):
