@@ -481,7 +481,7 @@ def test_frame_bending_displaces_what_a_camera_sees(
 
 
 def test_frame_bending_by_payload_changes_with_it_alone() -> None:
-    """From no payload to the heaviest: 8 um times a product of coordinates more, and nothing from one such to another."""
+    """From no payload to the heaviest: 8 um times a product of coordinates more."""
     state = session("hexapod").states[0]
     pose = np.repeat(state.pose[:1] + 0.1, 4, axis=0)
     loads = np.array([0.0, 200.0, 200.0, np.nan])

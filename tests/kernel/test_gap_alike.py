@@ -15,7 +15,6 @@ from oed.gap.library import DIFFER, Library
 from oed.gap.problem import Problem
 from oed.gap.which import Search
 
-
 LOOSE = dataclasses.replace(BOW, constants={"turns": (2.0,)})
 TWINS = dataclasses.replace(LOOSE, name="twins", alike=True)
 
