@@ -57,7 +57,7 @@ def test_columns_are_finite_and_of_the_poses_length(machine: str, name: str) -> 
         made = columns(name, state)
         legs = max(len(state.limbs), 3)
         assert 1 <= sum(not c.shape for c in made.values()) <= 6 * legs
-        assert len(made) <= 25 * legs
+        assert len(made) <= 26 * legs
         for c in made.values():
             assert c.scale > 0.0
             assert c.label in ("", f"set-up {state.setup}", *(f"leg {i + 1}" for i in state.limbs))

@@ -257,6 +257,9 @@ def test_joint_runout_goes_twice_a_turn() -> None:
             column = made[f"leg 4 {order} {part}"]
             assert column.scale * column.joints[3] == pytest.approx(sizes[order] * np.array(wave), abs=1e-14)
             assert column.shape == (order != 2)
+    beside = columns("joint_runout", swung, platform=0.0, across=0.0)["leg 4 sideways 1 cos"]
+    assert beside.shape
+    assert beside.scale * beside.joints[3] == pytest.approx([0.0, 0.0, 1.6e-6 * half], abs=1e-14)
     assert not columns("joint_runout", session("linear_delta").states[0], platform=1.0)
 
 
@@ -269,7 +272,7 @@ def test_joint_runout_at_the_platform_turns_with_it() -> None:
     )
     for end, way in itertools.product((0.0, 1.0), (0.0, 1.0)):
         before, after = (columns("joint_runout", s, platform=end, across=way) for s in (state, turned))
-        assert len(before) == 6 * 2 * 6  # legs, sine and cosine, orders
+        assert len(before) == 6 * 2 * (6 + 2)  # legs, sine and cosine, orders along and sideways
         for name, c in before.items():
             (i,) = c.joints
             assert after[name].joints[i] == pytest.approx(c.joints[i])
@@ -487,7 +490,7 @@ def test_frame_bending_by_payload_changes_with_it_alone() -> None:
     loads = np.array([0.0, 200.0, 200.0, np.nan])
     loaded = small(state, 4, pose=pose, payload=loads, heaviest=200.0)
     made = {n: c for n, c in columns("frame_bending", loaded).items() if "payload" in n}
-    assert len(made) == 27
+    assert len(made) == 30
     offset = {c.name: p for c, p in zip(state.machine.pose, pose[0], strict=True)}
     middle = {c.name: 0.5 * (c.lower + c.upper) for c in state.machine.command}
     x = (offset["x"] - middle.get("x", 0.0)) / state.machine.lever

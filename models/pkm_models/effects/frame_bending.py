@@ -27,11 +27,11 @@ def columns(state: State) -> Iterable[Column]:
             for k, axis in enumerate("xyz"):
                 name = f"{axis} by {''.join('xyz'[f] for f in factors)}"
                 yield Column(name, scale, "", state.displaced(k, field), shape=degree > 2)
-    for degree in (1, 2):
+    for degree in (0, 1, 2):
         for factors in itertools.combinations_with_replacement(range(3), degree):
             field = load * offset[:, factors].prod(axis=1)
             for k, axis in enumerate("xyz"):
-                name = f"{axis} by payload {''.join('xyz'[f] for f in factors)}"
+                name = f"{axis} by payload {''.join('xyz'[f] for f in factors)}".strip()
                 yield Column(name, terms.ADAPT * FIELD, "", state.displaced(k, field), shape=True)
 
 

@@ -16,43 +16,50 @@ from pkm_models.effects import terms
 
 RUNOUT = 4e-6  # m
 WAVY = 0.15  # of runout
-#: harmonics of the joint's angle that are its shape, and those of what rolls in it
-SHAPE, ROLLING = (1, 3), (8, 12, 16)
+#: harmonics of the joint's angle that are its shape, those of what rolls in it, and those of wandering sideways
+SHAPE, ROLLING, SIDEWAYS = (1, 3), (8, 12, 16), (1, 2)
 
 
 def columns(state: State, platform: float, across: float) -> Iterable[Column]:
-    """Twice a turn, of the joint at the base (0) or the platform (1), as the leg swings in its plane (0) or across it
-    (1); shape: once and three times, and waviness. None at the platform of a machine that does not turn it."""
-    angle = _at_platform(state, across) if platform else _at_base(state, across)
-    if angle is None:
+    """Twice a turn, along the leg, of the joint at the base (0) or the platform (1), as the leg swings in its plane (0)
+    or across it (1); shape: once and three times, waviness, and sideways to the swing. None at the platform of a
+    machine that does not turn it."""
+    frame = _platform(state) if platform else _base(state)
+    if frame is None:
         return
+    away, up = frame
+    beside = np.cross(up, away)
+    way, aside = (beside, away) if across else (away, beside)
+    angle = np.arctan2(*(np.einsum("mjk,mjk->mj", state.along, axis) for axis in (way, up)))
+    sideways = terms.stretched(state, aside)
     sizes = {2: RUNOUT, **dict.fromkeys(SHAPE, terms.ADAPT * RUNOUT), **dict.fromkeys(ROLLING, WAVY * RUNOUT)}
     for i in state.limbs:
+        leg = f"leg {i + 1}"
         for order, scale in sizes.items():
             for part, value in (("sin", np.sin(order * angle[:, i])), ("cos", np.cos(order * angle[:, i]))):
                 change = {i: state.per_length[:, i] * value}
-                yield Column(f"leg {i + 1} {order} {part}", scale, f"leg {i + 1}", change, shape=order != 2)
+                yield Column(f"{leg} {order} {part}", scale, leg, change, shape=order != 2)
+        for order in SIDEWAYS:
+            for part, value in (("sin", np.sin(order * angle[:, i])), ("cos", np.cos(order * angle[:, i]))):
+                change = {i: sideways[:, i] * value}
+                yield Column(f"{leg} sideways {order} {part}", terms.ADAPT * RUNOUT, leg, change, shape=True)
 
 
-def _at_base(state: State, across: float) -> Array:
-    """Angle (m, nq) of each strut to the vertical, away from the machine's middle or across."""
-    way = terms.radial(state)
-    way = np.cross(np.array([0.0, 0.0, 1.0]), way) if across else way
-    return np.asarray(np.arctan2(np.einsum("mjk,mjk->mj", state.along, way), state.along[..., 2]))
+def _base(state: State) -> tuple[Array, Array]:
+    """Unit vectors (m, nq, 3) at the base: away from the machine's middle, and up."""
+    away = terms.radial(state)
+    return away, np.broadcast_to(np.array([0.0, 0.0, 1.0]), away.shape)
 
 
-def _at_platform(state: State, across: float) -> Array | None:
-    """Angle (m, nq) of each strut to the platform's normal, away from the platform's middle or across."""
+def _platform(state: State) -> tuple[Array, Array] | None:
+    """Unit vectors (m, nq, 3) at the platform: away from its middle, and its normal."""
     if not any(c.unit == "rad" for c in state.machine.pose) or len(state.limbs) < 3:
         return None
     away = state.platform - state.platform.mean(axis=1, keepdims=True)
     away /= np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-12)
     normal = np.cross(away[:, 0], away[:, 1])
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    way = np.cross(normal[:, None], away) if across else away
-    return np.asarray(
-        np.arctan2(np.einsum("mjk,mjk->mj", state.along, way), np.einsum("mjk,mk->mj", state.along, normal))
-    )
+    return away, np.broadcast_to(normal[:, None], away.shape)
 
 
 effect = Effect(
