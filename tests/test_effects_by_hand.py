@@ -218,7 +218,7 @@ def test_pitch_accumulation_leaves_zero_and_scale_to_others() -> None:
         (curve,) = c.joints.values()
         assert abs(weights @ curve) < 1e-6
         assert abs(weights @ (curve * nodes)) < 1e-6
-        assert weights @ curve**2 > 0.1
+        assert weights @ curve**2 > 0.05
 
 
 @pytest.mark.parametrize(("name", "constant", "period"), [
@@ -473,13 +473,13 @@ def test_frame_bending_displaces_what_a_camera_sees(
         axis, factors = name.split(" by ")
         if factors.startswith("payload"):
             continue
-        assert column.shape == (len(factors) == 3)
+        assert column.shape == (len(factors) > 2)
         field = (8e-6 if column.shape else 20e-6) * np.prod([at[k] for k in factors], axis=0)
         seen = exact(m, [series], theta, [state], [(effect_of("frame_bending"), {}, {name: 1.0})]) - start
         wanted = np.column_stack([field if k == axis and k in able else zero for k in "xyz"])
         assert seen.reshape(-1, 3) == pytest.approx(wanted, abs=1e-3 * np.abs(wanted).max() + 1e-14)
         acting |= {name} if wanted.any() else set()
-    forms = [f for n in (2, 3) for f in itertools.combinations_with_replacement(able, n)]
+    forms = [f for n in range(2, 7 - len(able)) for f in itertools.combinations_with_replacement(able, n)]
     assert acting == {f"{axis} by {''.join(form)}" for axis in able for form in forms}
 
 

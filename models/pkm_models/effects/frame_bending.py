@@ -7,7 +7,7 @@ Constant and linear parts are geometry; what is left of a 2-DOF machine with str
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -19,36 +19,43 @@ FIELD = 20e-6  # m, at a lever's distance from the middle of the workspace
 
 
 def columns(state: State) -> Iterable[Column]:
-    """Products of the reference tool point's coordinates displace the tool; shape: cubic ones, and by payload."""
+    """Products of the reference tool point's coordinates displace the tool; shape: cubic ones, those of four where it
+    moves in a plane, and what comes with the payload."""
     offset, load = _offset(state), _load(state)
-    for degree, scale in ((2, FIELD), (3, terms.ADAPT * FIELD)):
-        for factors in itertools.combinations_with_replacement(range(3), degree):
-            field = offset[:, factors].prod(axis=1)
-            for k, axis in enumerate("xyz"):
-                name = f"{axis} by {''.join('xyz'[f] for f in factors)}"
-                yield Column(name, scale, "", state.displaced(k, field), shape=degree > 2)
+    small = terms.ADAPT * FIELD
+    for degree, scale in ((2, FIELD), (3, small), (4, small)):
+        for name, field in _products(offset, degree) if degree < 4 or len(offset) < 3 else ():
+            yield from _displaced(state, name, scale, field, shape=degree > 2)
     for degree in (0, 1, 2):
-        for factors in itertools.combinations_with_replacement(range(3), degree):
-            field = load * offset[:, factors].prod(axis=1)
-            for k, axis in enumerate("xyz"):
-                name = f"{axis} by payload {''.join('xyz'[f] for f in factors)}".strip()
-                yield Column(name, terms.ADAPT * FIELD, "", state.displaced(k, field), shape=True)
+        for name, field in _products(offset, degree):
+            yield from _displaced(state, f"payload {name}".strip(), small, load * field, shape=True)
+
+
+def _displaced(state: State, name: str, scale: float, field: Array, *, shape: bool) -> Iterable[Column]:
+    for k, axis in enumerate("xyz"):
+        yield Column(f"{axis} by {name}", scale, "", state.displaced(k, field), shape=shape)
+
+
+def _products(offset: Mapping[str, Array], degree: int) -> Iterable[tuple[str, Array]]:
+    """Names and values (m,) of all products of so many coordinates; of none, 1."""
+    for factors in itertools.combinations_with_replacement(offset, degree):
+        yield "".join(factors), np.asarray(np.prod([offset[f] for f in factors], axis=0))
 
 
 def _load(state: State) -> Array:
-    """Payload (m,) as a share of the session's heaviest, beyond its mean; zeros where it does not change."""
+    """Payload (m,) as a share of the session's heaviest, beyond half of it; alike where it does not change."""
     share = np.nan_to_num(state.payload) / state.heaviest if state.heaviest > 0.0 else np.zeros(len(state))
     return np.asarray(share - 0.5)
 
 
-def _offset(state: State) -> Array:
-    """Reference tool point (m, 3) from the middle of the workspace, in levers."""
+def _offset(state: State) -> dict[str, Array]:
+    """Coordinates (m,) of the reference tool point from the middle of the workspace, in levers, by their names."""
     middle = {c.name: 0.5 * (c.lower + c.upper) for c in state.machine.command}
-    offset = np.zeros((len(state), 3))
-    for k, c in enumerate(state.machine.pose):
-        if c.name in ("x", "y", "z"):
-            offset[:, "xyz".index(c.name)] = state.pose[:, k] - middle.get(c.name, 0.0)
-    return offset / state.machine.lever
+    return {
+        c.name: (state.pose[:, k] - middle.get(c.name, 0.0)) / state.machine.lever
+        for k, c in enumerate(state.machine.pose)
+        if c.name in ("x", "y", "z")
+    }
 
 
 effect = Effect(

@@ -11,7 +11,7 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 #: standard deviations (m) of Legendre polynomials over the travel: accumulated errors fall with the degree
-CURVE = {2: 10e-6, 3: 7e-6, 4: 5e-6, 5: 4e-6, 6: 3.3e-6, 7: 2.9e-6}
+CURVE = {2: 10e-6, 3: 7e-6, 4: 5e-6, 5: 4e-6, 6: 3.3e-6, 7: 2.9e-6, 8: 2.5e-6, 9: 2.2e-6, 10: 2e-6}
 
 
 def columns(state: State) -> Iterable[Column]:
