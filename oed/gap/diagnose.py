@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -11,8 +11,8 @@ from scipy import linalg
 
 from oed.batch import Array
 from oed.effect import Effect
-from oed.gap import advice, classes, closure, library, scatter, spots, waves, where, which
-from oed.gap.diagnosis import UNKNOWN, Answer, Block, Closure, Coefficient, Diagnosis, Size, Verdict
+from oed.gap import advice, answers, closure, library, scatter, spots, waves, where, which
+from oed.gap.diagnosis import UNKNOWN, Block, Closure, Coefficient, Diagnosis, Size
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
 from oed.gap.problem import Index, Problem
@@ -22,15 +22,6 @@ from oed.gap.which import Hypothesis, Search
 #: root mean square, in units of the noise, that each effect and process has at least in the wide model, beside which
 #: noise is told
 WIDE = 0.7
-#: answers are told down to this probability
-TOLD = 0.002
-#: log posterior by which a rival may be behind and still belong to an effect's class
-ALIVE = 5.5
-#: probability from which on no gap is told: one that is missed costs more than one that is looked for in vain; and
-#: where what could be looked for is any of many
-SURE, EVEN = 0.65, 0.5
-#: members from which on a class beside a named effect is told as unknown
-VAGUE = 6
 
 
 def diagnose(problem: Problem, effects: Sequence[Effect], rng: np.random.Generator) -> Diagnosis:
@@ -105,16 +96,16 @@ def conclude(
     """The diagnosis that searches under several noise laws come to, without where and how far; and the hypothesis that
     its first answer stands for."""
     shares = which.probabilities(hypotheses)
-    scores = {h.key: h.score for h in hypotheses}
-    answers, best = _answers(made, hypotheses, shares, scores)
+    groups = answers.gathered(made, hypotheses, shares)
+    told, best = answers.told(groups)
     search = made[best.law]
-    named = {name for c in answers[0].classes for name in c}
+    named = {name for c in told[0].classes for name in c}
     found = _explained(problem, search, best, named if named & set(best.effects) else set(best.effects))
-    told = Diagnosis(
+    diagnosis = Diagnosis(
         problem=problem,
-        verdict=verdict(answers[0]),
-        answers=answers,
-        set95=_set95(answers),
+        verdict=answers.verdict(told[0]),
+        answers=told,
+        set95=answers.held(groups),
         marginal=_marginal(search.library.effects, hypotheses, shares),
         law=dataclasses.replace(search.law, level=found.level),
         noise_words=scatter.words(problem, dataclasses.replace(search.law, level=found.level)),
@@ -132,92 +123,10 @@ def conclude(
         where=(),
         closure=(),
         not_testable=search.library.not_testable,
-        confusable=tuple(dict.fromkeys(c for a in answers[:1] for c in a.classes if len(c) > 1)),
-        next=advice.advise(answers, effects, search.library.not_testable),
+        confusable=tuple(dict.fromkeys(c for a in told[:1] for c in a.classes if len(c) > 1)),
+        next=advice.advise(told, effects, search.library.not_testable),
     )
-    return told, best
-
-
-# -- answers -----------------------------------------------------------------------------------------------
-
-
-def _answers(
-    made: Sequence[Search],
-    hypotheses: Sequence[Hypothesis],
-    shares: Array,
-    scores: Mapping[tuple[frozenset[str], bool], float],
-) -> tuple[tuple[Answer, ...], Hypothesis]:
-    """Hypotheses gathered into classes, by probability: one that stands for another is counted with it. And the best
-    hypothesis of the first answer. None goes first only where it is sure."""
-    left = dict(zip([h.key for h in hypotheses], shares, strict=True))
-    answers: list[Answer] = []
-    leading: list[Hypothesis] = []
-    for h in hypotheses:
-        if h.key not in left or (left[h.key] < TOLD and answers):
-            continue
-        members = classes.of(made[h.law], h, scores, ALIVE) if h.effects else []
-        total = 0.0
-        for key in list(left):
-            if key[1] == h.unknown and _stands_for(key[0], members):
-                total += left.pop(key)
-        _tell(answers, members, h.unknown, float(total))
-        leading += [h] * (len(answers) - len(leading))
-    order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
-    if len(order) > 1 and not answers[order[0]].effects:
-        vague = any(len(c) >= VAGUE for c in answers[order[1]].classes)
-        if answers[order[0]].probability < (EVEN if vague else SURE):
-            order[:2] = order[1::-1]
-    return tuple(answers[k] for k in order), leading[order[0]]
-
-
-def _tell(answers: list[Answer], members: Sequence[tuple[str, ...]], unknown: bool, probability: float) -> None:
-    """Add an answer, or its probability to the one that says the same.
-
-    What acts beside a named effect and may be any of many is told as unknown: a name drawn from them would be a guess.
-    """
-    told = list(members)
-    if len(members) > 1:
-        told = [m for m in members if len(m) < VAGUE] or [min(members, key=len)]
-    unknown = unknown or len(told) < len(members)
-    names = tuple(m[0] for m in told)
-    for k, a in enumerate(answers):
-        if (UNKNOWN in a.effects) == unknown and _stands_for(frozenset(names), a.classes):
-            answers[k] = dataclasses.replace(a, probability=a.probability + probability)
-            return
-    answers.append(Answer((*names, UNKNOWN) if unknown else names, probability, tuple(told)))
-
-
-def _stands_for(effects: frozenset[str], members: Sequence[tuple[str, ...]]) -> bool:
-    """Whether a set of effects takes exactly one member of each class."""
-    if len(effects) != len(members):
-        return False
-    if not members:
-        return True
-    return any(_stands_for(effects - {name}, members[1:]) for name in members[0] if name in effects)
-
-
-def verdict(answer: Answer) -> Verdict:
-    """The kind of an answer."""
-    if not answer.effects:
-        return "none"
-    if answer.effects == (UNKNOWN,):
-        return "unknown"
-    if UNKNOWN in answer.effects:
-        return "mixture"
-    if any(len(c) > 1 for c in answer.classes):
-        return "class"
-    return "effect" if len(answer.effects) == 1 else "mixture"
-
-
-def _set95(answers: Sequence[Answer]) -> tuple[Answer, ...]:
-    """The fewest answers that together have 95 %."""
-    total, kept = 0.0, []
-    for answer in answers:
-        kept.append(answer)
-        total += answer.probability
-        if total >= 0.95:
-            break
-    return tuple(kept)
+    return diagnosis, best
 
 
 def _marginal(names: Iterable[str], hypotheses: Sequence[Hypothesis], shares: Array) -> dict[str, float]:

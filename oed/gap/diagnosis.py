@@ -80,8 +80,8 @@ class Diagnosis:
 
     verdict        none, effect, class (which of several cannot be told), mixture (an effect and an unknown remainder,
                    or several effects), unknown
-    answers        by probability, none first only where it is sure, see `diagnose`
-    set95          the fewest answers that together have 95 %
+    answers        by probability, none first only where it is sure, see `answers`
+    set95          the fewest sets of named effects that together have 95 %, see `answers`
     marginal       {effect: probability that it acts}
     law            noise as estimated;  noise_words: the same in words
     constants      {effect: its constants' values in the form that suits the readings best}

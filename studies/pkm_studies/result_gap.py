@@ -116,7 +116,7 @@ class Gap(Part, frozen=True):
 
     verdict   none, effect, class (one of several that cannot be told apart), mixture (several, or one and an unknown
               remainder), unknown
-    set95     the fewest answers that hold 95 % of the probability together
+    set95     the fewest sets of named effects that hold 95 % of the probability together, whatever is beside them
     constants  of each selected effect, SI
     selected  effects of the best answer, `unknown` aside
     spots     rms residual by place of the tool, in `spots_unit` ("sigma": in units of the stated noise)

@@ -11,6 +11,7 @@ from scipy import special
 
 from kernel.gap_lines import BOW, EFFECTS, SLIP, planted, readings
 from oed.effect import Column, Effect, State
+from oed.gap import answers as answering
 from oed.gap import diagnose as diagnosing
 from oed.gap import evidence, library, which
 from oed.gap.diagnosis import UNKNOWN, Answer
@@ -214,16 +215,16 @@ def test_verdicts() -> None:
         (("a", UNKNOWN), (("a",),), "mixture"),
         (("a", "b"), (("a",), ("b",)), "mixture"),
     ):
-        assert diagnosing.verdict(Answer(effects, 1.0, classes)) == wanted
+        assert answering.verdict(Answer(effects, 1.0, classes)) == wanted
 
 
-MANY = tuple(f"m{k}" for k in range(diagnosing.VAGUE))
+MANY = tuple(f"m{k}" for k in range(answering.VAGUE))
 
 
 def _said(*parts: tuple[list[tuple[str, ...]], bool, float]) -> list[Answer]:
     answers: list[Answer] = []
     for members, unknown, probability in parts:
-        diagnosing._tell(answers, members, unknown, probability)
+        answering._tell(answers, members, unknown, probability)
     return answers
 
 
@@ -236,7 +237,7 @@ def test_a_name_drawn_from_many_beside_a_named_effect_is_told_as_unknown() -> No
 
 
 def test_of_two_vague_classes_the_smaller_stays_and_a_lone_one_as_it_is() -> None:
-    more = tuple(f"n{k}" for k in range(diagnosing.VAGUE + 1))
+    more = tuple(f"n{k}" for k in range(answering.VAGUE + 1))
     for members in ([more, MANY], [MANY, more]):
         assert _said((members, False, 0.4)) == [Answer((MANY[0], UNKNOWN), 0.4, (MANY,))]
     assert _said(([more], False, 0.4)) == [Answer((more[0],), 0.4, (more,))]
@@ -250,6 +251,36 @@ def test_probabilities_of_answers_that_say_the_same_are_added() -> None:
     others = _said(([], False, 0.3), ([], True, 0.3), ([("a",)], False, 0.2), ([("a",)], True, 0.1), ([], True, 0.1))
     assert [a.effects for a in others] == [(), (UNKNOWN,), ("a",), ("a", UNKNOWN)]
     assert [a.probability for a in others] == pytest.approx([0.3, 0.4, 0.2, 0.1])
+
+
+def _group(members: list[tuple[str, ...]], unknown: bool, probability: float) -> answering.Group:
+    return answering.Group(None, tuple(members), unknown, probability)
+
+
+def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
+    """A named effect with and without a remainder is one; a second that could be any of many is not folded away."""
+    groups = [
+        _group([("a", "b")], False, 0.35),
+        _group([("a", "b")], True, 0.1),
+        _group([("a",), MANY], False, 0.2),
+        _group([MANY, ("a", "b")], True, 0.16),
+        _group([], False, 0.09),
+        _group([], True, 0.06),
+        _group([("c",)], False, 0.04),
+    ]
+    found = answering.held(groups)
+    assert [(a.effects, a.classes) for a in found] == [
+        (("a",), (("a", "b"),)),
+        (("a", MANY[0]), (("a",), MANY)),
+        ((), ()),
+        ((UNKNOWN,), ()),
+    ]
+    assert [a.probability for a in found] == pytest.approx([0.45, 0.36, 0.09, 0.06])
+
+
+def test_a_remainder_is_told_in_the_set_where_it_is_likelier_than_not() -> None:
+    (found,) = answering.held([_group([("a",)], False, 0.4), _group([("a",)], True, 0.6)])
+    assert found == Answer(("a", UNKNOWN), 1.0, (("a",),))
 
 
 def test_level_is_that_of_what_is_left() -> None:
@@ -269,9 +300,9 @@ def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(monkeypatch: pytest
         for e, u, p in sets
     ]
     monkeypatch.setattr(
-        diagnosing.classes, "of", lambda search, h, scores, alive: [vague if e == "c" else (e,) for e in h.effects]
+        answering.classes, "of", lambda search, h, scores, alive: [vague if e == "c" else (e,) for e in h.effects]
     )
-    answers, best = diagnosing._answers([None], made, np.array([0.4, 0.3, 0.3]), {h.key: h.score for h in made})
+    answers, best = answering.told(answering.gathered([None], made, np.array([0.4, 0.3, 0.3])))
     assert answers[0].effects == ("b", UNKNOWN)
     assert answers[0].probability == pytest.approx(0.6)
     assert best.effects == ("b", "c")
@@ -284,15 +315,14 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
         def of(search: Search, h: Hypothesis, scores: object, alive: float) -> list[tuple[str, ...]]:
             return [(e, *(f"{e}{k}" for k in range(1, members))) for e in h.effects]
 
-        monkeypatch.setattr(diagnosing.classes, "of", of)
+        monkeypatch.setattr(answering.classes, "of", of)
 
         shares = {(): none, ("a",): 0.6 * (1.0 - none), ("b",): 0.4 * (1.0 - none)}
         made = [
             Hypothesis(effects=e, atoms=tuple(0 for _ in e), log_evidence=float(np.log(p)), **blank)
             for e, p in shares.items()
         ]
-        scores = {h.key: h.score for h in made}
-        answers, best = diagnosing._answers([None], made, np.array(list(shares.values())), scores)
+        answers, best = answering.told(answering.gathered([None], made, np.array(list(shares.values()))))
         assert best.effects == answers[0].effects
         assert sum(a.probability for a in answers) == pytest.approx(1.0)
         return answers[0].effects
@@ -300,8 +330,8 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
     assert first(0.66) == ()
     assert first(0.64) == ("a",)
     assert first(0.45) == ("a",)
-    assert first(0.64, diagnosing.VAGUE) == ()  # what could be looked for is any of many
-    assert first(0.45, diagnosing.VAGUE) == ("a",)
+    assert first(0.64, answering.VAGUE) == ()  # what could be looked for is any of many
+    assert first(0.45, answering.VAGUE) == ("a",)
 
 
 def test_explanations_are_weighed_a_little_flatter_than_their_evidence() -> None:

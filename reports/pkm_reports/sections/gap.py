@@ -51,23 +51,27 @@ def _causes(gap: Part) -> str:
 
 
 def _answers(gap: Part) -> list[Block]:
-    rows, kept = [], {_key(a) for a in gap.get("set95") or []}
-    marks = []
-    for answer in (gap.get("answers") or [])[:ANSWERS]:
-        others = [[n for n in c if n not in answer["effects"]] for c in answer.get("classes") or []]
-        alike = words.listing(gap_causes.spoken(n) for n in dict.fromkeys(n for c in others for n in c))
-        rows.append([_told(answer), words.percent(answer["probability"]), alike or words.MISSING])
-        marks.append("chosen" if _key(answer) in kept else "")
-    if not rows:
+    found = gap.get("answers") or []
+    if not found:
         return []
     columns = [Column("Explanation", wide=True), Column("Probability", number=True)]
     columns.append(Column("Cannot be told from", wide=True))
-    caption = "Explanations of the gap. Marked are the fewest that hold 95 % of the probability together."
-    return [Table(columns, rows, caption, marks)]
+    caption = "Explanations of the gap. What acts beside a named effect and could be any of many is told as unknown."
+    made: list[Block] = [Table(columns, [_row(a) for a in found[:ANSWERS]], caption)]
+    kept = gap.get("set95") or []
+    if len(kept) > 1:
+        caption = (
+            "With 95 % probability one of these sets of effects acts, whatever remainder of unknown form may be beside "
+            "it (told where it is likelier than not); an effect, or one that cannot be told from it."
+        )
+        made.append(Table(columns, [_row(a) for a in kept], caption))
+    return made
 
 
-def _key(answer: Part) -> tuple[str, ...]:
-    return tuple(answer["effects"])
+def _row(answer: Part) -> list[Any]:
+    others = [[n for n in c if n not in answer["effects"]] for c in answer.get("classes") or []]
+    alike = words.listing(gap_causes.spoken(n) for n in dict.fromkeys(n for c in others for n in c))
+    return [_told(answer), words.percent(answer["probability"]), alike or words.MISSING]
 
 
 def _told(answer: Part) -> str:
