@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from oed.gap import problem
-from pkm_reports import document, sections, style, write_report
+from pkm_reports import document, sections, style, words, write_report
 from pkm_reports import html as html_writer
 from pkm_reports import pdf as pdf_writer
 from pkm_reports.figures import gap_causes, gap_map, gap_polar, gap_trace
@@ -195,3 +195,20 @@ def test_a_machine_in_a_plane_has_one_view_and_one_in_space_two() -> None:
     assert gap_map.views(flat) == [(1, 2)]
     solid = style.array([[300.0 * (k % 2), 10.0 * k, 100.0 * (k % 3)] for k in range(9)])
     assert gap_map.views(solid) == [(0, 1), (0, 2)]
+
+
+def test_one_of_many_is_not_named_before_the_others() -> None:
+    few, many = ["friction", "backlash"], ["step", *(f"effect_{k}" for k in range(6))]
+    answer = {"effects": ["friction", "step", "unknown"], "probability": 0.4, "classes": [few, many]}
+    said, percent, alike = chapter._row(answer)
+    assert said == "friction, one of 7 and an effect of unknown form"
+    assert percent == words.percent(0.4)
+    assert alike.startswith("backlash, step, effect 0")
+
+
+def test_the_set_is_shown_where_it_has_more_than_one() -> None:
+    one = {"effects": ["friction"], "probability": 0.97, "classes": [["friction"]]}
+    other = {"effects": ["step"], "probability": 0.03, "classes": [["step"]]}
+    assert len(chapter._answers({"answers": [one, other], "set95": [one]})) == 1
+    assert len(chapter._answers({"answers": [one, other], "set95": [one, other]})) == 2
+    assert not chapter._answers({"answers": []})

@@ -17,6 +17,8 @@ ANSWERS: Final = 6
 COEFFICIENTS: Final = 12
 SPLITS: Final = {"within": "stretches of runs", "whole": "whole runs"}
 LARGER: Final = 1e-9
+#: members from which on a class is counted, not led by one of its names
+MANY: Final = 6
 
 
 def blocks(result: Part) -> list[Block]:
@@ -69,13 +71,22 @@ def _answers(gap: Part) -> list[Block]:
 
 
 def _row(answer: Part) -> list[Any]:
-    others = [[n for n in c if n not in answer["effects"]] for c in answer.get("classes") or []]
+    others = [[n for n in c if n not in answer["effects"] or len(c) >= MANY] for c in answer.get("classes") or []]
     alike = words.listing(gap_causes.spoken(n) for n in dict.fromkeys(n for c in others for n in c))
     return [_told(answer), words.percent(answer["probability"]), alike or words.MISSING]
 
 
 def _told(answer: Part) -> str:
-    names = [gap_causes.spoken(n) if n != "unknown" else "an effect of unknown form" for n in answer["effects"]]
+    """The effects of an answer; one of many is not named before the others."""
+    counts = {c[0]: len(c) for c in answer.get("classes") or [] if len(c) >= MANY}
+    names = [
+        "an effect of unknown form"
+        if n == "unknown"
+        else f"one of {counts[n]}"
+        if n in counts
+        else gap_causes.spoken(n)
+        for n in answer["effects"]
+    ]
     return words.listing(names) or "no gap: noise alone"
 
 
