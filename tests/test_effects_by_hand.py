@@ -42,6 +42,18 @@ def test_leg_thermal_of_a_carriage_is_its_screw() -> None:
     assert rod.joints[1] == pytest.approx(2.0 * state.strut[:2, 1] * state.per_length[:2, 1] * np.array([0.0, 1.0]))
 
 
+def test_leg_thermal_of_a_turning_arm_is_its_rod() -> None:
+    """An angle does not grow: where joints turn arms, the struts that they move are what warms."""
+    state = session("linear_delta").states[0]
+    turning = [dataclasses.replace(c, unit="rad") for c in state.machine.joints]
+    machine = dataclasses.replace(state.machine, joints=tuple(turning))
+    warm = small(state, 2, machine=machine, temperature={"leg": np.array([21.0, 23.0])})
+    made = columns("leg_thermal", warm)
+    assert "leg 2 per kelvin strut" not in made
+    grown = 2.0 * state.strut[:2, 1] * state.per_length[:2, 1] * np.array([0.0, 1.0])
+    assert made["leg 2 per kelvin"].joints[1] == pytest.approx(grown)
+
+
 def test_what_warms_at_work_cools_in_breaks() -> None:
     """Ten runs of ten minutes, a break of two hours, and ten more: cooled by exp(-7200 / tau) over the break."""
     state = session("hexapod").states[0]

@@ -17,7 +17,8 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     that is elsewhere, and the struts that a carriage moves."""
     known = terms.travel(state.machine)
     for i in state.limbs:
-        leg, own, carried = f"leg {i + 1}", f"leg{i + 1}", known.guide[i].any()
+        leg, own = f"leg {i + 1}", f"leg{i + 1}"
+        carried = bool(known.guide[i].any()) and state.machine.joints[i].unit == "m"
         measured, warm, second = terms.warming(state, own if own in state.temperature else "leg", tau)
         unit, scale, strain = ("per kelvin", terms.STEEL, 1.0) if measured else ("rise", RISE, terms.STEEL)
         strut = state.per_length[:, i] * state.strut[:, i]
