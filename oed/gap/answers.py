@@ -108,16 +108,16 @@ def held(groups: Sequence[Group]) -> tuple[Answer, ...]:
     sets: list[list[Group]] = []
     for group in sorted(groups, key=lambda g: -g.probability):
         names = frozenset(m[0] for m in group.members)
-        same = (s for s in sets if names and s[0].members and _stands_for(names, s[0].members))
-        found = next(same, None)
-        if found is None:
+        same = (s for s in sets if names and _stands_for(names, s[0].members))
+        alike = next(same, None)
+        if alike is None:
             sets.append([group])
         else:
-            found.append(group)
+            alike.append(group)
     answers = []
-    for found in sets:
-        total, beside = sum(g.probability for g in found), sum(g.probability for g in found if g.unknown)
-        answers.append(_answer(found[0].members, beside > 0.5 * total, total))
+    for alike in sets:
+        total, beside = sum(g.probability for g in alike), sum(g.probability for g in alike if g.unknown)
+        answers.append(_answer(alike[0].members, beside > 0.5 * total, total))
     answers.sort(key=lambda a: -a.probability)
     total, kept = 0.0, []
     for answer in answers:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -94,13 +93,13 @@ def build(problem: Problem, effects: Sequence[Effect], metric: Metric | None = N
         if not forms:
             refused[effect.name] = "it changes none of these readings"
             continue
-        for form, log_weight, common in _with_alike(forms, effect.alike):
+        for form, log_weight, halved in _with_alike(forms, effect.alike):
             start = len(names)
             blocks.append(problem.of(form.columns))
             names += form.names
             labels += form.labels
             scales.append(form.scales)
-            atoms += _atoms(form, start, log_weight, common)
+            atoms += _atoms(form, start, log_weight, halved)
     columns = np.hstack(blocks) if blocks else np.zeros((len(problem), 0))
     joined = np.concatenate(scales) if scales else np.zeros(0)
     return Library(columns, tuple(atoms), tuple(names), tuple(labels), joined, refused)
@@ -160,25 +159,27 @@ def _best(
     return [forms[k] for k in sorted(order)]
 
 
-def _with_alike(
-    forms: Sequence[tuple[Signature, float]], alike: bool
-) -> Iterator[tuple[Signature, float, Literal["", "too", "only"]]]:
-    """Forms with their log weights; each followed by that of limbs that are alike, if limbs may be, and which it is."""
+def _with_alike(forms: Sequence[tuple[Signature, float]], alike: bool) -> Iterator[tuple[Signature, float, bool]]:
+    """Forms, their log weights, and whether limbs that are alike have half of all limbs' share; their form follows."""
     for form, log_weight in forms:
         joined = _alike(form) if alike else None
-        yield form, log_weight, "" if joined is None else "too"
+        yield form, log_weight, joined is not None
         if joined is not None:
-            yield joined, log_weight, "only"
+            yield joined, log_weight + math.log(0.5 * (1.0 - ALONE)), False
 
 
 def _alike(form: Signature) -> Signature | None:
     """The form of limbs that are alike: the sum over limbs of each kind of column, and the limbs' own differences from
-    it in the textbook's columns. None where limbs do not have the same kinds of columns."""
+    it in the textbook's columns. None where limbs do not have the same kinds of columns, or are too many."""
     kinds: dict[str, list[int]] = {}
     for k, (name, label) in enumerate(zip(form.names, form.labels, strict=True)):
         kinds.setdefault(name.removeprefix(label).strip(), []).append(k)
     limbs = set(form.labels)
-    if len(limbs) < 2 or "" in limbs or any({form.labels[k] for k in own} != limbs for own in kinds.values()):
+    if (
+        not 2 <= len(limbs) <= BLOCKS
+        or "" in limbs
+        or any({form.labels[k] for k in own} != limbs for own in kinds.values())
+    ):
         return None
     own = [k for k in range(len(form.names)) if not form.shape[k]]
     return dataclasses.replace(
@@ -193,18 +194,16 @@ def _alike(form: Signature) -> Signature | None:
     )
 
 
-def _atoms(form: Signature, start: int, log_weight: float, common: Literal["", "too", "only"] = "") -> list[Atom]:
-    """Forms of one signature: all limbs or one, with or without the columns that adapt; limbs that are alike."""
+def _atoms(form: Signature, start: int, log_weight: float, halved: bool = False) -> list[Atom]:
+    """Forms of one signature: all limbs, if `halved` with half of their share, or one; with or without the columns that
+    adapt."""
     limbs = list(dict.fromkeys(n for n in form.labels if n))
     choices: list[tuple[Index, float]] = []
     everything = np.arange(len(form.names), dtype=np.intp)
-    all_of_them = (1.0 - ALONE if len(limbs) <= BLOCKS else 1.0) * (0.5 if common else 1.0)
-    if common == "only":
-        choices.append((everything, all_of_them))
-    elif len(limbs) > 1 and all(form.labels):
+    if len(limbs) > 1 and all(form.labels):
         alone = ALONE if len(limbs) <= BLOCKS else 1.0
         if alone < 1.0:
-            choices.append((everything, all_of_them))
+            choices.append((everything, (1.0 - alone) * (0.5 if halved else 1.0)))
         choices += [(np.flatnonzero([n == limb for n in form.labels]), alone / len(limbs)) for limb in limbs]
     else:
         choices.append((everything, 1.0))

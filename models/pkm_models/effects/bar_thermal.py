@@ -22,13 +22,15 @@ def columns(state: State, tau: float, held: float) -> Iterable[Column]:
     measured, warm, second = terms.warming(state, "bar", tau)
     name, long = bar.label(state), bar.length(state) or bar.NOMINAL
     unit, scale = ("per kelvin", terms.STEEL) if measured else ("rise", RISE * terms.STEEL)
-    shop = {unit: (scale, warm), f"{unit} second": (terms.ADAPT * scale, second)}
-    hand = {"held": (RISE * terms.STEEL, _fading(state, tau / 4.0))}
-    first, rest = (hand, shop) if held else (shop, hand)
-    for part, shape in ((first, False), (rest, True)):
-        for k, (kind, (size, form)) in enumerate(part.items()):
-            reading = {"length": -long * form}
-            yield Column(f"{name} {kind}", size, reading=reading, shape=shape or k > 0)
+    hand, most = "held", RISE * terms.STEEL
+    forms = {
+        unit: (scale, warm),
+        f"{unit} second": (terms.ADAPT * scale, second),
+        hand: (most, _fading(state, tau / 4.0)),
+    }
+    textbook = hand if held else unit
+    for kind, (size, form) in forms.items():
+        yield Column(f"{name} {kind}", size, reading={"length": -long * form}, shape=kind != textbook)
 
 
 def _fading(state: State, tau: float) -> Array:

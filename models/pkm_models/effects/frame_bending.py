@@ -21,7 +21,7 @@ FIELD = 20e-6  # m, at a lever's distance from the middle of the workspace
 def columns(state: State) -> Iterable[Column]:
     """Products of the reference tool point's coordinates displace the tool; shape: cubic ones, those of four where it
     moves in a plane, and what comes with the payload."""
-    offset, load = _offset(state), _load(state)
+    offset, load = _offset(state), terms.carried(state) - 0.5
     small = terms.ADAPT * FIELD
     for degree, scale in ((2, FIELD), (3, small), (4, small)):
         for name, field in _products(offset, degree) if degree < 4 or len(offset) < 3 else ():
@@ -40,12 +40,6 @@ def _products(offset: Mapping[str, Array], degree: int) -> Iterable[tuple[str, A
     """Names and values (m,) of all products of so many coordinates; of none, 1."""
     for factors in itertools.combinations_with_replacement(offset, degree):
         yield "".join(factors), np.asarray(np.prod([offset[f] for f in factors], axis=0))
-
-
-def _load(state: State) -> Array:
-    """Payload (m,) as a share of the session's heaviest, beyond half of it; alike where it does not change."""
-    share = np.nan_to_num(state.payload) / state.heaviest if state.heaviest > 0.0 else np.zeros(len(state))
-    return np.asarray(share - 0.5)
 
 
 def _offset(state: State) -> dict[str, Array]:

@@ -6,6 +6,7 @@ the joint, 8 to 16 times. Ball joints are round to 1 to 5 um, rings of bearings 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 
 import numpy as np
@@ -31,18 +32,17 @@ def columns(state: State, platform: float, across: float) -> Iterable[Column]:
     beside = np.cross(up, away)
     way, aside = (beside, away) if across else (away, beside)
     angle = np.arctan2(*(np.einsum("mjk,mjk->mj", state.along, axis) for axis in (way, up)))
-    sideways = terms.stretched(state, aside)
     sizes = {2: RUNOUT, **dict.fromkeys(SHAPE, terms.ADAPT * RUNOUT), **dict.fromkeys(ROLLING, WAVY * RUNOUT)}
-    for i in state.limbs:
+    ways = {
+        "": (state.per_length, sizes),
+        "sideways ": (terms.stretched(state, aside), dict.fromkeys(SIDEWAYS, terms.ADAPT * RUNOUT)),
+    }
+    for i, (kind, (seen, scales)) in itertools.product(state.limbs, ways.items()):
         leg = f"leg {i + 1}"
-        for order, scale in sizes.items():
+        for order, scale in scales.items():
             for part, value in (("sin", np.sin(order * angle[:, i])), ("cos", np.cos(order * angle[:, i]))):
-                change = {i: state.per_length[:, i] * value}
-                yield Column(f"{leg} {order} {part}", scale, leg, change, shape=order != 2)
-        for order in SIDEWAYS:
-            for part, value in (("sin", np.sin(order * angle[:, i])), ("cos", np.cos(order * angle[:, i]))):
-                change = {i: sideways[:, i] * value}
-                yield Column(f"{leg} sideways {order} {part}", terms.ADAPT * RUNOUT, leg, change, shape=True)
+                change = {i: seen[:, i] * value}
+                yield Column(f"{leg} {kind}{order} {part}", scale, leg, change, shape=bool(kind) or order != 2)
 
 
 def _base(state: State) -> tuple[Array, Array]:

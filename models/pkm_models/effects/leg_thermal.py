@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
@@ -21,11 +19,8 @@ def columns(state: State, tau: float) -> Iterable[Column]:
         carried = bool(known.guide[i].any()) and state.machine.joints[i].unit == "m"
         measured, warm, second = terms.warming(state, own if own in state.temperature else "leg", tau)
         unit, scale, strain = ("per kelvin", terms.STEEL, 1.0) if measured else ("rise", RISE, terms.STEEL)
-        strut = state.per_length[:, i] * state.strut[:, i]
-        long = state.joints[:, i] if carried else strut
-        fixed = (
-            np.full(len(state), known.high[i] - known.low[i]) if carried else state.per_length[:, i] * known.strut[i]
-        )
+        strut, stays = (state.per_length[:, i] * length for length in (state.strut[:, i], known.strut[i]))
+        long, fixed = (state.joints[:, i], known.high[i] - known.low[i]) if carried else (strut, stays)
         yield Column(f"{leg} {unit}", scale, leg, {i: strain * long * warm})
         shapes = {"second": long * second, "bearing": fixed * warm} | ({"strut": strut * warm} if carried else {})
         for name, form in shapes.items():

@@ -95,10 +95,14 @@ def metre(state: State) -> Array:
     return np.where(turning, worth, 1.0)
 
 
+def carried(state: State) -> Array:
+    """Payload (m,) as a share of the session's heaviest; zeros where there is none."""
+    return np.nan_to_num(state.payload) / state.heaviest if state.heaviest > 0.0 else np.zeros(len(state))
+
+
 def loaded(state: State, ratio: float) -> tuple[Array, Array]:
     """Load (m, nq) of each joint per newton of what moves, and what the payload has of it; ratio: see `RATIOS`."""
-    share = np.nan_to_num(state.payload) / (ratio * state.heaviest) if state.heaviest > 0.0 else np.zeros(len(state))
-    extra = state.force * share[:, None]
+    extra = state.force * (carried(state) / ratio)[:, None]
     return state.weight + extra, extra
 
 
