@@ -226,11 +226,12 @@ def test_pitch_accumulation_leaves_zero_and_scale_to_others() -> None:
     state = small(session("planar_2dof").states[0], 49)
     nodes, weights = np.polynomial.legendre.leggauss(len(state))
     at = q.min(axis=0) + 0.5 * (nodes[:, None] + 1.0) * np.ptp(q, axis=0)
-    for c in columns("pitch_accumulation", dataclasses.replace(state, joints=at)).values():
+    for name, c in columns("pitch_accumulation", dataclasses.replace(state, joints=at)).items():
         (curve,) = c.joints.values()
         assert abs(weights @ curve) < 1e-6
         assert abs(weights @ (curve * nodes)) < 1e-6
-        assert weights @ curve**2 > 0.05
+        degree = int(name.rpartition("P")[2])
+        assert weights @ curve**2 == pytest.approx(2.0 / (2 * degree + 1), rel=1e-3)
 
 
 @pytest.mark.parametrize(("name", "constant", "period"), [

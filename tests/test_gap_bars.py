@@ -23,7 +23,7 @@ from oed.effect import Effect
 from oed.gap import library
 from oed.gap import state as states_of
 from oed.gap.diagnose import diagnose
-from oed.gap.diagnosis import UNKNOWN, Diagnosis
+from oed.gap.diagnosis import UNKNOWN, Answer, Diagnosis
 from oed.gap.problem import Problem, planned, prepare
 from oed.gap.signature import exact, signature
 from oed.instrument import mount
@@ -100,10 +100,18 @@ def virtual(
     return Virtual(case, problem, blind.loading.bench(layout.study).effects)
 
 
-def together(found: Diagnosis, names: set[str]) -> list[bool]:
-    """For each of the 95 % answers that has one of these names, whether it has them all."""
+def together(answers: Sequence[Answer], names: set[str]) -> list[bool]:
+    """For each class of the answers, down to 95 % of them, that has one of these names, whether it has them all."""
+    before = np.cumsum([0.0, *(a.probability for a in answers)])
+    likely = [a for a, p in zip(answers, before, strict=False) if p < 0.95]
+    return [names <= set(c) for a in likely for c in a.classes if names & set(c)]
+
+
+def held(found: Diagnosis, names: set[str]) -> list[bool]:
+    """For each answer of the 95 % set that has one of these names, whether it has them all: beside the one a class of a
+    second effect may leave it out."""
     every = [{name for c in a.classes for name in c} for a in found.set95]
-    return [names <= held for held in every if names & held]
+    return [names <= each for each in every if names & each]
 
 
 # -- a common encoder scale and the bar's length -----------------------------------------------------------
@@ -124,8 +132,10 @@ def test_one_tool_never_tells_scale_from_bar(
     """The answer holds both, whichever acts, and names the reading that would tell."""
     form = blind.effects.EXACT[truth]
     found = virtual(blind, tmp_path, seed, ("a3", "single"), form, 14.0, law=law).diagnosed()
-    assert together(found, TWO), found.answers[0]
-    assert all(together(found, TWO)), found.set95
+    assert together(found.answers, TWO), found.answers[0]
+    assert all(together(found.answers, TWO)), found.answers
+    assert held(found, TWO), found.set95
+    assert all(held(found, TWO)), found.set95
     assert found.verdict == "class"
     said = " ".join(found.next)
     assert "laser" in said
@@ -189,7 +199,17 @@ def test_with_all_columns_all_is_tested(blind: SimpleNamespace, tmp_path: Path) 
 # -- an effect that the library does not have --------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "seed"), [("step", 1), ("step", 2), ("servo_lag", 4)], ids=lambda v: str(v))
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        pytest.param("gravity", 3, marks=pytest.mark.xfail(strict=True, reason="bending and clearance stand for it")),
+        ("servo_lag", 4),
+        pytest.param("pitch_accumulation", 1, marks=pytest.mark.xfail(strict=True, reason="a guideway stands for it")),
+        ("step", 1),
+        ("step", 2),
+    ],
+    ids=lambda v: str(v),
+)
 def test_a_withheld_effect_is_unknown(blind: SimpleNamespace, tmp_path: Path, name: str, seed: int) -> None:
     """Strong effects that no other can stand for; how often it goes so is a matter of the blind benchmark.
 
