@@ -82,8 +82,10 @@ class Entry:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """Where the effects act, where that is in part."""
-        return tuple(b for e in self.label["effects"] for b in e["blocks"])
+        """Where the effects act, where that is in part; with legs in which they would make the same readings."""
+        true = [b for e in self.label["effects"] for b in e["blocks"]]
+        ties = [group for e in self.oracle["effects"] for group in e.get("tied", ())]
+        return tuple(dict.fromkeys([*true, *(leg for g in ties if set(g) & set(true) for leg in g)]))
 
 
 def read(folder: Path, results: Path, oracles: Mapping[str, Mapping[str, Any]]) -> list[Entry]:

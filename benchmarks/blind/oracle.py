@@ -9,7 +9,8 @@ the readings,
                         counts, and what other effects truly act in the case is taken out of everything first.
 
 `apart` is the least over rivals other than the effects that act; `own` what the effect's own library form leaves;
-`beyond` the least over all of the library, for effects that are in none.
+`beyond` the least over all of the library, for effects that are in none. `tied` are legs of which an effect in another
+leg makes the same readings, so that nothing tells where it is.
 """
 
 from __future__ import annotations
@@ -32,13 +33,15 @@ from oed.batch import Array
 from oed.gap import closure as closure_of
 from oed.gap import library as library_of
 from oed.gap.law import Law
-from oed.gap.library import Library
+from oed.gap.library import Atom, Library
 from oed.gap.problem import Index, Problem
 
 #: size, against its physical prior scale, that a rival is granted
 RIVAL = 3.0
 #: readings of the truth and of the file may differ by the rounding of the file, m
 ROUNDING = 1e-9
+#: shares of an effect's sqrt(lambda): by which what two tied legs leave of it may differ, and that they leave at most
+TIED, HALF = 1e-3, 0.5
 SPLITS: tuple[closure_of.Split, ...] = ("within", "whole")
 
 
@@ -151,6 +154,7 @@ def _effects(
             "own": left.get(name, whole),
             "beyond": min(left.values(), default=whole),
             "left": {n: round(v, 4) for n, v in left.items()},
+            "tied": tied(mine, theirs, known, name),
         })  # fmt: skip
     return found
 
@@ -168,15 +172,41 @@ def absorbed(seen: Array, columns: Array, known: Library) -> dict[str, float]:
 
     sqrt(v^T v - v^T C (C^T C + 1 / RIVAL^2)^-1 C^T v), least over the effect's forms: all limbs, textbook and adapted.
     """
-    told, gram = columns.T @ seen, columns.T @ columns
-    whole = float(seen @ seen)
     left: dict[str, float] = {}
-    for atom in known.atoms:
-        c = atom.columns
-        inner = gram[np.ix_(c, c)] + np.eye(len(c)) / RIVAL**2
-        kept = whole - float(told[c] @ np.linalg.solve(inner, told[c]))
-        left[atom.effect] = min(left.get(atom.effect, math.inf), math.sqrt(max(kept, 0.0)))
+    for atom, kept in zip(known.atoms, _kept(seen, columns, known.atoms), strict=True):
+        left[atom.effect] = min(left.get(atom.effect, math.inf), kept)
     return left
+
+
+def tied(seen: Array, columns: Array, known: Library, name: str) -> list[list[str]]:
+    """Groups of legs of which an effect in any one alone leaves the same of `seen` (N,), whatever its forms."""
+    mine = [a for a in known.atoms if a.effect == name and len({known.labels[c] for c in a.columns}) == 1]
+    least: dict[str, float] = {}
+    for atom, kept in zip(mine, _kept(seen, columns, mine), strict=True):
+        leg = known.labels[atom.columns[0]]
+        if leg.startswith("leg "):
+            least[leg] = min(least.get(leg, math.inf), kept)
+    whole = float(np.linalg.norm(seen))
+    groups: list[list[str]] = []
+    for leg, kept in least.items():
+        group = next((g for g in groups if abs(least[g[0]] - kept) < TIED * whole), None)
+        if kept > HALF * whole:
+            continue
+        if group is None:
+            groups.append([leg])
+        else:
+            group.append(leg)
+    return [g for g in groups if len(g) > 1]
+
+
+def _kept(seen: Array, columns: Array, atoms: Sequence[Atom]) -> list[float]:
+    """What each form leaves of `seen` (N,)."""
+    told, gram = columns.T @ seen, columns.T @ columns
+    whole, kept = float(seen @ seen), []
+    for c in (a.columns for a in atoms):
+        inner = gram[np.ix_(c, c)] + np.eye(len(c)) / RIVAL**2
+        kept.append(math.sqrt(max(whole - float(told[c] @ np.linalg.solve(inner, told[c])), 0.0)))
+    return kept
 
 
 # -- closure -----------------------------------------------------------------------------------------------

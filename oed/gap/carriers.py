@@ -24,11 +24,13 @@ from oed.measurement import Series
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Peak:
-    """A form: log tail probability of what it explains, its columns (N, k), and what it is told by."""
+    """A form: log tail probability of what it explains, its columns (N, k), and what it is told by; columns (N, k') of
+    wider forms of the same."""
 
     log_tail: float
     columns: Array
     constants: Mapping[str, float]
+    wider: tuple[Array, ...] = ()
 
 
 def beside(processes: Library, name: str, kinds: Sequence[tuple[Sequence[Peak], int]], kept: int) -> Library:
@@ -37,13 +39,16 @@ def beside(processes: Library, name: str, kinds: Sequence[tuple[Sequence[Peak], 
     kinds   forms, and how many were looked at to find them; each kind has the prior weight of a process
     """
     found = [
-        (peak, -math.log(count)) for peaks, count in kinds for peak in sorted(peaks, key=lambda p: p.log_tail)[:kept]
+        (form, peak.constants, -math.log(count * (1 + len(peak.wider))))
+        for peaks, count in kinds
+        for peak in sorted(peaks, key=lambda p: p.log_tail)[:kept]
+        for form in (peak.columns, *peak.wider)
     ]
     columns, atoms, names = [processes.columns], list(processes.atoms), list(processes.names)
-    for k, (peak, weight) in enumerate(found):
-        at = np.arange(len(names), len(names) + peak.columns.shape[1], dtype=np.intp)
-        columns.append(peak.columns)
-        atoms.append(Atom(name, peak.constants, at, weight))
+    for k, (form, constants, weight) in enumerate(found):
+        at = np.arange(len(names), len(names) + form.shape[1], dtype=np.intp)
+        columns.append(form)
+        atoms.append(Atom(name, constants, at, weight))
         names += [f"{name} {k} {j}" for j in range(len(at))]
     more = len(names) - len(processes.names)
     return dataclasses.replace(

@@ -11,7 +11,7 @@ from scipy import linalg
 
 from oed.batch import Array
 from oed.effect import Effect
-from oed.gap import advice, answers, closure, library, scatter, spots, waves, where, which
+from oed.gap import advice, answers, closure, library, pursuit, scatter, spots, waves, where, which
 from oed.gap.diagnosis import UNKNOWN, Block, Closure, Coefficient, Diagnosis, Size
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
@@ -214,11 +214,15 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     if tailed:  # what looks far off may be a gap, within a run at that
         laws.append((calm, prior))
     processes = spots.added(waves.added(processes, problem, plain[0]), problem, plain[0])
+    processes, beside = pursuit.pursued(processes, problem, plain[0])
+    for pair in beside[-1:]:
+        if not any(_same(pair[0], other[0]) for other in laws):
+            laws.append(pair)
     made = [Search(problem, known, processes, *pair) for pair in laws]
     # what each law would have act is given the law that suits it: a load's runs, say, are not taken for poor repeats
     for start in list(made):
-        _refitted(made, start, start.run()[0])
-    best = which.compare(made)[0]
+        _refitted(made, start, next(h for h in start.run() if h.effects or h.unknown))
+    best = next(h for h in which.compare(made) if h.effects or h.unknown)
     _refitted(made, made[best.law], best)
     return made
 

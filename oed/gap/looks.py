@@ -129,6 +129,7 @@ def _selected(problem: Problem, columns: Array | None, labels: Sequence[str] | N
         if kind:
             yield Look(kind, name, mine)
         yield from _stretch(problem, mine)
+        yield from _touched(problem, mine)
     if 0 < columns.shape[1] <= FEW:
         for k, (place, inside) in enumerate(_places(problem)):
             yield Look("run", place, inside[:, None] * columns, frozenset({k}), SELECTED)
@@ -149,6 +150,16 @@ def _stretch(problem: Problem, columns: Array) -> Iterator[Look]:
         first, last = float(clock[clock > last].min()), end
     low, high = (int(np.searchsorted(starts, t, side="right")) - 1 for t in (first, last))
     yield Look("time", f"time {_number(first)}-{_number(last)}", columns, frozenset(range(low, high + 1)), SELECTED)
+
+
+def _touched(problem: Problem, columns: Array) -> Iterator[Look]:
+    """The runs outside which selected columns (N, k) change nothing, if there are any: each is told by all of them."""
+    size = np.abs(columns).max(axis=1, initial=0.0)
+    changed = size > NOTHING * max(float(size.max(initial=0.0)), 1e-300)
+    runs = list(_places(problem))
+    inside = [k for k, (_, here) in enumerate(runs) if changed[here > 0.0].any()]
+    if len(inside) < len(runs):
+        yield from (Look("run", runs[k][0], columns, frozenset({k}), SELECTED) for k in inside)
 
 
 # -- runs, times, phases, directions ---

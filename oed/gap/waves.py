@@ -154,8 +154,9 @@ def _peaks(problem: Problem, metric: Metric, band: _Band) -> list[Peak]:
             near = _close(band, carrier, int(k))
             tails = _tails(problem, metric, near)[0]
             best = float(near.frequencies[np.argmin(tails)])
-            columns = _waves(carrier, _both(band.clock, np.array([best])))[:, :, 0]
-            found.append(Peak(float(tails.min()), columns, {f"period_{band.unit}": 1.0 / best}))
+            half, own, twice = (_waves(carrier, _both(band.clock, best * np.array([k])))[:, :, 0] for k in (0.5, 1, 2))
+            wider = (np.hstack([own, twice]), np.hstack([half, own]))
+            found.append(Peak(float(tails.min()), own, {f"period_{band.unit}": 1.0 / best}, wider))
     return found
 
 

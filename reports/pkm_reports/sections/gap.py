@@ -13,6 +13,8 @@ ANCHOR: Final = "gap"
 TITLE: Final = "The gap: causes, place, remedy"
 Part = Mapping[str, Any]
 PLACES: Final = 8
+#: share by which what two legs explain may differ where nothing tells them apart
+SAME: Final = 1e-6
 ANSWERS: Final = 6
 COEFFICIENTS: Final = 12
 SPLITS: Final = {"within": "stretches of runs", "whole": "whole runs"}
@@ -212,8 +214,19 @@ def _places(gap: Part) -> list[Block]:
         "looked at) that noise alone would stand out as much there, and the share of the gap that lies there. One gap "
         "shows in several places at once."
     )
+    alike = _tied(found)
+    if alike:
+        caption += f" Of {' and '.join(alike)} the readings are the same, so that nothing tells which of them it is."
     marks = ["chosen" if words.number(w["p_value"]) < 0.05 else "" for w in found]
     return [Table(columns, rows, caption, marks)]
+
+
+def _tied(found: Sequence[Part]) -> list[str]:
+    """The legs that explain exactly as much as the first one told does, where that is much."""
+    legs = [w for w in found if str(w["block"]).startswith("leg ") and words.number(w["p_value"]) < 0.05]
+    size = words.number(legs[0].get("strength")) if legs else 0.0
+    same = [str(w["block"]) for w in legs if abs(words.number(w.get("strength")) - size) < SAME * size]
+    return same if len(same) > 1 else []
 
 
 def _place(block: str) -> str:
