@@ -82,6 +82,22 @@ def joints(problem: Problem) -> Array:
     return problem.of(UNIT * np.concatenate(parts))
 
 
+def parameters(problem: Problem) -> Array:
+    """Readings (N, n, J), in units of the noise, of the machine's uncertain parameters at each of the poses that they
+    see: each by its tolerance against that of lengths, all together by a micrometre."""
+    known = problem.measurement.machine.parameters
+    free = [k for k, p in enumerate(known) if p.tolerance > 0.0]
+    usual = np.median([known[k].tolerance for k in free if known[k].unit == "m"] or [1.0])
+    weight = np.array([known[k].tolerance / usual for k in free]) / np.sqrt(max(len(free), 1))
+    parts, most = [], _most(problem)
+    for series, response in zip(problem.series, problem.responses, strict=True):
+        slopes = np.zeros((response.joints[0][..., 0].size, len(free), most))
+        for k, j in enumerate(_seen(series)):
+            slopes[:, :, k] = response.parameters[j][:, :, free].reshape(len(slopes), -1)
+        parts.append(slopes)
+    return np.asarray(problem.of(UNIT * np.concatenate(parts)) * weight[:, None])
+
+
 def tool(problem: Problem, legs: Array) -> Array:
     """The same (N, 3, J) per micrometre of the tool along each axis, from that of the joints (N, nq, J)."""
     return np.asarray(np.einsum("nqj,njqk->nkj", legs, at_poses(problem, [s.pushing for s in problem.states])))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import signal
 
 from oed.batch import Array
-from oed.gap import carriers
+from oed.gap import carriers, evidence
 from oed.gap.carriers import Peak
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
@@ -30,6 +30,9 @@ SHORTEST, FINEST = 12.0, 0.02
 LONG, SHORT = 3.0, 1e-3
 #: periods in the session up to which waves are slow: these few are looked at apart from the many fast ones
 SLOW = 100.0
+#: half periods in the session up to which all of the machine's parameters may swing together, how many such waves are
+#: kept, their sizes
+HOURS, SWINGS, SIZES = 20, 2, np.array([0.1, 0.3, 1.0, 3.0])
 #: places between two frequencies at which a peak is looked at closely
 FINE = np.linspace(-0.8, 0.8, 9)
 #: readings that a feed must have, and ticks that a clock must have, for its waves to mean something
@@ -47,26 +50,26 @@ class _Band:
 
 
 def added(processes: Library, problem: Problem, law: Law) -> Library:
-    """The processes with the strongest steady waves of each kind beside them: slow, fast, along path and travel.
-
-    Each kind has the prior weight of a process.
-    """
+    """The processes with the strongest steady waves of each kind beside them, each kind with a process's prior."""
     metric = Metric(problem, law)
     kinds: list[tuple[list[Peak], int]] = []
-    every = carriers.every(problem)
-    legs, tool = every[-1 - len(problem.measurement.machine.joints) : -1], every[-1]
-    for bands in (
-        *([band] for band in _in_time(problem, every)),
-        _along_path(problem, tool),
-        _along_travel(problem, legs),
-    ):
+    for bands in _kinds(problem):
         count = sum(len(b.frequencies) * len(b.carriers) for b in bands)
         kinds.append(([p for b in bands for p in _peaks(problem, metric, b)], count))
-    return carriers.beside(processes, NAME, kinds, KEPT)
+    swings = _swings(problem, metric)
+    return carriers.beside(processes, NAME, [*kinds, swings] if swings[1] else kinds, KEPT)
+
+
+def _kinds(problem: Problem) -> list[list[_Band]]:
+    """Slow waves in time, fast ones; along the path; along joints' travels."""
+    every = carriers.every(problem)
+    legs, tool = every[-1 - len(problem.measurement.machine.joints) : -1], every[-1]
+    in_time = [[band] for band in _in_time(problem, every)]
+    return [*in_time, _along_path(problem, tool), _along_travel(problem, legs)]
 
 
 def _in_time(problem: Problem, every: list[Array]) -> list[_Band]:
-    """Waves in time on a channel, on a joint, on the tool."""
+    """Waves in time on a channel, on a joint, on the tool: slow ones, then fast ones."""
     rows = problem.rows
     known = "time" in rows and rows["time"].notna().all()
     time = (
@@ -90,6 +93,29 @@ def _in_time(problem: Problem, every: list[Array]) -> list[_Band]:
     middle = min(SLOW / span, most)
     bands = [_Band("s", clocks, every, _frequencies(span, 1.0 / span, middle))]
     return [*bands, _Band("s", clocks, every, _frequencies(span, middle, most))] if most > middle else bands
+
+
+def _swings(problem: Problem, metric: Metric) -> tuple[list[Peak], int]:
+    """The best slow waves in time of all the machine's parameters together, and how many were looked at.
+
+    They are many columns of which few are seen well: told by their evidence, for what all of them explain is mostly
+    noise.
+    """
+    if "time" not in problem.rows or not problem.rows["time"].notna().all():
+        return [], 0
+    span = float(np.ptp(problem.rows["time"].to_numpy(dtype=float)))
+    clock = carriers.at_poses(problem, [s.time - s.span[0] for s in problem.states])
+    carrier, frequencies = carriers.parameters(problem), np.arange(1, HOURS + 1) / (2.0 * max(span, 1e-9))
+    if not carrier.shape[1] or span <= 0.0:
+        return [], 0
+    columns = _waves(carrier, _both(clock, frequencies))
+    width = columns.shape[1]
+    every = evidence.Parts(problem, metric, columns.transpose(0, 2, 1).reshape(len(problem), -1))
+    found = []
+    for k, frequency in enumerate(frequencies):
+        told = every.grams(slice(k * width, (k + 1) * width)).log_evidences([np.arange(width)], SIZES)
+        found.append(Peak(-float(told.max()), columns[:, :, k], {"period_s": 1.0 / float(frequency)}))
+    return sorted(found, key=lambda p: p.log_tail)[:SWINGS], len(found)
 
 
 def _along_path(problem: Problem, tool: Array) -> list[_Band]:

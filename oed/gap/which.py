@@ -30,7 +30,7 @@ from oed.gap.problem import Index, Problem
 #: prior probabilities: no gap, one effect, two, three, an unknown alone, one or two with an unknown remainder
 PRIOR = {"none": 0.34, "one": 0.24, "two": 0.08, "three": 0.01, "unknown": 0.10, "one+": 0.19, "two+": 0.04}
 #: how large an unknown may be, against a micrometre
-UNKNOWN_SIZES = np.array([0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
+UNKNOWN_SIZES = np.array([0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
 #: log evidence below the best at which sets are not taken further, and how many are
 BEHIND, WIDE = 14.0, 8
 ROUNDS = 4
