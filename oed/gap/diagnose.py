@@ -215,20 +215,27 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
         laws.append((calm, prior))
     processes = spots.added(waves.added(processes, problem, plain[0]), problem, plain[0])
     processes, beside = pursuit.pursued(processes, problem, plain[0])
-    for pair in beside[-1:]:
-        if not any(_same(pair[0], other[0]) for other in laws):
-            laws.append(pair)
+    if beside is not None and not any(_same(beside[0], law) for law, _ in laws):
+        laws.append(beside)
     made = [Search(problem, known, processes, *pair) for pair in laws]
     # what each law would have act is given the law that suits it: a load's runs, say, are not taken for poor repeats
+    tried: set[tuple[tuple[int, ...], int | None]] = set()
     for start in list(made):
-        _refitted(made, start, next(h for h in start.run() if h.effects or h.unknown))
-    best = next(h for h in which.compare(made) if h.effects or h.unknown)
-    _refitted(made, made[best.law], best)
+        _refitted(made, start, start.run(), tried)
+    told = which.compare(made)
+    _refitted(made, made[next(h for h in told if h.effects or h.unknown).law], told, tried)
     return made
 
 
-def _refitted(made: list[Search], start: Search, best: Hypothesis) -> None:
-    """Add the search under the law that suits a hypothesis, unless it is there."""
+def _refitted(
+    made: list[Search], start: Search, told: Sequence[Hypothesis], tried: set[tuple[tuple[int, ...], int | None]]
+) -> None:
+    """Add the search under the law that suits the best gap told of, unless it is there or was tried."""
+    best = next(h for h in told if h.effects or h.unknown)
+    forms = (tuple(sorted(best.atoms)), best.process)
+    if forms in tried:
+        return
+    tried.add(forms)
     columns = _columns(start.library, start.processes, best)
     if any(np.isfinite(s.law.tails) for s in made):
         ordinary = dataclasses.replace(start.law, variance=np.ones_like(start.law.variance), tails=np.inf)

@@ -22,40 +22,44 @@ from oed.gap.which import UNKNOWN_SIZES
 NAME, MOST = "several processes", 3
 
 
-def pursued(processes: Library, problem: Problem, start: Law) -> tuple[Library, list[tuple[Law, float]]]:
-    """The processes with the strongest two, three, ... together beside them; and the noise laws, with their log priors,
-    beside the strongest, the strongest two, ..."""
+def pursued(processes: Library, problem: Problem, start: Law) -> tuple[Library, tuple[Law, float] | None]:
+    """The processes with the strongest two, three, ... together beside them, as long as the next one is likelier to act
+    than not; and the noise law beside the strongest or all of these, with its log prior (None where there is none)."""
     choices = [a.columns for a in processes.atoms]
-    weights = np.array([a.log_weight for a in processes.atoms]) - np.log(max(len(processes.effects), 1))
-    law, laws = start, []
+    if not choices:
+        return processes, None
+    weights = np.array([a.log_weight for a in processes.atoms]) - np.log(len(processes.effects) * len(UNKNOWN_SIZES))
+    law, pair = start, None
     chosen: list[int] = []
     sizes: list[float] = []
     atoms: list[Atom] = []
-    while choices and len(chosen) < MOST:
+    while len(chosen) < MOST:
         found = evidence.grams(problem, Metric(problem, law), processes.columns)
         for k, size in zip(chosen, sizes, strict=True):
             found = found.given(choices[k], size)
         told = found.log_evidences(choices, UNKNOWN_SIZES) + weights[:, None]
         told[chosen] = -np.inf
         row, column = np.unravel_index(int(np.argmax(told)), told.shape)
+        if chosen and told[row, column] < 0.0:
+            break
         chosen.append(int(row))
         sizes.append(float(UNKNOWN_SIZES[column]))
-        columns = _columns(processes, [choices[k] for k in chosen], sizes)
-        law, prior = _beside(problem, columns, law)
-        laws.append((law, prior))
+        pair = scatter.fit(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
+        law = pair[0]
         if len(chosen) > 1:
             both = np.unique(np.concatenate([choices[k] for k in chosen]))
-            weight = float(weights[chosen].sum()) + np.log(max(len(processes.effects), 1))
+            weight = float(weights[chosen].sum() - weights[chosen[0]] + processes.atoms[chosen[0]].log_weight)
             atoms.append(Atom(NAME, {"processes": float(len(chosen))}, both, weight))
-    return dataclasses.replace(processes, atoms=(*processes.atoms, *atoms)), laws
+    if np.isfinite(law.tails):
+        pair = _anew(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
+    return dataclasses.replace(processes, atoms=(*processes.atoms, *atoms)), pair
 
 
 def _columns(processes: Library, choices: list[Index], sizes: list[float]) -> Array:
     return np.hstack([s * processes.columns[:, c] for c, s in zip(choices, sizes, strict=True)])
 
 
-def _beside(problem: Problem, columns: Array, law: Law) -> tuple[Law, float]:
-    if not np.isfinite(law.tails):
-        return scatter.fit(problem, columns, law)
+def _anew(problem: Problem, columns: Array, law: Law) -> tuple[Law, float]:
+    """The law beside columns, with the variances of single readings told beside them too."""
     ordinary = dataclasses.replace(law, variance=np.ones_like(law.variance), tails=np.inf)
     return scatter.robust(problem, columns, start=ordinary)
