@@ -16,7 +16,7 @@ import numpy as np
 from oed.batch import Array
 from oed.gap.law import Metric
 from oed.gap.library import Atom, Library
-from oed.gap.problem import Problem
+from oed.gap.problem import Index, Problem
 from oed.gap.tail import log_tail
 from oed.gap.unknown import UNIT
 from oed.measurement import Series
@@ -24,13 +24,13 @@ from oed.measurement import Series
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Peak:
-    """A form: log tail probability of what it explains, its columns (N, k), and what it is told by; columns (N, k') of
-    wider forms of the same."""
+    """A form: log tail probability of what it explains, its columns (N, k), and what it is told by; the columns that
+    each of several forms of the same has, all of them by default."""
 
     log_tail: float
     columns: Array
     constants: Mapping[str, float]
-    wider: tuple[Array, ...] = ()
+    forms: tuple[Index, ...] = ()
 
 
 def beside(processes: Library, name: str, kinds: Sequence[tuple[Sequence[Peak], int]], kept: int) -> Library:
@@ -39,17 +39,15 @@ def beside(processes: Library, name: str, kinds: Sequence[tuple[Sequence[Peak], 
     kinds   forms, and how many were looked at to find them; each kind has the prior weight of a process
     """
     found = [
-        (form, peak.constants, -math.log(count * (1 + len(peak.wider))))
-        for peaks, count in kinds
-        for peak in sorted(peaks, key=lambda p: p.log_tail)[:kept]
-        for form in (peak.columns, *peak.wider)
+        (peak, -math.log(count)) for peaks, count in kinds for peak in sorted(peaks, key=lambda p: p.log_tail)[:kept]
     ]
     columns, atoms, names = [processes.columns], list(processes.atoms), list(processes.names)
-    for k, (form, constants, weight) in enumerate(found):
-        at = np.arange(len(names), len(names) + form.shape[1], dtype=np.intp)
-        columns.append(form)
-        atoms.append(Atom(name, constants, at, weight))
-        names += [f"{name} {k} {j}" for j in range(len(at))]
+    for k, (peak, weight) in enumerate(found):
+        width = peak.columns.shape[1]
+        forms = peak.forms or (np.arange(width),)
+        columns.append(peak.columns)
+        atoms += [Atom(name, peak.constants, len(names) + form, weight - math.log(len(forms))) for form in forms]
+        names += [f"{name} {k} {j}" for j in range(width)]
     more = len(names) - len(processes.names)
     return dataclasses.replace(
         processes,

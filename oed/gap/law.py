@@ -42,7 +42,7 @@ class Law:
 
     def block(self, problem: Problem, number: int, rows: Index | None = None) -> Array:
         """Covariance (k, k) of a run's readings, or of those of its `rows` (positions within the run)."""
-        pack = problem.pack([number])
+        pack = problem.pack(number)
         return np.asarray(_covariances(self, pack if rows is None else pack.take(rows))[0])
 
 

@@ -83,19 +83,22 @@ class Problem:
 
     @functools.cached_property
     def packs(self) -> tuple[Pack, ...]:
-        """The runs by their number of readings."""
-        sizes: dict[int, list[int]] = {}
-        for k, members in enumerate(self.blocks):
-            sizes.setdefault(len(members), []).append(k)
-        return tuple(self.pack(numbers) for numbers in sizes.values())
+        """Readings whose noise is related, by their number: runs, or channels of each where these are independent."""
+        sizes: dict[int, list[tuple[Index, Array | None]]] = {}
+        for members, known in zip(self.blocks, self.base, strict=True):
+            kinds = self.group[members]
+            parts = [members] if known is not None else [members[kinds == g] for g in np.unique(kinds)]
+            for part in parts:
+                sizes.setdefault(len(part), []).append((part, known))
+        return tuple(self._packed(parts) for parts in sizes.values())
 
-    def pack(self, numbers: list[int]) -> Pack:
-        """Runs, by their numbers, that have one number of readings."""
-        members = np.array([self.blocks[k] for k in numbers])
-        base = np.zeros((*members.shape, members.shape[1]))
-        for i, k in enumerate(numbers):
-            known = self.base[k]
-            base[i] = np.eye(members.shape[1]) if known is None else known
+    def pack(self, number: int) -> Pack:
+        """A run, by its number."""
+        return self._packed([(self.blocks[number], self.base[number])])
+
+    def _packed(self, parts: Sequence[tuple[Index, Array | None]]) -> Pack:
+        members = np.array([part for part, _ in parts])
+        base = np.array([np.eye(members.shape[1]) if known is None else known for _, known in parts])
         same = self.group[members][:, :, None] == self.group[members][:, None, :]
         gap = np.abs(self.along[members][:, :, None] - self.along[members][:, None, :])
         phase = self.rows["phase"].to_numpy(dtype=float)[members]

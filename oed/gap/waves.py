@@ -9,6 +9,7 @@ prior weight of one among all that were looked at.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import signal
@@ -24,15 +25,17 @@ NAME = "a steady wave"
 #: frequencies a resolution cell, most of them, how many peaks of each kind are kept
 OVER, MOST, KEPT = 1.5, 6000, 4
 CHUNK = 512
+#: frequencies that stand beside one that was found: it may be of the fundamental wave or of its overtone
+TONES = (0.5, 1.0, 2.0)
 #: shortest period that is looked for in time, s, where times are not regular; shortest along the path, m
 SHORTEST, FINEST = 12.0, 0.02
 #: longest and shortest period along a joint's travel, a share of it and m
 LONG, SHORT = 3.0, 1e-3
 #: periods in the session up to which waves are slow: these few are looked at apart from the many fast ones
 SLOW = 100.0
-#: half periods in the session up to which all of the machine's parameters may swing together, how many such waves are
-#: kept, their sizes
-HOURS, SWINGS, SIZES = 20, 2, np.array([0.1, 0.3, 1.0, 3.0])
+#: half periods in the session up to which all of the machine's parameters may swing together; sizes that waves of many
+#: columns are tried with, how many are kept
+SWINGS, SIZES, BEST = 20, np.array([0.1, 0.3, 1.0, 3.0]), 2
 #: places between two frequencies at which a peak is looked at closely
 FINE = np.linspace(-0.8, 0.8, 9)
 #: readings that a feed must have, and ticks that a clock must have, for its waves to mean something
@@ -56,8 +59,9 @@ def added(processes: Library, problem: Problem, law: Law) -> Library:
     for bands in _kinds(problem):
         count = sum(len(b.frequencies) * len(b.carriers) for b in bands)
         kinds.append(([p for b in bands for p in _peaks(problem, metric, b)], count))
-    swings = _swings(problem, metric)
-    return carriers.beside(processes, NAME, [*kinds, swings] if swings[1] else kinds, KEPT)
+    for bands in (_swings(problem), _in_runs(problem, carriers.every(problem))):
+        kinds.append((_told(problem, metric, bands), sum(len(b.frequencies) for b in bands)))
+    return carriers.beside(processes, NAME, [k for k in kinds if k[0]], KEPT)
 
 
 def _kinds(problem: Problem) -> list[list[_Band]]:
@@ -95,27 +99,46 @@ def _in_time(problem: Problem, every: list[Array]) -> list[_Band]:
     return [*bands, _Band("s", clocks, every, _frequencies(span, middle, most))] if most > middle else bands
 
 
-def _swings(problem: Problem, metric: Metric) -> tuple[list[Peak], int]:
-    """The best slow waves in time of all the machine's parameters together, and how many were looked at.
-
-    They are many columns of which few are seen well: told by their evidence, for what all of them explain is mostly
-    noise.
-    """
-    if "time" not in problem.rows or not problem.rows["time"].notna().all():
-        return [], 0
+def _swings(problem: Problem) -> list[_Band]:
+    """Slow waves in time of all the machine's parameters together."""
+    carrier = carriers.parameters(problem)
+    if not carrier.shape[1] or "time" not in problem.rows or not problem.rows["time"].notna().all():
+        return []
     span = float(np.ptp(problem.rows["time"].to_numpy(dtype=float)))
     clock = carriers.at_poses(problem, [s.time - s.span[0] for s in problem.states])
-    carrier, frequencies = carriers.parameters(problem), np.arange(1, HOURS + 1) / (2.0 * max(span, 1e-9))
-    if not carrier.shape[1] or span <= 0.0:
-        return [], 0
-    columns = _waves(carrier, _both(clock, frequencies))
-    width = columns.shape[1]
-    every = evidence.Parts(problem, metric, columns.transpose(0, 2, 1).reshape(len(problem), -1))
+    return [_Band("s", clock, [carrier], np.arange(1, SWINGS + 1) / (2.0 * span))] if span > 0.0 else []
+
+
+def _in_runs(problem: Problem, every: list[Array]) -> list[_Band]:
+    """Waves in time on a channel, where no time is told: over the way in each run, their phases its own."""
+    if "time" in problem.rows and problem.rows["time"].notna().all():
+        return []
+    arc = _arc(problem)
+    runs = np.zeros((len(problem), len(problem.blocks)))
+    for k, members in enumerate(problem.blocks):
+        runs[members, k] = 1.0
+    runs = runs[:, runs.sum(axis=0) >= LEAST]
+    steps = np.diff(np.unique(np.round(arc[:, 0], 6)))
+    if not runs.shape[1] or not steps.size:
+        return []
+    longest = max(len(members) for members in problem.blocks)
+    span = float(arc[:, 0].max())
+    frequencies = _frequencies(span, 1.0 / span, 0.5 * longest / span)
+    return [_Band("m", arc, [c * runs[:, :, None]], frequencies) for c in every[: len(np.unique(problem.group))]]
+
+
+def _told(problem: Problem, metric: Metric, bands: Sequence[_Band]) -> list[Peak]:
+    """The best waves of bands whose carriers have many columns of which few are seen well: told by their evidence, for
+    what all of them explain is mostly noise."""
     found = []
-    for k, frequency in enumerate(frequencies):
-        told = every.grams(slice(k * width, (k + 1) * width)).log_evidences([np.arange(width)], SIZES)
-        found.append(Peak(-float(told.max()), columns[:, :, k], {"period_s": 1.0 / float(frequency)}))
-    return sorted(found, key=lambda p: p.log_tail)[:SWINGS], len(found)
+    for band in bands:
+        columns = _waves(band.carriers[0], _both(band.clock, band.frequencies))
+        width = columns.shape[1]
+        every = evidence.Parts(problem, metric, columns.transpose(0, 2, 1).reshape(len(problem), -1))
+        for k, frequency in enumerate(band.frequencies):
+            told = every.grams(slice(k * width, (k + 1) * width)).log_evidences([np.arange(width)], SIZES)
+            found.append(Peak(-float(told.max()), columns[:, :, k], {f"period_{band.unit}": 1.0 / float(frequency)}))
+    return sorted(found, key=lambda p: p.log_tail)[:BEST]
 
 
 def _along_path(problem: Problem, tool: Array) -> list[_Band]:
@@ -180,9 +203,10 @@ def _peaks(problem: Problem, metric: Metric, band: _Band) -> list[Peak]:
             near = _close(band, carrier, int(k))
             tails = _tails(problem, metric, near)[0]
             best = float(near.frequencies[np.argmin(tails)])
-            half, own, twice = (_waves(carrier, _both(band.clock, best * np.array([k])))[:, :, 0] for k in (0.5, 1, 2))
-            wider = (np.hstack([own, twice]), np.hstack([half, own]))
-            found.append(Peak(float(tails.min()), own, {f"period_{band.unit}": 1.0 / best}, wider))
+            columns = np.hstack([_waves(carrier, _both(band.clock, best * np.array([k])))[:, :, 0] for k in TONES])
+            half, own, twice = np.arange(columns.shape[1]).reshape(3, -1)
+            forms = (own, np.concatenate([own, twice]), np.concatenate([half, own]))
+            found.append(Peak(float(tails.min()), columns, {f"period_{band.unit}": 1.0 / best}, forms))
     return found
 
 

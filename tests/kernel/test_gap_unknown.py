@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -238,3 +240,37 @@ def test_two_waves_are_told_together() -> None:
     kept = waves.added(none, problem, plain(problem))
     quiet = Search(problem, none, pursuit.pursued(kept, problem, plain(problem))[0], plain(problem), 0.0)
     assert which.compare([quiet])[0].key == (frozenset(), False)
+
+
+def test_all_parameters_swing_together() -> None:
+    """Every parameter with a weight of its own, none of which could be seen alone; told by the evidence of all."""
+    problem, rng = readings(9), np.random.default_rng(9)
+    time = problem.rows["time"].to_numpy(dtype=float)
+    slopes = carriers.parameters(problem)[:, :, 0]
+    wave = np.sin(2.0 * np.pi * time / (0.55 * np.ptp(time)) + 0.7)
+    change = _apart(problem, [(slopes @ rng.standard_normal(slopes.shape[1])) * wave], [14.0**2])
+    acting = problem.with_residual(problem.residual + change)
+    none = library.build(problem, ())
+    made = waves.added(none, acting, plain(problem))
+    best = which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
+    assert best.process is not None
+    chosen = made.atoms[best.process]
+    assert len(chosen.columns) == 2 * slopes.shape[1]
+    assert chosen.constants["period_s"] == pytest.approx(0.55 * np.ptp(time), rel=0.2)
+
+
+def test_a_wave_is_found_in_runs_without_a_clock() -> None:
+    """Where no time is told its phase is new in each run, its period along the way the same in all."""
+    problem = readings(31, uneven=0.03)
+    way = _on_the_way(problem)
+    timeless = dataclasses.replace(problem, rows=problem.rows.drop(columns="time"))
+    rng = np.random.default_rng(31)
+    phase = np.zeros(len(problem))
+    for members in problem.blocks:
+        phase[members] = rng.uniform(0.0, 2.0 * np.pi)
+    made, best = _waved(timeless, np.nan_to_num(2.5 * np.sin(2.0 * np.pi * way / 0.61 + phase)))
+    assert best.key == (frozenset(), True)
+    assert best.process is not None
+    chosen = made.atoms[best.process]
+    assert len(chosen.columns) == 2 * len(problem.blocks)
+    assert chosen.constants["period_m"] == pytest.approx(0.61, rel=0.1)
