@@ -191,6 +191,22 @@ def test_what_a_rival_leaves_is_that_of_a_wider_covariance(blind):
         assert expected == pytest.approx(math.sqrt(min(dense)), rel=1e-9)
 
 
+def test_legs_are_tied_where_each_would_make_the_same_readings(blind):
+    """Two legs whose forms span the same, a third that has more; not where none of them makes much of the change."""
+    from oed.gap.library import Atom, Library
+
+    rng = np.random.default_rng(6)
+    same, third = rng.normal(size=(30, 2)), rng.normal(size=(30, 2))
+    columns = 20.0 * np.hstack([same, same @ [[0.6, 0.8], [-0.8, 0.6]], third])
+    atoms = tuple(Atom("lost", {}, np.array([2 * k, 2 * k + 1]), 0.0) for k in range(3))
+    library = Library(columns, atoms, tuple("abcdef"), tuple(f"leg {k // 2 + 1}" for k in range(6)), np.ones(6), {})
+    change = same @ [2.0, 1.0]
+    assert blind.oracle.tied(change, columns, library, "lost") == [["leg 1", "leg 2"]]
+    assert blind.oracle.tied(third @ [2.0, 1.0], columns, library, "lost") == []
+    assert blind.oracle.tied(rng.normal(size=30), columns, library, "lost") == []
+    assert blind.oracle.tied(change, columns, library, "other") == []
+
+
 def test_oracle_of_generated_cases(blind, made, tmp_path):
     labels = {label["id"]: label for label in blind.entries.labels(made)}
     cases = {c.id: c for c in blind.loading.manifest(made)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import json
 import math
@@ -187,6 +188,18 @@ def test_place_is_that_of_the_likeliest_claimed_block(blind):
     assert not blind.judge.located(where, ["leg 1"], "leg")
     assert not blind.judge.located(where, ["time 0-9"], "time")  # not claimed
     assert not blind.judge.located([], ["leg 1"], "leg")
+
+
+def test_a_leg_that_nothing_tells_from_the_true_one_is_right(blind):
+    place = [{"block": "leg 1", "p_value": 0.001, "strength": 1.0}]
+    label = case("single", {"backlash": 6.0}, blocks=("leg 2", "time 0-9"))
+    (entry,) = entries_of(blind, (label, result(answer("backlash"), where=place)))
+    assert not blind.judge.located(place, entry.blocks, "leg")
+    for ties, right in (([["leg 1", "leg 2"]], True), ([["leg 1", "leg 3"]], False), ([], False)):
+        told = {**entry.oracle, "effects": [{**entry.oracle["effects"][0], "tied": ties}]}
+        tied = dataclasses.replace(entry, oracle=told)
+        assert blind.judge.located(place, tied.blocks, "leg") == right
+        assert "time 0-9" in tied.blocks
 
 
 # -- measures ----------------------------------------------------------------------------------------------

@@ -202,7 +202,7 @@ def test_with_all_columns_all_is_tested(blind: SimpleNamespace, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
-        pytest.param("gravity", 3, marks=pytest.mark.xfail(strict=True, reason="bending and clearance stand for it")),
+        ("gravity", 3),
         ("servo_lag", 4),
         pytest.param("pitch_accumulation", 1, marks=pytest.mark.xfail(strict=True, reason="a guideway stands for it")),
         ("step", 1),

@@ -29,6 +29,14 @@ from pkm_studies.study import load
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'
 
 
+def test_legs_that_nothing_tells_apart_are_said_to_be(stored: dict[str, Any]) -> None:
+    one = {"block": "leg 1", "p_value": 1e-9, "strength": 0.8}
+    caption = "Of leg 1 and leg 2 the readings are the same"
+    for other, tied in (({"strength": 0.8}, True), ({"strength": 0.79}, False), ({"p_value": 0.5}, False)):
+        gap = {**stored, "verdict": "effect", "where": [one, {**one, "block": "leg 2", **other}]}
+        assert (caption in str(chapter._places(gap)[0])) == tied
+
+
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The gap of the hand-made diagnosis, as it comes back from result.json."""

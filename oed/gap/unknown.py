@@ -210,6 +210,18 @@ def over_load(state: State) -> Iterable[Column]:
         yield from _read(state, f"load s{k}", UNIT / k, load * np.sin(k * state.phase))
 
 
+def parameters_over_load(state: State) -> Iterable[Column]:
+    """All of the machine's parameters shifted by the payload, together by a micrometre."""
+    if state.heaviest == 0.0:
+        return
+    load = np.where(np.isfinite(state.payload), state.payload, 0.0) / state.heaviest
+    free = [p for p in state.machine.parameters if p.tolerance > 0.0]
+    usual = np.median([p.tolerance for p in free if p.unit == "m"] or [1.0])
+    for p in free:
+        size = UNIT * p.tolerance / usual / np.sqrt(len(free))
+        yield Column(f"{p.name} load", size, parameters={p.name: load})
+
+
 def over_feed(state: State) -> Iterable[Column]:
     """An error that comes with the feed, along the runs."""
     feed = np.where(np.isfinite(state.feed), state.feed, 0.0)
@@ -273,6 +285,7 @@ PROCESSES: Sequence[Effect] = (
     _process("with the motion", "an error with the sign of the joints' motion", over_sense),
     _process("with another's motion", "an error of a joint with another's motion", of_another, shift=range(1, 6)),
     _process("with the load", "an error with the payload", over_load),
+    _process("parameters with the load", "parameters that change with the payload", parameters_over_load),
     _process("with the feed", "an error with the feed", over_feed),
     _process("tool with the feed", "the tool displaced with the feed", tool_over_feed),
 )

@@ -27,8 +27,9 @@ OVER, MOST, KEPT = 1.5, 6000, 4
 CHUNK = 512
 #: frequencies that stand beside one that was found: it may be of the fundamental wave or of its overtone
 TONES = (0.5, 1.0, 2.0)
-#: shortest period that is looked for in time, s, where times are not regular; shortest along the path, m
-SHORTEST, FINEST = 12.0, 0.02
+#: shortest period that is looked for in time, s, where times are not regular; shortest along the path, m, or as a share
+#: of the way from one reading to the next if that is less: runs of several sizes tell waves from their aliases
+SHORTEST, FINEST, BETWEEN = 12.0, 0.02, 0.125
 #: longest and shortest period along a joint's travel, a share of it and m
 LONG, SHORT = 3.0, 1e-3
 #: periods in the session up to which waves are slow: these few are looked at apart from the many fast ones
@@ -143,16 +144,16 @@ def _told(problem: Problem, metric: Metric, bands: Sequence[_Band]) -> list[Peak
 
 def _along_path(problem: Problem, tool: Array) -> list[_Band]:
     """Waves along the path of the tool, at one feed."""
-    feed = problem.rows["feed"].to_numpy(dtype=float) if "feed" in problem.rows else np.full(len(problem), np.nan)
+    feed = problem.rows["feed"].to_numpy(dtype=float) if "feed" in problem.rows else np.zeros(len(problem))
     arc, bands = _arc(problem), []
-    for value in np.unique(np.round(feed[np.isfinite(feed)], 9)):
-        here = np.isclose(feed, value)
+    for value in np.unique(np.round(np.nan_to_num(feed), 9)):  # one that is not told is the same in all
+        here = np.isclose(np.nan_to_num(feed), value)
         steps = np.diff(arc[here, 0])
         steps = steps[steps > 1e-6]
         if here.sum() < LEAST or not steps.size:
             continue
-        span = float(arc[here, 0].max())
-        frequencies = _frequencies(span, 1.0 / span, max(1.0 / FINEST, 1.0 / span))
+        span, finest = float(arc[here, 0].max()), min(FINEST, BETWEEN * float(np.median(steps)))
+        frequencies = _frequencies(span, 1.0 / span, max(1.0 / finest, 1.0 / span))
         bands.append(_Band("m", arc, [np.where(here[:, None, None], tool, 0.0)], frequencies))
     return bands
 

@@ -300,6 +300,26 @@ def test_a_selected_wave_is_told_in_a_run_that_has_it(machines: Machines) -> Non
     assert blind <= 2
 
 
+def test_what_acts_in_some_runs_is_told_in_each_by_all_of_them(machines: Machines) -> None:
+    """A resonance at one feed: too weak in any of its runs, plain in all of them; none is told of what acts in all."""
+    rng, problem = np.random.default_rng(26), machines.problem
+    names = [f"run {problem.rows['run'][b[0]]}" for b in problem.blocks]
+    acting = np.isin(np.arange(len(problem)), np.concatenate([problem.blocks[k] for k in (1, 3, 4)]))
+    odd = rng.standard_normal(len(problem))
+    change = np.where(acting, odd, 0.0)
+    r = case.sized(change, machines.covariance, 6.0) + machines.root @ rng.standard_normal(len(problem))
+    here = problem.with_residual(r)
+
+    def told(columns: np.ndarray) -> dict[str, float]:
+        found = where(here, machines.law, np.random.default_rng(1), columns=columns, labels=[""], draws=100)
+        return {b.block: b.p_value for b in found if b.block.startswith("run") and b.p_value < 0.02}
+
+    some = told(change[:, None])
+    assert set(some) == {names[k] for k in (1, 3, 4)}
+    assert len(set(some.values())) == 1
+    assert len(told(np.where(acting, odd, rng.standard_normal(len(problem)))[:, None])) < 3
+
+
 @pytest.mark.parametrize(("low", "high", "told"), [
     (0.30, 0.55, (0.30, 0.55)), (0.62, 1.0, (0.62, 1.0)), (0.0, 0.62, (0.62, 1.0)),
 ])  # fmt: skip
