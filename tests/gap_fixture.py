@@ -158,6 +158,7 @@ def diagnosis(problem: Problem) -> Diagnosis:
         sizes=(Size("backlash", {"length": float(np.sqrt(np.mean((explained * sigma) ** 2)))}, 41.0),),
         explained=explained * sigma,
         unexplained=np.zeros(len(problem)),
+        likeness={},
         before=before * sigma,
         after=after * sigma,
         where=(Block("leg 2", 0.002, 0.9), *(Block(f"run {r}", 0.4, 0.1) for r in runs), Block("leg 1", 0.7, np.nan)),

@@ -431,6 +431,19 @@ def test_mixtures_and_unknowns_in_words() -> None:
     assert "2 effects" in unknown
 
 
+def test_what_the_unknown_is_like_is_told() -> None:
+    """The likeliest form, and others that matter; nothing where there is none."""
+    forms = {"leg 2 in a wave of 12 min": 0.62, "the tool about the place 1, 2, 3 mm": 0.3, "drift": 0.04}
+    told = _gap("unknown", ["unknown"], [], unknown=forms).words[1]
+    assert told == (
+        "What no known effect explains is most like: leg 2 in a wave of 12 min (probability 62 %); "
+        "or the tool about the place 1, 2, 3 mm (probability 30 %)."
+    )
+    one = _gap("unknown", ["unknown"], [], unknown={"drift": 0.06}).words[1]
+    assert one.endswith("drift (probability 6 %).")
+    assert not any("most like" in w for w in _gap("unknown", ["unknown"], []).words)
+
+
 def test_places_that_hold_much_of_the_gap_are_told() -> None:
     places = [
         Where("all legs", 0.0, 0.9),

@@ -25,11 +25,13 @@ from oed.measurement import Series
 @dataclasses.dataclass(frozen=True, slots=True)
 class Peak:
     """A form: log tail probability of what it explains, its columns (N, k), and what it is told by; the columns that
-    each of several forms of the same has, all of them by default."""
+    each of several forms of the same has, all of them by default. Where columns are many and few are seen well, minus
+    the log evidence stands in place of the tail. `about`: the form in words."""
 
     log_tail: float
     columns: Array
     constants: Mapping[str, float]
+    about: str
     forms: tuple[Index, ...] = ()
 
 
@@ -46,7 +48,8 @@ def beside(processes: Library, name: str, kinds: Sequence[tuple[Sequence[Peak], 
         width = peak.columns.shape[1]
         forms = peak.forms or (np.arange(width),)
         columns.append(peak.columns)
-        atoms += [Atom(name, peak.constants, len(names) + form, weight - math.log(len(forms))) for form in forms]
+        less = weight - math.log(len(forms))
+        atoms += [Atom(name, peak.constants, len(names) + form, less, peak.about) for form in forms]
         names += [f"{name} {k} {j}" for j in range(width)]
     more = len(names) - len(processes.names)
     return dataclasses.replace(
@@ -67,6 +70,13 @@ def every(problem: Problem) -> list[Array]:
     channels[np.arange(len(problem)), problem.group, 0] = UNIT / problem.sigma
     alone = [part[:, i, None] for part in (channels, legs) for i in range(part.shape[1])]
     return [*alone, tool(problem, legs)]
+
+
+def named(problem: Problem) -> list[str]:
+    """What each of `every` is, in words."""
+    channels = problem.rows["channel"].to_numpy()
+    kinds = [f"the readings of {channels[problem.group == g][0]}" for g in np.unique(problem.group)]
+    return [*kinds, *(f"leg {i + 1}" for i in problem.states[0].limbs), "the tool"]
 
 
 def joints(problem: Problem) -> Array:

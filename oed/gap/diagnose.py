@@ -22,6 +22,8 @@ from oed.gap.which import Hypothesis, Search
 #: root mean square, in units of the noise, that each effect and process has at least in the wide model, beside which
 #: noise is told
 WIDE = 0.7
+#: forms that an unknown remainder is said to be like, at most, and the least probability of each
+LIKE, LEAST_LIKE = 3, 0.03
 
 
 def diagnose(problem: Problem, effects: Sequence[Effect], rng: np.random.Generator) -> Diagnosis:
@@ -118,6 +120,7 @@ def conclude(
         sizes=found.sizes,
         explained=found.explained * problem.sigma,
         unexplained=found.unexplained * problem.sigma,
+        likeness=_likeness(search, best) if UNKNOWN in told[0].effects else {},
         before=found.before * problem.sigma,
         after=found.after * problem.sigma,
         where=(),
@@ -127,6 +130,13 @@ def conclude(
         next=advice.advise(told, effects, search.library.not_testable),
     )
     return diagnosis, best
+
+
+def _likeness(search: Search, best: Hypothesis) -> dict[str, float]:
+    """What the unknown remainder is like: the likeliest few forms."""
+    if best.process is None:
+        return {}
+    return {form: share for form, share in list(search.likeness(best).items())[:LIKE] if share > LEAST_LIKE}
 
 
 def _marginal(names: Iterable[str], hypotheses: Sequence[Hypothesis], shares: Array) -> dict[str, float]:

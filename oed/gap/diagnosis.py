@@ -88,6 +88,7 @@ class Diagnosis:
     coefficients, sizes   of the selected effects
     explained      (N,) part of the residual that the selected effects explain, SI
     unexplained    (N,) part that an unknown remainder explains, SI
+    likeness       {what the unknown remainder is like, in words: probability}, the likeliest first; empty without one
     before, after  (N,) residuals of the calibration without and with the selected effects, SI
     where, closure, not_testable {effect: why}, confusable (groups of names), next (sentences)
     """
@@ -104,6 +105,7 @@ class Diagnosis:
     sizes: tuple[Size, ...]
     explained: Array
     unexplained: Array
+    likeness: Mapping[str, float]
     before: Array
     after: Array
     where: tuple[Block, ...]

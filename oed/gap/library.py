@@ -41,12 +41,14 @@ class Atom:
     """One form of one effect.
 
     columns     (k,) which of the library's; log_weight: of its prior share among the effect's forms
+    about       what it is, in words
     """
 
     effect: str
     constants: Mapping[str, float]
     columns: Index
     log_weight: float
+    about: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +101,7 @@ def build(problem: Problem, effects: Sequence[Effect], metric: Metric | None = N
             names += form.names
             labels += form.labels
             scales.append(form.scales)
-            atoms += _atoms(form, start, log_weight, halved)
+            atoms += _atoms(form, start, log_weight, halved, effect.about)
     columns = np.hstack(blocks) if blocks else np.zeros((len(problem), 0))
     joined = np.concatenate(scales) if scales else np.zeros(0)
     return Library(columns, tuple(atoms), tuple(names), tuple(labels), joined, refused)
@@ -194,7 +196,7 @@ def _alike(form: Signature) -> Signature | None:
     )
 
 
-def _atoms(form: Signature, start: int, log_weight: float, halved: bool = False) -> list[Atom]:
+def _atoms(form: Signature, start: int, log_weight: float, halved: bool = False, about: str = "") -> list[Atom]:
     """Forms of one signature: all limbs, if `halved` with half of their share, or one; with or without the columns that
     adapt."""
     limbs = list(dict.fromkeys(n for n in form.labels if n))
@@ -213,5 +215,7 @@ def _atoms(form: Signature, start: int, log_weight: float, halved: bool = False)
         forms = [(rows, 1.0)] if plain.size in (0, rows.size) else [(plain, TEXTBOOK), (rows, 1.0 - TEXTBOOK)]
         for chosen, part in forms:
             weight = log_weight + math.log(share * part)
-            made.append(Atom(form.effect, form.constants, start + chosen, weight))
+            here = {form.labels[c] for c in chosen}
+            told = f"{about}, {here.pop()}" if len(here) == 1 and len(limbs) > 1 else about
+            made.append(Atom(form.effect, form.constants, start + chosen, weight, told))
     return made

@@ -49,7 +49,8 @@ def pursued(processes: Library, problem: Problem, start: Law) -> tuple[Library, 
         if len(chosen) > 1:
             both = np.unique(np.concatenate([choices[k] for k in chosen]))
             weight = float(weights[chosen].sum() - weights[chosen[0]] + processes.atoms[chosen[0]].log_weight)
-            atoms.append(Atom(NAME, {"processes": float(len(chosen))}, both, weight))
+            about = ", and ".join(dict.fromkeys(processes.atoms[k].about for k in chosen))
+            atoms.append(Atom(NAME, {"processes": float(len(chosen))}, both, weight, about))
     if np.isfinite(law.tails):
         pair = _anew(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
     return dataclasses.replace(processes, atoms=(*processes.atoms, *atoms)), pair

@@ -6,6 +6,8 @@ places spread over all that were read are looked at, and those about the best on
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from oed.batch import Array
@@ -33,7 +35,11 @@ def added(processes: Library, problem: Problem, law: Law) -> Library:
     spread = _spread(at[:, 0] / reach)
     residual = metric.parts(problem.residual[:, None])
     every = carriers.every(problem)
-    found = [peak for carrier in every for peak in _peaks(metric, at / reach, spread, carrier, residual)]
+    found = []
+    for on, carrier in zip(carriers.named(problem), every, strict=True):
+        for peak in _peaks(metric, at / reach, spread, carrier, residual):
+            place = ", ".join(f"{1e3 * reach * peak.constants[axis]:.0f}" for axis in "xyz")
+            found.append(dataclasses.replace(peak, about=f"{on} about the place {place} mm"))
     return carriers.beside(processes, NAME, [(found, len(spread) * len(WIDTHS) * len(every))], KEPT)
 
 
@@ -67,5 +73,5 @@ def _peaks(metric: Metric, at: Array, spread: Array, carrier: Array, residual: t
         first = int(np.argmin(tails))
         place = near[first // len(FINE)]
         constants = {**dict(zip("xyz", map(float, place), strict=True)), "width": FINE[first % len(FINE)]}
-        found.append(Peak(float(tails[first]), bumps[:, :, first], constants))
+        found.append(Peak(float(tails[first]), bumps[:, :, first], constants, ""))
     return found

@@ -51,6 +51,7 @@ class _Band:
     clock: Array
     carriers: list[Array]
     frequencies: Array
+    names: list[str]
 
 
 def added(processes: Library, problem: Problem, law: Law) -> Library:
@@ -60,7 +61,7 @@ def added(processes: Library, problem: Problem, law: Law) -> Library:
     for bands in _kinds(problem):
         count = sum(len(b.frequencies) * len(b.carriers) for b in bands)
         kinds.append(([p for b in bands for p in _peaks(problem, metric, b)], count))
-    for bands in (_swings(problem), _in_runs(problem, carriers.every(problem))):
+    for bands in (_swings(problem), _in_runs(problem)):
         kinds.append((_told(problem, metric, bands), sum(len(b.frequencies) for b in bands)))
     return carriers.beside(processes, NAME, [k for k in kinds if k[0]], KEPT)
 
@@ -73,10 +74,14 @@ def _kinds(problem: Problem) -> list[list[_Band]]:
     return [*in_time, _along_path(problem, tool), _along_travel(problem, legs)]
 
 
+def _timed(problem: Problem) -> bool:
+    """Whether the time of every reading is known."""
+    return "time" in problem.rows and bool(problem.rows["time"].notna().all())
+
+
 def _in_time(problem: Problem, every: list[Array]) -> list[_Band]:
     """Waves in time on a channel, on a joint, on the tool: slow ones, then fast ones."""
-    rows = problem.rows
-    known = "time" in rows and rows["time"].notna().all()
+    rows, known = problem.rows, _timed(problem)
     time = (
         rows["time"].to_numpy(dtype=float) if known else np.cumsum(rows["reading"].diff().ne(0).to_numpy(dtype=float))
     )
@@ -96,23 +101,26 @@ def _in_time(problem: Problem, every: list[Array]) -> list[_Band]:
     clocks = np.column_stack([clock, against[:, 1:]])
     span = float(np.ptp(clock)) + step
     middle = min(SLOW / span, most)
-    bands = [_Band("s", clocks, every, _frequencies(span, 1.0 / span, middle))]
-    return [*bands, _Band("s", clocks, every, _frequencies(span, middle, most))] if most > middle else bands
+    names, unit = carriers.named(problem), "s" if known else "readings"
+    bands = [_Band(unit, clocks, every, _frequencies(span, 1.0 / span, middle), names)]
+    return [*bands, _Band(unit, clocks, every, _frequencies(span, middle, most), names)] if most > middle else bands
 
 
 def _swings(problem: Problem) -> list[_Band]:
     """Slow waves in time of all the machine's parameters together."""
     carrier = carriers.parameters(problem)
-    if not carrier.shape[1] or "time" not in problem.rows or not problem.rows["time"].notna().all():
+    if not carrier.shape[1] or not _timed(problem):
         return []
     span = float(np.ptp(problem.rows["time"].to_numpy(dtype=float)))
     clock = carriers.at_poses(problem, [s.time - s.span[0] for s in problem.states])
-    return [_Band("s", clock, [carrier], np.arange(1, SWINGS + 1) / (2.0 * span))] if span > 0.0 else []
+    if span <= 0.0:
+        return []
+    return [_Band("s", clock, [carrier], np.arange(1, SWINGS + 1) / (2.0 * span), ["all parameters together"])]
 
 
-def _in_runs(problem: Problem, every: list[Array]) -> list[_Band]:
+def _in_runs(problem: Problem) -> list[_Band]:
     """Waves in time on a channel, where no time is told: over the way in each run, their phases its own."""
-    if "time" in problem.rows and problem.rows["time"].notna().all():
+    if _timed(problem):
         return []
     arc = _arc(problem)
     runs = np.zeros((len(problem), len(problem.blocks)))
@@ -125,7 +133,8 @@ def _in_runs(problem: Problem, every: list[Array]) -> list[_Band]:
     longest = max(len(members) for members in problem.blocks)
     span = float(arc[:, 0].max())
     frequencies = _frequencies(span, 1.0 / span, 0.5 * longest / span)
-    return [_Band("m", arc, [c * runs[:, :, None]], frequencies) for c in every[: len(np.unique(problem.group))]]
+    channels = zip(carriers.every(problem), carriers.named(problem)[: len(np.unique(problem.group))], strict=False)
+    return [_Band("m", arc, [c * runs[:, :, None]], frequencies, [f"{n}, run by run"]) for c, n in channels]
 
 
 def _told(problem: Problem, metric: Metric, bands: Sequence[_Band]) -> list[Peak]:
@@ -134,11 +143,13 @@ def _told(problem: Problem, metric: Metric, bands: Sequence[_Band]) -> list[Peak
     found = []
     for band in bands:
         columns = _waves(band.carriers[0], _both(band.clock, band.frequencies))
-        width = columns.shape[1]
+        width, name = columns.shape[1], band.names[0]
         every = evidence.Parts(problem, metric, columns.transpose(0, 2, 1).reshape(len(problem), -1))
         for k, frequency in enumerate(band.frequencies):
             told = every.grams(slice(k * width, (k + 1) * width)).log_evidences([np.arange(width)], SIZES)
-            found.append(Peak(-float(told.max()), columns[:, :, k], {f"period_{band.unit}": 1.0 / float(frequency)}))
+            period = 1.0 / float(frequency)
+            about = _words(band.unit, period, name)
+            found.append(Peak(-float(told.max()), columns[:, :, k], {f"period_{band.unit}": period}, about))
     return sorted(found, key=lambda p: p.log_tail)[:BEST]
 
 
@@ -154,7 +165,8 @@ def _along_path(problem: Problem, tool: Array) -> list[_Band]:
             continue
         span, finest = float(arc[here, 0].max()), min(FINEST, BETWEEN * float(np.median(steps)))
         frequencies = _frequencies(span, 1.0 / span, max(1.0 / finest, 1.0 / span))
-        bands.append(_Band("m", arc, [np.where(here[:, None, None], tool, 0.0)], frequencies))
+        name = f"the tool at {6e4 * value:.0f} mm/min" if value > 0.0 else "the tool"
+        bands.append(_Band("m", arc, [np.where(here[:, None, None], tool, 0.0)], frequencies, [name]))
     return bands
 
 
@@ -167,7 +179,7 @@ def _along_travel(problem: Problem, legs: list[Array]) -> list[_Band]:
         span = float(np.ptp(clock[:, 0]))
         if joint.unit == "m" and span > SHORT * LEAST:
             frequencies = _frequencies(span, LONG / span, 1.0 / SHORT)
-            bands.append(_Band("travel_m", clock, [legs[i]], frequencies))
+            bands.append(_Band("travel_m", clock, [legs[i]], frequencies, [f"leg {i + 1}"]))
     return bands
 
 
@@ -198,7 +210,7 @@ def _arc(problem: Problem) -> Array:
 def _peaks(problem: Problem, metric: Metric, band: _Band) -> list[Peak]:
     """The strongest waves of a band on each of its carriers."""
     found = []
-    for carrier, tail in zip(band.carriers, _tails(problem, metric, band), strict=True):
+    for carrier, name, tail in zip(band.carriers, band.names, _tails(problem, metric, band), strict=True):
         peaks, _ = signal.find_peaks(np.concatenate([[-1.0], -tail, [-1.0]]), distance=int(2 * OVER))
         for k in peaks[np.argsort(tail[peaks - 1])][:KEPT] - 1:
             near = _close(band, carrier, int(k))
@@ -207,8 +219,19 @@ def _peaks(problem: Problem, metric: Metric, band: _Band) -> list[Peak]:
             columns = np.hstack([_waves(carrier, _both(band.clock, best * np.array([k])))[:, :, 0] for k in TONES])
             half, own, twice = np.arange(columns.shape[1]).reshape(3, -1)
             forms = (own, np.concatenate([own, twice]), np.concatenate([half, own]))
-            found.append(Peak(float(tails.min()), columns, {f"period_{band.unit}": 1.0 / best}, forms))
+            about = _words(band.unit, 1.0 / best, name)
+            found.append(Peak(float(tails.min()), columns, {f"period_{band.unit}": 1.0 / best}, about, forms))
     return found
+
+
+def _words(unit: str, period: float, name: str) -> str:
+    """A wave as a person says it."""
+    if unit == "s":
+        size, word = next((s, w) for s, w in ((3600.0, "h"), (60.0, "min"), (1.0, "s")) if period > 2.0 * s or s == 1.0)
+        return f"{name} in a wave of {period / size:.3g} {word}"
+    if unit == "readings":
+        return f"{name} in a wave of {period:.3g} readings"
+    return f"{name} in a wave every {1e3 * period:.3g} mm of {'path' if unit == 'm' else 'travel'}"
 
 
 def _close(band: _Band, carrier: Array, k: int) -> _Band:

@@ -216,12 +216,8 @@ class Search:
         sizes = np.concatenate(
             [np.empty(0), *[np.full(len(self._atoms[k]), s) for k, s in zip(known.atoms, known.sizes, strict=True)]]
         )
-        plain = self._selected(known)
-        told = np.empty((len(self._processes), len(UNKNOWN_SIZES)))
-        apart = list(self._apart(selected))
-        for numbers, gram, b in apart:
-            told[numbers] = plain.log_ratio(*evidence.explained(gram, b, UNKNOWN_SIZES))
-        told += self._process_shares
+        plain, apart = self._selected(known), list(self._apart(selected))
+        told = self._remainders(plain, apart)
         row, column = np.unravel_index(int(np.argmax(told)), told.shape)
         size, level = float(UNKNOWN_SIZES[column]), evidence.level(plain) ** 2
         gram, b = next((g[n == row][0], p[n == row][0]) for n, g, p in apart if row in n)
@@ -238,6 +234,22 @@ class Search:
             log_evidence=known.log_evidence + float(np.logaddexp.reduce(told, axis=None)),
             log_prior=self._prior(len(known.effects), True),
         )
+
+    def _remainders(self, plain: Grams, apart: Iterable[tuple[Index, Array, Array]]) -> Array:
+        """Log evidence (processes, sizes) of each process beside selected effects."""
+        told = np.empty((len(self._processes), len(UNKNOWN_SIZES)))
+        for numbers, gram, b in apart:
+            told[numbers] = plain.log_ratio(*evidence.explained(gram, b, UNKNOWN_SIZES))
+        return np.asarray(told + self._process_shares)
+
+    def likeness(self, h: Hypothesis) -> dict[str, float]:
+        """Probability of each form, in words, of a hypothesis' unknown remainder, the likeliest first."""
+        selected = np.concatenate([_NONE, *[self._atoms[k] for k in h.atoms]])
+        told = special.softmax(special.logsumexp(self._remainders(self._selected(h), self._apart(selected)), axis=1))
+        found: dict[str, float] = {}
+        for atom, share in zip(self.processes.atoms, told, strict=True):
+            found[atom.about] = found.get(atom.about, 0.0) + float(share)
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     def _selected(self, h: Hypothesis) -> Grams:
         """Grams of the columns of a set of effects alone, these selected."""

@@ -120,6 +120,7 @@ class Gap(Part, frozen=True):
     constants  of each selected effect, SI
     selected  effects of the best answer, `unknown` aside
     spots     rms residual by place of the tool, in `spots_unit` ("sigma": in units of the stated noise)
+    unknown   what a remainder of unknown form is like, in words, with probabilities, the likeliest first
     words     one finding a sentence, the most important first
     next      what to do about it
     """
@@ -148,3 +149,4 @@ class Gap(Part, frozen=True):
     words: list[str]
     next: list[str]
     constants: dict[str, dict[str, float]] = {}
+    unknown: dict[str, float] = {}

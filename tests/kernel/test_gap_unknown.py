@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from kernel.gap_lines import EFFECTS, LINES, readings
-from oed.gap import carriers, library, pursuit, scatter, waves, which
+from oed.gap import carriers, diagnose, library, pursuit, scatter, waves, which
+from oed.gap.diagnosis import Diagnosis
 from oed.gap.law import plain
 from oed.gap.library import Library
 from oed.gap.problem import Problem
@@ -118,6 +119,32 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     assert best.key == (frozenset(), True)
     quiet = Search(problem, none, waves.added(none, problem, plain(problem)), plain(problem), 0.0)
     assert which.compare([quiet])[0].key == (frozenset(), False)
+
+
+@pytest.mark.parametrize(("unit", "period", "told"), [
+    ("s", 41.0, "leg 2 in a wave of 41 s"), ("s", 733.0, "leg 2 in a wave of 12.2 min"),
+    ("s", 10440.0, "leg 2 in a wave of 2.9 h"), ("readings", 5.04, "leg 2 in a wave of 5.04 readings"),
+    ("m", 0.35, "leg 2 in a wave every 350 mm of path"), ("travel_m", 0.005, "leg 2 in a wave every 5 mm of travel"),
+])  # fmt: skip
+def test_a_wave_in_words(unit: str, period: float, told: str) -> None:
+    assert waves._words(unit, period, "leg 2") == told
+
+
+def test_what_is_unknown_is_told_by_its_likeliest_form() -> None:
+    problem = readings(5)
+    wave = 2.0 * np.sin(2.0 * np.pi * problem.rows["time"].to_numpy(dtype=float) / 173.0 + 1.0)
+    acting = problem.with_residual(problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0))
+    diagnosis, best = _concluded(acting)
+    first, share = next(iter(diagnosis.likeness.items()))
+    assert first == "the readings of dy in a wave of 2.88 min"
+    assert share > 0.9
+    assert best.key == (frozenset(), True)
+    assert not _concluded(problem)[0].likeness
+
+
+def _concluded(problem: Problem) -> tuple[Diagnosis, which.Hypothesis]:
+    made = diagnose.searches(problem, EFFECTS)
+    return diagnose.conclude(problem, made, which.compare(made), EFFECTS)
 
 
 def _waved(problem: Problem, wave: np.ndarray) -> tuple[Library, which.Hypothesis]:

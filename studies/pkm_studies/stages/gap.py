@@ -68,6 +68,7 @@ def section(found: Diagnosis, effects: Sequence[Effect]) -> result_gap.Gap:
         spots_unit=spots_unit,
         words=[],
         next=list(found.next),
+        unknown={form: float(p) for form, p in found.likeness.items()},
     )
     return gap_words.told(made)
 

@@ -36,7 +36,7 @@ SPLITS = {"within": "on stretches of runs kept out of the fit", "whole": "on who
 
 def told(gap: Gap) -> Gap:
     """The diagnosis with its sentences."""
-    words = [*_verdict(gap), *_second(gap), *_places(gap), *_closures(gap), *_untested(gap)]
+    words = [*_verdict(gap), *_likeness(gap), *_second(gap), *_places(gap), *_closures(gap), *_untested(gap)]
     return msgspec.structs.replace(gap, words=words, next=_next(gap))
 
 
@@ -103,6 +103,13 @@ def _verdict(gap: Gap) -> list[str]:
             f"Part of the gap {comes} from {named} {chance}{sizes}; a remainder has a form that no known effect has."
         ]
     return [f"The gap {comes} from {named}{' together' if len(gap.selected) > 1 else ''} {chance}{sizes}."]
+
+
+def _likeness(gap: Gap) -> list[str]:
+    """What the unknown is like: its likeliest form, and the others that are likely enough to matter."""
+    told = [f"{form} (probability {percent(p)})" for form, p in gap.unknown.items()]
+    likely = [t for t, p in zip(told, gap.unknown.values(), strict=True) if p >= MATTERS] or told[:1]
+    return [f"What no known effect explains is most like: {'; or '.join(likely)}."] if likely else []
 
 
 def _second(gap: Gap) -> list[str]:
