@@ -444,6 +444,16 @@ def test_what_the_unknown_is_like_is_told() -> None:
     assert not any("most like" in w for w in _gap("unknown", ["unknown"], []).words)
 
 
+@pytest.mark.parametrize(("low", "high", "told"), [
+    (0.35, 49.55, "35 to over 100 %"), (-7.0, 0.4, "under -100 to 40 %"), (-0.2, 1.2, "-20 to 120 %"),
+])  # fmt: skip
+def test_an_interval_that_tells_nothing_is_not_told_in_figures(low: float, high: float, told: str) -> None:
+    words = _gap(
+        "effect", ["gravity"], [["gravity"]], closure=[Closure("whole", 0.3, low, high, 0.1, 2.0, 1.2, 1.0, 9)]
+    )
+    assert f"({told}) on whole runs" in words.words[2]
+
+
 def test_places_that_hold_much_of_the_gap_are_told() -> None:
     places = [
         Where("all legs", 0.0, 0.9),

@@ -15,6 +15,8 @@ Part = Mapping[str, Any]
 PLACES: Final = 8
 #: share by which what two legs explain may differ where nothing tells them apart
 SAME: Final = 1e-6
+#: share closed beyond which the interval's end is not told in figures
+FAR: Final = 1.5
 ANSWERS: Final = 6
 COEFFICIENTS: Final = 12
 SPLITS: Final = {"within": "stretches of runs", "whole": "whole runs"}
@@ -263,7 +265,14 @@ def _closure(gap: Part) -> list[Block]:
 
 def _interval(closure: Part) -> str:
     low, high = closure.get("low"), closure.get("high")
-    return words.MISSING if low is None or high is None else f"{_share(low)} to {_share(high)}"
+    return words.MISSING if low is None or high is None else f"{_end(low)} to {_end(high)}"
+
+
+def _end(value: Any) -> str:
+    """An end of an interval; far off what a share can be it says no more than that."""
+    if words.number(value) > FAR:
+        return f"over 100{words.GAP}%"
+    return f"under -100{words.GAP}%" if words.number(value) < -1.0 else _share(value)
 
 
 def _share(value: Any) -> str:

@@ -24,6 +24,8 @@ COMPARABLE = 0.5
 MATTERS = 0.1
 #: probability from which a cause is told as a fact
 EVEN = 0.5
+#: share closed beyond which the interval's end is not told in figures
+FAR = 1.5
 #: what must be recorded for an effect's covariate
 COLUMNS = {
     "time": "time_s",
@@ -195,7 +197,7 @@ def _closed(c: Closure) -> str:
         return ""
     # near the whole, digits enough to tell that something is left
     digits = 0 if c.low is None or c.low < 0.99 else 1 if c.low < 0.999 else 2
-    interval = "" if c.low is None or c.high is None else f" ({_share(c.low, digits)} to {_share(c.high, digits)} %)"
+    interval = "" if c.low is None or c.high is None else f" ({_bound(c.low, digits)} to {_bound(c.high, digits)} %)"
     return f"{_share(c.value, digits)} %{interval} {SPLITS.get(c.split, c.split)}"
 
 
@@ -203,6 +205,13 @@ def _share(value: float, digits: int) -> str:
     """A share in percent with so many decimals, never rounded up to the whole."""
     shown = math.floor(value * 10 ** (digits + 2) + 1e-9) if 0.0 < value < 1.0 else round(value * 10 ** (digits + 2))
     return f"{shown / 10**digits:.{digits}f}"
+
+
+def _bound(value: float, digits: int) -> str:
+    """An end of the interval of a share; far off what a share can be it says no more than that."""
+    if value > FAR:
+        return "over 100"
+    return "under -100" if value < -1.0 else _share(value, digits)
 
 
 def _untested(gap: Gap) -> list[str]:
