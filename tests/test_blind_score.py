@@ -202,6 +202,17 @@ def test_a_leg_that_nothing_tells_from_the_true_one_is_right(blind):
         assert "time 0-9" in tied.blocks
 
 
+def test_a_time_that_the_readings_do_not_tell_is_no_place(blind):
+    """A stretch of the session is not asked of readings without a clock, a leg of theirs is."""
+    label = case("single", {"backlash": 6.0}, blocks=("leg 2", "time 0-9", "direction +1"))
+    for columns, kept in (
+        (["time_s", "direction"], {"leg 2", "time 0-9", "direction +1"}), (["direction"], {"leg 2", "direction +1"}),
+        ([], {"leg 2"}),
+    ):  # fmt: skip
+        (entry,) = entries_of(blind, (label | {"columns": columns}, result(answer("backlash"))))
+        assert set(entry.blocks) == kept
+
+
 # -- measures ----------------------------------------------------------------------------------------------
 
 

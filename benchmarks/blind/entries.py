@@ -14,6 +14,8 @@ from benchmarks.blind.judge import Said
 DIAGNOSIS, BASELINES = "diagnosis", ("harmonic", "stepwise")
 #: machine that nobody who developed the diagnosis had
 UNSEEN = "hexapod"
+#: column of the readings by which a kind of place is told
+TOLD_BY = {"time": "time_s", "direction": "direction"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,8 +84,10 @@ class Entry:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """Where the effects act, where that is in part; with legs in which they would make the same readings."""
-        true = [b for e in self.label["effects"] for b in e["blocks"]]
+        """Where the effects act, where that is in part and the readings have the column that tells it; with legs in
+        which they would make the same readings."""
+        missing = {kind for kind, column in TOLD_BY.items() if column not in self.label.get("columns", (column,))}
+        true = [b for e in self.label["effects"] for b in e["blocks"] if b.split(" ")[0] not in missing]
         ties = [group for e in self.oracle["effects"] for group in e.get("tied", ())]
         return tuple(dict.fromkeys([*true, *(leg for g in ties if set(g) & set(true) for leg in g)]))
 
