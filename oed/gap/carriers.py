@@ -18,7 +18,7 @@ from oed.gap.law import Metric
 from oed.gap.library import Atom, Library
 from oed.gap.problem import Index, Problem
 from oed.gap.tail import log_tail
-from oed.gap.unknown import UNIT
+from oed.gap.unknown import UNIT, together
 from oed.measurement import Series
 
 
@@ -93,17 +93,14 @@ def joints(problem: Problem) -> Array:
 def parameters(problem: Problem) -> Array:
     """Readings (N, n, J), in units of the noise, of the machine's uncertain parameters at each of the poses that they
     see: each by its tolerance against that of lengths, all together by a micrometre."""
-    known = problem.measurement.machine.parameters
-    free = [k for k, p in enumerate(known) if p.tolerance > 0.0]
-    usual = np.median([known[k].tolerance for k in free if known[k].unit == "m"] or [1.0])
-    weight = np.array([known[k].tolerance / usual for k in free]) / np.sqrt(max(len(free), 1))
-    parts, most = [], _most(problem)
+    shares = together(problem.measurement.machine)
+    free, parts, most = list(shares), [], _most(problem)
     for series, response in zip(problem.series, problem.responses, strict=True):
         slopes = np.zeros((response.joints[0][..., 0].size, len(free), most))
         for k, j in enumerate(_seen(series)):
             slopes[:, :, k] = response.parameters[j][:, :, free].reshape(len(slopes), -1)
         parts.append(slopes)
-    return np.asarray(problem.of(UNIT * np.concatenate(parts)) * weight[:, None])
+    return np.asarray(problem.of(UNIT * np.concatenate(parts)) * np.array(list(shares.values()))[:, None])
 
 
 def tool(problem: Problem, legs: Array) -> Array:

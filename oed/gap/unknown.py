@@ -15,6 +15,7 @@ import numpy as np
 
 from oed.batch import Array
 from oed.effect import Column, Effect, State
+from oed.machine import Machine
 
 #: prior standard deviation of a process, m in the reading or the joint: a micrometre
 UNIT = 1e-6
@@ -215,11 +216,17 @@ def parameters_over_load(state: State) -> Iterable[Column]:
     if state.heaviest == 0.0:
         return
     load = np.where(np.isfinite(state.payload), state.payload, 0.0) / state.heaviest
-    free = [p for p in state.machine.parameters if p.tolerance > 0.0]
-    usual = np.median([p.tolerance for p in free if p.unit == "m"] or [1.0])
-    for p in free:
-        size = UNIT * p.tolerance / usual / np.sqrt(len(free))
-        yield Column(f"{p.name} load", size, parameters={p.name: load})
+    for k, share in together(state.machine).items():
+        name = state.machine.parameters[k].name
+        yield Column(f"{name} load", UNIT * share, parameters={name: load})
+
+
+def together(machine: Machine) -> dict[int, float]:
+    """The machine's uncertain parameters, by number, with their shares of a change of all of them by one unit: each by
+    its tolerance against that of lengths."""
+    free = {k: p for k, p in enumerate(machine.parameters) if p.tolerance > 0.0}
+    usual = np.median([p.tolerance for p in free.values() if p.unit == "m"] or [1.0])
+    return {k: float(p.tolerance / usual / np.sqrt(len(free))) for k, p in free.items()}
 
 
 def over_feed(state: State) -> Iterable[Column]:
