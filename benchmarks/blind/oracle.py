@@ -189,9 +189,9 @@ def tied(seen: Array, columns: Array, known: Library, name: str) -> list[list[st
     whole = float(np.linalg.norm(seen))
     groups: list[list[str]] = []
     for leg, kept in least.items():
-        group = next((g for g in groups if abs(least[g[0]] - kept) < TIED * whole), None)
         if kept > HALF * whole:
             continue
+        group = next((g for g in groups if abs(least[g[0]] - kept) < TIED * whole), None)
         if group is None:
             groups.append([leg])
         else:
@@ -201,11 +201,11 @@ def tied(seen: Array, columns: Array, known: Library, name: str) -> list[list[st
 
 def _kept(seen: Array, columns: Array, atoms: Sequence[Atom]) -> list[float]:
     """What each form leaves of `seen` (N,)."""
-    told, gram = columns.T @ seen, columns.T @ columns
     whole, kept = float(seen @ seen), []
-    for c in (a.columns for a in atoms):
-        inner = gram[np.ix_(c, c)] + np.eye(len(c)) / RIVAL**2
-        kept.append(math.sqrt(max(whole - float(told[c] @ np.linalg.solve(inner, told[c])), 0.0)))
+    for form in (columns[:, a.columns] for a in atoms):
+        told = form.T @ seen
+        inner = form.T @ form + np.eye(len(told)) / RIVAL**2
+        kept.append(math.sqrt(max(whole - float(told @ np.linalg.solve(inner, told)), 0.0)))
     return kept
 
 

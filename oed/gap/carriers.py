@@ -81,26 +81,27 @@ def named(problem: Problem) -> list[str]:
 
 def joints(problem: Problem) -> Array:
     """Readings (N, nq, J), in units of the noise, per micrometre of each joint at each of the poses that they see."""
-    parts, most = [], _most(problem)
-    for series, response in zip(problem.series, problem.responses, strict=True):
-        slopes = np.zeros((response.joints[0][..., 0].size, response.joints[0].shape[-1], most))
-        for k, j in enumerate(_seen(series)):
-            slopes[:, :, k] = response.joints[j].reshape(len(slopes), -1)
-        parts.append(slopes)
-    return problem.of(UNIT * np.concatenate(parts))
+    return _slopes(problem, [r.joints for r in problem.responses])
 
 
 def parameters(problem: Problem) -> Array:
     """Readings (N, n, J), in units of the noise, of the machine's uncertain parameters at each of the poses that they
     see: each by its tolerance against that of lengths, all together by a micrometre."""
     shares = together(problem.measurement.machine)
-    free, parts, most = list(shares), [], _most(problem)
-    for series, response in zip(problem.series, problem.responses, strict=True):
-        slopes = np.zeros((response.joints[0][..., 0].size, len(free), most))
+    made = _slopes(problem, [r.parameters for r in problem.responses])[:, list(shares)]
+    return np.asarray(made * np.array(list(shares.values()))[:, None])
+
+
+def _slopes(problem: Problem, every: Sequence[Sequence[Array]]) -> Array:
+    """Slopes (m, channels, k) at the poses of each series as the readings see them (N, k, J), in units of the noise per
+    micrometre."""
+    parts, most = [], _most(problem)
+    for series, told in zip(problem.series, every, strict=True):
+        slopes = np.zeros((told[0][..., 0].size, told[0].shape[-1], most))
         for k, j in enumerate(_seen(series)):
-            slopes[:, :, k] = response.parameters[j][:, :, free].reshape(len(slopes), -1)
+            slopes[:, :, k] = told[j].reshape(len(slopes), -1)
         parts.append(slopes)
-    return np.asarray(problem.of(UNIT * np.concatenate(parts)) * np.array(list(shares.values()))[:, None])
+    return problem.of(UNIT * np.concatenate(parts))
 
 
 def tool(problem: Problem, legs: Array) -> Array:

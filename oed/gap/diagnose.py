@@ -231,25 +231,28 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     # what each law would have act is given the law that suits it: a load's runs, say, are not taken for poor repeats
     tried: set[tuple[tuple[int, ...], int | None]] = set()
     for start in list(made):
-        _refitted(made, start, start.run(), tried)
-    told = which.compare(made)
-    _refitted(made, made[next(h for h in told if h.effects or h.unknown).law], told, tried)
+        _refitted(made, start, _gap(start.run()), tried)
+    best = _gap(which.compare(made))
+    _refitted(made, made[best.law], best, tried)
     return made
 
 
+def _gap(told: Sequence[Hypothesis]) -> Hypothesis:
+    """The best hypothesis that says there is a gap."""
+    return next(h for h in told if h.effects or h.unknown)
+
+
 def _refitted(
-    made: list[Search], start: Search, told: Sequence[Hypothesis], tried: set[tuple[tuple[int, ...], int | None]]
+    made: list[Search], start: Search, best: Hypothesis, tried: set[tuple[tuple[int, ...], int | None]]
 ) -> None:
-    """Add the search under the law that suits the best gap told of, unless it is there or was tried."""
-    best = next(h for h in told if h.effects or h.unknown)
+    """Add the search under the law that suits a hypothesis, unless it is there or was tried."""
     forms = (tuple(sorted(best.atoms)), best.process)
     if forms in tried:
         return
     tried.add(forms)
     columns = _columns(start.library, start.processes, best)
     if any(np.isfinite(s.law.tails) for s in made):
-        ordinary = dataclasses.replace(start.law, variance=np.ones_like(start.law.variance), tails=np.inf)
-        pair = scatter.robust(start.problem, columns, start=ordinary)
+        pair = scatter.anew(start.problem, columns, start.law)
     else:
         pair = scatter.fit(start.problem, columns, start.law)
     if not any(_same(pair[0], s.law) for s in made):

@@ -48,19 +48,14 @@ def pursued(processes: Library, problem: Problem, start: Law) -> tuple[Library, 
         law = pair[0]
         if len(chosen) > 1:
             both = np.unique(np.concatenate([choices[k] for k in chosen]))
+            # the first one's share among all is told where these are compared
             weight = float(weights[chosen].sum() - weights[chosen[0]] + processes.atoms[chosen[0]].log_weight)
             about = ", and ".join(dict.fromkeys(processes.atoms[k].about for k in chosen))
             atoms.append(Atom(NAME, {"processes": float(len(chosen))}, both, weight, about))
     if np.isfinite(law.tails):
-        pair = _anew(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
+        pair = scatter.anew(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
     return dataclasses.replace(processes, atoms=(*processes.atoms, *atoms)), pair
 
 
 def _columns(processes: Library, choices: list[Index], sizes: list[float]) -> Array:
     return np.hstack([s * processes.columns[:, c] for c, s in zip(choices, sizes, strict=True)])
-
-
-def _anew(problem: Problem, columns: Array, law: Law) -> tuple[Law, float]:
-    """The law beside columns, with the variances of single readings told beside them too."""
-    ordinary = dataclasses.replace(law, variance=np.ones_like(law.variance), tails=np.inf)
-    return scatter.robust(problem, columns, start=ordinary)

@@ -125,6 +125,11 @@ def robust(problem: Problem, columns: Array, size: float | Array = 1.0, start: L
     return fit(problem, columns, dataclasses.replace(law, variance=far, tails=degrees), size)
 
 
+def anew(problem: Problem, columns: Array, law: Law) -> tuple[Law, float]:
+    """The law beside columns (N, k), begun at one that was told beside others; variances of single readings anew."""
+    return robust(problem, columns, start=dataclasses.replace(law, variance=np.ones_like(law.variance), tails=np.inf))
+
+
 def _apart(problem: Problem, law: Law, columns: Array) -> tuple[Array, float]:
     """Variance (N,) of each reading over the level's, and the degrees of freedom of their Student t.
 

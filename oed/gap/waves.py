@@ -126,12 +126,10 @@ def _in_runs(problem: Problem) -> list[_Band]:
     runs = np.zeros((len(problem), len(problem.blocks)))
     for k, members in enumerate(problem.blocks):
         runs[members, k] = 1.0
-    runs = runs[:, runs.sum(axis=0) >= LEAST]
-    steps = np.diff(np.unique(np.round(arc[:, 0], 6)))
-    if not runs.shape[1] or not steps.size:
+    runs, span = runs[:, runs.sum(axis=0) >= LEAST], float(arc[:, 0].max())
+    if not runs.shape[1] or span <= 0.0:
         return []
     longest = max(len(members) for members in problem.blocks)
-    span = float(arc[:, 0].max())
     frequencies = _frequencies(span, 1.0 / span, 0.5 * longest / span)
     channels = zip(carriers.every(problem), carriers.named(problem)[: len(np.unique(problem.group))], strict=False)
     return [_Band("m", arc, [c * runs[:, :, None]], frequencies, [f"{n}, run by run"]) for c, n in channels]
@@ -155,10 +153,13 @@ def _told(problem: Problem, metric: Metric, bands: Sequence[_Band]) -> list[Peak
 
 def _along_path(problem: Problem, tool: Array) -> list[_Band]:
     """Waves along the path of the tool, at one feed."""
-    feed = problem.rows["feed"].to_numpy(dtype=float) if "feed" in problem.rows else np.zeros(len(problem))
+    # a feed that is not told is the same in all
+    feed = (
+        np.nan_to_num(problem.rows["feed"].to_numpy(dtype=float)) if "feed" in problem.rows else np.zeros(len(problem))
+    )
     arc, bands = _arc(problem), []
-    for value in np.unique(np.round(np.nan_to_num(feed), 9)):  # one that is not told is the same in all
-        here = np.isclose(np.nan_to_num(feed), value)
+    for value in np.unique(np.round(feed, 9)):
+        here = np.isclose(feed, value)
         steps = np.diff(arc[here, 0])
         steps = steps[steps > 1e-6]
         if here.sum() < LEAST or not steps.size:
@@ -216,7 +217,7 @@ def _peaks(problem: Problem, metric: Metric, band: _Band) -> list[Peak]:
             near = _close(band, carrier, int(k))
             tails = _tails(problem, metric, near)[0]
             best = float(near.frequencies[np.argmin(tails)])
-            columns = np.hstack([_waves(carrier, _both(band.clock, best * np.array([k])))[:, :, 0] for k in TONES])
+            columns = np.hstack([_waves(carrier, _both(band.clock, np.array([f * best])))[:, :, 0] for f in TONES])
             half, own, twice = np.arange(columns.shape[1]).reshape(3, -1)
             forms = (own, np.concatenate([own, twice]), np.concatenate([half, own]))
             about = _words(band.unit, 1.0 / best, name)
