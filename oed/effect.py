@@ -46,6 +46,8 @@ class State:
     temperature  {body: (m,)} K
     heaviest     largest payload of the session, N; 0 where unknown
     session      (k,) times of all readings of the session, sorted, s; empty where unknown
+    progress     (m,) how far the session has gone, 0 to 1: by the clock, or by the order of the readings where not all
+                 of them have a time
     start        {body: its temperature at the session's first reading, K}
     channels     names of the instrument's channels
     settings     of the set-up, by name, SI
@@ -80,6 +82,7 @@ class State:
     temperature: Mapping[str, Array]
     heaviest: float
     session: Array
+    progress: Array
     start: Mapping[str, float]
     channels: tuple[str, ...]
     settings: Mapping[str, float]

@@ -65,7 +65,8 @@ def told(groups: Sequence[Group]) -> tuple[tuple[Answer, ...], Hypothesis]:
         leading += [group.hypothesis] * (len(answers) - len(leading))
     order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
     if len(order) > 1 and not answers[order[0]].effects:
-        vague = any(len(c) >= VAGUE for c in answers[order[1]].classes)
+        next_best = answers[order[1]]
+        vague = next_best.effects == (UNKNOWN,) or any(len(c) >= VAGUE for c in next_best.classes)
         if answers[order[0]].probability < (EVEN if vague else SURE):
             order[:2] = order[1::-1]
     return tuple(answers[k] for k in order), leading[order[0]]

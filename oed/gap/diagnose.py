@@ -11,7 +11,7 @@ from scipy import linalg
 
 from oed.batch import Array
 from oed.effect import Effect
-from oed.gap import advice, answers, closure, library, pursuit, scatter, spots, waves, where, which
+from oed.gap import advice, answers, closure, evidence, library, pursuit, scatter, spots, waves, where, which
 from oed.gap.diagnosis import UNKNOWN, Block, Closure, Coefficient, Diagnosis, Size
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
@@ -22,6 +22,8 @@ from oed.gap.which import Hypothesis, Search
 #: root mean square, in units of the noise, that each effect and process has at least in the wide model, beside which
 #: noise is told
 WIDE = 0.7
+#: log evidence of no gap by which a law must be better to be taken
+BETTER = 0.1
 #: forms that an unknown remainder is said to be like, at most, and the least probability of each
 LIKE, LEAST_LIKE = 3, 0.03
 
@@ -234,6 +236,7 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
         _refitted(made, start, _gap(start.run()), tried)
     best = _gap(which.compare(made))
     _refitted(made, made[best.law], best, tried)
+    _alone(made, made[_gap(which.compare(made)).law].law)
     return made
 
 
@@ -257,6 +260,23 @@ def _refitted(
         pair = scatter.fit(start.problem, columns, start.law)
     if not any(_same(pair[0], s.law) for s in made):
         made.append(Search(start.problem, start.library, start.processes, *pair))
+
+
+def _alone(made: list[Search], start: Law) -> None:
+    """Add the search under the law that suits no gap best, begun at the law that suits the best gap: what that gains by
+    a law of its own, no gap should gain too."""
+    problem, nothing = made[0].problem, np.zeros((len(made[0].problem), 0))
+    slopes = evidence.compressed(problem, nothing)
+
+    def worth(law: Law, prior: float) -> float:
+        return evidence.log_evidence(problem, law, slopes) + prior
+
+    found = [scatter.fit(problem, nothing, start)]
+    if any(np.isfinite(s.law.tails) for s in made):  # what is far off beside a gap may not be without, and the like
+        found.append(scatter.anew(problem, nothing, start))
+    best = max(found, key=lambda pair: worth(*pair))
+    if worth(*best) > max(worth(s.law, s.log_prior) for s in made) + BETTER:
+        made.append(Search(problem, made[0].library, made[0].processes, *best))
 
 
 def _same(a: Law, b: Law) -> bool:

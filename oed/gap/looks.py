@@ -34,22 +34,24 @@ FEW = 8
 @dataclasses.dataclass(frozen=True, slots=True)
 class Look:
     """One basis (N, k), in units of the noise, for a fault at a place; `cells` of its kind that the place holds;
-    `form` tells looks at one place apart."""
+    `form` tells looks at one place apart. Looks that are `own` ask where a known effect acts: a question of its own."""
 
     kind: str
     place: str
     basis: Array
     cells: frozenset[int] = frozenset()
     form: str = ""
+    own: bool = False
 
 
 def looks(
     problem: Problem, columns: Array | None = None, labels: Sequence[str] | None = None, known: bool = False
 ) -> Iterator[Look]:
     """The whole family."""
-    if not (known and labels is not None and labels and all(labels)):
+    own = bool(known and labels and all(labels))
+    if not own:
         yield from _legs(problem)
-    yield from _selected(problem, columns, labels)
+    yield from (dataclasses.replace(look, own=own) for look in _selected(problem, columns, labels))
     for family in (_runs, _times, _phases, _directions):
         yield from family(problem)
 
@@ -149,7 +151,7 @@ def _stretch(problem: Problem, columns: Array) -> Iterator[Look]:
     if first <= starts[0]:
         first, last = float(clock[clock > last].min()), end
     low, high = (int(np.searchsorted(starts, t, side="right")) - 1 for t in (first, last))
-    yield Look("time", f"time {_number(first)}-{_number(last)}", columns, frozenset(range(low, high + 1)), SELECTED)
+    yield Look("time", _span(clock, first, last), columns, frozenset(range(low, high + 1)), SELECTED)
 
 
 def _touched(problem: Problem, columns: Array) -> Iterator[Look]:
@@ -227,12 +229,22 @@ def _times(problem: Problem) -> Iterator[Look]:
 
 def window(problem: Problem, first: float, last: float, cells: frozenset[int]) -> Iterator[Look]:
     """Looks at the readings taken from `first` to `last`, s."""
-    place, clock = f"time {_number(first)}-{_number(last)}", clock_of(problem)
+    clock = clock_of(problem)
+    place = _span(clock, first, last)
     yield Look("time", place, ((clock >= first) & (clock <= last))[:, None] * _channels(problem), cells, "reading")
     there = [((s.time >= first) & (s.time <= last)).astype(float)[:, None] for s in problem.states]
     legs = [_joint(problem, limb, there) for limb in problem.states[0].limbs]
     yield Look("time", place, np.hstack(legs), cells, "legs")
     yield from (Look("time", place, leg, cells, f"leg {limb}") for limb, leg in enumerate(legs, start=1))
+
+
+def _span(clock: Array, first: float, last: float) -> str:
+    """A stretch of the session by its first and last reading's time, s: it begins and ends somewhere between these and
+    the readings next to them, most likely halfway."""
+    before, after = clock[clock < first], clock[clock > last]
+    begin = 0.5 * (first + float(before.max())) if before.size else first
+    end = 0.5 * (last + float(after.min())) if after.size else last
+    return f"time {_number(begin)}-{_number(end)}"
 
 
 def _number(value: float) -> str:

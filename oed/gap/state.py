@@ -28,15 +28,23 @@ def states(
 ) -> list[State]:
     """One State a series, over all its poses, at theta (n,); `covariates` has one row a reading, in their order."""
     times = _column(covariates, "time")
+    progress = _progress(times)
     session = np.unique(times[np.isfinite(times)])
     heaviest = float(np.nanmax(np.abs(_column(covariates, "payload")), initial=0.0))
     first = _first(covariates, times)
     made, begin = [], 0
     for s in series:
         rows = covariates.iloc[begin : begin + len(s)]
-        made.append(_state(measurement, s, rows, theta, session, heaviest, first, np.array(gravity, dtype=float)))
+        far = progress[begin : begin + len(s)]
+        made.append(_state(measurement, s, rows, far, theta, session, heaviest, first, np.array(gravity, dtype=float)))
         begin += len(s)
     return made
+
+
+def _progress(times: Array) -> Array:
+    """How far the session has gone at each reading, 0 to 1: by the clock, or by order where not all have a time."""
+    at = times if np.isfinite(times).all() else np.arange(len(times), dtype=float)
+    return np.asarray((at - at.min(initial=np.inf)) / max(float(np.ptp(at)) if at.size else 0.0, 1e-12))
 
 
 def _first(covariates: pd.DataFrame, times: Array) -> dict[str, float]:
@@ -54,6 +62,7 @@ def _state(
     measurement: Measurement,
     series: Series,
     rows: pd.DataFrame,
+    progress: Array,
     theta: Array,
     session: Array,
     heaviest: float,
@@ -105,6 +114,7 @@ def _state(
         home=kinematics.inverse(machine.home_command[None])[0][0],
         heaviest=heaviest,
         session=session,
+        progress=progress[owner],
         start={c.removeprefix(TEMPERATURE): v for c, v in start.items()},
         channels=tuple(c.name for c in measurement.setups[series.setup].instrument.channels),
         settings=measurement.setups[series.setup].settings,

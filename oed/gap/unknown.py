@@ -25,6 +25,8 @@ FEED = 1.0 / 60.0
 WAVES = 8
 #: where bumps are: shares of the session, angles of a run; half a sector's width, rad
 CENTRES, SECTORS, SECTOR = [(k + 0.5) / 12.0 for k in range(12)], [np.pi * k / 6.0 for k in range(12)], 0.35
+#: shares of the session within which what settles has done so
+WITHIN = (0.05, 0.15, 0.5)
 #: shares of a joint's travel within which a reversal is remembered
 SINCE = (0.002, 0.01)
 SOURCE = "Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464, for discrepancies as processes"
@@ -39,10 +41,6 @@ def _share(values: Array, low: float, high: float) -> Array:
 
 def _cosines(share: Array, count: int) -> list[Array]:
     return [np.cos(np.pi * k * share) for k in range(1, count + 1)]
-
-
-def _time(state: State) -> Array:
-    return _share(state.time, *state.span) if np.isfinite(state.span[0]) else np.zeros(len(state))
 
 
 def _read(state: State, name: str, size: float, wave: Array) -> Iterable[Column]:
@@ -65,34 +63,42 @@ def _both(state: State, name: str, size: float, wave: Array) -> Iterable[Column]
 
 def over_time(state: State) -> Iterable[Column]:
     """Drift of the readings."""
-    if not np.isfinite(state.span[0]):
-        return
-    for k, wave in enumerate(_cosines(_time(state), 8), start=1):
+    for k, wave in enumerate(_cosines(state.progress, 8), start=1):
         yield from _read(state, f"time {k}", UNIT / k, wave)
 
 
 def tool_over_time(state: State) -> Iterable[Column]:
     """Drift of the tool's place."""
-    if not np.isfinite(state.span[0]):
-        return
-    for k, wave in enumerate(_cosines(_time(state), 8), start=1):
+    for k, wave in enumerate(_cosines(state.progress, 8), start=1):
         yield from _tool(state, f"time {k}", UNIT / k, wave)
 
 
 def joints_over_time(state: State) -> Iterable[Column]:
     """Drift of each joint."""
-    if not np.isfinite(state.span[0]):
-        return
     for i in state.limbs:
-        for k, wave in enumerate(_cosines(_time(state), 5), start=1):
+        for k, wave in enumerate(_cosines(state.progress, 5), start=1):
             yield Column(f"leg {i + 1} time {k}", UNIT / k, label=f"leg {i + 1}", joints={i: wave})
+
+
+def settling(state: State, within: float) -> Iterable[Column]:
+    """What fades after the session's start, as whatever warms up does: in the readings, or in the tool's place."""
+    yield from _read(state, "settles", UNIT, np.exp(-state.progress / within))
+
+
+def tool_settling(state: State, within: float) -> Iterable[Column]:
+    """The same in the tool's place."""
+    yield from _tool(state, "settles", UNIT, np.exp(-state.progress / within))
+
+
+def joints_settling(state: State, within: float) -> Iterable[Column]:
+    """The same of each joint."""
+    for i in state.limbs:
+        yield Column(f"leg {i + 1} settles", UNIT, label=f"leg {i + 1}", joints={i: np.exp(-state.progress / within)})
 
 
 def windows(state: State, when: float, lasts: float) -> Iterable[Column]:
     """Something for a while: a bump at a share of the session."""
-    if not np.isfinite(state.span[0]):
-        return
-    yield from _both(state, "while", UNIT, np.exp(-0.5 * ((_time(state) - when) / lasts) ** 2))
+    yield from _both(state, "while", UNIT, np.exp(-0.5 * ((state.progress - when) / lasts) ** 2))
 
 
 def run_start(state: State, readings: float) -> Iterable[Column]:
@@ -281,6 +287,9 @@ PROCESSES: Sequence[Effect] = (
     _process("over time", "drift of the readings", over_time),
     _process("tool over time", "drift of the tool's place", tool_over_time),
     _process("joints over time", "drift of the joints", joints_over_time),
+    _process("settling", "readings that settle as the session goes on", settling, within=WITHIN),
+    _process("tool settling", "the tool's place settles as the session goes on", tool_settling, within=WITHIN),
+    _process("joints settling", "joints that settle as the session goes on", joints_settling, within=WITHIN),
     _process("for a while", "a disturbance for part of the session", windows, when=CENTRES, lasts=(0.04, 0.1)),
     _process("at the start of runs", "an error that fades after a run's start", run_start, readings=(1.5, 5.0)),
     _process("over the pose", "a smooth error over the workspace", over_pose),

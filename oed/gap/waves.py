@@ -45,7 +45,8 @@ LEAST = 16
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Band:
-    """Waves over a clock (N, J), s or m of path at each of the poses seen, on any of some carriers (N, c, J)."""
+    """Waves over a clock (N, J), s or m of path at each of the poses seen, on any of some carriers (N, c, J); or over a
+    clock (N, J, c) of each column of a carrier."""
 
     unit: str
     clock: Array
@@ -109,13 +110,13 @@ def _in_time(problem: Problem, every: list[Array]) -> list[_Band]:
 def _swings(problem: Problem) -> list[_Band]:
     """Slow waves in time of all the machine's parameters together."""
     carrier = carriers.parameters(problem)
-    if not carrier.shape[1] or not _timed(problem):
+    readings = sum(len(s) for s in problem.series)
+    span = float(np.ptp(problem.rows["time"].to_numpy(dtype=float)) if _timed(problem) else readings)
+    if not carrier.shape[1] or span <= 0.0:
         return []
-    span = float(np.ptp(problem.rows["time"].to_numpy(dtype=float)))
-    clock = carriers.at_poses(problem, [s.time - s.span[0] for s in problem.states])
-    if span <= 0.0:
-        return []
-    return [_Band("s", clock, [carrier], np.arange(1, SWINGS + 1) / (2.0 * span), ["all parameters together"])]
+    clock = span * carriers.at_poses(problem, [s.progress for s in problem.states])
+    unit = "s" if _timed(problem) else "readings"
+    return [_Band(unit, clock, [carrier], np.arange(1, SWINGS + 1) / (2.0 * span), ["all parameters together"])]
 
 
 def _in_runs(problem: Problem) -> list[_Band]:
@@ -172,15 +173,19 @@ def _along_path(problem: Problem, tool: Array) -> list[_Band]:
 
 
 def _along_travel(problem: Problem, legs: list[Array]) -> list[_Band]:
-    """Waves of a joint along its own travel."""
-    bands: list[_Band] = []
+    """Waves of a joint along its own travel, and of all of them at one period, each with its own phase."""
     place = carriers.at_poses(problem, [s.joints for s in problem.states])
-    for i, joint in enumerate(problem.measurement.machine.joints):
-        clock = place[:, :, i] - place[:, :, i].min()
-        span = float(np.ptp(clock[:, 0]))
-        if joint.unit == "m" and span > SHORT * LEAST:
-            frequencies = _frequencies(span, LONG / span, 1.0 / SHORT)
-            bands.append(_Band("travel_m", clock, [legs[i]], frequencies, [f"leg {i + 1}"]))
+    place -= place.min(axis=(0, 1))
+    spans = np.ptp(place[:, 0], axis=0)
+    long = [i for i, j in enumerate(problem.measurement.machine.joints) if j.unit == "m" and spans[i] > SHORT * LEAST]
+    bands = []
+    for i in long:
+        frequencies = _frequencies(spans[i], LONG / spans[i], 1.0 / SHORT)
+        bands.append(_Band("travel_m", place[:, :, i], [legs[i]], frequencies, [f"leg {i + 1}"]))
+    if len(long) > 1:
+        span, together = float(spans[long].max()), np.concatenate([legs[i] for i in long], axis=1)
+        frequencies = _frequencies(span, LONG / span, 1.0 / SHORT)
+        bands.append(_Band("travel_m", place[:, :, long], [together], frequencies, ["all legs, each"]))
     return bands
 
 
@@ -242,15 +247,19 @@ def _close(band: _Band, carrier: Array, k: int) -> _Band:
 
 
 def _both(clock: Array, frequencies: Array) -> Array:
-    """Cosine and sine (N, J, 2, k) of each frequency at clocks (N, J)."""
-    angle = 2.0 * np.pi * clock[:, :, None] * frequencies
-    return np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    """Cosine and sine (..., 2, k) of each frequency at a clock (...)."""
+    angle = 2.0 * np.pi * clock[..., None] * frequencies
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-2)
 
 
 def _waves(carrier: Array, both: Array) -> Array:
-    """Columns (N, 2 c, k): cosines and sines (N, J, 2, k) on each column of a carrier (N, c, J)."""
-    made = carriers.acting(carrier, both.reshape(*both.shape[:2], -1))
-    return made.reshape(len(carrier), -1, both.shape[3])
+    """Columns (N, 2 c, k): cosines and sines (N, J, 2, k) on each column of a carrier (N, c, J), or (N, J, c, 2, k) of
+    each column's own."""
+    if both.ndim == 5:
+        made = np.einsum("ncj,njchk->nchk", carrier, both)
+    else:
+        made = carriers.acting(carrier, both.reshape(*both.shape[:2], -1))
+    return np.asarray(made.reshape(len(carrier), -1, both.shape[-1]))
 
 
 def _tails(problem: Problem, metric: Metric, band: _Band) -> Array:

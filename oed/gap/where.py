@@ -10,7 +10,8 @@ that the basis explains once the parameters have absorbed what they can,
 a chi-square of rank(B) degrees of freedom where there is no gap: looks with different numbers of columns are compared
 by their p-values. These are corrected for the whole family by a parametric bootstrap of the least p-value (Westfall
 and Young 1993, single step), r* ~ N(0, Sigma + H Lambda H^T), in which M refits the parameters each time; beyond the
-bootstrap's resolution by Bonferroni's bound. A gap shows in several places at once; the least p-value tells which
+bootstrap's resolution by Bonferroni's bound. Where effects that are known to act have their legs is a question of its
+own, and its looks a family of their own. A gap shows in several places at once; the least p-value tells which
 confines it best.
 """
 
@@ -20,6 +21,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oed.batch import Array
 from oed.gap import looks as looking
@@ -66,7 +68,7 @@ def where(
     scores = root.scores(problem.residual)
     energy = scan.energy(scores[:, None])[:, 0]
     own = log_tail(energy, scan.rank)
-    corrected = _corrected(own, scan.least(rng.standard_normal((len(problem), draws))))
+    corrected = _corrected(own, scan, rng.standard_normal((len(problem), draws)), np.array([k.own for k in looks]))
     beyond = np.maximum(energy - scan.rank, 0.0)
     total = max(float(scores @ scores) - len(problem), float(beyond.max()), 1e-300)
     found = [
@@ -157,16 +159,25 @@ class _Scan:
             energy[at] = np.square(wide).reshape(len(at), -1, scores.shape[1]).sum(axis=1)
         return energy
 
-    def least(self, scores: Array) -> Array:
-        """Logarithm (m,) of the least p-value of all looks at scores (N, m)."""
-        energy = self.energy(scores)
-        ranks = np.unique(self.rank)
-        most = np.array([energy[self.rank == rank].max(axis=0) for rank in ranks])
+    def least(self, energy: Array, some: NDArray[np.bool_]) -> Array:
+        """Logarithm (m,) of the least p-value of some looks (looks,) that explain energies (looks, m)."""
+        ranks = np.unique(self.rank[some])
+        most = np.array([energy[some & (self.rank == rank)].max(axis=0) for rank in ranks])
         return np.asarray(log_tail(most, ranks[:, None]).min(axis=0))
 
 
-def _corrected(own: Array, least: Array) -> Array:
-    """p-values (looks,) corrected for all looks, from the logarithms of their own and of the bootstrap's least."""
+def _corrected(own: Array, scan: _Scan, scores: Array, apart: NDArray[np.bool_]) -> Array:
+    """p-values (looks,) corrected for all looks of a family, from the logarithms of their own and the bootstrap's
+    scores (N, draws): where a known effect acts (`apart`) is one family, the others are another."""
+    energy, found = scan.energy(scores), np.empty(len(own))
+    for some in (apart, ~apart):
+        if some.any():
+            found[some] = _against(own[some], scan.least(energy, some))
+    return found
+
+
+def _against(own: Array, least: Array) -> Array:
+    """p-values (looks,) of one family, from the logarithms of their own and of the bootstrap's least (draws,)."""
     seen = (1.0 + np.searchsorted(np.sort(least), own, side="right")) / (len(least) + 1.0)
     with np.errstate(under="ignore"):
         return np.asarray(np.minimum(seen, np.exp(np.minimum(own + np.log(len(own)), 0.0))))

@@ -20,10 +20,11 @@ from pkm_models.machines import planar_2dof
 LINES, LENGTH = 8, 31
 
 
-def readings(seed: int, uneven: float = 0.0, late: float = 0.0) -> Problem:
+def readings(seed: int, uneven: float = 0.0, late: float = 0.0, *, timed: bool = True) -> Problem:
     """Lines of a planar machine read by RM 5, each both ways, with times and feeds, noise alone.
 
-    uneven, late   how far places (m) and times (s) of readings are off even ones, either way
+    uneven, late   how far places (m) and times (s) of readings are off even ones, either way;  timed: whether times
+                   are told
     """
     measurement = Measurement(planar_2dof.machine, [mount(relative.rm5, "lines")])
     off = np.random.default_rng(99)
@@ -43,7 +44,7 @@ def readings(seed: int, uneven: float = 0.0, late: float = 0.0) -> Problem:
             "feed": np.repeat([1 / 60.0, 3 / 60.0], LINES * n // 2),
         }
     )
-    made = problems.planned(measurement, (series,), covariates)
+    made = problems.planned(measurement, (series,), covariates if timed else covariates.drop(columns="time"))
     rng = np.random.default_rng(seed)
     noise = made.slopes @ rng.standard_normal(made.slopes.shape[1])
     for k, members in enumerate(made.blocks):

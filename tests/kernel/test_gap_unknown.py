@@ -226,6 +226,53 @@ def test_a_wave_with_an_overtone_is_one_form(found: str) -> None:
     assert chosen.constants["period_s"] == pytest.approx({"wave": 391.0, "overtone": 195.5}[found], rel=0.01)
 
 
+def test_a_wave_of_all_joints_along_their_travels_is_one_form() -> None:
+    """At one period, each joint with a phase of its own, too small to be seen in either alone."""
+    problem = readings(33, uneven=0.03)
+    place = carriers.at_poses(problem, [s.joints for s in problem.states])
+    waves_of = np.sin(2.0 * np.pi * place / 0.037 + np.array([0.4, 2.1]))
+    change = np.einsum("nqj,njq->n", carriers.joints(problem), waves_of)
+    change *= 1.0 / np.sqrt(np.mean(change**2))
+    made, best = _waved(problem, change)
+    assert best.key == (frozenset(), True)
+    assert best.process is not None
+    chosen = made.atoms[best.process]
+    assert chosen.constants["period_travel_m"] == pytest.approx(0.037, rel=0.002)
+    assert chosen.about.startswith("all legs, each")
+    assert len(chosen.columns) == 2 * 2
+
+
+# -- where no time is told -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_told(timed: bool) -> None:
+    problem = readings(12, timed=timed)
+    gone = np.arange(len(problem)) / len(problem)
+    fade = np.where(problem.rows["channel"] == "dz", 5.0 * np.exp(-gone / 0.15), 0.0)
+    acting, none = problem.with_residual(problem.residual + fade), library.build(problem, ())
+    made = library.build(problem, PROCESSES)
+    best = which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
+    assert best.key == (frozenset(), True)
+    assert best.process is not None
+    chosen = made.atoms[best.process]
+    assert (chosen.effect, dict(chosen.constants)) == ("settling", {"within": 0.15})
+    still = which.compare([Search(problem, none, made, plain(problem), 0.0)])[0]
+    assert still.key == (frozenset(), False)
+
+
+def test_all_parameters_swing_by_the_order_of_the_readings_where_no_time_is_told() -> None:
+    problem, rng = readings(9, timed=False), np.random.default_rng(9)
+    slopes, gone = carriers.parameters(problem)[:, :, 0], np.arange(len(problem)) / len(problem)
+    wave = np.sin(2.0 * np.pi * gone / 0.55 + 0.7)
+    change = _apart(problem, [(slopes @ rng.standard_normal(slopes.shape[1])) * wave], [14.0**2])
+    made, best = _waved(problem, change)
+    assert best.process is not None
+    chosen = made.atoms[best.process]
+    assert len(chosen.columns) == 2 * slopes.shape[1]
+    assert chosen.constants["period_readings"] == pytest.approx(0.55 * len(problem.series[0]), rel=0.25)
+
+
 # -- several processes together ------------------------------------------------------------------------------
 
 

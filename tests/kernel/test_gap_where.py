@@ -62,7 +62,7 @@ def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(rng: n
     found = scan._Scan(root, looks)
     energy = found.energy(root.scores(r)[:, None])[:, 0]
     own = log_tail(energy, found.rank)
-    assert_allclose(found.least(root.scores(r)[:, None]), own.min())
+    assert_allclose(found.least(found.energy(root.scores(r)[:, None]), np.ones(3, dtype=bool)), own.min())
     for look, e, p in zip(looks, energy, own, strict=True):
         B, MB = look.basis, np.linalg.solve(covariance, look.basis)
         expected = r @ MB @ np.linalg.solve(B.T @ MB, MB.T @ r)
@@ -127,9 +127,10 @@ def test_false_alarms_are_as_stated(machines: Machines) -> None:
     rng, problem = np.random.default_rng(11), machines.problem
     root = scan._Root(problem, machines.law)
     family = scan._Scan(root, list(looking.looks(problem)))
-    least = family.least(rng.standard_normal((len(problem), 500)))
+    drawn = family.energy(rng.standard_normal((len(problem), 500)))
+    least = family.least(drawn, np.ones(len(drawn), dtype=bool))
     quiet = family.energy(root.scores(machines.root @ rng.standard_normal((len(problem), 400))))
-    told = [scan._corrected(log_tail(e, family.rank), least).min() for e in quiet.T]
+    told = [scan._against(log_tail(e, family.rank), least).min() for e in quiet.T]
     assert 6 <= np.sum(np.array(told) <= 0.05) <= 36  # 20 expected, both samplings' spread three times over
     assert stats.kstest(told, "uniform").pvalue > 0.002
 
@@ -207,6 +208,50 @@ def test_shift_for_a_while_is_told_with_both_ends(machines: Machines, rng: np.ra
     begin, end = (float(v) for v in first(found, "time").removeprefix("time ").split("-"))
     assert abs(begin - 348.0) <= 18.0
     assert abs(end - 510.0) <= 18.0
+
+
+def test_a_stretch_ends_halfway_to_the_readings_beside_it(machines: Machines) -> None:
+    """When a fault came and went nobody saw, but it was between two readings; the session's ends are its own."""
+    rows = machines.problem.rows
+    late = rows["time"] + 600.0 * rows["run"].ne(rows["run"].shift()).cumsum()
+    problem = dataclasses.replace(machines.problem, rows=rows.assign(time=late))
+    inside, time = problem.blocks[3], late.to_numpy(dtype=float)
+    told = {w.place for w in looking.window(problem, time[inside].min(), time[inside].max(), frozenset({1}))}
+    before, after = time[problem.blocks[2]].max(), time[problem.blocks[4]].min()
+    begin, end = 0.5 * (before + time[inside].min()), 0.5 * (time[inside].max() + after)
+    assert after - end > 290.0
+    assert told == {f"time {begin:.0f}-{end:.0f}"}
+    whole = {w.place for w in looking.window(problem, time.min(), time.max(), frozenset({1}))}
+    assert whole == {f"time {time.min():.0f}-{time.max():.0f}"}
+
+
+def test_where_a_known_effect_acts_is_a_question_of_its_own(machines: Machines) -> None:
+    """Its legs are corrected for one another, not for all that could be looked at."""
+    rng, problem = np.random.default_rng(26), machines.problem
+    odd = rng.standard_normal(len(problem.states[0].time))
+    columns = np.column_stack([case.in_joint(problem, k, 1e-6 * odd) for k in range(3)])
+    r = machines.root @ rng.standard_normal(len(problem)) + case.sized(columns[:, 1], machines.covariance, 3.5)
+    here, told = problem.with_residual(r), {}
+    for known in (True, False):
+        blocks = where(here, machines.law, np.random.default_rng(27), columns=columns, labels=LEGS, known=known)
+        told[known] = next(b.p_value for b in blocks if b.block == "leg 2")
+    assert told[True] < 0.01
+    assert told[False] > 5.0 * told[True]
+
+
+def test_legs_of_a_known_effect_that_does_not_act_are_rarely_told(machines: Machines) -> None:
+    rng, problem = np.random.default_rng(28), machines.problem
+    columns = np.column_stack(
+        [case.in_joint(problem, k, 1e-6 * rng.standard_normal(len(problem.states[0].time))) for k in range(3)]
+    )
+    root = scan._Root(problem, machines.law)
+    looks = list(looking.looks(problem, columns, LEGS, known=True))
+    family, own = scan._Scan(root, looks), np.array([look.own for look in looks])
+    assert {look.place for look in looks if look.own and look.kind == "leg"} == set(LEGS)
+    least = family.least(family.energy(rng.standard_normal((len(problem), 500))), own)
+    quiet = family.energy(root.scores(machines.root @ rng.standard_normal((len(problem), 400))))
+    told = [scan._against(log_tail(e[own], family.rank[own]), least).min() for e in quiet.T]
+    assert 6 <= np.sum(np.array(told) <= 0.05) <= 36  # 20 expected, both samplings' spread three times over
 
 
 def test_bump_in_the_phase_is_found_there_over_the_start_too(machines: Machines, rng: np.random.Generator) -> None:
@@ -335,7 +380,10 @@ def test_a_selected_step_tells_its_own_time(machines: Machines, low: float, high
     r = machines.root @ rng.standard_normal(len(p)) + case.sized(change, machines.covariance, 12.0)
     found = where(p.with_residual(r), machines.law, rng, columns=column, labels=["leg 2"], known=True)
     inside = time[(share >= told[0]) & (share <= told[1])]
-    assert first(found, "time") == f"time {inside.min():.0f}-{inside.max():.0f}"
+    begin = 0.5 * (inside.min() + time[time < inside.min()].max())
+    after = time[time > inside.max()]
+    end = 0.5 * (inside.max() + after.min()) if after.size else inside.max()
+    assert first(found, "time") == f"time {begin:.0f}-{end:.0f}"
     assert first(found, "leg") == "leg 2"
 
 
