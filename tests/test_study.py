@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oed import units
-from pkm_studies import catalogue, claims, quantities, schemas, study, template
+from pkm_studies import catalogue, quantities, schemas, study, template
 from pkm_studies.errors import InputError, Place, SourceAbsentError
 from pkm_studies.resolve import resolve
 
@@ -400,60 +400,6 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     sample.resolved("\n".join(lines), tmp_path)
     with pytest.raises(InputError, match="of this name"):
         template.write("fresh", machine, instrument, tmp_path)
-
-
-# -- claims ------------------------------------------------------------------------------------------------
-
-RESULT = {
-    "identifiability": {"rank": 18, "words": [{"kind": "seen", "text": "all"}], "ok": True},
-    "design": {"plans": [{"name": "paper 2 x 15", "kappa": 3748.0}, {"name": "v1.2", "kappa": float("nan")}]},
-    "estimate": {"parameters": {"cup.cup_x": {"value": 0.01}, "cup": {"value": 3.0}}, "bound": None},
-    "kappa_maps": [{"title": "taught", "kappa": [[1.0, 2.0], [3.0, 4.0]]}],
-}
-
-
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        ("identifiability.rank", 18),
-        ("design.plans.paper 2 x 15.kappa", 3748.0),
-        ("design.plans[0].kappa", 3748.0),
-        ("design.plans.0.name", "paper 2 x 15"),
-        ("estimate.parameters.cup.cup_x.value", 0.01),
-        ("estimate.parameters.cup.value", 3.0),
-        ("kappa_maps.taught.kappa[1][0]", 3.0),
-    ],
-)
-def test_paths_lead_to_results(path: str, value: object) -> None:
-    assert claims.lookup(RESULT, path) == value
-
-
-@pytest.mark.parametrize(
-    ("claim", "met"),
-    [
-        ('of = "identifiability.rank", equals = 18', True),
-        ('of = "identifiability.rank", equals = 17', False),
-        ('of = "identifiability.rank", min = 17.5, max = 18', True),
-        ('of = "identifiability.rank", max = 17', False),
-        ('of = "identifiability.ok", equals = true', True),
-        ('of = "identifiability.ok", equals = 1', False),
-        ('of = "identifiability.words", contains = "all"', True),
-        ('of = "identifiability.words", min = 1', False),
-        ('of = "design.plans.v1.2.kappa", max = 5000', False),
-        ('of = "estimate.bound", max = 1', False),
-        ('of = "identifiability.rang", equals = 18', False),
-    ],
-)
-def test_claims_are_measured(claim: str, met: bool) -> None:
-    said = study.parse(sample.STUDY.split("[expect]")[0] + f"[expect]\nit = {{ {claim} }}\n", Path("x"))
-    (found,) = claims.check_claims(said, RESULT)
-    assert found.met is met
-    assert found.claim == "it"
-
-
-def test_an_unknown_path_says_what_there_is() -> None:
-    with pytest.raises(LookupError, match=r"no such result: design.plan.0: .* did you mean plans"):
-        claims.lookup(RESULT, "design.plan.0")
 
 
 def test_the_schema_knows_tables_with_fields_of_free_name() -> None:

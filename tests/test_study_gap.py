@@ -19,8 +19,7 @@ from oed.gap.diagnosis import Diagnosis
 from oed.measurement import Series
 from pkm_studies import cli, pipeline, resolve_gap, result, schemas
 from pkm_studies.errors import InputError
-from pkm_studies.result_gap import About, Answer, Closure, Gap, Size, Where
-from pkm_studies.stages import gap_traces, gap_virtual, gap_words
+from pkm_studies.stages import gap_traces, gap_virtual
 from pkm_studies.study import load, parse
 
 Run = Callable[..., tuple[int, str, str]]
@@ -99,6 +98,13 @@ def test_a_coefficient_that_an_effect_has_not(oed: Run, tmp_path: Path) -> None:
     assert "gap.acting[1].coefficients.leg 4" in err
     assert "leg 3" in err
     assert not (tmp_path / "r.csv").exists()
+
+
+def test_a_study_file_is_read_back() -> None:
+    said = parse(gap_fixture.STUDY, FOLDER / "x.study.toml").gap
+    assert said.conditions.payload == 50.0
+    assert said.conditions.feed_mm_min == [500.0, 1000.0]
+    assert said.acting[0].coefficients == {"leg 2": 2.0, "leg 3": -0.5}
 
 
 def test_the_schema_tells_the_tables() -> None:
@@ -358,135 +364,3 @@ def test_places_of_the_tool_gather_their_readings(tmp_path: Path) -> None:
     assert len(spots) == 48  # both ways at 24 poses of two circles
     total = sum(2.0 * s.before**2 for s in spots)
     assert total == pytest.approx(1e12 * float(np.sum(found.before**2)), rel=1e-3)
-
-
-# -- words ---------------------------------------------------------------------------------------------------
-
-
-def _gap(verdict: str, effects: list[str], classes: list[list[str]], **more: Any) -> Gap:
-    about = {
-        "gravity": About("legs that give", "stiffen the legs", "a payload", "s"),
-        "encoder_scale": About("scale", "measure the scale", "two bars", "s"),
-        "servo_lag": About("lag", "tune", "two feeds", "s", "the readings do not have feed", "feed_mm_min"),
-    }
-    fields: dict[str, Any] = {
-        "verdict": verdict,
-        "answers": [Answer(effects, 0.9, classes)],
-        "set95": [],
-        "where": [Where("time 600-1200", 0.0002), Where("leg 1", 0.3)],
-        "closure": [Closure("whole", 0.8, 0.6, 0.9, 0.01, 2.0, 1.2, 1.0, 90)],
-        "not_testable": ["servo_lag"],
-        "confusable": [],
-        "selected": [n for n in effects if n != "unknown"],
-        "tried": list(about),
-        "marginal": {},
-        "about": about,
-        "coefficients": [],
-        "sizes": [Size(n, {"length": 12.34}, 20.0) for n in effects if n != "unknown"],
-        "noise": [],
-        "units": {"length": "um"},
-        "rms_before": {},
-        "rms_after": {},
-        "traces": [],
-        "spots": [],
-        "spots_unit": "um",
-        "words": [],
-        "next": ["Look again."],
-    }
-    return gap_words.told(Gap(**fields | more))
-
-
-def test_no_gap_in_words() -> None:
-    words = _gap("none", [], []).words
-    assert words[0] == "No gap is found: what calibration leaves is what noise alone would leave (probability 90 %)."
-    assert len(words) == 2  # beside it only what could not be tested
-
-
-def test_an_effect_in_words() -> None:
-    found = _gap("effect", ["gravity"], [["gravity"]])
-    assert found.words == [
-        "The gap comes from gravity (probability 90 %): 12.3 um rms of length.",
-        "It shows most in the time from 10 min to 20 min (p < 0.001).",
-        "With gravity in the model, the gap shrinks by 80 % (60 to 90 %) on whole runs kept out of the fit.",
-        "Not tested, for want of a column in the readings: servo lag (record feed_mm_min).",
-    ]
-    assert found.next == ["Look again.", "Against gravity: stiffen the legs."]
-
-
-def test_a_class_in_words() -> None:
-    found = _gap("class", ["gravity"], [["gravity", "encoder_scale"]])
-    assert found.words[0].startswith("The gap comes from gravity or encoder scale; these readings cannot tell which")
-    assert "To tell encoder scale from the others: two bars." in found.next
-    assert "If it is gravity: stiffen the legs." in found.next
-
-
-def test_mixtures_and_unknowns_in_words() -> None:
-    both = _gap("mixture", ["gravity", "encoder_scale"], [["gravity"], ["encoder_scale"]]).words[0]
-    assert both.startswith("The gap comes from gravity and encoder scale together")
-    rest = _gap("mixture", ["gravity", "unknown"], [["gravity"]]).words[0]
-    assert rest.startswith("Part of the gap comes from gravity")
-    assert rest.endswith("a remainder has a form that no known effect has.")
-    unknown = _gap("unknown", ["unknown"], []).words[0]
-    assert "no known effect explains" in unknown
-    assert "2 effects" in unknown
-
-
-def test_what_the_unknown_is_like_is_told() -> None:
-    """The likeliest form, and others that matter; nothing where there is none."""
-    forms = {"leg 2 in a wave of 12 min": 0.62, "the tool about the place 1, 2, 3 mm": 0.3, "drift": 0.04}
-    told = _gap("unknown", ["unknown"], [], unknown=forms).words[1]
-    assert told == (
-        "What no known effect explains is most like: leg 2 in a wave of 12 min (probability 62 %); "
-        "or the tool about the place 1, 2, 3 mm (probability 30 %)."
-    )
-    one = _gap("unknown", ["unknown"], [], unknown={"drift": 0.06}).words[1]
-    assert one.endswith("drift (probability 6 %).")
-    assert not any("most like" in w for w in _gap("unknown", ["unknown"], []).words)
-
-
-@pytest.mark.parametrize(("low", "high", "told"), [
-    (0.35, 49.55, "35 to over 100 %"), (-7.0, 0.4, "under -100 to 40 %"), (-0.2, 1.2, "-20 to 120 %"),
-])  # fmt: skip
-def test_an_interval_that_tells_nothing_is_not_told_in_figures(low: float, high: float, told: str) -> None:
-    words = _gap(
-        "effect", ["gravity"], [["gravity"]], closure=[Closure("whole", 0.3, low, high, 0.1, 2.0, 1.2, 1.0, 9)]
-    )
-    assert f"({told}) on whole runs" in words.words[2]
-
-
-def test_places_that_hold_much_of_the_gap_are_told() -> None:
-    places = [
-        Where("all legs", 0.0, 0.9),
-        Where("leg 1", 0.0, 0.8),
-        Where("run 2", 0.0, 0.7),
-        Where("time 0-60", 0.0, 0.2),
-    ]
-    told = _gap("effect", ["gravity"], [["gravity"]], where=places).words[1]
-    assert told == "It shows most in all legs alike (p < 0.001) and run 2 (p < 0.001)."
-    nowhere = _gap("effect", ["gravity"], [["gravity"]], where=[Where("leg 1", 0.2, 0.5)]).words[1]
-    assert nowhere.startswith("No leg, run, time")
-
-
-def test_a_gap_is_never_told_to_be_closed_whole() -> None:
-    near = [Closure("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
-    told = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[2]
-    assert "shrinks by 99.9 % (99.8 to 100.0 %) on stretches" in told
-
-
-def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
-    found = _gap("effect", ["encoder_scale"], [["encoder_scale"]], next=["encoder_scale: measure the scale."])
-    assert found.next == ["Encoder scale: measure the scale."]
-
-
-@pytest.mark.parametrize(
-    ("share", "text"), [(1.0, "100 %"), (0.9999, "over 99 %"), (0.0001, "under 1 %"), (0.0, "0 %"), (0.734, "73 %")]
-)
-def test_a_probability_is_never_made_certain(share: float, text: str) -> None:
-    assert gap_words.percent(share) == text
-
-
-def test_a_study_file_is_read_back() -> None:
-    said = parse(gap_fixture.STUDY, FOLDER / "x.study.toml").gap
-    assert said.conditions.payload == 50.0
-    assert said.conditions.feed_mm_min == [500.0, 1000.0]
-    assert said.acting[0].coefficients == {"leg 2": 2.0, "leg 3": -0.5}
