@@ -5,8 +5,10 @@ import functools
 import numpy as np
 import pandas as pd
 
+from oed.gap.diagnosis import Block
 from oed.gap.law import Law
 from oed.gap.problem import Problem, planned
+from oed.gap.where import where
 from oed.instrument import mount
 from oed.measurement import Measurement
 from pkm_models.instruments import ball_bar
@@ -64,3 +66,23 @@ def in_joint(problem: Problem, limb: int, change: np.ndarray) -> np.ndarray:
 def sized(change: np.ndarray, covariance: np.ndarray, size: float) -> np.ndarray:
     """The change (N,) as large as makes the oracle's sqrt(lambda) = size."""
     return change * size / np.sqrt(change @ np.linalg.solve(covariance, change))
+
+
+class Machines:
+    """Draws readings of virtual machines with a gap of a stated size."""
+
+    def __init__(self, problem: Problem, law: Law) -> None:
+        self.problem, self.law = problem, law
+        self.covariance = dense(problem, law)
+        self.root = np.linalg.cholesky(self.covariance)
+
+    def located(self, change: np.ndarray | None, size: float, rng: np.random.Generator) -> tuple[Block, ...]:
+        r = self.root @ rng.standard_normal(len(self.problem))
+        if change is not None:
+            r += sized(change, self.covariance, size)
+        return where(self.problem.with_residual(r), self.law, rng, draws=100)
+
+
+def first(blocks: tuple[Block, ...], kind: str) -> str:
+    """The best block of a kind."""
+    return next(b.block for b in blocks if b.block.startswith(kind))
