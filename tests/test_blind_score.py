@@ -266,6 +266,24 @@ def test_an_idle_diagnosis_raises_no_alarm_and_finds_nothing(blind):
         assert rows[key].value == 0.0
         assert rows[key].status == "no"
     assert rows["set95"].hits == len(blind.measures.LAWS)
+    assert (rows["place"].count, rows["place seen"].count) == (2, 0)
+
+
+def test_place_is_told_apart_where_a_gap_is_seen(blind):
+    lost, wrong = (
+        blind.entries.entry(e.label, e.oracle, told)
+        for e, told in zip(
+            [e for e in good(blind) if e.blocks],
+            (
+                result(answer()),
+                result(answer("backlash"), where=[{"block": "leg 1", "p_value": 0.001, "strength": 1.0}]),
+            ),
+            strict=True,
+        )
+    )
+    rows = by_key(blind.measures.own_rows([*good(blind), lost, wrong]))
+    assert (rows["place"].hits, rows["place"].count) == (2, 4)
+    assert (rows["place seen"].hits, rows["place seen"].count) == (2, 3)
 
 
 def test_a_failed_diagnosis_is_wrong_in_every_count(blind):

@@ -292,14 +292,20 @@ def own_rows(entries: Sequence[Entry]) -> list[Row]:
 def place_rows(entries: Sequence[Entry], key: str = "place", prefix: str = "") -> list[Row]:
     """Where, over all kinds of blocks and for each; `prefix` is of the measures' names."""
     tests: dict[str, list[bool]] = {kind: [] for kind in (*PLACES, "direction", "phase")}
+    seen: list[bool] = []
     for e in entries:
         if e.kind not in ("single", "unknown") or not _at_least(e.severity, SEEN):
             continue
         for kind, told in tests.items():
             if any(b.split(" ")[0] == kind for b in e.blocks):
                 told.append(judge.located(e.result.get("where", []), e.blocks, kind))
+                if kind in PLACES and detected(e, e.said[DIAGNOSIS]):
+                    seen.append(told[-1])
     together = [t for kind in PLACES for t in tests[kind]]
-    made = [share(key, f"{prefix}right leg, run or time block", together, **_least(0.85, 0.95))]
+    made = [
+        share(key, f"{prefix}right leg, run or time block", together, **_least(0.85, 0.95)),
+        share(f"{key} seen", f"{prefix}right leg, run or time block, where a gap is told", seen),
+    ]
     return made + [share(f"{key} {kind}", f"{prefix}right {kind}", told) for kind, told in tests.items()]
 
 
