@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from oed.effect import Effect
 from oed.gap.diagnosis import UNKNOWN, Answer
+from oed.gap.signature import LACKS
 
 #: probability below which the leading answer is told with its rival
 SURE = 0.8
@@ -18,10 +19,20 @@ def advise(answers: Sequence[Answer], effects: Sequence[Effect], not_testable: M
     told = _for(first, known)
     if first.probability < SURE and len(answers) > 1:
         told += _between(first, answers[1], known)
-    if not first.effects and not_testable:
-        missing = sorted({r for r in not_testable.values() if r.startswith("the readings do not have")})
-        told += [f"Record more with the readings: {r.removeprefix('the readings do not have ')}." for r in missing]
+    if not first.effects or UNKNOWN in first.effects:  # what is unknown may be what could not be tested
+        told += _more(not_testable)
     return tuple(dict.fromkeys(told))
+
+
+def _more(not_testable: Mapping[str, str]) -> list[str]:
+    """What to record beside the readings, and which effects could be tested then."""
+    without: dict[str, list[str]] = {}
+    for effect, why in sorted(not_testable.items()):
+        if why.startswith(LACKS):
+            without.setdefault(why.removeprefix(LACKS), []).append(effect)
+    return [
+        f"Record {what} with the readings: {_listed(names)} could then be tested." for what, names in without.items()
+    ]
 
 
 def _for(answer: Answer, known: Mapping[str, Effect]) -> list[str]:

@@ -21,6 +21,9 @@ from oed.measurement import Measurement, Response, Series
 #: signature below which a coefficient is taken to change nothing, against the noise (both summed over the readings)
 NOTHING = 1e-6
 
+#: how the reason begins for which an effect cannot be tested where a covariate is missing
+LACKS = "the readings do not have "
+
 
 @dataclasses.dataclass(frozen=True)
 class Signature:
@@ -157,7 +160,7 @@ def untestable(effect: Effect, states: Sequence[State]) -> str | None:
     if reason is not None:
         return reason
     missing = [need for need in effect.needs if not any(_there(part.strip(), states) for part in need.split(" or "))]
-    return "the readings do not have " + ", ".join(missing) if missing else None
+    return LACKS + ", ".join(missing) if missing else None
 
 
 def _there(need: str, states: Sequence[State]) -> bool:
