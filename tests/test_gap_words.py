@@ -120,6 +120,12 @@ def test_a_gap_is_never_told_to_be_closed_whole() -> None:
     assert "shrinks by 99.9 % (99.8 to 100.0 %) on stretches" in told
 
 
+def test_more_than_the_whole_is_told_as_what_can_be_seen() -> None:
+    more = [Closure("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
+    told = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[2]
+    assert "shrinks by all that the noise lets be seen (80 to over 100 %) on stretches" in told
+
+
 def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
     found = _gap("effect", ["encoder_scale"], [["encoder_scale"]], next=["encoder_scale: measure the scale."])
     assert found.next == ["Encoder scale: measure the scale."]

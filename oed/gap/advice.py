@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 from oed.effect import Effect
@@ -19,20 +20,18 @@ def advise(answers: Sequence[Answer], effects: Sequence[Effect], not_testable: M
     told = _for(first, known)
     if first.probability < SURE and len(answers) > 1:
         told += _between(first, answers[1], known)
-    if not first.effects or UNKNOWN in first.effects:  # what is unknown may be what could not be tested
-        told += _more(not_testable)
+    missing = _missing(not_testable)
+    if missing and not first.effects:
+        told.append(f"Record more with the readings, and more can be tested: {_listed(missing)}.")
+    elif missing and UNKNOWN in first.effects:
+        told.append(f"What acts may be what these readings cannot test: record {_listed(missing)} with them.")
     return tuple(dict.fromkeys(told))
 
 
-def _more(not_testable: Mapping[str, str]) -> list[str]:
-    """What to record beside the readings, and which effects could be tested then."""
-    without: dict[str, list[str]] = {}
-    for effect, why in sorted(not_testable.items()):
-        if why.startswith(LACKS):
-            without.setdefault(why.removeprefix(LACKS), []).append(effect)
-    return [
-        f"Record {what} with the readings: {_listed(names)} could then be tested." for what, names in without.items()
-    ]
+def _missing(not_testable: Mapping[str, str]) -> list[str]:
+    """The covariates without which effects could not be tested."""
+    needs = [why.removeprefix(LACKS).split(", ") for why in not_testable.values() if why.startswith(LACKS)]
+    return sorted({re.split(r":| or ", need)[0] for several in needs for need in several})
 
 
 def _for(answer: Answer, known: Mapping[str, Effect]) -> list[str]:

@@ -31,15 +31,16 @@ def test_a_gap_that_noise_may_be_is_to_be_read_again() -> None:
 
 def test_no_gap_asks_for_what_was_not_recorded() -> None:
     told = advise([_answer(0.9), _answer(0.1, "bow")], EFFECTS, {"drift": "the readings do not have time"})
-    assert told[-1] == "Record time with the readings: drift could then be tested."
+    assert told[-1] == "Record more with the readings, and more can be tested: time."
 
 
 def test_what_is_unknown_may_be_what_could_not_be_tested() -> None:
     lost = {
         "drift": "the readings do not have time",
-        "leg_warm": "the readings do not have time",
+        "leg_warm": "the readings do not have time or temp_leg",
+        "slack": "the readings do not have direction: both",
         "slip": "it changes none of these readings",
     }
     told = advise([_answer(0.95, UNKNOWN), _answer(0.05)], EFFECTS, lost)
-    assert told[-1] == "Record time with the readings: drift and leg_warm could then be tested."
-    assert not any("Record" in t for t in advise([_answer(0.95, "bow"), _answer(0.05)], EFFECTS, lost))
+    assert told[-1] == "What acts may be what these readings cannot test: record direction and time with them."
+    assert not any("ecord" in t for t in advise([_answer(0.95, "bow"), _answer(0.05)], EFFECTS, lost))

@@ -198,7 +198,8 @@ def _closed(c: Closure) -> str:
     # near the whole, digits enough to tell that something is left
     digits = 0 if c.low is None or c.low < 0.99 else 1 if c.low < 0.999 else 2
     interval = "" if c.low is None or c.high is None else f" ({_bound(c.low, digits)} to {_bound(c.high, digits)} %)"
-    return f"{_share(c.value, digits)} %{interval} {SPLITS.get(c.split, c.split)}"
+    size = f"{_share(c.value, digits)} %" if c.value < 1.0 else "all that the noise lets be seen"
+    return f"{size}{interval} {SPLITS.get(c.split, c.split)}"
 
 
 def _share(value: float, digits: int) -> str:
