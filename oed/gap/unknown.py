@@ -81,7 +81,7 @@ def joints_over_time(state: State) -> Iterable[Column]:
 
 
 def settling(state: State, within: float) -> Iterable[Column]:
-    """What fades after the session's start, as whatever warms up does: in the readings, or in the tool's place."""
+    """What fades after the session's start, as whatever warms up does, in the readings."""
     yield from _read(state, "settles", UNIT, np.exp(-state.progress / within))
 
 

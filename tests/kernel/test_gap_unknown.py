@@ -298,6 +298,24 @@ def test_noise_told_beside_a_wave_does_not_hold_it() -> None:
     assert odds(anew) > odds(first) + 5.0
 
 
+@pytest.mark.parametrize("suits", [True, False])
+def test_no_gap_is_given_a_law_of_its_own(suits: bool) -> None:
+    """Begun at the law of a gap, and taken where it suits no gap better than the laws that there are: white noise is
+    no large carried error."""
+    problem = readings(7)
+    none, law = library.build(problem, ()), dataclasses.replace(plain(problem), wander=3.0, reach=8.0)
+    best = scatter.fit(problem, np.zeros((len(problem), 0)))
+    made = [Search(problem, none, none, *(best if suits else (law, 0.0)))]
+    diagnose._alone(made, law)
+
+    def worth(search: Search) -> float:
+        return next(h.log_evidence for h in search.run() if not h.effects and not h.unknown)
+
+    assert len(made) == (1 if suits else 2)
+    assert suits or worth(made[1]) > worth(made[0]) + 20.0
+    assert made[-1].law.wander < 0.3
+
+
 def test_two_waves_are_told_together() -> None:
     problem = readings(6)
     time = problem.rows["time"].to_numpy(dtype=float)
