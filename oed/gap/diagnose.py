@@ -266,17 +266,13 @@ def _alone(made: list[Search], start: Law) -> None:
     """Add the search under the law that suits no gap best, begun at the law that suits the best gap: what that gains by
     a law of its own, no gap should gain too."""
     problem, nothing = made[0].problem, np.zeros((len(made[0].problem), 0))
-    slopes = evidence.compressed(problem, nothing)
-
-    def worth(law: Law, prior: float) -> float:
-        return evidence.log_evidence(problem, law, slopes) + prior
-
     found = [scatter.fit(problem, nothing, start)]
     if any(np.isfinite(s.law.tails) for s in made):  # what is far off beside a gap may not be without, and the like
         found.append(scatter.anew(problem, nothing, start))
-    best = max(found, key=lambda pair: worth(*pair))
-    if worth(*best) > max(worth(s.law, s.log_prior) for s in made) + BETTER:
-        made.append(Search(problem, made[0].library, made[0].processes, *best))
+    slopes = evidence.compressed(problem, nothing)
+    worth = [evidence.log_evidence(problem, law, slopes) + prior for law, prior in found]
+    if max(worth) > max(s.grams.base + s.log_prior for s in made) + BETTER:
+        made.append(Search(problem, made[0].library, made[0].processes, *found[int(np.argmax(worth))]))
 
 
 def _same(a: Law, b: Law) -> bool:

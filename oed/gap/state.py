@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,15 +29,18 @@ def states(
 ) -> list[State]:
     """One State a series, over all its poses, at theta (n,); `covariates` has one row a reading, in their order."""
     times = _column(covariates, "time")
-    progress = _progress(times)
     session = np.unique(times[np.isfinite(times)])
-    heaviest = float(np.nanmax(np.abs(_column(covariates, "payload")), initial=0.0))
-    first = _first(covariates, times)
+    shared = {
+        "heaviest": float(np.nanmax(np.abs(_column(covariates, "payload")), initial=0.0)),
+        "session": session,
+        "start": _first(covariates, times),
+        "span": (float(session[0]), float(session[-1])) if session.size else (np.nan, np.nan),
+    }
+    covariates, down = covariates.assign(progress=_progress(times)), np.array(gravity, dtype=float)
     made, begin = [], 0
     for s in series:
         rows = covariates.iloc[begin : begin + len(s)]
-        far = progress[begin : begin + len(s)]
-        made.append(_state(measurement, s, rows, far, theta, session, heaviest, first, np.array(gravity, dtype=float)))
+        made.append(_state(measurement, s, rows, theta, shared, down / np.linalg.norm(down)))
         begin += len(s)
     return made
 
@@ -48,13 +52,13 @@ def _progress(times: Array) -> Array:
 
 
 def _first(covariates: pd.DataFrame, times: Array) -> dict[str, float]:
-    """Each temperature at the session's first reading that has one."""
+    """Temperature of each body at the session's first reading that has one."""
     order = np.argsort(times, kind="stable")
     found = {}
     for name in (str(c) for c in covariates.columns if str(c).startswith(TEMPERATURE)):
         values = _column(covariates, name)[order]
         known = values[np.isfinite(values)]
-        found[name] = float(known[0]) if known.size else np.nan
+        found[name.removeprefix(TEMPERATURE)] = float(known[0]) if known.size else np.nan
     return found
 
 
@@ -62,19 +66,17 @@ def _state(
     measurement: Measurement,
     series: Series,
     rows: pd.DataFrame,
-    progress: Array,
     theta: Array,
-    session: Array,
-    heaviest: float,
-    start: Mapping[str, float],
-    gravity: Array,
+    shared: Mapping[str, Any],
+    down: Array,
 ) -> State:
+    """Of one series; `shared`: what holds for the whole session, `down`: the unit vector (3,) of gravity."""
     kinematics, machine = measurement.kinematics, measurement.machine
     p, q = theta[: len(machine.parameters)], series.q
     x = measurement.poses(series, theta)
     tool = np.array(measurement.setups[series.setup].tool)
     _, tip, twist = kinematics.frames(x, tool)
-    by_joint, down = twist @ kinematics.joint_sensitivity(x, q, p), gravity / np.linalg.norm(gravity)
+    by_joint = twist @ kinematics.joint_sensitivity(x, q, p)
     force = np.einsum("k,mkj->mj", down, by_joint[:, :3])
     base, platform, per_length = _struts(measurement, x, q, p)
     moment = np.nan_to_num(np.cross(platform.mean(axis=1) - tip, down))
@@ -86,7 +88,9 @@ def _state(
     referred = np.setdiff1d(np.arange(len(x)), series.index[:, 0])
     order[referred] -= 1.0
     taught = referred if measurement.setups[series.setup].teach is not None else np.empty(0, dtype=np.intp)
-    known = {name: _column(rows, name)[owner] for name in ("time", "feed", "payload", "direction")}
+    known: dict[str, Any] = {
+        name: _column(rows, name)[owner] for name in ("time", "progress", "feed", "payload", "direction")
+    }
     bodies = [str(c) for c in rows.columns if str(c).startswith(TEMPERATURE)]
     moved = motion(q, tip, run, order, known["feed"], taught)
     return State(
@@ -112,13 +116,9 @@ def _state(
         order=order,
         temperature={c.removeprefix(TEMPERATURE): _column(rows, c)[owner] for c in bodies},
         home=kinematics.inverse(machine.home_command[None])[0][0],
-        heaviest=heaviest,
-        session=session,
-        progress=progress[owner],
-        start={c.removeprefix(TEMPERATURE): v for c, v in start.items()},
         channels=tuple(c.name for c in measurement.setups[series.setup].instrument.channels),
         settings=measurement.setups[series.setup].settings,
-        span=(float(session[0]), float(session[-1])) if session.size else (np.nan, np.nan),
+        **shared,
         **known,
     )
 
