@@ -27,6 +27,8 @@ WAVES = 8
 CENTRES, SECTORS, SECTOR = [(k + 0.5) / 12.0 for k in range(12)], [np.pi * k / 6.0 for k in range(12)], 0.35
 #: shares of the session within which what settles has done so
 WITHIN = (0.05, 0.15, 0.5)
+#: the same after a set-up's start; temperatures that may be recorded, by the order of their names
+MOUNTED, BODIES = (0.03, 0.1), range(8)
 #: shares of a joint's travel within which a reversal is remembered
 SINCE = (0.002, 0.01)
 SOURCE = "Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464, for discrepancies as processes"
@@ -94,6 +96,52 @@ def joints_settling(state: State, within: float) -> Iterable[Column]:
     """The same of each joint."""
     for i in state.limbs:
         yield Column(f"leg {i + 1} settles", UNIT, label=f"leg {i + 1}", joints={i: np.exp(-state.progress / within)})
+
+
+def settling_mounted(state: State, within: float) -> Iterable[Column]:
+    """What fades after each set-up's start, in the readings: warm from the hand, say."""
+    yield from _read(state, "settles in each set-up", UNIT, _fading(state, within))
+
+
+def tool_settling_mounted(state: State, within: float) -> Iterable[Column]:
+    """The same in the tool's place."""
+    yield from _tool(state, "settles in each set-up", UNIT, _fading(state, within))
+
+
+def _fading(state: State, within: float) -> Array:
+    """What fades from the start of a set-up (m,); nothing where there is only one, whose start is the session's."""
+    if np.ptp(state.progress) > 1.0 - 1e-9:
+        return np.zeros(len(state))
+    return np.asarray(np.exp(-(state.progress - state.progress.min()) / within))
+
+
+def over_temperature(state: State, body: float) -> Iterable[Column]:
+    """An error of the readings with a recorded temperature."""
+    yield from _read(state, "warm", UNIT, _risen(state, body))
+
+
+def tool_over_temperature(state: State, body: float) -> Iterable[Column]:
+    """The same of the tool's place."""
+    yield from _tool(state, "warm", UNIT, _risen(state, body))
+
+
+def joints_over_temperature(state: State, body: float) -> Iterable[Column]:
+    """The same of each joint, over its travel."""
+    rise = _risen(state, body)
+    for i in state.limbs:
+        q = state.joints[:, i]
+        at = 2.0 * _share(q, float(q.min()), float(q.max())) - 1.0
+        for name, change in (("warm", rise), ("warm travel", rise * at)):
+            yield Column(f"leg {i + 1} {name}", UNIT, label=f"leg {i + 1}", joints={i: change})
+
+
+def _risen(state: State, body: float) -> Array:
+    """How much warmer than at the session's start (m,), K, a body is: zeros where it was not recorded."""
+    names = sorted(state.temperature)
+    if body >= len(names):
+        return np.zeros(len(state))
+    name = names[int(body)]
+    return np.asarray(np.nan_to_num(state.temperature[name] - state.start[name]))
 
 
 def windows(state: State, when: float, lasts: float) -> Iterable[Column]:
@@ -290,6 +338,15 @@ PROCESSES: Sequence[Effect] = (
     _process("settling", "readings that settle as the session goes on", settling, within=WITHIN),
     _process("tool settling", "the tool's place settles as the session goes on", tool_settling, within=WITHIN),
     _process("joints settling", "joints that settle as the session goes on", joints_settling, within=WITHIN),
+    _process("settling in set-ups", "readings that settle in each set-up", settling_mounted, within=MOUNTED),
+    _process(
+        "tool settling in set-ups", "the tool's place settles in each set-up", tool_settling_mounted, within=MOUNTED
+    ),
+    _process("with a temperature", "an error of the readings with a temperature", over_temperature, body=BODIES),
+    _process("tool with a temperature", "the tool displaced with a temperature", tool_over_temperature, body=BODIES),
+    _process(
+        "joints with a temperature", "joints that change with a temperature", joints_over_temperature, body=BODIES
+    ),
     _process("for a while", "a disturbance for part of the session", windows, when=CENTRES, lasts=(0.04, 0.1)),
     _process("at the start of runs", "an error that fades after a run's start", run_start, readings=(1.5, 5.0)),
     _process("over the pose", "a smooth error over the workspace", over_pose),

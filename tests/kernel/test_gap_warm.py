@@ -1,0 +1,81 @@
+"""What nobody's library has, but goes with a recorded temperature or fades after a set-up's start."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from kernel.gap_lines import readings
+from oed.effect import State
+from oed.gap import library, which
+from oed.gap.law import plain
+from oed.gap.problem import Problem
+from oed.gap.unknown import MOUNTED, PROCESSES, settling_mounted
+from oed.gap.which import Hypothesis, Search
+
+
+def _with(problem: Problem, **changes: object) -> Problem:
+    """The problem with its states changed."""
+    return dataclasses.replace(problem, states=tuple(dataclasses.replace(s, **changes) for s in problem.states))  # type: ignore[arg-type]
+
+
+def _best(problem: Problem, change: np.ndarray) -> tuple[library.Library, Hypothesis]:
+    acting, made = problem.with_residual(problem.residual + change), library.build(problem, PROCESSES)
+    return made, which.compare([Search(acting, library.build(problem, ()), made, plain(problem), 0.0)])[0]
+
+
+def _read(problem: Problem, channel: str, wave: np.ndarray) -> np.ndarray:
+    """A wave (m,) over the poses of the only series, added to a channel's readings (N,) in units of the noise."""
+    at = wave[problem.series[0].index[:, 0]]
+    kinds = len(np.unique(problem.group))
+    return np.where(problem.rows["channel"] == channel, np.repeat(at, kinds), 0.0)
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_what_goes_with_a_temperature_is_told_by_it(recorded: bool) -> None:
+    """A temperature that jumps about as no smooth curve over time does, recorded as kelvin that are not from zero."""
+    problem = readings(14)
+    poses = len(problem.states[0])
+    warm = 293.15 + np.random.default_rng(3).normal(size=poses).repeat(8)[:poses]
+    if recorded:
+        problem = _with(
+            problem, temperature={"arm": warm, "shop": np.full(poses, 293.15)}, start={"arm": 293.15, "shop": 293.15}
+        )
+    made, best = _best(problem, _read(problem, "dz", 1.5 * (warm - 293.15)))
+    told = None if best.process is None else (made.atoms[best.process].effect, dict(made.atoms[best.process].constants))
+    assert (told == ("with a temperature", {"body": 0.0})) is recorded
+
+
+def test_no_temperature_recorded_is_no_process() -> None:
+    made = library.build(readings(14), PROCESSES)
+    assert not {e for e in made.effects if "temperature" in e}
+
+
+@pytest.mark.parametrize("within", MOUNTED)
+def test_what_fades_after_a_set_ups_start_is_found_in_the_middle_of_a_session(within: float) -> None:
+    problem = _later(readings(12))
+    gone = problem.states[0].progress - 0.5
+    made, best = _best(problem, _read(problem, "dz", 6.0 * np.exp(-gone / within)))
+    assert best.key == (frozenset(), True)
+    assert best.process is not None
+    assert made.atoms[best.process].effect == "settling in set-ups"
+
+
+def test_a_single_set_up_settles_as_the_session_does() -> None:
+    state = readings(12).states[0]
+    assert not any(np.any(column.reading[c]) for column in settling_mounted(state, 0.1) for c in column.reading)
+    later = _later(readings(12)).states[0]
+    faded = [column.reading["dz"] for column in settling_mounted(later, 0.1) if "dz" in column.reading]
+    assert faded[0][np.argmin(later.progress)] == pytest.approx(1.0)
+    assert faded[0][np.argmax(later.progress)] == pytest.approx(np.exp(-5.0))
+
+
+def _later(problem: Problem) -> Problem:
+    """The set-up as the second half of a session."""
+
+    def half(state: State) -> np.ndarray:
+        return np.asarray(0.5 + 0.5 * state.progress)
+
+    return dataclasses.replace(problem, states=tuple(dataclasses.replace(s, progress=half(s)) for s in problem.states))
