@@ -35,7 +35,7 @@ NAMES = (
     "mount_drift",
     "step",
 )
-CARRIAGES = {"linear_delta", "planar_2dof", "prs_spindle", "prs_spindle_struts"}
+CARRIAGES = {"hexaglide", "linear_delta", "planar_2dof", "prs_spindle", "prs_spindle_struts"}
 HERE = Place("x.study.toml", "gap.effects")
 ROUND, FEED, HOURS = 24, 0.03, 7200.0
 COVARIATES = ("time", "direction", "feed", "payload")

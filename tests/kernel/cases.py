@@ -23,6 +23,7 @@ from pkm_models.instruments import (
 from pkm_models.machines import (
     a3_head,
     cable_robot,
+    hexaglide,
     hexapod,
     linear_delta,
     micro_cmm,
@@ -139,6 +140,12 @@ CASES = {
         commands=_box_commands(hexapod.machine),
         out_of_reach=np.array([[*(np.array(hexapod.B[1]) - hexapod.A[1]), 0.0, 0.0, 0.0]]),  # leg 1 of length 0
         setups=_setups((0.02, 0.01, 0.20), (0.0, 0.05, 0.30, 0.05, 0.0, 0.1)),
+    ),
+    "hexaglide": Case(
+        machine=hexaglide.machine,
+        commands=_box_commands(hexaglide.machine),
+        out_of_reach=np.array([[0.0, 0.5, -0.4, 0.0, 0.0, 0.0]]),  # 1.3 m from guide 1, whose struts are 0.8 m long
+        setups=_setups((0.02, 0.01, 0.0), (0.0, 0.05, 0.15, 0.05, 0.0, 0.1)),
     ),
     "cable_robot": Case(
         machine=cable_robot.machine,

@@ -21,6 +21,13 @@ NAMES = {
         "da4x", "da4y", "da4z", "da5x", "da5y", "da5z", "da6x", "da6y", "da6z",
         "dl1", "dl2", "dl3", "dl4", "dl5", "dl6",
     ),
+    "hexaglide": (
+        "dq1", "dq2", "dq3", "dq4", "dq5", "dq6",
+        "db1y", "db1z", "db2y", "db2z", "db3y", "db3z", "db4y", "db4z", "db5y", "db5z", "db6y", "db6z",
+        "da1x", "da1y", "da1z", "da2x", "da2y", "da2z", "da3x", "da3y", "da3z",
+        "da4x", "da4y", "da4z", "da5x", "da5y", "da5z", "da6x", "da6y", "da6z",
+        "dl1", "dl2", "dl3", "dl4", "dl5", "dl6",
+    ),
     "cable_robot": (
         "anchor1x", "anchor1y", "anchor1z", "anchor2x", "anchor2y", "anchor2z",
         "anchor3x", "anchor3y", "anchor3z", "anchor4x", "anchor4y", "anchor4z",
@@ -44,6 +51,7 @@ FRAME = {
     "linear_delta": ("angle3",),
     "micro_cmm": (),
     "hexapod": (),
+    "hexaglide": (),
     "cable_robot": (),
     "planar_2dof": (),
     "prs_spindle": (),

@@ -1,0 +1,107 @@
+"""Hexaglide: a platform on six struts of fixed length, each on a carriage; all six coordinates driven.
+
+The carriages run on three parallel guides along the base's x axis, two on each. Carriage i is at B_i + (q_i + dq_i) u,
+u along x and q_i the travel from the guide's end, and its strut runs to the platform joint A_i:
+
+    |x + R A_i - (B_i + (q_i + dq_i) u)| = L_i + dl_i.
+
+After M. Honegger, A. Codourey and E. Burdet, Adaptive control of the Hexaglide, a 6 dof parallel manipulator, IEEE
+ICRA 1997, 543-548. 42 parameters: carriage zeros (6), guides' places across the travel at each carriage (12), platform
+joints (18), strut lengths (6). The geometry is a generic one chosen here: the platform hangs below guides at three
+places in y and two heights; its joints go by pairs, each pair's carriages on either side of it. Over +-100 mm and
++-12 degrees the lines of the six struts stay well apart: the least singular value of their Pluecker matrix, moments in
+units of 200 mm, is 0.3 and the largest 2.2. Tolerances: joints and guides 0.3 mm, zeros and struts 0.5 mm.
+No parameter is held: a pose read in a known frame sees the guides' common place, which a free frame would hide.
+"""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+
+from oed.machine import Component, Coordinate, Expr, Machine, Parameter, PointGroup, Values
+from pkm_models.rotation import tilt_torsion
+
+LEGS = (1, 2, 3, 4, 5, 6)
+STRUT, START, HEIGHT, PLATFORM = 0.800, -1.200, 0.200, 0.200  # m; START: x of the guides' ends; HEIGHT: z at home
+JOINT, ZERO, LENGTH = 0.3e-3, 0.5e-3, 0.5e-3  # m
+XYZ, ANGLES = "xyz", ("rx", "ry", "spin")
+Point = tuple[float, float, float]
+
+GUIDE = ((-0.250, 0.800), (0.000, 0.800), (0.550, 0.500))  # y and z, m
+PAIR = ((0.060, -0.200, 0.100), (0.170, 0.000, 0.050), (0.030, 0.100, 0.100))  # platform joint at +x, its partner at -x
+SIDE = {i: -1.0 if i % 2 else 1.0 for i in LEGS}  # carriages 1, 3, 5 towards -x of the platform
+B: dict[int, Point] = {i: (START, *GUIDE[(i - 1) // 2]) for i in LEGS}
+A: dict[int, Point] = {
+    i: (SIDE[i] * PAIR[(i - 1) // 2][0], *PAIR[(i - 1) // 2][1:]) for i in LEGS
+}  # from the tool point
+
+
+def _travel(i: int, x: Expr, y: Expr, z: Expr) -> Expr:
+    """Travel of carriage i for a level platform with its tool point at x, y, z; m."""
+    across = (y + A[i][1] - B[i][1]) ** 2 + (z + A[i][2] - B[i][2]) ** 2
+    return x + A[i][0] - START + SIDE[i] * ca.sqrt(STRUT**2 - across)
+
+
+def _joints(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
+    """Joint centres at the carriage and at the platform, in the base frame."""
+    error = (q[f"q{i}"] + p[f"dq{i}"], p[f"db{i}y"], p[f"db{i}z"])
+    carriage = ca.vertcat(*[n + e for n, e in zip(B[i], error, strict=True)])
+    rotation, point = platform(x)
+    return carriage, point + rotation @ ca.vertcat(*[n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)])
+
+
+def platform(x: Values) -> tuple[Expr, Expr]:
+    """Orientation and tool point."""
+    return tilt_torsion(x["rx"], x["ry"], x["spin"]), ca.vertcat(x["x"], x["y"], x["z"])
+
+
+def closure(x: Values, q: Values, p: Values) -> list[Expr]:
+    """Strut lengths; m."""
+    ends = [_joints(x, q, p, i) for i in LEGS]
+    return [ca.norm_2(a - b) - STRUT - p[f"dl{i}"] for i, (b, a) in zip(LEGS, ends, strict=True)]
+
+
+def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
+    """Guides, struts, platform, spindle."""
+    feet, joints = zip(*[_joints(x, q, p, i) for i in LEGS], strict=True)
+    rails = [[ca.vertcat(end, *foot[1:]) for end in (START, -START)] for foot in (B[1], B[3], B[5])]
+    struts = [[b, a] for b, a in zip(feet, joints, strict=True)]
+    around = [joints[i - 1] for i in (1, 2, 4, 6, 5, 3, 1)]
+    return [*rails, *struts, around, [sum(joints[1:], joints[0]) / 6.0, platform(x)[1]]]
+
+
+machine = Machine(
+    name="hexaglide",
+    source="Honegger, Codourey and Burdet 1997, IEEE ICRA, 543-548, for the type; a generic geometry",
+    about="hexaglide (6-PUS on parallel guides): x, y, z, tilt and spin driven",
+    pose=tuple(Coordinate(n, "m") for n in XYZ) + tuple(Coordinate(n, "rad") for n in ANGLES),
+    joints=tuple(Coordinate(f"q{i}", "m", *((0.2, 0.9) if SIDE[i] < 0.0 else (1.5, 2.2))) for i in LEGS),
+    command=(
+        *(Coordinate(n, "m", mid - 0.100, mid + 0.100) for n, mid in zip(XYZ, (0.0, 0.0, HEIGHT), strict=True)),
+        *(Coordinate(n, "rad", -math.radians(12.0), math.radians(12.0)) for n in ANGLES),
+    ),
+    parameters=(
+        *(Parameter(f"dq{i}", 0.0, ZERO, "m", f"zero of carriage {i}") for i in LEGS),
+        *(Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of the guide at carriage {i}") for i in LEGS for k in "yz"),
+        *(Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}") for i in LEGS for k in XYZ),
+        *(Parameter(f"dl{i}", 0.0, LENGTH, "m", f"length of strut {i}") for i in LEGS),
+    ),
+    components=tuple(Component(n, "m", compensatable=True) for n in XYZ)
+    + tuple(Component(n, "rad", compensatable=True) for n in ("ax", "ay", "az")),
+    home={"x": 0.0, "y": 0.0, "z": HEIGHT, "rx": 0.0, "ry": 0.0, "spin": 0.0},
+    lever=PLATFORM,
+    closure=closure,
+    platform=platform,
+    commanded=lambda x, tip: [tip[0], tip[1], tip[2], *[x[n] for n in ANGLES]],
+    target=lambda c: [c[n] for n in (*XYZ, *ANGLES)],
+    guess=lambda c: ([c[n] for n in (*XYZ, *ANGLES)], [_travel(i, *(c[n] for n in XYZ)) for i in LEGS]),
+    read_error=lambda c, twist: twist,
+    skeleton=skeleton,
+    struts=lambda x, q, p: [_joints(x, q, p, i) for i in LEGS],
+    groups=(
+        PointGroup("platform joints", "the tool point", tuple(((f"da{i}x", f"da{i}y", f"da{i}z"), A[i]) for i in LEGS)),
+        PointGroup("carriages", "the base's origin", tuple(((f"dq{i}", f"db{i}y", f"db{i}z"), B[i]) for i in LEGS)),
+    ),
+)
