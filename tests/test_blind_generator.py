@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import hashlib
 import importlib
 import json
 from collections import Counter
@@ -21,7 +22,8 @@ ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
 TOOLKIT = {"oed", "pkm_models", "pkm_studies", "pkm_reports"}
 NAMES = ("cases", "effects", "noise", "plans", "scene", "severity", "textbook", "write")
-STUDIES = [(m, p) for m in ("a3", "planar", "delta", "hexapod") for p in ("full", "poor")] + [("a3", "single")]
+STUDIES = [(m, p) for m in ("a3", "planar", "delta", "hexapod", "hexaglide") for p in ("full", "poor")]
+STUDIES.append(("a3", "single"))
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +135,7 @@ def test_play_remembers_its_side_of_the_gap(blind):
 
 def test_every_form_does_something_and_departs_from_its_textbook(blind):
     departs: dict[str, list[float]] = {}
-    for machine in ("a3", "planar", "delta"):
+    for machine in ("a3", "planar", "delta", "hexaglide"):
         made = stage_of(blind, machine, "full")
         for name in blind.effects.known_on(machine):
             effect = blind.effects.KNOWN[name](np.random.default_rng(11), made.stage)
@@ -263,6 +265,36 @@ def test_a_thousand_cases_hold_what_the_scores_need(blind):
     assert {r.machine for r in roles if r.kind == "exact"} == {"a3"}
     dev = [blind.cases.role(1, "dev", k) for k in range(400)]
     assert {r.machine for r in dev} == {"a3", "planar", "delta"}
+
+
+def test_set_six_has_the_hexaglide_alone_and_leaves_the_others_as_they_were(blind):
+    roles = [blind.cases.role(7, "six", k) for k in range(200)]
+    assert {r.machine for r in roles} == {"hexaglide"}
+    assert {r.plan for r in roles} == {"full", "poor"}
+    kinds = Counter(r.kind for r in roles)
+    assert kinds == {
+        "null": 75,
+        "single": 65,
+        "pair": 25,
+        "unknown": 20,
+        "known_unknown": 15,
+    }  # of the exact class none
+    for name, told in (("dev", "444e20a361a0"), ("blind", "459754dcb789")):
+        text = repr([dataclasses.astuple(blind.cases.role(1, name, k)) for k in range(400)])
+        assert hashlib.sha256(text.encode()).hexdigest().startswith(told)
+
+
+def test_what_a_bar_does_is_in_its_readings_alone(blind):
+    made = stage_of(blind, "hexaglide", "full")
+    bar = np.array([made.plan.setups[k].name == "cup" for k in made.plan.setup[made.scene.layout.row]])
+    assert 0 < bar.sum() < len(bar)
+    for name in ("bar_length", "bar_thermal"):
+        dy = blind.effects.KNOWN[name](np.random.default_rng(1), made.stage).push(1e-6).dy
+        assert not dy[~bar].any()
+        assert dy[bar].any()
+    poor = stage_of(blind, "hexaglide", "poor")  # it has no bar: such a case draws another effect
+    with pytest.raises(ArithmeticError, match="does nothing"):
+        blind.effects.KNOWN["bar_length"](np.random.default_rng(1), poor.stage)
 
 
 def test_a_case_depends_on_its_number_alone_and_files_are_taken_up_again(blind, tmp_path):

@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _generate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder to write to; what is there is kept")
-    parser.add_argument("--set", dest="name", choices=("dev", "blind"), required=True)
+    parser.add_argument("--set", dest="name", choices=("dev", "blind", "six"), required=True)
     parser.add_argument(
         "--cases", type=int, default=200, help="how many (200 hold every kind; 1000 every law 75 times)"
     )
@@ -66,7 +66,7 @@ def _generate(said: argparse.Namespace) -> int:
 
 
 def _forms_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--machines", nargs="+", default=["a3", "planar", "delta", "hexapod"])
+    parser.add_argument("--machines", nargs="+", default=["a3", "planar", "delta", "hexapod", "hexaglide"])
     parser.add_argument("--draws", type=int, default=12, help="forms drawn of each effect")
     parser.add_argument("--seed", type=int, default=1)
     parser.set_defaults(run=_forms)

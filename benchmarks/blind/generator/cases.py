@@ -22,9 +22,9 @@ from benchmarks.blind.generator.effects.thermal import climate
 from benchmarks.blind.generator.machines import Array
 from benchmarks.blind.generator.scene import Scene
 
-SETS = {"dev": 1, "blind": 2}
-#: machines of each set: one is kept from whoever develops a diagnosis
-ON = {"dev": ("a3", "planar", "delta"), "blind": ("a3", "planar", "delta", "hexapod")}
+SETS = {"dev": 1, "blind": 2, "six": 3}
+#: machines of each set: two are kept from whoever develops a diagnosis
+ON = {"dev": ("a3", "planar", "delta"), "blind": ("a3", "planar", "delta", "hexapod"), "six": ("hexaglide",)}
 KINDS = ("null", "single", "pair", "exact", "unknown", "known_unknown")
 #: (kind, number in a stretch of 200); null: that number for each noise law
 SCHEDULE = (("null", 15), ("single", 55), ("pair", 25), ("exact", 10), ("unknown", 20), ("known_unknown", 15))
@@ -53,7 +53,7 @@ LIMITS = {
     "step": 200e-6,
 }
 UNKNOWN_LIMIT = 100e-6
-SIZE = {"a3": 1.0, "hexapod": 1.0, "planar": 3.0, "delta": 8.0}
+SIZE = {"a3": 1.0, "hexapod": 1.0, "hexaglide": 2.0, "planar": 3.0, "delta": 8.0}
 TRIES = 12
 
 
@@ -107,6 +107,8 @@ def role(seed: int, name: str, k: int) -> Role:
     rng = np.random.default_rng([seed, SETS[name], k, 98])
     machine = ON[name][(at + block) % len(ON[name])]
     law = law or str(rng.choice(noise.LAWS))
+    if kind == "exact" and "a3" not in ON[name]:
+        kind = "single"  # only the A3 has a plan with one bar and one tool
     if kind == "exact":
         return Role(kind, law, "a3", str(rng.choice(["single", "poor"], p=[0.7, 0.3])))
     names = plans.PLANS[machine]

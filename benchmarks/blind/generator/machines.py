@@ -1,4 +1,4 @@
-"""Four machines as exact closures in plain NumPy, with every number free to differ from row to row.
+"""Five machines as exact closures in plain NumPy, with every number free to differ from row to row.
 
 A pose is the reference tool point, and for machines that turn a Gibbs vector g (tangent of half the angle, times the
 axis) against the commanded orientation R0, so that the platform's rotation is R0 C(g) with the rational map C. All of
@@ -300,7 +300,63 @@ HEXAPOD = Machine(
     growth=_growth_points(0, _HEX_BASE, 42),
 )
 
-MACHINES = {m.name: m for m in (A3, PLANAR, DELTA, HEXAPOD)}
+# -- hexaglide -----------------------------------------------------------------------------------------------
+
+_GLIDE_STRUT, _GLIDE_END = 0.800, -1.200  # m; x of the guides' ends, from which travel counts
+_GLIDE_SIDE = np.tile([-1.0, 1.0], 3)  # of the platform, on which each carriage is
+_GLIDE_BASE = np.repeat([[_GLIDE_END, -0.250, 0.800], [_GLIDE_END, 0.0, 0.800], [_GLIDE_END, 0.550, 0.500]], 2, axis=0)
+_GLIDE_LOCAL = np.repeat([[0.060, -0.200, 0.100], [0.170, 0.0, 0.050], [0.030, 0.100, 0.100]], 2, axis=0)
+_GLIDE_LOCAL[:, 0] *= _GLIDE_SIDE
+
+
+def _glide_carriage(q: Array) -> Array:
+    """Nominal carriages (n, 6, 3) at travels q (n, 6)."""
+    return _GLIDE_BASE + q[:, :, None] * np.array([1.0, 0.0, 0.0])
+
+
+def _glide_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
+    R = R0 @ cayley(x[:, 3:6])
+    joint = x[:, None, :3] + _points(p, 18, _GLIDE_LOCAL) @ np.swapaxes(R, 1, 2)
+    aside = p[:, 6:18].reshape(-1, 6, 2) + np.stack([p[:, 48:54], p[:, 42:48]], -1)
+    carriage = _glide_carriage(q) + np.concatenate([p[:, :6, None], aside], -1)
+    return norm(joint - carriage) - _GLIDE_STRUT - p[:, 36:42]
+
+
+def _glide_inverse(command: Array, tool: Array) -> Pose:
+    pose = _hex_inverse(command, tool)  # the pose is told alike; the travel is the side of a right-angled triangle
+    away = pose.x[:, None, :3] + _GLIDE_LOCAL @ np.swapaxes(pose.R0, 1, 2) - _GLIDE_BASE
+    along = np.sqrt(_GLIDE_STRUT**2 - away[:, :, 1] ** 2 - away[:, :, 2] ** 2)
+    return dataclasses.replace(pose, q=away[:, :, 0] + _GLIDE_SIDE * along)
+
+
+def _glide_growth(spread: Array) -> Array:
+    dp = np.zeros(54)  # guides move apart; along them the scales, not the frame, say where a carriage is
+    dp[6:18] = (spread[:, None] * _GLIDE_BASE[:, 1:]).ravel()
+    return dp
+
+
+HEXAGLIDE = Machine(
+    name="hexaglide",
+    command=HEXAPOD.command,
+    legs=6,
+    parameters=(
+        *(f"dq{i}" for i in range(1, 7)),
+        *(f"db{i}{k}" for i in range(1, 7) for k in "yz"),
+        *(f"da{i}{k}" for i in range(1, 7) for k in XYZ),
+        *(f"dl{i}" for i in range(1, 7)),
+    ),
+    nominal=np.zeros(42),
+    tolerance=np.repeat([0.5e-3, 0.3e-3, 0.5e-3], [6, 30, 6]),
+    extras=(*(f"out{i}" for i in range(1, 7)), *(f"side{i}" for i in range(1, 7))),  # up, and across in the level
+    closure=_glide_closure,
+    inverse=_glide_inverse,
+    turns=True,
+    weight=250.0,
+    com=0.12,
+    growth=_glide_growth,
+)
+
+MACHINES = {m.name: m for m in (A3, PLANAR, DELTA, HEXAPOD, HEXAGLIDE)}
 
 
 # -- joints and slopes ---------------------------------------------------------------------------------------
@@ -312,6 +368,8 @@ def joint_columns(machine: Machine, leg: int) -> tuple[list[int], list[int]]:
         return [3 + 3 * leg + k for k in range(3)], [12 + 3 * leg + k for k in range(3)]
     if machine.name == "hexapod":
         return [3 * leg + k for k in range(3)], [18 + 3 * leg + k for k in range(3)]
+    if machine.name == "hexaglide":
+        return [leg, 6 + 2 * leg, 7 + 2 * leg], [18 + 3 * leg + k for k in range(3)]
     if machine.name == "planar":
         return [7 + leg, 1 + leg], []
     return [10 + leg, 13 + leg, 7 + leg], []
@@ -322,6 +380,8 @@ def leg_direction(machine: Machine, pose: Pose) -> Array:
     if machine.name in ("a3", "hexapod"):
         base, local = (_A3_BASE, _A3_LOCAL) if machine.name == "a3" else (_HEX_BASE, _HEX_LOCAL)
         v = pose.x[:, None, :3] + local @ np.swapaxes(pose.R0, 1, 2) - base
+    elif machine.name == "hexaglide":
+        v = pose.x[:, None, :3] + _GLIDE_LOCAL @ np.swapaxes(pose.R0, 1, 2) - _glide_carriage(pose.q)
     elif machine.name == "planar":
         foot = np.stack([0 * pose.q, np.broadcast_to(_SIDE * _PD, pose.q.shape), pose.q], -1)
         v = np.stack([0 * pose.x[:, 0], pose.x[:, 0], pose.x[:, 1]], -1)[:, None] - foot

@@ -150,6 +150,45 @@ def _hex_circle(number: int, tool: float, count: int) -> tuple[Array, Array]:
     return np.stack([radius * np.cos(a), radius * np.sin(a), np.full(count, z), *tilt], -1), a
 
 
+#: rings of a hexaglide: radius, height of the middle over home's and how far up and down it goes, m, and angles, deg:
+#: constant rx, ry, spin, and the size of a tilt that goes round with it
+_RINGS = (
+    (0.080, -0.055, 0.030, 0.0, 0.0, 0.0, 7.0),
+    (0.055, 0.060, 0.020, 6.0, -3.0, 9.0, 4.0),
+    (0.092, 0.020, -0.045, -4.0, 5.0, -9.0, -5.0),
+    (0.035, -0.010, 0.080, -7.0, -6.0, 5.0, 4.0),
+    (0.070, -0.080, -0.015, 5.0, 7.0, -4.0, -4.0),
+)
+#: the same for circles about its taught cup: latitude on the ball of the bar's length, deg, and angles
+_LATITUDES = (
+    (-12.0, 0.0, 0.0, 0.0, 9.0),
+    (6.0, 7.0, -2.0, 8.0, -4.0),
+    (22.0, -5.0, -6.0, -9.0, 5.0),
+    (38.0, 3.0, 8.0, 4.0, -3.0),
+    (57.0, -8.0, 2.0, -6.0, 3.0),
+)
+_GLIDE_HOME, _GLIDE_CUP, _SHORT_BAR = 0.200, 0.170, 0.100
+
+
+def _glide_tilts(a: Array, rx: float, ry: float, spin: float, wave: float) -> list[Array]:
+    return list(np.deg2rad([rx + wave * np.sin(a + 0.4), ry + wave * np.cos(2 * a), spin + 0.5 * wave * np.sin(2 * a)]))
+
+
+def _glide_ring(number: int, tool: float, count: int) -> tuple[Array, Array]:
+    radius, middle, rise, *angles = _RINGS[number]
+    a = 2 * np.pi * (np.arange(count) + 0.41) / count
+    z = _GLIDE_HOME + tool + middle + rise * np.sin(a - 0.7)
+    return np.stack([radius * np.cos(a), radius * np.sin(a), z, *_glide_tilts(a, *angles)], -1), a
+
+
+def _glide_bar(number: int, count: int) -> tuple[Array, Array]:
+    latitude, *angles = _LATITUDES[number]
+    radius, up = _SHORT_BAR * np.cos(np.deg2rad(latitude)), _SHORT_BAR * np.sin(np.deg2rad(latitude))
+    a = 2 * np.pi * (np.arange(count) + 0.41) / count
+    place = [radius * np.cos(a), radius * np.sin(a), np.full(count, _GLIDE_CUP + up)]
+    return np.stack([*place, *_glide_tilts(a, *angles)], -1), a
+
+
 # -- plans of the machines -----------------------------------------------------------------------------------
 
 Made = tuple[tuple[Setup, ...], list[list[Run]]]
@@ -222,8 +261,11 @@ def _a3(rng: Generator, name: str) -> Made:
 
 
 def _levels(machine: str, name: str) -> _Levels:
-    feed = {"a3": (600, 2400), "planar": (2000, 8000), "delta": (1500, 6000), "hexapod": (600, 2400)}[machine]
-    load = {"a3": (0, 300), "planar": (0, 500), "delta": (0, 5), "hexapod": (0, 200)}[machine]
+    feed = {
+        "a3": (600, 2400), "planar": (2000, 8000), "delta": (1500, 6000), "hexapod": (600, 2400),
+        "hexaglide": (1000, 4000),
+    }[machine]  # fmt: skip
+    load = {"a3": (0, 300), "planar": (0, 500), "delta": (0, 5), "hexapod": (0, 200), "hexaglide": (0, 150)}[machine]
     if name == "poor":
         middle = np.sqrt(feed[0] * feed[1]) * MM_MIN
         return _Levels((middle, middle), (0.0, 0.0))
@@ -279,26 +321,46 @@ def _hexapod(rng: Generator, name: str) -> Made:
     return (cup("bar", 0.0), cup("long_tool", 0.1)), [first, _spread(rng, 1, paths, "c2", levels, True, again=2)]
 
 
+def _hexaglide(rng: Generator, name: str) -> Made:
+    """A tracker with its target on a stem, and a short bar about a taught cup; the poor plan has the tracker alone."""
+    stem = -0.080 if name == "full" else 0.0
+    tracker = Setup(name="tracker", instrument=instruments.TRACKER, tool=stem)
+    teach = (0.0, 0.0, _GLIDE_CUP, 0.0, 0.0, 0.0)
+    cup = Setup(name="cup", instrument=instruments.BAR, settings={"length": _SHORT_BAR}, teach=teach)
+    levels = _levels("hexaglide", name)
+    count, numbers = (11, range(4)) if name == "full" else (12, range(5))
+    rings = {f"t{k + 1}": _glide_ring(k, stem, count) for k in numbers}
+    first = _spread(rng, 0, rings, "t3", levels, True, again=2)
+    if name == "poor":
+        return (tracker,), [first]
+    circles = {f"b{k + 1}": _glide_bar(k, 20) for k in range(5)}
+    return (tracker, cup), [first, _spread(rng, 1, circles, "b3", levels, True, again=3)]
+
+
 _MADE: dict[str, Callable[[Generator, str], Made]] = {
     "a3": _a3,
     "planar": _planar,
     "delta": _delta,
     "hexapod": _hexapod,
+    "hexaglide": _hexaglide,
 }
-PLANS = {"a3": ("full", "single", "poor"), **dict.fromkeys(("planar", "delta", "hexapod"), ("full", "poor"))}
+PLANS = {
+    "a3": ("full", "single", "poor"),
+    **dict.fromkeys(("planar", "delta", "hexapod", "hexaglide"), ("full", "poor")),
+}
 TEMPERATURES = ("temp_leg_C", "temp_frame_C", "temp_bar_C")
 
 
 def draw(rng: Generator, machine: str, name: str) -> Plan:
     """A plan of a machine; `name` is one of PLANS[machine]."""
     setups, blocks = _MADE[machine](rng, name)
-    return _lay_out(rng, MACHINES[machine], name, setups, blocks, _columns(rng, machine, name))
+    return _lay_out(rng, MACHINES[machine], name, setups, blocks, _columns(rng, setups, name))
 
 
-def _columns(rng: Generator, machine: str, name: str) -> tuple[str, ...]:
+def _columns(rng: Generator, setups: tuple[Setup, ...], name: str) -> tuple[str, ...]:
     """Covariates in the file: all in a good plan, temperatures in some; a poor plan lacks one to three."""
     shown = ["time_s", "direction", "feed_mm_min", "payload_N", "repeat"]
-    bars = machine in ("a3", "hexapod")
+    bars = any(s.instrument.name in instruments.BARS for s in setups)
     if rng.random() < (0.5 if name != "poor" else 0.25):
         shown += [t for t in TEMPERATURES if t != "temp_bar_C" or bars]
     if name == "poor":

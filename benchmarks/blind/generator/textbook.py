@@ -129,16 +129,16 @@ def _joint_clearance(stage: Stage) -> Iterator[Block]:
 
 
 def _bar_length(stage: Stage) -> Iterator[Block]:
-    yield [Push(dy=np.ones(stage.layout.size))]
+    yield [Push(dy=stage.by_bar)]
 
 
 def _bar_thermal(stage: Stage) -> Iterator[Block]:
     row = stage.layout.row
     for rise in [*_rises(stage), stage.climate.shown["temp_bar_C"]]:
-        yield [Push(dy=rise[row])]
+        yield [Push(dy=rise[row] * stage.by_bar)]
     since = np.array([stage.plan.time[stage.plan.setup == k].min() for k in range(len(stage.plan.setups))])
     for tau in TAUS[:3]:
-        yield [Push(dy=np.exp(-(stage.plan.time - since[stage.plan.setup]) / tau)[row])]
+        yield [Push(dy=np.exp(-(stage.plan.time - since[stage.plan.setup]) / tau)[row] * stage.by_bar)]
 
 
 def _drifts(stage: Stage, shape: Array) -> Block:

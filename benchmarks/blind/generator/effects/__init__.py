@@ -57,6 +57,7 @@ _BARS = ("bar_length", "bar_thermal")
 _ABSENT = {
     "a3": ("guideway",),
     "hexapod": ("guideway",),
+    "hexaglide": (),
     "planar": (*_BARS, "joint_clearance", "mount_drift", "spindle_growth"),
     "delta": (*_BARS, "joint_clearance"),
 }

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.random import Generator
 
+from benchmarks.blind.generator.instruments import BARS
 from benchmarks.blind.generator.machines import Array, Machine, joint_columns
 from benchmarks.blind.generator.plans import Plan
 from benchmarks.blind.generator.scene import Layout, Motion, Push
@@ -70,6 +71,12 @@ class Stage:
         """An addition to the joints, scaled to a largest value of 1 m."""
         return unit(Push(dq=dq))
 
+    @property
+    def by_bar(self) -> Array:
+        """1 for readings (N,) of a ball bar, 0 for others."""
+        bars = np.array([s.instrument.name in BARS for s in self.plan.setups], dtype=float)
+        return np.asarray(bars[self.plan.setup[self.layout.row]])
+
     def zero(self) -> Array:
         """dp (n, np + extras) of nothing."""
         return np.zeros((self.rows, len(self.machine.full)))
@@ -105,7 +112,7 @@ def place_joints(stage: Stage, leg: int, shift: Array, *, platform: bool) -> Arr
     """dp (n, np + extras) that moves a leg's base joint (or carriage), or its platform joint, by shift (n, 3).
 
     Machines whose carriages run on guides take the components that these have: planar sideways and along; delta
-    outward, sideways and along.
+    outward, sideways and along; the hexaglide along, across and up.
     """
     base, local = joint_columns(stage.machine, leg)
     columns = local if platform and local else base

@@ -60,8 +60,8 @@ def screw_cyclic(rng: Generator, stage: Stage) -> Effect:
 
 def encoder_subdivision(rng: Generator, stage: Stage) -> Effect:
     """Interpolation error within a grating's period: offset and amplitude of sine and cosine, so first and second."""
-    fine = {"a3": (20, 40, 100), "hexapod": (20, 40, 100), "planar": (40, 100, 200), "delta": (1000, 2000, 5000)}
-    period = float(rng.choice(fine[stage.machine.name])) * 1e-6
+    fine = {"planar": (40, 100, 200), "delta": (1000, 2000, 5000)}
+    period = float(rng.choice(fine.get(stage.machine.name, (20, 40, 100)))) * 1e-6
     gains, blocks = pick_legs(rng, stage.machine.legs)
     dq = np.zeros_like(stage.motion.q)
     for leg in range(dq.shape[1]):

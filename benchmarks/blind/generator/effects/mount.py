@@ -12,7 +12,7 @@ from benchmarks.blind.generator.scene import Push
 
 def bar_length(rng: Generator, stage: Stage) -> Effect:
     """The bar's calibration is off: every reading by the same length."""
-    return linear("bar_length", Push(dy=np.ones(stage.layout.size)), (), {"length_um": 1e6})
+    return linear("bar_length", Push(dy=stage.by_bar), (), {"length_um": 1e6})
 
 
 def mount_drift(rng: Generator, stage: Stage) -> Effect:

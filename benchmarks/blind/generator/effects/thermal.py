@@ -94,7 +94,7 @@ def frame_thermal(rng: Generator, stage: Stage) -> Effect:
 
 def bar_thermal(rng: Generator, stage: Stage) -> Effect:
     """The bar is warm from the hand, and follows the room: its reading loses what it has grown."""
-    dy = -0.3 * stage.climate.bar[stage.layout.row]
+    dy = -0.3 * stage.climate.bar[stage.layout.row] * stage.by_bar
     return linear(
         "bar_thermal", Push(dy=dy), (), {"expansion_ppm_per_K": 1e6}, rise_K=round(float(np.ptp(stage.climate.bar)), 2)
     )
