@@ -51,6 +51,7 @@ class State:
     start        {body: its temperature at the session's first reading, K}
     channels     names of the instrument's channels
     settings     of the set-up, by name, SI
+    stroke       (2, nq) least and largest value of each joint in the session, taught poses among them
     home         (nx,) the home pose
     span         first and last time of all set-ups together, s; NaN where unknown
     """
@@ -86,6 +87,7 @@ class State:
     start: Mapping[str, float]
     channels: tuple[str, ...]
     settings: Mapping[str, float]
+    stroke: Array
     home: Array
     span: tuple[float, float]
 
@@ -149,6 +151,7 @@ class Effect:
     exposed_by  the reading that tells it from its rivals
     unfit       why it cannot occur on a machine, in words; None, as by default, where it can
     alike       whether all limbs, built alike, mostly have it alike where all have it
+    textbook    prior share of its textbook form, where it has columns that adapt the shape
     """
 
     name: str
@@ -161,6 +164,7 @@ class Effect:
     exposed_by: str = ""
     unfit: Callable[[Machine], str | None] = lambda machine: None
     alike: bool = False
+    textbook: float = 0.5
 
     def grid(self) -> list[dict[str, float]]:
         """Every combination of the constants' values."""

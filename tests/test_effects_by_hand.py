@@ -20,9 +20,9 @@ def test_guideway_is_the_slider_joint_displaced() -> None:
     """A carriage off its line, against the parameters of the slider joint of the 3-PRS head."""
     s = session("prs_spindle")
     state, response, index = s.states[1], s.responses[1], s.measurement.machine.index
-    column = columns("guideway", state)["leg 2 radial P2"]
+    column = columns("guideway", state)["leg 2 radial curve 1"]
     found = response.joints[0][:, :, 1] * column.joints[1][:, None]
-    bend = 0.5 * (3.0 * terms.place(state)[:, 1] ** 2 - 1.0)
+    bend = terms.curve(terms.place(state)[:, 1], 0)
     out = np.array([np.cos(2.0 * np.pi / 3.0), np.sin(2.0 * np.pi / 3.0)])
     wanted = sum(
         response.parameters[0][:, :, index(f"dR2{k}")] * (bend * o)[:, None] for k, o in zip("xy", out, strict=True)
@@ -137,20 +137,38 @@ def test_encoder_scale_by_hand() -> None:
     assert set(column.joints) == {1}
 
 
-def test_pitch_accumulation_leaves_zero_and_scale_to_others() -> None:
-    """Over the travel, found here by brute force, its curves have neither mean nor slope."""
-    case = CASES["planar_2dof"]
-    corners = np.array([[y, z] for y in np.linspace(-1.5, 1.5, 31) for z in (0.0, 1.5)])
-    _, q = Measurement(case.machine, []).kinematics.inverse(corners)
-    state = small(session("planar_2dof").states[0], 49)
-    nodes, weights = np.polynomial.legendre.leggauss(len(state))
-    at = q.min(axis=0) + 0.5 * (nodes[:, None] + 1.0) * np.ptp(q, axis=0)
-    for name, c in columns("pitch_accumulation", dataclasses.replace(state, joints=at)).items():
-        (curve,) = c.joints.values()
-        assert abs(weights @ curve) < 1e-6
-        assert abs(weights @ (curve * nodes)) < 1e-6
-        degree = int(name.rpartition("P")[2])
-        assert weights @ curve**2 == pytest.approx(2.0 / (2 * degree + 1), rel=1e-3)
+def test_pitch_accumulation_is_a_smooth_random_curve_that_leaves_zero_and_scale_to_others() -> None:
+    """Over the travel that is read its covariance is Matern's without mean and slope, here by Gauss quadrature."""
+    whole = session("planar_2dof").states[0]
+    nodes, weights = np.polynomial.legendre.leggauss(len(whole))
+    low, high = whole.stroke
+    state = dataclasses.replace(whole, joints=low + 0.5 * (nodes[:, None] + 1.0) * (high - low))
+    made = [c for c in columns("pitch_accumulation", state).values() if c.label == "leg 1"]
+    curves = np.column_stack([c.scale / 10e-6 * c.joints[0] for c in made])
+    assert np.abs(weights @ curves).max() < 1e-3
+    assert np.abs((weights * nodes) @ curves).max() < 1e-3
+    far = np.sqrt(3.0) / 0.5 * np.abs(nodes[:, None] - nodes)
+    straight = np.column_stack([np.ones_like(nodes), nodes])
+    left = np.eye(len(nodes)) - straight @ np.linalg.solve(
+        straight.T @ (weights[:, None] * straight), straight.T * weights
+    )
+    wanted = left @ ((1.0 + far) * np.exp(-far)) @ left.T
+    assert weights @ np.diag(curves @ curves.T) == pytest.approx(weights @ np.diag(wanted), rel=0.02)
+    inside = np.abs(nodes) < 0.9
+    assert (curves @ curves.T)[inside][:, inside] == pytest.approx(wanted[inside][:, inside], abs=0.02)
+
+
+def test_a_place_is_in_the_travel_that_the_session_has_of_a_joint() -> None:
+    """From -1 to 1 over what all set-ups read; over a quarter of the joint's whole travel where they read less."""
+    whole = session("hexapod").states
+    places = np.vstack([terms.place(s) for s in whole])
+    assert places.min(axis=0) == pytest.approx(-np.ones(6))
+    assert places.max(axis=0) == pytest.approx(np.ones(6))
+    known, state = terms.travel(whole[0].machine), whole[0]
+    middle = state.joints.mean(axis=0)
+    short = dataclasses.replace(state, stroke=np.array([middle - 1e-3, middle + 1e-3]))
+    slope = terms.place(dataclasses.replace(short, joints=state.joints + 1e-3)) - terms.place(short)
+    assert slope == pytest.approx(np.broadcast_to(2e-3 / (0.25 * (known.high - known.low)), slope.shape))
 
 
 @pytest.mark.parametrize(("name", "constant", "period"), [
@@ -182,7 +200,7 @@ def test_joint_runout_goes_twice_a_turn() -> None:
         (12, 0.0): ([0.0, 0.0, 0.0], [1.0, -1.0, 1.0]),
         (2, 1.0): ([0.0, 0.0, 1.0], [1.0, 1.0, 0.0]),
     }
-    sizes = {1: 1.6e-6, 2: 4e-6, 3: 1.6e-6, 12: 0.6e-6}
+    sizes = {1: 1.6e-6, 2: 4e-6, 3: 4e-6, 12: 0.6e-6}
     for (order, way), waves in wanted.items():
         made = columns("joint_runout", swung, platform=0.0, across=way)
         for part, wave in zip(("sin", "cos"), waves, strict=True):
@@ -204,7 +222,7 @@ def test_joint_runout_at_the_platform_turns_with_it() -> None:
     )
     for end, way in itertools.product((0.0, 1.0), (0.0, 1.0)):
         before, after = (columns("joint_runout", s, platform=end, across=way) for s in (state, turned))
-        assert len(before) == 6 * 2 * (6 + 2)  # legs, sine and cosine, orders along and sideways
+        assert len(before) == 6 * 2 * (6 + 3)  # legs, sine and cosine, orders along and sideways
         for name, c in before.items():
             (i,) = c.joints
             assert after[name].joints[i] == pytest.approx(c.joints[i])

@@ -24,8 +24,6 @@ from oed.gap.signature import Signature, untestable
 ALONE = 0.4
 #: how much smaller the difference of limbs built alike is expected to be than what they share
 DIFFER = 0.3
-#: prior share of its textbook form, where it has columns that adapt the shape
-TEXTBOOK = 0.5
 #: signature, in units of the noise over all readings, below which an effect cannot be seen at all
 UNSEEN = 0.3
 #: blocks of a form beyond which it is not tried in all of them at once
@@ -212,7 +210,7 @@ def _atoms(form: Signature, start: int, log_weight: float, halved: bool = False,
     made = []
     for rows, share in choices:
         plain = rows[~form.shape[rows]]
-        forms = [(rows, 1.0)] if plain.size in (0, rows.size) else [(plain, TEXTBOOK), (rows, 1.0 - TEXTBOOK)]
+        forms = [(rows, 1.0)] if plain.size in (0, rows.size) else [(plain, form.textbook), (rows, 1.0 - form.textbook)]
         for chosen, part in forms:
             weight = log_weight + math.log(share * part)
             here = {form.labels[c] for c in chosen}

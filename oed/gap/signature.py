@@ -34,6 +34,7 @@ class Signature:
     names, labels (k,)   of the coefficients, and the blocks they belong to
     scales (k,)          prior standard deviations of the coefficients, in their own units
     shape (k,)           which columns only let the form adapt
+    textbook             prior share of the form without these
     """
 
     effect: str
@@ -43,6 +44,7 @@ class Signature:
     labels: tuple[str, ...]
     scales: Array
     shape: NDArray[np.bool_]
+    textbook: float
 
 
 def signature(
@@ -81,6 +83,7 @@ def signature(
         labels=tuple(found[n].label for n in kept),
         scales=np.array([found[n].scale for n in kept]),
         shape=np.array([found[n].shape for n in kept], dtype=bool),
+        textbook=effect.textbook,
     )
 
 

@@ -29,11 +29,12 @@ def states(
 ) -> list[State]:
     """One State a series, over all its poses, at theta (n,); `covariates` has one row a reading, in their order."""
     times = _column(covariates, "time")
-    session = np.unique(times[np.isfinite(times)])
+    session, joints = np.unique(times[np.isfinite(times)]), np.vstack([s.q for s in series])
     shared = {
         "heaviest": float(np.nanmax(np.abs(_column(covariates, "payload")), initial=0.0)),
         "session": session,
         "start": _first(covariates, times),
+        "stroke": np.array([joints.min(axis=0), joints.max(axis=0)]),
         "span": (float(session[0]), float(session[-1])) if session.size else (np.nan, np.nan),
     }
     covariates, down = covariates.assign(progress=_progress(times)), np.array(gravity, dtype=float)

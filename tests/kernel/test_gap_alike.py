@@ -59,6 +59,13 @@ def test_what_adapts_is_alike_too() -> None:
     assert ("all legs", "all legs more", *own) in joined
 
 
+@pytest.mark.parametrize("share", [0.1, 0.5])
+def test_an_effect_says_how_likely_its_textbook_form_is(share: float) -> None:
+    made = library.build(readings(1), [dataclasses.replace(ADAPTING, textbook=share)])
+    plain_forms = [a for a in made.atoms if not any("more" in made.names[c] for c in a.columns)]
+    assert np.exp([a.log_weight for a in plain_forms]).sum() == pytest.approx(share)
+
+
 def test_limbs_of_unequal_kinds_are_not_alike() -> None:
     lame = dataclasses.replace(TWINS, columns=lambda state, turns: list(_more(state, turns))[:3])
     made = library.build(readings(1), [lame])

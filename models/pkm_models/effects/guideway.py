@@ -13,12 +13,12 @@ from oed.effect import Column, Effect, State
 from oed.machine import Machine
 from pkm_models.effects import terms
 
-#: standard deviations (m) of Legendre polynomials over the travel: bows fall fast with the degree, kinks slowly
-CURVE = {2: 10e-6, 3: 7e-6, 4: 4e-6, 5: 3e-6, 6: 2.5e-6, 7: 2e-6, 8: 1.5e-6, 9: 1.3e-6, 10: 1.2e-6, 11: 1.1e-6}
+CURVE = 10e-6  # m, standard deviation along the travel
 
 
 def columns(state: State) -> Iterable[Column]:
-    """Towards and from the middle (radial) and across, a leg; degrees above 3 let the form adapt."""
+    """Towards and from the middle (radial) and across, a leg: modes of a smooth random curve over the travel, of which
+    those after the first two let the form adapt."""
     guide, at = terms.travel(state.machine).guide, terms.place(state)
     out = terms.radial(state)
     out = out - np.einsum("mjk,jk->mj", out, guide)[..., None] * guide
@@ -26,9 +26,9 @@ def columns(state: State) -> Iterable[Column]:
     for name, direction in (("radial", out), ("across", np.cross(guide, out))):
         seen = terms.stretched(state, direction)
         for i in state.limbs:
-            for degree, scale in CURVE.items():
-                change = seen[:, i] * terms.wave(at[:, i], degree)
-                yield Column(f"leg {i + 1} {name} P{degree}", scale, f"leg {i + 1}", {i: change}, shape=degree > 3)
+            for k in range(terms.CURVES):
+                change, leg = {i: seen[:, i] * terms.curve(at[:, i], k)}, f"leg {i + 1}"
+                yield Column(f"{leg} {name} curve {k + 1}", CURVE, leg, change, shape=k > 1)
 
 
 def unfit(machine: Machine) -> str | None:
@@ -47,5 +47,6 @@ effect = Effect(
     columns=columns,
     remedy="align the rails, or measure their straightness and correct it in the controller",
     exposed_by="readings over the full stroke of each carriage",
+    textbook=0.1,
     unfit=unfit,
 )

@@ -16,9 +16,10 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 RUNOUT = 4e-6  # m
-WAVY = 0.15  # of runout
-#: harmonics of the joint's angle that are its shape, those of what rolls in it, and those of wandering sideways
-SHAPE, ROLLING, SIDEWAYS = (1, 3), (8, 12, 16), (1, 2)
+SLIGHT, WAVY = terms.ADAPT, 0.15  # of runout
+#: harmonics of the joint's angle that its centre wanders by along the leg, as its shape and what rolls in it have them,
+#: and sideways, as much as along
+ALONG, SIDEWAYS = {2: 1.0, 1: SLIGHT, 3: 1.0, 8: WAVY, 12: WAVY, 16: WAVY}, {1: SLIGHT, 2: 1.0, 3: SLIGHT}
 
 
 def columns(state: State, platform: float, across: float) -> Iterable[Column]:
@@ -32,17 +33,14 @@ def columns(state: State, platform: float, across: float) -> Iterable[Column]:
     beside = np.cross(up, away)
     way, aside = (beside, away) if across else (away, beside)
     angle = np.arctan2(*(np.einsum("mjk,mjk->mj", state.along, axis) for axis in (way, up)))
-    sizes = {2: RUNOUT, **dict.fromkeys(SHAPE, terms.ADAPT * RUNOUT), **dict.fromkeys(ROLLING, WAVY * RUNOUT)}
-    ways = {
-        "": (state.per_length, sizes),
-        "sideways ": (terms.stretched(state, aside), dict.fromkeys(SIDEWAYS, terms.ADAPT * RUNOUT)),
-    }
-    for i, (kind, (seen, scales)) in itertools.product(state.limbs, ways.items()):
+    ways = {"": (state.per_length, ALONG), "sideways ": (terms.stretched(state, aside), SIDEWAYS)}
+    for i, (kind, (seen, shares)) in itertools.product(state.limbs, ways.items()):
         leg = f"leg {i + 1}"
-        for order, scale in scales.items():
+        for order, part_of in shares.items():
             for part, value in (("sin", np.sin(order * angle[:, i])), ("cos", np.cos(order * angle[:, i]))):
                 change = {i: seen[:, i] * value}
-                yield Column(f"{leg} {kind}{order} {part}", scale, leg, change, shape=bool(kind) or order != 2)
+                name, scale = f"{leg} {kind}{order} {part}", part_of * RUNOUT
+                yield Column(name, scale, leg, change, shape=bool(kind) or order != 2)
 
 
 def _base(state: State) -> tuple[Array, Array]:
@@ -70,5 +68,6 @@ effect = Effect(
     constants={"platform": (0.0, 1.0), "across": (0.0, 1.0)},
     remedy="measure the joints' runout on a bench, and renew or map those that wander",
     exposed_by="large tilts in all directions",
+    textbook=0.1,
     unfit=terms.no_struts,
 )

@@ -10,17 +10,16 @@ from collections.abc import Iterable
 from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
-#: standard deviations (m) of Legendre polynomials over the travel: accumulated errors fall with the degree
-CURVE = {2: 10e-6, 3: 7e-6, 4: 5e-6, 5: 4e-6, 6: 3.3e-6, 7: 2.9e-6, 8: 2.5e-6, 9: 2.2e-6, 10: 2e-6}
+CURVE = 10e-6  # m, standard deviation along the travel
 
 
 def columns(state: State) -> Iterable[Column]:
-    """A polynomial over the travel a leg; degrees from 4 let the form adapt."""
+    """Modes of a smooth random curve over the travel a leg; those after the first two let the form adapt."""
     unit, at = terms.metre(state), terms.place(state)
     for i in state.limbs:
-        for degree, scale in CURVE.items():
-            change = unit[:, i] * terms.wave(at[:, i], degree)
-            yield Column(f"leg {i + 1} P{degree}", scale, f"leg {i + 1}", {i: change}, shape=degree > 3)
+        for k in range(terms.CURVES):
+            change = {i: unit[:, i] * terms.curve(at[:, i], k)}
+            yield Column(f"leg {i + 1} curve {k + 1}", CURVE, f"leg {i + 1}", change, shape=k > 1)
 
 
 effect = Effect(
@@ -30,4 +29,5 @@ effect = Effect(
     columns=columns,
     remedy="measure each joint's travel with a laser interferometer and fill in the controller's pitch table",
     exposed_by="readings over the full stroke of each joint",
+    textbook=0.1,
 )

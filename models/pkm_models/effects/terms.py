@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 
 import numpy as np
@@ -19,6 +20,10 @@ TIMES = (1800.0, 3600.0, 7200.0, 14400.0)
 ADAPT = 0.4
 #: weight of what moves over the heaviest payload: that of a printer is 10 N, of a hexapod 2 kN, and payloads go with it
 RATIOS = (0.3, 1.0, 3.0, 10.0)
+#: distance over which an error along a joint's travel hangs together, of half the travel read; modes it is told by
+SMOOTH, CURVES = 0.5, 10
+#: least part of a joint's whole travel over which its error is a curve of its own
+PART = 0.25
 REMEMBERED = 32
 
 
@@ -78,14 +83,36 @@ def _reached(kinematics: Kinematics, command: Array) -> tuple[Array, Array]:
 
 
 def place(state: State) -> Array:
-    """Where each joint (m, nq) is in its travel, from -1 to 1."""
-    known = travel(state.machine)
-    return 2.0 * (state.joints - known.low) / (known.high - known.low) - 1.0
+    """Where each joint (m, nq) is in the travel that the session has of it, from -1 to 1.
+
+    Curves over the whole travel would tell nothing of what bends within a part of it. Errors that bend within less than
+    a part of PART are smooth in what is read.
+    """
+    known, (low, high) = travel(state.machine), state.stroke
+    half = 0.5 * np.maximum(high - low, PART * (known.high - known.low))
+    return np.asarray((state.joints - 0.5 * (low + high)) / half)
 
 
-def wave(at: Array, degree: int) -> Array:
-    """Legendre polynomial of a place in [-1, 1]; held at its end beyond."""
-    return np.asarray(np.polynomial.Legendre.basis(degree)(np.clip(at, -1.0, 1.0)))
+def curve(at: Array, number: int) -> Array:
+    """One of the CURVES of a smooth error along a travel, at places in it from -1 to 1; held at its end beyond."""
+    grid, modes = _curves()
+    return np.asarray(np.interp(at, grid, modes[number]))
+
+
+@functools.cache
+def _curves() -> tuple[Array, Array]:
+    """Places (k,) between -1 and 1 and Karhunen-Loeve modes (CURVES, k), the largest first, of a random curve over them.
+
+    Its standard deviation is 1 and its correlation over a distance d (1 + a d) exp(-a d), a = sqrt(3) / SMOOTH, as of
+    Matern's curves that have a slope everywhere (Rasmussen and Williams 2006, eq. 4.17). Its mean and its slope are
+    taken out: a joint's zero and scale are other effects.
+    """
+    grid = (np.arange(200.0) + 0.5) / 100.0 - 1.0
+    way = np.sqrt(3.0) / SMOOTH * np.abs(grid[:, None] - grid)
+    straight = np.linalg.qr(np.column_stack([np.ones_like(grid), grid]))[0]
+    left = np.eye(len(grid)) - straight @ straight.T
+    values, vectors = np.linalg.eigh(left @ ((1.0 + way) * np.exp(-way)) @ left)
+    return grid, (np.sqrt(values[-CURVES:]) * vectors[:, -CURVES:]).T[::-1]
 
 
 def metre(state: State) -> Array:
