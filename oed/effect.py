@@ -28,7 +28,8 @@ class State:
 
     machine      the machine
     setup        name of the set-up
-    pose         (m, nx) coordinates of the pose;  tool (m, 3) the tool point in the base frame
+    pose         (m, nx) coordinates of the pose;  tool (m, 3) the tool point, axis (m, 3) the platform's z, in the base
+                 frame
     joints       (m, nq) what the joints were sent to
     sense        (m, nq) sign of each joint's motion, from the order of poses in a run; where a joint stands still, that
                  of its last motion; 0 where nothing is known (a teach pose)
@@ -60,6 +61,7 @@ class State:
     setup: str
     pose: Array
     tool: Array
+    axis: Array
     joints: Array
     sense: Array
     reversal: Array
@@ -103,6 +105,11 @@ class State:
         """Joint changes {joint: (m,)} that displace the tool along an axis of the base by `amount` (m,), m."""
         change = self.pushing[:, :, axis] * amount[:, None]
         return {i: change[:, i] for i in self.limbs}
+
+    @functools.cached_property
+    def lengthening(self) -> Array:
+        """Joint changes (m, nq) that displace the tool along its axis, without turning it if they can; per m."""
+        return np.asarray(np.einsum("mqk,mk->mq", self.pushing, self.axis))
 
     @property
     def limbs(self) -> range:

@@ -226,9 +226,10 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     if tailed:  # what looks far off may be a gap, within a run at that
         laws.append((calm, prior))
     processes = spots.added(waves.added(processes, problem, plain[0]), problem, plain[0])
-    processes, beside = pursuit.pursued(processes, problem, plain[0])
-    if beside is not None and not any(_same(beside[0], law) for law, _ in laws):
-        laws.append(beside)
+    processes, beside = pursuit.pursued(processes, problem, [plain[0], laws[2][0]])
+    for pair in beside:
+        if not any(_same(pair[0], law) for law, _ in laws):
+            laws.append(pair)
     made = [Search(problem, known, processes, *pair) for pair in laws]
     # what each law would have act is given the law that suits it: a load's runs, say, are not taken for poor repeats
     tried: set[tuple[tuple[int, ...], int | None]] = set()

@@ -215,7 +215,7 @@ def starts_of(problem: Problem) -> Array:
 
 
 def _times(problem: Problem) -> Iterator[Look]:
-    """Shifts of the reading, or of the legs, from one cell of the session to another.
+    """Shifts of the reading, of the legs, or of the tool along its axis, from one cell of the session to another.
 
     The start of the session is what they are told against: a shift until t cannot be told from one back from t on.
     """
@@ -236,6 +236,9 @@ def window(problem: Problem, first: float, last: float, cells: frozenset[int]) -
     legs = [_joint(problem, limb, there) for limb in problem.states[0].limbs]
     yield Look("time", place, np.hstack(legs), cells, "legs")
     yield from (Look("time", place, leg, cells, f"leg {limb}") for limb, leg in enumerate(legs, start=1))
+    longer = [t * s.lengthening for t, s in zip(there, problem.states, strict=True)]
+    tool = sum(_joint(problem, limb, [v[:, limb, None] for v in longer]) for limb in problem.states[0].limbs)
+    yield Look("time", place, np.asarray(tool), cells, "tool")
 
 
 def _span(clock: Array, first: float, last: float) -> str:

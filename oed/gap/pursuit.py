@@ -8,6 +8,7 @@ So the strongest process is taken, the noise told anew beside it, the next one l
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -22,14 +23,26 @@ from oed.gap.which import UNKNOWN_SIZES
 NAME, MOST = "several processes", 3
 
 
-def pursued(processes: Library, problem: Problem, start: Law) -> tuple[Library, tuple[Law, float] | None]:
+def pursued(processes: Library, problem: Problem, starts: Sequence[Law]) -> tuple[Library, list[tuple[Law, float]]]:
     """The processes with the strongest two, three, ... together beside them, as long as the next one is likelier to act
-    than not; and the noise law beside the strongest or all of these, with its log prior (None where there is none)."""
+    than not; and the noise laws beside the strongest or all of these, with their log priors.
+
+    starts: laws under which the strongest is looked for. What shifts whole runs is noise where runs are said not to
+    repeat, and is seen only where they are said to.
+    """
+    atoms, pairs = list(processes.atoms), []
+    for start in starts if processes.atoms else ():
+        more, pair = _pursued(processes, problem, start)
+        atoms += [a for a in more if not any(np.array_equal(a.columns, b.columns) for b in atoms)]
+        pairs.append(pair)
+    return dataclasses.replace(processes, atoms=tuple(atoms)), pairs
+
+
+def _pursued(processes: Library, problem: Problem, start: Law) -> tuple[list[Atom], tuple[Law, float]]:
+    """Several processes together, two and more, and the noise law beside all of them, begun at one law."""
     choices = [a.columns for a in processes.atoms]
-    if not choices:
-        return processes, None
     weights = np.array([a.log_weight for a in processes.atoms]) - np.log(len(processes.effects) * len(UNKNOWN_SIZES))
-    law, pair = start, None
+    law, pair = start, (start, 0.0)
     chosen: list[int] = []
     sizes: list[float] = []
     atoms: list[Atom] = []
@@ -54,7 +67,7 @@ def pursued(processes: Library, problem: Problem, start: Law) -> tuple[Library, 
             atoms.append(Atom(NAME, {"processes": float(len(chosen))}, both, weight, about))
     if np.isfinite(law.tails):
         pair = scatter.anew(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
-    return dataclasses.replace(processes, atoms=(*processes.atoms, *atoms)), pair
+    return atoms, pair
 
 
 def _columns(processes: Library, choices: list[Index], sizes: list[float]) -> Array:

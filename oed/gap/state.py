@@ -76,7 +76,7 @@ def _state(
     p, q = theta[: len(machine.parameters)], series.q
     x = measurement.poses(series, theta)
     tool = np.array(measurement.setups[series.setup].tool)
-    _, tip, twist = kinematics.frames(x, tool)
+    rotation, tip, twist = kinematics.frames(x, tool)
     by_joint = twist @ kinematics.joint_sensitivity(x, q, p)
     force = np.einsum("k,mkj->mj", down, by_joint[:, :3])
     base, platform, per_length = _struts(measurement, x, q, p)
@@ -99,6 +99,7 @@ def _state(
         setup=series.setup,
         pose=x,
         tool=tip,
+        axis=rotation[:, :, 2],
         joints=q,
         sense=moved.sense,
         reversal=moved.reversal,

@@ -13,6 +13,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from oed import smooth
 from oed.batch import Array
 from oed.effect import Column, Effect, State
 from oed.machine import Machine
@@ -25,6 +26,8 @@ FEED = 1.0 / 60.0
 WAVES = 8
 #: where bumps are: shares of the session, angles of a run; half a sector's width, rad
 CENTRES, SECTORS, SECTOR = [(k + 0.5) / 12.0 for k in range(12)], [np.pi * k / 6.0 for k in range(12)], 0.35
+#: shares of the session over which a tool's growth hangs together, and modes that it is told by
+REACHES, GROWING = (0.1, 0.2), 20
 #: shares of the session within which what settles has done so
 WITHIN = (0.05, 0.15, 0.5)
 #: the same after a set-up's start; temperatures that may be recorded, by the order of their names
@@ -80,6 +83,14 @@ def joints_over_time(state: State) -> Iterable[Column]:
     for i in state.limbs:
         for k, wave in enumerate(_cosines(state.progress, 5), start=1):
             yield Column(f"leg {i + 1} time {k}", UNIT / k, label=f"leg {i + 1}", joints={i: wave})
+
+
+def tool_growing(state: State, reach: float) -> Iterable[Column]:
+    """The tool longer and shorter along its axis, as a spindle that warms: a random smooth curve over the session."""
+    for k in range(GROWING):
+        grown = smooth.curve(2.0 * state.progress - 1.0, k, reach=2.0 * reach, count=GROWING, straight=1)
+        change = state.lengthening * grown[:, None]
+        yield Column(f"axis time {k}", UNIT, joints={i: change[:, i] for i in state.limbs})
 
 
 def settling(state: State, within: float) -> Iterable[Column]:
@@ -335,6 +346,7 @@ PROCESSES: Sequence[Effect] = (
     _process("over time", "drift of the readings", over_time),
     _process("tool over time", "drift of the tool's place", tool_over_time),
     _process("joints over time", "drift of the joints", joints_over_time),
+    _process("tool growing", "the tool longer and shorter along its axis", tool_growing, reach=REACHES),
     _process("settling", "readings that settle as the session goes on", settling, within=WITHIN),
     _process("tool settling", "the tool's place settles as the session goes on", tool_settling, within=WITHIN),
     _process("joints settling", "joints that settle as the session goes on", joints_settling, within=WITHIN),

@@ -284,9 +284,8 @@ def test_noise_told_beside_a_wave_does_not_hold_it() -> None:
     acting = problem.with_residual(problem.residual + wave)
     alone, prior = scatter.fit(acting, np.zeros((len(acting), 0)))
     none = waves.added(library.build(acting, ()), acting, alone)
-    made, beside = pursuit.pursued(none, acting, alone)
+    made, (beside,) = pursuit.pursued(none, acting, [alone])
     assert alone.wander > 0.5
-    assert beside is not None
     assert beside[0].wander < 0.5 * alone.wander
     first = Search(acting, library.build(acting, ()), made, alone, prior).run()
     anew = Search(acting, library.build(acting, ()), made, *beside).run()
@@ -296,6 +295,19 @@ def test_noise_told_beside_a_wave_does_not_hold_it() -> None:
         return by[frozenset(), True] - by[frozenset(), False]
 
     assert odds(anew) > odds(first) + 5.0
+
+
+def test_what_shifts_whole_runs_is_looked_for_where_runs_repeat() -> None:
+    """Under a law of runs that do not repeat, a drift from run to run is noise, and begun there it stays noise."""
+    problem = readings(8)
+    runs = np.concatenate([np.full(len(members), k) for k, members in enumerate(problem.blocks)])
+    shift = 4.0 * np.cos(np.pi * runs[np.argsort(np.concatenate(problem.blocks))] / len(problem.blocks))
+    acting = problem.with_residual(problem.residual + shift)
+    loose, _ = scatter.fit(acting, np.zeros((len(acting), 0)))
+    made = library.build(acting, SMOOTH)
+    _, (noisy, calm) = pursuit.pursued(made, acting, [loose, plain(problem)])
+    assert loose.repeat > 1.0
+    assert calm[0].repeat < 0.5 * min(noisy[0].repeat, loose.repeat)
 
 
 @pytest.mark.parametrize("suits", [True, False])
@@ -324,13 +336,13 @@ def test_two_waves_are_told_together() -> None:
     both += np.where(dz, 2.0 * np.sin(2.0 * np.pi * time / 611.0), 0.0)
     acting = problem.with_residual(problem.residual + both)
     none = library.build(acting, ())
-    made, _ = pursuit.pursued(waves.added(none, acting, plain(acting)), acting, plain(acting))
+    made, _ = pursuit.pursued(waves.added(none, acting, plain(acting)), acting, [plain(acting)])
     best = which.compare([Search(acting, none, made, plain(acting), 0.0)])[0]
     assert best.process is not None
     assert made.atoms[best.process].effect == pursuit.NAME
     assert made.atoms[best.process].constants["processes"] >= 2.0
     kept = waves.added(none, problem, plain(problem))
-    quiet = Search(problem, none, pursuit.pursued(kept, problem, plain(problem))[0], plain(problem), 0.0)
+    quiet = Search(problem, none, pursuit.pursued(kept, problem, [plain(problem)])[0], plain(problem), 0.0)
     assert which.compare([quiet])[0].key == (frozenset(), False)
 
 

@@ -1,4 +1,4 @@
-"""What nobody's library has, but goes with a recorded temperature or fades after a set-up's start."""
+"""What nobody's library has, but goes with a temperature, fades after a set-up's start, or lets the tool grow."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from effects_sample import session
 
 from kernel.gap_lines import readings
+from oed import smooth
 from oed.effect import State
 from oed.gap import library, which
 from oed.gap.law import plain
 from oed.gap.problem import Problem
-from oed.gap.unknown import MOUNTED, PROCESSES, settling_mounted
+from oed.gap.unknown import MOUNTED, PROCESSES, settling_mounted, tool_growing
 from oed.gap.which import Hypothesis, Search
 
 
@@ -70,6 +72,22 @@ def test_a_single_set_up_settles_as_the_session_does() -> None:
     faded = [column.reading["dz"] for column in settling_mounted(later, 0.1) if "dz" in column.reading]
     assert faded[0][np.argmin(later.progress)] == pytest.approx(1.0)
     assert faded[0][np.argmax(later.progress)] == pytest.approx(np.exp(-5.0))
+
+
+def test_a_growing_tool_moves_along_its_axis() -> None:
+    """Joints that displace the tool point along the platform's z and do not turn it, by a curve over the session."""
+    made = session("hexapod")
+    for s in made.states:
+        none, tool = np.zeros(3), np.array([0.0, 0.0, 0.1])
+        longer = (
+            made.measurement.kinematics.frames(s.pose, tool)[1] - made.measurement.kinematics.frames(s.pose, none)[1]
+        )
+        assert s.axis == pytest.approx(longer / 0.1)
+        for k, column in enumerate(tool_growing(s, 0.1)):
+            moved = np.einsum("mki,im->mk", s.twist, np.array([column.joints[i] for i in s.limbs]))
+            grown = smooth.curve(2.0 * s.progress - 1.0, k, reach=0.2, count=20, straight=1)
+            assert moved[:, :3] == pytest.approx(grown[:, None] * s.axis, abs=1e-9)
+            assert moved[:, 3:] == pytest.approx(np.zeros_like(s.axis), abs=1e-9)
 
 
 def _later(problem: Problem) -> Problem:

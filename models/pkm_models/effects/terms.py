@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 
 import numpy as np
 
+from oed import smooth
 from oed.batch import Array
 from oed.effect import State
 from oed.kinematics import AssemblyError, Kinematics
@@ -94,25 +94,9 @@ def place(state: State) -> Array:
 
 
 def curve(at: Array, number: int) -> Array:
-    """One of the CURVES of a smooth error along a travel, at places in it from -1 to 1; held at its end beyond."""
-    grid, modes = _curves()
-    return np.asarray(np.interp(at, grid, modes[number]))
-
-
-@functools.cache
-def _curves() -> tuple[Array, Array]:
-    """Places (k,) between -1 and 1 and Karhunen-Loeve modes (CURVES, k), the largest first, of a random curve over them.
-
-    Its standard deviation is 1 and its correlation over a distance d (1 + a d) exp(-a d), a = sqrt(3) / SMOOTH, as of
-    Matern's curves that have a slope everywhere (Rasmussen and Williams 2006, eq. 4.17). Its mean and its slope are
-    taken out: a joint's zero and scale are other effects.
-    """
-    grid = (np.arange(200.0) + 0.5) / 100.0 - 1.0
-    way = np.sqrt(3.0) / SMOOTH * np.abs(grid[:, None] - grid)
-    straight = np.linalg.qr(np.column_stack([np.ones_like(grid), grid]))[0]
-    left = np.eye(len(grid)) - straight @ straight.T
-    values, vectors = np.linalg.eigh(left @ ((1.0 + way) * np.exp(-way)) @ left)
-    return grid, (np.sqrt(values[-CURVES:]) * vectors[:, -CURVES:]).T[::-1]
+    """One of the CURVES of a smooth error along a travel, at places in it from -1 to 1: without mean and slope, for a
+    joint's zero and scale are other effects."""
+    return smooth.curve(at, number, reach=SMOOTH, count=CURVES, straight=2)
 
 
 def metre(state: State) -> Array:

@@ -1,0 +1,48 @@
+"""Modes of random smooth curves, against Matern's covariance by another quadrature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import special
+
+from oed import smooth
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(60)
+
+
+def _matern(reach: float) -> np.ndarray:
+    """Matern's correlation of smoothness 3/2 from its definition by a Bessel function."""
+    way = np.sqrt(3.0) * np.abs(NODES[:, None] - NODES) / reach
+    safe = np.where(way > 0.0, way, 1.0)
+    half = 2.0 ** (1.0 - 1.5) / special.gamma(1.5) * safe**1.5 * special.kv(1.5, safe)
+    return np.where(way > 0.0, half, 1.0)
+
+
+def _curves(reach: float, count: int, straight: int) -> np.ndarray:
+    return np.column_stack([smooth.curve(NODES, k, reach=reach, count=count, straight=straight) for k in range(count)])
+
+
+@pytest.mark.parametrize("reach", [0.2, 0.5])
+@pytest.mark.parametrize("straight", [0, 1, 2])
+def test_modes_have_the_covariance_of_the_curve(reach: float, straight: int) -> None:
+    made, lines = _curves(reach, 60, straight), np.vander(NODES, straight)
+    inner = lines.T @ (WEIGHTS[:, None] * lines)
+    left = np.eye(len(NODES)) - lines @ np.linalg.solve(inner, lines.T * WEIGHTS)
+    wanted, inside = left @ _matern(reach) @ left.T, np.abs(NODES) < 0.95
+    assert (made @ made.T)[inside][:, inside] == pytest.approx(wanted[inside][:, inside], abs=0.01)
+
+
+@pytest.mark.parametrize("straight", [0, 1, 2])
+def test_modes_are_orthogonal_the_largest_first(straight: int) -> None:
+    made = _curves(0.5, 8, straight)
+    inner = made.T @ (WEIGHTS[:, None] * made)
+    assert np.abs(inner - np.diag(np.diag(inner))).max() < 2e-3
+    assert (np.diff(np.diag(inner)) < 0.0).all()
+    assert np.abs(np.vander(NODES, straight).T @ (WEIGHTS[:, None] * made)).max(initial=0.0) < 1e-3
+
+
+def test_a_curve_stays_as_it_is_beyond_its_span() -> None:
+    ends = smooth.curve(np.array([-5.0, -1.0, 1.0, 5.0]), 0, reach=0.5, count=4)
+    assert ends[0] == ends[1]
+    assert ends[2] == ends[3]
