@@ -22,8 +22,8 @@ from oed.gap.which import Hypothesis, Search
 #: root mean square, in units of the noise, that each effect and process has at least in the wide model, beside which
 #: noise is told
 WIDE = 0.7
-#: log evidence of no gap by which a law must be better to be taken
-BETTER = 0.1
+#: log evidence of no gap, and of a gap, by which a law must be better to be taken
+BETTER, CLEARLY = 0.1, 0.3
 #: forms that an unknown remainder is said to be like, at most, and the least probability of each
 LIKE, LEAST_LIKE = 3, 0.03
 
@@ -249,7 +249,7 @@ def _gap(told: Sequence[Hypothesis]) -> Hypothesis:
 def _refitted(
     made: list[Search], start: Search, best: Hypothesis, tried: set[tuple[tuple[int, ...], int | None]]
 ) -> None:
-    """Add the search under the law that suits a hypothesis, unless it is there or was tried."""
+    """Add the search under the law that suits a hypothesis, unless it was tried or another suits it as well."""
     forms = (tuple(sorted(best.atoms)), best.process)
     if forms in tried:
         return
@@ -259,7 +259,12 @@ def _refitted(
         pair = scatter.anew(start.problem, columns, start.law)
     else:
         pair = scatter.fit(start.problem, columns, start.law)
-    if not any(_same(pair[0], s.law) for s in made):
+    slopes = evidence.compressed(start.problem, columns)
+    worth = [
+        evidence.log_evidence(start.problem, law, slopes) + prior
+        for law, prior in (pair, *((s.law, s.log_prior) for s in made))
+    ]
+    if worth[0] > max(worth[1:]) + CLEARLY:
         made.append(Search(start.problem, start.library, start.processes, *pair))
 
 

@@ -92,7 +92,7 @@ def _read(column: Column, response: Response, measurement: Measurement, series: 
     setup = measurement.setups[series.setup]
     total = np.zeros(response.nuisances.shape[:2])
     index = measurement.machine.index
-    known = {p.name for p in measurement.machine.parameters}
+    known = {p.name for p in measurement.machine.parameters} if column.parameters else set()
     for j, place in enumerate(series.index.T):
         for limb, change in column.joints.items():
             total += response.joints[j][:, :, limb] * change[place, None]

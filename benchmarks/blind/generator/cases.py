@@ -23,7 +23,7 @@ from benchmarks.blind.generator.machines import Array
 from benchmarks.blind.generator.scene import Scene
 
 SETS = {"dev": 1, "blind": 2, "six": 3}
-#: machines of each set: two are kept from whoever develops a diagnosis
+#: machines of each set: the hexapod is kept from whoever develops a diagnosis
 ON = {"dev": ("a3", "planar", "delta"), "blind": ("a3", "planar", "delta", "hexapod"), "six": ("hexaglide",)}
 KINDS = ("null", "single", "pair", "exact", "unknown", "known_unknown")
 #: (kind, number in a stretch of 200); null: that number for each noise law

@@ -22,6 +22,8 @@ def columns(state: State, when: float, lasts: float) -> Iterable[Column]:
     time = terms.share(state)
     first, last = (when, when + lasts) if lasts > 0.0 else (when + lasts, when)
     inside = ((time >= first) & (time < last)).astype(float)
+    if not inside.any():
+        return
     fine = [inside * (time < first + k / 3.0 / (COUNT + 1)) for k in (1, 2)]
     unit = terms.metre(state)
     for name, form, part in (("", inside, 1.0), (" later", fine[0], 0.5), (" latest", fine[1], 0.5)):

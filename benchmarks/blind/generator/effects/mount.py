@@ -35,18 +35,21 @@ def mount_drift(rng: Generator, stage: Stage) -> Effect:
 
 
 def step(rng: Generator, stage: Stage) -> Effect:
-    """Something jumps at a moment: a leg's zero, a joint's place, or the reading; part of it may come back later."""
+    """Something jumps at a moment: a leg's zero, a joint's place, or the reading; part of it may come back later.
+
+    Its block is the time in which more than half of it acts: to the end where less than half comes back.
+    """
     plan = stage.plan
     last = spans(plan)
     inside = int(rng.uniform(0.15, 0.85) * stage.rows)
     run = max(int(plan.run[inside]), 0)
     at = float(plan.time[inside if rng.random() < 0.3 else plan.runs[run][0]]) - 1.0  # mostly between runs
     rows = 1.0 * (plan.time >= at)
-    back = 0.0
+    end = last
     if rng.random() < 0.4:
-        back = at + rng.uniform(0.1, 0.6) * (last - at)
-        rows = rows - rng.uniform(0.3, 1.0) * (plan.time >= back)
-    end = back if back else last
+        back, gone = at + rng.uniform(0.1, 0.6) * (last - at), rng.uniform(0.3, 1.0)
+        rows = rows - gone * (plan.time >= back)
+        end = back if gone > 0.5 else last
     blocks: tuple[str, ...] = (f"time {at:.0f}-{end:.0f}",)
     if rng.random() < 0.75 or stage.machine.name == "planar":  # its mounts are zeroed with every run
         leg = int(rng.integers(stage.machine.legs))
