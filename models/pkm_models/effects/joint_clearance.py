@@ -17,14 +17,15 @@ SOFT = (0.01, 0.05, 0.2)  # share of the load within which a joint is not yet at
 
 
 def columns(state: State, ratio: float, soft: float) -> Iterable[Column]:
-    """delta tanh(leg force / its soft share) / 2 a leg; shape: another stop, and play that differs along the travel."""
+    """delta tanh(leg force / its soft share) / 2 a leg; shape: another stop, and play that differs along the travel of
+    a leg whose load changes its sign: what is always taken up is a leg's zero and scale."""
     pull = terms.loaded(state, ratio)[0] * state.per_length
     half = 0.5 * state.per_length
     at = terms.place(state)
     for i in state.limbs:
         leg, side = f"leg {i + 1}", np.tanh(pull[:, i] / soft)
         yield Column(leg, PLAY, leg, {i: half[:, i] * side})
-        for name, form in (("harder", np.tanh(pull[:, i] / (0.3 * soft))), ("slope", at[:, i] * side)):
+        for name, form in (("harder", np.tanh(pull[:, i] / (0.3 * soft))), ("slope", at[:, i] * (side - side.mean()))):
             yield Column(f"{leg} {name}", terms.ADAPT * PLAY, leg, {i: half[:, i] * form}, shape=True)
 
 
