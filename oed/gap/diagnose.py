@@ -259,11 +259,7 @@ def _refitted(
         pair = scatter.anew(start.problem, columns, start.law)
     else:
         pair = scatter.fit(start.problem, columns, start.law)
-    slopes = evidence.compressed(start.problem, columns)
-    worth = [
-        evidence.log_evidence(start.problem, law, slopes) + prior
-        for law, prior in (pair, *((s.law, s.log_prior) for s in made))
-    ]
+    worth = _worth(start.problem, columns, [pair, *((s.law, s.log_prior) for s in made)])
     if worth[0] > max(worth[1:]) + CLEARLY:
         made.append(Search(start.problem, start.library, start.processes, *pair))
 
@@ -275,10 +271,15 @@ def _alone(made: list[Search], start: Law) -> None:
     found = [scatter.fit(problem, nothing, start)]
     if any(np.isfinite(s.law.tails) for s in made):  # what is far off beside a gap may not be without, and the like
         found.append(scatter.anew(problem, nothing, start))
-    slopes = evidence.compressed(problem, nothing)
-    worth = [evidence.log_evidence(problem, law, slopes) + prior for law, prior in found]
+    worth = _worth(problem, nothing, found)
     if max(worth) > max(s.grams.base + s.log_prior for s in made) + BETTER:
         made.append(Search(problem, made[0].library, made[0].processes, *found[int(np.argmax(worth))]))
+
+
+def _worth(problem: Problem, columns: Array, pairs: Sequence[tuple[Law, float]]) -> list[float]:
+    """Log evidence beside columns (N, k) under each law, with its log prior."""
+    slopes = evidence.compressed(problem, columns)
+    return [evidence.log_evidence(problem, law, slopes) + prior for law, prior in pairs]
 
 
 def _same(a: Law, b: Law) -> bool:

@@ -20,13 +20,12 @@ import math
 
 import casadi as ca
 
-from oed.machine import Component, Coordinate, Expr, Machine, Parameter, PointGroup, Values
-from pkm_models.rotation import tilt_torsion
+from oed.machine import Coordinate, Expr, Machine, Parameter, PointGroup, Values
+from pkm_models.six_dof import COMPONENTS, POSE, XYZ, command, commanded, platform, target
 
 LEGS = (1, 2, 3, 4, 5, 6)
 STRUT, START, HEIGHT, PLATFORM = 0.800, -1.200, 0.200, 0.200  # m; START: x of the guides' ends; HEIGHT: z at home
 JOINT, ZERO, LENGTH = 0.3e-3, 0.5e-3, 0.5e-3  # m
-XYZ, ANGLES = "xyz", ("rx", "ry", "spin")
 Point = tuple[float, float, float]
 
 GUIDE = ((-0.250, 0.800), (0.000, 0.800), (0.550, 0.500))  # y and z, m
@@ -52,11 +51,6 @@ def _joints(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     return carriage, point + rotation @ ca.vertcat(*[n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)])
 
 
-def platform(x: Values) -> tuple[Expr, Expr]:
-    """Orientation and tool point."""
-    return tilt_torsion(x["rx"], x["ry"], x["spin"]), ca.vertcat(x["x"], x["y"], x["z"])
-
-
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Strut lengths; m."""
     ends = [_joints(x, q, p, i) for i in LEGS]
@@ -76,27 +70,23 @@ machine = Machine(
     name="hexaglide",
     source="Honegger, Codourey and Burdet 1997, IEEE ICRA, 543-548, for the type; a generic geometry",
     about="hexaglide (6-PUS on parallel guides): x, y, z, tilt and spin driven",
-    pose=tuple(Coordinate(n, "m") for n in XYZ) + tuple(Coordinate(n, "rad") for n in ANGLES),
+    pose=POSE,
     joints=tuple(Coordinate(f"q{i}", "m", *((0.2, 0.9) if SIDE[i] < 0.0 else (1.5, 2.2))) for i in LEGS),
-    command=(
-        *(Coordinate(n, "m", mid - 0.100, mid + 0.100) for n, mid in zip(XYZ, (0.0, 0.0, HEIGHT), strict=True)),
-        *(Coordinate(n, "rad", -math.radians(12.0), math.radians(12.0)) for n in ANGLES),
-    ),
+    command=command((0.0, 0.0, HEIGHT), 0.100, math.radians(12.0)),
     parameters=(
         *(Parameter(f"dq{i}", 0.0, ZERO, "m", f"zero of carriage {i}") for i in LEGS),
         *(Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of the guide at carriage {i}") for i in LEGS for k in "yz"),
         *(Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}") for i in LEGS for k in XYZ),
         *(Parameter(f"dl{i}", 0.0, LENGTH, "m", f"length of strut {i}") for i in LEGS),
     ),
-    components=tuple(Component(n, "m", compensatable=True) for n in XYZ)
-    + tuple(Component(n, "rad", compensatable=True) for n in ("ax", "ay", "az")),
+    components=COMPONENTS,
     home={"x": 0.0, "y": 0.0, "z": HEIGHT, "rx": 0.0, "ry": 0.0, "spin": 0.0},
     lever=PLATFORM,
     closure=closure,
     platform=platform,
-    commanded=lambda x, tip: [tip[0], tip[1], tip[2], *[x[n] for n in ANGLES]],
-    target=lambda c: [c[n] for n in (*XYZ, *ANGLES)],
-    guess=lambda c: ([c[n] for n in (*XYZ, *ANGLES)], [_travel(i, *(c[n] for n in XYZ)) for i in LEGS]),
+    commanded=commanded,
+    target=target,
+    guess=lambda c: (target(c), [_travel(i, *(c[n] for n in XYZ)) for i in LEGS]),
     read_error=lambda c, twist: twist,
     skeleton=skeleton,
     struts=lambda x, q, p: [_joints(x, q, p, i) for i in LEGS],

@@ -17,13 +17,12 @@ import math
 
 import casadi as ca
 
-from oed.machine import Component, Coordinate, Expr, Machine, Parameter, PointGroup, Values
-from pkm_models.rotation import tilt_torsion
+from oed.machine import Coordinate, Expr, Machine, Parameter, PointGroup, Values
+from pkm_models.six_dof import COMPONENTS, POSE, XYZ, command, commanded, platform, target
 
 LEGS = (1, 2, 3, 4, 5, 6)
 BASE, PLATFORM, ABOVE, HEIGHT = 0.300, 0.200, 0.100, 0.500  # m; HEIGHT: tool point over the base at home
 JOINT, ZERO = 0.3e-3, 0.5e-3  # m
-XYZ, ANGLES = "xyz", ("rx", "ry", "spin")
 Point = tuple[float, float, float]
 
 
@@ -42,11 +41,6 @@ def _joints(x: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     foot = ca.vertcat(*[n + p[f"db{i}{k}"] for n, k in zip(B[i], XYZ, strict=True)])
     rotation, point = platform(x)
     return foot, point + rotation @ ca.vertcat(*[n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)])
-
-
-def platform(x: Values) -> tuple[Expr, Expr]:
-    """Orientation and tool point."""
-    return tilt_torsion(x["rx"], x["ry"], x["spin"]), ca.vertcat(x["x"], x["y"], x["z"])
 
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
@@ -70,26 +64,22 @@ machine = Machine(
     name="hexapod",
     source="Wang and Masory 1993, IEEE ICRA, 114-120, for the 42 parameters; a generic 6-6 geometry",
     about="hexapod (6-UPS): x, y, z, tilt and spin driven",
-    pose=tuple(Coordinate(n, "m") for n in XYZ) + tuple(Coordinate(n, "rad") for n in ANGLES),
+    pose=POSE,
     joints=tuple(Coordinate(f"q{i}", "m", 0.350, 0.900) for i in LEGS),
-    command=(
-        *(Coordinate(n, "m", mid - 0.100, mid + 0.100) for n, mid in zip(XYZ, (0.0, 0.0, HEIGHT), strict=True)),
-        *(Coordinate(n, "rad", -math.radians(15.0), math.radians(15.0)) for n in ANGLES),
-    ),
+    command=command((0.0, 0.0, HEIGHT), 0.100, math.radians(15.0)),
     parameters=(
         *(Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of base joint {i}") for i in LEGS for k in XYZ),
         *(Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}") for i in LEGS for k in XYZ),
         *(Parameter(f"dl{i}", 0.0, ZERO, "m", f"zero of leg {i}") for i in LEGS),
     ),
-    components=tuple(Component(n, "m", compensatable=True) for n in XYZ)
-    + tuple(Component(n, "rad", compensatable=True) for n in ("ax", "ay", "az")),
+    components=COMPONENTS,
     home={"x": 0.0, "y": 0.0, "z": HEIGHT, "rx": 0.0, "ry": 0.0, "spin": 0.0},
     lever=PLATFORM,
     closure=closure,
     platform=platform,
-    commanded=lambda x, tip: [tip[0], tip[1], tip[2], *[x[n] for n in ANGLES]],
-    target=lambda c: [c[n] for n in (*XYZ, *ANGLES)],
-    guess=lambda c: ([c[n] for n in (*XYZ, *ANGLES)], [c["z"] + ABOVE] * 6),
+    commanded=commanded,
+    target=target,
+    guess=lambda c: (target(c), [c["z"] + ABOVE] * 6),
     read_error=lambda c, twist: twist,
     skeleton=skeleton,
     struts=lambda x, q, p: [_joints(x, p, i) for i in LEGS],

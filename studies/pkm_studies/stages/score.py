@@ -20,12 +20,13 @@ def section(resolved: Resolved, chosen: Chosen, seen: explain.Seen) -> result.De
     """The design with the given plans scored beside it."""
     design, choice, aims = chosen.aims.design, chosen.choice, chosen.aims
     plans = _plans(resolved, chosen, seen)
-    polished = chosen.polished is not None and chosen.polished.after != chosen.polished.before
+    moved = chosen.polished if chosen.polished and chosen.polished.after != chosen.polished.before else None
+    polished = moved is not None
     shared = choice.columns - int(resolved.measurement.free.sum())
     return result.Design(
         criterion=design.judged_by,
         n=plans[0].n,
-        value=plans[0].value if polished or chosen.kept else choice.value,
+        value=moved.after if moved else plans[0].value if chosen.kept else choice.value,
         bound=None if polished else choice.bound,
         efficiency=None if polished else choice.efficiency,
         kappa=plans[0].kappa,

@@ -1,0 +1,39 @@
+"""What machines have in common that drive all six coordinates of a platform: tool point, tilt and spin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from oed.machine import Component, Coordinate, Expr, Values
+from pkm_models.rotation import tilt_torsion
+
+XYZ, ANGLES = "xyz", ("rx", "ry", "spin")
+POSE = tuple(Coordinate(n, "m") for n in XYZ) + tuple(Coordinate(n, "rad") for n in ANGLES)
+COMPONENTS = tuple(Component(n, "m", compensatable=True) for n in XYZ) + tuple(
+    Component(n, "rad", compensatable=True) for n in ("ax", "ay", "az")
+)
+
+
+def command(home: Sequence[float], reach: float, tilt: float) -> tuple[Coordinate, ...]:
+    """Tool point within `reach` (m) of home (3,) along each axis, angles within `tilt` (rad)."""
+    return (
+        *(Coordinate(n, "m", middle - reach, middle + reach) for n, middle in zip(XYZ, home, strict=True)),
+        *(Coordinate(n, "rad", -tilt, tilt) for n in ANGLES),
+    )
+
+
+def platform(x: Values) -> tuple[Expr, Expr]:
+    """Orientation and tool point."""
+    return tilt_torsion(x["rx"], x["ry"], x["spin"]), ca.vertcat(x["x"], x["y"], x["z"])
+
+
+def commanded(x: Values, tip: Expr) -> list[Expr]:
+    """The command that a pose is, its tool point at `tip`."""
+    return [tip[0], tip[1], tip[2], *[x[n] for n in ANGLES]]
+
+
+def target(c: Values) -> list[Expr]:
+    """A command's coordinates in the order of the pose's."""
+    return [c[n] for n in (*XYZ, *ANGLES)]
