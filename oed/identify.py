@@ -56,7 +56,7 @@ class Coordinates:
 
 @dataclasses.dataclass(frozen=True)
 class Round:
-    """One stage of an identification: what it freed and where it ended. rms in whitened units."""
+    """One stage of an identification: what it freed, where it began and ended. rms in whitened units."""
 
     freed: tuple[str, ...]
     iterations: int
@@ -169,16 +169,32 @@ def identify(
     for patterns in stages[:-1]:
         theta, done = _rough(measurement, series, y, stated, theta, patterns, max_iterations)
         rounds.append(done)
-    tolerance = _freed(measurement, stages[-1])
+    estimate = _settled(measurement, series, y, stated, theta, stages[-1], estimate_noise, max_iterations)
+    estimate = dataclasses.replace(estimate, before=before, rounds=(*rounds, *estimate.rounds))
+    return dataclasses.replace(estimate, warnings=tuple(_warnings(measurement, estimate)))
+
+
+def _settled(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    stated: Noise,
+    theta: Array,
+    patterns: Sequence[str],
+    estimate_noise: bool,
+    max_iterations: int,
+) -> Estimate:
+    """The last stage from theta (n,): fitted until the noise has settled; without warnings."""
+    tolerance, before = _freed(measurement, patterns), y - measurement.readings(series, theta)
     groups, scale = measurement.owners(series), dict.fromkeys(measurement.setups, 1.0)
     used = stated
     # at least twice: the coordinates of the result are those of H at the result, not at the start
     for _ in range(NOISE_ROUNDS if estimate_noise else 2):
         local = coordinates(measurement, series, theta, used, tolerance)
         z, iterations = _solve(measurement, series, y, used, local, local.at(theta), max_iterations)
-        theta = found = local.theta(z)
-        residuals = y - measurement.readings(series, found)
-        covariance, leverage = _covariance(measurement, series, found, used, tolerance)
+        theta = local.theta(z)
+        residuals = y - measurement.readings(series, theta)
+        covariance, leverage = _covariance(measurement, series, theta, used, tolerance)
         if not estimate_noise:
             continue
         newer = _noise_scale(stated.whiten(residuals), leverage, groups)
@@ -188,10 +204,8 @@ def identify(
         if settled:
             break
     white = used.whiten(residuals)
-    rounds.append(Round(tuple(stages[-1]), iterations, _rms(used.whiten(before)), _rms(white)))
-    dof = len(y) - float(leverage.sum())
-    estimate = Estimate(
-        theta=found,
+    return Estimate(
+        theta=theta,
         covariance=covariance,
         prior_sd=tolerance,
         coordinates=local,
@@ -201,12 +215,11 @@ def identify(
         noise=used,
         noise_scale={k: scale[k] for k in dict.fromkeys(groups)},
         noise_estimated=estimate_noise,
-        dof=dof,
+        dof=len(y) - float(leverage.sum()),
         chi2=float(white @ white),
-        rounds=tuple(rounds),
+        rounds=(Round(tuple(patterns), iterations, _rms(used.whiten(before)), _rms(white)),),
         warnings=(),
     )
-    return dataclasses.replace(estimate, warnings=tuple(_warnings(measurement, estimate)))
 
 
 def _check(measurement: Measurement, series: Sequence[Series], y: Array) -> None:

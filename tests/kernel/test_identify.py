@@ -140,6 +140,8 @@ def test_rough_before_fine(bar: tuple[Measurement, Series]) -> None:
     once, staged = identify(m, [series], y), identify(m, [series], y, stages=[["dq*"], ["*"]])
     assert [r.freed for r in staged.rounds] == [("dq*",), ("*",)]
     assert staged.rounds[0].rms_after < staged.rounds[0].rms_before
+    assert staged.rounds[1].rms_before == pytest.approx(staged.rounds[0].rms_after, rel=1e-9)
+    assert staged.rounds[1].rms_after < staged.rounds[1].rms_before
     # the same minimum, up to where the lost directions were frozen
     assert m.readings([series], staged.theta) == pytest.approx(m.readings([series], once.theta), abs=NOISE)
     seen = once.coordinates
