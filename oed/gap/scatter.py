@@ -1,8 +1,10 @@
 """The noise law, estimated: repeatability between runs, an error carried along a run, heavy tails.
 
-The law is found where the evidence is largest for a given explanation. Readings far off are found by what each reading
-is predicted to be from all others: beside a model wide enough to hold any gap, so that no gap is taken for an outlier,
-and beside each explanation that competes. Their variances are not free: each has the prior that makes it a Student t.
+The law is found where the evidence is largest for a given explanation, and weighed by how much prior lies about it: of
+two laws that explain as much, one that had to be tuned to the readings is less likely than one that holds anyhow.
+Readings far off are found by what each reading is predicted to be from all others: beside a model wide enough to hold
+any gap, so that no gap is taken for an outlier, and beside each explanation that competes. Their variances are not
+free: each has the prior that makes it a Student t.
 """
 
 from __future__ import annotations
@@ -24,16 +26,23 @@ TAILS = (3.0, 4.0, 6.0, 10.0, np.inf)
 SPREAD = 1.0
 #: prior of the log of the reach, in readings: about eight, a factor of e either way
 REACH = np.log(8.0)
-#: log of a share of the noise below which it makes no difference
+#: log of a share of the noise below which all are as likely
 _LEAST = -2.0
-#: coordinates of the shares: repeat, wander, sway
+#: log of the shares of a law that is said to be quiet, and of those from which on it would be another
+QUIET, LOUDER = -4.0, -3.0
+#: coordinates of the shares: repeat, wander, sway; their bounds, those of the reach, and of channels' ratios either way
 _SHARES = [0, 1, 3]
+_BOUNDS = ((-8.0, 5.0), (-8.0, 5.0), (0.4, 4.5), (-8.0, 5.0))
+_RATIO = 4.0
+#: ways from the best value of a coordinate at which a law's worth is looked at, and worth behind that counts no more
+STEPS, NOTHING = (0.1, 0.3, 0.7, 1.5, 3.0, 6.0), 6.0
 #: where a search begins: white, runs that do not repeat, an error carried along
 STARTS = tuple(np.array(v) for v in ((-2.0, -2.0, REACH, -2.0), (0.0, -2.0, REACH, -1.0), (-2.0, 0.5, REACH, -2.0)))
 
 
 def fit(problem: Problem, columns: Array, start: Law | None = None, size: float | Array = 1.0) -> tuple[Law, float]:
-    """The law that explains the residual best beside columns (N, k) of prior N(0, size^2), and its log prior.
+    """The law that explains the residual best beside columns (N, k) of prior N(0, size^2), and the log of the prior
+    that lies about it.
 
     The variances of single readings stay as in `start`; the level is 1, since the evidence integrates it out.
     """
@@ -46,7 +55,8 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
         return dataclasses.replace(_law(start, v), level=1.0, ratio=ratio)
 
     def cost(v: Array) -> float:
-        if not (np.abs(v[_SHARES] + 1.5).max() < 6.5 and 0.4 < v[2] < 4.5 and np.abs(v[4:]).max(initial=0.0) < 4.0):
+        inside = all(low < value < high for value, (low, high) in zip(v, _BOUNDS, strict=False))
+        if not (inside and np.abs(v[4:]).max(initial=0.0) < _RATIO):
             return 1e9
         return -(evidence.log_evidence(problem, law(v), wide) + _prior(v))
 
@@ -54,7 +64,33 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
     first = _first(problem, start)
     starts = [first] if given else [np.concatenate([v, first[4:]]) for v in STARTS]
     best = min((_descend(cost, v) for v in starts), key=lambda found: found[1])
-    return law(best[0]), _prior(best[0]) + far
+    return law(best[0]), _prior(best[0]) + _about(cost, *best) + far
+
+
+def _about(cost: Callable[[Array], float], v: Array, least: float) -> float:
+    """Log volume, in the coordinates of shares and reach, of the laws about one at v that are as good: along each
+    coordinate the integral of exp(least - cost), straight in the exponent between places."""
+    told = 0.0
+    for i, bounds in enumerate(_BOUNDS):
+        whole = 0.0
+        for sign, end in zip((-1.0, 1.0), bounds, strict=True):
+            at, height = 0.0, 0.0
+            for step in (*STEPS, np.inf):
+                far = min(step, abs(end - v[i]) * (1.0 - 1e-9))
+                here = v.copy()
+                here[i] += sign * far
+                next_height = least - cost(here)
+                whole += (far - at) * _between(height, next_height)
+                at, height = far, next_height
+                if height < -NOTHING or far < step:
+                    break
+        told += np.log(whole)
+    return float(told)
+
+
+def _between(a: float, b: float) -> float:
+    """Mean of exp over a straight way from a to b."""
+    return float(np.exp(a) if abs(b - a) < 1e-6 else (np.exp(b) - np.exp(a)) / (b - a))
 
 
 def _first(problem: Problem, law: Law) -> Array:
@@ -96,9 +132,11 @@ def _prior(v: Array) -> float:
 
 
 def quiet(law: Law) -> tuple[Law, float]:
-    """The law without errors that a run or its readings share, and its log prior: whatever is seen is then a gap."""
-    v = np.array([_LEAST, _LEAST, REACH, _LEAST])
-    return _law(law, v), _prior(v) + outliers(law)
+    """The law without errors that a run or its readings share, and the log of the prior that lies about it: whatever
+    is seen is then a gap."""
+    v = np.array([QUIET, QUIET, REACH, QUIET])
+    volume = [LOUDER - _BOUNDS[i][0] for i in _SHARES] + [SPREAD * np.sqrt(2.0 * np.pi)]
+    return _law(law, v), _prior(v) + float(np.log(volume).sum()) + outliers(law)
 
 
 def outliers(law: Law) -> float:

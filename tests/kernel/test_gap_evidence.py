@@ -160,6 +160,36 @@ def test_noise_law_is_found(repeat: float, wander: float, sway: float) -> None:
         assert 2.5 < found.reach < 15.0
 
 
+def test_prior_about_a_law_is_its_volume() -> None:
+    """Of costs that are normal along two coordinates and flat along two: their standard deviations and the widths that
+    there are; a law beside its bound has half."""
+    spread, wide = np.array([0.12, 0.5]), 4.5 - 0.4
+
+    def cost(v: np.ndarray) -> float:
+        return float(0.5 * (((v[:2] - [0.3, -1.0]) / spread) ** 2).sum())
+
+    told = scatter._about(cost, np.array([0.3, -1.0, 2.0, -3.0]), 0.0)
+    volume = np.prod(spread * np.sqrt(2.0 * np.pi)) * wide * 13.0
+    assert told == pytest.approx(np.log(volume), abs=0.25)
+    half = scatter._about(lambda v: cost(v) + (1e9 if v[0] < 0.3 else 0.0), np.array([0.3, -1.0, 2.0, -3.0]), 0.0)
+    assert half == pytest.approx(told - np.log(2.0), abs=0.1)
+
+
+@pytest.mark.parametrize("shift", [0.0, 3.0])
+def test_a_law_that_has_to_be_tuned_is_less_likely_than_one_that_holds_anyhow(shift: float) -> None:
+    """Runs that differ: how much is told by the readings to within a fraction, and the prior there is little. White
+    ones: whatever is small does, and the quiet law has as much of the prior as the one that is found."""
+    problem, rng = _problem(7, runs=12, length=40), np.random.default_rng(15)
+    y = rng.standard_normal(len(problem))
+    for members in problem.blocks:
+        y[members] += shift * rng.standard_normal()
+    law, prior = scatter.fit(problem.with_residual(y), np.zeros((len(problem), 0)))
+    quiet, most = scatter.quiet(law)
+    assert (law.repeat > 0.5) == bool(shift)
+    assert quiet.repeat < 0.05
+    assert most - prior == pytest.approx(2.5 if shift else 0.3, abs=1.0)
+
+
 def test_outliers_are_found_and_no_others() -> None:
     problem = _problem(9, runs=10, length=40)
     rng = np.random.default_rng(10)
