@@ -164,12 +164,12 @@ def identify(
     stated = measurement.noise(series) if noise is None else of(noise)
     _check(measurement, series, y)
     theta = measurement.nominal if start is None else start
-    before = y - measurement.readings(series, theta)
+    before = left = y - measurement.readings(series, theta)
     rounds = []
     for patterns in stages[:-1]:
-        theta, done = _rough(measurement, series, y, stated, theta, patterns, max_iterations)
+        theta, left, done = _rough(measurement, series, y, stated, theta, left, patterns, max_iterations)
         rounds.append(done)
-    estimate = _settled(measurement, series, y, stated, theta, stages[-1], estimate_noise, max_iterations)
+    estimate = _settled(measurement, series, y, stated, theta, left, stages[-1], estimate_noise, max_iterations)
     estimate = dataclasses.replace(estimate, before=before, rounds=(*rounds, *estimate.rounds))
     return dataclasses.replace(estimate, warnings=tuple(_warnings(measurement, estimate)))
 
@@ -180,12 +180,14 @@ def _settled(
     y: Array,
     stated: Noise,
     theta: Array,
+    before: Array,
     patterns: Sequence[str],
     estimate_noise: bool,
     max_iterations: int,
 ) -> Estimate:
-    """The last stage from theta (n,): fitted until the noise has settled; without warnings."""
-    tolerance, before = _freed(measurement, patterns), y - measurement.readings(series, theta)
+    """The last stage from theta (n,), where residuals are `before` (N,): fitted until the noise has settled; without
+    warnings."""
+    tolerance = _freed(measurement, patterns)
     groups, scale = measurement.owners(series), dict.fromkeys(measurement.setups, 1.0)
     used = stated
     # at least twice: the coordinates of the result are those of H at the result, not at the start
@@ -244,15 +246,16 @@ def _rough(
     y: Array,
     noise: Noise,
     theta: Array,
+    before: Array,
     patterns: Sequence[str],
     max_iterations: int,
-) -> tuple[Array, Round]:
+) -> tuple[Array, Array, Round]:
+    """A stage that only finds a place to start from: theta (n,), residuals (N,) there, and what was done."""
     local = coordinates(measurement, series, theta, noise, _freed(measurement, patterns))
-    before = _rms(noise.whiten(y - measurement.readings(series, theta)))
     z, iterations = _solve(measurement, series, y, noise, local, local.at(theta), max_iterations)
     found = local.theta(z)
-    after = _rms(noise.whiten(y - measurement.readings(series, found)))
-    return found, Round(tuple(patterns), iterations, before, after)
+    after = y - measurement.readings(series, found)
+    return found, after, Round(tuple(patterns), iterations, _rms(noise.whiten(before)), _rms(noise.whiten(after)))
 
 
 def _solve(

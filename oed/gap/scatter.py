@@ -13,7 +13,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from scipy import linalg, optimize, stats
+from scipy import linalg, optimize, special, stats
 
 from oed.batch import Array
 from oed.gap import evidence
@@ -49,14 +49,14 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
     given = start is not None
     start = plain(problem) if start is None else start
     wide, groups = evidence.compressed(problem, columns * size), int(problem.group.max()) + 1
+    bounds = (*_BOUNDS, *[(-_RATIO, _RATIO)] * (groups - 1))
 
     def law(v: Array) -> Law:
         ratio = np.exp(np.concatenate([[0.0], v[4:]]))[problem.group] if groups > 1 else None
         return dataclasses.replace(_law(start, v), level=1.0, ratio=ratio)
 
     def cost(v: Array) -> float:
-        inside = all(low < value < high for value, (low, high) in zip(v, _BOUNDS, strict=False))
-        if not (inside and np.abs(v[4:]).max(initial=0.0) < _RATIO):
+        if not all(low < value < high for value, (low, high) in zip(v, bounds, strict=True)):
             return 1e9
         return -(evidence.log_evidence(problem, law(v), wide) + _prior(v))
 
@@ -70,27 +70,26 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
 def _about(cost: Callable[[Array], float], v: Array, least: float) -> float:
     """Log volume, in the coordinates of shares and reach, of the laws about one at v that are as good: along each
     coordinate the integral of exp(least - cost), straight in the exponent between places."""
-    told = 0.0
-    for i, bounds in enumerate(_BOUNDS):
-        whole = 0.0
-        for sign, end in zip((-1.0, 1.0), bounds, strict=True):
-            at, height = 0.0, 0.0
-            for step in (*STEPS, np.inf):
-                far = min(step, abs(end - v[i]) * (1.0 - 1e-9))
-                here = v.copy()
-                here[i] += sign * far
-                next_height = least - cost(here)
-                whole += (far - at) * _between(height, next_height)
-                at, height = far, next_height
-                if height < -NOTHING or far < step:
-                    break
-        told += np.log(whole)
-    return float(told)
+    unit = np.eye(len(v))
+
+    def side(i: int, sign: float, end: float) -> float:
+        return _side(lambda far: least - cost(v + sign * far * unit[i]), end)
+
+    volume = [side(i, -1.0, v[i] - low) + side(i, 1.0, high - v[i]) for i, (low, high) in enumerate(_BOUNDS)]
+    return float(np.log(volume).sum())
 
 
-def _between(a: float, b: float) -> float:
-    """Mean of exp over a straight way from a to b."""
-    return float(np.exp(a) if abs(b - a) < 1e-6 else (np.exp(b) - np.exp(a)) / (b - a))
+def _side(height: Callable[[float], float], end: float) -> float:
+    """Integral of exp(height), height 0 at the start, to just before the end or to where it counts no more."""
+    whole, at, before = 0.0, 0.0, 0.0
+    for step in (*STEPS, np.inf):
+        far = min(step, end * (1.0 - 1e-9))
+        here = height(far)
+        whole += (far - at) * np.exp(before) * special.exprel(here - before)
+        at, before = far, here
+        if here < -NOTHING or far < step:
+            break
+    return float(whole)
 
 
 def _first(problem: Problem, law: Law) -> Array:
