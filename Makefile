@@ -46,6 +46,7 @@ blind: setup-dev
 	-$(BLIND_DO) run --cases $(BLIND)/set --out $(BLIND)/results --workers $(BLIND_WORKERS)
 	$(BLIND_DO) list --cases $(BLIND)/set --kinds single --least 6 --withhold --out $(BLIND)/withheld
 	-$(BLIND_DO) run --cases $(BLIND)/set --out $(BLIND)/results --list $(BLIND)/withheld --workers $(BLIND_WORKERS)
+	-$(BLIND_DO) known-noise --cases $(BLIND)/set --results $(BLIND)/results --workers $(BLIND_WORKERS)
 	$(BLIND_DO) score --cases $(BLIND)/set --results $(BLIND)/results --out $(BLIND)/score \
 	  --table $(BLIND)/RESULTS.md --workers $(BLIND_WORKERS)
 	@echo "Table: $(BLIND)/RESULTS.md"

@@ -18,7 +18,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
-NAMES = ("baselines", "entries", "listing", "loading", "oracle", "pool", "run")
+NAMES = ("baselines", "entries", "knowing", "listing", "loading", "oracle", "pool", "run")
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_the_runner_cannot_know_labels():
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("benchmarks"):
                 modules = {node.module, *(f"{node.module}.{a.name}" for a in node.names)}
-                shut = ("generator", "oracle", "entries", "listing", "measures", "score", "judge")
+                shut = ("generator", "oracle", "entries", "knowing", "listing", "measures", "score", "judge")
                 assert not any(m.startswith(f"benchmarks.blind.{s}") for m in modules for s in shut)
         docs = {
             ast.get_docstring(n, clean=False)
@@ -111,6 +111,31 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(blind, made, tmp_path
     assert blind.run.run(folder, out, limit=1, without="step", workers=1, told=str) == 0
     assert calls[3][0] == calls[2][0] - 1
     assert (out / "without" / "step" / f"{names[0]}.json").is_file()
+
+
+def test_who_knows_the_noise_is_given_its_covariance(blind, made, tmp_path, monkeypatch):
+    covariances = []
+
+    def diagnose(problem, effects, rng, *, law):
+        covariances.append([law.block(problem, k) for k in range(len(problem.blocks))])
+        return diagnosed(blind, problem)
+
+    monkeypatch.setattr(blind.knowing.diagnose, "diagnose", diagnose)
+    assert (
+        blind.main(["known-noise", "--cases", str(made), "--results", str(tmp_path), "--limit", "2", "--workers", "1"])
+        == 0
+    )
+    jobs = sorted(blind.run.chosen(made, limit=2), key=lambda j: j.case.study)
+    for job, blocks in zip(jobs, covariances, strict=True):
+        told = json.loads((tmp_path / "known_noise" / f"{job.case.id}.json").read_text(encoding="utf-8"))
+        assert told["answers"][0]["effects"] == []
+        problem = blind.loading.prepared(made, job.case)
+        with np.load(made / "truth" / f"{job.case.id}.npz") as kept:
+            wanted = blind.write.covariance(kept) / np.outer(problem.sigma, problem.sigma)
+        for members, block in zip(problem.blocks, blocks, strict=True):
+            assert np.array_equal(block, wanted[np.ix_(members, members)])
+    assert blind.knowing.diagnosed(made, tmp_path, limit=2, workers=1, told=str) == 0
+    assert len(covariances) == 2  # what is there is not made again
 
 
 def test_every_effect_is_withheld_in_turn(blind, made):

@@ -419,6 +419,20 @@ def test_score_is_written_whole(blind, tmp_path):
     assert all(t.replace("\\|", "").count("|") in widths for t in text.splitlines() if t.startswith("| "))
 
 
+def test_what_would_be_were_the_noise_known_stands_beside_the_same_cases(blind):
+    found = good(blind)
+    idle = [blind.entries.entry(e.label, e.oracle, result(answer())) for e in found]
+    for informed, last in ((idle, "0.00"), (idle[:-1], ""), ((), None)):
+        made = blind.score.score(found, informed=informed)
+        text = blind.table.markdown(made.rows, made.beside, made.paired, made.machines, made.about)
+        head = next(t for t in text.splitlines() if t.startswith("| measure"))
+        line = next(t for t in text.splitlines() if t.startswith("| false effects a case, all cases"))
+        assert head.endswith("| noise known |") == (last is not None)
+        if last is not None:
+            assert line.split("|")[-2].strip() == last
+        assert not any(p.baseline == "noise known" for p in made.paired)
+
+
 def test_no_results_is_told_with_a_remedy(blind, tmp_path, capsys):
     assert blind.main(["score", "--cases", str(tmp_path), "--results", str(tmp_path)]) == 2
     assert "`generate` wrote" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Options of the commands `run`, `list` and `score`; what they do is loaded only when they are asked for."""
+"""Options of `run`, `known-noise`, `list` and `score`; what these do is loaded only when they are asked for."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ _told = partial(print, flush=True)
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the commands."""
     _run_options(commands.add_parser("run", help="diagnose every case of a set"))
+    _known_options(commands.add_parser("known-noise", help="diagnose again as who knows the noise's covariance"))
     _list_options(commands.add_parser("list", help="list cases by what is in them, for `run --list`"))
     _score_options(commands.add_parser("score", help="score the results of a set"))
 
@@ -39,6 +40,16 @@ def _run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=_count, default=0)
     _workers(parser)
     parser.set_defaults(run=_run)
+
+
+def _known_options(parser: argparse.ArgumentParser) -> None:
+    _set(parser)
+    parser.add_argument("--results", type=Path, required=True, help="folder that `run` writes")
+    parser.add_argument("--list", dest="listed", type=Path, help="file of cases; lines with an effect withheld are not")
+    parser.add_argument("--limit", type=_count, default=0, help="at most so many cases")
+    parser.add_argument("--seed", type=_count, default=0)
+    _workers(parser)
+    parser.set_defaults(run=_known)
 
 
 def _list_options(parser: argparse.ArgumentParser) -> None:
@@ -83,6 +94,17 @@ def _run(said: argparse.Namespace) -> int:
         seed=said.seed,
         told=_told,
     )
+    return _ended(failed)
+
+
+def _known(said: argparse.Namespace) -> int:
+    from benchmarks.blind import knowing
+
+    options = {n: getattr(said, n) for n in ("listed", "limit", "workers", "again", "seed")}
+    return _ended(knowing.diagnosed(said.cases, said.results, told=_told, **options))
+
+
+def _ended(failed: int) -> int:
     if failed:
         print(f"{failed} diagnoses failed: see `error` in their files; they are tried again next time", file=sys.stderr)
     return 1 if failed else 0

@@ -71,7 +71,7 @@ def run(
     """
     jobs = chosen(folder, only=only, listed=listed, limit=limit, without=without, seed=seed)
     if not again:
-        jobs = [j for j in jobs if not _done(j.file(out))]
+        jobs = [j for j in jobs if not done(j.file(out))]
     jobs.sort(key=lambda j: j.case.study)  # a process compiles few machines
     failed, begun = 0, time.perf_counter()
     for number, (job, text) in enumerate(pool.results(work, jobs, workers=workers, dask=dask), start=1):
@@ -125,7 +125,7 @@ def _withheld(case: Case, without: str) -> list[str]:
     return [without]
 
 
-def _done(file: Path) -> bool:
+def done(file: Path) -> bool:
     """Whether a result is there, and none of a failure."""
     if not file.is_file():
         return False
@@ -143,7 +143,7 @@ def work(job: Job) -> str:
         effects = [e for e in loading.bench(job.case.study).effects if e.name != job.without]
         problem = loading.prepared(job.folder, job.case)
         ready = time.perf_counter()
-        found = diagnose.diagnose(problem, effects, _rng(job))
+        found = diagnose.diagnose(problem, effects, draws(job))
         said |= told(found) | {"seconds": {"prepare": ready - begun, "diagnose": time.perf_counter() - ready}}
         if not job.without:
             said["baselines"] = beside(problem, effects)
@@ -152,7 +152,7 @@ def work(job: Job) -> str:
     return json.dumps(said, default=float, allow_nan=False)
 
 
-def _rng(job: Job) -> np.random.Generator:
+def draws(job: Job) -> np.random.Generator:
     """The same draws for a case whatever is run before it."""
     return np.random.default_rng([job.seed, zlib.crc32(f"{job.case.id}/{job.without}".encode())])
 

@@ -10,6 +10,10 @@ From nothing to that page, one line after the other (N: number of cases; a secon
     python -m benchmarks.blind run --cases SET --out RESULTS --list WITHHELD
     python -m benchmarks.blind score --cases SET --results RESULTS --out SCORE --table RESULTS.md
 
+and before the last, for a column of what who knows the noise would find, which takes about half as long as `run`,
+
+    python -m benchmarks.blind known-noise --cases SET --results RESULTS
+
 SCORE/ then holds rows.csv (every measure, for all cases, for each machine and for each method), paired.csv, score.json,
 and confusion*.csv and .png. Needs the results of `run`; the oracle's figures are kept in RESULTS/oracle.
 """
@@ -25,16 +29,20 @@ from typing import Any
 
 import pandas as pd
 
-from benchmarks.blind import confusion, entries, loading, measures, oracle, table
+from benchmarks.blind import confusion, entries, knowing, loading, measures, oracle, table
 from benchmarks.blind.entries import BASELINES, DIAGNOSIS, Entry
 from benchmarks.blind.measures import Paired, Row
+
+#: the diagnosis by who knows the noise, among what stands beside it
+KNOWING = "noise known"
 
 
 @dataclasses.dataclass(frozen=True)
 class Score:
     """Everything that the page and the files tell.
 
-    rows      the diagnosis's over all cases;  beside: each baseline's;  machines: the diagnosis's, machine by machine
+    rows      the diagnosis's over all cases;  machines: the same, machine by machine
+    beside    each baseline's, and what they would be were the noise known
     paired    comparisons with the baselines;  withheld: (effect, cases, rows) of results without an effect
     """
 
@@ -66,7 +74,12 @@ def run(
         raise ValueError(f"{results}: there is no result of a case in {folder}; diagnose them first with `run`")
     acting = {label["id"]: [e["name"] for e in label["effects"]] for label in entries.labels(folder)}
     figures = oracle.run(folder, results, cases, acting, workers=workers, again=again, told=told)
-    made = score(entries.read(folder, results, figures), entries.withheld(folder, results, figures))
+    informed = results / knowing.FOLDER
+    made = score(
+        entries.read(folder, results, figures),
+        entries.withheld(folder, results, figures),
+        entries.read(folder, informed, knowing.figures(figures)) if informed.is_dir() else (),
+    )
     _write(made, out)
     text = table.markdown(
         [*made.rows, *made.withheld.get("all", ())], made.beside, made.paired, made.machines, made.about
@@ -82,11 +95,14 @@ def _is_there(results: Path, name: str) -> bool:
     return (results / f"{name}.json").is_file() or any((results / "without").glob(f"*/{name}.json"))
 
 
-def score(found: Sequence[Entry], withheld: Sequence[tuple[str, Entry]] = ()) -> Score:
-    """All measures of some entries."""
+def score(found: Sequence[Entry], withheld: Sequence[tuple[str, Entry]] = (), informed: Sequence[Entry] = ()) -> Score:
+    """All measures of some entries; `informed`: of the same cases by who knows the noise."""
     methods = [m for m in BASELINES if any(m in e.said for e in found)]
     rows = [*measures.rows(found), *measures.own_rows(found), *measures.reliability(found)]
     by_machine = {m: [e for e in found if e.machine == m] for m in sorted({e.machine for e in found})}
+    beside: dict[str, Sequence[Row]] = {m: measures.rows(found, m) for m in methods}
+    if informed:
+        beside[KNOWING] = [*measures.rows(informed), *measures.own_rows(informed)]
     without: dict[str, Sequence[Row]] = {}
     if withheld:
         without["all"] = measures.withheld_rows([e for _, e in withheld])
@@ -95,7 +111,7 @@ def score(found: Sequence[Entry], withheld: Sequence[tuple[str, Entry]] = ()) ->
     return Score(
         entries=found,
         rows=rows,
-        beside={m: measures.rows(found, m) for m in methods},
+        beside=beside,
         machines={m: _of_machine(some) for m, some in by_machine.items()},
         paired=[p for m in methods for p in measures.compared(found, m)],
         withheld=without,
@@ -132,7 +148,7 @@ def _write(made: Score, out: Path) -> None:
     loading.write(out / "rows.csv", pd.DataFrame(flat).to_csv(index=False))
     loading.write(out / "paired.csv", pd.DataFrame(paired).to_csv(index=False))
     matrices = {}
-    for method in (DIAGNOSIS, *made.beside):
+    for method in (DIAGNOSIS, *(m for m in made.beside if m != KNOWING)):
         matrix = confusion.confusion(made.entries, method)
         name = "confusion" if method == DIAGNOSIS else f"confusion_{method}"
         matrices[method] = matrix.counts.to_dict(orient="index")

@@ -77,9 +77,10 @@ def _more(rows: Sequence[Row], beside: Mapping[str, Sequence[Row]]) -> Iterable[
 
 
 def _others(row: Row, beside: Mapping[str, Sequence[Row]]) -> list[str]:
+    """The same measure of what stands beside; nothing where that has not the same cases."""
     told = []
     for rows in beside.values():
-        same = [r for r in rows if r.key == row.key]
+        same = [r for r in rows if r.key == row.key and r.count == row.count]
         told.append(value(same[0]) if same else "")
     return told
 

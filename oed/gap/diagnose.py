@@ -28,9 +28,12 @@ BETTER, CLEARLY = 0.1, 0.3
 LIKE, LEAST_LIKE = 3, 0.03
 
 
-def diagnose(problem: Problem, effects: Sequence[Effect], rng: np.random.Generator) -> Diagnosis:
-    """Diagnose residuals with a library of effects."""
-    made = searches(problem, effects)
+def diagnose(
+    problem: Problem, effects: Sequence[Effect], rng: np.random.Generator, *, law: Law | None = None
+) -> Diagnosis:
+    """Diagnose residuals with a library of effects. `law`: of the noise, where it is known but for its level; told from
+    the readings if not given."""
+    made = searches(problem, effects) if law is None else [_under(problem, effects, law)]
     hypotheses = which.compare(made)
     found, best = conclude(problem, made, hypotheses, effects)
     if found.verdict == "none":  # what the likeliest effect would close is told all the same, nil or not
@@ -239,6 +242,14 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     _refitted(made, made[best.law], best, tried)
     _alone(made, made[_gap(which.compare(made)).law].law)
     return made
+
+
+def _under(problem: Problem, effects: Sequence[Effect], law: Law) -> Search:
+    """The search under a noise law that is known."""
+    processes = library.build(problem, PROCESSES)
+    processes = spots.added(waves.added(processes, problem, law), problem, law)
+    processes, _ = pursuit.pursued(processes, problem, [law], known=True)
+    return Search(problem, library.build(problem, effects, Metric(problem, law)), processes, law, 0.0)
 
 
 def _gap(told: Sequence[Hypothesis]) -> Hypothesis:

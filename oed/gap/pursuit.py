@@ -23,22 +23,24 @@ from oed.gap.which import UNKNOWN_SIZES
 NAME, MOST = "several processes", 3
 
 
-def pursued(processes: Library, problem: Problem, starts: Sequence[Law]) -> tuple[Library, list[tuple[Law, float]]]:
+def pursued(
+    processes: Library, problem: Problem, starts: Sequence[Law], *, known: bool = False
+) -> tuple[Library, list[tuple[Law, float]]]:
     """The processes with the strongest two, three, ... together beside them, as long as the next one is likelier to act
     than not; and the noise laws beside the strongest or all of these, with their log priors.
 
     starts: laws under which the strongest is looked for. What shifts whole runs is noise where runs are said not to
-    repeat, and is seen only where they are said to.
+    repeat, and is seen only where they are said to.  known: the noise is as they say, whatever acts
     """
     atoms, pairs = list(processes.atoms), []
     for start in starts if processes.atoms else ():
-        more, pair = _pursued(processes, problem, start)
+        more, pair = _pursued(processes, problem, start, known)
         atoms += [a for a in more if not any(np.array_equal(a.columns, b.columns) for b in atoms)]
         pairs.append(pair)
     return dataclasses.replace(processes, atoms=tuple(atoms)), pairs
 
 
-def _pursued(processes: Library, problem: Problem, start: Law) -> tuple[list[Atom], tuple[Law, float]]:
+def _pursued(processes: Library, problem: Problem, start: Law, known: bool) -> tuple[list[Atom], tuple[Law, float]]:
     """Several processes together, two and more, and the noise law beside all of them, begun at one law."""
     choices = [a.columns for a in processes.atoms]
     weights = np.array([a.log_weight for a in processes.atoms]) - np.log(len(processes.effects) * len(UNKNOWN_SIZES))
@@ -57,15 +59,16 @@ def _pursued(processes: Library, problem: Problem, start: Law) -> tuple[list[Ato
             break
         chosen.append(int(row))
         sizes.append(float(UNKNOWN_SIZES[column]))
-        pair = scatter.fit(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
-        law = pair[0]
+        if not known:
+            pair = scatter.fit(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
+            law = pair[0]
         if len(chosen) > 1:
             both = np.unique(np.concatenate([choices[k] for k in chosen]))
             # the first one's share among all is told where these are compared
             weight = float(weights[chosen].sum() - weights[chosen[0]] + processes.atoms[chosen[0]].log_weight)
             about = ", and ".join(dict.fromkeys(processes.atoms[k].about for k in chosen))
             atoms.append(Atom(NAME, {"processes": float(len(chosen))}, both, weight, about))
-    if np.isfinite(law.tails):
+    if not known and np.isfinite(law.tails):
         pair = scatter.anew(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
     return atoms, pair
 

@@ -206,6 +206,16 @@ def test_diagnosis_from_end_to_end() -> None:
     assert again.where == found.where
 
 
+def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
+    problem = planted(readings(8), SLIP, {"leg 1": 2.0})
+    law = dataclasses.replace(plain(problem), repeat=0.7, wander=0.3, reach=5.0)
+    found = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0), law=law)
+    assert found.answers[0].effects == ("slip",)
+    assert dataclasses.replace(found.law, level=1.0) == law
+    alone = diagnosing._under(problem, EFFECTS, law)
+    assert alone.grams.base == pytest.approx(evidence.log_evidence(problem, law, np.zeros((len(problem), 0))))
+
+
 def test_verdicts() -> None:
     for effects, classes, wanted in (
         ((), (), "none"),

@@ -1,0 +1,90 @@
+"""The same diagnosis by an observer who knows the noise: what telling it from the readings costs, and what none can do.
+
+    python -m benchmarks.blind known-noise --cases SET --results RESULTS
+
+writes RESULTS/known_noise/ID.json as `run` writes RESULTS/ID.json, with the true covariance of the readings (up to its
+level) in place of a noise law told from them. Where readings are far off now and then, it holds how often, not which.
+Opens the truth, as the oracle does; `score` puts the figures of these results beside the diagnosis's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.blind import loading, oracle, pool, run
+from benchmarks.blind.generator import write as truth_of
+from oed.gap import diagnose
+
+FOLDER = "known_noise"
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Job:
+    """A case and the folder of its result; this observer's go to `results/known_noise`."""
+
+    asked: run.Job
+    results: Path
+
+    @property
+    def file(self) -> Path:
+        """Where its result is."""
+        return self.asked.file(self.results / FOLDER)
+
+
+def diagnosed(
+    folder: Path,
+    results: Path,
+    *,
+    listed: Path | None = None,
+    limit: int = 0,
+    workers: int = 0,
+    again: bool = False,
+    seed: int = 0,
+    told: Callable[[str], None] = print,
+) -> int:
+    """Diagnose the cases of a set that have no such result yet; how many failed. Options as `run.run` has them.
+
+    Raises ValueError, OSError.
+    """
+    jobs = [Job(j, results) for j in run.chosen(folder, listed=listed, limit=limit, seed=seed) if not j.without]
+    jobs = [j for j in jobs if again or not run.done(j.file)]
+    jobs.sort(key=lambda j: j.asked.case.study)
+    failed, begun = 0, time.perf_counter()
+    for number, (job, text) in enumerate(pool.results(work, jobs, workers=workers), start=1):
+        loading.write(job.file, text)
+        failed += "error" in json.loads(text)
+        if number % 20 == 0 or number == len(jobs):
+            told(f"{number} of {len(jobs)} diagnoses, {failed} failed, {time.perf_counter() - begun:.0f} s")
+    return failed
+
+
+def work(job: Job) -> str:
+    """The text of a case's result: JSON, with `error` where the diagnosis fails."""
+    case = job.asked.case
+    said: dict[str, Any] = {"id": case.id, "study": case.study, "without": ""}
+    try:
+        problem = loading.prepared(job.asked.folder, case)
+        with np.load(job.asked.folder / "truth" / f"{case.id}.npz") as kept:
+            law = oracle.true_law(problem, truth_of.covariance(kept))
+        found = diagnose.diagnose(problem, loading.bench(case.study).effects, run.draws(job.asked), law=law)
+        said |= run.told(found)
+    except Exception as error:
+        said |= {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc(limit=-4)}
+    return json.dumps(said, default=float, allow_nan=False)
+
+
+def figures(oracles: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """The oracle's figures by which this observer is scored: closures under the true law are those of its own."""
+    return {name: {**f, "closure": _true(f["closure"])} for name, f in oracles.items()}
+
+
+def _true(closures: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    return [{**c, "same_law": c["true"]} for c in closures]
