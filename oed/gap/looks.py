@@ -151,7 +151,7 @@ def _stretch(problem: Problem, columns: Array) -> Iterator[Look]:
     if first <= starts[0]:
         first, last = float(clock[clock > last].min()), end
     low, high = (int(np.searchsorted(starts, t, side="right")) - 1 for t in (first, last))
-    yield Look("time", _span(clock, first, last), columns, frozenset(range(low, high + 1)), SELECTED)
+    yield Look("time", span(clock, first, last), columns, frozenset(range(low, high + 1)), SELECTED)
 
 
 def _touched(problem: Problem, columns: Array) -> Iterator[Look]:
@@ -230,18 +230,25 @@ def _times(problem: Problem) -> Iterator[Look]:
 def window(problem: Problem, first: float, last: float, cells: frozenset[int]) -> Iterator[Look]:
     """Looks at the readings taken from `first` to `last`, s."""
     clock = clock_of(problem)
-    place = _span(clock, first, last)
+    place = span(clock, first, last)
     yield Look("time", place, ((clock >= first) & (clock <= last))[:, None] * _channels(problem), cells, "reading")
     there = [((s.time >= first) & (s.time <= last)).astype(float)[:, None] for s in problem.states]
     legs = [_joint(problem, limb, there) for limb in problem.states[0].limbs]
     yield Look("time", place, np.hstack(legs), cells, "legs")
     yield from (Look("time", place, leg, cells, f"leg {limb}") for limb, leg in enumerate(legs, start=1))
-    longer = [t * s.lengthening for t, s in zip(there, problem.states, strict=True)]
-    tool = sum(_joint(problem, limb, [v[:, limb, None] for v in longer]) for limb in problem.states[0].limbs)
-    yield Look("time", place, np.asarray(tool), cells, "tool")
+    yield Look("time", place, lengthened(problem, there), cells, "tool")
 
 
-def _span(clock: Array, first: float, last: float) -> str:
+def lengthened(problem: Problem, shares: Sequence[Array]) -> Array:
+    """Readings (N, k), in units of the noise, where the tool is longer along its axis by shares (m, k) of a unit at the
+    poses of each series."""
+    limbs = problem.states[0].limbs
+    ways = [s.lengthening for s in problem.states]
+    each = [_joint(problem, i, [v * w[:, i, None] for v, w in zip(shares, ways, strict=True)]) for i in limbs]
+    return np.asarray(np.sum(each, axis=0))
+
+
+def span(clock: Array, first: float, last: float) -> str:
     """A stretch of the session by its first and last reading's time, s: it begins and ends somewhere between these and
     the readings next to them, most likely halfway."""
     before, after = clock[clock < first], clock[clock > last]

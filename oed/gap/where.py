@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from oed.batch import Array
 from oed.gap import looks as looking
+from oed.gap import warmed
 from oed.gap.diagnosis import Block
 from oed.gap.law import Law, Metric
 from oed.gap.problem import Index, Problem
@@ -36,6 +37,8 @@ SURVIVES = 1e-4
 LASTING = 2.0
 #: blocks of a kind that are told, beyond the first only those with p-values below
 TOLD, LIKELY = 4, 0.05
+#: share of what heat explains below which a stretch of it is not told
+PART = 0.03
 
 
 def where(
@@ -60,7 +63,9 @@ def where(
     Told are all legs (and `all legs` where the same change in each confines the gap better than any one leg) and, of
     runs, times, phases and directions, the best and up to three more that do not overlap with it and have p < 0.05.
     `strength` is the block's share of the energy that the residual has beyond what the noise accounts for; it means
-    something where p is small. The law is taken as known, its level too. Raises ValueError for columns that do not fit.
+    something where p is small. Where not all of what acts is known and a tool that is warmed for a while explains more
+    than what shifts for a while, the times told are those in which it was warmed. The law is taken as known, its level
+    too. Raises ValueError for columns that do not fit.
     """
     looks = list(looking.looks(problem, columns, labels, known))
     root = _Root(problem, law)
@@ -75,7 +80,8 @@ def where(
         _Found(look, float(score), float(p), float(e / total))
         for look, score, p, e in zip(looks, own, corrected, beyond, strict=True)
     ]
-    return tuple(_sharp(problem, root, f).block for f in _told(found))
+    sharp = [_sharp(problem, root, f) for f in _told(found)]
+    return tuple(f.block for f in (sharp if known else _heated(problem, root, sharp)))
 
 
 def legs_of(labels: Sequence[str], mean: Array, covariance: Array, *, scale: float | Array = 1.0) -> tuple[Block, ...]:
@@ -243,3 +249,27 @@ def _sharp(problem: Problem, root: _Root, found: _Found) -> _Found:
         first, last = best([(first, float(t)) for t in ends])
     moved = next(w for w in looking.window(problem, first, last, look.cells) if w.form == look.form)
     return dataclasses.replace(found, look=moved)
+
+
+def _heated(problem: Problem, root: _Root, told: Sequence[_Found]) -> list[_Found]:
+    """With the stretches in which the tool was warmed, if they explain more, in place of windows of the session."""
+    times = [f for f in told if f.look.kind == "time"]
+    if not times or times[0].p >= LIKELY:
+        return list(told)
+    first = times[0]
+    clock, scores = looking.clock_of(problem), root.scores(problem.residual)
+    plain = float(_Scan(root, [first.look]).energy(scores[:, None])[0, 0])
+    found = warmed.stretches(problem, root.scores, plain)
+    if not found:
+        return list(told)
+    whole = sum(s.energy for s in found)
+    places = [
+        dataclasses.replace(
+            first,
+            look=dataclasses.replace(first.look, place=looking.span(clock, s.first, s.last)),
+            strength=first.strength * s.energy / whole,
+        )
+        for s in found[:TOLD]
+        if s.energy > PART * whole
+    ]
+    return sorted([*places, *(f for f in told if f.look.kind != "time")], key=lambda f: f.own)
