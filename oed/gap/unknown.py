@@ -28,6 +28,8 @@ WAVES = 8
 CENTRES, SECTORS, SECTOR = [(k + 0.5) / 12.0 for k in range(12)], [np.pi * k / 6.0 for k in range(12)], 0.35
 #: shares of the session over which a tool's growth hangs together, and modes that it is told by
 REACHES, GROWING = (0.1, 0.2), 20
+#: share of half a joint's travel over which an error along it hangs together, and modes that it is told by
+BENDS, CURVES = 0.5, 10
 #: shares of the session within which what settles has done so
 WITHIN = (0.05, 0.15, 0.5)
 #: the same after a set-up's start; temperatures that may be recorded, by the order of their names
@@ -206,12 +208,13 @@ def in_a_run(state: State) -> Iterable[Column]:
 
 
 def over_travel(state: State) -> Iterable[Column]:
-    """An error of each joint over its travel."""
-    for i, joint in enumerate(state.machine.joints):
-        q = state.joints[:, i]
-        low, high = (joint.lower, joint.upper) if np.isfinite(joint.lower) else (q.min(), q.max())
-        for k, wave in enumerate(_cosines(_share(q, low, high) * 3.0, 6), start=1):
-            yield Column(f"leg {i + 1} travel {k}", UNIT / (1.0 + k / 6.0), label=f"leg {i + 1}", joints={i: wave})
+    """An error of each joint over its travel: a random smooth curve over what the session reads of it."""
+    low, high = state.stroke
+    for i in state.limbs:
+        at = 2.0 * _share(state.joints[:, i], low[i], high[i]) - 1.0
+        for k in range(CURVES):
+            curve = smooth.curve(at, k, reach=BENDS, count=CURVES, straight=1)
+            yield Column(f"leg {i + 1} travel {k + 1}", UNIT, label=f"leg {i + 1}", joints={i: curve})
 
 
 def over_phase(state: State) -> Iterable[Column]:

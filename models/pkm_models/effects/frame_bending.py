@@ -1,6 +1,7 @@
 """A frame or an over-constrained linkage that bends: the tool is displaced by a smooth field, beyond what is rigid.
 
-Constant and linear parts are geometry; what is left of a 2-DOF machine with struts of 3.35 m after its calibration is
+It bends under what it carries: with a payload all of it grows, constant and linear parts too, which are geometry where
+no payload changes. What is left of a 2-DOF machine with struts of 3.35 m after its calibration is
 50 to 70 um (Chang, Li and Li 2011).
 """
 
@@ -16,24 +17,26 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 FIELD = 20e-6  # m, at a lever's distance from the middle of the workspace
+#: sizes of constant, linear, quadratic ... fields, against the quadratic one's
+PARTS = (0.3, 0.3, 1.0, terms.ADAPT, 0.5 * terms.ADAPT)
+#: payloads are a half to a seventh of what the frame carries anyhow
+SAGS = (0.15, 0.5)
 
 
-def columns(state: State) -> Iterable[Column]:
-    """Products of the reference tool point's coordinates displace the tool; shape: cubic ones, those of four where it
-    moves in a plane, and what comes with the payload."""
-    offset, load = _offset(state), terms.carried(state) - 0.5
-    small = terms.ADAPT * FIELD
-    for degree, scale in ((2, FIELD), (3, small), (4, small)):
-        for name, field in _products(offset, degree) if degree < 4 or len(offset) < 3 else ():
-            yield from _displaced(state, name, scale, field, shape=degree > 2)
-    for degree in (0, 1, 2):
+def columns(state: State, sag: float) -> Iterable[Column]:
+    """Products of the reference tool point's coordinates displace the tool, all the more under payload; shape: all but
+    quadratic ones, those of four only where it moves in a plane. Constant and linear ones are geometry but for what the
+    payload adds.
+
+    sag: how much more the frame bends under the session's heaviest payload than under none
+    """
+    offset, load = _offset(state), sag * terms.carried(state)
+    for degree, part in enumerate(PARTS if len(offset) < 3 else PARTS[:4]):
         for name, field in _products(offset, degree):
-            yield from _displaced(state, f"payload {name}".strip(), small, load * field, shape=True)
-
-
-def _displaced(state: State, name: str, scale: float, field: Array, *, shape: bool) -> Iterable[Column]:
-    for k, axis in enumerate("xyz"):
-        yield Column(f"{axis} by {name}", scale, "", state.displaced(k, field), shape=shape)
+            bent = field * (load - 0.5 * sag if degree < 2 else 1.0 + load)
+            for k, axis in enumerate("xyz"):
+                told = f"{axis} by {name}" if name else axis
+                yield Column(told, part * FIELD, "", state.displaced(k, bent), shape=degree != 2)
 
 
 def _products(offset: Mapping[str, Array], degree: int) -> Iterable[tuple[str, Array]]:
@@ -57,6 +60,7 @@ effect = Effect(
     source="Chang, Li and Li 2011, Chin. J. Mech. Eng.: what calibration left, by over-constraint",
     about="a frame or over-constrained linkage that bends with the pose",
     columns=columns,
+    constants={"sag": SAGS},
     remedy="stiffen the frame, relieve the over-constraint, or correct by a measured grid with interpolation",
     exposed_by="a dense grid of poses, read by a laser or tracker",
 )
