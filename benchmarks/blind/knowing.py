@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind import loading, oracle, pool, run
+from benchmarks.blind import loading, oracle, run
 from benchmarks.blind.generator import write as truth_of
 from oed.gap import diagnose
 
@@ -57,13 +56,7 @@ def diagnosed(
     jobs = [Job(j, results) for j in run.chosen(folder, listed=listed, limit=limit, seed=seed) if not j.without]
     jobs = [j for j in jobs if again or not run.done(j.file)]
     jobs.sort(key=lambda j: j.asked.case.study)
-    failed, begun = 0, time.perf_counter()
-    for number, (job, text) in enumerate(pool.results(work, jobs, workers=workers), start=1):
-        loading.write(job.file, text)
-        failed += "error" in json.loads(text)
-        if number % 20 == 0 or number == len(jobs):
-            told(f"{number} of {len(jobs)} diagnoses, {failed} failed, {time.perf_counter() - begun:.0f} s")
-    return failed
+    return run.carried_out(work, jobs, lambda j: j.file, workers=workers, told=told)
 
 
 def work(job: Job) -> str:

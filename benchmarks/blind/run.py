@@ -17,7 +17,7 @@ import traceback
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from oed.gap.diagnosis import Answer, Closure, Diagnosis
 from oed.gap.law import Law
 from oed.gap.problem import Problem
 
+J = TypeVar("J")
 EACH = "each"
 #: answers that are kept beyond those of the 95 % set
 KEPT = 20
@@ -73,9 +74,22 @@ def run(
     if not again:
         jobs = [j for j in jobs if not done(j.file(out))]
     jobs.sort(key=lambda j: j.case.study)  # a process compiles few machines
+    return carried_out(work, jobs, lambda j: j.file(out), workers=workers, dask=dask, told=told)
+
+
+def carried_out(
+    work: Callable[[J], str],
+    jobs: Sequence[J],
+    file: Callable[[J], Path],
+    *,
+    workers: int = 0,
+    dask: str = "",
+    told: Callable[[str], None] = print,
+) -> int:
+    """Write the result that `work` makes of each job to its file, as they come; how many have an `error`."""
     failed, begun = 0, time.perf_counter()
     for number, (job, text) in enumerate(pool.results(work, jobs, workers=workers, dask=dask), start=1):
-        loading.write(job.file(out), text)
+        loading.write(file(job), text)
         failed += "error" in json.loads(text)
         if number % 20 == 0 or number == len(jobs):
             told(f"{number} of {len(jobs)} diagnoses, {failed} failed, {time.perf_counter() - begun:.0f} s")

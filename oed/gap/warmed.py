@@ -70,7 +70,9 @@ def _heat(
     zeros, prior = np.zeros(CELLS), RIDGE * np.eye(CELLS)
     tried = []
     for sign in (1.0, -1.0):
-        heat, left = optimize.nnls(np.vstack([sign * grown, prior]), np.concatenate([residual, zeros]))
+        heat, left = optimize.nnls(
+            np.vstack([sign * grown, prior]), np.concatenate([residual, zeros]), maxiter=100 * CELLS
+        )
         tried.append((float(residual @ residual - left**2), heat, sign * grown))
     return max(tried, key=lambda t: t[0])
 
