@@ -8,6 +8,7 @@ prior probability.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -133,8 +134,13 @@ def _forms(problem: Problem, effect: Effect, metric: Metric | None) -> list[tupl
 def _seen(
     problem: Problem, effect: Effect, points: Sequence[Mapping[str, float]], *, textbook: bool = False
 ) -> list[Signature]:
-    made = [problem.signature(effect, point, textbook=textbook) for point in points]
-    return [s for s in made if s.names and np.linalg.norm(problem.of(s.columns)) > UNSEEN]
+    """The signatures at some constants: those that change a reading, once where constants make no difference."""
+    made: dict[bytes, Signature] = {}
+    for point in points:
+        form = problem.signature(effect, point, textbook=textbook)
+        if form.names and np.linalg.norm(problem.of(form.columns)) > UNSEEN:
+            made.setdefault(hashlib.sha1(form.columns.tobytes(), usedforsecurity=False).digest(), form)
+    return list(made.values())
 
 
 def _weighed(forms: Sequence[Signature], share: float) -> list[tuple[Signature, float]]:

@@ -50,6 +50,20 @@ def test_evidence_is_the_sum_over_all_forms(strength: float) -> None:
     assert pair.log_evidence == pytest.approx(_brute(search, ("bow", "slip")), abs=0.02 if strength else 0.6)
 
 
+def test_constants_that_make_no_difference_are_one_form() -> None:
+    """As the weight of what moves where no payload changes: the same columns, the same evidence, once."""
+
+    def columns(state: State, turns: float, idle: float) -> list[Column]:
+        return list(BOW.columns(state, turns))
+
+    idle = dataclasses.replace(BOW, columns=columns, constants={**BOW.constants, "idle": (1.0, 2.0, 3.0)})
+    problem = planted(readings(1), BOW, {"leg 1": 1.0}, turns=3.0)
+    plainly, twice = _search(problem, (BOW,)), _search(problem, (idle,))
+    assert len(twice.library.atoms) == len(plainly.library.atoms)
+    told = [s.settle(("bow",), (0,), (1.0,)).log_evidence for s in (plainly, twice)]
+    assert told[0] == pytest.approx(told[1])
+
+
 def test_prior_shares_add_up() -> None:
     search = _search(readings(2))
     for effect in search.library.effects:

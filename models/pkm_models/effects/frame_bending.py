@@ -33,7 +33,7 @@ def columns(state: State, sag: float) -> Iterable[Column]:
     offset, load = _offset(state), sag * terms.carried(state)
     for degree, part in enumerate(PARTS if len(offset) < 3 else PARTS[:4]):
         for name, field in _products(offset, degree):
-            bent = field * (load - 0.5 * sag if degree < 2 else 1.0 + load)
+            bent = field * (load if degree < 2 else 1.0 + load)
             for k, axis in enumerate("xyz"):
                 told = f"{axis} by {name}" if name else axis
                 yield Column(told, part * FIELD, "", state.displaced(k, bent), shape=degree != 2)
