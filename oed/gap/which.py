@@ -41,6 +41,9 @@ SLOPE, EVEN, STEEPEST = 8.0, 0.4, 6.0
 #: power of the evidence among explanations of a gap: their forms are models all, and none of them quite true (a
 #: learning rate as of Gruenwald and van Ommen 2017, Bayesian Anal. 12, 1069-1103)
 RATE = 0.9
+#: log odds by which a gap is less likely where readings far off have variances of their own: the likeliest are taken,
+#: not averaged over, every explanation has its own, and the best of many gains by it
+LIKELIEST = 1.5
 _NONE = np.empty(0, dtype=np.intp)
 
 
@@ -276,7 +279,8 @@ class Search:
         names = {0: "none", 1: "one", 2: "two", 3: "three"}
         if unknown:
             names = {0: "unknown", 1: "one+", 2: "two+", 3: "two+"}
-        return float(np.log(PRIOR[names[count]]) - np.log(special.comb(number, count)))
+        gained = LIKELIEST if (count or unknown) and np.isfinite(self.law.tails) else 0.0
+        return float(np.log(PRIOR[names[count]]) - np.log(special.comb(number, count)) - gained)
 
     # -- the search ----------------------------------------------------------------------------------------
 

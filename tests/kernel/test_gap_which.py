@@ -50,6 +50,18 @@ def test_evidence_is_the_sum_over_all_forms(strength: float) -> None:
     assert pair.log_evidence == pytest.approx(_brute(search, ("bow", "slip")), abs=0.02 if strength else 0.6)
 
 
+def test_a_gap_is_less_likely_beside_outliers_of_its_own() -> None:
+    problem = readings(1)
+    light = plain(problem)
+    heavy = dataclasses.replace(light, tails=4.0)
+    told = [{h.key: h.log_prior for h in _search(problem, law=law).run()} for law in (light, heavy)]
+    none = frozenset(), False
+    assert told[0][none] == told[1][none]
+    gaps = [key for key in set(told[0]) & set(told[1]) if key != none and np.isfinite(told[0][key])]
+    assert gaps
+    assert all(told[0][key] - told[1][key] == pytest.approx(which.LIKELIEST) for key in gaps)
+
+
 def test_constants_that_make_no_difference_are_one_form() -> None:
     """As the weight of what moves where no payload changes: the same columns, the same evidence, once."""
 
@@ -227,7 +239,8 @@ def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
     assert found.answers[0].effects == ("slip",)
     assert dataclasses.replace(found.law, level=1.0) == law
     alone = diagnosing._under(problem, EFFECTS, law)
-    assert alone.grams.base == pytest.approx(evidence.log_evidence(problem, law, np.zeros((len(problem), 0))))
+    nothing = evidence.compressed(problem, np.zeros((len(problem), 0)))
+    assert alone.grams.base == pytest.approx(evidence.log_evidence(problem, law, nothing))
 
 
 def test_verdicts() -> None:
@@ -351,11 +364,12 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
         assert sum(a.probability for a in answers) == pytest.approx(1.0)
         return answers[0].effects
 
-    assert first(0.66) == ()
-    assert first(0.64) == ("a",)
-    assert first(0.45) == ("a",)
-    assert first(0.64, answering.VAGUE) == ()  # what could be looked for is any of many
-    assert first(0.45, answering.VAGUE) == ("a",)
+    assert answering.EVEN < answering.SURE
+    assert first(answering.SURE + 0.01) == ()
+    assert first(answering.SURE - 0.01) == ("a",)
+    assert first(answering.EVEN + 0.01, answering.VAGUE) == ()  # what could be looked for is any of many
+    assert first(answering.EVEN - 0.01, answering.VAGUE) == ("a",)
+    assert first(0.45) == first(0.45, answering.VAGUE) == ("a",)
 
 
 def test_explanations_are_weighed_a_little_flatter_than_their_evidence() -> None:
