@@ -16,6 +16,8 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
+from oed.gap.law import Whitener
+
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
 NAMES = ("baselines", "entries", "knowing", "listing", "loading", "oracle", "pool", "run")
@@ -114,10 +116,14 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(blind, made, tmp_path
 
 
 def test_who_knows_the_noise_is_given_its_covariance(blind, made, tmp_path, monkeypatch):
-    covariances = []
+    covariances, rows = [], np.array([0, 2, 3])
 
     def diagnose(problem, effects, rng, *, law):
-        covariances.append([law.block(problem, k) for k in range(len(problem.blocks))])
+        white = Whitener(problem, law)
+        whitened = white.white(
+            np.eye(len(problem))
+        )  # W, with W^T W the inverse of the covariance, which the search sees
+        covariances.append((np.linalg.inv(whitened.T @ whitened), [law.block(problem, k, rows) for k in range(3)]))
         return diagnosed(blind, problem)
 
     monkeypatch.setattr(blind.knowing.diagnose, "diagnose", diagnose)
@@ -126,14 +132,15 @@ def test_who_knows_the_noise_is_given_its_covariance(blind, made, tmp_path, monk
         == 0
     )
     jobs = sorted(blind.run.chosen(made, limit=2), key=lambda j: j.case.study)
-    for job, blocks in zip(jobs, covariances, strict=True):
+    for job, (whole, parts) in zip(jobs, covariances, strict=True):
         told = json.loads((tmp_path / "known_noise" / f"{job.case.id}.json").read_text(encoding="utf-8"))
         assert told["answers"][0]["effects"] == []
         problem = blind.loading.prepared(made, job.case)
         with np.load(made / "truth" / f"{job.case.id}.npz") as kept:
             wanted = blind.write.covariance(kept) / np.outer(problem.sigma, problem.sigma)
-        for members, block in zip(problem.blocks, blocks, strict=True):
-            assert np.array_equal(block, wanted[np.ix_(members, members)])
+        np.testing.assert_allclose(whole, wanted, atol=1e-9 * wanted.max())
+        for members, part in zip(problem.blocks, parts, strict=False):
+            assert np.array_equal(part, wanted[np.ix_(members[rows], members[rows])])
     assert blind.knowing.diagnosed(made, tmp_path, limit=2, workers=1, told=str) == 0
     assert len(covariances) == 2  # what is there is not made again
 

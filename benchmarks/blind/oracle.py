@@ -34,7 +34,7 @@ from oed.gap import closure as closure_of
 from oed.gap import library as library_of
 from oed.gap.law import Law
 from oed.gap.library import Atom, Library
-from oed.gap.problem import Index, Problem
+from oed.gap.problem import Pack, Problem
 
 #: size, against its physical prior scale, that a rival is granted
 RIVAL = 3.0
@@ -218,11 +218,9 @@ class TrueLaw(Law):
 
     covariance: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
-    def block(self, problem: Problem, number: int, rows: Index | None = None) -> Array:
+    def covariances(self, pack: Pack) -> Array:
         """As in `Law`."""
-        members = problem.blocks[number]
-        members = members if rows is None else members[rows]
-        return np.asarray(self.covariance[np.ix_(members, members)])
+        return np.asarray(self.covariance[pack.members[:, :, None], pack.members[:, None, :]])
 
 
 def true_law(problem: Problem, sigma: Array) -> TrueLaw:

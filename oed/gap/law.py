@@ -43,20 +43,19 @@ class Law:
     def block(self, problem: Problem, number: int, rows: Index | None = None) -> Array:
         """Covariance (k, k) of a run's readings, or of those of its `rows` (positions within the run)."""
         pack = problem.pack(number)
-        return np.asarray(_covariances(self, pack if rows is None else pack.take(rows))[0])
+        return np.asarray(self.covariances(pack if rows is None else pack.take(rows))[0])
 
-
-def _covariances(law: Law, pack: Pack) -> Array:
-    """Covariances (B, k, k) of the runs of a pack."""
-    members = pack.members
-    root = np.sqrt(law.variance[members])
-    covariance = pack.base * (root[:, :, None] * root[:, None, :])
-    related = law.repeat**2 + law.wander**2 * np.exp(pack.gap * (-1.0 / law.reach)) + law.sway**2 * pack.turn
-    covariance += np.where(pack.same, related, 0.0)
-    if law.ratio is not None:
-        ratio = law.ratio[members]
-        covariance *= ratio[:, :, None] * ratio[:, None, :]
-    return np.asarray(law.level**2 * covariance)
+    def covariances(self, pack: Pack) -> Array:
+        """Covariances (B, k, k) of the runs of a pack."""
+        members = pack.members
+        root = np.sqrt(self.variance[members])
+        covariance = pack.base * (root[:, :, None] * root[:, None, :])
+        related = self.repeat**2 + self.wander**2 * np.exp(pack.gap * (-1.0 / self.reach)) + self.sway**2 * pack.turn
+        covariance += np.where(pack.same, related, 0.0)
+        if self.ratio is not None:
+            ratio = self.ratio[members]
+            covariance *= ratio[:, :, None] * ratio[:, None, :]
+        return np.asarray(self.level**2 * covariance)
 
 
 def plain(problem: Problem) -> Law:
@@ -88,7 +87,7 @@ class Whitener:
 def _blocks(problem: Problem, law: Law, rows: Index | None) -> list[tuple[Index, Array]]:
     """Members (B, k) and covariances (B, k, k) of the runs, those of one length together."""
     if rows is None:
-        return [(pack.members, _covariances(law, pack)) for pack in problem.packs]
+        return [(pack.members, law.covariances(pack)) for pack in problem.packs]
     counted = np.zeros(len(problem), dtype=bool)
     counted[rows] = True
     found: dict[int, tuple[list[Index], list[Array]]] = {}
