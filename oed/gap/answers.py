@@ -22,7 +22,7 @@ TOLD = 0.002
 ALIVE = 5.5
 #: probability from which on no gap is told: one that is missed costs more than one that is looked for in vain; and
 #: where what could be looked for is any of many
-SURE, EVEN = 0.75, 0.65
+SURE, EVEN = 0.65, 0.5
 #: members from which on a class beside a named effect is told as unknown
 VAGUE = 6
 #: probability that the set of answers holds together
