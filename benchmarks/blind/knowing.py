@@ -9,7 +9,6 @@ Opens the truth, as the oracle does; `score` puts the figures of these results b
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -23,19 +22,6 @@ from benchmarks.blind.generator import write as truth_of
 from oed.gap import diagnose
 
 FOLDER = "known_noise"
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Job:
-    """A case and the folder of its result; this observer's go to `results/known_noise`."""
-
-    asked: run.Job
-    results: Path
-
-    @property
-    def file(self) -> Path:
-        """Where its result is."""
-        return self.asked.file(self.results / FOLDER)
 
 
 def diagnosed(
@@ -53,21 +39,22 @@ def diagnosed(
 
     Raises ValueError, OSError.
     """
-    jobs = [Job(j, results) for j in run.chosen(folder, listed=listed, limit=limit, seed=seed) if not j.without]
-    jobs = [j for j in jobs if again or not run.done(j.file)]
-    jobs.sort(key=lambda j: j.asked.case.study)
-    return run.carried_out(work, jobs, lambda j: j.file, workers=workers, told=told)
+    out = results / FOLDER
+    jobs = [j for j in run.chosen(folder, listed=listed, limit=limit, seed=seed) if not j.without]
+    jobs = [j for j in jobs if again or not run.done(j.file(out))]
+    jobs.sort(key=lambda j: j.case.study)
+    return run.carried_out(work, jobs, lambda j: j.file(out), workers=workers, told=told)
 
 
-def work(job: Job) -> str:
+def work(job: run.Job) -> str:
     """The text of a case's result: JSON, with `error` where the diagnosis fails."""
-    case = job.asked.case
+    case = job.case
     said: dict[str, Any] = {"id": case.id, "study": case.study, "without": ""}
     try:
-        problem = loading.prepared(job.asked.folder, case)
-        with np.load(job.asked.folder / "truth" / f"{case.id}.npz") as kept:
+        problem = loading.prepared(job.folder, case)
+        with np.load(job.folder / "truth" / f"{case.id}.npz") as kept:
             law = oracle.true_law(problem, truth_of.covariance(kept))
-        found = diagnose.diagnose(problem, loading.bench(case.study).effects, run.draws(job.asked), law=law)
+        found = diagnose.diagnose(problem, loading.bench(case.study).effects, run.draws(job), law=law)
         said |= run.told(found)
     except Exception as error:
         said |= {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc(limit=-4)}
