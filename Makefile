@@ -46,8 +46,13 @@ blind: setup-dev
 	-$(BLIND_DO) run --cases $(BLIND)/set --out $(BLIND)/results --workers $(BLIND_WORKERS)
 	$(BLIND_DO) list --cases $(BLIND)/set --kinds single --least 6 --withhold --out $(BLIND)/withheld
 	-$(BLIND_DO) run --cases $(BLIND)/set --out $(BLIND)/results --list $(BLIND)/withheld --workers $(BLIND_WORKERS)
-	-$(BLIND_DO) known-noise --cases $(BLIND)/set --results $(BLIND)/results --workers $(BLIND_WORKERS)
-	$(BLIND_DO) score --cases $(BLIND)/set --results $(BLIND)/results --out $(BLIND)/score \
+	$(BLIND_DO) generate --set blind --kinds pair --cases $(BLIND_CASES) --seed $(BLIND_SEED) --out $(BLIND)/pairs
+	-$(BLIND_DO) list --cases $(BLIND)/pairs --least 6 --apart 6 --out $(BLIND)/told --workers $(BLIND_WORKERS)
+	-$(BLIND_DO) run --cases $(BLIND)/pairs --out $(BLIND)/results --list $(BLIND)/told --workers $(BLIND_WORKERS)
+	-for set in set pairs; do \
+	  $(BLIND_DO) known-noise --cases $(BLIND)/$$set --results $(BLIND)/results --workers $(BLIND_WORKERS) \
+	    $$([ $$set = set ] || echo --list $(BLIND)/told); done
+	$(BLIND_DO) score --cases $(BLIND)/set --results $(BLIND)/results --pairs $(BLIND)/pairs --out $(BLIND)/score \
 	  --table $(BLIND)/RESULTS.md --workers $(BLIND_WORKERS)
 	@echo "Table: $(BLIND)/RESULTS.md"
 

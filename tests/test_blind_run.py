@@ -162,6 +162,23 @@ def test_lists_name_cases_and_what_is_withheld(blind, made, tmp_path):
         blind.listing.write(made, listed, kinds=["sngle"])
 
 
+def test_lists_keep_effects_that_can_be_told_from_every_rival(blind, made, tmp_path):
+    """By the oracle's own figures, those that the scorer goes by."""
+    listed = tmp_path / "list.jsonl"
+    count = blind.listing.write(made, listed, kinds=["single", "pair"], least=6.0, apart=6.0, workers=1)
+    names = {json.loads(line)["id"] for line in listed.read_text(encoding="utf-8").splitlines()}
+    labels = {v["id"]: v for v in blind.entries.labels(made) if v["kind"] in ("single", "pair")}
+    cases = [c for c in blind.loading.manifest(made) if c.id in labels]
+    acting = {n: [e["name"] for e in v["effects"]] for n, v in labels.items()}
+    figures = blind.oracle.run(made, tmp_path / "results", cases, acting, workers=1, told=str)
+    told = [blind.entries.entry(v, figures[n], {}) for n, v in labels.items()]
+    apart = {e.label["id"] for e in told if e.testable and e.severity >= 6.0 and e.apart >= 6.0}
+    assert names == apart
+    assert 0 < count == len(apart) < len(labels)
+    with pytest.raises(ValueError, match="a lower --least or --apart"):
+        blind.listing.write(made, listed, kinds=["pair"], apart=1e6, workers=1)
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

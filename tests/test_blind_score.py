@@ -399,6 +399,20 @@ def test_confusion_matrix(blind):
     assert "several" in printed
 
 
+def test_more_pairs_count_where_they_can_be_told_from_every_rival_and_nowhere_else(blind):
+    found = good(blind)
+    label = case("pair", {"gravity": 10.0, "friction": 6.0})
+    wrong = result(answer("gravity", "backlash"))
+    more = [blind.entries.entry(label, known(label, apart=apart), wrong) for apart in (6.0, 6.0, 5.0)]
+    before, after = (by_key(blind.score.score(found, more=some).rows) for some in ((), more))
+    changed = {key for key in before if before[key] != after[key]}
+    assert changed == {"pairs", "false effects pairs"}
+    assert (before["pairs"].hits, before["pairs"].count) == (1, 1)
+    assert (after["pairs"].hits, after["pairs"].count) == (1, 3)
+    assert after["false effects pairs"].value == pytest.approx(2.0 / 3.0)
+    assert blind.score.score(found, more=more).about["more"] == 2
+
+
 def test_score_is_written_whole(blind, tmp_path):
     found = [
         blind.entries.entry(e.label, e.oracle, e.result | {"baselines": {"harmonic": [], "stepwise": ["step"]}})

@@ -58,6 +58,10 @@ def _list_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--kinds", nargs="+", default=[])
     parser.add_argument("--machines", nargs="+", default=[])
     parser.add_argument("--least", type=float, default=0.0, help="least sqrt(lambda)")
+    parser.add_argument(
+        "--apart", type=float, default=0.0, help="least sqrt(lambda_k|j) of known effects from any rival"
+    )
+    parser.add_argument("--workers", type=_count, default=0, help="processes; one a core if not given")
     parser.add_argument("--withhold", action="store_true", help="withhold each case's effect from the library")
     parser.set_defaults(run=_list)
 
@@ -66,6 +70,7 @@ def _score_options(parser: argparse.ArgumentParser) -> None:
     _set(parser)
     parser.add_argument("--results", type=Path, required=True, help="folder that `run` wrote")
     parser.add_argument("--out", type=Path, help="folder of the scores; RESULTS/score if not given")
+    parser.add_argument("--pairs", type=Path, metavar="SET", help="set of pairs beside it; results in the same folder")
     parser.add_argument("--table", type=Path, help="Markdown file to write the table to")
     _workers(parser)
     parser.set_defaults(run=_score)
@@ -113,7 +118,7 @@ def _ended(failed: int) -> int:
 def _list(said: argparse.Namespace) -> int:
     from benchmarks.blind import listing
 
-    options = {"kinds": said.kinds, "machines": said.machines, "least": said.least, "withhold": said.withhold}
+    options = {n: getattr(said, n) for n in ("kinds", "machines", "least", "apart", "withhold", "workers")}
     print(f"{listing.write(said.cases, said.out, **options)} cases in {said.out}")
     return 0
 
@@ -122,5 +127,6 @@ def _score(said: argparse.Namespace) -> int:
     from benchmarks.blind import score
 
     out = said.out or said.results / "score"
-    score.run(said.cases, said.results, out=out, page=said.table, workers=said.workers, again=said.again, told=_told)
+    options = {n: getattr(said, n) for n in ("pairs", "workers", "again")}
+    score.run(said.cases, said.results, out=out, page=said.table, told=_told, **options)
     return 0

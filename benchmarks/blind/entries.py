@@ -94,13 +94,19 @@ class Entry:
 
 def read(folder: Path, results: Path, oracles: Mapping[str, Mapping[str, Any]]) -> list[Entry]:
     """Entries of all cases that have a result. Raises ValueError where results and set do not belong together."""
+    made = some(folder, results, oracles)
+    if not made:
+        raise ValueError(f"{results}: there is no result of a case in {folder}; diagnose them first with `run`")
+    return made
+
+
+def some(folder: Path, results: Path, oracles: Mapping[str, Mapping[str, Any]]) -> list[Entry]:
+    """Entries of those cases that have a result and figures of the oracle's, none maybe."""
     made = []
     for label in labels(folder):
         file = results / f"{label['id']}.json"
         if file.is_file() and label["id"] in oracles:
             made.append(entry(label, oracles[label["id"]], _json(file)))
-    if not made:
-        raise ValueError(f"{results}: there is no result of a case in {folder}; diagnose them first with `run`")
     return made
 
 

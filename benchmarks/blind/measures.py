@@ -7,7 +7,8 @@ What counts as what, where the wording leaves it open:
 - right class: one effect that the readings can test, at sqrt(lambda_k|j) >= 6 from every rival; the best answer names
   one effect, whose class holds the true one (an unknown remainder beside it is no fault)
 - probability on the true class: the sum over all answers of that kind; one testable effect at sqrt(lambda) >= 6
-- pairs: both effects testable, at sqrt(lambda) >= 6 beside each other and at sqrt(lambda_k|j) >= 6 from every rival
+- pairs: both effects testable, at sqrt(lambda) >= 6 beside each other and at sqrt(lambda_k|j) >= 6 from every rival;
+  as few are, those of a set of pairs alone count with them where it is given (`score --pairs`)
 - unknown flagged: `unknown` in the best answer, at sqrt(lambda) >= 6 beyond the best library effect
 - called unknown alone: one testable known effect at sqrt(lambda) >= 6
 - 95 % set: null cases, and cases whose effects are all testable (or unknown and out of the library's span) at
@@ -98,7 +99,8 @@ def average(key: str, measure: str, values: Sequence[float], **wanted: Any) -> R
     return Row(key=key, measure=measure, value=value, low=low, high=high, count=len(values), **wanted)
 
 
-def _at_least(value: float, wanted: float) -> bool:
+def at_least(value: float, wanted: float) -> bool:
+    """Whether a severity is reached, but for what the generator's search for it leaves."""
     return value >= wanted * (1.0 - TOLERANCE)
 
 
@@ -112,31 +114,31 @@ def singles(entries: Sequence[Entry]) -> list[Entry]:
 
 def plain(entries: Sequence[Entry]) -> list[Entry]:
     """Cases of one known effect that the readings can test, at sqrt(lambda) >= 6."""
-    return [e for e in singles(entries) if e.testable and _at_least(e.severity, SEEN)]
+    return [e for e in singles(entries) if e.testable and at_least(e.severity, SEEN)]
 
 
 def told_apart(entries: Sequence[Entry]) -> list[Entry]:
     """Cases of one known effect that the readings can test and tell from every rival."""
-    return [e for e in singles(entries) if e.testable and _at_least(e.apart, SEEN)]
+    return [e for e in singles(entries) if e.testable and at_least(e.apart, SEEN)]
 
 
 def pairs(entries: Sequence[Entry], *, apart: bool = True) -> list[Entry]:
     """Cases of two known effects, both to be seen (and told from every rival)."""
-    some = [e for e in entries if e.kind == "pair" and e.testable and _at_least(e.severity, SEEN)]
-    return [e for e in some if not apart or _at_least(e.apart, SEEN)]
+    some = [e for e in entries if e.kind == "pair" and e.testable and at_least(e.severity, SEEN)]
+    return [e for e in some if not apart or at_least(e.apart, SEEN)]
 
 
 def strange(entries: Sequence[Entry]) -> list[Entry]:
     """Cases with an unknown effect outside the library's span."""
-    return [e for e in entries if e.unknown and _at_least(e.beyond, SEEN)]
+    return [e for e in entries if e.unknown and at_least(e.beyond, SEEN)]
 
 
 def clear(entries: Sequence[Entry]) -> list[Entry]:
     """Cases whose truth can be seen: for the 95 % set."""
     kept = []
     for e in entries:
-        known = e.testable and (not e.known or _at_least(e.severity, SEEN))
-        if e.kind == "null" or (known and (not e.unknown or _at_least(e.beyond, SEEN))):
+        known = e.testable and (not e.known or at_least(e.severity, SEEN))
+        if e.kind == "null" or (known and (not e.unknown or at_least(e.beyond, SEEN))):
             kept.append(e)
     return kept
 
@@ -191,8 +193,11 @@ def _tests(entries: Sequence[Entry], test: Test, method: str) -> list[bool]:
 # -- the table ---------------------------------------------------------------------------------------------
 
 
-def rows(entries: Sequence[Entry], method: str = DIAGNOSIS) -> list[Row]:
-    """The rows that every method has: from its best answer alone."""
+def rows(entries: Sequence[Entry], method: str = DIAGNOSIS, more: Sequence[Entry] = ()) -> list[Row]:
+    """The rows that every method has: from its best answer alone.
+
+    more   pairs that can be told from every rival, of which a set has few; they count in the rows of such pairs alone
+    """
 
     def told(key: str, measure: str, some: Sequence[Entry], test: Test, **wanted: Any) -> Row:
         return share(key, measure, _tests(some, test, method), **wanted)
@@ -206,9 +211,9 @@ def rows(entries: Sequence[Entry], method: str = DIAGNOSIS) -> list[Row]:
     for level in LEVELS:
         some = [e for e in one if abs(e.severity - level) < 0.01 * level]
         made.append(told(f"found {level:g}", f"detection at sqrt(lambda) = {level:g}", some, detected))
-    at6, at10 = [e for e in one if abs(e.severity - 6.0) < 0.06], [e for e in one if _at_least(e.severity, 10.0)]
+    at6, at10 = [e for e in one if abs(e.severity - 6.0) < 0.06], [e for e in one if at_least(e.severity, 10.0)]
     exact = [e for e in entries if e.kind == "exact"]
-    apart, new_apart, two = told_apart(known), told_apart(new), pairs(entries)
+    apart, new_apart, two = told_apart(known), told_apart(new), pairs([*entries, *more])
     member, new_name = "exact-class case that names one member", f"the same on the unseen machine ({UNSEEN})"
     made += [
         told("detection 6", "detection at sqrt(lambda) 6", at6, detected, **_least(0.80, 0.90)),
@@ -238,9 +243,9 @@ def _more(entries: Sequence[Entry], method: str) -> list[Row]:
     def of(some: Sequence[Entry], test: Test) -> list[bool]:
         return _tests(some, test, method)
 
-    blind = [e for e in singles(entries) if not e.testable and _at_least(e.severity, SEEN)]
-    exact = [e for e in entries if e.kind == "exact" and _at_least(e.severity, SEEN)]
-    seen = [e for e in entries if e.unknown and _at_least(e.severity, SEEN)]
+    blind = [e for e in singles(entries) if not e.testable and at_least(e.severity, SEEN)]
+    exact = [e for e in entries if e.kind == "exact" and at_least(e.severity, SEEN)]
+    seen = [e for e in entries if e.unknown and at_least(e.severity, SEEN)]
     return [
         share("right class 6", "right class at sqrt(lambda) >= 6, rivals or not", of(plain(entries), right_class)),
         share("pairs 6", "both of two exactly, rivals or not", of(pairs(entries, apart=False), right_class)),
@@ -294,7 +299,7 @@ def place_rows(entries: Sequence[Entry], key: str = "place", prefix: str = "") -
     tests: dict[str, list[bool]] = {kind: [] for kind in (*PLACES, "direction", "phase")}
     seen: list[bool] = []
     for e in entries:
-        if e.kind not in ("single", "unknown") or not _at_least(e.severity, SEEN):
+        if e.kind not in ("single", "unknown") or not at_least(e.severity, SEEN):
             continue
         for kind, told in tests.items():
             if any(b.split(" ")[0] == kind for b in e.blocks):
@@ -334,9 +339,9 @@ def _gain(c: Any) -> float | None:
 
 def withheld_rows(entries: Sequence[Entry]) -> list[Row]:
     """Rows of cases whose effect was withheld from the library, at sqrt(lambda_k|j) >= 6 from all that are left."""
-    some = [e for e in entries if _at_least(e.apart, SEEN)]
+    some = [e for e in entries if at_least(e.apart, SEEN)]
     told = [e.said[DIAGNOSIS] for e in some]
-    rest = [e.said[DIAGNOSIS] for e in entries if not _at_least(e.apart, SEEN)]
+    rest = [e.said[DIAGNOSIS] for e in entries if not at_least(e.apart, SEEN)]
     flags = [a is not None and a.unknown for a in told]
     alone = [a is not None and a.unknown and not a.classes for a in told]
     taken = [a is None or bool(a.classes) for a in rest]
@@ -390,7 +395,7 @@ class Paired:
 def compared(entries: Sequence[Entry], baseline: str) -> list[Paired]:
     """Every paired comparison with a baseline; `right` is the better answer in each."""
     null = [e for e in entries if e.kind == "null"]
-    seen = [e for e in singles(entries) if _at_least(e.severity, SEEN)]
+    seen = [e for e in singles(entries) if at_least(e.severity, SEEN)]
     asked: list[tuple[str, list[Entry], Test]] = [
         ("no false alarm", null, lambda e, a: not alarm(e, a)),
         ("detection at sqrt(lambda) >= 6", seen, detected),

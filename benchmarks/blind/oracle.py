@@ -93,19 +93,30 @@ def _stale(job: Job) -> bool:
 
 def work(job: Job) -> str:
     """The oracle's figures of a case as JSON. Raises ValueError where readings and truth do not belong together."""
+    problem, truth = _opened(job)
+    said = _distances(job, problem, truth)
+    sigma = truth_of.covariance(truth)
+    said["closure"] = _closures(problem, sigma, truth, _result(job)) if job.effects else []
+    return json.dumps(said, allow_nan=False)
+
+
+def distances(job: Job) -> dict[str, Any]:
+    """The figures of a case that need no result: all but `closure`. Raises ValueError as `work` does."""
+    return _distances(job, *_opened(job))
+
+
+def _opened(job: Job) -> tuple[Problem, dict[str, Array]]:
     with np.load(job.folder / "truth" / f"{job.case.id}.npz") as kept:
         truth = {name: kept[name] for name in kept.files}
     problem = loading.prepared(job.folder, job.case)
     _check(problem, truth, job)
+    return problem, truth
+
+
+def _distances(job: Job, problem: Problem, truth: dict[str, Array]) -> dict[str, Any]:
     known = library_of.build(problem, loading.bench(job.case.study).effects)
-    sigma = truth_of.covariance(truth)
-    said = {
-        "id": job.case.id,
-        "testable": list(known.effects),
-        "effects": _effects(problem, known, sigma, truth, job.effects),
-    }
-    said["closure"] = _closures(problem, sigma, truth, _result(job)) if job.effects else []
-    return json.dumps(said, allow_nan=False)
+    found = _effects(problem, known, truth_of.covariance(truth), truth, job.effects)
+    return {"id": job.case.id, "testable": list(known.effects), "effects": found}
 
 
 def _result(job: Job) -> dict[str, Any]:

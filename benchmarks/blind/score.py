@@ -14,6 +14,14 @@ and before the last, for a column of what who knows the noise would find, which 
 
     python -m benchmarks.blind known-noise --cases SET --results RESULTS
 
+Few pairs of effects can be told from every rival, one in eighteen; more of them, for the rows of such pairs alone, by
+
+    python -m benchmarks.blind generate --set blind --kinds pair --cases M --seed N --out PAIRS
+    python -m benchmarks.blind list --cases PAIRS --least 6 --apart 6 --out TOLD
+    python -m benchmarks.blind run --cases PAIRS --out RESULTS --list TOLD
+
+and `score ... --pairs PAIRS`.
+
 SCORE/ then holds rows.csv (every measure, for all cases, for each machine and for each method), paired.csv, score.json,
 and confusion*.csv and .png. Needs the results of `run`; the oracle's figures are kept in RESULTS/oracle.
 """
@@ -61,24 +69,26 @@ def run(
     *,
     out: Path,
     page: Path | None = None,
+    pairs: Path | None = None,
     workers: int = 0,
     again: bool = False,
     told: Callable[[str], None] = print,
 ) -> Score:
-    """Score a set's results, write the files, print the table. Raises ValueError, OSError."""
-    missing = [f for f in ("labels.jsonl", "manifest.jsonl") if not (folder / f).is_file()]
-    if missing:
-        raise ValueError(f"{folder}: there is no {missing[0]}; give --cases the folder that `generate` wrote")
-    cases = [c for c in loading.manifest(folder) if _is_there(results, c.id)]
-    if not cases:
-        raise ValueError(f"{results}: there is no result of a case in {folder}; diagnose them first with `run`")
-    acting = {label["id"]: [e["name"] for e in label["effects"]] for label in entries.labels(folder)}
-    figures = oracle.run(folder, results, cases, acting, workers=workers, again=again, told=told)
-    informed = results / knowing.FOLDER
+    """Score a set's results, write the files, print the table. `pairs`: a set of which only the pairs count.
+
+    Raises ValueError, OSError.
+    """
+    options: dict[str, Any] = {"workers": workers, "again": again, "told": told}
+    known = _figures(folder, results, **options)
+    more = {} if pairs is None else _figures(pairs, results, **options)
+    more = {n: f for n, f in more.items() if n not in known}
+    informed, aware = results / knowing.FOLDER, knowing.figures(known)
     made = score(
-        entries.read(folder, results, figures),
-        entries.withheld(folder, results, figures),
-        entries.read(folder, informed, knowing.figures(figures)) if informed.is_dir() else (),
+        entries.read(folder, results, known),
+        entries.withheld(folder, results, known),
+        entries.some(folder, informed, aware),
+        more=entries.some(pairs or folder, results, more),
+        more_informed=entries.some(pairs or folder, informed, knowing.figures(more)),
     )
     _write(made, out)
     text = table.markdown(
@@ -91,18 +101,36 @@ def run(
     return made
 
 
+def _figures(folder: Path, results: Path, **options: Any) -> dict[str, dict[str, Any]]:
+    """The oracle's figures of the cases of a set that have a result, by id; options as `oracle.run` has them."""
+    missing = [f for f in ("labels.jsonl", "manifest.jsonl") if not (folder / f).is_file()]
+    if missing:
+        raise ValueError(f"{folder}: there is no {missing[0]}; give the folder that `generate` wrote")
+    cases = [c for c in loading.manifest(folder) if _is_there(results, c.id)]
+    acting = {label["id"]: [e["name"] for e in label["effects"]] for label in entries.labels(folder)}
+    return oracle.run(folder, results, cases, acting, **options)
+
+
 def _is_there(results: Path, name: str) -> bool:
     return (results / f"{name}.json").is_file() or any((results / "without").glob(f"*/{name}.json"))
 
 
-def score(found: Sequence[Entry], withheld: Sequence[tuple[str, Entry]] = (), informed: Sequence[Entry] = ()) -> Score:
-    """All measures of some entries; `informed`: of the same cases by who knows the noise."""
+def score(
+    found: Sequence[Entry],
+    withheld: Sequence[tuple[str, Entry]] = (),
+    informed: Sequence[Entry] = (),
+    *,
+    more: Sequence[Entry] = (),
+    more_informed: Sequence[Entry] = (),
+) -> Score:
+    """All measures of some entries; `informed`: of the same cases by who knows the noise; `more`: pairs (see `rows` in
+    `measures`)."""
     methods = [m for m in BASELINES if any(m in e.said for e in found)]
-    rows = [*measures.rows(found), *measures.own_rows(found), *measures.reliability(found)]
-    by_machine = {m: [e for e in found if e.machine == m] for m in sorted({e.machine for e in found})}
-    beside: dict[str, Sequence[Row]] = {m: measures.rows(found, m) for m in methods}
+    rows = [*measures.rows(found, more=more), *measures.own_rows(found), *measures.reliability(found)]
+    machines = sorted({e.machine for e in found})
+    beside: dict[str, Sequence[Row]] = {m: measures.rows(found, m, more) for m in methods}
     if informed:
-        beside[KNOWING] = [*measures.rows(informed), *measures.own_rows(informed)]
+        beside[KNOWING] = [*measures.rows(informed, more=more_informed), *measures.own_rows(informed)]
     without: dict[str, Sequence[Row]] = {}
     if withheld:
         without["all"] = measures.withheld_rows([e for _, e in withheld])
@@ -112,7 +140,7 @@ def score(found: Sequence[Entry], withheld: Sequence[tuple[str, Entry]] = (), in
         entries=found,
         rows=rows,
         beside=beside,
-        machines={m: _of_machine(some) for m, some in by_machine.items()},
+        machines={m: _of_machine(_of(m, found), _of(m, more)) for m in machines},
         paired=[p for m in methods for p in measures.compared(found, m)],
         withheld=without,
         about={
@@ -121,15 +149,22 @@ def score(found: Sequence[Entry], withheld: Sequence[tuple[str, Entry]] = (), in
             "kinds": dict(collections.Counter(e.kind for e in found).most_common()),
             "machines": dict(collections.Counter(e.machine for e in found).most_common()),
             "withheld": len(withheld),
+            "more": len(measures.pairs(more)),
         },
     )
 
 
-def _of_machine(some: Sequence[Entry]) -> list[Row]:
+def _of(machine: str, some: Sequence[Entry]) -> list[Entry]:
+    return [e for e in some if e.machine == machine]
+
+
+def _of_machine(some: Sequence[Entry], more: Sequence[Entry]) -> list[Row]:
     """A machine's rows; there the right class is of its own cases, seen machine or not, and null cases are together."""
     null = [measures.alarm(e, e.said[DIAGNOSIS]) for e in some if e.kind == "null"]
     apart = [measures.right_class(e, e.said[DIAGNOSIS]) for e in measures.told_apart(some)]
-    rows = [r for r in measures.rows(some) if not r.key.startswith("right class") or r.key == "right class 6"]
+    rows = [
+        r for r in measures.rows(some, more=more) if not r.key.startswith("right class") or r.key == "right class 6"
+    ]
     return [
         measures.share("alarm", "false alarm, all laws", null),
         measures.share("right class", measures.RIGHT_CLASS, apart),

@@ -54,7 +54,12 @@ def markdown(
 def _by(about: Mapping[str, Any]) -> str:
     kinds = ", ".join(f"{n} {k.replace('_', ' + ')}" for k, n in about["kinds"].items())
     machines = ", ".join(f"{m} {n}" for m, n in about["machines"].items())
-    return f"Cases by kind: {kinds}. By machine: {machines}."
+    more = ""
+    if about["more"]:
+        more = (
+            f" Beside them, {about['more']} pairs that can be told from every rival, for the rows of such pairs alone."
+        )
+    return f"Cases by kind: {kinds}. By machine: {machines}.{more}"
 
 
 def _main(rows: Sequence[Row], beside: Mapping[str, Sequence[Row]]) -> Iterable[str]:
