@@ -16,8 +16,9 @@ STUDY := a3_ball_bar
 PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 export OPENBLAS_NUM_THREADS ?= 1
 # The blind benchmark: a folder for each seed and number of cases; what is there already is not made again. A diagnosis
-# that fails stops nothing: the score counts it as wrong.
+# that fails stops nothing: the score counts it as wrong. BLIND_PAIRS: pairs drawn beside, of which few are diagnosed.
 BLIND_CASES ?= 40
+BLIND_PAIRS ?= $(BLIND_CASES)
 BLIND_SEED ?= 1
 BLIND_WORKERS ?= 0
 BLIND = out/blind/$(BLIND_CASES)-$(BLIND_SEED)
@@ -46,7 +47,7 @@ blind: setup-dev
 	-$(BLIND_DO) run --cases $(BLIND)/set --out $(BLIND)/results --workers $(BLIND_WORKERS)
 	$(BLIND_DO) list --cases $(BLIND)/set --kinds single --least 6 --withhold --out $(BLIND)/withheld
 	-$(BLIND_DO) run --cases $(BLIND)/set --out $(BLIND)/results --list $(BLIND)/withheld --workers $(BLIND_WORKERS)
-	$(BLIND_DO) generate --set blind --kinds pair --cases $(BLIND_CASES) --seed $(BLIND_SEED) --out $(BLIND)/pairs
+	$(BLIND_DO) generate --set blind --kinds pair --cases $(BLIND_PAIRS) --seed $(BLIND_SEED) --out $(BLIND)/pairs
 	-$(BLIND_DO) list --cases $(BLIND)/pairs --least 6 --apart 6 --out $(BLIND)/told --workers $(BLIND_WORKERS)
 	-$(BLIND_DO) run --cases $(BLIND)/pairs --out $(BLIND)/results --list $(BLIND)/told --workers $(BLIND_WORKERS)
 	-for set in set pairs; do \

@@ -1,4 +1,4 @@
-"""Random smooth curves over a span, told by a few modes.
+"""Random smooth curves over a span, and fields over several coordinates, told by a few modes.
 
 A curve of standard deviation 1 whose values hang together over a reach r has, at a distance d, Matern's correlation
 
@@ -38,3 +38,17 @@ def _modes(reach: float, count: int, straight: int) -> tuple[Array, Array]:
     left = np.eye(POINTS) - lines @ lines.T
     values, vectors = np.linalg.eigh(left @ ((1.0 + way) * np.exp(-way)) @ left)
     return np.asarray(grid), np.asarray((np.sqrt(values[-count:]) * vectors[:, -count:]).T[::-1])
+
+
+def field(places: Array, *, reach: float, share: float, count: int) -> Array:
+    """Modes (m, k) of a field of standard deviation 1 with the same correlation of places (m, n), the largest first.
+
+    share   of the field's energy in these places that the modes hold, of at most `count` modes
+    """
+    there, back = np.unique(np.round(places, 9), axis=0, return_inverse=True)
+    way = np.sqrt(3.0) / reach * np.linalg.norm(there[:, None] - there, axis=-1)
+    values, vectors = np.linalg.eigh((1.0 + way) * np.exp(-way))
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    enough = int(np.searchsorted(np.cumsum(values), share * values.sum())) + 1
+    kept = min(enough, count)
+    return np.asarray((vectors[:, :kept] * np.sqrt(values[:kept]))[back.ravel()])

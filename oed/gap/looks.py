@@ -1,7 +1,8 @@
 """Looks at a gap: for every place that it may be confined to, what a fault there could do to the readings.
 
-A leg as a function of its travel, sense, force, time, or with a period along it; an offset or a wave in a run; a shift
-in a window of the session; a bump in a window of the phase; all readings of one direction; what was selected before.
+A leg as a function of its travel, sense, force, time, another's motion, or with a period along it; an offset or a wave
+in a run; a shift in a window of the session; a bump in a window of the phase; all readings of one direction; what was
+selected before.
 """
 
 from __future__ import annotations
@@ -80,11 +81,14 @@ def _legs(problem: Problem) -> Iterator[Look]:
 
 
 def _leg(problem: Problem, limb: int) -> Iterator[Array]:
-    """Bases of one leg: smooth in what it may depend on, each alone and all together; periodic; shifted from a time."""
+    """Bases of one leg: smooth in what it may depend on, each alone and all together; with another's motion; periodic;
+    shifted from a time."""
     forms = [_forms(problem, k, limb) for k in range(len(problem.states))]
     smooth = [_joint(problem, limb, [f[name] for f in forms]) for name in forms[0]]
     yield from smooth
     yield np.hstack(smooth)
+    for step in range(1, len(problem.states[0].limbs)):
+        yield _joint(problem, limb, [_others(problem, k, limb, step) for k in range(len(forms))])
     turns = [2.0 * np.pi * _travel(problem, k, limb)[:, None] * FINE for k in range(len(forms))]
     sine, cosine = (_joint(problem, limb, [wave(t) for t in turns]) for wave in (np.sin, np.cos))
     yield from (np.column_stack([sine[:, k], cosine[:, k]]) for k in range(len(FINE)))
@@ -117,6 +121,13 @@ def _forms(problem: Problem, number: int, limb: int) -> dict[str, Array]:
     if all(np.isfinite(s.rate).all() for s in problem.states):
         forms["rate"] = state.rate[:, limb, None] * np.column_stack([np.ones_like(u), u])
     return forms
+
+
+def _others(problem: Problem, number: int, limb: int, step: int) -> Array:
+    """What a leg's error may be that comes with the motion of another, so many legs on: (m, 3)."""
+    state, u = problem.states[number], _travel(problem, number, limb)
+    rate = np.where(np.isfinite(state.rate), state.rate, state.sense)[:, (limb + step) % len(state.limbs)]
+    return np.column_stack([rate, np.abs(rate), rate * u])
 
 
 def _selected(problem: Problem, columns: Array | None, labels: Sequence[str] | None) -> Iterator[Look]:

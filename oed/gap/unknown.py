@@ -26,10 +26,17 @@ FEED = 1.0 / 60.0
 WAVES = 8
 #: where bumps are: shares of the session, angles of a run; half a sector's width, rad
 CENTRES, SECTORS, SECTOR = [(k + 0.5) / 12.0 for k in range(12)], [np.pi * k / 6.0 for k in range(12)], 0.35
+#: half-waves over the session of what drifts
+DRIFTS = 12
 #: shares of the session over which a tool's growth hangs together, and modes that it is told by
 REACHES, GROWING = (0.1, 0.2), 20
 #: share of half a joint's travel over which an error along it hangs together, and modes that it is told by
 BENDS, CURVES = 0.5, 10
+#: share of half the joints' travels over which an error of the workspace hangs together; of its energy that its modes
+#: hold, and the most of them
+PATCHES, WHOLE, MODES = (0.3, 0.8), 0.98, 24
+#: what an error of the workspace may come with: the direction, the payload, the feed
+WITH = range(3)
 #: shares of the session within which what settles has done so
 WITHIN = (0.05, 0.15, 0.5)
 #: the same after a set-up's start; temperatures that may be recorded, by the order of their names
@@ -70,20 +77,20 @@ def _both(state: State, name: str, size: float, wave: Array) -> Iterable[Column]
 
 def over_time(state: State) -> Iterable[Column]:
     """Drift of the readings."""
-    for k, wave in enumerate(_cosines(state.progress, 8), start=1):
+    for k, wave in enumerate(_cosines(state.progress, DRIFTS), start=1):
         yield from _read(state, f"time {k}", UNIT / k, wave)
 
 
 def tool_over_time(state: State) -> Iterable[Column]:
     """Drift of the tool's place."""
-    for k, wave in enumerate(_cosines(state.progress, 8), start=1):
+    for k, wave in enumerate(_cosines(state.progress, DRIFTS), start=1):
         yield from _tool(state, f"time {k}", UNIT / k, wave)
 
 
 def joints_over_time(state: State) -> Iterable[Column]:
     """Drift of each joint."""
     for i in state.limbs:
-        for k, wave in enumerate(_cosines(state.progress, 5), start=1):
+        for k, wave in enumerate(_cosines(state.progress, DRIFTS), start=1):
             yield Column(f"leg {i + 1} time {k}", UNIT / k, label=f"leg {i + 1}", joints={i: wave})
 
 
@@ -170,6 +177,33 @@ def run_start(state: State, readings: float) -> Iterable[Column]:
 def over_pose(state: State) -> Iterable[Column]:
     """A smooth error over the workspace: products of the scaled pose up to the third degree."""
     yield from _products(state, _coordinates(state), "pose", 3 if len(state.machine.command) <= 3 else 2)
+
+
+def coming_back(state: State, reach: float) -> Iterable[Column]:
+    """What is the same whenever the machine is there: a random smooth error over all joints' travels of the readings of
+    each set-up."""
+    yield from _field(state, reach, np.ones(len(state)))
+
+
+def coming_back_with(state: State, reach: float, what: float) -> Iterable[Column]:
+    """The same with the direction, the payload or the feed."""
+    share = (state.direction, _loaded(state), (state.feed - FEED) / FEED)[int(what)]
+    yield from _field(state, reach, np.where(np.isfinite(share), share, 0.0))
+
+
+def _field(state: State, reach: float, share: Array) -> Iterable[Column]:
+    if not share.any():
+        return
+    low, high = state.stroke
+    at = np.column_stack([2.0 * _share(state.joints[:, i], low[i], high[i]) - 1.0 for i in state.limbs])
+    for k, mode in enumerate(smooth.field(at, reach=reach, share=WHOLE, count=MODES).T, start=1):
+        yield from _read(state, f"{state.setup} {k}", UNIT, share * mode)
+
+
+def _loaded(state: State) -> Array:
+    """Payload (m,) as a share of the session's largest; zeros where unknown."""
+    load = np.where(np.isfinite(state.payload), state.payload, 0.0)
+    return load / state.heaviest if state.heaviest > 0.0 else np.zeros(len(state))
 
 
 def _coordinates(state: State) -> Array:
@@ -340,6 +374,7 @@ BROAD = (
     "joints over time",
     "over the pose",
     "over the travel",
+    "coming back",
     "along the runs",
     "with the motion",
     "with the load",
@@ -365,6 +400,10 @@ PROCESSES: Sequence[Effect] = (
     _process("for a while", "a disturbance for part of the session", windows, when=CENTRES, lasts=(0.04, 0.1)),
     _process("at the start of runs", "an error that fades after a run's start", run_start, readings=(1.5, 5.0)),
     _process("over the pose", "a smooth error over the workspace", over_pose),
+    _process("coming back", "an error that comes back in the same place", coming_back, reach=PATCHES),
+    _process(
+        "coming back with", "an error that comes back with what changes", coming_back_with, reach=PATCHES, what=WITH
+    ),
     _process("in a run", "an error in one run", in_a_run),
     _process("over the travel", "an error of the joints over their travel", over_travel),
     _process("along the runs", "harmonics along the runs, with direction", over_phase),

@@ -1,9 +1,9 @@
 """Where a gap lies: scans over leg x run x time x phase x direction, corrected for how many places are looked at.
 
 Each look is a basis B (N, k) of what a fault in one place could do to the readings: a change of one leg as a function
-of its travel, sense, force, time or with a period along it; an offset or a wave in one run; a shift of the reading, of
-the legs or of the tool along its axis in a window of the session; a bump in a window of the phase. Its statistic is the
-energy of the residual that the basis explains once the parameters have absorbed what they can,
+of its travel, sense, force, time, another's motion, or with a period along it; an offset or a wave in one run; a shift
+of the reading, of the legs or of the tool along its axis in a window of the session; a bump in a window of the phase.
+Its statistic is the energy of the residual that the basis explains once the parameters have absorbed what they can,
 
     T = r^T M B (B^T M B)^-1 B^T M r,    M = (Sigma + H Lambda H^T)^-1,
 

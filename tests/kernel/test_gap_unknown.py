@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from kernel import gap_problem
 from kernel.gap_lines import EFFECTS, LINES, readings
 from oed.gap import carriers, diagnose, library, pursuit, scatter, waves, which
 from oed.gap.diagnosis import Diagnosis
@@ -271,6 +272,41 @@ def test_all_parameters_swing_by_the_order_of_the_readings_where_no_time_is_told
     chosen = made.atoms[best.process]
     assert len(chosen.columns) == 2 * slopes.shape[1]
     assert chosen.constants["period_readings"] == pytest.approx(0.55 * len(problem.series[0]), rel=0.25)
+
+
+# -- what comes back -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("back", [True, False])
+def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not_is_noise(back: bool) -> None:
+    """An error of each circle, read both ways, twice; or as large a one that is another in each run. Beside both a law
+    with an error that is carried along is held."""
+    rng, one = np.random.default_rng(8), gap_problem.circles(passes=2)
+    state, read = one.states[0], one.series[0].index[:, 0]
+    place = np.column_stack([np.cos(3.0 * state.phase), np.sin(5.0 * state.phase)])[read]
+    sizes = rng.standard_normal((3 if back else len(one.blocks), 2))
+    change = np.zeros(len(one))
+    for number, members in enumerate(one.blocks):
+        change[members] = place[members] @ sizes[(number % 6) // 2 if back else number]
+    acting = one.with_residual(rng.standard_normal(len(one)) + 3.0 * change)
+    none = library.build(acting, ())
+    made = library.build(acting, [p for p in PROCESSES if p.name == "coming back"])
+    carried, prior = scatter.fit(acting, np.zeros((len(acting), 0)))
+    told = which.compare([Search(acting, none, made, *pair) for pair in ((carried, prior), scatter.quiet(carried))])
+    assert carried.wander + carried.sway > 0.5
+    assert told[0].unknown == back
+
+
+def test_what_comes_back_with_nothing_that_is_known_is_no_process() -> None:
+    problem = readings(9)
+    state = dataclasses.replace(problem.states[0], payload=np.full(len(problem.states[0]), np.nan), heaviest=0.0)
+    (process,) = (p for p in PROCESSES if p.name == "coming back with")
+    assert not list(process.columns(state, reach=0.3, what=1))
+    for what, sign in ((0, state.direction), (2, state.feed - 1 / 60.0)):
+        made = list(process.columns(state, reach=0.3, what=what))
+        assert made
+        still = np.isclose(np.nan_to_num(sign), 0.0)
+        assert all(np.abs(v[still]).max(initial=0.0) < 1e-12 for c in made for v in c.reading.values())
 
 
 # -- several processes together ------------------------------------------------------------------------------

@@ -210,6 +210,15 @@ def test_bump_in_the_phase_is_found_there_over_the_start_too(machines: Machines,
     assert first(machines.located(bump, 14.0, rng), "phase") == "phase 330-30"
 
 
+@pytest.mark.parametrize(("limb", "other"), [(0, 1), (2, 0)])
+def test_a_leg_disturbed_by_anothers_motion_is_that_leg(
+    machines: Machines, rng: np.random.Generator, limb: int, other: int
+) -> None:
+    change = case.in_joint(machines.problem, limb, 1e-6 * machines.problem.states[0].sense[:, other])
+    found = [first(machines.located(change, 10.0, rng), "leg") for _ in range(5)]
+    assert found.count(f"leg {limb + 1}") >= 4
+
+
 def test_fault_in_one_direction_is_found(machines: Machines, rng: np.random.Generator) -> None:
     rows = machines.problem.rows
     change = (rows["direction"] == -1) * np.cos(2.0 * rows["phase"] + 1.0)

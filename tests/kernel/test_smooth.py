@@ -1,4 +1,4 @@
-"""Modes of random smooth curves, against Matern's covariance by another quadrature."""
+"""Modes of random smooth curves and fields, against Matern's covariance by another quadrature."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(60)
 
 
 def _matern(reach: float) -> np.ndarray:
+    return _correlation(np.abs(NODES[:, None] - NODES), reach)
+
+
+def _correlation(way: np.ndarray, reach: float) -> np.ndarray:
     """Matern's correlation of smoothness 3/2 from its definition by a Bessel function."""
-    way = np.sqrt(3.0) * np.abs(NODES[:, None] - NODES) / reach
+    way = np.sqrt(3.0) * way / reach
     safe = np.where(way > 0.0, way, 1.0)
     half = 2.0 ** (1.0 - 1.5) / special.gamma(1.5) * safe**1.5 * special.kv(1.5, safe)
     return np.where(way > 0.0, half, 1.0)
@@ -46,3 +50,26 @@ def test_a_curve_stays_as_it_is_beyond_its_span() -> None:
     ends = smooth.curve(np.array([-5.0, -1.0, 1.0, 5.0]), 0, reach=0.5, count=4)
     assert ends[0] == ends[1]
     assert ends[2] == ends[3]
+
+
+@pytest.mark.parametrize("reach", [0.3, 0.8])
+def test_a_field_has_the_covariance_between_its_places_and_is_the_same_in_the_same_place(
+    reach: float, rng: np.random.Generator
+) -> None:
+    there = rng.uniform(-1.0, 1.0, (40, 3))
+    places = np.vstack([there, there[::-1]])  # there and back
+    made = smooth.field(places, reach=reach, share=1.0, count=1000)
+    far = np.linalg.norm(places[:, None] - places, axis=-1)
+    assert made @ made.T == pytest.approx(_correlation(far, reach), abs=1e-6)
+    assert made[:40] == pytest.approx(made[:39:-1])
+    energy = np.square(made[:40]).sum(axis=0)
+    assert (np.diff(energy) <= 1e-12).all()
+
+
+def test_a_field_is_told_by_as_few_modes_as_hold_its_share(rng: np.random.Generator) -> None:
+    places = rng.uniform(-1.0, 1.0, (60, 2))
+    every, some, few = (smooth.field(places, reach=0.8, share=s, count=c) for s, c in ((1.0, 99), (0.9, 99), (0.9, 3)))
+    told = np.cumsum(np.square(every).sum(axis=0)) / 60.0
+    assert told[some.shape[1] - 1] >= 0.9 > told[some.shape[1] - 2]
+    assert some == pytest.approx(every[:, : some.shape[1]])
+    assert few == pytest.approx(every[:, :3])

@@ -1,8 +1,8 @@
 """A frame or an over-constrained linkage that bends: the tool is displaced by a smooth field, beyond what is rigid.
 
 It bends under what it carries: with a payload all of it grows, constant and linear parts too, which are geometry where
-no payload changes. What is left of a 2-DOF machine with struts of 3.35 m after its calibration is
-50 to 70 um (Chang, Li and Li 2011).
+no payload changes. What is left of a 2-DOF machine with struts of 3.35 m after its calibration is 50 to 70 um (Chang,
+Li and Li 2011).
 """
 
 from __future__ import annotations
