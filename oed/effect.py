@@ -42,7 +42,6 @@ class State:
     base         (m, nq, 3) and platform (m, nq, 3) its ends in the base frame
     per_length   (m, nq) change of the joint worth a strut longer by 1 m (joint unit over m)
     phase        (m,) place along the run, the same for both directions of travel, rad in [0, 2 pi)
-    loop         (m,) whether that is the angle in a loop, not the way along a line
     run          (m,) label of the run;  order (m,) in it
     time, feed, payload, direction   (m,), NaN where unknown
     temperature  {body: (m,)} K
@@ -77,7 +76,6 @@ class State:
     platform: Array
     per_length: Array
     phase: Array
-    loop: NDArray[np.bool_]
     run: NDArray[np.str_]
     order: Array
     time: Array

@@ -213,7 +213,8 @@ def test_with_all_columns_all_is_tested(blind: SimpleNamespace, tmp_path: Path) 
 def test_a_withheld_effect_is_unknown(blind: SimpleNamespace, tmp_path: Path, name: str, seed: int) -> None:
     """Strong effects that no other can stand for; how often it goes so is a matter of the blind benchmark.
 
-    Where one leg has four fifths of the trace, that leg is named.
+    Where one leg has four fifths of the trace, that leg is named, by itself or with one that the readings cannot tell
+    from it.
     """
     made = virtual(blind, tmp_path, seed, ("planar", "full"), blind.effects.KNOWN[name], 20.0)
     found = made.diagnosed(without=name)
@@ -221,8 +222,9 @@ def test_a_withheld_effect_is_unknown(blind: SimpleNamespace, tmp_path: Path, na
     assert found.marginal[UNKNOWN] > 0.8
     shares = np.array(blind.cases.label(made.case)["effects"][0]["legs"])
     if shares.max() > 0.8:
-        legs = [b.block for b in found.where if b.block.startswith("leg") and b.p_value < 0.05]
-        assert legs[0] == f"leg {shares.argmax() + 1}"
+        legs = [b for b in found.where if b.block.startswith("leg") and b.p_value < 0.05]
+        # a lost zero of either leg of this machine makes nearly the same readings: then both are told, alike
+        assert f"leg {shares.argmax() + 1}" in [b.block for b in legs if b.p_value <= 10.0 * legs[0].p_value]
 
 
 # -- a planar machine with gravity and over-constraint -----------------------------------------------------

@@ -2,11 +2,10 @@
 
 In units of the stated noise, the readings of a run have the covariance
 
-    level^2 [ V^1/2 B V^1/2 + repeat^2 1 1^T + sway^2 T + wander^2 exp(-|k - l| / reach) ],
+    level^2 [ V^1/2 B V^1/2 + repeat^2 1 1^T + sway^2 cos(phi_k - phi_l) + wander^2 exp(-|k - l| / reach) ],
 
 B the instrument's own correlation (often 1), V the variances of single readings (heavy tails), `repeat` how well a
-run's level repeats and `sway` its first harmonic, T_kl = cos(phi_k - phi_l) (a bar set up anew is centred anew, ISO
-230-4), or its slope where it is a line, T_kl = s_k s_l with s from -1 to 1 (ISO 230-1), `wander` an error that
+run's level repeats and `sway` its first harmonic (a bar set up anew is centred anew, ISO 230-4), `wander` an error that
 is carried along a run over `reach` readings. Channels of one reading wander apart.
 """
 

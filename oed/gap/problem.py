@@ -31,9 +31,8 @@ Index = NDArray[np.intp]
 @dataclasses.dataclass(frozen=True, slots=True)
 class Pack:
     """Runs of one number k of readings. members (B, k);  base (B, k, k) stated correlation;  same (B, k, k): whether
-    two readings are of one channel;  gap (B, k, k): how many readings lie between them;  turn (B, k, k): how a run that
-    is centred or aligned anew relates them, the cosine of the phase between them in a loop, the product of their places
-    along a line, -1 to 1."""
+    two readings are of one channel;  gap (B, k, k): how many readings lie between them;  turn (B, k, k): cosine of the
+    phase between them."""
 
     members: Index
     base: Array
@@ -61,7 +60,7 @@ class Problem:
     blocks                       index sets of the runs: readings whose noise may be related
     along (N,)                   number of each reading in its run, from 0
     group (N,)                   instrument channel that each reading is of: noise has a level of its own in each
-    rows                         one row a reading of a channel: setup, run, order, channel, covariates, phase, loop
+    rows                         one row a reading of a channel: setup, run, order, channel, covariates, phase
     """
 
     measurement: Measurement
@@ -102,11 +101,8 @@ class Problem:
         base = np.array([np.eye(members.shape[1]) if known is None else known for _, known in parts])
         same = self.group[members][:, :, None] == self.group[members][:, None, :]
         gap = np.abs(self.along[members][:, :, None] - self.along[members][:, None, :])
-        phase, loop = (self.rows[n].to_numpy()[members] for n in ("phase", "loop"))
-        place = phase / np.pi - 1.0
-        line = place[:, :, None] * place[:, None, :]
-        turn = np.where(loop[:, :1, None], np.cos(phase[:, :, None] - phase[:, None, :]), line)
-        return Pack(members, base, same, gap, turn)
+        phase = self.rows["phase"].to_numpy(dtype=float)[members]
+        return Pack(members, base, same, gap, np.cos(phase[:, :, None] - phase[:, None, :]))
 
     def signature(self, effect: Effect, constants: Mapping[str, float], *, textbook: bool = False) -> Signature:
         """An effect's signature in these readings at its constants, SI; without columns that adapt, if `textbook`."""
@@ -194,10 +190,7 @@ def _rows(
         rows = covariates.iloc[start : start + len(s)].reset_index(drop=True)
         start += len(s)
         instrument = measurement.setups[s.setup].instrument
-        read = s.index[:, 0]
-        rows = rows.assign(
-            instrument=instrument.name, phase=state.phase[read], loop=state.loop[read], reading=np.arange(len(s))
-        )
+        rows = rows.assign(instrument=instrument.name, phase=state.phase[s.index[:, 0]], reading=np.arange(len(s)))
         channels = [c.name for c in instrument.channels]
         wide = rows.loc[rows.index.repeat(len(channels))].reset_index(drop=True)
         parts.append(wide.assign(channel=np.tile(channels, len(s))))

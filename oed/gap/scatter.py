@@ -206,8 +206,7 @@ def words(problem: Problem, law: Law) -> tuple[str, ...]:
     if law.repeat > 0.2:
         told.append(f"a run repeats to {law.level * law.repeat:.2g} times the stated noise")
     if law.sway > 0.2:
-        sway = law.level * law.sway
-        told.append(f"a run's first harmonic, or a line's slope, repeats to {sway:.2g} times the stated noise")
+        told.append(f"a run's first harmonic repeats to {law.level * law.sway:.2g} times the stated noise")
     if law.wander > 0.2:
         told.append(
             f"an error of {law.level * law.wander:.2g} times the stated noise is carried along over about "

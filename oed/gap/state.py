@@ -93,7 +93,6 @@ def _state(
         name: _column(rows, name)[owner] for name in ("time", "progress", "feed", "payload", "direction")
     }
     bodies = [str(c) for c in rows.columns if str(c).startswith(TEMPERATURE)]
-    phase, loop = _phase(tip, run, taught)
     moved = motion(q, tip, run, order, known["feed"], taught)
     return State(
         machine=machine,
@@ -114,8 +113,7 @@ def _state(
         base=base,
         platform=platform,
         per_length=per_length,
-        phase=phase,
-        loop=loop,
+        phase=_phase(tip, run, taught),
         run=run,
         order=order,
         temperature={c.removeprefix(TEMPERATURE): _column(rows, c)[owner] for c in bodies},
@@ -149,10 +147,9 @@ def _owner(series: Series) -> Index:
     return owner
 
 
-def _phase(tip: Array, run: NDArray[np.str_], taught: Index) -> tuple[Array, NDArray[np.bool_]]:
-    """Place (m,) of each pose along its run, rad: the angle in a loop's plane, or the way along a line; and which poses
-    are of loops."""
-    phase, loop = np.zeros(len(tip)), np.zeros(len(tip), dtype=bool)
+def _phase(tip: Array, run: NDArray[np.str_], taught: Index) -> Array:
+    """Place (m,) of each pose along its run, rad: the angle in a loop's plane, or the way along a line."""
+    phase = np.zeros(len(tip))
     moving = np.setdiff1d(np.arange(len(tip)), taught)
     for label in dict.fromkeys(run[moving]):
         at = moving[run[moving] == label]
@@ -161,11 +158,11 @@ def _phase(tip: Array, run: NDArray[np.str_], taught: Index) -> tuple[Array, NDA
         if len(at) < 3 or extent[0] < 1e-9:
             continue
         if extent[1] > LOOP * extent[0]:
-            phase[at], loop[at] = _angle(off, axes), True
+            phase[at] = _angle(off, axes)
         else:
             along = off @ (axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))]))
             phase[at] = 2.0 * np.pi * (along - along.min()) / (np.ptp(along) * (1.0 + 1e-9))
-    return phase, loop
+    return phase
 
 
 def _angle(off: Array, axes: Array) -> Array:

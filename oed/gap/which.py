@@ -7,7 +7,8 @@ taken about the best one: with a* the best forms,
 
 An effect rarely has the form that it has in a book. Where it carries most of the gap and an unknown remainder beside it
 the rest, it is likelier that it acts in a form of its own than that something unknown looks like it: an unknown alone
-is held against the best effect with a remainder by the share of the gap that this effect carries.
+is held against the best effect with a remainder by the share of the gap that this effect carries. Nor is a second
+effect that explains next to nothing beside the first as likely as another.
 
 The noise law is a nuisance: every set of effects is given the one of several laws that suits it best.
 """
@@ -38,6 +39,9 @@ ROUNDS = 4
 SEEN = 9.0
 #: log odds of an effect beside an unknown remainder: slope and even point in its share of the gap, and their bound
 SLOPE, EVEN, STEEPEST = 8.0, 0.4, 6.0
+#: share of what a set of effects explains below which the least of them may be what the others have of their own form,
+#: and log odds by which the set is less likely where it explains nothing
+LITTLE, MINOR = 0.1, 2.0
 #: power of the evidence among explanations of a gap: their forms are models all, and none of them quite true (a
 #: learning rate as of Gruenwald and van Ommen 2017, Bayesian Anal. 12, 1069-1103)
 RATE = 0.9
@@ -54,6 +58,7 @@ class Hypothesis:
     atoms, sizes   best form and size of each effect;  process: the best unknown process's number, and its size
     log_evidence   of the readings, over forms and sizes;  log_prior;  law: number of the noise law that suits it best
     share          of what the readings hold beyond noise that the effects explain, not the unknown remainder
+    least          share of what several effects explain that is lost without the least of them
     """
 
     effects: tuple[str, ...]
@@ -66,6 +71,7 @@ class Hypothesis:
     log_prior: float
     law: int = 0
     share: float = 1.0
+    least: float = 1.0
 
     @property
     def score(self) -> float:
@@ -194,7 +200,24 @@ class Search:
             log_evidence=spare + self.log_prior,
             log_prior=self._prior(len(effects), False),
         )
-        return dataclasses.replace(found, log_evidence=self._selected(found).base + found.log_evidence)
+        told = self._selected(found)
+        return dataclasses.replace(
+            found, log_evidence=told.base + found.log_evidence, least=self._least(found, told.rest)
+        )
+
+    def _least(self, h: Hypothesis, rest: float) -> float:
+        """Share of what the effects of a set explain, all but `rest`, that is lost without the least of them."""
+        whole = self.grams.rest - rest
+        if len(h.effects) < 2 or whole <= 0.0:
+            return 1.0
+        gains = []
+        for i in range(len(h.effects)):
+            others = [j for j in range(len(h.effects)) if j != i]
+            kept = dataclasses.replace(
+                h, atoms=tuple(h.atoms[j] for j in others), sizes=tuple(h.sizes[j] for j in others)
+            )
+            gains.append(self._selected(kept).rest - rest)
+        return float(min(gains) / whole)
 
     def _beside(self, effect: str, others: Sequence[int], sizes: Sequence[float]) -> Array:
         """Log evidence (atoms, sizes) of an effect's forms over none, beside other forms that are selected."""
@@ -329,7 +352,7 @@ def compare(searches: Sequence[Search]) -> list[Hypothesis]:
     best: dict[tuple[frozenset[str], bool], Hypothesis] = {}
     for number, search in enumerate(searches):
         for h in search.run():
-            h = _named(dataclasses.replace(h, law=number))
+            h = _leading(_named(dataclasses.replace(h, law=number)))
             if h.key not in best or best[h.key].score < h.score:
                 best[h.key] = h
     alone, mixed = (frozenset[str](), True), [h for h in best.values() if h.unknown and h.effects]
@@ -351,6 +374,11 @@ def _named(h: Hypothesis) -> Hypothesis:
     if not h.unknown or not h.effects:
         return h
     return dataclasses.replace(h, log_prior=h.log_prior + min(_odds(h.share), 0.0))
+
+
+def _leading(h: Hypothesis) -> Hypothesis:
+    """With the prior lowered of sets of which one explains next to nothing: it is likelier the others' own form."""
+    return dataclasses.replace(h, log_prior=h.log_prior - MINOR * max(1.0 - h.least / LITTLE, 0.0))
 
 
 def probabilities(hypotheses: Sequence[Hypothesis]) -> Array:

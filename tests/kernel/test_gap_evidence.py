@@ -226,7 +226,7 @@ def test_a_law_in_words_tells_the_first_harmonic(problem: Problem) -> None:
     law = Law(0.0, 0.0, 1.0, np.ones(len(problem)), level=2.0, sway=0.8)
     told = scatter.words(problem, law)
     assert [w for w in told if "first harmonic" in w] == [
-        "a run's first harmonic, or a line's slope, repeats to 1.6 times the stated noise"
+        "a run's first harmonic repeats to 1.6 times the stated noise"
     ]
     assert len(told) == 2
     assert len(scatter.words(problem, dataclasses.replace(law, sway=0.1))) == 1

@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from kernel import gap_problem
 from kernel.gap_lines import readings
 from oed.gap.law import Law, Metric, Whitener
 
@@ -35,26 +34,3 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
         values.T @ np.linalg.solve(geometry, values), rel=1e-6, abs=1e-6
     )
     assert {len(m) for pack in problem.packs for m in pack.members} == {len(problem.blocks[0]) // (1 if related else 2)}
-
-
-def test_a_loop_is_centred_anew_and_a_line_is_aligned_anew() -> None:
-    """What a run's readings share by `sway`: a first harmonic of the angle, or a slope of the place along the line."""
-    law = Law(0.0, 0.0, 1.0, np.ones(1), sway=1.5)
-    circles, lines = gap_problem.circles(), readings(3, uneven=0.03)
-    assert circles.rows["loop"].all()
-    assert not lines.rows["loop"].any()
-    for problem in (circles, lines):
-        (series,), (state,), members = problem.series, problem.states, problem.blocks[1]
-        which = problem.rows["reading"].to_numpy()[members]
-        tip, kind = state.tool[series.index[:, 0]][which], problem.group[members]
-        if problem is circles:
-            angle = np.arctan2(tip[:, 1], tip[:, 0])
-            shared = np.cos(angle[:, None] - angle)
-        else:
-            run = state.tool[state.run == state.run[series.index[which[0], 0]], 1]  # the first place is not read
-            place = (2.0 * tip[:, 1] - run.max() - run.min()) / np.ptp(run)
-            shared = place[:, None] * place
-        own = dataclasses.replace(law, variance=np.ones(len(problem)))
-        wanted = np.eye(len(members)) + 1.5**2 * shared * (kind[:, None] == kind)
-        base = np.eye(len(members)) if problem.base[1] is None else problem.base[1]
-        assert own.block(problem, 1) == pytest.approx(wanted - np.eye(len(members)) + base, abs=1e-6)

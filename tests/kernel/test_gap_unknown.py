@@ -104,6 +104,28 @@ def test_an_unknown_alone_is_held_against_the_best_effect_by_its_share(share: fl
     assert len(told) == 5
 
 
+@pytest.mark.parametrize(("least", "worth"), [(1.0, 0.0), (0.1, 0.0), (0.05, -1.0), (0.0, -2.0)])
+def test_an_effect_that_explains_next_to_nothing_is_less_likely(least: float, worth: float) -> None:
+    pair = dataclasses.replace(_says(("a", "b"), False, 0.0), least=least)
+    told = {h.key: h for h in which.compare([_Told(_says((), False, -9.0), _says(("a",), False, -1.0), pair)])}  # type: ignore[list-item]
+    assert told[frozenset({"a", "b"}), False].score == pytest.approx(worth)
+    assert told[frozenset({"a"}), False].score == -1.0
+
+
+@pytest.mark.parametrize(("small", "wanted"), [(0.2, 0.04 / 1.04), (1.0, 0.5)])
+def test_the_least_share_is_what_is_lost_without_it(small: float, wanted: float) -> None:
+    """Of two effects whose parts of the residual do not overlap, by their energies."""
+    problem, law = readings(5), plain(readings(5))
+    known = library.build(problem, EFFECTS)
+    one, two = (max((known.atoms[k].columns for k in known.atoms_of(n)), key=len) for n in ("bow", "slip"))
+    parts = [known.columns[:, c] @ np.array([1.0, -0.6]) for c in (one, two)]
+    whole = problem.with_residual(_apart(problem, parts, [SIZE**2, (small * SIZE) ** 2]))
+    search = Search(whole, known, library.build(problem, SMOOTH), law, 0.0)
+    found = next(h for h in search.run() if h.key == (frozenset({"bow", "slip"}), False))
+    assert found.least == pytest.approx(wanted, rel=0.1)
+    assert all(h.least == 1.0 for h in search.run() if len(h.effects) < 2)
+
+
 # -- waves -------------------------------------------------------------------------------------------------
 
 
