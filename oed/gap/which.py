@@ -200,10 +200,9 @@ class Search:
             log_evidence=spare + self.log_prior,
             log_prior=self._prior(len(effects), False),
         )
-        told = self._selected(found)
-        return dataclasses.replace(
-            found, log_evidence=told.base + found.log_evidence, least=self._least(found, told.rest)
-        )
+        left = self._selected(found)
+        whole, least = left.base + found.log_evidence, self._least(found, left.rest)
+        return dataclasses.replace(found, log_evidence=whole, least=least)
 
     def _least(self, h: Hypothesis, rest: float) -> float:
         """Share of what the effects of a set explain, all but `rest`, that is lost without the least of them."""
