@@ -14,7 +14,7 @@ and before the last, for a column of what who knows the noise would find, which 
 
     python -m benchmarks.blind known-noise --cases SET --results RESULTS
 
-Few pairs of effects can be told from every rival, one in eighteen; more of them, for the rows of such pairs alone, by
+Few pairs of effects can be told from every rival, one in ten; more of them, for the rows of such pairs alone, by
 
     python -m benchmarks.blind generate --set blind --kinds pair --cases M --seed N --out PAIRS
     python -m benchmarks.blind list --cases PAIRS --least 6 --apart 6 --out TOLD
