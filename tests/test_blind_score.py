@@ -43,8 +43,10 @@ def case(
     return {"id": "x", "machine": machine, "kind": kind, "noise": {"name": law}, "effects": told, "class": exact}
 
 
-def known(label: dict, *, apart: float = 10.0, beyond: float = 10.0, testable: tuple[str, ...] = LIBRARY) -> dict:
-    told = [{"name": e["name"], "apart": apart, "beyond": beyond} for e in label["effects"]]
+def known(
+    label: dict, *, apart: float = 10.0, beyond: float = 10.0, own: float = 2.0, testable: tuple[str, ...] = LIBRARY
+) -> dict:
+    told = [{"name": e["name"], "apart": apart, "beyond": beyond, "own": own} for e in label["effects"]]
     square = {"value": 0.9, "s0": 3.0, "s1": 1.0, "n": 100}
     closure = [{"split": s, "expected_gain": 50.0, "same_law": square} for s in ("within", "whole")]
     return {"testable": list(testable), "effects": told, "closure": closure}
@@ -316,6 +318,17 @@ def test_what_is_counted_where(blind):
     assert rows["unknown 6"].hits == 0
     assert rows["false effects"].value == pytest.approx((1 + 0 + 0 + 0 + 2) / 5)
     assert rows["untestable named"].hits == 0
+
+
+@pytest.mark.parametrize(("own", "counted"), [(2.0, 1), (7.9, 1), (8.1, 0), (12.0, 0)])
+def test_the_librarys_form_shows_an_effect_where_it_explains_more_than_any_rivals(blind, own, counted):
+    """Of 10 a rival leaves all: the own form must leave less than 8 for 6 more to be explained."""
+    label = case("single", {"backlash": 20.0})
+    entry = blind.entries.entry(label, known(label, own=own), result(answer("backlash")))
+    rows = by_key(blind.measures.rows([entry]))
+    assert (rows["right class"].count, rows["right class shown"].count) == (1, counted)
+    assert rows["right class shown"].sense == ""
+    assert entry.shown == pytest.approx(math.sqrt(max(100.0 - own**2, 0.0)))
 
 
 def test_a_pair_counts_where_both_can_be_told_apart(blind):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,14 @@ class Entry:
         """Least sqrt(lambda_k|j) over known effects and their rivals; 0 without any."""
         pairs = zip(self.label["effects"], self.oracle["effects"], strict=True)
         return min((float(o["apart"]) for e, o in pairs if not e["unknown"]), default=0.0)
+
+    @property
+    def shown(self) -> float:
+        """Least sqrt(lambda) over known effects by which the library's form of it explains more than any rival's; 0
+        where a rival's explains more."""
+        pairs = zip(self.label["effects"], self.oracle["effects"], strict=True)
+        told = (float(o["apart"]) ** 2 - float(o["own"]) ** 2 for e, o in pairs if not e["unknown"])
+        return math.sqrt(max(min(told, default=0.0), 0.0))
 
     @property
     def beyond(self) -> float:

@@ -6,6 +6,9 @@ What counts as what, where the wording leaves it open:
   sqrt(lambda) that the case was made for
 - right class: one effect that the readings can test, at sqrt(lambda_k|j) >= 6 from every rival; the best answer names
   one effect, whose class holds the true one (an unknown remainder beside it is no fault)
+- right class where the library's form shows it: those of these cases in which that form explains more than any rival's
+  by sqrt(lambda) >= 6. In the others it is what no form of the library explains, the effect's own departure from it,
+  that no rival takes over
 - probability on the true class: the sum over all answers of that kind; one testable effect at sqrt(lambda) >= 6
 - pairs: both effects testable, at sqrt(lambda) >= 6 beside each other and at sqrt(lambda_k|j) >= 6 from every rival;
   as few are, those of a set of pairs alone count with them where it is given (`score --pairs`)
@@ -246,7 +249,11 @@ def _more(entries: Sequence[Entry], method: str) -> list[Row]:
     blind = [e for e in singles(entries) if not e.testable and at_least(e.severity, SEEN)]
     exact = [e for e in entries if e.kind == "exact" and at_least(e.severity, SEEN)]
     seen = [e for e in entries if e.unknown and at_least(e.severity, SEEN)]
+    shown = [e for e in told_apart(entries) if at_least(e.shown, SEEN)]
     return [
+        share(
+            "right class shown", "right class where the library's form shows it, rivals' less", of(shown, right_class)
+        ),
         share("right class 6", "right class at sqrt(lambda) >= 6, rivals or not", of(plain(entries), right_class)),
         share("pairs 6", "both of two exactly, rivals or not", of(pairs(entries, apart=False), right_class)),
         share("exact found", "exact class named right, sqrt(lambda) >= 6", of(exact, right_class)),
