@@ -33,6 +33,7 @@ class Peak:
     constants: Mapping[str, float]
     about: str
     forms: tuple[Index, ...] = ()
+    labels: tuple[str, ...] = ()
 
 
 def beside(processes: Library, name: str, kinds: Sequence[tuple[Sequence[Peak], int]], kept: int) -> Library:
@@ -43,7 +44,8 @@ def beside(processes: Library, name: str, kinds: Sequence[tuple[Sequence[Peak], 
     found = [
         (peak, -math.log(count)) for peaks, count in kinds for peak in sorted(peaks, key=lambda p: p.log_tail)[:kept]
     ]
-    columns, atoms, names = [processes.columns], list(processes.atoms), list(processes.names)
+    columns, atoms = [processes.columns], list(processes.atoms)
+    names, labels = list(processes.names), list(processes.labels)
     for k, (peak, weight) in enumerate(found):
         width = peak.columns.shape[1]
         forms = peak.forms or (np.arange(width),)
@@ -51,13 +53,14 @@ def beside(processes: Library, name: str, kinds: Sequence[tuple[Sequence[Peak], 
         less = weight - math.log(len(forms))
         atoms += [Atom(name, peak.constants, len(names) + form, less, peak.about) for form in forms]
         names += [f"{name} {k} {j}" for j in range(width)]
+        labels.extend(peak.labels or [""] * width)
     more = len(names) - len(processes.names)
     return dataclasses.replace(
         processes,
         columns=np.hstack(columns),
         atoms=tuple(atoms),
         names=tuple(names),
-        labels=(*processes.labels, *[""] * more),
+        labels=tuple(labels),
         scales=np.concatenate([processes.scales, np.full(more, UNIT)]),
     )
 

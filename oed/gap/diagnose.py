@@ -11,7 +11,7 @@ from scipy import linalg
 
 from oed.batch import Array
 from oed.effect import Effect
-from oed.gap import advice, answers, closure, evidence, library, pursuit, scatter, spots, waves, where, which
+from oed.gap import advice, answers, closure, evidence, library, marks, pursuit, scatter, spots, waves, where, which
 from oed.gap.diagnosis import UNKNOWN, Block, Closure, Coefficient, Diagnosis, Size
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
@@ -72,6 +72,8 @@ def _carrying(search: Search, best: Hypothesis, named: Collection[str]) -> tuple
 def _widest(source: Library, atom: int) -> Index:
     """Columns of the form of the same effect and constants that has as many as it can have, in blocks if it has any."""
     mine = source.atoms[atom]
+    if mine.effect == pursuit.NAME:  # each is of its own
+        return mine.columns
     same = [a.columns for a in source.atoms if (a.effect, a.constants) == (mine.effect, mine.constants)]
     return max(same, key=lambda columns: (all(source.labels[c] for c in columns), len(columns)))
 
@@ -228,7 +230,7 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     laws = [plain, wide, scatter.quiet(plain[0])]
     if tailed:  # what looks far off may be a gap, within a run at that
         laws.append((calm, prior))
-    processes = spots.added(waves.added(processes, problem, plain[0]), problem, plain[0])
+    processes = _looked_for(processes, problem, plain[0])
     processes, beside = pursuit.pursued(processes, problem, [plain[0], laws[2][0]])
     for pair in beside:
         if not any(_same(pair[0], law) for law, _ in laws):
@@ -244,10 +246,17 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     return made
 
 
+def _looked_for(processes: Library, problem: Problem, law: Law) -> Library:
+    """The processes with those beside them that could sit anywhere: steady waves, fine marks, spots."""
+    for kind in (waves, marks, spots):
+        processes = kind.added(processes, problem, law)
+    return processes
+
+
 def _under(problem: Problem, effects: Sequence[Effect], law: Law) -> Search:
     """The search under a noise law that is known."""
     processes = library.build(problem, PROCESSES)
-    processes = spots.added(waves.added(processes, problem, law), problem, law)
+    processes = _looked_for(processes, problem, law)
     processes, _ = pursuit.pursued(processes, problem, [law], known=True)
     return Search(problem, library.build(problem, effects, Metric(problem, law)), processes, law, 0.0)
 

@@ -44,15 +44,16 @@ LEAST = 16
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class _Band:
+class Band:
     """Waves over a clock (N, J), s or m of path at each of the poses seen, on any of some carriers (N, c, J); or over a
-    clock (N, J, c) of each column of a carrier."""
+    clock (N, J, c) of each column of a carrier. legs (c,): whose travel that is, if it is one."""
 
     unit: str
     clock: Array
     carriers: list[Array]
     frequencies: Array
     names: list[str]
+    legs: tuple[str, ...] = ()
 
 
 def added(processes: Library, problem: Problem, law: Law) -> Library:
@@ -61,18 +62,17 @@ def added(processes: Library, problem: Problem, law: Law) -> Library:
     kinds: list[tuple[list[Peak], int]] = []
     for bands in _kinds(problem):
         count = sum(len(b.frequencies) * len(b.carriers) for b in bands)
-        kinds.append(([p for b in bands for p in _peaks(problem, metric, b)], count))
+        kinds.append(([p for b in bands for p in peaks(problem, metric, b, -_tails(problem, metric, b))], count))
     for bands in (_swings(problem), _in_runs(problem)):
         kinds.append((_told(problem, metric, bands), sum(len(b.frequencies) for b in bands)))
     return carriers.beside(processes, NAME, [k for k in kinds if k[0]], KEPT)
 
 
-def _kinds(problem: Problem) -> list[list[_Band]]:
+def _kinds(problem: Problem) -> list[list[Band]]:
     """Slow waves in time, fast ones; along the path; along joints' travels."""
     every = carriers.every(problem)
-    legs, tool = every[-1 - len(problem.measurement.machine.joints) : -1], every[-1]
     in_time = [[band] for band in _in_time(problem, every)]
-    return [*in_time, _along_path(problem, tool), _along_travel(problem, legs)]
+    return [*in_time, _along_path(problem, every[-1]), _along_travel(problem)]
 
 
 def _timed(problem: Problem) -> bool:
@@ -80,7 +80,7 @@ def _timed(problem: Problem) -> bool:
     return "time" in problem.rows and bool(problem.rows["time"].notna().all())
 
 
-def _in_time(problem: Problem, every: list[Array]) -> list[_Band]:
+def _in_time(problem: Problem, every: list[Array]) -> list[Band]:
     """Waves in time on a channel, on a joint, on the tool: slow ones, then fast ones."""
     rows, known = problem.rows, _timed(problem)
     time = (
@@ -103,11 +103,11 @@ def _in_time(problem: Problem, every: list[Array]) -> list[_Band]:
     span = float(np.ptp(clock)) + step
     middle = min(SLOW / span, most)
     names, unit = carriers.named(problem), "s" if known else "readings"
-    bands = [_Band(unit, clocks, every, _frequencies(span, 1.0 / span, middle), names)]
-    return [*bands, _Band(unit, clocks, every, _frequencies(span, middle, most), names)] if most > middle else bands
+    bands = [Band(unit, clocks, every, _frequencies(span, 1.0 / span, middle), names)]
+    return [*bands, Band(unit, clocks, every, _frequencies(span, middle, most), names)] if most > middle else bands
 
 
-def _swings(problem: Problem) -> list[_Band]:
+def _swings(problem: Problem) -> list[Band]:
     """Slow waves in time of all the machine's parameters together."""
     carrier = carriers.parameters(problem)
     readings = sum(len(s) for s in problem.series)
@@ -116,10 +116,10 @@ def _swings(problem: Problem) -> list[_Band]:
         return []
     clock = span * carriers.at_poses(problem, [s.progress for s in problem.states])
     unit = "s" if _timed(problem) else "readings"
-    return [_Band(unit, clock, [carrier], np.arange(1, SWINGS + 1) / (2.0 * span), ["all parameters together"])]
+    return [Band(unit, clock, [carrier], np.arange(1, SWINGS + 1) / (2.0 * span), ["all parameters together"])]
 
 
-def _in_runs(problem: Problem) -> list[_Band]:
+def _in_runs(problem: Problem) -> list[Band]:
     """Waves in time on a channel, where no time is told: over the way in each run, their phases its own."""
     if _timed(problem):
         return []
@@ -133,10 +133,10 @@ def _in_runs(problem: Problem) -> list[_Band]:
     longest = max(len(members) for members in problem.blocks)
     frequencies = _frequencies(span, 1.0 / span, 0.5 * longest / span)
     channels = zip(carriers.every(problem), carriers.named(problem)[: len(np.unique(problem.group))], strict=False)
-    return [_Band("m", arc, [c * runs[:, :, None]], frequencies, [f"{n}, run by run"]) for c, n in channels]
+    return [Band("m", arc, [c * runs[:, :, None]], frequencies, [f"{n}, run by run"]) for c, n in channels]
 
 
-def _told(problem: Problem, metric: Metric, bands: Sequence[_Band]) -> list[Peak]:
+def _told(problem: Problem, metric: Metric, bands: Sequence[Band]) -> list[Peak]:
     """The best waves of bands whose carriers have many columns of which few are seen well: told by their evidence, for
     what all of them explain is mostly noise."""
     found = []
@@ -152,7 +152,7 @@ def _told(problem: Problem, metric: Metric, bands: Sequence[_Band]) -> list[Peak
     return sorted(found, key=lambda p: p.log_tail)[:BEST]
 
 
-def _along_path(problem: Problem, tool: Array) -> list[_Band]:
+def _along_path(problem: Problem, tool: Array) -> list[Band]:
     """Waves along the path of the tool, at one feed."""
     # a feed that is not told is the same in all
     feed = (
@@ -168,24 +168,40 @@ def _along_path(problem: Problem, tool: Array) -> list[_Band]:
         span, finest = float(arc[here, 0].max()), min(FINEST, BETWEEN * float(np.median(steps)))
         frequencies = _frequencies(span, 1.0 / span, max(1.0 / finest, 1.0 / span))
         name = f"the tool at {6e4 * value:.0f} mm/min" if value > 0.0 else "the tool"
-        bands.append(_Band("m", arc, [np.where(here[:, None, None], tool, 0.0)], frequencies, [name]))
+        bands.append(Band("m", arc, [np.where(here[:, None, None], tool, 0.0)], frequencies, [name]))
     return bands
 
 
-def _along_travel(problem: Problem, legs: list[Array]) -> list[_Band]:
-    """Waves of a joint along its own travel, and of all of them at one period, each with its own phase."""
+def travels(problem: Problem) -> tuple[list[int], Array, Array]:
+    """Sliding joints with a travel worth telling, all joints' places (N, J, nq), m or rad, and their spans (nq,)."""
     place = carriers.at_poses(problem, [s.joints for s in problem.states])
     place -= place.min(axis=(0, 1))
     spans = np.ptp(place[:, 0], axis=0)
-    long = [i for i, j in enumerate(problem.measurement.machine.joints) if j.unit == "m" and spans[i] > SHORT * LEAST]
+    kinds = problem.measurement.machine.joints
+    return [i for i, j in enumerate(kinds) if j.unit == "m" and spans[i] > SHORT * LEAST], place, spans
+
+
+def along(legs: Array, some: Sequence[int], place: Array, frequencies: Array) -> Band:
+    """Waves of one joint along its own travel, or of several at one period, each with its own phase. legs (N, nq, J) of
+    all joints, as from `carriers.joints`;  place (N, J, nq)"""
+    names = tuple(f"leg {i + 1}" for i in some)
+    alone = len(names) == 1
+    clock = place[:, :, some[0]] if alone else place[:, :, list(some)]
+    told = names[0] if alone else "all legs, each"
+    return Band("travel_m", clock, [legs[:, list(some)]], frequencies, [told], names)
+
+
+def _along_travel(problem: Problem) -> list[Band]:
+    """Waves of a joint along its own travel, and of all of them at one period."""
+    legs = carriers.joints(problem)
+    long, place, spans = travels(problem)
     bands = []
     for i in long:
         frequencies = _frequencies(spans[i], LONG / spans[i], 1.0 / SHORT)
-        bands.append(_Band("travel_m", place[:, :, i], [legs[i]], frequencies, [f"leg {i + 1}"]))
+        bands.append(along(legs, [i], place, frequencies))
     if len(long) > 1:
-        span, together = float(spans[long].max()), np.concatenate([legs[i] for i in long], axis=1)
-        frequencies = _frequencies(span, LONG / span, 1.0 / SHORT)
-        bands.append(_Band("travel_m", place[:, :, long], [together], frequencies, ["all legs, each"]))
+        span = float(spans[long].max())
+        bands.append(along(legs, long, place, _frequencies(span, LONG / span, 1.0 / SHORT)))
     return bands
 
 
@@ -213,12 +229,12 @@ def _arc(problem: Problem) -> Array:
     return arc
 
 
-def _peaks(problem: Problem, metric: Metric, band: _Band) -> list[Peak]:
-    """The strongest waves of a band on each of its carriers."""
+def peaks(problem: Problem, metric: Metric, band: Band, strength: Array) -> list[Peak]:
+    """The strongest waves of a band on each of its carriers, by what tells how strong they are (carriers, k)."""
     found = []
-    for carrier, name, tail in zip(band.carriers, band.names, _tails(problem, metric, band), strict=True):
-        peaks, _ = signal.find_peaks(np.concatenate([[-1.0], -tail, [-1.0]]), distance=int(2 * OVER))
-        for k in peaks[np.argsort(tail[peaks - 1])][:KEPT] - 1:
+    for carrier, name, told in zip(band.carriers, band.names, strength, strict=True):
+        high, _ = signal.find_peaks(np.concatenate([[-1.0], told, [-1.0]]), distance=int(2 * OVER))
+        for k in high[np.argsort(-told[high - 1])][:KEPT] - 1:
             near = _close(band, carrier, int(k))
             tails = _tails(problem, metric, near)[0]
             best = float(near.frequencies[np.argmin(tails)])
@@ -226,7 +242,8 @@ def _peaks(problem: Problem, metric: Metric, band: _Band) -> list[Peak]:
             half, own, twice = np.arange(columns.shape[1]).reshape(3, -1)
             forms = (own, np.concatenate([own, twice]), np.concatenate([half, own]))
             about = _words(band.unit, 1.0 / best, name)
-            found.append(Peak(float(tails.min()), columns, {f"period_{band.unit}": 1.0 / best}, about, forms))
+            labels = tuple(leg for _ in TONES for leg in band.legs for _ in range(2))
+            found.append(Peak(float(tails.min()), columns, {f"period_{band.unit}": 1.0 / best}, about, forms, labels))
     return found
 
 
@@ -240,7 +257,7 @@ def _words(unit: str, period: float, name: str) -> str:
     return f"{name} in a wave every {1e3 * period:.3g} mm of {'path' if unit == 'm' else 'travel'}"
 
 
-def _close(band: _Band, carrier: Array, k: int) -> _Band:
+def _close(band: Band, carrier: Array, k: int) -> Band:
     """The band about its k-th frequency, on one carrier."""
     step = float(np.diff(band.frequencies[:2])[0]) if len(band.frequencies) > 1 else 0.0
     return dataclasses.replace(band, carriers=[carrier], frequencies=band.frequencies[k] + step * FINE)
@@ -262,7 +279,7 @@ def _waves(carrier: Array, both: Array) -> Array:
     return np.asarray(made.reshape(len(carrier), -1, both.shape[-1]))
 
 
-def _tails(problem: Problem, metric: Metric, band: _Band) -> Array:
+def _tails(problem: Problem, metric: Metric, band: Band) -> Array:
     """Log tail probability (carriers, k) of the energy that each wave explains of the residual, its phases free."""
     residual = metric.parts(problem.residual[:, None])
     tails = np.empty((len(band.carriers), len(band.frequencies)))
