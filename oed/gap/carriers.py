@@ -26,7 +26,8 @@ from oed.measurement import Series
 class Peak:
     """A form: log tail probability of what it explains, its columns (N, k), and what it is told by; the columns that
     each of several forms of the same has, all of them by default. Where columns are many and few are seen well, minus
-    the log evidence stands in place of the tail. `about`: the form in words."""
+    the log evidence stands in place of the tail. `about`: the form in words; labels (k,): the leg of each
+    column, where the form is a leg's."""
 
     log_tail: float
     columns: Array

@@ -72,8 +72,6 @@ def _carrying(search: Search, best: Hypothesis, named: Collection[str]) -> tuple
 def _widest(source: Library, atom: int) -> Index:
     """Columns of the form of the same effect and constants that has as many as it can have, in blocks if it has any."""
     mine = source.atoms[atom]
-    if mine.effect == pursuit.NAME:  # each is of its own
-        return mine.columns
     same = [a.columns for a in source.atoms if (a.effect, a.constants) == (mine.effect, mine.constants)]
     return max(same, key=lambda columns: (all(source.labels[c] for c in columns), len(columns)))
 

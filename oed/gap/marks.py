@@ -20,8 +20,8 @@ from oed.gap.library import Library
 from oed.gap.problem import Problem
 
 NAME = "fine marks along a joint"
-#: shortest period, m, and what the travel is divided in for the transform; divisions of a travel, at most
-FINEST, BIN, MOST = 8e-6, 1e-6, 2**21
+#: what a travel is divided in for the transform, m, and in how many at most; shortest period, in these
+BIN, MOST, FINEST = 1e-6, 2**21, 8.0
 
 
 def added(processes: Library, problem: Problem, law: Law) -> Library:
@@ -32,7 +32,7 @@ def added(processes: Library, problem: Problem, law: Law) -> Library:
     metric, legs = Metric(problem, law), carriers.joints(problem)
     size, bin_size = _division(float(place[:, :, long].max()))
     every = fft.rfftfreq(size, bin_size)
-    some = np.flatnonzero((every > 1.0 / waves.SHORT) & (every < BIN / (FINEST * bin_size)))
+    some = np.flatnonzero((every > 1.0 / waves.SHORT) & (every < 1.0 / (FINEST * bin_size)))
     energy = _energies(problem, metric, legs[:, long], place[:, :, long] / bin_size, size)[:, some]
     found, count = [], 0.0
     for own, leg in zip(energy, long, strict=True):

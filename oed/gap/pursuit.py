@@ -66,8 +66,10 @@ def _pursued(processes: Library, problem: Problem, start: Law, known: bool) -> t
             both = np.unique(np.concatenate([choices[k] for k in chosen]))
             # the first one's share among all is told where these are compared
             weight = float(weights[chosen].sum() - weights[chosen[0]] + processes.atoms[chosen[0]].log_weight)
+            which = {f"process {n}": float(k) for n, k in enumerate(chosen, start=1)}
+            which["processes"] = float(len(chosen))
             about = ", and ".join(dict.fromkeys(processes.atoms[k].about for k in chosen))
-            atoms.append(Atom(NAME, {"processes": float(len(chosen))}, both, weight, about))
+            atoms.append(Atom(NAME, which, both, weight, about))
     if not known and np.isfinite(law.tails):
         pair = scatter.anew(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
     return atoms, pair

@@ -301,10 +301,9 @@ def over_sense(state: State) -> Iterable[Column]:
 
 def over_load(state: State) -> Iterable[Column]:
     """An error that comes with the payload, over the pose and along the runs."""
-    load = np.where(np.isfinite(state.payload), state.payload, 0.0)
     if state.heaviest == 0.0:
         return
-    load = load / state.heaviest
+    load = _loaded(state)
     yield from _read(state, "load", UNIT, load)
     values = _coordinates(state) * load[:, None]
     yield from _products(state, values, "load", 1)
@@ -317,7 +316,7 @@ def parameters_over_load(state: State) -> Iterable[Column]:
     """All of the machine's parameters shifted by the payload, together by a micrometre."""
     if state.heaviest == 0.0:
         return
-    load = np.where(np.isfinite(state.payload), state.payload, 0.0) / state.heaviest
+    load = _loaded(state)
     for k, share in together(state.machine).items():
         name = state.machine.parameters[k].name
         yield Column(f"{name} load", UNIT * share, parameters={name: load})
