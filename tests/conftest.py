@@ -1,9 +1,14 @@
 """What the tests share."""
 
+import importlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture
@@ -15,7 +20,20 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Real measurements, kept beside the project and not in it."""
-    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = ROOT.parent / "shared" / "data"
     if not folder.is_dir():
         pytest.skip("the folder shared/data with real measurements is not beside the project")
     return folder
+
+
+@pytest.fixture(scope="module")
+def blind_modules() -> Iterator[Callable[..., SimpleNamespace]]:
+    """Modules of the blind benchmark, each by its last name; the folder they live in is not installed."""
+
+    def found(*names: str) -> SimpleNamespace:
+        modules = {n.rpartition(".")[2]: importlib.import_module(f"benchmarks.blind.{n}") for n in names}
+        return SimpleNamespace(**modules, main=importlib.import_module("benchmarks.blind.__main__").main)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT)
+        yield found

@@ -5,10 +5,9 @@ from __future__ import annotations
 import ast
 import dataclasses
 import hashlib
-import importlib
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,22 +20,27 @@ from pkm_studies import resolve, study
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
 TOOLKIT = {"oed", "pkm_models", "pkm_studies", "pkm_reports"}
-NAMES = ("cases", "effects", "noise", "plans", "scene", "severity", "textbook", "write")
+NAMES = (
+    "cases",
+    "effects",
+    "effects.base",
+    "effects.motion",
+    "effects.thermal",
+    "noise",
+    "plans",
+    "scene",
+    "severity",
+    "textbook",
+    "write",
+)
 STUDIES = [(m, p) for m in ("a3", "planar", "delta", "hexapod", "hexaglide") for p in ("full", "poor")]
 STUDIES.append(("a3", "single"))
 
 
 @pytest.fixture(scope="module")
-def blind() -> Iterator[SimpleNamespace]:
-    """The generator's modules, and those of its effects; they live in the project's folder, which is not installed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(ROOT)
-        found = {n: importlib.import_module(f"benchmarks.blind.generator.{n}") for n in NAMES}
-        own = {
-            n: importlib.import_module(f"benchmarks.blind.generator.effects.{n}") for n in ("base", "motion", "thermal")
-        }
-        found["main"] = importlib.import_module("benchmarks.blind.__main__").main
-        yield SimpleNamespace(**found, **own)
+def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
+    """The generator's modules, and those of its effects."""
+    return blind_modules(*(f"generator.{n}" for n in NAMES))
 
 
 def stage_of(blind: SimpleNamespace, machine: str, plan: str, seed: int = 3) -> SimpleNamespace:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-import importlib
 import json
 import math
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -20,19 +19,24 @@ from oed.gap.law import Whitener
 
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
-NAMES = ("baselines", "entries", "knowing", "listing", "loading", "oracle", "pool", "run")
+NAMES = (
+    "baselines",
+    "entries",
+    "knowing",
+    "listing",
+    "loading",
+    "oracle",
+    "pool",
+    "run",
+    "generator.severity",
+    "generator.write",
+)
 
 
 @pytest.fixture(scope="module")
-def blind() -> Iterator[SimpleNamespace]:
-    """The benchmark's modules; they live in the project's folder, which is not installed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(ROOT)
-        found = {n: importlib.import_module(f"benchmarks.blind.{n}") for n in NAMES}
-        found["write"] = importlib.import_module("benchmarks.blind.generator.write")
-        found["severity"] = importlib.import_module("benchmarks.blind.generator.severity")
-        found["main"] = importlib.import_module("benchmarks.blind.__main__").main
-        yield SimpleNamespace(**found)
+def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
+    """The benchmark's modules."""
+    return blind_modules(*NAMES)
 
 
 @pytest.fixture(scope="module")

@@ -6,11 +6,10 @@ here looks at false alarms, noise law by noise law.
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +17,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
 #: kind, machine, number of cases
 SHARES = (
     ("null", "a3", 2),
@@ -37,13 +35,9 @@ CLEAR = 9.0
 
 
 @pytest.fixture(scope="module")
-def blind() -> Iterator[SimpleNamespace]:
-    """The benchmark's modules; they live in the project's folder, which is not installed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(ROOT)
-        found = {n: importlib.import_module(f"benchmarks.blind.{n}") for n in ("judge", "loading", "run")}
-        found |= {n: importlib.import_module(f"benchmarks.blind.generator.{n}") for n in ("cases", "write")}
-        yield SimpleNamespace(**found)
+def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
+    """The benchmark's modules."""
+    return blind_modules("judge", "loading", "run", "generator.cases", "generator.write")
 
 
 def diagnosed(blind: SimpleNamespace, folder: Path, case: Any) -> Mapping[str, Any]:

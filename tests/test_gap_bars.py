@@ -6,9 +6,8 @@ Readings come from the blind benchmark's generator, which shares no code with th
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -31,7 +30,7 @@ from oed.measurement import Measurement, Series
 from pkm_models.instruments import relative
 from pkm_models.machines import planar_2dof
 
-ROOT = Path(__file__).resolve().parents[1]
+MODULES = ("cases", "effects", "noise", "plans", "scene", "severity", "write")
 COLUMNS = ("time_s", "direction", "feed_mm_min", "payload_N", "repeat")
 TIMED = ("leg_thermal", "frame_thermal", "bar_thermal", "mount_drift", "step")
 TURNING = ("backlash", "friction")
@@ -39,15 +38,9 @@ TWO = {"encoder_scale", "bar_length"}
 
 
 @pytest.fixture(scope="module")
-def blind() -> Iterator[SimpleNamespace]:
-    """The benchmark's modules; they live in the project's folder, which is not installed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(ROOT)
-        found = {"loading": importlib.import_module("benchmarks.blind.loading")}
-        for name in ("cases", "effects", "noise", "plans", "scene", "severity", "write"):
-            found[name] = importlib.import_module(f"benchmarks.blind.generator.{name}")
-        found["climate"] = importlib.import_module("benchmarks.blind.generator.effects.thermal").climate
-        yield SimpleNamespace(**found)
+def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
+    """The benchmark's modules."""
+    return blind_modules("loading", *(f"generator.{n}" for n in MODULES), "generator.effects.thermal")
 
 
 @dataclasses.dataclass
@@ -82,7 +75,7 @@ def virtual(
     rng = np.random.default_rng(seed)
     layout = dataclasses.replace(blind.plans.draw(rng, *plan), columns=tuple(columns))
     base = blind.scene.draw(rng, layout)
-    stage = blind.effects.Stage(layout, base.motion, base.layout, blind.climate(rng, layout))
+    stage = blind.effects.Stage(layout, base.motion, base.layout, blind.thermal.climate(rng, layout))
     noise, group = blind.noise.draw(rng, law), blind.noise.grouping(layout, base.layout)
     metric = blind.severity.Metric(blind.noise.covariance(noise, group), base.J, base.prior)
     effect, wanted = form(rng, stage), metric.size
