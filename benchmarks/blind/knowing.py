@@ -9,8 +9,6 @@ Opens the truth, as the oracle does; `score` puts the figures of these results b
 
 from __future__ import annotations
 
-import json
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -48,17 +46,15 @@ def diagnosed(
 
 def work(job: run.Job) -> str:
     """The text of a case's result: JSON, with `error` where the diagnosis fails."""
-    case = job.case
-    said: dict[str, Any] = {"id": case.id, "study": case.study, "without": ""}
-    try:
-        problem = loading.prepared(job.folder, case)
-        with np.load(job.folder / "truth" / f"{case.id}.npz") as kept:
-            law = oracle.true_law(problem, truth_of.covariance(kept))
-        found = diagnose.diagnose(problem, loading.bench(case.study).effects, run.draws(job), law=law)
-        said |= run.told(found)
-    except Exception as error:
-        said |= {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc(limit=-4)}
-    return json.dumps(said, default=float, allow_nan=False)
+    return run.as_json(job, _diagnosed)
+
+
+def _diagnosed(job: run.Job) -> dict[str, Any]:
+    problem = loading.prepared(job.folder, job.case)
+    with np.load(job.folder / "truth" / f"{job.case.id}.npz") as kept:
+        law = oracle.true_law(problem, truth_of.covariance(kept))
+    effects = loading.bench(job.case.study).effects
+    return run.told(diagnose.diagnose(problem, effects, run.draws(job), law=law))
 
 
 def figures(oracles: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

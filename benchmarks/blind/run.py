@@ -151,19 +151,29 @@ def done(file: Path) -> bool:
 
 def work(job: Job) -> str:
     """The text of a case's result: JSON, with `error` where the diagnosis fails, for no failure may stop the others."""
+    return as_json(job, _diagnosed)
+
+
+def as_json(job: Job, made: Callable[[Job], dict[str, Any]]) -> str:
+    """What is `made` of a case, or the `error` that it ends with, as JSON."""
     said: dict[str, Any] = {"id": job.case.id, "study": job.case.study, "without": job.without}
-    begun = time.perf_counter()
     try:
-        effects = [e for e in loading.bench(job.case.study).effects if e.name != job.without]
-        problem = loading.prepared(job.folder, job.case)
-        ready = time.perf_counter()
-        found = diagnose.diagnose(problem, effects, draws(job))
-        said |= told(found) | {"seconds": {"prepare": ready - begun, "diagnose": time.perf_counter() - ready}}
-        if not job.without:
-            said["baselines"] = beside(problem, effects)
+        said |= made(job)
     except Exception as error:
         said |= {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc(limit=-4)}
     return json.dumps(said, default=float, allow_nan=False)
+
+
+def _diagnosed(job: Job) -> dict[str, Any]:
+    begun = time.perf_counter()
+    effects = [e for e in loading.bench(job.case.study).effects if e.name != job.without]
+    problem = loading.prepared(job.folder, job.case)
+    ready = time.perf_counter()
+    said = told(diagnose.diagnose(problem, effects, draws(job)))
+    said["seconds"] = {"prepare": ready - begun, "diagnose": time.perf_counter() - ready}
+    if not job.without:
+        said["baselines"] = beside(problem, effects)
+    return said
 
 
 def draws(job: Job) -> np.random.Generator:
