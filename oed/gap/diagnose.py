@@ -11,7 +11,21 @@ from scipy import linalg
 
 from oed.batch import Array
 from oed.effect import Effect
-from oed.gap import advice, answers, closure, evidence, library, marks, pursuit, scatter, spots, waves, where, which
+from oed.gap import (
+    advice,
+    answers,
+    closure,
+    evidence,
+    gate,
+    library,
+    marks,
+    pursuit,
+    scatter,
+    spots,
+    waves,
+    where,
+    which,
+)
 from oed.gap.diagnosis import UNKNOWN, Block, Closure, Coefficient, Diagnosis, Size
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
@@ -35,7 +49,9 @@ def diagnose(
     the readings if not given."""
     made = searches(problem, effects) if law is None else [_under(problem, effects, law)]
     hypotheses = which.compare(made)
-    found, best = conclude(problem, made, hypotheses, effects)
+    # draws of its own: what comes after does not depend on whether the gate was asked
+    shares = gate.weighed(problem, made, hypotheses, which.probabilities(hypotheses), rng.spawn(1)[0])
+    found, best = conclude(problem, made, hypotheses, effects, shares=shares)
     if found.verdict == "none":  # what the likeliest effect would close is told all the same, nil or not
         best = next((h for h in hypotheses if h.effects and not h.unknown), best)
     located, shrunk = _placed(problem, made[best.law], best, found, rng)
@@ -98,11 +114,16 @@ def _forms(search: Search, best: Hypothesis) -> list[Array]:
 
 
 def conclude(
-    problem: Problem, made: Sequence[Search], hypotheses: Sequence[Hypothesis], effects: Sequence[Effect]
+    problem: Problem,
+    made: Sequence[Search],
+    hypotheses: Sequence[Hypothesis],
+    effects: Sequence[Effect],
+    *,
+    shares: Array | None = None,
 ) -> tuple[Diagnosis, Hypothesis]:
     """The diagnosis that searches under several noise laws come to, without where and how far; and the hypothesis that
-    its first answer stands for."""
-    shares = which.probabilities(hypotheses)
+    its first answer stands for. `shares`: probabilities of the hypotheses, by their evidence if not given."""
+    shares = which.probabilities(hypotheses) if shares is None else shares
     groups = answers.gathered(made, hypotheses, shares)
     told, best = answers.told(groups)
     search = made[best.law]

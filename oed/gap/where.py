@@ -80,8 +80,18 @@ def where(
         _Found(look, float(score), float(p), float(e / total))
         for look, score, p, e in zip(looks, own, corrected, beyond, strict=True)
     ]
-    sharp = [_sharp(problem, root, f) for f in _told(found)]
-    return tuple(f.block for f in (sharp if known else _heated(problem, root, sharp)))
+    sharp = [_sharp(problem, root, scores, f) for f in _told(found)]
+    return tuple(f.block for f in (sharp if known else _heated(problem, root, scores, sharp)))
+
+
+def least(problem: Problem, law: Law, rng: np.random.Generator, *, draws: int = 500) -> float:
+    """The least p-value of all places, corrected for how many are looked at. Of readings without a gap it is uniform;
+    larger where the law was told from the same readings."""
+    root = _Root(problem, law)
+    scan = _Scan(root, list(looking.looks(problem)))
+    own = log_tail(scan.energy(root.scores(problem.residual)[:, None])[:, 0], scan.rank)
+    drawn = rng.standard_normal((len(problem), draws))
+    return float(_corrected(own, scan, drawn, np.zeros(len(own), dtype=bool)).min())
 
 
 def legs_of(labels: Sequence[str], mean: Array, covariance: Array, *, scale: float | Array = 1.0) -> tuple[Block, ...]:
@@ -227,7 +237,7 @@ def _told(found: Sequence[_Found]) -> list[_Found]:
     return sorted(kept, key=lambda f: f.own)
 
 
-def _sharp(problem: Problem, root: _Root, found: _Found) -> _Found:
+def _sharp(problem: Problem, root: _Root, scores: Array, found: _Found) -> _Found:
     """A likely window of the session with its ends moved, by up to a cell, to where it explains most."""
     look = found.look
     if look.kind != "time" or look.form == looking.SELECTED or found.p >= LIKELY:
@@ -236,11 +246,10 @@ def _sharp(problem: Problem, root: _Root, found: _Found) -> _Found:
     starts, clock = looking.starts_of(problem), np.unique(clock[np.isfinite(clock)])
     bounds = np.append(starts, np.inf)
     a, b = min(look.cells), max(look.cells) + 1
-    score = root.scores(problem.residual)[:, None]
 
     def best(windows: Sequence[tuple[float, float]]) -> tuple[float, float]:
         tried = [w for at in windows for w in looking.window(problem, *at, look.cells) if w.form == look.form]
-        return windows[int(np.argmax(_Scan(root, tried).energy(score)[:, 0]))]
+        return windows[int(np.argmax(_Scan(root, tried).energy(scores[:, None])[:, 0]))]
 
     last = float(clock[clock < bounds[b]].max())
     first, last = best([(float(t), last) for t in clock[clock > bounds[a - 1]] if t < bounds[a + 1] and t <= last])
@@ -251,13 +260,13 @@ def _sharp(problem: Problem, root: _Root, found: _Found) -> _Found:
     return dataclasses.replace(found, look=moved)
 
 
-def _heated(problem: Problem, root: _Root, told: Sequence[_Found]) -> list[_Found]:
+def _heated(problem: Problem, root: _Root, scores: Array, told: Sequence[_Found]) -> list[_Found]:
     """With the stretches in which the tool was warmed, if they explain more, in place of windows of the session."""
     times = [f for f in told if f.look.kind == "time"]
     if not times or times[0].p >= LIKELY:
         return list(told)
     first = times[0]
-    clock, scores = looking.clock_of(problem), root.scores(problem.residual)
+    clock = looking.clock_of(problem)
     plain = float(_Scan(root, [first.look]).energy(scores[:, None])[0, 0])
     found = warmed.stretches(problem, root.scores, plain)
     if not found:
