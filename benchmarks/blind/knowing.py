@@ -3,7 +3,7 @@
     python -m benchmarks.blind known-noise --cases SET --results RESULTS
 
 writes RESULTS/known_noise/ID.json as `run` writes RESULTS/ID.json, with the true covariance of the readings (up to its
-level) in place of a noise law told from them. Where readings are far off now and then, it holds how often, not which.
+level) in place of a noise law told from them. Which readings are far off is told as the diagnosis tells it.
 Opens the truth, as the oracle does; `score` puts the figures of these results beside the diagnosis's.
 """
 

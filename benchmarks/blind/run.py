@@ -234,6 +234,7 @@ def _law(law: Law) -> dict[str, Any]:
         "reach": law.reach,
         "level": law.level,
         "tails": _known(law.tails),
+        "strays": law.strays,
         "variance": _unless_one(law.variance),
         "ratio": None if law.ratio is None else _unless_one(law.ratio),
     }
@@ -250,6 +251,7 @@ def law_of(said: dict[str, Any], size: int) -> Law:
         variance=np.array(variance, dtype=float),
         level=said["level"],
         tails=math.inf if said["tails"] is None else said["tails"],
+        strays=said.get("strays", 0.0),
         ratio=None if said["ratio"] is None else np.array(said["ratio"], dtype=float),
     )
 

@@ -22,6 +22,7 @@ from oed.gap import (
     pursuit,
     scatter,
     spots,
+    strays,
     waves,
     where,
     which,
@@ -38,6 +39,8 @@ from oed.gap.which import Hypothesis, Search
 WIDE = 0.7
 #: log evidence of no gap, and of a gap, by which a law must be better to be taken
 BETTER, CLEARLY = 0.1, 0.3
+#: change of a reading, in units of the stated noise, from which on it is another one without what is far off
+OTHER = 1.0
 #: forms that an unknown remainder is said to be like, at most, and the least probability of each
 LIKE, LEAST_LIKE = 3, 0.03
 
@@ -47,7 +50,7 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose residuals with a library of effects. `law`: of the noise, where it is known but for its level; told from
     the readings if not given."""
-    made = searches(problem, effects) if law is None else [_under(problem, effects, law)]
+    made = searches(problem, effects) if law is None else _under(problem, effects, law)
     hypotheses = which.compare(made)
     # draws of its own: what comes after does not depend on whether the gate was asked
     shares = gate.weighed(problem, made, hypotheses, which.probabilities(hypotheses), rng.spawn(1)[0])
@@ -66,10 +69,10 @@ def _placed(
     if found.verdict != "none":
         columns, labels = _carrying(search, best, [s.effect for s in found.sizes])
         sure = UNKNOWN not in found.answers[0].effects
-        told = where.where(problem, found.law, rng, columns=columns, labels=labels, known=sure)
+        told = where.where(search.problem, found.law, rng, columns=columns, labels=labels, known=sure)
     forms = _forms(search, best) or [np.zeros((len(problem), 1))]  # nothing to add closes nothing, and is told so
     splits: tuple[Literal["within", "whole"], ...] = ("within", "whole")
-    shrunk = tuple(closure.closure(problem, found.law, forms, rng, split=split) for split in splits)
+    shrunk = tuple(closure.closure(search.problem, found.law, forms, rng, split=split) for split in splits)
     return told, shrunk
 
 
@@ -135,8 +138,8 @@ def conclude(
         answers=told,
         set95=answers.held(groups),
         marginal=_marginal(search.library.effects, hypotheses, shares),
-        law=dataclasses.replace(search.law, level=found.level),
-        noise_words=scatter.words(problem, dataclasses.replace(search.law, level=found.level)),
+        law=search.law_at(found.level),
+        noise_words=scatter.words(problem, search.law_at(found.level)),
         constants={
             e: search.library.atoms[k].constants
             for e, k in zip(best.effects, best.atoms, strict=True)
@@ -197,7 +200,7 @@ def _explained(problem: Problem, search: Search, h: Hypothesis, named: Collectio
         extra = h.process_size * search.processes.columns[:, search.processes.atoms[h.process].columns]
     columns = np.hstack([np.zeros((len(problem), 0)), *parts, extra])
     inner = metric.gram(columns, columns) + np.eye(columns.shape[1])
-    told = metric.gram(columns, problem.residual[:, None])[:, 0]
+    told = metric.gram(columns, search.problem.residual[:, None])[:, 0]
     beta, spread = np.linalg.solve(inner, told), linalg.inv(inner)
     noise = search.level(h)
     known_part, coefficients, sizes, start = np.zeros(len(problem)), [], [], 0
@@ -216,8 +219,9 @@ def _explained(problem: Problem, search: Search, h: Hypothesis, named: Collectio
         ]
         energy = float(metric.gram(signal[:, None], signal[:, None])[0, 0])
         sizes.append(Size(effect, _by_channel(problem, signal), float(np.sqrt(max(energy, 0.0))) / noise))
-    before = _left(problem, metric, problem.residual)
-    after = _left(problem, metric, problem.residual - known_part)
+    far = problem.residual - search.problem.residual
+    before = _left(problem, metric, search.problem.residual) + far
+    after = _left(problem, metric, search.problem.residual - known_part) + far
     unknown_part = columns @ beta - known_part
     return _Explained(tuple(coefficients), tuple(sizes), known_part, unknown_part, before, after, noise)
 
@@ -240,21 +244,59 @@ def _left(problem: Problem, metric: Metric, residual: Array) -> Array:
 def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     """The search under each of the noise laws that suit the readings."""
     nothing = np.zeros((len(problem), 0))
-    calm, prior = scatter.fit(problem, nothing)
-    known = library.build(problem, effects, Metric(problem, calm))
+    calm = scatter.fit(problem, nothing)
+    known = library.build(problem, effects, Metric(problem, calm[0]))
     processes = library.build(problem, PROCESSES)
-    wide = scatter.robust(problem, _wide(known, processes), start=calm)
-    tailed = bool(np.isfinite(wide[0].tails))
-    plain = scatter.robust(problem, nothing, start=calm) if tailed else (calm, prior)
-    laws = [plain, wide, scatter.quiet(plain[0])]
-    if tailed:  # what looks far off may be a gap, within a run at that
-        laws.append((calm, prior))
-    processes = _looked_for(processes, problem, plain[0])
-    processes, beside = pursuit.pursued(processes, problem, [plain[0], laws[2][0]])
+    columns = _wide(known, processes)
+    wide = scatter.fit(problem, columns, calm[0])
+    found = strays.told(problem, wide[0], columns)
+    if found is None:
+        return _searched(problem, known, processes, [calm, wide])
+    wide = scatter.fit(problem.with_residual(found.residual), columns, wide[0])
+    found = strays.told(problem, wide[0], columns) or found  # once more: the law was told with them
+    clean = problem.with_residual(found.residual)
+    laws = [scatter.fit(clean, nothing, calm[0]), scatter.fit(clean, columns, wide[0])]
+    made = _searched(clean, known, processes, laws, found)
+    # what looks far off may be a gap, within a run at that
+    made.append(Search(problem, known, _looked_for(processes, problem, calm[0]), *calm))
+    best, raw = _gap(which.compare(made)), made[-1]
+    gaps = [(raw, _gap(raw.run()))] + ([(made[best.law], best)] if made[best.law] is not raw else [])
+    for search, gap in gaps:
+        made += _beside_gap(problem, search, gap, columns, found)
+    return made
+
+
+def _beside_gap(
+    problem: Problem, search: Search, gap: Hypothesis, columns: Array, before: strays.Strays
+) -> list[Search]:
+    """Searches without what is far off from a gap, where that is less than is far off from any: a step's edges, say,
+    which no smooth model has."""
+    forms = _columns(search.library, search.processes, gap)
+    found = strays.told(problem, search.law, np.hstack([columns, forms]))
+    clean = problem if found is None else problem.with_residual(found.residual)
+    if np.abs(clean.residual - before.residual).max() < OTHER:
+        return []
+    laws = [scatter.fit(clean, beside, search.law) for beside in (np.zeros((len(problem), 0)), forms)]
+    return [Search(clean, search.library, search.processes, *pair, found) for pair in laws]
+
+
+def _searched(
+    problem: Problem,
+    known: Library,
+    processes: Library,
+    laws: list[tuple[Law, float]],
+    without: strays.Strays | None = None,
+) -> list[Search]:
+    """The search under the laws beside nothing and beside the wide model, with their log priors, and under all that
+    these lead to."""
+    plain = laws[0][0]
+    laws = [*laws, scatter.quiet(plain)]
+    processes = _looked_for(processes, problem, plain)
+    processes, beside = pursuit.pursued(processes, problem, [plain, laws[2][0]])
     for pair in beside:
         if not any(_same(pair[0], law) for law, _ in laws):
             laws.append(pair)
-    made = [Search(problem, known, processes, *pair) for pair in laws]
+    made = [Search(problem, known, processes, *pair, without) for pair in laws]
     # what each law would have act is given the law that suits it: a load's runs, say, are not taken for poor repeats
     tried: set[tuple[tuple[int, ...], int | None]] = set()
     for start in list(made):
@@ -272,12 +314,16 @@ def _looked_for(processes: Library, problem: Problem, law: Law) -> Library:
     return processes
 
 
-def _under(problem: Problem, effects: Sequence[Effect], law: Law) -> Search:
+def _under(problem: Problem, effects: Sequence[Effect], law: Law) -> list[Search]:
     """The search under a noise law that is known."""
-    processes = library.build(problem, PROCESSES)
-    processes = _looked_for(processes, problem, law)
-    processes, _ = pursuit.pursued(processes, problem, [law], known=True)
-    return Search(problem, library.build(problem, effects, Metric(problem, law)), processes, law, 0.0)
+    known, processes = library.build(problem, effects, Metric(problem, law)), library.build(problem, PROCESSES)
+    found = strays.told(problem, law, _wide(known, processes))
+    made = []
+    for without in (None, found) if found is not None else (None,):
+        seen = problem if without is None else problem.with_residual(without.residual)
+        more, _ = pursuit.pursued(_looked_for(processes, seen, law), seen, [law], known=True)
+        made.append(Search(seen, known, more, law, 0.0, without))
+    return made
 
 
 def _gap(told: Sequence[Hypothesis]) -> Hypothesis:
@@ -294,25 +340,21 @@ def _refitted(
         return
     tried.add(forms)
     columns = _columns(start.library, start.processes, best)
-    if any(np.isfinite(s.law.tails) for s in made):
-        pair = scatter.anew(start.problem, columns, start.law)
-    else:
-        pair = scatter.fit(start.problem, columns, start.law)
+    pair = scatter.fit(start.problem, columns, start.law)
     worth = _worth(start.problem, columns, [pair, *((s.law, s.log_prior) for s in made)])
     if worth[0] > max(worth[1:]) + CLEARLY:
-        made.append(Search(start.problem, start.library, start.processes, *pair))
+        made.append(Search(start.problem, start.library, start.processes, *pair, start.strays))
 
 
 def _alone(made: list[Search], start: Law) -> None:
     """Add the search under the law that suits no gap best, begun at the law that suits the best gap: what that gains by
     a law of its own, no gap should gain too."""
-    problem, nothing = made[0].problem, np.zeros((len(made[0].problem), 0))
-    found = [scatter.fit(problem, nothing, start)]
-    if any(np.isfinite(s.law.tails) for s in made):  # what is far off beside a gap may not be without, and the like
-        found.append(scatter.anew(problem, nothing, start))
-    worth = _worth(problem, nothing, found)
-    if max(worth) > max(s.grams.base + s.log_prior for s in made) + BETTER:
-        made.append(Search(problem, made[0].library, made[0].processes, *found[int(np.argmax(worth))]))
+    first = made[0]
+    nothing = np.zeros((len(first.problem), 0))
+    found = scatter.fit(first.problem, nothing, start)
+    worth = _worth(first.problem, nothing, [found])[0]
+    if worth > max(s.grams.base + s.log_prior for s in made) + BETTER:
+        made.append(Search(first.problem, first.library, first.processes, *found, first.strays))
 
 
 def _worth(problem: Problem, columns: Array, pairs: Sequence[tuple[Law, float]]) -> list[float]:
@@ -323,8 +365,7 @@ def _worth(problem: Problem, columns: Array, pairs: Sequence[tuple[Law, float]])
 
 def _same(a: Law, b: Law) -> bool:
     sizes = np.array([[v.repeat, v.wander, v.sway, np.log(v.reach)] for v in (a, b)])
-    far = np.abs(np.log(a.variance) - np.log(b.variance)).sum()
-    return bool(np.abs(sizes[0, :3] - sizes[1, :3]).max() < 0.05 and abs(sizes[0, 3] - sizes[1, 3]) < 0.2 and far < 1.0)
+    return bool(np.abs(sizes[0, :3] - sizes[1, :3]).max() < 0.05 and abs(sizes[0, 3] - sizes[1, 3]) < 0.2)
 
 
 def _wide(known: Library, processes: Library) -> Array:

@@ -30,7 +30,7 @@ def weighed(
     if told[0].effects:
         return shares
     search = made[best.law]
-    p = where.least(problem, dataclasses.replace(search.law, level=search.level(best)), rng)
+    p = where.least(search.problem, dataclasses.replace(search.law, level=search.level(best)), rng)
     none = np.array([not h.effects and not h.unknown for h in hypotheses], dtype=bool)
     changed = np.where(none, shares / against_none(p), shares)
     return np.asarray(changed / changed.sum())

@@ -4,7 +4,7 @@ In units of the stated noise, the readings of a run have the covariance
 
     level^2 [ V^1/2 B V^1/2 + repeat^2 1 1^T + sway^2 cos(phi_k - phi_l) + wander^2 exp(-|k - l| / reach) ],
 
-B the instrument's own correlation (often 1), V the variances of single readings (heavy tails), `repeat` how well a
+B the instrument's own correlation (often 1), V the variances of single readings (often 1), `repeat` how well a
 run's level repeats and `sway` its first harmonic (a bar set up anew is centred anew, ISO 230-4), `wander` an error that
 is carried along a run over `reach` readings. Channels of one reading wander apart.
 """
@@ -25,10 +25,11 @@ class Law:
     """A noise law, in units of the stated noise.
 
     repeat, wander, reach, sway   see the module; reach in readings
-    variance (N,)           of single readings over the level's; ones where tails are light
+    variance (N,)           of single readings over the level's; ones where they are alike
     ratio (N,)              noise of each reading's channel over the first one's, both over the stated; None: ones
     level                   factor on everything; 1 where it is marginalised elsewhere
     tails                   degrees of freedom of the readings' Student t, inf where they are normal
+    strays                  share of readings that are far off, where the others are normal
     """
 
     repeat: float
@@ -37,6 +38,7 @@ class Law:
     variance: Array
     level: float = 1.0
     tails: float = np.inf
+    strays: float = 0.0
     ratio: Array | None = None
     sway: float = 0.0
 

@@ -70,8 +70,6 @@ def _pursued(processes: Library, problem: Problem, start: Law, known: bool) -> t
             which["processes"] = float(len(chosen))
             about = ", and ".join(dict.fromkeys(processes.atoms[k].about for k in chosen))
             atoms.append(Atom(NAME, which, both, weight, about))
-    if not known and np.isfinite(law.tails):
-        pair = scatter.anew(problem, _columns(processes, [choices[k] for k in chosen], sizes), law)
     return atoms, pair
 
 

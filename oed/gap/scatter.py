@@ -1,10 +1,8 @@
-"""The noise law, estimated: repeatability between runs, an error carried along a run, heavy tails.
+"""The noise law, estimated: repeatability between runs, an error carried along a run.
 
 The law is found where the evidence is largest for a given explanation, and weighed by how much prior lies about it: of
 two laws that explain as much, one that had to be tuned to the readings is less likely than one that holds anyhow.
-Readings far off are found by what each reading is predicted to be from all others: beside a model wide enough to hold
-any gap, so that no gap is taken for an outlier, and beside each explanation that competes. Their variances are not
-free: each has the prior that makes it a Student t.
+Readings far off are told before (`strays`).
 """
 
 from __future__ import annotations
@@ -13,15 +11,13 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from scipy import linalg, optimize, special, stats
+from scipy import optimize, special
 
 from oed.batch import Array
 from oed.gap import evidence
 from oed.gap.law import Law, plain
 from oed.gap.problem import Problem
 
-#: degrees of freedom of the readings' Student t that are tried
-TAILS = (3.0, 4.0, 6.0, 10.0, np.inf)
 #: prior of log(1 + share) of the run's and the carried error: of the size of the noise, a factor of e either way
 SPREAD = 1.0
 #: prior of the log of the reach, in readings: about eight, a factor of e either way
@@ -60,11 +56,10 @@ def fit(problem: Problem, columns: Array, start: Law | None = None, size: float 
             return 1e9
         return -(evidence.log_evidence(problem, law(v), wide) + _prior(v))
 
-    far = outliers(start)
     first = _first(problem, start)
     starts = [first] if given else [np.concatenate([v, first[4:]]) for v in STARTS]
     best = min((_descend(cost, v) for v in starts), key=lambda found: found[1])
-    return law(best[0]), _prior(best[0]) + _about(cost, *best) + far
+    return law(best[0]), _prior(best[0]) + _about(cost, *best)
 
 
 def _about(cost: Callable[[Array], float], v: Array, least: float) -> float:
@@ -135,69 +130,7 @@ def quiet(law: Law) -> tuple[Law, float]:
     is seen is then a gap."""
     v = np.array([QUIET, QUIET, REACH, QUIET])
     volume = [LOUDER - _BOUNDS[i][0] for i in _SHARES] + [SPREAD * np.sqrt(2.0 * np.pi)]
-    return _law(law, v), _prior(v) + float(np.log(volume).sum()) + outliers(law)
-
-
-def outliers(law: Law) -> float:
-    """Log prior of the variances v of single readings, over that of none.
-
-    A variance is the likeliest of a Student t's at an error e, e^2 = v (d + 1) - d for d degrees of freedom. So that
-    the evidence is that of the t, it takes log t(e) - log N(e; 0, v) for each reading, against the same at v = 1.
-    """
-    if not np.isfinite(law.tails):
-        return 0.0
-    far = np.append(1.0, law.variance[law.variance > 1.0])
-    error = np.sqrt(far * (law.tails + 1.0) - law.tails)
-    told = stats.t(law.tails).logpdf(error) - stats.norm.logpdf(error, scale=np.sqrt(far))
-    return float((told[1:] - told[0]).sum() - np.log(len(TAILS) - 1.0))
-
-
-def robust(problem: Problem, columns: Array, size: float | Array = 1.0, start: Law | None = None) -> tuple[Law, float]:
-    """The law beside a wide model (columns (N, k) of prior N(0, size^2)), with the variance of each reading; and its
-    log prior. `start`: where the search begins, which beside nothing is found at a tenth of the cost."""
-    law, prior = fit(problem, columns, start, size)
-    far, degrees = _apart(problem, law, columns * size)
-    if not np.isfinite(degrees):
-        return law, prior
-    return fit(problem, columns, dataclasses.replace(law, variance=far, tails=degrees), size)
-
-
-def anew(problem: Problem, columns: Array, law: Law) -> tuple[Law, float]:
-    """The law beside columns (N, k), begun at one that was told beside others; variances of single readings anew."""
-    return robust(problem, columns, start=dataclasses.replace(law, variance=np.ones_like(law.variance), tails=np.inf))
-
-
-def _apart(problem: Problem, law: Law, columns: Array) -> tuple[Array, float]:
-    """Variance (N,) of each reading over the level's, and the degrees of freedom of their Student t.
-
-    Told by t_i = (C^-1 r)_i / (C^-1)_ii^1/2, the standardised error of predicting each reading from all others; once,
-    for where the variances of outliers are in C already, nothing about them is strange any more.
-    """
-    size = len(problem)
-    covariance = columns @ columns.T + problem.slopes @ problem.slopes.T
-    for k, members in enumerate(problem.blocks):
-        covariance[np.ix_(members, members)] += law.block(problem, k)
-    inverse = linalg.inv(covariance, check_finite=False)
-    t = (inverse @ problem.residual) / np.sqrt(np.diag(inverse))
-    fits = [_tail(t, degrees) for degrees in TAILS]
-    degrees, scale = max(fits, key=lambda f: f[2])[:2]
-    if not np.isfinite(degrees) or fits[-1][2] > max(f[2] for f in fits[:-1]) - 3.0:
-        return np.ones(size), np.inf
-    # what an outlier adds to its own reading only, in terms of the ordinary noise
-    factor = (degrees + (t / scale) ** 2) / (degrees + 1.0)
-    return np.maximum(factor, 1.0), float(degrees)
-
-
-def _tail(t: Array, degrees: float) -> tuple[float, float, float]:
-    """Degrees of freedom, best scale, and log likelihood of errors t under a Student t."""
-    shape = stats.t(degrees) if np.isfinite(degrees) else stats.norm
-
-    def cost(log_scale: float) -> float:
-        return float(len(t) * log_scale - shape.logpdf(t * np.exp(-log_scale)).sum())
-
-    middle = np.log(np.median(np.abs(t)) + 1e-12)
-    found = optimize.minimize_scalar(cost, bounds=(middle - 3.0, middle + 3.0), method="bounded")
-    return degrees, float(np.exp(found.x)), -float(found.fun)
+    return _law(law, v), _prior(v) + float(np.log(volume).sum())
 
 
 def words(problem: Problem, law: Law) -> tuple[str, ...]:
@@ -214,4 +147,6 @@ def words(problem: Problem, law: Law) -> tuple[str, ...]:
         )
     if np.isfinite(law.tails):
         told.append(f"readings far off are frequent (Student t with {law.tails:.2g} degrees of freedom)")
+    if law.strays > 0.0:
+        told.append(f"about {100.0 * law.strays:.2g} % of the readings are far off")
     return tuple(told)

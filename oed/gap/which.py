@@ -27,6 +27,7 @@ from oed.gap.evidence import SIZES, Grams
 from oed.gap.law import Law, Metric
 from oed.gap.library import Library
 from oed.gap.problem import Index, Problem
+from oed.gap.strays import Strays
 
 #: prior probabilities: no gap, one effect, two, three, an unknown alone, one or two with an unknown remainder
 PRIOR = {"none": 0.34, "one": 0.24, "two": 0.08, "three": 0.01, "unknown": 0.10, "one+": 0.19, "two+": 0.04}
@@ -45,9 +46,6 @@ LITTLE, MINOR = 0.1, 2.0
 #: power of the evidence among explanations of a gap: their forms are models all, and none of them quite true (a
 #: learning rate as of Gruenwald and van Ommen 2017, Bayesian Anal. 12, 1069-1103)
 RATE = 0.9
-#: log odds by which a gap is less likely where readings far off have variances of their own: the likeliest are taken,
-#: not averaged over, every explanation has its own, and the best of many gains by it
-LIKELIEST = 1.5
 _NONE = np.empty(0, dtype=np.intp)
 
 
@@ -85,16 +83,26 @@ class Hypothesis:
 
 
 class Search:
-    """The search under one noise law."""
+    """The search under one noise law. strays: what `problem`'s residuals have been told to be without, if any."""
 
-    def __init__(self, problem: Problem, library: Library, processes: Library, law: Law, log_prior: float) -> None:
-        self.problem, self.library, self.processes, self.law, self.log_prior = (
+    def __init__(
+        self,
+        problem: Problem,
+        library: Library,
+        processes: Library,
+        law: Law,
+        log_prior: float,
+        strays: Strays | None = None,
+    ) -> None:
+        self.problem, self.library, self.processes, self.law, self.log_prior, self.strays = (
             problem,
             library,
             processes,
             law,
             log_prior,
+            strays,
         )
+        self._odds = log_prior + (0.0 if strays is None else strays.log_odds)
         self.grams: Grams = evidence.grams(
             problem, Metric(problem, law), np.hstack([library.columns, processes.columns])
         )
@@ -145,6 +153,11 @@ class Search:
         if h.process is not None:
             found = found.given(self._processes[h.process], h.process_size)
         return evidence.level(found)
+
+    def law_at(self, level: float) -> Law:
+        """The law at a level, and how many readings are far off."""
+        law = dataclasses.replace(self.law, level=level)
+        return law if self.strays is None else self.strays.law(law)
 
     def alternatives(self, h: Hypothesis, i: int, count: int = 4) -> list[tuple[int, float]]:
         """The next best forms of the i-th effect of a hypothesis, with their best sizes."""
@@ -197,7 +210,7 @@ class Search:
             sizes=tuple(size),
             process=None,
             process_size=0.0,
-            log_evidence=spare + self.log_prior,
+            log_evidence=spare + self._odds,
             log_prior=self._prior(len(effects), False),
         )
         left = self._selected(found)
@@ -301,8 +314,7 @@ class Search:
         names = {0: "none", 1: "one", 2: "two", 3: "three"}
         if unknown:
             names = {0: "unknown", 1: "one+", 2: "two+", 3: "two+"}
-        gained = LIKELIEST if (count or unknown) and np.isfinite(self.law.tails) else 0.0
-        return float(np.log(PRIOR[names[count]]) - np.log(special.comb(number, count)) - gained)
+        return float(np.log(PRIOR[names[count]]) - np.log(special.comb(number, count)))
 
     # -- the search ----------------------------------------------------------------------------------------
 

@@ -52,6 +52,27 @@ def readings(seed: int, uneven: float = 0.0, late: float = 0.0, *, timed: bool =
     return made.with_residual(noise)
 
 
+def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> Problem:
+    """A planar machine read along lines by RM 5: two channels, whose reference reading is shared. White residuals."""
+    measurement = Measurement(planar_2dof.machine, [mount(relative.rm5, "lines")])
+    y = np.linspace(-1.4, 1.4, length)
+    command = np.vstack(
+        [np.column_stack([y if k % 2 == 0 else y[::-1], np.full(length, 0.4 * k)]) for k in range(runs)]
+    )
+    labels = [f"line {k}" for k in range(runs) for _ in range(length)]
+    series = measurement.series("lines", command, labels)
+    covariates = pd.DataFrame(
+        {
+            "setup": "lines",
+            "run": series.run,
+            "order": np.tile(np.arange(2, length + 1), runs),
+            "time": 40.0 * np.arange(len(series)),
+        }
+    )
+    made = problems.planned(measurement, (series,), covariates)
+    return made.with_residual(np.random.default_rng(seed).standard_normal(len(made)))
+
+
 def _bow(state: State, turns: float) -> list[Column]:
     return [
         Column(f"leg {i + 1}", 5e-6, f"leg {i + 1}", {i: np.cos(turns * np.pi * state.joints[:, i])})

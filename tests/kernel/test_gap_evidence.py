@@ -5,44 +5,19 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import linalg, stats
 
+from kernel.gap_lines import white_lines
 from oed.gap import evidence, scatter
 from oed.gap import problem as problems
 from oed.gap.law import Law, Metric
 from oed.gap.problem import Problem
-from oed.instrument import mount
-from oed.measurement import Measurement
-from pkm_models.instruments import relative
-from pkm_models.machines import planar_2dof
-
-
-def _problem(seed: int = 0, runs: int = 4, length: int = 15) -> Problem:
-    """A planar machine read along lines by RM 5: two channels, whose reference reading is shared."""
-    measurement = Measurement(planar_2dof.machine, [mount(relative.rm5, "lines")])
-    y = np.linspace(-1.4, 1.4, length)
-    command = np.vstack(
-        [np.column_stack([y if k % 2 == 0 else y[::-1], np.full(length, 0.4 * k)]) for k in range(runs)]
-    )
-    labels = [f"line {k}" for k in range(runs) for _ in range(length)]
-    series = measurement.series("lines", command, labels)
-    covariates = pd.DataFrame(
-        {
-            "setup": "lines",
-            "run": series.run,
-            "order": np.tile(np.arange(2, length + 1), runs),
-            "time": 40.0 * np.arange(len(series)),
-        }
-    )
-    made = problems.planned(measurement, (series,), covariates)
-    return made.with_residual(np.random.default_rng(seed).standard_normal(len(made)))
 
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    return _problem()
+    return white_lines()
 
 
 def _law(problem: Problem) -> Law:
@@ -145,7 +120,7 @@ def test_residual_does_not_depend_on_where_the_fit_ended(problem: Problem) -> No
     ("repeat", "wander", "sway"), [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 2.0)]
 )
 def test_noise_law_is_found(repeat: float, wander: float, sway: float) -> None:
-    problem = _problem(7, runs=12, length=40)
+    problem = white_lines(7, runs=12, length=40)
     true = Law(repeat, wander, 6.0, np.ones(len(problem)), sway=sway)
     rng = np.random.default_rng(8)
     y = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
@@ -179,7 +154,7 @@ def test_prior_about_a_law_is_its_volume() -> None:
 def test_a_law_that_has_to_be_tuned_is_less_likely_than_one_that_holds_anyhow(shift: float) -> None:
     """Runs that differ: how much is told by the readings to within a fraction, and the prior there is little. White
     ones: whatever is small does, and the quiet law has as much of the prior as the one that is found."""
-    problem, rng = _problem(7, runs=12, length=40), np.random.default_rng(15)
+    problem, rng = white_lines(7, runs=12, length=40), np.random.default_rng(15)
     y = rng.standard_normal(len(problem))
     for members in problem.blocks:
         y[members] += shift * rng.standard_normal()
@@ -190,38 +165,6 @@ def test_a_law_that_has_to_be_tuned_is_less_likely_than_one_that_holds_anyhow(sh
     assert most - prior == pytest.approx(2.5 if shift else 0.3, abs=1.0)
 
 
-def test_outliers_are_found_and_no_others() -> None:
-    problem = _problem(9, runs=10, length=40)
-    rng = np.random.default_rng(10)
-    y = rng.standard_normal(len(problem))
-    none = np.zeros((len(problem), 0))
-    assert np.all(scatter.robust(problem.with_residual(y), none)[0].variance == 1.0)
-    far = rng.choice(len(problem), 12, replace=False)
-    y[far] += 12.0 * rng.choice([-1.0, 1.0], 12)
-    law, _ = scatter.robust(problem.with_residual(y), none)
-    assert np.isfinite(law.tails)
-    assert np.median(law.variance[far]) > 8.0 * np.median(np.delete(law.variance, far))
-    clean = dataclasses.replace(law, variance=np.ones(len(problem)), tails=np.inf)
-    told = [evidence.log_evidence(problem.with_residual(y), v, problem.slopes) for v in (law, clean)]
-    assert told[0] > told[1]
-
-
-@pytest.mark.parametrize("degrees", [3.0, 6.0])
-def test_variances_of_outliers_have_the_prior_that_makes_a_student_t(problem: Problem, degrees: float) -> None:
-    """Variances at their likeliest under errors e make the normal density, with their prior, a t's: but for a constant
-    for each reading that is far off, against one just not so, and the choice among the numbers of degrees."""
-    errors = np.array([1.2, 2.0, 5.0, 9.0, 30.0])
-    variance = np.ones(len(problem))
-    variance[: len(errors)] = (degrees + errors**2) / (degrees + 1.0)
-    law = Law(0.0, 0.0, 1.0, variance, tails=degrees)
-    normal = stats.norm.logpdf(errors, scale=np.sqrt(variance[: len(errors)])).sum()
-    student = stats.t(degrees)
-    just = len(errors) * (student.logpdf(1.0) - stats.norm.logpdf(1.0))
-    wanted = student.logpdf(errors).sum() - normal - just - np.log(4.0)
-    assert scatter.outliers(law) == pytest.approx(wanted)
-    assert scatter.outliers(dataclasses.replace(law, tails=np.inf)) == 0.0
-
-
 def test_a_law_in_words_tells_the_first_harmonic(problem: Problem) -> None:
     law = Law(0.0, 0.0, 1.0, np.ones(len(problem)), level=2.0, sway=0.8)
     told = scatter.words(problem, law)
@@ -230,34 +173,3 @@ def test_a_law_in_words_tells_the_first_harmonic(problem: Problem) -> None:
     ]
     assert len(told) == 2
     assert len(scatter.words(problem, dataclasses.replace(law, sway=0.1))) == 1
-
-
-def _bumpy(problem: Problem, count: int) -> np.ndarray:
-    """Columns (N, runs * channels * count), each `count` cosines of falling size in one channel of one run."""
-    made = []
-    for members in problem.blocks:
-        for group in np.unique(problem.group):
-            mine = members[problem.group[members] == group]
-            at = (np.arange(len(mine)) + 0.5) / len(mine)
-            for k in range(count):
-                made.append(np.zeros(len(problem)))
-                made[-1][mine] = np.cos(np.pi * k * at) / (1.0 + k / 4.0)
-    return np.column_stack(made)
-
-
-def test_outliers_are_found_beside_a_model_of_many_columns() -> None:
-    """Its columns give way to an outlier by two thirds: readings far off are still told by the others."""
-    problem = _problem(13, runs=5, length=31)
-    columns, rng = _bumpy(problem, 18), np.random.default_rng(14)
-    assert columns.shape[1] == 0.6 * len(problem)
-    gap = columns @ rng.standard_normal(columns.shape[1])
-    y = gap + rng.standard_normal(len(problem))
-    clean = scatter.robust(problem.with_residual(y), columns)[0]
-    assert not np.isfinite(clean.tails)
-    assert np.all(clean.variance == 1.0)
-    far = rng.choice(len(problem), 9, replace=False)
-    y[far] += 15.0 * rng.choice([-1.0, 1.0], len(far))
-    law, _ = scatter.robust(problem.with_residual(y), columns)
-    assert np.isfinite(law.tails)
-    assert law.variance[far].min() > 15.0
-    assert np.quantile(np.delete(law.variance, far), 0.95) < 5.0
