@@ -211,9 +211,11 @@ def test_interrupted_in_earnest(tmp_path: Path) -> None:
     """SIGINT to the process in the middle of its work: one line, and whole files only."""
     text = sample.STUDY + "[readings]\nsimulate = true\n[posterior]\nsteps = 1000000\ness = 1000000\n"
     study = write(tmp_path / "p.study.toml", text)
-    command = [sys.executable, "-c", "import sys; from pkm_studies.cli import main; sys.exit(main())"]
+    # as from a terminal: who runs the tests in the background has the signal ignored, and passes that on
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); import sys; "
+    code += "from pkm_studies.cli import main; sys.exit(main())"
     process = subprocess.Popen(
-        [*command, "run", str(study), "--out", str(tmp_path / "out")],
+        [sys.executable, "-c", code, "run", str(study), "--out", str(tmp_path / "out")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
