@@ -55,9 +55,10 @@ def diagnose(
     # draws of its own: what comes after does not depend on whether the gate was asked
     shares = gate.weighed(problem, made, hypotheses, which.probabilities(hypotheses), rng.spawn(1)[0])
     found, best = conclude(problem, made, hypotheses, effects, shares=shares)
+    seen = made[best.law].problem  # without what is far off, where anything is
     if found.verdict == "none":  # what the likeliest effect would close is told all the same, nil or not
         best = next((h for h in hypotheses if h.effects and not h.unknown), best)
-    located, shrunk = _placed(problem, made[best.law], best, found, rng)
+    located, shrunk = _placed(seen, made[best.law], best, found, rng)
     return dataclasses.replace(found, where=located, closure=shrunk)
 
 
@@ -69,10 +70,10 @@ def _placed(
     if found.verdict != "none":
         columns, labels = _carrying(search, best, [s.effect for s in found.sizes])
         sure = UNKNOWN not in found.answers[0].effects
-        told = where.where(search.problem, found.law, rng, columns=columns, labels=labels, known=sure)
+        told = where.where(problem, found.law, rng, columns=columns, labels=labels, known=sure)
     forms = _forms(search, best) or [np.zeros((len(problem), 1))]  # nothing to add closes nothing, and is told so
     splits: tuple[Literal["within", "whole"], ...] = ("within", "whole")
-    shrunk = tuple(closure.closure(search.problem, found.law, forms, rng, split=split) for split in splits)
+    shrunk = tuple(closure.closure(problem, found.law, forms, rng, split=split) for split in splits)
     return told, shrunk
 
 
