@@ -53,7 +53,7 @@ def diagnose(
     made = searches(problem, effects) if law is None else _under(problem, effects, law)
     hypotheses = which.compare(made)
     # draws of its own: what comes after does not depend on whether the gate was asked
-    shares = gate.weighed(problem, made, hypotheses, which.probabilities(hypotheses), rng.spawn(1)[0])
+    shares = gate.weighed(made, hypotheses, which.probabilities(hypotheses), rng.spawn(1)[0])
     found, best = conclude(problem, made, hypotheses, effects, shares=shares)
     seen = made[best.law].problem  # without what is far off, where anything is
     if found.verdict == "none":  # what the likeliest effect would close is told all the same, nil or not
@@ -133,14 +133,15 @@ def conclude(
     search = made[best.law]
     named = {name for c in told[0].classes for name in c}
     found = _explained(problem, search, best, named if named & set(best.effects) else set(best.effects))
+    law = search.law_at(found.level)
     diagnosis = Diagnosis(
         problem=problem,
         verdict=answers.verdict(told[0]),
         answers=told,
         set95=answers.held(groups),
         marginal=_marginal(search.library.effects, hypotheses, shares),
-        law=search.law_at(found.level),
-        noise_words=scatter.words(problem, search.law_at(found.level)),
+        law=law,
+        noise_words=scatter.words(problem, law),
         constants={
             e: search.library.atoms[k].constants
             for e, k in zip(best.effects, best.atoms, strict=True)
@@ -253,9 +254,9 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
     found = strays.told(problem, wide[0], columns)
     if found is None:
         return _searched(problem, known, processes, [calm, wide])
-    wide = scatter.fit(problem.with_residual(found.residual), columns, wide[0])
+    wide = scatter.fit(strays.without(problem, found), columns, wide[0])
     found = strays.told(problem, wide[0], columns) or found  # once more: the law was told with them
-    clean = problem.with_residual(found.residual)
+    clean = strays.without(problem, found)
     laws = [scatter.fit(clean, nothing, calm[0]), scatter.fit(clean, columns, wide[0])]
     made = _searched(clean, known, processes, laws, found)
     # what looks far off may be a gap, within a run at that
@@ -274,7 +275,7 @@ def _beside_gap(
     which no smooth model has."""
     forms = _columns(search.library, search.processes, gap)
     found = strays.told(problem, search.law, np.hstack([columns, forms]))
-    clean = problem if found is None else problem.with_residual(found.residual)
+    clean = strays.without(problem, found)
     if np.abs(clean.residual - before.residual).max() < OTHER:
         return []
     laws = [scatter.fit(clean, beside, search.law) for beside in (np.zeros((len(problem), 0)), forms)]
@@ -286,7 +287,7 @@ def _searched(
     known: Library,
     processes: Library,
     laws: list[tuple[Law, float]],
-    without: strays.Strays | None = None,
+    far: strays.Strays | None = None,
 ) -> list[Search]:
     """The search under the laws beside nothing and beside the wide model, with their log priors, and under all that
     these lead to."""
@@ -297,7 +298,7 @@ def _searched(
     for pair in beside:
         if not any(_same(pair[0], law) for law, _ in laws):
             laws.append(pair)
-    made = [Search(problem, known, processes, *pair, without) for pair in laws]
+    made = [Search(problem, known, processes, *pair, far) for pair in laws]
     # what each law would have act is given the law that suits it: a load's runs, say, are not taken for poor repeats
     tried: set[tuple[tuple[int, ...], int | None]] = set()
     for start in list(made):
@@ -320,10 +321,10 @@ def _under(problem: Problem, effects: Sequence[Effect], law: Law) -> list[Search
     known, processes = library.build(problem, effects, Metric(problem, law)), library.build(problem, PROCESSES)
     found = strays.told(problem, law, _wide(known, processes))
     made = []
-    for without in (None, found) if found is not None else (None,):
-        seen = problem if without is None else problem.with_residual(without.residual)
+    for far in (None, found) if found is not None else (None,):
+        seen = strays.without(problem, far)
         more, _ = pursuit.pursued(_looked_for(processes, seen, law), seen, [law], known=True)
-        made.append(Search(seen, known, more, law, 0.0, without))
+        made.append(Search(seen, known, more, law, 0.0, far))
     return made
 
 

@@ -7,7 +7,6 @@ much at most can be made against no gap: its odds are divided by B = 1 / (-e p l
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -15,22 +14,19 @@ import numpy as np
 
 from oed.batch import Array
 from oed.gap import answers, where
-from oed.gap.problem import Problem
 from oed.gap.which import Hypothesis, Search
 
 #: p-value below which the scan has a say
 SEEN = 0.05
 
 
-def weighed(
-    problem: Problem, made: Sequence[Search], hypotheses: Sequence[Hypothesis], shares: Array, rng: np.random.Generator
-) -> Array:
+def weighed(made: Sequence[Search], hypotheses: Sequence[Hypothesis], shares: Array, rng: np.random.Generator) -> Array:
     """Probabilities (hypotheses,) from those by the evidence: changed only where these would have no gap told."""
     told, best = answers.told(answers.gathered(made, hypotheses, shares))
     if told[0].effects:
         return shares
     search = made[best.law]
-    p = where.least(search.problem, dataclasses.replace(search.law, level=search.level(best)), rng)
+    p = where.least(search.problem, search.law_at(search.level(best)), rng)
     none = np.array([not h.effects and not h.unknown for h in hypotheses], dtype=bool)
     changed = np.where(none, shares / against_none(p), shares)
     return np.asarray(changed / changed.sum())

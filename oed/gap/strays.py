@@ -105,6 +105,11 @@ class Strays:
         return dataclasses.replace(law, tails=self.shape.degrees, strays=self.shape.strays)
 
 
+def without(problem: Problem, found: Strays | None) -> Problem:
+    """The readings without what was found far off, if anything was."""
+    return problem if found is None else problem.with_residual(found.residual)
+
+
 def told(problem: Problem, law: Law, columns: Array) -> Strays | None:
     """Readings far off under a law, beside a model wide enough to hold any gap (columns (N, k) of prior N(0, 1)), so
     that no gap is taken for one; None where tails are light.

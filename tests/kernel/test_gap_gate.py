@@ -90,7 +90,7 @@ def test_only_where_none_would_be_told_its_odds_are_divided(
     search = Search(
         problem, library.build(problem, EFFECTS), library.build(problem, PROCESSES[:1]), plain(problem), 0.0
     )
-    after = gate.weighed(problem, [search], made, before, np.random.default_rng(1))
+    after = gate.weighed([search], made, before, np.random.default_rng(1))
     factor = gate.against_none(p) if asked else 1.0
     assert len(calls) == asked
     assert all(call[1].level == 1.7 for call in calls)

@@ -27,7 +27,7 @@ def test_a_shape_is_a_density_with_its_score(shape: strays.Shape) -> None:
     def density(e: float) -> float:
         return float(np.exp(shape.log_density(np.array(e))))
 
-    whole, _ = integrate.quad(density, -np.inf, np.inf, points=None, limit=400)
+    whole, _ = integrate.quad(density, -np.inf, np.inf, limit=400)
     assert whole == pytest.approx(1.0, abs=1e-6)
     e, step = np.array([-40.0, -7.0, -2.5, -0.3, 0.2, 1.0, 3.0, 4.0, 12.0]), 1e-5
     slope = (shape.log_density(e + step) - shape.log_density(e - step)) / (2.0 * step)
