@@ -232,8 +232,7 @@ def _gather(
 ) -> Posterior:
     local, r = target.local, target.local.basis.shape[1]
     unseen = rng.standard_normal((*chain.shape[:2], local.unseen.shape[1])) @ local.unseen.T
-    theta = target.carried(local.theta(chain[..., :r]), unseen)
-    theta = theta[:, ::thin]
+    theta = target.carried(local.theta(chain[:, ::thin, :r]), unseen[:, ::thin])
     moved = np.flatnonzero(np.ptp(theta.reshape(-1, theta.shape[2]), axis=0) > 0)
     ess, rhat = np.full(theta.shape[2], np.nan), np.full(theta.shape[2], np.nan)
     ess[moved] = _ess(theta[..., moved])

@@ -19,8 +19,10 @@ from pkm_studies.errors import InputError, Place
 from pkm_studies.quantities import column
 from pkm_studies.study import SUFFIX
 
-#: values a coordinate of the grid that is offered, and the share of the workspace they span
-VALUES, SHARE = 5, 0.6
+#: values a coordinate of the grid that is offered; fewer where these make more poses than so many
+VALUES, FEWER, POSES = 5, 3, 1000
+#: share of the workspace that the grid spans
+SHARE = 0.6
 #: readings of the plan that is offered, where the grid has as many
 READINGS = 30
 TURN = 12
@@ -156,7 +158,12 @@ def _axis(c: Coordinate, machine: Machine) -> str:
     key = column(c.name, c.unit)
     if _turns(c):
         return f"{key} = {{ from = 0.0, to = 360.0, count = {TURN}, endpoint = false }}"
-    return f"{key} = {{ from = {_number(low, c.unit)}, to = {_number(high, c.unit)}, count = {VALUES} }}"
+    return f"{key} = {{ from = {_number(low, c.unit)}, to = {_number(high, c.unit)}, count = {_values(machine)} }}"
+
+
+def _values(machine: Machine) -> int:
+    """Values a coordinate: with six of them, five each would be 15625 poses, and minutes."""
+    return VALUES if VALUES ** len(machine.command) <= POSES else FEWER
 
 
 def _turns(c: Coordinate) -> bool:
@@ -215,7 +222,8 @@ def _held(machine: Machine, instrument: Instrument) -> str | None:
     """The coordinate by which the instrument can lead the tool at most poses of the grid, if there is one."""
     if instrument.holds is None:
         return None
-    axes = [np.linspace(*((0.0, 2.0 * math.pi) if _turns(c) else _span(c, machine)), VALUES) for c in machine.command]
+    ends = [(0.0, 2.0 * math.pi) if _turns(c) else _span(c, machine) for c in machine.command]
+    axes = [np.linspace(low, high, _values(machine)) for low, high in ends]
     command = np.column_stack([m.ravel() for m in np.meshgrid(*axes, indexing="ij")])
     shares = {c.name: _share(machine, instrument, command, c.name) for c in machine.command}
     best = max(shares, key=lambda name: shares[name])

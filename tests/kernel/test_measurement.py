@@ -202,6 +202,29 @@ def test_a_pose_that_cannot_be_assembled_at_some_parameters(rng: np.random.Gener
     assert np.isnan(m.near([series], m.nominal)(theta)[1]).all()
 
 
+def test_slopes_where_readings_were_asked_for_solve_no_pose_again(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    m, other = a3_plans.measurement(), a3_plans.measurement()
+    (setup,) = m.setups
+    some, more = (m.series(setup, CASES["a3_head"].commands(rng, 12)) for _ in range(2))
+    there, elsewhere = wrong(m, rng, 2)
+    solved: list[int] = []
+    solve = m.kinematics.try_forward
+    monkeypatch.setattr(m.kinematics, "try_forward", lambda q, *rest: solved.append(len(q)) or solve(q, *rest))
+    for series, theta, times in [(some, there, 1), (some, elsewhere, 1), (more, elsewhere, 1), (more, elsewhere, 0)]:
+        solved.clear()
+        y, slopes = m.readings([series], theta), m.jacobian([series], theta)
+        assert len(solved) == times
+        assert (y == other.readings([series], theta)).all()
+        assert (slopes == other.jacobian([series], theta)).all()
+        # a parameter vector that is changed in place is another one
+        theta += 1e-5
+        assert (m.readings([series], theta) == other.readings([series], theta)).all()
+        theta -= 1e-5
+        m.readings([series], theta)
+
+
 def test_virtual_machines_scatter_as_stated(rng: np.random.Generator) -> None:
     """Parameters by their tolerances, readings by their noise: 2000 draws, so each spread is known to 1.6 %."""
     m = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
