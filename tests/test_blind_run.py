@@ -261,6 +261,22 @@ def test_legs_are_tied_where_each_would_make_the_same_readings(blind):
     assert blind.oracle.tied(change, columns, library, "other") == []
 
 
+def test_what_forms_in_one_leg_leave(blind):
+    """The least over effects and forms of a leg; forms over several legs, and those of no leg, are none of any leg."""
+    from oed.gap.library import Atom, Library
+
+    columns = 1e6 * np.eye(5)
+    spans = {"a": ([0], [1], [0, 2]), "b": ([3], [4])}
+    atoms = tuple(Atom(name, {}, np.array(c), 0.0) for name, all_of in spans.items() for c in all_of)
+    labels = ("leg 1", "leg 2", "leg 2", "leg 1", "bar")
+    library = Library(columns, atoms, tuple("vwxyz"), labels, np.ones(5), {})
+    seen = np.array([4.0, 2.0, 1.0, 3.0, 6.0])  # |seen|^2 = 66; one column takes its own entry
+    left = blind.oracle.by_leg(seen, columns, library)
+    assert left == pytest.approx({"leg 1": math.sqrt(66 - 16), "leg 2": math.sqrt(66 - 4)})
+    left = blind.oracle.by_leg(seen, columns, library, "b")
+    assert left == pytest.approx({"leg 1": math.sqrt(66 - 9)})
+
+
 def test_oracle_of_generated_cases(blind, made, tmp_path):
     labels = {label["id"]: label for label in blind.entries.labels(made)}
     cases = {c.id: c for c in blind.loading.manifest(made)}

@@ -133,6 +133,21 @@ def test_the_librarys_form_shows_an_effect_where_it_explains_more_than_any_rival
     assert entry.shown == pytest.approx(math.sqrt(max(100.0 - own**2, 0.0)))
 
 
+@pytest.mark.parametrize(("other", "shown"), [(9.0, 8.0), (5.0, math.sqrt(8.0)), (3.0, 0.0), (None, math.sqrt(83.0))])
+def test_a_leg_is_shown_where_a_form_in_it_explains_more_than_any_in_another(blind, other, shown):
+    """Of 10 a form in the right leg leaves sqrt(17); without a form in another leg all of 10 is left there."""
+    label = case("single", {"backlash": 10.0}, blocks=("leg 1",))
+    told = known(label)
+    told["effects"][0]["legs"] = {"leg 1": math.sqrt(17.0)} | ({} if other is None else {"leg 2": other, "leg 3": 9.9})
+    where = [{"block": "leg 2", "p_value": 0.001, "strength": 1.0}]
+    entry = blind.entries.entry(label, told, result(answer("backlash"), where=where))
+    rows = by_key(blind.measures.own_rows([entry]))
+    counts = [(rows[key].hits, rows[key].count) for key in ("leg shown", "leg not shown")]
+    assert entry.leg_shown == pytest.approx(shown)
+    assert counts == ([(0, 1), (0, 0)] if shown >= 6.0 else [(0, 0), (0, 1)])
+    assert rows["leg shown"].sense == ""
+
+
 def test_a_pair_counts_where_both_can_be_told_apart(blind):
     label = case("pair", {"backlash": 6.0, "gravity": 10.0})
     near = known(label)

@@ -86,6 +86,16 @@ class Entry:
         return math.sqrt(max(min(told, default=0.0), 0.0))
 
     @property
+    def leg_shown(self) -> float:
+        """sqrt(lambda) by which a form of the library in a leg where the only effect acts explains more than any in
+        another leg; 0 where one in another explains more, or where it acts in none."""
+        (effect,), (told,) = self.label["effects"], self.oracle["effects"]
+        left, whole = told.get("legs", {}), float(effect["sqrt_lambda"])
+        here = min((float(v) for leg, v in left.items() if leg in self.blocks), default=whole)
+        other = min((float(v) for leg, v in left.items() if leg not in self.blocks), default=whole)
+        return math.sqrt(max(other**2 - here**2, 0.0))
+
+    @property
     def beyond(self) -> float:
         """sqrt(lambda) of the unknown effect that no library effect can take over; 0 without any."""
         pairs = zip(self.label["effects"], self.oracle["effects"], strict=True)

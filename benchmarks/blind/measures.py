@@ -19,6 +19,8 @@ What counts as what, where the wording leaves it open:
 - closure: the gain (S0 - S1) / S0 over the oracle's under the same noise law, readings and folds; 0 where the diagnosis
   adds nothing. Cases of known testable effects whose gain with the true law is expected to be at least 36
 - place: for each kind of block that the label tells (leg, run, time) the likeliest claimed one, at sqrt(lambda) >= 6
+- right leg where the library's form shows it: those of these cases in which some form of the library in the right leg
+  alone explains more than any form in another leg alone, by sqrt(lambda) >= 6
 
 A failed diagnosis is wrong in every count.
 """
@@ -298,7 +300,21 @@ def own_rows(entries: Sequence[Entry]) -> list[Row]:
         name = f"closure over the oracle's, {'parts of runs' if split == 'within' else 'whole runs'}, median"
         key, count = f"closure {split}", len(ratios)
         made.append(Row(key=key, measure=name, value=value, low=low, high=high, count=count, **_least(0.85, 0.95)))
-    return made + place_rows(entries)
+    return [*made, *place_rows(entries), *_leg_shown(entries)]
+
+
+def _leg_shown(entries: Sequence[Entry]) -> list[Row]:
+    """The leg, where readings and library tell it, and where they do not."""
+    tests: dict[bool, list[bool]] = {True: [], False: []}
+    for e in entries:
+        leg = any(b.startswith("leg ") for b in e.blocks)
+        if leg and e.kind in ("single", "unknown") and at_least(e.severity, SEEN):
+            right = judge.located(e.result.get("where", []), e.blocks, "leg")
+            tests[at_least(e.leg_shown, SEEN)].append(right)
+    return [
+        share("leg shown", "right leg where the library's form shows it, other legs' less", tests[True]),
+        share("leg not shown", "right leg where it does not", tests[False]),
+    ]
 
 
 def place_rows(entries: Sequence[Entry], key: str = "place", prefix: str = "") -> list[Row]:

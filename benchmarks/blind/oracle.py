@@ -9,8 +9,9 @@ the readings,
                         counts, and what other effects truly act in the case is taken out of everything first.
 
 `apart` is the least over rivals other than the effects that act; `own` what the effect's own library form leaves;
-`beyond` the least over all of the library, for effects that are in none. `tied` are legs of which an effect in another
-leg makes the same readings, so that nothing tells where it is.
+`beyond` the least over all of the library, for effects that are in none; `legs` the least over all forms that act in
+one leg alone, leg by leg. `tied` are legs of which an effect in another leg makes the same readings, so that nothing
+tells where it is.
 """
 
 from __future__ import annotations
@@ -165,6 +166,7 @@ def _effects(
             "own": left.get(name, whole),
             "beyond": min(left.values(), default=whole),
             "left": {n: round(v, 4) for n, v in left.items()},
+            "legs": {leg: round(v, 4) for leg, v in by_leg(mine, theirs, known).items()},
             "tied": tied(mine, theirs, known, name),
         })  # fmt: skip
     return found
@@ -189,16 +191,22 @@ def absorbed(seen: Array, columns: Array, known: Library) -> dict[str, float]:
     return left
 
 
-def tied(seen: Array, columns: Array, known: Library, name: str) -> list[list[str]]:
-    """Groups of legs of which an effect in any one alone leaves the same of `seen` (N,), whatever its forms."""
-    mine = [a for a in known.atoms if a.effect == name and len({known.labels[c] for c in a.columns}) == 1]
+def by_leg(seen: Array, columns: Array, known: Library, name: str = "") -> dict[str, float]:
+    """What forms that act in one leg alone leave of `seen` (N,) at least, for each leg: of an effect, or of all."""
+    some = [a for a in known.atoms if name in ("", a.effect) and len({known.labels[c] for c in a.columns}) == 1]
     least: dict[str, float] = {}
-    for atom, kept in zip(mine, _kept(seen, columns, mine), strict=True):
+    for atom, kept in zip(some, _kept(seen, columns, some), strict=True):
         leg = known.labels[atom.columns[0]]
         if leg.startswith("leg "):
             least[leg] = min(least.get(leg, math.inf), kept)
+    return least
+
+
+def tied(seen: Array, columns: Array, known: Library, name: str) -> list[list[str]]:
+    """Groups of legs of which an effect in any one alone leaves the same of `seen` (N,), whatever its forms."""
     whole = float(np.linalg.norm(seen))
     groups: list[list[str]] = []
+    least = by_leg(seen, columns, known, name)
     for leg, kept in least.items():
         if kept > HALF * whole:
             continue
