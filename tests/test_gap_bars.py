@@ -35,7 +35,7 @@ COLUMNS = ("time_s", "direction", "feed_mm_min", "payload_N", "repeat")
 TIMED = ("leg_thermal", "frame_thermal", "bar_thermal", "mount_drift", "step")
 TURNING = ("backlash", "friction")
 TWO = {"encoder_scale", "bar_length"}
-#: another machine of a case that the default run has already
+#: another machine, or another noise law, of a bar that the default run has already
 SLOW = pytest.mark.slow
 
 

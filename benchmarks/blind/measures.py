@@ -30,7 +30,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from benchmarks.blind import intervals, judge
@@ -303,14 +303,21 @@ def own_rows(entries: Sequence[Entry]) -> list[Row]:
     return [*made, *place_rows(entries), *_leg_shown(entries)]
 
 
+def _places(entries: Sequence[Entry], kinds: Sequence[str]) -> Iterator[tuple[Entry, str, bool]]:
+    """Each kind of block that the label of a case tells, and whether it is found; one effect at sqrt(lambda) >= 6."""
+    for e in entries:
+        if e.kind not in ("single", "unknown") or not at_least(e.severity, SEEN):
+            continue
+        for kind in kinds:
+            if any(b.split(" ")[0] == kind for b in e.blocks):
+                yield e, kind, judge.located(e.result.get("where", []), e.blocks, kind)
+
+
 def _leg_shown(entries: Sequence[Entry]) -> list[Row]:
     """The leg, where readings and library tell it, and where they do not."""
     tests: dict[bool, list[bool]] = {True: [], False: []}
-    for e in entries:
-        leg = any(b.startswith("leg ") for b in e.blocks)
-        if leg and e.kind in ("single", "unknown") and at_least(e.severity, SEEN):
-            right = judge.located(e.result.get("where", []), e.blocks, "leg")
-            tests[at_least(e.leg_shown, SEEN)].append(right)
+    for e, _, right in _places(entries, ("leg",)):
+        tests[at_least(e.leg_shown, SEEN)].append(right)
     return [
         share("leg shown", "right leg where the library's form shows it, other legs' less", tests[True]),
         share("leg not shown", "right leg where it does not", tests[False]),
@@ -321,14 +328,10 @@ def place_rows(entries: Sequence[Entry], key: str = "place", prefix: str = "") -
     """Where, over all kinds of blocks and for each; `prefix` is of the measures' names."""
     tests: dict[str, list[bool]] = {kind: [] for kind in (*PLACES, "direction", "phase")}
     seen: list[bool] = []
-    for e in entries:
-        if e.kind not in ("single", "unknown") or not at_least(e.severity, SEEN):
-            continue
-        for kind, told in tests.items():
-            if any(b.split(" ")[0] == kind for b in e.blocks):
-                told.append(judge.located(e.result.get("where", []), e.blocks, kind))
-                if kind in PLACES and detected(e, e.said[DIAGNOSIS]):
-                    seen.append(told[-1])
+    for e, kind, right in _places(entries, tuple(tests)):
+        tests[kind].append(right)
+        if kind in PLACES and detected(e, e.said[DIAGNOSIS]):
+            seen.append(right)
     together = [t for kind in PLACES for t in tests[kind]]
     made = [
         share(key, f"{prefix}right leg, run or time block", together, **_least(0.85, 0.95)),
