@@ -1,1 +1,3 @@
-"""Benchmarks: speed beside named alternatives, and diagnosis of readings whose cause is withheld."""
+"""Benchmarks: speed beside named alternatives, and diagnosis of readings whose cause is
+withheld.
+"""

@@ -1,9 +1,11 @@
-"""Readings of many parameter vectors at once, against a Python loop over poses. Ratios, from one run.
+"""Readings of many parameter vectors at once, against a Python loop over poses. Ratios,
+from one run.
 
     python benchmarks/readings.py
 
-The named alternatives solve the same closure to the same tolerance, one pose after the other: `casadi.rootfinder`
-(its own Newton) and `scipy.optimize.root` with the exact Jacobian, both called in a loop, as a script would.
+The named alternatives solve the same closure to the same tolerance, one pose after the
+other: `casadi.rootfinder` (its own Newton) and `scipy.optimize.root` with the exact
+Jacobian, both called in a loop, as a script would.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ VECTORS, SLICE, REPEATS = 1000, 20, 3
 
 def plan() -> tuple[Measurement, Series]:
     """The A3 head on two circles of fifteen points."""
-    measurement = Measurement(machine, [mount(ball_bar.instrument, "cup", teach=(1.286, 0.0, 0.0))])
+    measurement = Measurement(
+        machine, [mount(ball_bar.instrument, "cup", teach=(1.286, 0.0, 0.0))]
+    )
     angles = 2.0 * np.pi * np.arange(15) / 15
     command = np.array([[z, psi, 0.0] for z in (1.146, 1.266) for psi in angles])
     command, _ = measurement.hold("cup", command, "theta")
@@ -37,10 +41,18 @@ def plan() -> tuple[Measurement, Series]:
 def loop_casadi(series: Series, parameters: np.ndarray) -> np.ndarray:
     """Poses by casadi.rootfinder, one call a pose."""
     x, q, p, phi = _closure()
-    finder = ca.rootfinder("finder", "newton", {"x": x, "p": ca.vertcat(q, p), "g": phi}, {"abstol": 1e-14})
+    finder = ca.rootfinder(
+        "finder", "newton", {"x": x, "p": ca.vertcat(q, p), "g": phi}, {"abstol": 1e-14}
+    )
     starts = list(zip(series.start, series.q, strict=True))
     return np.array(
-        [[np.asarray(finder(s, np.concatenate([joints, row]))).ravel() for s, joints in starts] for row in parameters]
+        [
+            [
+                np.asarray(finder(s, np.concatenate([joints, row]))).ravel()
+                for s, joints in starts
+            ]
+            for row in parameters
+        ]
     )
 
 
@@ -59,7 +71,9 @@ def loop_scipy(series: Series, parameters: np.ndarray) -> np.ndarray:
         ).x
 
     starts = list(zip(series.start, series.q, strict=True))
-    return np.array([[pose(s, joints, row) for s, joints in starts] for row in parameters])
+    return np.array(
+        [[pose(s, joints, row) for s, joints in starts] for row in parameters]
+    )
 
 
 def _closure() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -84,17 +98,32 @@ def main() -> None:
     """Print one row an alternative: microseconds a pose, and the ratio to ours."""
     measurement, series = plan()
     rng = np.random.default_rng(0)
-    theta = measurement.nominal + 0.3 * measurement.tolerance * rng.standard_normal((VECTORS, len(measurement.nominal)))
+    theta = measurement.nominal + 0.3 * measurement.tolerance * rng.standard_normal(
+        (VECTORS, len(measurement.nominal))
+    )
     parameters = theta[:, : len(machine.parameters)]
     ours = measurement.kinematics.forward(series.q, parameters, series.start)
     poses = VECTORS * len(series.q)
-    own = seconds(lambda: measurement.kinematics.forward(series.q, parameters, series.start)) / poses
+    own = (
+        seconds(
+            lambda: measurement.kinematics.forward(series.q, parameters, series.start)
+        )
+        / poses
+    )
     print(f"{'this kernel, batched':34s} {own * 1e6:9.2f} us a pose")
-    for name, loop in (("casadi.rootfinder in a loop", loop_casadi), ("scipy.optimize.root in a loop", loop_scipy)):
+    for name, loop in (
+        ("casadi.rootfinder in a loop", loop_casadi),
+        ("scipy.optimize.root in a loop", loop_scipy),
+    ):
         few = parameters[:SLICE]
         error = np.abs(loop(series, few) - ours[:SLICE]).max()
-        other = seconds(lambda few=few, loop=loop: loop(series, few)) / (SLICE * len(series.q))
-        print(f"{name:34s} {other * 1e6:9.2f} us a pose, {other / own:6.1f} times ours, differs by {error:.0e} m")
+        other = seconds(lambda few=few, loop=loop: loop(series, few)) / (
+            SLICE * len(series.q)
+        )
+        print(
+            f"{name:34s} {other * 1e6:9.2f} us a pose, {other / own:6.1f} times ours,"
+            f" differs by {error:.0e} m"
+        )
 
 
 if __name__ == "__main__":

@@ -34,7 +34,9 @@ def main(folder: Path, out: Path) -> None:
     with style.applied():
         for section in wanted:
             name, draw = PICTURES[section]
-            draw(result[section]).savefig(out / f"{name}.png", dpi=110, metadata={"Software": None})
+            draw(result[section]).savefig(
+                out / f"{name}.png", dpi=110, metadata={"Software": None}
+            )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
-"""Many evaluations of one CasADi function at once, without copies and without a Python loop over points.
+"""Many evaluations of one CasADi function at once, without copies and without a Python
+loop over points.
 
-`casadi.Function.map` runs the same instruction tape over many columns; its buffer interface works in place on
-NumPy memory. Calling a function with DM matrices instead costs three to ten times as much in conversions.
+`casadi.Function.map` runs the same instruction tape over many columns; its buffer
+interface works in place on NumPy memory. Calling a function with DM matrices instead
+costs three to ten times as much in conversions.
 """
 
 from __future__ import annotations
@@ -15,27 +17,40 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: columns of the mapped tapes: large batches are cut into the first, the rest is padded into the smallest that fits,
-#: by a third at the most from 4 on; a tape is made where it is wanted first, in half a millisecond
+#: columns of the mapped tapes: large batches are cut into the first, the rest is padded
+#: into the smallest that fits, by a third at the most from 4 on; a tape is made where
+#: it is wanted first, in half a millisecond
 CHUNKS = (1024, 768, 512, 384, 256, 192, 128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 2, 1)
 
 
 class Batched:
     """Vectorised form of `inputs -> outputs`, SX matrices.
 
-    Calling it with arrays (n, size_in) or (size_in,), one for each input, returns a list of arrays
-    (n, rows, columns), or (n, rows) where an output is a column. A single input row is used for all n.
+    Calling it with arrays (n, size_in) or (size_in,), one for each input, returns a
+    list of arrays (n, rows, columns), or (n, rows) where an output is a column. A
+    single input row is used for all n.
     """
 
-    def __init__(self, name: str, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
+    def __init__(
+        self, name: str, inputs: Sequence[Any], outputs: Sequence[Any]
+    ) -> None:
         dense = [ca.densify(ca.SX(o)) for o in outputs]
         self._function = ca.Function(name, list(inputs), dense, {"cse": True})
-        self._shapes = [self._function.size_out(i) for i in range(self._function.n_out())]
+        self._shapes = [
+            self._function.size_out(i) for i in range(self._function.n_out())
+        ]
         self._tapes: dict[int, _Tape] = {}
 
     def __call__(self, *arrays: Array) -> list[Array]:
         n = max([a.shape[0] for a in arrays if a.ndim == 2], default=1)
-        flat = [a if a.ndim == 2 and a.shape[0] == n else np.broadcast_to(a, (n, a.shape[-1])) for a in arrays]
+        flat = [
+            (
+                a
+                if a.ndim == 2 and a.shape[0] == n
+                else np.broadcast_to(a, (n, a.shape[-1]))
+            )
+            for a in arrays
+        ]
         results = [np.empty((n, rows * columns)) for rows, columns in self._shapes]
         start = 0
         while start < n:
@@ -59,10 +74,18 @@ class _Tape:
 
     def __init__(self, function: Any, size: int) -> None:
         self._buffer, self._evaluate = function.map(size).buffer()
-        # ones, not zeros: columns that a short batch leaves unused must stay clear of singular values
-        self._inputs = [np.ones((size, function.numel_in(i))) for i in range(function.n_in())]
-        self._outputs = [np.zeros((size, function.numel_out(i))) for i in range(function.n_out())]
-        for setter, memory in ((self._buffer.set_arg, self._inputs), (self._buffer.set_res, self._outputs)):
+        # ones, not zeros: columns that a short batch leaves unused must stay clear of
+        # singular values
+        self._inputs = [
+            np.ones((size, function.numel_in(i))) for i in range(function.n_in())
+        ]
+        self._outputs = [
+            np.zeros((size, function.numel_out(i))) for i in range(function.n_out())
+        ]
+        for setter, memory in (
+            (self._buffer.set_arg, self._inputs),
+            (self._buffer.set_res, self._outputs),
+        ):
             for i, array in enumerate(memory):
                 if array.size:
                     setter(i, memoryview(array.reshape(-1).data))

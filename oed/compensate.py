@@ -1,11 +1,13 @@
 """Compensation: what the controller must be told, and what it cannot correct.
 
-A command asks for as many quantities as the machine has degrees of freedom (its compensatable pose components).
-With X = dx/dq, A = dx/dp and C = d commanded/dx at the nominal pose, Eqs. (22)-(25) of Tian et al. (2016) read
+A command asks for as many quantities as the machine has degrees of freedom (its
+compensatable pose components). With X = dx/dq, A = dx/dp and C = d commanded/dx at the
+nominal pose, Eqs. (22)-(25) of Tian et al. (2016) read
 
     dq_m = -(C X)^-1 C A dp,            remaining = (A - X (C X)^-1 C A) dp,
 
-and C remaining = 0. `joints` does the same exactly: the inverse kinematics with the identified parameters.
+and C remaining = 0. `joints` does the same exactly: the inverse kinematics with the
+identified parameters.
 """
 
 from __future__ import annotations
@@ -39,11 +41,16 @@ class ErrorModel:
     remaining: Array
 
 
-def error_model(kinematics: Kinematics, command: Array, tool: Array = NO_TOOL) -> ErrorModel:
+def error_model(
+    kinematics: Kinematics, command: Array, tool: Array = NO_TOOL
+) -> ErrorModel:
     """Error model at commands (n, n_dof), about the nominal machine."""
     p = kinematics.machine.nominal
     x, q = kinematics.inverse(command, p, tool)
-    by_joint, by_parameter = kinematics.joint_sensitivity(x, q, p), kinematics.sensitivity(x, q, p)
+    by_joint, by_parameter = (
+        kinematics.joint_sensitivity(x, q, p),
+        kinematics.sensitivity(x, q, p),
+    )
     held = kinematics.held(x, tool)
     joints = -np.linalg.pinv(held @ by_joint) @ (held @ by_parameter)
     rotation, point, twist = kinematics.frames(x, tool)
@@ -57,24 +64,45 @@ def error_model(kinematics: Kinematics, command: Array, tool: Array = NO_TOOL) -
     )
 
 
-def joints(kinematics: Kinematics, command: Array, parameters: Array, tool: Array = NO_TOOL) -> Array:
-    """Joint values (n, nq) that hold the commands (n, n_dof) on a machine with these parameters (np,) or (n, np)."""
+def joints(
+    kinematics: Kinematics, command: Array, parameters: Array, tool: Array = NO_TOOL
+) -> Array:
+    """Joint values (n, nq) that hold the commands (n, n_dof) on a machine with these
+    parameters (np,) or (n, np).
+    """
     return kinematics.inverse(command, parameters, tool)[1]
 
 
-def pose_error(kinematics: Kinematics, command: Array, q: Array, truth: Array, tool: Array = NO_TOOL) -> Array:
-    """Exact twist error (n, 6) of a machine with parameters `truth` (np,) sent to joints q (n, nq)."""
+def pose_error(
+    kinematics: Kinematics,
+    command: Array,
+    q: Array,
+    truth: Array,
+    tool: Array = NO_TOOL,
+) -> Array:
+    """Exact twist error (n, 6) of a machine with parameters `truth` (np,) sent to
+    joints q (n, nq).
+    """
     x, _ = kinematics.inverse(command, kinematics.machine.nominal, tool)
     wanted_rotation, wanted_point, _ = kinematics.frames(x, tool)
     rotation, point, _ = kinematics.frames(kinematics.forward(q, truth, x), tool)
     return twist_between(wanted_rotation, wanted_point, rotation, point)
 
 
-def twist_between(rotation: Array, point: Array, other_rotation: Array, other_point: Array) -> Array:
-    """Small displacement (n, 6) from one frame to another: point difference, rotation vector, base frame."""
+def twist_between(
+    rotation: Array, point: Array, other_rotation: Array, other_point: Array
+) -> Array:
+    """Small displacement (n, 6) from one frame to another: point difference, rotation
+    vector, base frame.
+    """
     turn = other_rotation @ np.swapaxes(rotation, 1, 2)
     skew = 0.5 * np.stack(
-        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1
+        [
+            turn[:, 2, 1] - turn[:, 1, 2],
+            turn[:, 0, 2] - turn[:, 2, 0],
+            turn[:, 1, 0] - turn[:, 0, 1],
+        ],
+        axis=1,
     )
     sine = np.linalg.norm(skew, axis=1, keepdims=True)
     angle = np.arctan2(sine, 0.5 * (np.trace(turn, axis1=1, axis2=2)[:, None] - 1.0))

@@ -1,11 +1,13 @@
 """Criteria of a plan: how good are its readings, as pure functions.
 
-Alphabetic criteria take the Fisher information M (n, n); observability indices take the singular values of the
-scaled identification matrix H over its identifiable directions. All but kappa are the larger the better. Designs use
-the same criteria as information functions, with slopes and bounds (`oed.design.criterion`).
+Alphabetic criteria take the Fisher information M (n, n); observability indices take the
+singular values of the scaled identification matrix H over its identifiable directions.
+All but kappa are the larger the better. Designs use the same criteria as information
+functions, with slopes and bounds (`oed.design.criterion`).
 
-Sources: Pukelsheim (2006), Optimal Design of Experiments (D, A, E, I); Sun and Hollerbach (2008), ICRA, and
-Joubair and Bonev (2013) for O1 to O5; Chang, Li and Li (2011), Eq. (17), for the noise amplification index.
+Sources: Pukelsheim (2006), Optimal Design of Experiments (D, A, E, I); Sun and
+Hollerbach (2008), ICRA, and Joubair and Bonev (2013) for O1 to O5; Chang, Li and Li
+(2011), Eq. (17), for the noise amplification index.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ def d(information: Array) -> float:
 
 
 def a(information: Array) -> float:
-    """-trace M^-1: minus the sum of the parameters' variances; -inf where M is singular."""
+    """-trace M^-1: minus the sum of the parameters' variances; -inf where M is
+    singular.
+    """
     return i(information, np.eye(information.shape[0]))
 
 
@@ -38,7 +42,8 @@ def e(information: Array) -> float:
 def i(information: Array, moment: Array) -> float:
     """-trace(W M^-1): minus the mean predicted pose variance over a workspace.
 
-    `moment` W (n, n) = mean of J^T J over the workspace poses, J (k, n) from parameters to pose components.
+    `moment` W (n, n) = mean of J^T J over the workspace poses, J (k, n) from parameters
+    to pose components.
     """
     values, vectors = np.linalg.eigh(information)
     if values[0] <= values[-1] * np.finfo(float).eps:
@@ -47,8 +52,12 @@ def i(information: Array, moment: Array) -> float:
 
 
 def ds(information: Array, interest: Array) -> float:
-    """-log det(K^T M^-1 K): what M tells of the directions K (n, s) of interest, the others profiled out."""
-    sign, value = np.linalg.slogdet(interest.T @ np.linalg.pinv(information, hermitian=True) @ interest)
+    """-log det(K^T M^-1 K): what M tells of the directions K (n, s) of interest, the
+    others profiled out.
+    """
+    sign, value = np.linalg.slogdet(
+        interest.T @ np.linalg.pinv(information, hermitian=True) @ interest
+    )
     return -float(value) if sign > 0 else -np.inf
 
 
@@ -58,7 +67,9 @@ def c(information: Array, combination: Array) -> float:
 
 
 def g(information: Array, moments: Array) -> float:
-    """-max_j trace(W_j M^-1): minus the largest predicted pose variance over the workspace; moments W (J, n, n)."""
+    """-max_j trace(W_j M^-1): minus the largest predicted pose variance over the
+    workspace; moments W (J, n, n).
+    """
     return min(i(information, w) for w in moments)
 
 
@@ -93,7 +104,8 @@ def o5(singular_values: Array) -> float:
 
 
 def noise_amplification(singular_values: Array, poses: int) -> float:
-    """Eq. (17) of Chang, Li and Li (2011): L-th root of the product of the singular values over sqrt(m).
+    """Eq. (17) of Chang, Li and Li (2011): L-th root of the product of the singular
+    values over sqrt(m).
 
     The same number as O1, with m counting measurement poses instead of readings.
     """
@@ -117,20 +129,46 @@ CATALOGUE: Mapping[str, Criterion] = MappingProxyType(
     {
         entry.name: entry
         for entry in (
-            Criterion("D", "log det M: volume of the confidence ellipsoid", _PUKELSHEIM, d),
-            Criterion("A", "-trace M^-1: sum of the parameter variances", _PUKELSHEIM, a),
-            Criterion("Ds", "as D, of what is of interest: nuisances are profiled out", _PUKELSHEIM, ds),
+            Criterion(
+                "D", "log det M: volume of the confidence ellipsoid", _PUKELSHEIM, d
+            ),
+            Criterion(
+                "A", "-trace M^-1: sum of the parameter variances", _PUKELSHEIM, a
+            ),
+            Criterion(
+                "Ds",
+                "as D, of what is of interest: nuisances are profiled out",
+                _PUKELSHEIM,
+                ds,
+            ),
             Criterion("c", "-c' M^-1 c: variance of one combination", _PUKELSHEIM, c),
-            Criterion("G", "-max trace W_j M^-1: largest predicted pose variance", _PUKELSHEIM, g),
-            Criterion("E", "least eigenvalue of M: the worst-known direction", _PUKELSHEIM, e),
-            Criterion("I", "-trace W M^-1: mean predicted pose variance over the workspace", _PUKELSHEIM, i),
+            Criterion(
+                "G",
+                "-max trace W_j M^-1: largest predicted pose variance",
+                _PUKELSHEIM,
+                g,
+            ),
+            Criterion(
+                "E", "least eigenvalue of M: the worst-known direction", _PUKELSHEIM, e
+            ),
+            Criterion(
+                "I",
+                "-trace W M^-1: mean predicted pose variance over the workspace",
+                _PUKELSHEIM,
+                i,
+            ),
             Criterion("kappa", "condition number of H", _SUN, kappa),
-            Criterion("O1", "geometric mean of the singular values over sqrt(m)", _SUN, o1),
+            Criterion(
+                "O1", "geometric mean of the singular values over sqrt(m)", _SUN, o1
+            ),
             Criterion("O2", "reciprocal condition number", _SUN, o2),
             Criterion("O3", "least singular value", _SUN, o3),
             Criterion("O4", "least singular value squared over the largest", _SUN, o4),
             Criterion(
-                "O5", "harmonic sum of the singular values", "Joubair and Bonev (2013), Mech. Mach. Theory 70", o5
+                "O5",
+                "harmonic sum of the singular values",
+                "Joubair and Bonev (2013), Mech. Mach. Theory 70",
+                o5,
             ),
             Criterion(
                 "noise_amplification",

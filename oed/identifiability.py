@@ -1,8 +1,10 @@
-"""What a set of readings can tell apart: numerical rank, lost directions, minimal linear combinations.
+"""What a set of readings can tell apart: numerical rank, lost directions, minimal
+linear combinations.
 
-Chang, Li and Li (2011), section 2.3: the readings determine as many linear combinations of the parameters as H has
-rank. They are found here from the row space of the scaled H by Gauss-Jordan elimination, with the pivots taken
-from the right, so that each combination is told by one parameter plus what cannot be told apart from it.
+Chang, Li and Li (2011), section 2.3: the readings determine as many linear combinations
+of the parameters as H has rank. They are found here from the row space of the scaled H
+by Gauss-Jordan elimination, with the pivots taken from the right, so that each
+combination is told by one parameter plus what cannot be told apart from it.
 """
 
 from __future__ import annotations
@@ -16,9 +18,10 @@ from numpy.typing import NDArray
 from oed.batch import Array
 from oed.machine import Machine
 
-#: singular values below this share of the largest count as zero. Exact zeros come out near 1e-16; the finest true
-#: sensitivities of the machines here lie above 1e-5. In between are directions of no practical use, such as the
-#: eighteenth of a single circle of the A3 head (4e-8), which 0.5 um noise would leave at metres.
+#: singular values below this share of the largest count as zero. Exact zeros come out
+#: near 1e-16; the finest true sensitivities of the machines here lie above 1e-5. In
+#: between are directions of no practical use, such as the eighteenth of a single circle
+#: of the A3 head (4e-8), which 0.5 um noise would leave at metres.
 TOLERANCE = 1e-6
 #: coefficients below this (with parameters in their scaled unit) are rounding
 ROUNDING = 1e-7
@@ -30,12 +33,16 @@ class Identifiability:
     """Verdict on one identification matrix.
 
     names            parameters of the n columns
-    singular_values  (n,) of the scaled H, padded with zeros where there are fewer readings than parameters
-    rank, tolerance  numerical rank, and the share of the largest singular value that counts as zero
+    singular_values  (n,) of the scaled H, padded with zeros where there are fewer
+                     readings than parameters
+    rank, tolerance  numerical rank, and the share of the largest singular value that
+                     counts as zero
     row_space        (rank, n) orthonormal, in scaled parameters
     null_space       (n - rank, n) orthonormal, in scaled parameters
-    combinations     (rank, n) coefficients, in SI parameters: what is determined; coefficient 1 at its pivot
-    lost             (n - rank, n) coefficients, in SI parameters: directions that change no reading
+    combinations     (rank, n) coefficients, in SI parameters: what is determined;
+                     coefficient 1 at its pivot
+    lost             (n - rank, n) coefficients, in SI parameters: directions that
+                     change no reading
     """
 
     names: tuple[str, ...]
@@ -54,16 +61,24 @@ class Identifiability:
 
     def named(self, rows: Array) -> list[dict[str, float]]:
         """Rows of coefficients as {parameter: coefficient}, zeros left out."""
-        return [{n: float(c) for n, c in zip(self.names, row, strict=True) if c != 0.0} for row in rows]
+        return [
+            {n: float(c) for n, c in zip(self.names, row, strict=True) if c != 0.0}
+            for row in rows
+        ]
 
 
-def analyse(h: Array, names: Sequence[str], scale: Array, tolerance: float = TOLERANCE) -> Identifiability:
-    """Identifiability of a scaled H (N, n) whose columns were multiplied by `scale` (n,).
+def analyse(
+    h: Array, names: Sequence[str], scale: Array, tolerance: float = TOLERANCE
+) -> Identifiability:
+    """Identifiability of a scaled H (N, n) whose columns were multiplied by `scale`
+    (n,).
 
     Only free parameters belong here: leave out the columns that are held.
     """
     if h.shape[1] != len(names) or h.shape[1] != len(scale):
-        raise ValueError(f"H has {h.shape[1]} columns for {len(names)} names and {len(scale)} scales")
+        raise ValueError(
+            f"H has {h.shape[1]} columns for {len(names)} names and {len(scale)} scales"
+        )
     _, s, vt = np.linalg.svd(h, full_matrices=True)
     values = np.zeros(h.shape[1])
     values[: s.size] = s
@@ -81,16 +96,22 @@ def analyse(h: Array, names: Sequence[str], scale: Array, tolerance: float = TOL
 
 
 def echelon(space: Array) -> Array:
-    """Basis of the same row space with an identity at its pivot columns, pivots found from the right."""
+    """Basis of the same row space with an identity at its pivot columns, pivots found
+    from the right.
+    """
     if space.shape[0] == 0:
         return space
     pivots = _pivots(space)
     rows = np.linalg.solve(space[:, pivots], space)
-    return np.where(np.abs(rows) < ROUNDING * np.abs(rows).max(axis=1, keepdims=True), 0.0, rows)
+    return np.where(
+        np.abs(rows) < ROUNDING * np.abs(rows).max(axis=1, keepdims=True), 0.0, rows
+    )
 
 
 def _pivots(space: Array) -> NDArray[np.intp]:
-    """Independent columns, the rightmost first; the threshold is lowered until there are enough."""
+    """Independent columns, the rightmost first; the threshold is lowered until there
+    are enough.
+    """
     rank = space.shape[0]
     for threshold in PIVOTS:
         found: list[int] = []
@@ -102,14 +123,18 @@ def _pivots(space: Array) -> NDArray[np.intp]:
                 basis, found = np.column_stack([basis, rest / size]), [*found, j]
             if len(found) == rank:
                 return np.array(found[::-1], dtype=np.intp)
-    raise np.linalg.LinAlgError("no independent columns found: the row space is not finite or not of full rank")
+    raise np.linalg.LinAlgError(
+        "no independent columns found: the row space is not finite or not of full rank"
+    )
 
 
 def _in_si(rows: Array, scale: Array, *, flip: bool) -> Array:
-    """Coefficients for SI parameters. A combination weighs p/scale, a direction moves p by scale.
+    """Coefficients for SI parameters. A combination weighs p/scale, a direction moves p
+    by scale.
 
-    Combinations keep coefficient 1 at the pivot (the last entry that is 1), or at their first entry where that
-    only flips the sign; directions are normalised to their largest entry.
+    Combinations keep coefficient 1 at the pivot (the last entry that is 1), or at their
+    first entry where that only flips the sign; directions are normalised to their
+    largest entry.
     """
     told = []
     for row in rows:
@@ -138,11 +163,15 @@ class Motion:
 
 
 def rigid_motions(machine: Machine, names: Sequence[str]) -> list[Motion]:
-    """Rigid motions of the machine's point groups that move free parameters only, over columns `names`."""
+    """Rigid motions of the machine's point groups that move free parameters only, over
+    columns `names`.
+    """
     position = {n: k for k, n in enumerate(names)}
     motions = []
     for group in machine.groups:
-        for kind, axis in ((k, a) for k in ("translation", "rotation") for a in range(3)):
+        for kind, axis in (
+            (k, a) for k in ("translation", "rotation") for a in range(3)
+        ):
             direction, complete = np.zeros(len(names)), True
             unit = np.eye(3)[axis]
             for parameters, place in group.points:
@@ -153,28 +182,52 @@ def rigid_motions(machine: Machine, names: Sequence[str]) -> list[Motion]:
                     elif abs(value) > 1e-12:
                         complete = False
             if complete:
-                about = f"along {'xyz'[axis]}" if kind == "translation" else f"about {group.origin}, {'xyz'[axis]} axis"
+                about = (
+                    f"along {'xyz'[axis]}"
+                    if kind == "translation"
+                    else f"about {group.origin}, {'xyz'[axis]} axis"
+                )
                 motions.append(Motion(f"{kind} of the {group.name} {about}", direction))
     return motions
 
 
-def lost_motions(verdict: Identifiability, machine: Machine, scale: Array) -> tuple[list[str], Array]:
-    """Names of the rigid motions that no reading sees, and what is left of the null space (k, n) beside them.
+def lost_motions(
+    verdict: Identifiability, machine: Machine, scale: Array
+) -> tuple[list[str], Array]:
+    """Names of the rigid motions that no reading sees, and what is left of the null
+    space (k, n) beside them.
 
-    A set-up's unknowns may go along: a base that moves together with the cup on it changes no bar's reading. With N
-    the null space and u the motion, such a direction is a N with (a N)_machine = u_machine.
+    A set-up's unknowns may go along: a base that moves together with the cup on it
+    changes no bar's reading. With N the null space and u the motion, such a direction
+    is a N with (a N)_machine = u_machine.
     """
     found: list[Array] = []
     texts: list[str] = []
     own = np.array(["." not in n for n in verdict.names])
-    for motion in rigid_motions(machine, verdict.names) if len(verdict.null_space) else []:
+    for motion in (
+        rigid_motions(machine, verdict.names) if len(verdict.null_space) else []
+    ):
         u = motion.direction / scale
         u /= np.linalg.norm(u)
-        lost = np.linalg.lstsq(verdict.null_space[:, own].T, u[own], rcond=None)[0] @ verdict.null_space
+        lost = (
+            np.linalg.lstsq(verdict.null_space[:, own].T, u[own], rcond=None)[0]
+            @ verdict.null_space
+        )
         if np.linalg.norm(lost[own] - u[own]) < 1e-5:
-            along = [n for n, v in zip(verdict.names, lost, strict=True) if "." in n and abs(v) > 1e-6]
+            along = [
+                n
+                for n, v in zip(verdict.names, lost, strict=True)
+                if "." in n and abs(v) > 1e-6
+            ]
             places = dict.fromkeys(n.rpartition(".")[0] for n in along)
-            texts.append(motion.text + (f" together with what {' and '.join(places)} is set up on" if places else ""))
+            texts.append(
+                motion.text
+                + (
+                    f" together with what {' and '.join(places)} is set up on"
+                    if places
+                    else ""
+                )
+            )
             found.append(lost / np.linalg.norm(lost))
     if not found:
         return texts, verdict.null_space

@@ -1,11 +1,14 @@
-"""Identification: Gauss-Newton / Levenberg-Marquardt on the exact nonlinear readings, with tolerance priors.
+"""Identification: Gauss-Newton / Levenberg-Marquardt on the exact nonlinear readings,
+with tolerance priors.
 
-The unknowns are identifiable coordinates. With T = diag(tolerances) and the whitened, tolerance-scaled H = U S V^T,
+The unknowns are identifiable coordinates. With T = diag(tolerances) and the whitened,
+tolerance-scaled H = U S V^T,
 
     theta = origin + T V_r z,        z ~ N(0, I) a priori,
 
-where V_r spans the directions that some reading sees. The rest of V keeps its prior: to first order no reading says
-anything about it. Minimised is |W (y - f(theta))|^2 + |z|^2, W whitening the noise.
+where V_r spans the directions that some reading sees. The rest of V keeps its prior: to
+first order no reading says anything about it. Minimised is |W (y - f(theta))|^2 +
+|z|^2, W whitening the noise.
 """
 
 from __future__ import annotations
@@ -24,20 +27,25 @@ from oed.noise import Noise, of
 
 #: rounds of the noise-scale estimate; it settles in a few
 NOISE_ROUNDS = 8
-#: posterior over prior standard deviation above which a parameter is weakly identified, or stays at its prior
+#: posterior over prior standard deviation above which a parameter is weakly identified,
+#: or stays at its prior
 WEAK, AT_PRIOR = 0.3, 0.7
 
 
 class IdentificationError(RuntimeError):
-    """The fit could not be made: too few readings, or the machine cannot be assembled on the way."""
+    """The fit could not be made: too few readings, or the machine cannot be assembled
+    on the way.
+    """
 
 
 @dataclasses.dataclass(frozen=True)
 class Coordinates:
-    """Identifiable coordinates about an origin: theta = origin + basis @ z + unseen @ w; SI.
+    """Identifiable coordinates about an origin: theta = origin + basis @ z + unseen @
+    w; SI.
 
-    basis (n, r), unseen (n, n_free - r): orthonormal directions times tolerances. z and w are N(0, I) a priori.
-    dual (r, n): the same directions over tolerances, so that z = dual @ (theta - origin).
+    basis (n, r), unseen (n, n_free - r): orthonormal directions times tolerances. z and
+    w are N(0, I) a priori. dual (r, n): the same directions over tolerances, so that z
+    = dual @ (theta - origin).
     """
 
     origin: Array
@@ -46,7 +54,9 @@ class Coordinates:
     dual: Array
 
     def at(self, theta: Array) -> Array:
-        """Coordinates z (r,) of parameters (n,); what lies in unseen directions is dropped."""
+        """Coordinates z (r,) of parameters (n,); what lies in unseen directions is
+        dropped.
+        """
         return np.asarray(self.dual @ (theta - self.origin))
 
     def theta(self, z: Array) -> Array:
@@ -56,7 +66,9 @@ class Coordinates:
 
 @dataclasses.dataclass(frozen=True)
 class Round:
-    """One stage of an identification: what it freed, where it began and ended. rms in whitened units."""
+    """One stage of an identification: what it freed, where it began and ended. rms in
+    whitened units.
+    """
 
     freed: tuple[str, ...]
     iterations: int
@@ -69,7 +81,8 @@ class Estimate:
     """Identified parameters.
 
     theta           (n,) maximum a posteriori, SI
-    covariance      (n, n) posterior (Laplace), SI; directions no reading sees keep their prior variance
+    covariance      (n, n) posterior (Laplace), SI; directions no reading sees keep
+                    their prior variance
     prior_sd        (n,) tolerances of the last stage, SI
     coordinates     identifiable coordinates of the last stage, about its origin
     z               (r,) the solution in them
@@ -105,8 +118,12 @@ class Estimate:
 
     @property
     def shrinkage(self) -> Array:
-        """Posterior over prior standard deviation (n,): 1 where the readings say nothing; 0 for held entries."""
-        return np.divide(self.sd, self.prior_sd, out=np.zeros_like(self.sd), where=self.prior_sd > 0)
+        """Posterior over prior standard deviation (n,): 1 where the readings say
+        nothing; 0 for held entries.
+        """
+        return np.divide(
+            self.sd, self.prior_sd, out=np.zeros_like(self.sd), where=self.prior_sd > 0
+        )
 
 
 def coordinates(
@@ -116,7 +133,8 @@ def coordinates(
     noise: Noise | Array,
     tolerance: Array | None = None,
 ) -> Coordinates:
-    """Identifiable coordinates of the readings, with H taken `at` (n,); held are entries with zero tolerance.
+    """Identifiable coordinates of the readings, with H taken `at` (n,); held are
+    entries with zero tolerance.
 
     The origin is nominal, where the tolerances hold, wherever H was taken.
     """
@@ -124,20 +142,33 @@ def coordinates(
     free = np.flatnonzero(scale > 0)
     jacobian = measurement.jacobian(series, at)
     h = information.whiten(jacobian, noise)
-    # judged with lengths, so that a generous tolerance or a quiet instrument does not change what is seen
-    judged = (jacobian * measurement.reading_lengths(series)[:, None] / measurement.lengths)[:, free]
-    verdict = identifiability.analyse(judged, [measurement.names[k] for k in free], 1.0 / measurement.lengths[free])
-    moves = np.linalg.qr((verdict.null_space / measurement.lengths[free] / scale[free]).T)[0]
+    # judged with lengths, so that a generous tolerance or a quiet instrument does not
+    # change what is seen
+    judged = (
+        jacobian * measurement.reading_lengths(series)[:, None] / measurement.lengths
+    )[:, free]
+    verdict = identifiability.analyse(
+        judged, [measurement.names[k] for k in free], 1.0 / measurement.lengths[free]
+    )
+    moves = np.linalg.qr(
+        (verdict.null_space / measurement.lengths[free] / scale[free]).T
+    )[0]
     full = np.linalg.qr(moves, mode="complete")[0] if moves.size else np.eye(len(free))
     lost, kept = full[:, : moves.shape[1]], full[:, moves.shape[1] :]
-    # among the kept directions take H's own, strongest first: they decouple the sampler's coordinates
+    # among the kept directions take H's own, strongest first: they decouple the
+    # sampler's coordinates
     _, _, vt = np.linalg.svd((h * scale)[:, free] @ kept, full_matrices=True)
-    basis, unseen = np.zeros((len(scale), kept.shape[1])), np.zeros((len(scale), lost.shape[1]))
+    basis, unseen = (
+        np.zeros((len(scale), kept.shape[1])),
+        np.zeros((len(scale), lost.shape[1])),
+    )
     dual = np.zeros((kept.shape[1], len(scale)))
     basis[free] = scale[free, None] * (kept @ vt.T)
     dual[:, free] = (kept @ vt.T).T / scale[free]
     unseen[free] = scale[free, None] * lost
-    return Coordinates(np.where(scale > 0, measurement.nominal, at), basis, unseen, dual)
+    return Coordinates(
+        np.where(scale > 0, measurement.nominal, at), basis, unseen, dual
+    )
 
 
 def identify(
@@ -153,10 +184,12 @@ def identify(
 ) -> Estimate:
     """Fit all readings y (N,), SI.
 
-    stages          name patterns freed in turn ("dq*", then "*"): rough before fine, so that a large error of few
-                    parameters is gone before the others are freed. A stage that is not the last only finds
-                    a place to start from: the tolerances hold about nominal all the time.
-    estimate_noise  scale the stated noise of each set-up's readings by what their residuals say (never below 1)
+    stages          name patterns freed in turn ("dq*", then "*"): rough before fine, so
+                    that a large error of few parameters is gone before the others are
+                    freed. A stage that is not the last only finds a place to start
+                    from: the tolerances hold about nominal all the time.
+    estimate_noise  scale the stated noise of each set-up's readings by what their
+                    residuals say (never below 1)
     start           (n,) where to begin; nominal by default
 
     Raises IdentificationError.
@@ -167,11 +200,27 @@ def identify(
     before = left = y - measurement.readings(series, theta)
     rounds = []
     for patterns in stages[:-1]:
-        theta, left, done = _rough(measurement, series, y, stated, theta, left, patterns, max_iterations)
+        theta, left, done = _rough(
+            measurement, series, y, stated, theta, left, patterns, max_iterations
+        )
         rounds.append(done)
-    estimate = _settled(measurement, series, y, stated, theta, left, stages[-1], estimate_noise, max_iterations)
-    estimate = dataclasses.replace(estimate, before=before, rounds=(*rounds, *estimate.rounds))
-    return dataclasses.replace(estimate, warnings=tuple(_warnings(measurement, estimate)))
+    estimate = _settled(
+        measurement,
+        series,
+        y,
+        stated,
+        theta,
+        left,
+        stages[-1],
+        estimate_noise,
+        max_iterations,
+    )
+    estimate = dataclasses.replace(
+        estimate, before=before, rounds=(*rounds, *estimate.rounds)
+    )
+    return dataclasses.replace(
+        estimate, warnings=tuple(_warnings(measurement, estimate))
+    )
 
 
 def _settled(
@@ -185,15 +234,19 @@ def _settled(
     estimate_noise: bool,
     max_iterations: int,
 ) -> Estimate:
-    """The last stage from theta (n,), where residuals are `before` (N,): fitted until the noise has settled; without
-    warnings."""
+    """The last stage from theta (n,), where residuals are `before` (N,): fitted until
+    the noise has settled; without warnings.
+    """
     tolerance = _freed(measurement, patterns)
     groups, scale = measurement.owners(series), dict.fromkeys(measurement.setups, 1.0)
     used = stated
-    # at least twice: the coordinates of the result are those of H at the result, not at the start
+    # at least twice: the coordinates of the result are those of H at the result, not at
+    # the start
     for _ in range(NOISE_ROUNDS if estimate_noise else 2):
         local = coordinates(measurement, series, theta, used, tolerance)
-        z, iterations = _solve(measurement, series, y, used, local, local.at(theta), max_iterations)
+        z, iterations = _solve(
+            measurement, series, y, used, local, local.at(theta), max_iterations
+        )
         theta = local.theta(z)
         residuals = y - measurement.readings(series, theta)
         covariance, leverage = _covariance(measurement, series, theta, used, tolerance)
@@ -219,7 +272,9 @@ def _settled(
         noise_estimated=estimate_noise,
         dof=len(y) - float(leverage.sum()),
         chi2=float(white @ white),
-        rounds=(Round(tuple(patterns), iterations, _rms(used.whiten(before)), _rms(white)),),
+        rounds=(
+            Round(tuple(patterns), iterations, _rms(used.whiten(before)), _rms(white)),
+        ),
         warnings=(),
     )
 
@@ -227,16 +282,26 @@ def _settled(
 def _check(measurement: Measurement, series: Sequence[Series], y: Array) -> None:
     expected = len(measurement.owners(series))
     if y.shape != (expected,):
-        raise IdentificationError(f"{expected} readings were planned, {y.shape} are given")
+        raise IdentificationError(
+            f"{expected} readings were planned, {y.shape} are given"
+        )
     if not np.isfinite(y).all():
-        raise IdentificationError(f"readings number {np.flatnonzero(~np.isfinite(y))[:5].tolist()} are not finite")
+        raise IdentificationError(
+            f"readings number {np.flatnonzero(~np.isfinite(y))[:5].tolist()} are not"
+            " finite"
+        )
 
 
 def _freed(measurement: Measurement, patterns: Sequence[str]) -> Array:
     """Tolerances (n,) with everything that no pattern frees set to 0."""
-    freed = np.array([any(fnmatch.fnmatchcase(n, p) for p in patterns) for n in measurement.names])
+    freed = np.array(
+        [any(fnmatch.fnmatchcase(n, p) for p in patterns) for n in measurement.names]
+    )
     if not (freed & measurement.free).any():
-        raise IdentificationError(f"the patterns {list(patterns)} free no parameter of {list(measurement.names)}")
+        raise IdentificationError(
+            f"the patterns {list(patterns)} free no parameter of"
+            f" {list(measurement.names)}"
+        )
     return np.where(freed, measurement.tolerance, 0.0)
 
 
@@ -250,12 +315,27 @@ def _rough(
     patterns: Sequence[str],
     max_iterations: int,
 ) -> tuple[Array, Array, Round]:
-    """A stage that only finds a place to start from: theta (n,), residuals (N,) there, and what was done."""
-    local = coordinates(measurement, series, theta, noise, _freed(measurement, patterns))
-    z, iterations = _solve(measurement, series, y, noise, local, local.at(theta), max_iterations)
+    """A stage that only finds a place to start from: theta (n,), residuals (N,) there,
+    and what was done.
+    """
+    local = coordinates(
+        measurement, series, theta, noise, _freed(measurement, patterns)
+    )
+    z, iterations = _solve(
+        measurement, series, y, noise, local, local.at(theta), max_iterations
+    )
     found = local.theta(z)
     after = y - measurement.readings(series, found)
-    return found, after, Round(tuple(patterns), iterations, _rms(noise.whiten(before)), _rms(noise.whiten(after)))
+    return (
+        found,
+        after,
+        Round(
+            tuple(patterns),
+            iterations,
+            _rms(noise.whiten(before)),
+            _rms(noise.whiten(after)),
+        ),
+    )
 
 
 def _solve(
@@ -267,7 +347,9 @@ def _solve(
     z0: Array,
     max_iterations: int,
 ) -> tuple[Array, int]:
-    """Trust-region Gauss-Newton over z; steps into places that cannot be assembled are rejected."""
+    """Trust-region Gauss-Newton over z; steps into places that cannot be assembled are
+    rejected.
+    """
     r = local.basis.shape[1]
 
     def residual(z: Array) -> Array:
@@ -284,30 +366,43 @@ def _solve(
     )  # fmt: skip
     if found.status <= 0:
         raise IdentificationError(
-            f"the fit did not converge in {max_iterations} iterations (cost {found.cost:.3g}); "
-            "check units and signs of the readings, or free fewer parameters in a rough stage first"
+            f"the fit did not converge in {max_iterations} iterations (cost"
+            f" {found.cost:.3g}); check units and signs of the readings, or free fewer"
+            " parameters in a rough stage first"
         )
     return found.x, int(found.nfev)
 
 
 def _covariance(
-    measurement: Measurement, series: Sequence[Series], theta: Array, noise: Noise, tolerance: Array
+    measurement: Measurement,
+    series: Sequence[Series],
+    theta: Array,
+    noise: Noise,
+    tolerance: Array,
 ) -> tuple[Array, Array]:
-    """Posterior covariance (n, n), SI, and each reading's leverage (N,): how much of it the fit uses up."""
+    """Posterior covariance (n, n), SI, and each reading's leverage (N,): how much of it
+    the fit uses up.
+    """
     h = noise.whiten(measurement.jacobian(series, theta)) * tolerance
     unit = information.posterior_covariance(h)
     leverage = np.einsum("ij,jk,ik->i", h, unit, h)
     return unit * np.outer(tolerance, tolerance), leverage
 
 
-def _noise_scale(white: Array, leverage: Array, groups: Sequence[str]) -> dict[str, float]:
-    """Restricted maximum likelihood of a noise factor for each set-up: r^2 over readings less leverage."""
+def _noise_scale(
+    white: Array, leverage: Array, groups: Sequence[str]
+) -> dict[str, float]:
+    """Restricted maximum likelihood of a noise factor for each set-up: r^2 over
+    readings less leverage.
+    """
     labels = np.array(groups)
     scale = {}
     for label in dict.fromkeys(groups):
         mine = labels == label
         spare = float(mine.sum() - leverage[mine].sum())
-        scale[label] = max(1.0, float(np.sqrt(white[mine] @ white[mine] / max(spare, 1.0))))
+        scale[label] = max(
+            1.0, float(np.sqrt(white[mine] @ white[mine] / max(spare, 1.0)))
+        )
     return scale
 
 
@@ -315,10 +410,16 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _still_wide(measurement: Measurement, estimate: Estimate, above: float, below: float) -> list[str]:
-    """Parameters whose posterior keeps a share of the tolerance between the two, with what is left."""
+def _still_wide(
+    measurement: Measurement, estimate: Estimate, above: float, below: float
+) -> list[str]:
+    """Parameters whose posterior keeps a share of the tolerance between the two, with
+    what is left.
+    """
     told = []
-    for p, sd, share in zip(measurement.parameters, estimate.sd, estimate.shrinkage, strict=True):
+    for p, sd, share in zip(
+        measurement.parameters, estimate.sd, estimate.shrinkage, strict=True
+    ):
         if above < share <= below:
             unit = units.display(p.unit)
             left = f"{units.number(sd, unit):.2g}{'' if unit == '1' else ' ' + unit}"
@@ -330,25 +431,37 @@ def _warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
     told = []
     prior = _still_wide(measurement, estimate, AT_PRIOR, np.inf)
     if prior:
-        told.append("these stay near their tolerance, the readings hardly see them: " + ", ".join(prior))
+        told.append(
+            "these stay near their tolerance, the readings hardly see them: "
+            + ", ".join(prior)
+        )
     weak = _still_wide(measurement, estimate, WEAK, AT_PRIOR)
     if weak:
-        told.append("these are weakly identified, their posterior stays wide: " + ", ".join(weak))
+        told.append(
+            "these are weakly identified, their posterior stays wide: "
+            + ", ".join(weak)
+        )
     far = [
         n
         for n, d, s in zip(
-            measurement.names, estimate.theta - estimate.coordinates.origin, estimate.prior_sd, strict=True
+            measurement.names,
+            estimate.theta - estimate.coordinates.origin,
+            estimate.prior_sd,
+            strict=True,
         )
         if s > 0 and abs(d) > 4.0 * s
     ]
     if far:
         told.append(
-            "these ended more than 4 tolerances from where they began; widen [prior] or doubt the model: "
-            + ", ".join(far)
+            "these ended more than 4 tolerances from where they began; widen [prior] or"
+            " doubt the model: " + ", ".join(far)
         )
-    if estimate.dof >= 3 and estimate.chi2 > estimate.dof + 5.0 * np.sqrt(2.0 * estimate.dof):
+    if estimate.dof >= 3 and estimate.chi2 > estimate.dof + 5.0 * np.sqrt(
+        2.0 * estimate.dof
+    ):
         told.append(
-            f"the residuals are {np.sqrt(estimate.chi2 / estimate.dof):.1f} times the stated noise: "
-            "noise is understated, or an effect is not in the model; [noise] estimate = true widens the intervals"
+            f"the residuals are {np.sqrt(estimate.chi2 / estimate.dof):.1f} times the"
+            " stated noise: noise is understated, or an effect is not in the model;"
+            " [noise] estimate = true widens the intervals"
         )
     return told

@@ -1,11 +1,14 @@
-"""From readings' slopes to information: whitening, scaling of the columns, Fisher information, covariance.
+"""From readings' slopes to information: whitening, scaling of the columns, Fisher
+information, covariance.
 
 Three scalings of the parameter columns occur and must never be mixed up in a report:
 
 "si"         columns as they come;
-"length"     every parameter as a length: angles times the machine's lever (the papers' d * dbeta), noise 1;
-"tolerance"  every parameter in units of its prior standard deviation, readings in units of their noise. In
-             this one a singular value of 1 means: as well known from the readings as from the drawing.
+"length"     every parameter as a length: angles times the machine's lever (the papers'
+             d * dbeta), noise 1;
+"tolerance"  every parameter in units of its prior standard deviation, readings in units
+             of their noise. In this one a singular value of 1 means: as well known from
+             the readings as from the drawing.
 """
 
 from __future__ import annotations
@@ -34,19 +37,28 @@ def column_scale(measurement: Measurement, scaling: Scaling) -> Array:
 
 
 def whiten(rows: Array, noise: Noise | Array) -> Array:
-    """Rows (N, ...) whitened by their noise: a Noise, or standard deviations (N,) of independent readings."""
+    """Rows (N, ...) whitened by their noise: a Noise, or standard deviations (N,) of
+    independent readings.
+    """
     return of(noise).whiten(rows)
 
 
-def scaled(measurement: Measurement, series: Sequence[Series], at: Array, scaling: Scaling) -> Array:
+def scaled(
+    measurement: Measurement, series: Sequence[Series], at: Array, scaling: Scaling
+) -> Array:
     """H (N, n) of readings at theta `at` (n,) in the stated scaling.
 
-    "length" takes the readings as lengths too; only "tolerance" is whitened by their noise.
+    "length" takes the readings as lengths too; only "tolerance" is whitened by their
+    noise.
     """
     rows = measurement.jacobian(series, at) * column_scale(measurement, scaling)
     if scaling == "tolerance":
         return measurement.noise(series).whiten(rows)
-    return rows * measurement.reading_lengths(series)[:, None] if scaling == "length" else rows
+    return (
+        rows * measurement.reading_lengths(series)[:, None]
+        if scaling == "length"
+        else rows
+    )
 
 
 def fisher(h: Array) -> Array:
@@ -55,9 +67,11 @@ def fisher(h: Array) -> Array:
 
 
 def posterior_covariance(h: Array) -> Array:
-    """Covariance (n, n), in units of the tolerances, from H (N, n) in "tolerance" scaling: (I + H^T H)^-1.
+    """Covariance (n, n), in units of the tolerances, from H (N, n) in "tolerance"
+    scaling: (I + H^T H)^-1.
 
-    Computed from the singular values, so that directions no reading sees keep exactly their prior variance 1.
+    Computed from the singular values, so that directions no reading sees keep exactly
+    their prior variance 1.
     """
     _, s, vt = np.linalg.svd(h, full_matrices=True)
     gain = np.zeros(h.shape[1])

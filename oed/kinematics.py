@@ -1,16 +1,21 @@
-"""Inverse and forward kinematics and their derivatives, derived from a machine's closure.
+"""Inverse and forward kinematics and their derivatives, derived from a machine's
+closure.
 
 With closure phi(x, q, p) = 0:
 
-* the controller (inverse): given a command c and the parameters it believes in, find pose and joints with
-  phi = 0 and commanded(x) = target(c);
-* the machine (forward): given joints q and true parameters p, find x with phi = 0 by Newton's method;
-* dx/dp = -phi_x^-1 phi_p and dx/dq = -phi_x^-1 phi_q at fixed joints (implicit function theorem).
+* the controller (inverse): given a command c and the parameters it believes in, find
+  pose and joints with phi = 0 and commanded(x) = target(c);
+* the machine (forward): given joints q and true parameters p, find x with phi = 0 by
+  Newton's method;
+* dx/dp = -phi_x^-1 phi_p and dx/dq = -phi_x^-1 phi_q at fixed joints (implicit function
+  theorem).
 
-A redundant machine has more equations than pose components: joints that disagree leave no pose with phi = 0. It
-settles where the squares of the equations' misfits are least, as it would on equally stiff legs: phi_x^T phi = 0. These
-are as many equations as unknowns and take the place of phi above, so that poses and slopes are exact whatever the
-misfit. Rows of a closure are to be scaled by what the legs yield where that differs.
+A redundant machine has more equations than pose components: joints that disagree leave
+no pose with phi = 0. It settles where the squares of the equations' misfits are least,
+as it would on equally stiff legs: phi_x^T phi = 0. These are as many equations as
+unknowns and take the place of phi above, so that poses and slopes are exact whatever
+the misfit. Rows of a closure are to be scaled by what the legs yield where that
+differs.
 
 All of it runs over many poses and many parameter vectors at once.
 """
@@ -26,12 +31,15 @@ from numpy.typing import NDArray
 from oed.batch import Array, Batched
 from oed.machine import Coordinate, Expr, Machine, Parameter, Values
 
-#: Newton stops once a step (m, rad) is below this: convergence is quadratic, so the next is at rounding level
+#: Newton stops once a step (m, rad) is below this: convergence is quadratic, so the
+#: next is at rounding level
 STEP = 1e-8
 ITERATIONS = 30
-#: reciprocal condition number of phi_x (lengths over the lever) below which a pose counts as singular
+#: reciprocal condition number of phi_x (lengths over the lever) below which a pose
+#: counts as singular
 SINGULAR = 1e-6
-#: longest Newton step (m, rad): longer ones are shortened, so that the assembly mode of the start is kept
+#: longest Newton step (m, rad): longer ones are shortened, so that the assembly mode of
+#: the start is kept
 REACH = 0.2
 
 
@@ -46,14 +54,18 @@ class AssemblyError(RuntimeError):
         self.indices = indices
 
 
-def symbols(prefix: str, items: Sequence[Coordinate | Parameter]) -> tuple[ca.SX, Values]:
+def symbols(
+    prefix: str, items: Sequence[Coordinate | Parameter]
+) -> tuple[ca.SX, Values]:
     """A symbolic vector and its entries by name."""
     vector = ca.SX.sym(prefix, len(items))
     return vector, {item.name: vector[i] for i, item in enumerate(items)}
 
 
 class Kinematics:
-    """Numeric kinematics of one machine. Shapes: n poses, nx pose, nq joint, np parameter coordinates."""
+    """Numeric kinematics of one machine. Shapes: n poses, nx pose, nq joint, np
+    parameter coordinates.
+    """
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -65,7 +77,14 @@ class Kinematics:
         phi = ca.vertcat(*machine.closure(xs, qs, ps))
         rotation, point = machine.platform(xs)
         tip = point + rotation @ tool
-        wish = ca.vertcat(*[a - b for a, b in zip(machine.commanded(xs, tip), machine.target(cs), strict=True)])
+        wish = ca.vertcat(
+            *[
+                a - b
+                for a, b in zip(
+                    machine.commanded(xs, tip), machine.target(cs), strict=True
+                )
+            ]
+        )
         phi_x = ca.jacobian(phi, x)
         settled = phi if phi.numel() == x.numel() else phi_x.T @ phi
         settled_x = ca.jacobian(settled, x)
@@ -77,14 +96,26 @@ class Kinematics:
 
         self._forward = Batched("forward", [x, q, p], [settled, settled_x])
         self._closure_slope = Batched("closure_slope", [x, q, p], [phi_x])
-        self._inverse = Batched("inverse", [x, q, p, c, tool], [both, ca.jacobian(both, xq)])
-        self._guess = Batched("guess", [c], [ca.vertcat(*guess_x), ca.vertcat(*guess_q)])
-        self._slopes = Batched("slopes", [x, q, p], [settled_x, ca.jacobian(settled, p), ca.jacobian(settled, q)])
-        self._held = Batched("held", [x, tool], [ca.jacobian(ca.vertcat(*machine.commanded(xs, tip)), x)])
+        self._inverse = Batched(
+            "inverse", [x, q, p, c, tool], [both, ca.jacobian(both, xq)]
+        )
+        self._guess = Batched(
+            "guess", [c], [ca.vertcat(*guess_x), ca.vertcat(*guess_q)]
+        )
+        self._slopes = Batched(
+            "slopes",
+            [x, q, p],
+            [settled_x, ca.jacobian(settled, p), ca.jacobian(settled, q)],
+        )
+        self._held = Batched(
+            "held", [x, tool], [ca.jacobian(ca.vertcat(*machine.commanded(xs, tip)), x)]
+        )
         self._frame = Batched("frame", [x, tool], [rotation, tip, twist])
         components = ca.vertcat(*machine.read_error(cs, [error[i] for i in range(6)]))
         self._components = Batched("components", [c, error], [components])
-        self._components_slope = Batched("components_slope", [c], [ca.jacobian(components, error)])
+        self._components_slope = Batched(
+            "components_slope", [c], [ca.jacobian(components, error)]
+        )
         self._home_sign: float | None = None
         self._struts = _struts(machine, (x, q, p), (xs, qs, ps), phi)
         self._skeleton = (
@@ -96,32 +127,52 @@ class Kinematics:
             ]
         )
 
-    # -- the controller ------------------------------------------------------------------------------------
+    # -- the controller ----------------------------------------------------------------
 
-    def inverse(self, command: Array, p: Array | None = None, tool: Array | None = None) -> tuple[Array, Array]:
-        """Pose (n, nx) and joints (n, nq) at which a machine with parameters p holds the command (n, n_dof).
+    def inverse(
+        self, command: Array, p: Array | None = None, tool: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Pose (n, nx) and joints (n, nq) at which a machine with parameters p holds
+        the command (n, n_dof).
 
-        `p` (np,) or (n, np) defaults to nominal. Raises AssemblyError naming the poses out of reach.
+        `p` (np,) or (n, np) defaults to nominal. Raises AssemblyError naming the poses
+        out of reach.
         """
         command = np.atleast_2d(np.asarray(command, dtype=float))
         p = self.machine.nominal if p is None else p
         tool = np.zeros(3) if tool is None else np.asarray(tool, dtype=float)
         x, q = self._guess(command)
         z, bad = _newton(
-            lambda z, keep: self._inverse(z[:, : x.shape[1]], z[:, x.shape[1] :], _take(p, keep), command[keep], tool),
+            lambda z, keep: self._inverse(
+                z[:, : x.shape[1]],
+                z[:, x.shape[1] :],
+                _take(p, keep),
+                command[keep],
+                tool,
+            ),
             np.hstack([x, q]),
             posed=x.shape[1],
         )
         x, q = z[:, : x.shape[1]], z[:, x.shape[1] :]
         if bad.any():
-            raise AssemblyError(self._told(command, bad, "out of reach or singular"), np.flatnonzero(bad))
-        mirrored: NDArray[np.bool_] = np.less(self._side(x, q, p) * self._home_side(), 0.0)
+            raise AssemblyError(
+                self._told(command, bad, "out of reach or singular"),
+                np.flatnonzero(bad),
+            )
+        mirrored: NDArray[np.bool_] = np.less(
+            self._side(x, q, p) * self._home_side(), 0.0
+        )
         if mirrored.any():
-            raise AssemblyError(self._told(command, mirrored, "in another assembly mode"), np.flatnonzero(mirrored))
+            raise AssemblyError(
+                self._told(command, mirrored, "in another assembly mode"),
+                np.flatnonzero(mirrored),
+            )
         return x, q
 
     def _side(self, x: Array, q: Array, p: Array) -> Array:
-        """Sign of det(phi_x) (n,): assembly modes on either side of a singularity differ in it; 0 if redundant."""
+        """Sign of det(phi_x) (n,): assembly modes on either side of a singularity
+        differ in it; 0 if redundant.
+        """
         phi_x = self._closure_slope(x, q, p)[0]
         if phi_x.shape[1] != phi_x.shape[2]:
             return np.zeros(len(x))
@@ -134,30 +185,34 @@ class Kinematics:
             self._home_sign = float(self._side(x, q, self.machine.nominal)[0])
         return self._home_sign
 
-    # -- the machine ---------------------------------------------------------------------------------------
+    # -- the machine -------------------------------------------------------------------
 
     def forward(self, q: Array, p: Array, start: Array) -> Array:
         """Pose x with phi(x, q, p) = 0, from a start in the wanted assembly mode.
 
-        q (n, nq), p (np,) or (m, np), start (n, nx) or (m, n, nx); result (n, nx) or (m, n, nx). Raises
-        AssemblyError where a pose cannot be assembled.
+        q (n, nq), p (np,) or (m, np), start (n, nx) or (m, n, nx); result (n, nx) or
+        (m, n, nx). Raises AssemblyError where a pose cannot be assembled.
         """
         x, bad = self.try_forward(q, p, start)
         if bad.any():
             where = np.unique(np.argwhere(bad)[:, -1])
             shown = _listed(where)
             raise AssemblyError(
-                f"{self.machine.name}: {int(bad.sum())} of {bad.size} poses cannot be assembled "
-                f"(pose numbers {shown}): the joints do not close at these parameters, or the pose is singular; "
-                "check joint values and their unit, the parameters' size, and the distance to singular poses",
+                f"{self.machine.name}: {int(bad.sum())} of {bad.size} poses cannot be"
+                f" assembled (pose numbers {shown}): the joints do not close at these"
+                " parameters, or the pose is singular; check joint values and their"
+                " unit, the parameters' size, and the distance to singular poses",
                 where,
             )
         return x
 
-    def try_forward(self, q: Array, p: Array, start: Array, step: float = STEP) -> tuple[Array, NDArray[np.bool_]]:
+    def try_forward(
+        self, q: Array, p: Array, start: Array, step: float = STEP
+    ) -> tuple[Array, NDArray[np.bool_]]:
         """As `forward`, but tells failures as a mask (n,) or (m, n) instead of raising.
 
-        Newton stops after a step (m, rad) shorter than `step`; the error left is about step^2 / lever.
+        Newton stops after a step (m, rad) shorter than `step`; the error left is about
+        step^2 / lever.
         """
         q = np.atleast_2d(q)
         n, single = q.shape[0], p.ndim == 1
@@ -166,33 +221,49 @@ class Kinematics:
         wide_q = np.broadcast_to(q, (m, *q.shape)).reshape(m * n, -1)
         wide_p = np.repeat(draws, n, axis=0)
         wide_x = np.broadcast_to(start, (m, n, start.shape[-1])).reshape(m * n, -1)
-        x, bad = _newton(lambda z, keep: self._forward(z, wide_q[keep], wide_p[keep]), wide_x.copy(), step)
+        x, bad = _newton(
+            lambda z, keep: self._forward(z, wide_q[keep], wide_p[keep]),
+            wide_x.copy(),
+            step,
+        )
         return (x, bad) if single else (x.reshape(m, n, -1), bad.reshape(m, n))
 
     def forward_each(self, q: Array, p: Array, start: Array) -> Array:
-        """As `forward`, with parameters p (n, np) of its own for each pose; result (n, nx). Raises AssemblyError."""
-        x, bad = _newton(lambda z, keep: self._forward(z, q[keep], p[keep]), np.array(start, dtype=float))
+        """As `forward`, with parameters p (n, np) of its own for each pose; result (n,
+        nx). Raises AssemblyError.
+        """
+        x, bad = _newton(
+            lambda z, keep: self._forward(z, q[keep], p[keep]),
+            np.array(start, dtype=float),
+        )
         if bad.any():
             where = np.flatnonzero(bad)
             raise AssemblyError(
-                f"{self.machine.name}: pose numbers {_listed(where)} cannot be assembled with their changes; "
-                "make the effects smaller, or keep away from singular poses",
+                f"{self.machine.name}: pose numbers {_listed(where)} cannot be"
+                " assembled with their changes; make the effects smaller, or keep away"
+                " from singular poses",
                 where,
             )
         return x
 
     def struts(self, x: Array, q: Array, p: Array) -> tuple[Array, Array, Array]:
-        """Ends (n, nq, 3) of the struts at base and platform, and change of joint (n, nq) per metre of strut.
+        """Ends (n, nq, 3) of the struts at base and platform, and change of joint (n,
+        nq) per metre of strut.
 
         Raises ValueError for a machine that does not tell its struts.
         """
         if self._struts is None:
-            raise ValueError(f"machine {self.machine.name} does not tell its struts: give Machine.struts")
+            raise ValueError(
+                f"machine {self.machine.name} does not tell its struts: give"
+                " Machine.struts"
+            )
         base, platform, by_joint = self._struts(x, q, p)
         return base.swapaxes(1, 2), platform.swapaxes(1, 2), -1.0 / by_joint
 
     def start_at(self, q: Array) -> Array:
-        """Start poses (n, nx) for joints without a command: followed from the home pose in small steps."""
+        """Start poses (n, nx) for joints without a command: followed from the home pose
+        in small steps.
+        """
         home_x, home_q = self.inverse(self.machine.home_command)
         x = np.broadcast_to(home_x, (q.shape[0], home_x.shape[1]))
         for share in np.linspace(0.0, 1.0, 21)[1:]:
@@ -205,13 +276,16 @@ class Kinematics:
         return -_solve(by_x, by_p)
 
     def refuse_singular(self, x: Array, q: Array, p: Array) -> None:
-        """Raise AssemblyError where a pose is so near a singular one that slopes mean nothing."""
+        """Raise AssemblyError where a pose is so near a singular one that slopes mean
+        nothing.
+        """
         near = self.singularity(x, q, p) < SINGULAR
         if near.any():
             where = np.flatnonzero(near)
             raise AssemblyError(
-                f"{self.machine.name}: pose numbers {_listed(where)} are singular: the machine can move there with its "
-                "joints held, and a reading would tell nothing; keep a distance from them",
+                f"{self.machine.name}: pose numbers {_listed(where)} are singular: the"
+                " machine can move there with its joints held, and a reading would"
+                " tell nothing; keep a distance from them",
                 where,
             )
 
@@ -221,24 +295,34 @@ class Kinematics:
         return -_solve(by_x, by_q)
 
     def singularity(self, x: Array, q: Array, p: Array) -> Array:
-        """Reciprocal condition number (n,) of phi_x, lengths in units of the machine's lever: 0 where singular."""
-        scale = np.array([1.0 if c.unit == "rad" else self.machine.lever for c in self.machine.pose])
-        values = np.linalg.svd(self._closure_slope(x, q, p)[0] * scale, compute_uv=False)
+        """Reciprocal condition number (n,) of phi_x, lengths in units of the machine's
+        lever: 0 where singular.
+        """
+        scale = np.array(
+            [1.0 if c.unit == "rad" else self.machine.lever for c in self.machine.pose]
+        )
+        values = np.linalg.svd(
+            self._closure_slope(x, q, p)[0] * scale, compute_uv=False
+        )
         return np.asarray(values[:, -1] / values[:, 0])
 
-    # -- how a pose is read --------------------------------------------------------------------------------
+    # -- how a pose is read ------------------------------------------------------------
 
     def held(self, x: Array, tool: Array) -> Array:
         """d commanded / dx (n, n_dof, nx)."""
         return self._held(x, tool)[0]
 
     def frames(self, x: Array, tool: Array) -> tuple[Array, Array, Array]:
-        """Rotation (n, 3, 3), tool point (n, 3) and twist slope (n, 6, nx): d[tip, rotation vector]/dx."""
+        """Rotation (n, 3, 3), tool point (n, 3) and twist slope (n, 6, nx): d[tip,
+        rotation vector]/dx.
+        """
         rotation, tip, twist = self._frame(x, tool)
         return rotation, tip, twist
 
     def components(self, command: Array, twist: Array) -> Array:
-        """Pose error components (n, k) of twists (n, 6) [m, rad] at commands (n, n_dof)."""
+        """Pose error components (n, k) of twists (n, 6) [m, rad] at commands (n,
+        n_dof).
+        """
         return self._components(command, twist)[0]
 
     def components_slope(self, command: Array) -> Array:
@@ -253,10 +337,14 @@ class Kinematics:
 
     def _told(self, command: Array, bad: NDArray[np.bool_], why: str) -> str:
         first = command[np.flatnonzero(bad)[0]]
-        told = ", ".join(f"{c.name} = {v:.6g} {c.unit}" for c, v in zip(self.machine.command, first, strict=True))
+        told = ", ".join(
+            f"{c.name} = {v:.6g} {c.unit}"
+            for c, v in zip(self.machine.command, first, strict=True)
+        )
         return (
-            f"{self.machine.name}: {int(bad.sum())} of {bad.size} commanded poses cannot be assembled, the first at "
-            f"{told}: {why}; move it into the workspace, check tool and unit, or, well inside, the machine's guess"
+            f"{self.machine.name}: {int(bad.sum())} of {bad.size} commanded poses"
+            f" cannot be assembled, the first at {told}: {why}; move it into the"
+            " workspace, check tool and unit, or, well inside, the machine's guess"
         )
 
 
@@ -269,7 +357,9 @@ def _take(p: Array, keep: NDArray[np.intp]) -> Array:
 
 
 def _twist(rotation: ca.SX, tip: ca.SX, x: ca.SX) -> ca.SX:
-    """Slope of [tip, rotation vector] in the base frame: column j of the angular part is vee(dR/dx_j R^T)."""
+    """Slope of [tip, rotation vector] in the base frame: column j of the angular part
+    is vee(dR/dx_j R^T).
+    """
     columns = []
     for j in range(x.numel()):
         spin = ca.reshape(ca.jacobian(ca.vec(rotation), x[j]), 3, 3) @ rotation.T
@@ -277,8 +367,12 @@ def _twist(rotation: ca.SX, tip: ca.SX, x: ca.SX) -> ca.SX:
     return ca.vertcat(ca.jacobian(tip, x), ca.horzcat(*columns))
 
 
-def _struts(machine: Machine, vectors: Sequence[Expr], named: Sequence[Values], phi: Expr) -> Batched | None:
-    """Struts' ends (3, nq) at base and platform, and slope of the row that holds each joint over it."""
+def _struts(
+    machine: Machine, vectors: Sequence[Expr], named: Sequence[Values], phi: Expr
+) -> Batched | None:
+    """Struts' ends (3, nq) at base and platform, and slope of the row that holds each
+    joint over it.
+    """
     if machine.struts is None:
         return None
     ends, slopes = machine.struts(*named), []
@@ -291,22 +385,28 @@ def _struts(machine: Machine, vectors: Sequence[Expr], named: Sequence[Values], 
 
 
 def misfit(phi: Expr, x: Expr) -> Expr | None:
-    """By how much the equations of a redundant machine miss each other where it settles.
+    """By how much the equations of a redundant machine miss each other where it
+    settles.
 
-    None unless there is one equation more than unknowns. Then phi = g m^1/2 n there, where n is the unit vector with
-    n^T phi_x = 0 (the signed minors of phi_x) and m the number of equations: g is the root mean square of phi, with a
-    sign.
+    None unless there is one equation more than unknowns. Then phi = g m^1/2 n there,
+    where n is the unit vector with n^T phi_x = 0 (the signed minors of phi_x) and m the
+    number of equations: g is the root mean square of phi, with a sign.
     """
     if phi.numel() != x.numel() + 1:
         return None
     phi_x, rows = ca.jacobian(phi, x), phi.numel()
-    minors = [(-1) ** i * ca.det(phi_x[[k for k in range(rows) if k != i], :]) for i in range(rows)]
+    minors = [
+        (-1) ** i * ca.det(phi_x[[k for k in range(rows) if k != i], :])
+        for i in range(rows)
+    ]
     normal = ca.vertcat(*minors)
     return ca.dot(normal, phi) / (ca.norm_2(normal) * np.sqrt(rows))
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Batched solve. An exactly singular matrix gives NaN: its pose is singular, which callers report by name."""
+    """Batched solve. An exactly singular matrix gives NaN: its pose is singular, which
+    callers report by name.
+    """
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=float)
     except np.linalg.LinAlgError:
@@ -321,9 +421,11 @@ def _newton(
     tolerance: float = STEP,
     posed: int | None = None,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Newton on all rows of z at once; rows leave as they converge. Returns z and the mask of failed rows.
+    """Newton on all rows of z at once; rows leave as they converge. Returns z and the
+    mask of failed rows.
 
-    The first `posed` entries of a row (all by default) are its pose, whose steps are limited; joints may count turns.
+    The first `posed` entries of a row (all by default) are its pose, whose steps are
+    limited; joints may count turns.
     """
     bad = np.zeros(z.shape[0], dtype=bool)
     todo = np.arange(z.shape[0])
@@ -334,7 +436,10 @@ def _newton(
         moved = np.abs(step[:, :posed]).max(axis=1)
         sound = np.isfinite(size)
         bad[todo[~sound]] = True
-        short = step[sound] * np.minimum(1.0, REACH / np.maximum(moved[sound], REACH))[:, None]
+        short = (
+            step[sound]
+            * np.minimum(1.0, REACH / np.maximum(moved[sound], REACH))[:, None]
+        )
         z[todo[sound]] -= short
         todo = todo[sound & (size > tolerance)]
         if not todo.size:

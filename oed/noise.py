@@ -1,8 +1,9 @@
 """Noise of readings: independent, correlated within a reading, or shared by a run.
 
-A reading's channels may be correlated (a gimbal's angles turned into Cartesian coordinates), and the readings of a run
-may share an error (the reference reading that all of them are told against). The covariance is block diagonal over
-runs; W with W Sigma W^T = 1 is kept as a sparse matrix, so that whitening costs what the blocks cost.
+A reading's channels may be correlated (a gimbal's angles turned into Cartesian
+coordinates), and the readings of a run may share an error (the reference reading that
+all of them are told against). The covariance is block diagonal over runs; W with W
+Sigma W^T = 1 is kept as a sparse matrix, so that whitening costs what the blocks cost.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ class Noise:
     """Noise of N readings, SI.
 
     sigma  (N,) marginal standard deviations
-    white  (N, N) sparse W with W Sigma W^T = 1;  root (N, N) sparse R with R R^T = Sigma
+    white  (N, N) sparse W with W Sigma W^T = 1;  root (N, N) sparse R with R R^T =
+           Sigma
     None for both where all readings are independent.
     """
 
@@ -38,14 +40,23 @@ class Noise:
 
     def whiten_last(self, values: Array) -> Array:
         """Whitened values (..., N), with readings last."""
-        return values / self.sigma if self.white is None else np.asarray((self.white @ values.T).T)
+        return (
+            values / self.sigma
+            if self.white is None
+            else np.asarray((self.white @ values.T).T)
+        )
 
     def scaled(self, factor: Array) -> Noise:
         """The same noise times a factor (N,), equal within each run."""
         if self.white is None or self.root is None:
             return Noise(self.sigma * factor)
-        white, root = self.white @ sparse.diags_array(1.0 / factor), sparse.diags_array(factor) @ self.root
-        return Noise(self.sigma * factor, sparse.csr_array(white), sparse.csr_array(root))
+        white, root = (
+            self.white @ sparse.diags_array(1.0 / factor),
+            sparse.diags_array(factor) @ self.root,
+        )
+        return Noise(
+            self.sigma * factor, sparse.csr_array(white), sparse.csr_array(root)
+        )
 
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
         """Draws (..., N)."""
@@ -64,7 +75,9 @@ def independent(sigma: Array) -> Noise:
 
 
 def blocks(covariances: Sequence[Array], places: Sequence[NDArray[np.intp]]) -> Noise:
-    """Noise with dense covariance blocks at index sets `places`, which together cover all readings."""
+    """Noise with dense covariance blocks at index sets `places`, which together cover
+    all readings.
+    """
     n = sum(len(p) for p in places)
     sigma = np.zeros(n)
     rows, columns = [], []
@@ -80,7 +93,9 @@ def blocks(covariances: Sequence[Array], places: Sequence[NDArray[np.intp]]) -> 
     at = (np.concatenate(rows), np.concatenate(columns))
 
     def made(values: list[Array]) -> sparse.csr_array:
-        return sparse.csr_array(sparse.coo_array((np.concatenate(values), at), shape=(n, n)))
+        return sparse.csr_array(
+            sparse.coo_array((np.concatenate(values), at), shape=(n, n))
+        )
 
     return Noise(sigma, made(white), made(root))
 
@@ -90,6 +105,15 @@ def join(parts: Sequence[Noise]) -> Noise:
     sigma = np.concatenate([p.sigma for p in parts])
     if all(p.white is None for p in parts):
         return Noise(sigma)
-    white = [p.white if p.white is not None else sparse.diags_array(1.0 / p.sigma) for p in parts]
-    root = [p.root if p.root is not None else sparse.diags_array(p.sigma) for p in parts]
-    return Noise(sigma, sparse.csr_array(sparse.block_diag(white)), sparse.csr_array(sparse.block_diag(root)))
+    white = [
+        p.white if p.white is not None else sparse.diags_array(1.0 / p.sigma)
+        for p in parts
+    ]
+    root = [
+        p.root if p.root is not None else sparse.diags_array(p.sigma) for p in parts
+    ]
+    return Noise(
+        sigma,
+        sparse.csr_array(sparse.block_diag(white)),
+        sparse.csr_array(sparse.block_diag(root)),
+    )

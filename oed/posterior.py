@@ -1,14 +1,18 @@
-"""Posterior by emcee: the full nonlinear model in identifiable coordinates, all walkers evaluated at once.
+"""Posterior by emcee: the full nonlinear model in identifiable coordinates, all walkers
+evaluated at once.
 
-    log p(z, t | y) = -|z|^2 / 2 - sum_g [ N_g t_g + exp(-2 t_g) |(y - f(theta(z))) / sigma|_g^2 / 2 + t_g^2 / (2 s^2) ]
+    log p(z, t | y) = -|z|^2 / 2 - sum_g [ N_g t_g + exp(-2 t_g) |(y - f(theta(z))) /
+    sigma|_g^2 / 2 + t_g^2 / (2 s^2) ]
 
-z are the coordinates of `oed.identify`; t_g = log of the noise factor of set-up g, sampled where the noise is to be
-estimated, so that few readings give wide tails. Directions that no reading sees are drawn from their prior.
-Two kinds of moves share the work: independent proposals from the Laplace approximation with Student tails, which decide
-almost every step where the posterior is nearly Gaussian, and differential evolution (ter Braak 2006), which needs no
-such luck. (emcee's snooker move is left out: on an 18-dimensional standard normal it returns a standard deviation of
-0.91.) Sampling goes on until every coordinate has the wanted effective sample size, by emcee's and by ArviZ's estimate,
-and R-hat is low, or until the steps are used up.
+z are the coordinates of `oed.identify`; t_g = log of the noise factor of set-up g,
+sampled where the noise is to be estimated, so that few readings give wide tails.
+Directions that no reading sees are drawn from their prior. Two kinds of moves share the
+work: independent proposals from the Laplace approximation with Student tails, which
+decide almost every step where the posterior is nearly Gaussian, and differential
+evolution (ter Braak 2006), which needs no such luck. (emcee's snooker move is left out:
+on an 18-dimensional standard normal it returns a standard deviation of 0.91.) Sampling
+goes on until every coordinate has the wanted effective sample size, by emcee's and by
+ArviZ's estimate, and R-hat is low, or until the steps are used up.
 """
 
 from __future__ import annotations
@@ -43,7 +47,8 @@ class Posterior:
     draws            (chains, draws, n) theta, SI; one chain a walker, thinned
     z                (chains, draws, r) identifiable coordinates
     log_noise        (chains, draws, groups) log noise factors; groups in `noise_groups`
-    ess, rhat        (n,) bulk effective sample size and split R-hat (ArviZ); NaN for held parameters
+    ess, rhat        (n,) bulk effective sample size and split R-hat (ArviZ); NaN for
+                     held parameters
     acceptance       mean acceptance share
     autocorrelation  longest integrated autocorrelation time, in steps (emcee)
     steps, burn_in   steps run and thrown away
@@ -68,7 +73,9 @@ class Posterior:
 
 
 def prepare() -> None:
-    """Import what sampling needs: seconds, in which an interruption would be told by other people's code."""
+    """Import what sampling needs: seconds, in which an interruption would be told by
+    other people's code.
+    """
     import emcee  # noqa: F401
 
     _diagnostics()
@@ -87,7 +94,9 @@ def sample(
     keep: int = 20_000,
     progress: Callable[[float], None] | None = None,
 ) -> Posterior:
-    """Sample about `estimate`; at most `keep` draws are returned. `progress` is told the share done."""
+    """Sample about `estimate`; at most `keep` draws are returned. `progress` is told
+    the share done.
+    """
     import emcee
 
     estimated = tuple(estimate.noise_scale) if estimate.noise_estimated else ()
@@ -95,11 +104,17 @@ def sample(
     dimensions = target.dimensions
     count = walkers or max(2 * (dimensions + 2), 32)
     moves = [(emcee.moves.MHMove(target.laplace), 0.6), (emcee.moves.DEMove(), 0.4)]
-    sampler = emcee.EnsembleSampler(count, dimensions, target, vectorize=True, moves=moves)
+    sampler = emcee.EnsembleSampler(
+        count, dimensions, target, vectorize=True, moves=moves
+    )
     start = target.centre + rng.standard_normal((count, dimensions)) @ target.root.T
-    state = emcee.State(start, random_state=np.random.RandomState(rng.integers(2**31)).get_state())
+    state = emcee.State(
+        start, random_state=np.random.RandomState(rng.integers(2**31)).get_state()
+    )
     while sampler.iteration < max_steps:
-        for latest in sampler.sample(state, iterations=min(LOOK, max_steps - sampler.iteration)):
+        for latest in sampler.sample(
+            state, iterations=min(LOOK, max_steps - sampler.iteration)
+        ):
             state = latest
             if target.interrupted:
                 raise KeyboardInterrupt
@@ -108,7 +123,11 @@ def sample(
         reached = count * (sampler.iteration - burn_in) / longest
         if progress is not None:
             progress(min(1.0, reached / (1.2 * ess)))
-        if reached > 1.2 * ess and sampler.iteration >= 2 * LOOK and sampler.iteration > 10 * longest:
+        if (
+            reached > 1.2 * ess
+            and sampler.iteration >= 2 * LOOK
+            and sampler.iteration > 10 * longest
+        ):
             chain = np.swapaxes(sampler.get_chain(discard=burn_in), 0, 1)
             moving = target.local.theta(chain[..., : target.r])[..., target.moving]
             if np.min(_ess(moving)) > ess and np.max(_rhat(moving)) < MIXED:
@@ -137,7 +156,9 @@ def _diagnostics() -> Any:
 
 def _longest(sampler: Any) -> float:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # short chains are met by going on, not by a warning
+        warnings.simplefilter(
+            "ignore"
+        )  # short chains are met by going on, not by a warning
         times = sampler.get_autocorr_time(tol=0)
     return float(np.nanmax(np.where(np.isfinite(times), times, sampler.iteration)))
 
@@ -153,7 +174,12 @@ class _Target:
         estimate: Estimate,
         noise_groups: tuple[str, ...],
     ) -> None:
-        self.measurement, self.y, self.estimate, self.noise_groups = measurement, y, estimate, noise_groups
+        self.measurement, self.y, self.estimate, self.noise_groups = (
+            measurement,
+            y,
+            estimate,
+            noise_groups,
+        )
         self.local: Coordinates = estimate.coordinates
         self.readings = measurement.near(series, estimate.theta)
         labels = np.array(measurement.owners(series))
@@ -165,10 +191,14 @@ class _Target:
         jacobian = estimate.noise.whiten(measurement.jacobian(series, estimate.theta))
         self.slope = jacobian @ self.local.basis
         self.centre, self.root = self._laplace()
-        self._stated = estimate.noise.scaled(np.array([1.0 / estimate.noise_scale[g] for g in labels]))
+        self._stated = estimate.noise.scaled(
+            np.array([1.0 / estimate.noise_scale[g] for g in labels])
+        )
 
     def __call__(self, points: Array) -> Array:
-        """Log density (walkers,). emcee prints a traceback of whatever is raised here, so Ctrl-C is only noted."""
+        """Log density (walkers,). emcee prints a traceback of whatever is raised here,
+        so Ctrl-C is only noted.
+        """
         try:
             return self._density(points)
         except KeyboardInterrupt:
@@ -182,14 +212,20 @@ class _Target:
         for k, members in enumerate(self._members):
             square[:, members] *= np.exp(-2.0 * log_noise[:, k])[:, None]
             count += members.sum() * log_noise[:, k]
-        value = -0.5 * (square.sum(axis=1) + np.sum(z**2, axis=1) + np.sum((log_noise / LOG_NOISE_SD) ** 2, axis=1))
+        value = -0.5 * (
+            square.sum(axis=1)
+            + np.sum(z**2, axis=1)
+            + np.sum((log_noise / LOG_NOISE_SD) ** 2, axis=1)
+        )
         return np.where(np.isfinite(value), value - count, -np.inf)
 
     def carried(self, theta: Array, unseen: Array) -> Array:
-        """Draws (..., n) moved along unseen directions, seen ones following so that the readings stay as they were.
+        """Draws (..., n) moved along unseen directions, seen ones following so that the
+        readings stay as they were.
 
-        A lost direction is straight to first order only: turning joints by a millimetre's tolerance moves a
-        reading by a micrometre to second order. Two Gauss-Newton steps take that out.
+        A lost direction is straight to first order only: turning joints by a
+        millimetre's tolerance moves a reading by a micrometre to second order. Two
+        Gauss-Newton steps take that out.
         """
         if not self.local.unseen.size:
             return theta
@@ -198,20 +234,33 @@ class _Target:
         after = before + unseen.reshape(before.shape)
         back = np.linalg.pinv(self.slope).T @ self.local.basis.T
         for _ in range(2):
-            after = after - self.estimate.noise.whiten_last(self.readings(after) - wanted) @ back
+            after = (
+                after
+                - self.estimate.noise.whiten_last(self.readings(after) - wanted) @ back
+            )
         return after.reshape(theta.shape)
 
-    def laplace(self, points: Array, random: np.random.RandomState) -> tuple[Array, Array]:
-        """Independent proposals (Student about the Laplace approximation) and log q(old) - log q(new)."""
-        white = random.standard_normal(points.shape) / np.sqrt(random.chisquare(TAILS, size=(len(points), 1)) / TAILS)
+    def laplace(
+        self, points: Array, random: np.random.RandomState
+    ) -> tuple[Array, Array]:
+        """Independent proposals (Student about the Laplace approximation) and log
+        q(old) - log q(new).
+        """
+        white = random.standard_normal(points.shape) / np.sqrt(
+            random.chisquare(TAILS, size=(len(points), 1)) / TAILS
+        )
         proposed = self.centre + white @ self.root.T
         old = np.linalg.solve(self.root, (points - self.centre).T).T
         power = -0.5 * (TAILS + self.dimensions)
-        log_old, log_new = (power * np.log1p(np.sum(w**2, axis=1) / TAILS) for w in (old, white))
+        log_old, log_new = (
+            power * np.log1p(np.sum(w**2, axis=1) / TAILS) for w in (old, white)
+        )
         return proposed, log_old - log_new
 
     def _laplace(self) -> tuple[Array, Array]:
-        """Centre (dimensions,) and a root of the covariance of the Laplace approximation."""
+        """Centre (dimensions,) and a root of the covariance of the Laplace
+        approximation.
+        """
         values, vectors = np.linalg.eigh(self.slope.T @ self.slope + np.eye(self.r))
         spread = [0.7 / np.sqrt(max(1.0, members.sum())) for members in self._members]
         root = np.zeros((self.dimensions, self.dimensions))
@@ -231,7 +280,9 @@ def _gather(
     burn_in: int,
 ) -> Posterior:
     local, r = target.local, target.local.basis.shape[1]
-    unseen = rng.standard_normal((*chain.shape[:2], local.unseen.shape[1])) @ local.unseen.T
+    unseen = (
+        rng.standard_normal((*chain.shape[:2], local.unseen.shape[1])) @ local.unseen.T
+    )
     theta = target.carried(local.theta(chain[:, ::thin, :r]), unseen[:, ::thin])
     moved = np.flatnonzero(np.ptp(theta.reshape(-1, theta.shape[2]), axis=0) > 0)
     ess, rhat = np.full(theta.shape[2], np.nan), np.full(theta.shape[2], np.nan)
@@ -259,10 +310,21 @@ def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> None:
     tree = arviz_base.from_dict(
         {
             "posterior": {"theta": posterior.draws, "log_noise": posterior.log_noise},
-            "sample_stats": {"ess": posterior.ess[None, None], "rhat": posterior.rhat[None, None]},
+            "sample_stats": {
+                "ess": posterior.ess[None, None],
+                "rhat": posterior.rhat[None, None],
+            },
         },
-        coords={"parameter": list(posterior.names), "setup": list(posterior.noise_groups)},
-        dims={"theta": ["parameter"], "log_noise": ["setup"], "ess": ["parameter"], "rhat": ["parameter"]},
+        coords={
+            "parameter": list(posterior.names),
+            "setup": list(posterior.noise_groups),
+        },
+        dims={
+            "theta": ["parameter"],
+            "log_noise": ["setup"],
+            "ess": ["parameter"],
+            "rhat": ["parameter"],
+        },
     )
     tree.attrs.update(attributes)
     partial = path.with_name(path.name + ".part")

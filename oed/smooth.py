@@ -1,12 +1,15 @@
-"""Random smooth curves over a span, and fields over several coordinates, told by a few modes.
+"""Random smooth curves over a span, and fields over several coordinates, told by a few
+modes.
 
-A curve of standard deviation 1 whose values hang together over a reach r has, at a distance d, Matern's correlation
+A curve of standard deviation 1 whose values hang together over a reach r has, at a
+distance d, Matern's correlation
 
     (1 + a d) exp(-a d),    a = sqrt(3) / r,
 
-that of curves with a slope everywhere (Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, eq. 4.17).
-Its Karhunen-Loeve modes are the orthogonal curves whose sum with independent N(0, 1) coefficients is such a curve; the
-first few hold nearly all of it.
+that of curves with a slope everywhere (Rasmussen and Williams 2006, Gaussian Processes
+for Machine Learning, eq. 4.17). Its Karhunen-Loeve modes are the orthogonal curves
+whose sum with independent N(0, 1) coefficients is such a curve; the first few hold
+nearly all of it.
 """
 
 from __future__ import annotations
@@ -20,10 +23,14 @@ from oed.batch import Array
 POINTS = 200
 
 
-def curve(at: Array, number: int, *, reach: float, count: int, straight: int = 0) -> Array:
-    """Mode `number` of the `count` largest at places (...) in a span from -1 to 1; held at its end beyond.
+def curve(
+    at: Array, number: int, *, reach: float, count: int, straight: int = 0
+) -> Array:
+    """Mode `number` of the `count` largest at places (...) in a span from -1 to 1; held
+    at its end beyond.
 
-    reach     r, where the span is 2 long;  straight: 1 for curves without their mean, 2 without their slope either
+    reach     r, where the span is 2 long;  straight: 1 for curves without their mean, 2
+              without their slope either
     """
     grid, made = _modes(reach, count, straight)
     return np.asarray(np.interp(at, grid, made[number]))
@@ -37,13 +44,17 @@ def _modes(reach: float, count: int, straight: int) -> tuple[Array, Array]:
     lines = np.linalg.qr(np.vander(grid, straight))[0]
     left = np.eye(POINTS) - lines @ lines.T
     values, vectors = np.linalg.eigh(left @ ((1.0 + way) * np.exp(-way)) @ left)
-    return np.asarray(grid), np.asarray((np.sqrt(values[-count:]) * vectors[:, -count:]).T[::-1])
+    return np.asarray(grid), np.asarray(
+        (np.sqrt(values[-count:]) * vectors[:, -count:]).T[::-1]
+    )
 
 
 def field(places: Array, *, reach: float, share: float, count: int) -> Array:
-    """Modes (m, k) of a field of standard deviation 1 with the same correlation of places (m, n), the largest first.
+    """Modes (m, k) of a field of standard deviation 1 with the same correlation of
+    places (m, n), the largest first.
 
-    share   of the field's energy in these places that the modes hold, of at most `count` modes
+    share   of the field's energy in these places that the modes hold, of at most
+            `count` modes
     """
     there, back = np.unique(np.round(places, 9), axis=0, return_inverse=True)
     way = np.sqrt(3.0) / reach * np.linalg.norm(there[:, None] - there, axis=-1)

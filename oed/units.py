@@ -1,7 +1,7 @@
 """Units at the edge: the only file that holds a unit factor.
 
-Inside, every number is SI (metre, radian, second, newton, kelvin). A unit lives in the name of a field or a
-column (`sigma_um`, `theta_deg`) and is split off here.
+Inside, every number is SI (metre, radian, second, newton, kelvin). A unit lives in the
+name of a field or a column (`sigma_um`, `theta_deg`) and is split off here.
 """
 
 from __future__ import annotations
@@ -33,10 +33,24 @@ UNITS: Final[dict[str, tuple[str, float]]] = {
 }
 
 #: what a person wants to read a quantity in, by its SI unit
-DISPLAY: Final[dict[str, str]] = {"m": "mm", "rad": "mrad", "s": "min", "N": "N", "K": "C", "1": "1"}
+DISPLAY: Final[dict[str, str]] = {
+    "m": "mm",
+    "rad": "mrad",
+    "s": "min",
+    "N": "N",
+    "K": "C",
+    "1": "1",
+}
 
 #: the finer unit in which residual errors are told
-FINE: Final[dict[str, str]] = {"m": "um", "rad": "arcsec", "s": "s", "N": "N", "K": "C", "1": "ppm"}
+FINE: Final[dict[str, str]] = {
+    "m": "um",
+    "rad": "arcsec",
+    "s": "s",
+    "N": "N",
+    "K": "C",
+    "1": "ppm",
+}
 
 
 class UnitError(ValueError):
@@ -44,7 +58,9 @@ class UnitError(ValueError):
 
 
 def factor(unit: str) -> float:
-    """Factor that turns a value in `unit` into SI; raises UnitError for an unknown unit."""
+    """Factor that turns a value in `unit` into SI; raises UnitError for an unknown
+    unit.
+    """
     return _entry(unit)[1]
 
 
@@ -69,10 +85,15 @@ def number(value: float, unit: str) -> float:
 
 
 def split(name: str) -> tuple[str, str]:
-    """`sigma_um` -> ("sigma", "um"). Raises UnitError where the name ends in no known unit."""
+    """`sigma_um` -> ("sigma", "um"). Raises UnitError where the name ends in no known
+    unit.
+    """
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in UNITS:
-        raise UnitError(f"the name {name!r} carries no known unit; end it in one of {', '.join(sorted(UNITS))}")
+        raise UnitError(
+            f"the name {name!r} carries no known unit; end it in one of"
+            f" {', '.join(sorted(UNITS))}"
+        )
     return stem, unit
 
 
@@ -85,4 +106,6 @@ def _entry(unit: str) -> tuple[str, float]:
     try:
         return UNITS[unit]
     except KeyError:
-        raise UnitError(f"unknown unit {unit!r}; known are {', '.join(sorted(UNITS))}") from None
+        raise UnitError(
+            f"unknown unit {unit!r}; known are {', '.join(sorted(UNITS))}"
+        ) from None

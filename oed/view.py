@@ -1,4 +1,6 @@
-"""One set-up's reading and its slopes, compiled: what an instrument sees of a machine's poses."""
+"""One set-up's reading and its slopes, compiled: what an instrument sees of a machine's
+poses.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,9 @@ from oed.machine import Machine
 class View:
     """One set-up's observation g(x_1, x_2, s) and its slopes, compiled.
 
-    Where the instrument reads what the poses alone do not tell (a redundant machine's misfit), `inner` is true and
-    g depends on the joints of each pose and the machine's parameters as well: inputs x_1, x_2, s, q_1, q_2, p.
+    Where the instrument reads what the poses alone do not tell (a redundant machine's
+    misfit), `inner` is true and g depends on the joints of each pose and the machine's
+    parameters as well: inputs x_1, x_2, s, q_1, q_2, p.
     """
 
     def __init__(self, machine: Machine, setup: Setup) -> None:
@@ -34,9 +37,17 @@ class View:
         y = ca.vertcat(*setup.instrument.observe(frames, ss, setup.settings))
         self.inner = bool(ca.depends_on(y, ca.vertcat(*joints, p)))
         known = [*poses, s, *joints, p] if self.inner else [*poses, s]
-        slopes = [ca.jacobian(y, v) for v in ([*poses, s, p] if self.inner else [*poses, s])]
-        self._arity, self._channels = setup.instrument.arity, len(setup.instrument.channels)
-        self._sizes = [len(machine.pose)] * self._arity + [len(setup.nuisances), len(machine.parameters)]
+        slopes = [
+            ca.jacobian(y, v) for v in ([*poses, s, p] if self.inner else [*poses, s])
+        ]
+        self._arity, self._channels = (
+            setup.instrument.arity,
+            len(setup.instrument.channels),
+        )
+        self._sizes = [len(machine.pose)] * self._arity + [
+            len(setup.nuisances),
+            len(machine.parameters),
+        ]
         sources = setup.instrument.sources
         spread = ca.SX(1, 1) if sources is None else sources(frames, ss, setup.settings)
         self._sources = Batched("sources", [*poses, s], [ca.vec(spread)])
@@ -51,10 +62,21 @@ class View:
     def sources(self, frames: Sequence[Array], s: Array) -> Array:
         """Slopes (n, channels, sources) from the instrument's independent errors."""
         rows, columns = self._spread
-        return self._sources(*frames, s)[0].reshape(-1, columns, rows).transpose(0, 2, 1)
+        return (
+            self._sources(*frames, s)[0].reshape(-1, columns, rows).transpose(0, 2, 1)
+        )
 
     def slopes(self, known: Sequence[Array]) -> tuple[list[Array], Array, Array | None]:
-        """Slopes (n, channels, .) over each pose, over s, and over p beside what the poses carry."""
+        """Slopes (n, channels, .) over each pose, over s, and over p beside what the
+        poses carry.
+        """
         n = known[0].shape[0]
-        shaped = [b.reshape(n, self._channels, size) for b, size in zip(self._slope(*known), self._sizes, strict=False)]
-        return shaped[: self._arity], shaped[self._arity], shaped[-1] if self.inner else None
+        shaped = [
+            b.reshape(n, self._channels, size)
+            for b, size in zip(self._slope(*known), self._sizes, strict=False)
+        ]
+        return (
+            shaped[: self._arity],
+            shaped[self._arity],
+            shaped[-1] if self.inner else None,
+        )

@@ -1,4 +1,6 @@
-"""Labels, oracles and results of the blind benchmark made by hand, for the tests of what reads them."""
+"""Labels, oracles and results of the blind benchmark made by hand, for the tests of
+what reads them.
+"""
 
 from __future__ import annotations
 
@@ -8,32 +10,72 @@ LIBRARY = ("backlash", "friction", "gravity", "bar_length", "encoder_scale", "st
 
 
 def case(
-    kind: str, effects: dict[str, float], *, machine: str = "a3", law: str = "white", blocks: tuple[str, ...] = ()
+    kind: str,
+    effects: dict[str, float],
+    *,
+    machine: str = "a3",
+    law: str = "white",
+    blocks: tuple[str, ...] = (),
 ) -> dict:
     told = [
-        {"name": n, "unknown": n not in LIBRARY, "target": s, "sqrt_lambda": s, "blocks": list(blocks)}
+        {
+            "name": n,
+            "unknown": n not in LIBRARY,
+            "target": s,
+            "sqrt_lambda": s,
+            "blocks": list(blocks),
+        }
         for n, s in effects.items()
     ]
     exact = ["encoder_scale", "bar_length"] if kind == "exact" else []
-    return {"id": "x", "machine": machine, "kind": kind, "noise": {"name": law}, "effects": told, "class": exact}
+    return {
+        "id": "x",
+        "machine": machine,
+        "kind": kind,
+        "noise": {"name": law},
+        "effects": told,
+        "class": exact,
+    }
 
 
 def known(
-    label: dict, *, apart: float = 10.0, beyond: float = 10.0, own: float = 2.0, testable: tuple[str, ...] = LIBRARY
+    label: dict,
+    *,
+    apart: float = 10.0,
+    beyond: float = 10.0,
+    own: float = 2.0,
+    testable: tuple[str, ...] = LIBRARY,
 ) -> dict:
-    told = [{"name": e["name"], "apart": apart, "beyond": beyond, "own": own} for e in label["effects"]]
+    told = [
+        {"name": e["name"], "apart": apart, "beyond": beyond, "own": own}
+        for e in label["effects"]
+    ]
     square = {"value": 0.9, "s0": 3.0, "s1": 1.0, "n": 100}
-    closure = [{"split": s, "expected_gain": 50.0, "same_law": square} for s in ("within", "whole")]
+    closure = [
+        {"split": s, "expected_gain": 50.0, "same_law": square}
+        for s in ("within", "whole")
+    ]
     return {"testable": list(testable), "effects": told, "closure": closure}
 
 
-def answer(*effects: str, p: float = 0.96, classes: list[list[str]] | None = None) -> dict:
+def answer(
+    *effects: str, p: float = 0.96, classes: list[list[str]] | None = None
+) -> dict:
     named = [[e] for e in effects if e != "unknown"]
-    return {"effects": list(effects), "probability": p, "classes": named if classes is None else classes}
+    return {
+        "effects": list(effects),
+        "probability": p,
+        "classes": named if classes is None else classes,
+    }
 
 
 def result(*answers: dict, baseline: list[str] | None = None, **more: object) -> dict:
-    told: dict = {"answers": list(answers), "set95": list(answers[:1]), "where": [], "closure": []}
+    told: dict = {
+        "answers": list(answers),
+        "set95": list(answers[:1]),
+        "where": [],
+        "closure": [],
+    }
     if baseline is not None:
         told["baselines"] = {"harmonic": baseline, "stepwise": baseline}
     return told | more

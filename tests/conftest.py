@@ -22,17 +22,26 @@ def shared_data() -> Path:
     """Real measurements, kept beside the project and not in it."""
     folder = ROOT.parent / "shared" / "data"
     if not folder.is_dir():
-        pytest.skip("the folder shared/data with real measurements is not beside the project")
+        pytest.skip(
+            "the folder shared/data with real measurements is not beside the project"
+        )
     return folder
 
 
 @pytest.fixture(scope="module")
 def blind_modules() -> Iterator[Callable[..., SimpleNamespace]]:
-    """Modules of the blind benchmark, each by its last name; the folder they live in is not installed."""
+    """Modules of the blind benchmark, each by its last name; the folder they live in is
+    not installed.
+    """
 
     def found(*names: str) -> SimpleNamespace:
-        modules = {n.rpartition(".")[2]: importlib.import_module(f"benchmarks.blind.{n}") for n in names}
-        return SimpleNamespace(**modules, main=importlib.import_module("benchmarks.blind.__main__").main)
+        modules = {
+            n.rpartition(".")[2]: importlib.import_module(f"benchmarks.blind.{n}")
+            for n in names
+        }
+        return SimpleNamespace(
+            **modules, main=importlib.import_module("benchmarks.blind.__main__").main
+        )
 
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT)

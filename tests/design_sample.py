@@ -1,4 +1,6 @@
-"""Small [design] studies that tests build, and criteria written anew with NumPy to judge their plans by."""
+"""Small [design] studies that tests build, and criteria written anew with NumPy to
+judge their plans by.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,13 @@ theta_deg = [10, 30]
 KNOWN = 'scaling = "tolerance"\nprior = true\nreadings = 3\n'
 
 
-def text(design: str, *, tables: str = GRID.format(name="cup"), setups: str = CUP, rest: str = WORKSPACE) -> str:
+def text(
+    design: str,
+    *,
+    tables: str = GRID.format(name="cup"),
+    setups: str = CUP,
+    rest: str = WORKSPACE,
+) -> str:
     return HEAD + setups + "[design]\n" + design + tables + rest
 
 
@@ -62,16 +70,24 @@ def chosen(text: str, folder: Path = Path()) -> tuple[Resolved, Chosen]:
 
 def section(resolved: Resolved, found: Chosen) -> Design:
     assert resolved.study.design is not None
-    return score.section(resolved, found, explain.look(found.measurement, found.series, resolved.study.design.scaling))
+    return score.section(
+        resolved,
+        found,
+        explain.look(found.measurement, found.series, resolved.study.design.scaling),
+    )
 
 
 def rows(resolved: Resolved) -> np.ndarray:
     m = resolved.measurement
-    return (m.jacobian(resolved.candidates, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
+    return (m.jacobian(resolved.candidates, m.nominal) * m.tolerance / 0.5e-6)[
+        :, m.free
+    ]
 
 
 def slopes(resolved: Resolved) -> np.ndarray:
-    """Home-referenced x and z of the tool point over the free parameters (poses, 2, n), by differences of poses."""
+    """Home-referenced x and z of the tool point over the free parameters (poses, 2, n),
+    by differences of poses.
+    """
     m, kinematics = resolved.measurement, resolved.measurement.kinematics
     assert resolved.prediction is not None
     command = np.vstack([m.machine.home_command, resolved.prediction])
@@ -80,7 +96,9 @@ def slopes(resolved: Resolved) -> np.ndarray:
     made = []
     for k in range(len(p)):
         e = step * np.eye(len(p))[k]
-        ends = [kinematics.forward(q, (p + s * e)[None], x)[0][:, [0, 2]] for s in (1, -1)]
+        ends = [
+            kinematics.forward(q, (p + s * e)[None], x)[0][:, [0, 2]] for s in (1, -1)
+        ]
         made.append((ends[0] - ends[1]) / (2 * step))
     table = np.moveaxis(np.array(made), 0, 2)
     wide = np.zeros((len(command) - 1, 2, len(m.names)))
@@ -92,16 +110,27 @@ def value(name: str, h: np.ndarray, resolved: Resolved) -> float:
     """A criterion of chosen rows with the tolerances, the larger the better."""
     m = h.T @ h + np.eye(h.shape[1])
     w, inverse = np.linalg.eigvalsh(m), np.linalg.inv(m)
-    names = [n for n, f in zip(resolved.measurement.names, resolved.measurement.free, strict=True) if f]
+    names = [
+        n
+        for n, f in zip(
+            resolved.measurement.names, resolved.measurement.free, strict=True
+        )
+        if f
+    ]
     if name == "Ds":
         mine = [k for k, n in enumerate(names) if n.startswith("dq")]
         return -float(np.linalg.slogdet(inverse[np.ix_(mine, mine)])[1])
     if name == "c":
         c = np.zeros(len(names))
-        c[names.index("dq1")], c[names.index("beta2")] = 1e-3, -20e-3  # tolerances times coefficients
+        c[names.index("dq1")], c[names.index("beta2")] = (
+            1e-3,
+            -20e-3,
+        )  # tolerances times coefficients
         return -float(c @ inverse @ c)
     if name in ("I", "G"):
-        variance = np.einsum("jkn,nm,jkm->j", slopes(resolved), inverse, slopes(resolved))
+        variance = np.einsum(
+            "jkn,nm,jkm->j", slopes(resolved), inverse, slopes(resolved)
+        )
         return -float(variance.mean() if name == "I" else variance.max())
     told = {
         "D": np.log(w).sum(),
@@ -117,6 +146,15 @@ def value(name: str, h: np.ndarray, resolved: Resolved) -> float:
     return float(told[name])
 
 
-EXTRA = 'interest = ["dq*"]\ncombination = { dq1 = 1.0, beta2 = -2.0 }\naccuracy = { x_um = 30, z_um = 20 }\n'
-THREE = "".join(FREE.format(name=n, x=x, z=z) for n, x, z in (("low", 0, 1126), ("high", 0, 1286), ("side", 80, 1286)))
-GRIDS = "".join(GRID.format(name=n).replace("[1086, 1246]", "[1126, 1226]") for n in ("low", "high", "side"))
+EXTRA = (
+    'interest = ["dq*"]\ncombination = { dq1 = 1.0, beta2 = -2.0 }\naccuracy = { x_um ='
+    " 30, z_um = 20 }\n"
+)
+THREE = "".join(
+    FREE.format(name=n, x=x, z=z)
+    for n, x, z in (("low", 0, 1126), ("high", 0, 1286), ("side", 80, 1286))
+)
+GRIDS = "".join(
+    GRID.format(name=n).replace("[1086, 1246]", "[1126, 1226]")
+    for n in ("low", "high", "side")
+)

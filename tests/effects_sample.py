@@ -35,7 +35,13 @@ NAMES = (
     "mount_drift",
     "step",
 )
-CARRIAGES = {"hexaglide", "linear_delta", "planar_2dof", "prs_spindle", "prs_spindle_struts"}
+CARRIAGES = {
+    "hexaglide",
+    "linear_delta",
+    "planar_2dof",
+    "prs_spindle",
+    "prs_spindle_struts",
+}
 HERE = Place("x.study.toml", "gap.effects")
 ROUND, FEED, HOURS = 24, 0.03, 7200.0
 COVARIATES = ("time", "direction", "feed", "payload")
@@ -52,14 +58,25 @@ def effect_of(name: str) -> Effect:
 def session(machine: str, known: tuple[str, ...] = COVARIATES) -> SimpleNamespace:
     """Two set-ups, each a loop through the workspace there and back, within two hours."""
     case = CASES[machine]
-    lower, upper = (np.array([getattr(c, side) for c in case.machine.command]) for side in ("lower", "upper"))
+    lower, upper = (
+        np.array([getattr(c, side) for c in case.machine.command])
+        for side in ("lower", "upper")
+    )
     at = np.linspace(0.0, 2.0 * np.pi, ROUND, endpoint=False)
     loop = np.column_stack(
-        [f((k // 2 + 1) * at) for k, f in zip(range(len(lower)), [np.cos, np.sin] * 3, strict=False)]
+        [
+            f((k // 2 + 1) * at)
+            for k, f in zip(range(len(lower)), [np.cos, np.sin] * 3, strict=False)
+        ]
     )
     there = 0.5 * (lower + upper) + 0.15 * (upper - lower) * loop
-    command, runs = np.vstack([there, there[::-1]]), ["there"] * ROUND + ["back"] * ROUND
-    measurement = Measurement(case.machine, [case.setups["ball_bar"], case.setups["camera"]])
+    command, runs = (
+        np.vstack([there, there[::-1]]),
+        ["there"] * ROUND + ["back"] * ROUND,
+    )
+    measurement = Measurement(
+        case.machine, [case.setups["ball_bar"], case.setups["camera"]]
+    )
     series = tuple(measurement.series(s, command, runs) for s in ("ball_bar", "camera"))
     rows = 4 * ROUND
     covariates = {
@@ -70,7 +87,9 @@ def session(machine: str, known: tuple[str, ...] = COVARIATES) -> SimpleNamespac
         "payload": np.repeat([0.0, 150.0], rows // 2),
         "temp_leg": np.linspace(20.0, 22.0, rows),
     }
-    frame = pd.DataFrame({n: v for n, v in covariates.items() if n == "order" or n in known})
+    frame = pd.DataFrame(
+        {n: v for n, v in covariates.items() if n == "order" or n in known}
+    )
     return SimpleNamespace(
         case=case,
         measurement=measurement,
@@ -82,7 +101,9 @@ def session(machine: str, known: tuple[str, ...] = COVARIATES) -> SimpleNamespac
 
 def columns(name: str, state: State, **constants: float) -> dict[str, Column]:
     """An effect's columns by name, at given constants or the first of its grid."""
-    made = list(effect_of(name).columns(state, **(effect_of(name).grid()[0] | constants)))
+    made = list(
+        effect_of(name).columns(state, **(effect_of(name).grid()[0] | constants))
+    )
     assert len({c.name for c in made}) == len(made)
     return {c.name: c for c in made}
 
@@ -90,6 +111,9 @@ def columns(name: str, state: State, **constants: float) -> dict[str, Column]:
 def small(state: State, m: int, **changes: object) -> State:
     """The state's first m poses."""
     whole = {f.name: getattr(state, f.name) for f in dataclasses.fields(state)}
-    cut = {n: v[:m] if isinstance(v, np.ndarray) and len(v) == len(state) else v for n, v in whole.items()}
+    cut = {
+        n: v[:m] if isinstance(v, np.ndarray) and len(v) == len(state) else v
+        for n, v in whole.items()
+    }
     cut["temperature"] = {}
     return State(**(cut | changes))

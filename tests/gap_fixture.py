@@ -1,7 +1,9 @@
-"""A small study with a virtual machine that has backlash, and a diagnosis of its readings made by hand.
+"""A small study with a virtual machine that has backlash, and a diagnosis of its
+readings made by hand.
 
-The diagnosis is made with the true effect known: generalised least squares of its columns in the metric of the noise
-and the parameters, in dense matrices. Nothing of the search for effects is in it.
+The diagnosis is made with the true effect known: generalised least squares of its
+columns in the metric of the noise and the parameters, in dense matrices. Nothing of the
+search for effects is in it.
 """
 
 from __future__ import annotations
@@ -123,15 +125,29 @@ def written(folder: Path, text: str = STUDY) -> Path:
 
 def _columns(state: State) -> Iterable[Column]:
     for i in state.limbs:
-        yield Column(f"leg {i + 1}", 5e-6, label=f"leg {i + 1}", joints={i: 0.5 * state.sense[:, i]})
+        yield Column(
+            f"leg {i + 1}",
+            5e-6,
+            label=f"leg {i + 1}",
+            joints={i: 0.5 * state.sense[:, i]},
+        )
 
 
-backlash = Effect(name="backlash", source="by hand", about="lost motion", columns=_columns)
+backlash = Effect(
+    name="backlash", source="by hand", about="lost motion", columns=_columns
+)
 
 
 def diagnosis(problem: Problem) -> Diagnosis:
     """The diagnosis of someone who knows that backlash is the cause."""
-    found = signature(backlash, {}, problem.states, problem.responses, problem.measurement, problem.series)
+    found = signature(
+        backlash,
+        {},
+        problem.states,
+        problem.responses,
+        problem.measurement,
+        problem.series,
+    )
     g, h = 2.0 * problem.of(found.columns), problem.slopes
     noise = np.eye(len(problem))
     spread = noise + h @ h.T
@@ -155,13 +171,23 @@ def diagnosis(problem: Problem) -> Diagnosis:
             Coefficient("backlash", n, n, float(b * s * 2.0), float(e * s * 2.0))
             for n, b, e, s in zip(found.names, beta, sd, found.scales, strict=True)
         ),
-        sizes=(Size("backlash", {"length": float(np.sqrt(np.mean((explained * sigma) ** 2)))}, 41.0),),
+        sizes=(
+            Size(
+                "backlash",
+                {"length": float(np.sqrt(np.mean((explained * sigma) ** 2)))},
+                41.0,
+            ),
+        ),
         explained=explained * sigma,
         unexplained=np.zeros(len(problem)),
         likeness={},
         before=before * sigma,
         after=after * sigma,
-        where=(Block("leg 2", 0.002, 0.9), *(Block(f"run {r}", 0.4, 0.1) for r in runs), Block("leg 1", 0.7, np.nan)),
+        where=(
+            Block("leg 2", 0.002, 0.9),
+            *(Block(f"run {r}", 0.4, 0.1) for r in runs),
+            Block("leg 1", 0.7, np.nan),
+        ),
         closure=(
             Closure("within", 0.96, 0.91, 0.99, 0.001, 30.0, 2.2, 1.0, 96),
             Closure("whole", np.nan, np.nan, np.nan, np.nan, 1.0, 1.0, 1.0, 96),
@@ -186,4 +212,7 @@ def _absorbed(h: Array, r: Array) -> Array:
 
 def two_channels(found: Diagnosis) -> Diagnosis:
     """The same with every number in doubt: NaN where a number may be missing."""
-    return dataclasses.replace(found, closure=(dataclasses.replace(found.closure[0], value=np.nan, p_worse=np.nan),))
+    return dataclasses.replace(
+        found,
+        closure=(dataclasses.replace(found.closure[0], value=np.nan, p_worse=np.nan),),
+    )

@@ -1,4 +1,6 @@
-"""A made-up but realistic design of 30 readings, with every optional part, as decoded from result.json."""
+"""A made-up but realistic design of 30 readings, with every optional part, as decoded
+from result.json.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,10 @@ def design(poses: list[dict[str, Any]]) -> dict[str, Any]:
         _score("two circles of 15 (paper)", 30, -65.58, 0.68, 3748.0, 1.45),
         _score("random, best of 200", 30, -63.2, 0.78, 9120.0, 1.21),
     ]
-    certificate = "Certified to 97.3 % of the best possible 26 of 1512 readings, over the 18 of 21 directions that the "
+    certificate = (
+        "Certified to 97.3 % of the best possible 26 of 1512 readings, over the 18 of"
+        " 21 directions that the "
+    )
     return {
         "criterion": "D",
         "n": 30,
@@ -29,7 +34,10 @@ def design(poses: list[dict[str, Any]]) -> dict[str, Any]:
         "scaling": "lengths in mm, angles times 540 mm",
         "candidates": 1512,
         "plans": plans,
-        "words": certificate + "candidates see (the identifiable subspace), beside 4 readings kept.",
+        "words": (
+            certificate
+            + "candidates see (the identifiable subspace), beside 4 readings kept."
+        ),
         "directions": 18,
         "columns": 21,
         "gap": 0.0021,
@@ -38,13 +46,19 @@ def design(poses: list[dict[str, Any]]) -> dict[str, Any]:
         "setups": setups,
         "kept": 4,
         "cost_min": 33.0,
-        "refused": {"leave the travel of joint q2": 37, "cannot hold their reading": 284},
+        "refused": {
+            "leave the travel of joint q2": 37,
+            "cannot hold their reading": 284,
+        },
         "compared": _criteria(),
         "polished": {
             "before": -58.91,
             "after": -58.68,
             "words": "polishing gained 0.01278 (solved to an optimum)",
-            "setups": {"long tool": {"at_x_mm": 103.27, "at_z_mm": 1281.5}, "short tool": {"tool_z_mm": 96.4}},
+            "setups": {
+                "long tool": {"at_x_mm": 103.27, "at_z_mm": 1281.5},
+                "short tool": {"tool_z_mm": 96.4},
+            },
         },
         "order": {
             "setups": setups,
@@ -87,19 +101,37 @@ def _robust() -> dict[str, Any]:
     nominal = -3.2 - 0.18 * np.abs(rng.normal(size=20))
     values = nominal + 0.03 + 0.5 * np.clip(-3.3 - nominal, 0.0, None)
     tail = [float(np.mean(np.sort(v)[:4])) for v in (values, nominal)]
-    head = {"risk": "cvar", "level": 0.2, "scenarios": 20, "value": tail[0], "bound": tail[0] + 0.03}
+    head = {
+        "risk": "cvar",
+        "level": 0.2,
+        "scenarios": 20,
+        "value": tail[0],
+        "bound": tail[0] + 0.03,
+    }
     head |= {"efficiency": math.exp(-0.03), "nominal": tail[1]}
     return head | {"values": values.tolist(), "nominal_values": nominal.tolist()}
 
 
 def _how_many() -> dict[str, Any]:
     sizes = [10, 15, 20, 30, 40, 60]
-    scale = {"x_um": 52.0, "y_um": 51.0, "z_um": 88.0, "psi_arcsec": 18.1, "theta_arcsec": 1.9, "phi_arcsec": 17.7}
+    scale = {
+        "x_um": 52.0,
+        "y_um": 51.0,
+        "z_um": 88.0,
+        "psi_arcsec": 18.1,
+        "theta_arcsec": 1.9,
+        "phi_arcsec": 17.7,
+    }
     return {
         "wanted": {"z_um": 50.0, "theta_arcsec": 1.2},
         "sizes": sizes,
-        "accuracy": {name: [v * (n / 11.0) ** -0.5 for n in sizes] for name, v in scale.items()},
-        "bound": {name: [0.93 * v * (n / 11.0) ** -0.5 for n in sizes] for name, v in scale.items()},
+        "accuracy": {
+            name: [v * (n / 11.0) ** -0.5 for n in sizes] for name, v in scale.items()
+        },
+        "bound": {
+            name: [0.93 * v * (n / 11.0) ** -0.5 for n in sizes]
+            for name, v in scale.items()
+        },
         "fewest": 34,
         "at_least": 33,
         "most": 60,
@@ -107,9 +139,24 @@ def _how_many() -> dict[str, Any]:
     }
 
 
-def _score(name: str, n: int, logdet: float, efficiency: float, kappa: float, worse: float) -> dict[str, Any]:
-    observability = {"O1": 0.0173, "O2": 1.0 / kappa, "O3": 0.00124, "O4": 3.2e-7, "O5": 0.0044}
-    scale = {"x_um": 18.3, "y_um": 17.4, "z_um": 27.6, "psi_arcsec": 6.01, "theta_arcsec": 0.592, "phi_arcsec": 5.92}
+def _score(
+    name: str, n: int, logdet: float, efficiency: float, kappa: float, worse: float
+) -> dict[str, Any]:
+    observability = {
+        "O1": 0.0173,
+        "O2": 1.0 / kappa,
+        "O3": 0.00124,
+        "O4": 3.2e-7,
+        "O5": 0.0044,
+    }
+    scale = {
+        "x_um": 18.3,
+        "y_um": 17.4,
+        "z_um": 27.6,
+        "psi_arcsec": 6.01,
+        "theta_arcsec": 0.592,
+        "phi_arcsec": 5.92,
+    }
     return {
         "name": name,
         "n": n,

@@ -1,4 +1,6 @@
-"""A made-up but realistic plan in three stages, with every optional part, as decoded from result.json."""
+"""A made-up but realistic plan in three stages, with every optional part, as decoded
+from result.json.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ STAGES = (
 
 
 def sample(*, wanted: bool = True) -> dict[str, Any]:
-    """The report's sample with a plan that was searched for; `wanted`: an accuracy was asked for, and missed."""
+    """The report's sample with a plan that was searched for; `wanted`: an accuracy was
+    asked for, and missed.
+    """
     full = report_fixture.sample()
     full["plan"] = plan(wanted=wanted)
     for k, pose in enumerate(full["design"]["poses"]):
@@ -42,27 +46,46 @@ def plan(*, wanted: bool = True) -> dict[str, Any]:
         "budget_min": 120.0,
         "price": 40.0,
         "value": value,
-        "goal": {"z_um": left["z_um"] / 1.24, "theta_arcsec": left["theta_arcsec"] / 1.1} if wanted else {},
+        "goal": (
+            {
+                "z_um": left["z_um"] / 1.24,
+                "theta_arcsec": left["theta_arcsec"] / 1.1,
+            }
+            if wanted
+            else {}
+        ),
         "reached": not wanted,
         "start_accuracy": START,
         "accuracy": left,
         "best_reachable": {key: 0.97 * v for key, v in left.items()},
-        "needs": ["half the noise of bar 300 reaches z to 11.2 um", "a budget of 240 min reaches it in 151 min"],
+        "needs": [
+            "half the noise of bar 300 reaches z to 11.2 um",
+            "a budget of 240 min reaches it in 151 min",
+        ],
         "bound": value / 1.043,
         "loss": 0.043,
         "lines": 17,
-        "stop": "a fourth stage (bar 150, cup low) would gain 2.1 %, less than the 5 % that are worth it",
+        "stop": (
+            "a fourth stage (bar 150, cup low) would gain 2.1 %, less than the 5 % that"
+            " are worth it"
+        ),
         "after": "12 readings of a first day, 33 min",
         "virtual_machines": 200,
     }
-    return told | {"alternatives": _alternatives(value), "front": _front(value), "compared": _compared(value)}
+    return told | {
+        "alternatives": _alternatives(value),
+        "front": _front(value),
+        "compared": _compared(value),
+    }
 
 
 def _accuracy(count: int) -> dict[str, float]:
     """After so many stages; angles gain less."""
     made = dict(START)
     for k in range(count):
-        made = {n: v * LEFT[k] ** (1.0 - 0.06 * i) for i, (n, v) in enumerate(made.items())}
+        made = {
+            n: v * LEFT[k] ** (1.0 - 0.06 * i) for i, (n, v) in enumerate(made.items())
+        }
     return made
 
 
@@ -71,7 +94,10 @@ def _stage(k: int) -> dict[str, Any]:
     names = report_fixture.LENGTHS + report_fixture.TILTS
     gains = {n: 1.0 + (i * 7 + 3) % 11 * (k + 1) for i, n in enumerate(names)}
     sds = {
-        n: {"sd": (10.0 if n in report_fixture.TILTS else 1.0) / gains[n], "unit": "mrad" if "beta" in n else "mm"}
+        n: {
+            "sd": (10.0 if n in report_fixture.TILTS else 1.0) / gains[n],
+            "unit": "mrad" if "beta" in n else "mm",
+        }
         for n in names
     }
     return {
@@ -94,15 +120,27 @@ def _stage(k: int) -> dict[str, Any]:
         "parameters": sds,
         "held": [["da1y", "0.71 db2x - 0.71 db3x", "db1y"], ["db1y"], []][k],
         "accuracy": _accuracy(k + 1),
-        "realised": {n.rpartition("_")[0]: 0.93 + 0.03 * i + 0.02 * k for i, n in enumerate(START)},
+        "realised": {
+            n.rpartition("_")[0]: 0.93 + 0.03 * i + 0.02 * k
+            for i, n in enumerate(START)
+        },
         "realised_lost": (0.0, 0.81, 0.04)[k],
         "coverage": (0.947, 0.953, 0.949)[k],
     }
 
 
-def _way(names: list[str], readings: list[int], minutes: float, value: float, why: str = "") -> dict[str, Any]:
+def _way(
+    names: list[str], readings: list[int], minutes: float, value: float, why: str = ""
+) -> dict[str, Any]:
     accuracy = {n: v * value / 130.0 for n, v in START.items()}
-    return {"names": names, "readings": readings, "minutes": minutes, "value": value, "accuracy": accuracy, "why": why}
+    return {
+        "names": names,
+        "readings": readings,
+        "minutes": minutes,
+        "value": value,
+        "accuracy": accuracy,
+        "why": why,
+    }
 
 
 def _alternatives(value: float) -> list[Any]:
@@ -110,13 +148,28 @@ def _alternatives(value: float) -> list[Any]:
     why = "a rough stage is missing: 68 % of the readings would be lost"
     return [
         _way(bars, [24, 24], 84.0, 21.0 * value, why),
-        _way(["rough tracker", *bars[::-1]], [12, 24, 12], 106.0, 1.07 * value, "7 % less accurate in the same time"),
-        _way(["rough tracker", "length gauge"], [24, 48], 71.0, 9.1 * value, "reaches z only to 45 um"),
+        _way(
+            ["rough tracker", *bars[::-1]],
+            [12, 24, 12],
+            106.0,
+            1.07 * value,
+            "7 % less accurate in the same time",
+        ),
+        _way(
+            ["rough tracker", "length gauge"],
+            [24, 48],
+            71.0,
+            9.1 * value,
+            "reaches z only to 45 um",
+        ),
     ]
 
 
 def _front(value: float) -> list[dict[str, Any]]:
-    first = [_way(["rough tracker"], [n], m, v * value) for n, m, v in ((6, 19.0, 60.0), (12, 24.5, 42.0))]
+    first = [
+        _way(["rough tracker"], [n], m, v * value)
+        for n, m, v in ((6, 19.0, 60.0), (12, 24.5, 42.0))
+    ]
     both = [
         _way(["rough tracker", "bar 300, cup low"], [12, n], m, v * value)
         for n, m, v in ((6, 46.0, 8.2), (12, 53.0, 4.1), (18, 61.0, 2.4))
@@ -125,7 +178,10 @@ def _front(value: float) -> list[dict[str, Any]]:
     return [
         *first,
         *both,
-        *[_way(all_three, [12, 18, n], m, v * value) for n, m, v in ((12, 92.0, 1.3), (24, 108.0, 1.0))],
+        *[
+            _way(all_three, [12, 18, n], m, v * value)
+            for n, m, v in ((12, 92.0, 1.3), (24, 108.0, 1.0))
+        ],
     ]
 
 
@@ -142,9 +198,17 @@ def _compared(value: float) -> list[dict[str, Any]]:
             "parameters": 18,
             "kappa": 5210.0 / len(names),
             "weakest": 0.00124 * len(names),
-            "observability": {"O1": 0.0173, "O2": 1.9e-4, "O3": 0.00124, "O4": 3.2e-7, "O5": 0.0044},
+            "observability": {
+                "O1": 0.0173,
+                "O2": 1.9e-4,
+                "O3": 0.00124,
+                "O4": 3.2e-7,
+                "O5": 0.0044,
+            },
             "lost": 15.2 / len(names),
-            "plan": _way(["rough tracker", "bar 300, cup low"], [12, 18], minutes, value * 1.4),
+            "plan": _way(
+                ["rough tracker", "bar 300, cup low"], [12, 18], minutes, value * 1.4
+            ),
             "gain": {n: worse / 1.4 for n in START},
             "bound": 1.3 * value,
             "words": "In the same time a rough stage makes it far more accurate.",

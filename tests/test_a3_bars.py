@@ -1,6 +1,8 @@
-"""The A3 head from published numbers to compensated machines: what the toolkit must reach on it.
+"""The A3 head from published numbers to compensated machines: what the toolkit must
+reach on it.
 
-Virtual machines are the oracle's: it reads them, and it moves them at the joints that the toolkit gives.
+Virtual machines are the oracle's: it reads them, and it moves them at the joints that
+the toolkit gives.
 """
 
 import dataclasses
@@ -44,18 +46,24 @@ def d_optimal(candidates: np.ndarray) -> exchange.Choice:
     return exchange.choose(candidates, 30, np.random.default_rng(0), starts=20)
 
 
-# -- published numbers -------------------------------------------------------------------------------------
+# -- published numbers -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("stroke", paper.TABLE_2)
 def test_table_2(taught: Measurement, stroke: float) -> None:
-    theta = np.rad2deg(a3_plans.held(taught, np.full(721, stroke), np.linspace(0, 2 * np.pi, 721))[:, 2])
+    theta = np.rad2deg(
+        a3_plans.held(taught, np.full(721, stroke), np.linspace(0, 2 * np.pi, 721))[
+            :, 2
+        ]
+    )
     assert (theta.min(), theta.max()) == pytest.approx(paper.TABLE_2[stroke], abs=0.01)
 
 
 @pytest.mark.parametrize("with_taught_cup", [True, False])
 def test_one_tool_length_sees_18_of_21(with_taught_cup: bool) -> None:
-    """For any number of circles; lost are the turns of the platform's joints about the TCP."""
+    """For any number of circles; lost are the turns of the platform's joints about the
+    TCP.
+    """
     m = a3_plans.measurement(taught=with_taught_cup)
     for series in (a3_plans.circles(m, 15), m.series("cup", a3_plans.grid(m))):
         told, lost, rest = a3_plans.verdict(m, [series])
@@ -67,8 +75,12 @@ def test_one_tool_length_sees_18_of_21(with_taught_cup: bool) -> None:
 
 @pytest.mark.parametrize("points", [18, 30, 72, 720])
 def test_one_circle_sees_17(taught: Measurement, points: int) -> None:
-    """However dense: in exact arithmetic the 18th is there, at 1e-8 of the first, below the tolerance of 1e-6."""
-    told, lost, _ = a3_plans.verdict(taught, [a3_plans.circles(taught, points, strokes=[0.08])])
+    """However dense: in exact arithmetic the 18th is there, at 1e-8 of the first, below
+    the tolerance of 1e-6.
+    """
+    told, lost, _ = a3_plans.verdict(
+        taught, [a3_plans.circles(taught, points, strokes=[0.08])]
+    )
     assert told.rank == 17
     assert told.tolerance == 1e-6
     assert told.singular_values[17] < 1e-7 * told.singular_values[0]
@@ -77,13 +89,19 @@ def test_one_circle_sees_17(taught: Measurement, points: int) -> None:
 
 @pytest.mark.parametrize("with_taught_cups", [True, False])
 def test_two_tool_lengths_see_23_of_24(with_taught_cups: bool) -> None:
-    """100 mm apart, a cup set-up for each: only the spin about the platform's z is lost."""
+    """100 mm apart, a cup set-up for each: only the spin about the platform's z is
+    lost.
+    """
     m = a3_plans.measurement(taught=with_taught_cups, tools=(0.0, 0.1))
-    told, lost, rest = a3_plans.verdict(m, [m.series(s, a3_plans.grid(m, s)) for s in ("cup", "cup100")])
+    told, lost, rest = a3_plans.verdict(
+        m, [m.series(s, a3_plans.grid(m, s)) for s in ("cup", "cup100")]
+    )
     assert (told.rank, len(told.names)) == (23, 24)
     assert lost == [TILT.format("z")]
     assert rest.shape[0] == 0
-    both, _, _ = a3_plans.verdict(m, [a3_plans.circles(m, 15, s) for s in ("cup", "cup100")])
+    both, _, _ = a3_plans.verdict(
+        m, [a3_plans.circles(m, 15, s) for s in ("cup", "cup100")]
+    )
     assert both.rank == 23
 
 
@@ -95,20 +113,28 @@ def kappa(m: Measurement, points: int) -> float:
 def test_kappa_of_the_taught_cup(taught: Measurement) -> None:
     """15 points a circle are the best of 12..20, as the paper chose."""
     found = {n: kappa(taught, n) for n in [*range(12, 21), 24]}
-    assert {n: found[n] for n in paper.KAPPA_TAUGHT} == pytest.approx(paper.KAPPA_TAUGHT, rel=0.01)
+    assert {n: found[n] for n in paper.KAPPA_TAUGHT} == pytest.approx(
+        paper.KAPPA_TAUGHT, rel=0.01
+    )
     assert min(range(12, 21), key=found.get) == 15
 
 
 def test_kappa_of_the_free_cup() -> None:
     m = a3_plans.measurement(taught=False)
-    assert {n: kappa(m, n) for n in paper.KAPPA_FREE} == pytest.approx(paper.KAPPA_FREE, rel=0.01)
+    assert {n: kappa(m, n) for n in paper.KAPPA_FREE} == pytest.approx(
+        paper.KAPPA_FREE, rel=0.01
+    )
 
 
-# -- designs -----------------------------------------------------------------------------------------------
+# -- designs ---------------------------------------------------------------------------
 
 
-def test_the_d_optimal_30_readings(taught: Measurement, candidates: np.ndarray, d_optimal: exchange.Choice) -> None:
-    s = np.linalg.svd(a3_plans.rows(taught, [a3_plans.circles(taught, 15)]), compute_uv=False)[:18]
+def test_the_d_optimal_30_readings(
+    taught: Measurement, candidates: np.ndarray, d_optimal: exchange.Choice
+) -> None:
+    s = np.linalg.svd(
+        a3_plans.rows(taught, [a3_plans.circles(taught, 15)]), compute_uv=False
+    )[:18]
     of_paper = 2 * np.log(s).sum()
     assert of_paper == pytest.approx(paper.LOG_DET_PAPER, abs=0.005)
     assert paper.LOG_DET_BEST - 0.02 <= d_optimal.value <= paper.LOG_DET_BOUND
@@ -118,11 +144,19 @@ def test_the_d_optimal_30_readings(taught: Measurement, candidates: np.ndarray, 
     assert d_optimal.value == pytest.approx(2 * np.log(chosen).sum(), abs=1e-6)
 
 
-def test_the_d_value_does_not_depend_on_how_the_cup_is_known(d_optimal: exchange.Choice) -> None:
-    """log det differs between taught and free cup by what the columns' meaning changes, which is nothing."""
+def test_the_d_value_does_not_depend_on_how_the_cup_is_known(
+    d_optimal: exchange.Choice,
+) -> None:
+    """log det differs between taught and free cup by what the columns' meaning changes,
+    which is nothing.
+    """
     free = a3_plans.measurement(taught=False)
-    rows = a3_plans.rows(free, [free.series("cup", a3_plans.grid(free)[d_optimal.indices])])
-    assert 2 * np.log(np.linalg.svd(rows, compute_uv=False)[:18]).sum() == pytest.approx(d_optimal.value, abs=0.02)
+    rows = a3_plans.rows(
+        free, [free.series("cup", a3_plans.grid(free)[d_optimal.indices])]
+    )
+    assert 2 * np.log(
+        np.linalg.svd(rows, compute_uv=False)[:18]
+    ).sum() == pytest.approx(d_optimal.value, abs=0.02)
 
 
 def test_the_e_exchange_beats_the_d_design_in_its_own_measure(
@@ -131,10 +165,12 @@ def test_the_e_exchange_beats_the_d_design_in_its_own_measure(
     by_e = exchange.choose(candidates, 30, np.random.default_rng(0), "E", starts=10)
     least = np.linalg.svd(candidates[d_optimal.indices], compute_uv=False)[17] ** 2
     assert by_e.value > 1.2 * least
-    assert by_e.value == pytest.approx(np.linalg.svd(candidates[by_e.indices], compute_uv=False)[17] ** 2, rel=1e-5)
+    assert by_e.value == pytest.approx(
+        np.linalg.svd(candidates[by_e.indices], compute_uv=False)[17] ** 2, rel=1e-5
+    )
 
 
-# -- virtual machines --------------------------------------------------------------------------------------
+# -- virtual machines ------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,25 +186,40 @@ class Realised:
 def measured(series: Series, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Bar lengths that the oracle's machine, theta (27,), shows."""
     cup = a3.forward(truth[:24], series.q[series.index[:, 1]]).tip + truth[24:]
-    return a3.ball_bar_reading(truth[:24], series.q[series.index[:, 0]], cup) + NOISE * rng.standard_normal(len(series))
+    return a3.ball_bar_reading(
+        truth[:24], series.q[series.index[:, 0]], cup
+    ) + NOISE * rng.standard_normal(len(series))
 
 
-def against_home(m: Measurement, command: np.ndarray, believed: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Errors (n, 6) in x, y, z, psi, theta, phi of the oracle's machine whose controller believes (24,).
+def against_home(
+    m: Measurement, command: np.ndarray, believed: np.ndarray, truth: np.ndarray
+) -> np.ndarray:
+    """Errors (n, 6) in x, y, z, psi, theta, phi of the oracle's machine whose
+    controller believes (24,).
 
-    Zeroed at home: place in the base frame, orientation in the platform's own axes, by exact rotations.
+    Zeroed at home: place in the base frame, orientation in the platform's own axes, by
+    exact rotations.
     """
     home = m.machine.home_command
     real = a3.forward(truth, compensate.joints(m.kinematics, command, believed))
-    at_home = a3.forward(truth, compensate.joints(m.kinematics, home[None], believed)[0])
+    at_home = a3.forward(
+        truth, compensate.joints(m.kinematics, home[None], believed)[0]
+    )
     tip, _ = a3.nominal_pose(*command.T)
     home_tip, home_rotation = a3.nominal_pose(*home)
     angles = np.column_stack(a3.euler(real.R @ at_home.R.T @ home_rotation))
     wanted = np.column_stack([command[:, 1], command[:, 2], -command[:, 1]])
-    return np.hstack([real.tip - tip - (at_home.tip - home_tip), np.angle(np.exp(1j * (angles - wanted)))])
+    return np.hstack(
+        [
+            real.tip - tip - (at_home.tip - home_tip),
+            np.angle(np.exp(1j * (angles - wanted))),
+        ]
+    )
 
 
-def realise(m: Measurement, series: Series, truths: Iterable[np.ndarray], seed: int) -> Realised:
+def realise(
+    m: Measurement, series: Series, truths: Iterable[np.ndarray], seed: int
+) -> Realised:
     rng, command = np.random.default_rng(seed), a3_plans.workspace()
     maps = predict.error_maps(m.kinematics, command, "home")
     before, after, known, estimates = [], [], [], []
@@ -187,7 +238,10 @@ def ratios(realised: Realised, predicted: Prediction) -> dict[str, dict[str, flo
     for kind in ("before", "after", "known"):
         rms = np.sqrt(np.mean(getattr(realised, kind) ** 2, axis=(0, 1)))
         expected = getattr(predicted, kind)
-        told[kind] = {n: float(r / expected[n].rms) for n, r in zip(predicted.names, rms, strict=True)}
+        told[kind] = {
+            n: float(r / expected[n].rms)
+            for n, r in zip(predicted.names, rms, strict=True)
+        }
     return told
 
 
@@ -201,9 +255,16 @@ def planned(m: Measurement, series: Series) -> Prediction:
     h = a3_plans.rows(m, [series], "tolerance")
     scale = m.tolerance[m.free]
     covariance = np.zeros((len(m.names),) * 2)
-    covariance[np.ix_(m.free, m.free)] = np.linalg.inv(np.eye(len(scale)) + h.T @ h) * np.outer(scale, scale)
+    covariance[np.ix_(m.free, m.free)] = np.linalg.inv(
+        np.eye(len(scale)) + h.T @ h
+    ) * np.outer(scale, scale)
     maps = predict.error_maps(m.kinematics, a3_plans.workspace(), "home")
-    return predict.predict(maps, np.diag(m.tolerance[:24] ** 2), covariance[:24, :24], np.random.default_rng(0))
+    return predict.predict(
+        maps,
+        np.diag(m.tolerance[:24] ** 2),
+        covariance[:24, :24],
+        np.random.default_rng(0),
+    )
 
 
 def from_estimate(m: Measurement, found: Estimate) -> Prediction:
@@ -211,11 +272,17 @@ def from_estimate(m: Measurement, found: Estimate) -> Prediction:
     maps = predict.error_maps(m.kinematics, a3_plans.workspace(), "home")
     prior = np.diag(m.tolerance[:24] ** 2)
     return predict.predict(
-        maps, prior, found.covariance[:24, :24], np.random.default_rng(0), mean=found.theta[:24] - m.nominal[:24]
+        maps,
+        prior,
+        found.covariance[:24, :24],
+        np.random.default_rng(0),
+        mean=found.theta[:24] - m.nominal[:24],
     )
 
 
-def test_machines_from_the_tolerances_end_as_the_plan_predicts(taught: Measurement, plan: Series) -> None:
+def test_machines_from_the_tolerances_end_as_the_plan_predicts(
+    taught: Measurement, plan: Series
+) -> None:
     rng = np.random.default_rng(1)
     truths = taught.nominal + taught.tolerance * rng.standard_normal((MACHINES, 27))
     told = ratios(realise(taught, plan, truths, seed=2), planned(taught, plan))
@@ -224,7 +291,9 @@ def test_machines_from_the_tolerances_end_as_the_plan_predicts(taught: Measureme
             assert 0.8 < ratio < 1.25, (kind, name)
 
 
-def test_machines_with_table_3s_errors_end_as_their_posterior_predicts(taught: Measurement, plan: Series) -> None:
+def test_machines_with_table_3s_errors_end_as_their_posterior_predicts(
+    taught: Measurement, plan: Series
+) -> None:
     """One machine, read 200 times; predicted from the first estimate."""
     realised = realise(taught, plan, [a3_plans.table_3(taught)] * MACHINES, seed=3)
     told = ratios(realised, from_estimate(taught, realised.first))
@@ -236,44 +305,75 @@ def test_machines_with_table_3s_errors_end_as_their_posterior_predicts(taught: M
 
 
 @pytest.mark.parametrize("plan_name", ["paper", "d_optimal"])
-def test_compensation_is_worth_it(taught: Measurement, plan: Series, plan_name: str) -> None:
-    """z, psi and theta of Table 3's machine: better by an order of magnitude, z from 0.9 mm to 0.1."""
+def test_compensation_is_worth_it(
+    taught: Measurement, plan: Series, plan_name: str
+) -> None:
+    """z, psi and theta of Table 3's machine: better by an order of magnitude, z from
+    0.9 mm to 0.1.
+    """
     series = plan if plan_name == "d_optimal" else a3_plans.circles(taught, 15)
     realised = realise(taught, series, [a3_plans.table_3(taught)] * 10, seed=4)
-    before, after = (np.sqrt(np.mean(e**2, axis=(0, 1)))[2:5] for e in (realised.before, realised.after))
+    before, after = (
+        np.sqrt(np.mean(e**2, axis=(0, 1)))[2:5]
+        for e in (realised.before, realised.after)
+    )
     assert (after < before * [0.25, 0.05, 0.1]).all()
     assert before[0] > 0.8e-3
 
 
-# -- a home error of 8 mm, section 5.2 ---------------------------------------------------------------------
+# -- a home error of 8 mm, section 5.2 -------------------------------------------------
 
 HOME_ERROR, THRESHOLD = 8e-3, 0.1e-3  # m
 
 
 def rough_then_fine(
-    m: Measurement, command: np.ndarray, truth: np.ndarray, rng: np.random.Generator, *, estimate_noise: bool = True
+    m: Measurement,
+    command: np.ndarray,
+    truth: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    estimate_noise: bool = True,
 ) -> tuple[Estimate, list[float]]:
-    """Measure, identify the home errors alone, correct the controller, until they change by less than the threshold;
-    then all parameters. The rough fit may take its residuals for noise, as its model is not the whole one."""
+    """Measure, identify the home errors alone, correct the controller, until they
+    change by less than the threshold; then all parameters. The rough fit may take its
+    residuals for noise, as its model is not the whole one.
+    """
     controller, changes = m.nominal[:24].copy(), []
     while not changes or (changes[-1] > THRESHOLD and len(changes) < 10):
         series = m.series("cup", command, controller=controller)
         start = np.r_[controller, m.nominal[24:]]
         rough = identify(
-            m, [series], measured(series, truth, rng), stages=[["dq*"]], start=start, estimate_noise=estimate_noise
+            m,
+            [series],
+            measured(series, truth, rng),
+            stages=[["dq*"]],
+            start=start,
+            estimate_noise=estimate_noise,
         )
         changes.append(float(np.abs(rough.theta[:3] - controller[:3]).max()))
         controller = rough.theta[:24]
     series = m.series("cup", command, controller=controller)
-    fine = identify(m, [series], measured(series, truth, rng), start=np.r_[controller, m.nominal[24:]])
+    fine = identify(
+        m,
+        [series],
+        measured(series, truth, rng),
+        start=np.r_[controller, m.nominal[24:]],
+    )
     return fine, changes
 
 
-def test_a_home_error_of_8_mm_converges(grid: np.ndarray, d_optimal: exchange.Choice, taught: Measurement) -> None:
-    """40 machines of Table 3 with home errors of 8 mm more, of either sign: within five rounds, and in the end no worse
-    than the same machine without them."""
+def test_a_home_error_of_8_mm_converges(
+    grid: np.ndarray, d_optimal: exchange.Choice, taught: Measurement
+) -> None:
+    """40 machines of Table 3 with home errors of 8 mm more, of either sign: within five
+    rounds, and in the end no worse than the same machine without them.
+    """
     m = a3_plans.measurement(of=a3_plans.with_tolerances({"dq": HOME_ERROR}))
-    command, workspace, rng = grid[d_optimal.indices], a3_plans.workspace(), np.random.default_rng(5)
+    command, workspace, rng = (
+        grid[d_optimal.indices],
+        a3_plans.workspace(),
+        np.random.default_rng(5),
+    )
     with_error, rounds = [], []
     for _ in range(40):
         truth = a3_plans.table_3(m)
@@ -283,27 +383,42 @@ def test_a_home_error_of_8_mm_converges(grid: np.ndarray, d_optimal: exchange.Ch
         with_error.append(against_home(m, workspace, fine.theta[:24], truth[:24]))
     assert max(len(c) for c in rounds) <= 5
     assert all(c[-1] < THRESHOLD for c in rounds)
-    without = realise(m, m.series("cup", command), [a3_plans.table_3(m)] * 40, seed=6).after
-    rms = [np.sqrt(np.mean(np.array(e) ** 2, axis=(0, 1)))[2:5] for e in (with_error, without)]
+    without = realise(
+        m, m.series("cup", command), [a3_plans.table_3(m)] * 40, seed=6
+    ).after
+    rms = [
+        np.sqrt(np.mean(np.array(e) ** 2, axis=(0, 1)))[2:5]
+        for e in (with_error, without)
+    ]
     assert (rms[0] < 1.25 * rms[1]).all()
     assert max(c[0] for c in rounds) < 2 * HOME_ERROR
-    uncorrected = np.sqrt(np.mean(against_home(m, workspace, m.nominal[:24], truth[:24]) ** 2, axis=0))[2:5]
+    uncorrected = np.sqrt(
+        np.mean(against_home(m, workspace, m.nominal[:24], truth[:24]) ** 2, axis=0)
+    )[2:5]
     assert (rms[0] < uncorrected / 8).all()
 
 
 def test_rough_rounds_that_trust_the_stated_noise_converge_too(
     grid: np.ndarray, d_optimal: exchange.Choice, taught: Measurement
 ) -> None:
-    """Half a micrometre of noise against a millimetre that three unknowns cannot explain: the common home error, which
-    a taught cup hardly sees, first goes astray by tens of millimetres; the fine fit brings it back."""
+    """Half a micrometre of noise against a millimetre that three unknowns cannot
+    explain: the common home error, which a taught cup hardly sees, first goes astray by
+    tens of millimetres; the fine fit brings it back.
+    """
     m = a3_plans.measurement(of=a3_plans.with_tolerances({"dq": HOME_ERROR}))
     rng, ends = np.random.default_rng(7), []
     for sign in (1, -1):
         truth = a3_plans.table_3(m)
         truth[:3] += sign * HOME_ERROR
-        fine, changes = rough_then_fine(m, grid[d_optimal.indices], truth, rng, estimate_noise=False)
+        fine, changes = rough_then_fine(
+            m, grid[d_optimal.indices], truth, rng, estimate_noise=False
+        )
         assert changes[-1] < THRESHOLD
         assert len(changes) < 10
         assert fine.chi2 < fine.dof + 5 * np.sqrt(2 * fine.dof)
-        ends.append(against_home(m, a3_plans.workspace(), fine.theta[:24], truth[:24])[:, 2:5])
-    assert (np.sqrt(np.mean(np.square(ends), axis=(0, 1))) < [250e-6, 250e-6, 15e-6]).all()
+        ends.append(
+            against_home(m, a3_plans.workspace(), fine.theta[:24], truth[:24])[:, 2:5]
+        )
+    assert (
+        np.sqrt(np.mean(np.square(ends), axis=(0, 1))) < [250e-6, 250e-6, 15e-6]
+    ).all()

@@ -1,4 +1,6 @@
-"""The blind benchmark's generator: apart from the toolkit, yet of the same machines; sizes and noise are as told."""
+"""The blind benchmark's generator: apart from the toolkit, yet of the same machines;
+sizes and noise are as told.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,11 @@ NAMES = (
     "textbook",
     "write",
 )
-STUDIES = [(m, p) for m in ("a3", "planar", "delta", "hexapod", "hexaglide") for p in ("full", "poor")]
+STUDIES = [
+    (m, p)
+    for m in ("a3", "planar", "delta", "hexapod", "hexaglide")
+    for p in ("full", "poor")
+]
 STUDIES.append(("a3", "single"))
 
 
@@ -43,15 +49,23 @@ def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
     return blind_modules(*(f"generator.{n}" for n in NAMES))
 
 
-def stage_of(blind: SimpleNamespace, machine: str, plan: str, seed: int = 3) -> SimpleNamespace:
+def stage_of(
+    blind: SimpleNamespace, machine: str, plan: str, seed: int = 3
+) -> SimpleNamespace:
     """A scene with its stage, metric under white noise, and law."""
     rng = np.random.default_rng(seed)
     made = blind.plans.draw(rng, machine, plan)
     scene = blind.scene.draw(rng, made)
-    stage = blind.base.Stage(made, scene.motion, scene.layout, blind.thermal.climate(rng, made))
-    sigma = blind.noise.covariance(blind.noise.Law(name="white"), blind.noise.grouping(made, scene.layout))
+    stage = blind.base.Stage(
+        made, scene.motion, scene.layout, blind.thermal.climate(rng, made)
+    )
+    sigma = blind.noise.covariance(
+        blind.noise.Law(name="white"), blind.noise.grouping(made, scene.layout)
+    )
     metric = blind.severity.Metric(sigma, scene.J, scene.prior)
-    return SimpleNamespace(plan=made, scene=scene, stage=stage, metric=metric, sigma=sigma)
+    return SimpleNamespace(
+        plan=made, scene=scene, stage=stage, metric=metric, sigma=sigma
+    )
 
 
 def measurement_of(name: str):
@@ -59,7 +73,7 @@ def measurement_of(name: str):
     return resolved.measure(resolved.setups)
 
 
-# -- apart from the toolkit, and of the same machines ----------------------------------------------------------
+# -- apart from the toolkit, and of the same machines ----------------------------------
 
 
 def test_generator_imports_nothing_of_the_toolkit():
@@ -74,16 +88,23 @@ def test_generator_imports_nothing_of_the_toolkit():
             for name in names:
                 assert name.split(".")[0] not in TOOLKIT, f"{path}: {name}"
                 if name.startswith("benchmarks"):
-                    assert name.startswith("benchmarks.blind.generator"), f"{path}: {name}"
+                    assert name.startswith("benchmarks.blind.generator"), (
+                        f"{path}: {name}"
+                    )
 
 
 @pytest.mark.parametrize(("machine", "plan"), STUDIES)
-def test_files_load_with_their_study_and_mean_the_same_machine(blind, tmp_path, machine, plan):
+def test_files_load_with_their_study_and_mean_the_same_machine(
+    blind, tmp_path, machine, plan
+):
     rng = np.random.default_rng(7)
     made = blind.plans.draw(rng, machine, plan)
     scene = blind.scene.draw(rng, made)
     case = SimpleNamespace(
-        stage=SimpleNamespace(plan=made, layout=scene.layout, climate=blind.thermal.climate(rng, made)), y=scene.y
+        stage=SimpleNamespace(
+            plan=made, layout=scene.layout, climate=blind.thermal.climate(rng, made)
+        ),
+        y=scene.y,
     )
     path = tmp_path / "x.readings.csv"
     blind.write.table(case).to_csv(path, index=False)
@@ -93,19 +114,28 @@ def test_files_load_with_their_study_and_mean_the_same_machine(blind, tmp_path, 
     assert 250 <= len(read) <= 750
     assert np.abs(read.y - scene.y).max() < 1e-10  # as many digits as the file has
     theta = measurement.nominal.copy()
-    theta[measurement.free] += scene.theta  # 0 nominal where the toolkit's nominal is added here
+    theta[measurement.free] += (
+        scene.theta
+    )  # 0 nominal where the toolkit's nominal is added here
     assert np.abs(measurement.tolerance[measurement.free] - scene.prior).max() == 0.0
     assert np.abs(measurement.readings(read.series, theta) - scene.y).max() < 2e-11
     slopes = measurement.jacobian(read.series, theta)[:, measurement.free]
     assert np.abs(slopes - scene.J).max() < 1e-9 * np.abs(slopes).max()
-    shown = {"time_s": "time", "direction": "direction", "feed_mm_min": "feed", "payload_N": "payload"}
+    shown = {
+        "time_s": "time",
+        "direction": "direction",
+        "feed_mm_min": "feed",
+        "payload_N": "payload",
+    }
     for column, stem in shown.items():
         assert (stem in read.covariates) == (column in made.columns)
 
 
 def test_joint_forces_follow_from_virtual_work(blind):
     made = blind.plans.draw(np.random.default_rng(3), "hexapod", "full")
-    scene = blind.scene.Scene(made, np.zeros(42), np.zeros((2, 6)))  # the nominal machine, that forces are told for
+    scene = blind.scene.Scene(
+        made, np.zeros(42), np.zeros((2, 6))
+    )  # the nominal machine, that forces are told for
     rise = []
     for leg in (0, 4):
         for sign in (1, -1):
@@ -113,19 +143,23 @@ def test_joint_forces_follow_from_virtual_work(blind):
             dq[:, leg] = sign * 1e-5
             args = (scene.inverse, scene.motion.pose.R0, scene.motion.q + dq, scene.p)
             x = blind.scene.nearby(made.machine, scene.x, *args)
-            rise.append(blind.scene.tip(made.machine, x, scene.motion.pose.R0, made.tool)[:, 2])
+            rise.append(
+                blind.scene.tip(made.machine, x, scene.motion.pose.R0, made.tool)[:, 2]
+            )
         lift = (rise[-2] - rise[-1]) / 2e-5
         assert np.abs(lift - scene.motion.lift[:, leg]).max() < 1e-6
 
 
-# -- effects -------------------------------------------------------------------------------------------------
+# -- effects ---------------------------------------------------------------------------
 
 
 def test_play_remembers_its_side_of_the_gap(blind):
     made = stage_of(blind, "planar", "full")
     width = 4e-6
     q = made.stage.motion.q
-    error = blind.motion.play(made.stage, blind.motion.passes(made.stage), np.full((1, 2), width), np.ones(1))
+    error = blind.motion.play(
+        made.stage, blind.motion.passes(made.stage), np.full((1, 2), width), np.ones(1)
+    )
     assert np.abs(error).max() <= width / 2 + 1e-15
     for here in made.plan.runs:
         for leg in range(2):
@@ -133,8 +167,12 @@ def test_play_remembers_its_side_of_the_gap(blind):
             after = np.flatnonzero(np.abs(travel) > 2 * width) + 1
             turns = np.flatnonzero(travel[1:] * travel[:-1] < 0) + 1
             for k in after:
-                if k not in turns + 1 and k not in turns:  # the path turns in between there
-                    assert error[here[k], leg] == pytest.approx(-np.sign(travel[k - 1]) * width / 2, abs=1e-12)
+                if (
+                    k not in turns + 1 and k not in turns
+                ):  # the path turns in between there
+                    assert error[here[k], leg] == pytest.approx(
+                        -np.sign(travel[k - 1]) * width / 2, abs=1e-12
+                    )
 
 
 def test_every_form_does_something_and_departs_from_its_textbook(blind):
@@ -145,8 +183,17 @@ def test_every_form_does_something_and_departs_from_its_textbook(blind):
             effect = blind.effects.KNOWN[name](np.random.default_rng(11), made.stage)
             change = made.scene.response(effect.push(1e-6))
             assert made.metric.size(change) > 0
-            if name in ("backlash", "gravity", "frame_bending", "leg_thermal", "friction", "servo_lag"):
-                left = blind.textbook.left(made.scene, made.stage, made.metric, (name,), [change])[0][name]
+            if name in (
+                "backlash",
+                "gravity",
+                "frame_bending",
+                "leg_thermal",
+                "friction",
+                "servo_lag",
+            ):
+                left = blind.textbook.left(
+                    made.scene, made.stage, made.metric, (name,), [change]
+                )[0][name]
                 departs.setdefault(name, []).append(left / made.metric.size(change))
     for name, shares in departs.items():
         assert 0.02 < max(shares) < 0.95, name
@@ -158,10 +205,18 @@ def test_one_tool_cannot_tell_a_common_scale_from_the_bar_and_two_can(blind):
     left = {}
     for plan in ("single", "full"):
         made = stage_of(blind, "a3", plan)
-        scale = blind.effects.EXACT["encoder_scale"](np.random.default_rng(0), made.stage).push(30e-6)
-        bar = blind.effects.EXACT["bar_length"](np.random.default_rng(0), made.stage).push(10e-6)
-        seen = [made.metric.seen(made.scene.read(p) - made.scene.y) for p in (scale, bar)]
-        left[plan] = blind.severity.beyond(seen[0], seen[1][:, None]) / np.linalg.norm(seen[0])
+        scale = blind.effects.EXACT["encoder_scale"](
+            np.random.default_rng(0), made.stage
+        ).push(30e-6)
+        bar = blind.effects.EXACT["bar_length"](
+            np.random.default_rng(0), made.stage
+        ).push(10e-6)
+        seen = [
+            made.metric.seen(made.scene.read(p) - made.scene.y) for p in (scale, bar)
+        ]
+        left[plan] = blind.severity.beyond(seen[0], seen[1][:, None]) / np.linalg.norm(
+            seen[0]
+        )
     assert left["single"] < 0.01
     assert left["full"] > 0.05
 
@@ -177,7 +232,7 @@ def test_exact_readings_follow_first_order_for_small_additions(blind, part):
     assert np.abs(change - first).max() < 1e-5 * np.abs(first).max()
 
 
-# -- sizes and noise -----------------------------------------------------------------------------------------
+# -- sizes and noise -------------------------------------------------------------------
 
 
 def dense_lambda(kept, dy):
@@ -186,10 +241,15 @@ def dense_lambda(kept, dy):
     return float(dy @ np.linalg.solve(kept["sigma"] + (J * prior**2) @ J.T, dy))
 
 
-@pytest.mark.parametrize("kind", ["single", "pair", "unknown", "exact", "known_unknown"])
+@pytest.mark.parametrize(
+    "kind", ["single", "pair", "unknown", "exact", "known_unknown"]
+)
 def test_sizes_are_as_labelled(blind, tmp_path, kind):
     blind.write.generate(tmp_path, name="blind", count=3, seed=5, kinds=[kind])
-    labels = [json.loads(line) for line in (tmp_path / "labels.jsonl").read_text(encoding="utf-8").splitlines()]
+    labels = [
+        json.loads(line)
+        for line in (tmp_path / "labels.jsonl").read_text(encoding="utf-8").splitlines()
+    ]
     assert len(labels) == 3
     for label in labels:
         kept = dict(np.load(tmp_path / "truth" / f"{label['id']}.npz"))
@@ -199,11 +259,15 @@ def test_sizes_are_as_labelled(blind, tmp_path, kind):
         for told, value in zip(label["effects"], lambdas, strict=True):
             assert np.sqrt(value) == pytest.approx(told["sqrt_lambda"], rel=2e-3)
         if len(changes) == 1:
-            assert label["effects"][0]["sqrt_lambda"] == pytest.approx(label["effects"][0]["target"], rel=1e-3)
+            assert label["effects"][0]["sqrt_lambda"] == pytest.approx(
+                label["effects"][0]["target"], rel=1e-3
+            )
         else:
             both = dense_lambda(kept, changes[0] + changes[1])
             cross = (both - sum(lambdas)) / 2
-            for i, told in enumerate(label["effects"]):  # beyond the direction of the other
+            for i, told in enumerate(
+                label["effects"]
+            ):  # beyond the direction of the other
                 alone = lambdas[i] - cross**2 / lambdas[1 - i]
                 assert np.sqrt(alone) == pytest.approx(told["target"], rel=0.02)
         apart = kept["clean"] - kept["y0"] - sum(changes)
@@ -220,7 +284,8 @@ def test_noise_has_the_covariance_it_tells(blind, law):
         relative=np.ones(12, dtype=bool),
     )
     rng = np.random.default_rng(1)
-    # the t has its variance where the covariance is told by information: leave its tail off for this
+    # the t has its variance where the covariance is told by information: leave its tail
+    # off for this
     drawn = dataclasses.replace(blind.noise.draw(rng, law), dof=0.0, outliers=0.0)
     sample = np.array([blind.noise.sample(rng, drawn, group) for _ in range(6000)])
     told = blind.noise.covariance(drawn, group)
@@ -229,7 +294,8 @@ def test_noise_has_the_covariance_it_tells(blind, law):
     far = 4e-12 * np.array(
         [
             [
-                drawn.level**2 * (1 + (i == j))  # the shared reference, and the reading's own
+                drawn.level**2
+                * (1 + (i == j))  # the shared reference, and the reading's own
                 + drawn.offset**2
                 + drawn.wave**2 * np.cos(group.phase[i] - group.phase[j])
                 + drawn.along**2 * np.exp(-abs(i - j) / drawn.length)
@@ -248,14 +314,19 @@ def test_heavy_tails_are_heavy_and_told_by_their_information(blind):
     )  # fmt: skip
     law = blind.noise.Law(name="heavy", dof=3.0)
     x = blind.noise.sample(np.random.default_rng(2), law, group)
-    # Fisher information about a shift, from the score of the t: E[psi^2], psi = (nu + 1) x / (nu + x^2)
+    # Fisher information about a shift, from the score of the t: E[psi^2], psi = (nu +
+    # 1) x / (nu + x^2)
     information = np.mean((4.0 * x / (3.0 + x**2)) ** 2)
-    small = dataclasses.replace(group, **{f.name: getattr(group, f.name)[:2] for f in dataclasses.fields(group)})
-    assert 1.0 / blind.noise.covariance(law, small)[0, 0] == pytest.approx(information, rel=0.02)
+    small = dataclasses.replace(
+        group, **{f.name: getattr(group, f.name)[:2] for f in dataclasses.fields(group)}
+    )
+    assert 1.0 / blind.noise.covariance(law, small)[0, 0] == pytest.approx(
+        information, rel=0.02
+    )
     assert np.mean(np.abs(x) > 5.0) > 0.005
 
 
-# -- sets ----------------------------------------------------------------------------------------------------
+# -- sets ------------------------------------------------------------------------------
 
 
 def test_a_thousand_cases_hold_what_the_scores_need(blind):
@@ -284,35 +355,77 @@ def test_set_six_has_the_hexaglide_alone_and_leaves_the_others_as_they_were(blin
         "known_unknown": 15,
     }  # of the exact class none
     for name, told in (("dev", "444e20a361a0"), ("blind", "459754dcb789")):
-        text = repr([dataclasses.astuple(blind.cases.role(1, name, k)) for k in range(400)])
+        text = repr(
+            [dataclasses.astuple(blind.cases.role(1, name, k)) for k in range(400)]
+        )
         assert hashlib.sha256(text.encode()).hexdigest().startswith(told)
 
 
 def test_what_a_bar_does_is_in_its_readings_alone(blind):
     made = stage_of(blind, "hexaglide", "full")
-    bar = np.array([made.plan.setups[k].name == "cup" for k in made.plan.setup[made.scene.layout.row]])
+    bar = np.array(
+        [
+            made.plan.setups[k].name == "cup"
+            for k in made.plan.setup[made.scene.layout.row]
+        ]
+    )
     assert 0 < bar.sum() < len(bar)
     for name in ("bar_length", "bar_thermal"):
-        dy = blind.effects.KNOWN[name](np.random.default_rng(1), made.stage).push(1e-6).dy
+        dy = (
+            blind.effects.KNOWN[name](np.random.default_rng(1), made.stage)
+            .push(1e-6)
+            .dy
+        )
         assert not dy[~bar].any()
         assert dy[bar].any()
-    poor = stage_of(blind, "hexaglide", "poor")  # it has no bar: such a case draws another effect
+    poor = stage_of(
+        blind, "hexaglide", "poor"
+    )  # it has no bar: such a case draws another effect
     with pytest.raises(ArithmeticError, match="does nothing"):
         blind.effects.KNOWN["bar_length"](np.random.default_rng(1), poor.stage)
 
 
-def test_a_case_depends_on_its_number_alone_and_files_are_taken_up_again(blind, tmp_path):
-    assert blind.write.generate(tmp_path / "a", name="dev", count=4, seed=2, machines=["planar"]) == 4
-    assert blind.write.generate(tmp_path / "a", name="dev", count=4, seed=2, machines=["planar"]) == 0
-    assert blind.write.generate(tmp_path / "b", name="dev", count=2, seed=2, machines=["planar"], kinds=["null"]) == 2
+def test_a_case_depends_on_its_number_alone_and_files_are_taken_up_again(
+    blind, tmp_path
+):
+    assert (
+        blind.write.generate(
+            tmp_path / "a", name="dev", count=4, seed=2, machines=["planar"]
+        )
+        == 4
+    )
+    assert (
+        blind.write.generate(
+            tmp_path / "a", name="dev", count=4, seed=2, machines=["planar"]
+        )
+        == 0
+    )
+    assert (
+        blind.write.generate(
+            tmp_path / "b",
+            name="dev",
+            count=2,
+            seed=2,
+            machines=["planar"],
+            kinds=["null"],
+        )
+        == 2
+    )
     labels = {}
     for folder in ("a", "b"):
-        lines = (tmp_path / folder / "labels.jsonl").read_text(encoding="utf-8").splitlines()
+        lines = (
+            (tmp_path / folder / "labels.jsonl")
+            .read_text(encoding="utf-8")
+            .splitlines()
+        )
         labels[folder] = {v["id"]: v for v in map(json.loads, lines)}
     common = set(labels["a"]) & set(labels["b"])
     assert common
     for key in common:
-        texts = [(tmp_path / f / "cases" / f"{key}.readings.csv").read_bytes() for f in ("a", "b")]
+        texts = [
+            (tmp_path / f / "cases" / f"{key}.readings.csv").read_bytes()
+            for f in ("a", "b")
+        ]
         assert texts[0] == texts[1]
         assert labels["a"][key] == labels["b"][key]
     for key, label in labels["b"].items():
@@ -323,21 +436,49 @@ def test_a_case_depends_on_its_number_alone_and_files_are_taken_up_again(blind, 
 
 def test_manifest_gives_no_hint(blind, tmp_path):
     blind.write.generate(tmp_path, name="dev", count=6, seed=3, machines=["planar"])
-    lines = [json.loads(v) for v in (tmp_path / "manifest.jsonl").read_text(encoding="utf-8").splitlines()]
+    lines = [
+        json.loads(v)
+        for v in (tmp_path / "manifest.jsonl").read_text(encoding="utf-8").splitlines()
+    ]
     assert [v["id"] for v in lines] == sorted(v["id"] for v in lines)
     for line in lines:
         assert set(line) == {"id", "study", "readings"}
         assert (BLIND / line["study"]).is_file()
-        head = (tmp_path / line["readings"]).read_text(encoding="utf-8").splitlines()[0].split(",")
+        head = (
+            (tmp_path / line["readings"])
+            .read_text(encoding="utf-8")
+            .splitlines()[0]
+            .split(",")
+        )
         assert set(head) <= {
             "setup", "run", "order", "y_mm", "z_mm", "time_s", "direction", "feed_mm_min", "payload_N",
             "temp_leg_C", "temp_frame_C", "repeat", "dy_mm", "dz_mm",
         }  # fmt: skip
 
 
-def test_the_command_writes_a_set_and_refuses_what_is_not_there(blind, tmp_path, capsys):
+def test_the_command_writes_a_set_and_refuses_what_is_not_there(
+    blind, tmp_path, capsys
+):
     out = str(tmp_path / "x")
-    assert blind.main(["generate", "--out", out, "--set", "dev", "--cases", "1", "--machines", "planar"]) == 0
+    assert (
+        blind.main(
+            [
+                "generate",
+                "--out",
+                out,
+                "--set",
+                "dev",
+                "--cases",
+                "1",
+                "--machines",
+                "planar",
+            ]
+        )
+        == 0
+    )
     assert len(list((tmp_path / "x" / "cases").iterdir())) == 1
-    assert blind.main(["generate", "--out", out, "--set", "dev", "--machines", "hexapod"]) == 2
+    assert (
+        blind.main(["generate", "--out", out, "--set", "dev", "--machines", "hexapod"])
+        == 2
+    )
     assert "hexapod" in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""The blind benchmark's judge: right answers and places count, wrong ones do not; intervals are as in textbooks."""
+"""The blind benchmark's judge: right answers and places count, wrong ones do not;
+intervals are as in textbooks.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +21,17 @@ def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
     return blind_modules("entries", "intervals", "judge", "measures")
 
 
-# -- intervals ---------------------------------------------------------------------------------------------
+# -- intervals -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("hits", "count"), [(0, 73), (1, 75), (37, 40), (40, 40), (3, 4)])
+@pytest.mark.parametrize(
+    ("hits", "count"), [(0, 73), (1, 75), (37, 40), (40, 40), (3, 4)]
+)
 def test_wilson_is_that_of_scipy(blind, hits, count):
     told = stats.binomtest(hits, count).proportion_ci(method="wilson")
-    assert blind.intervals.wilson(hits, count) == pytest.approx((told.low, told.high), abs=1e-12)
+    assert blind.intervals.wilson(hits, count) == pytest.approx(
+        (told.low, told.high), abs=1e-12
+    )
 
 
 def test_no_alarm_in_73_clean_sets_is_what_proves_five_per_cent(blind):
@@ -40,11 +46,20 @@ def test_mcnemar_counts_the_discordant_pairs(blind):
 
 
 def test_median_interval_covers_as_told(blind):
-    assert blind.intervals.median([float(k) for k in range(1, 11)]) == (5.5, 2.0, 9.0)  # order statistics 2 and 9 of 10
+    assert blind.intervals.median([float(k) for k in range(1, 11)]) == (
+        5.5,
+        2.0,
+        9.0,
+    )  # order statistics 2 and 9 of 10
     assert blind.intervals.median([1.0, 2.0, 3.0])[1:] == (-math.inf, math.inf)
     drawn = np.random.default_rng(1).exponential(size=(400, 25))
-    inside = [low <= math.log(2) <= high for _, low, high in map(blind.intervals.median, drawn)]
-    assert stats.binomtest(sum(inside), 400, 0.957).pvalue > 1e-3  # P(8 <= B(25, 1/2) <= 17) = 0.957
+    inside = [
+        low <= math.log(2) <= high
+        for _, low, high in map(blind.intervals.median, drawn)
+    ]
+    assert (
+        stats.binomtest(sum(inside), 400, 0.957).pvalue > 1e-3
+    )  # P(8 <= B(25, 1/2) <= 17) = 0.957
 
 
 def test_mean_interval_is_students(blind):
@@ -56,7 +71,14 @@ def test_mean_interval_is_students(blind):
 
 def test_proved_is_what_the_worse_end_of_the_interval_reaches(blind):
     def row(hits: int, count: int) -> tuple[str, bool]:
-        told = blind.measures.share("", "", [True] * hits + [False] * (count - hits), sense="<=", must=0.05, aim=0.02)
+        told = blind.measures.share(
+            "",
+            "",
+            [True] * hits + [False] * (count - hits),
+            sense="<=",
+            must=0.05,
+            aim=0.02,
+        )
         return told.status, told.proved
 
     assert row(0, 73) == ("aim", True)
@@ -65,7 +87,7 @@ def test_proved_is_what_the_worse_end_of_the_interval_reaches(blind):
     assert row(4, 75) == ("no", False)
 
 
-# -- one answer --------------------------------------------------------------------------------------------
+# -- one answer ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -75,8 +97,20 @@ def test_proved_is_what_the_worse_end_of_the_interval_reaches(blind):
         (["a"], [["a", "b"]], ["b"], 1, True),
         (["a"], [], ["b"], 0, False),
         (["a", "b"], [], ["a"], 1, False),
-        (["a"], [["a", "b"]], ["a", "b"], 1, False),  # one class cannot stand for two effects
-        (["a", "c"], [["a", "b"], ["c", "a"]], ["a", "b"], 2, True),  # only if the first class takes b
+        (
+            ["a"],
+            [["a", "b"]],
+            ["a", "b"],
+            1,
+            False,
+        ),  # one class cannot stand for two effects
+        (
+            ["a", "c"],
+            [["a", "b"], ["c", "a"]],
+            ["a", "b"],
+            2,
+            True,
+        ),  # only if the first class takes b
         (["a", "c"], [["a", "b"], ["c"]], ["a", "b"], 1, False),
         ([], [], [], 0, True),
         (["a", "unknown"], [["a"]], ["a"], 1, True),
@@ -84,7 +118,9 @@ def test_proved_is_what_the_worse_end_of_the_interval_reaches(blind):
     ],
 )
 def test_effects_found_by_an_answer(blind, effects, classes, truth, found, exact):
-    said = blind.judge.said({"effects": effects, "classes": classes, "probability": 1.0})
+    said = blind.judge.said(
+        {"effects": effects, "classes": classes, "probability": 1.0}
+    )
     assert blind.judge.found(said, truth) == found
     assert blind.judge.exactly(said, truth) is exact
     assert blind.judge.false_effects(said, truth) == len(said.classes) - found
@@ -144,19 +180,32 @@ def test_a_leg_that_nothing_tells_from_the_true_one_is_right(blind):
     label = case("single", {"backlash": 6.0}, blocks=("leg 2", "time 0-9"))
     (entry,) = entries_of(blind, (label, result(answer("backlash"), where=place)))
     assert not blind.judge.located(place, entry.blocks, "leg")
-    for ties, right in (([["leg 1", "leg 2"]], True), ([["leg 1", "leg 3"]], False), ([], False)):
-        told = {**entry.oracle, "effects": [{**entry.oracle["effects"][0], "tied": ties}]}
+    for ties, right in (
+        ([["leg 1", "leg 2"]], True),
+        ([["leg 1", "leg 3"]], False),
+        ([], False),
+    ):
+        told = {
+            **entry.oracle,
+            "effects": [{**entry.oracle["effects"][0], "tied": ties}],
+        }
         tied = dataclasses.replace(entry, oracle=told)
         assert blind.judge.located(place, tied.blocks, "leg") == right
         assert "time 0-9" in tied.blocks
 
 
 def test_a_time_that_the_readings_do_not_tell_is_no_place(blind):
-    """A stretch of the session is not asked of readings without a clock, a leg of theirs is."""
-    label = case("single", {"backlash": 6.0}, blocks=("leg 2", "time 0-9", "direction +1"))
+    """A stretch of the session is not asked of readings without a clock, a leg of
+    theirs is.
+    """
+    label = case(
+        "single", {"backlash": 6.0}, blocks=("leg 2", "time 0-9", "direction +1")
+    )
     for columns, kept in (
         (["time_s", "direction"], {"leg 2", "time 0-9", "direction +1"}), (["direction"], {"leg 2", "direction +1"}),
         ([], {"leg 2"}),
     ):  # fmt: skip
-        (entry,) = entries_of(blind, (label | {"columns": columns}, result(answer("backlash"))))
+        (entry,) = entries_of(
+            blind, (label | {"columns": columns}, result(answer("backlash")))
+        )
         assert set(entry.blocks) == kept

@@ -1,4 +1,6 @@
-"""The blind benchmark's runner, oracle and baselines: labels stay shut, figures are those of dense formulas."""
+"""The blind benchmark's runner, oracle and baselines: labels stay shut, figures are
+those of dense formulas.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +46,17 @@ def made(blind: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Pa
     """A small set: cases of one effect or two on the A3."""
     folder = tmp_path_factory.mktemp("set")
     blind.write.generate(
-        folder, name="dev", count=24, seed=3, machines=["a3"], kinds=["null", "single", "pair", "exact"]
+        folder,
+        name="dev",
+        count=24,
+        seed=3,
+        machines=["a3"],
+        kinds=["null", "single", "pair", "exact"],
     )
     return folder
 
 
-# -- the runner --------------------------------------------------------------------------------------------
+# -- the runner ------------------------------------------------------------------------
 
 
 def test_the_runner_cannot_know_labels():
@@ -57,17 +64,39 @@ def test_the_runner_cannot_know_labels():
     for name in ("run", "loading", "baselines", "pool"):
         tree = ast.parse((BLIND / f"{name}.py").read_text(encoding="utf-8"))
         for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("benchmarks"):
-                modules = {node.module, *(f"{node.module}.{a.name}" for a in node.names)}
-                shut = ("generator", "oracle", "entries", "knowing", "listing", "measures", "score", "judge")
-                assert not any(m.startswith(f"benchmarks.blind.{s}") for m in modules for s in shut)
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
+                "benchmarks"
+            ):
+                modules = {
+                    node.module,
+                    *(f"{node.module}.{a.name}" for a in node.names),
+                }
+                shut = (
+                    "generator",
+                    "oracle",
+                    "entries",
+                    "knowing",
+                    "listing",
+                    "measures",
+                    "score",
+                    "judge",
+                )
+                assert not any(
+                    m.startswith(f"benchmarks.blind.{s}") for m in modules for s in shut
+                )
         docs = {
             ast.get_docstring(n, clean=False)
             for n in ast.walk(tree)
             if isinstance(n, ast.Module | ast.FunctionDef | ast.ClassDef)
         }
-        words = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
-        assert not [w for w in words if w not in docs and ("labels" in w or "truth" in w)]
+        words = [
+            n.value
+            for n in ast.walk(tree)
+            if isinstance(n, ast.Constant) and isinstance(n.value, str)
+        ]
+        assert not [
+            w for w in words if w not in docs and ("labels" in w or "truth" in w)
+        ]
 
 
 def diagnosed(blind, problem):
@@ -87,7 +116,9 @@ def diagnosed(blind, problem):
     return Diagnosis(**fields)
 
 
-def test_runs_without_labels_and_takes_up_where_it_stopped(blind, made, tmp_path, monkeypatch):
+def test_runs_without_labels_and_takes_up_where_it_stopped(
+    blind, made, tmp_path, monkeypatch
+):
     folder, out = tmp_path / "set", tmp_path / "results"
     folder.mkdir()
     shutil.copy(made / "manifest.jsonl", folder)
@@ -103,13 +134,19 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(blind, made, tmp_path
     monkeypatch.setattr(blind.run.diagnose, "diagnose", diagnose)
     monkeypatch.setattr(blind.run, "beside", lambda problem, effects: {"harmonic": []})
     assert blind.run.run(folder, out, limit=2, workers=1, told=str) == 1
-    assert blind.run.run(folder, out, limit=2, workers=1, told=str) == 0  # the failed one again, and that alone
+    assert (
+        blind.run.run(folder, out, limit=2, workers=1, told=str) == 0
+    )  # the failed one again, and that alone
     assert blind.run.run(folder, out, limit=2, workers=1, told=str) == 0
     assert len(calls) == 3
     assert calls[0] == calls[2]  # the same draws
     names = [c.id for c in blind.loading.manifest(folder)[:2]]
     told = json.loads((out / f"{names[0]}.json").read_text(encoding="utf-8"))
-    assert told["answers"][1] == {"effects": ["step"], "probability": 0.1, "classes": [["step", "mount_drift"]]}
+    assert told["answers"][1] == {
+        "effects": ["step"],
+        "probability": 0.1,
+        "classes": [["step", "mount_drift"]],
+    }
     assert told["closure"][0]["value"] is None
     law = blind.run.law_of(told["law"], len(told["law"]["variance"]))
     assert law.variance[-1] == 2.0
@@ -119,7 +156,9 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(blind, made, tmp_path
     assert (out / "without" / "step" / f"{names[0]}.json").is_file()
 
 
-def test_who_knows_the_noise_is_given_its_covariance(blind, made, tmp_path, monkeypatch):
+def test_who_knows_the_noise_is_given_its_covariance(
+    blind, made, tmp_path, monkeypatch
+):
     covariances, rows = [], np.array([0, 2, 3])
 
     def diagnose(problem, effects, rng, *, law):
@@ -127,21 +166,44 @@ def test_who_knows_the_noise_is_given_its_covariance(blind, made, tmp_path, monk
         whitened = white.white(
             np.eye(len(problem))
         )  # W, with W^T W the inverse of the covariance, which the search sees
-        covariances.append((np.linalg.inv(whitened.T @ whitened), [law.block(problem, k, rows) for k in range(3)]))
+        covariances.append(
+            (
+                np.linalg.inv(whitened.T @ whitened),
+                [law.block(problem, k, rows) for k in range(3)],
+            )
+        )
         return diagnosed(blind, problem)
 
     monkeypatch.setattr(blind.knowing.diagnose, "diagnose", diagnose)
     assert (
-        blind.main(["known-noise", "--cases", str(made), "--results", str(tmp_path), "--limit", "2", "--workers", "1"])
+        blind.main(
+            [
+                "known-noise",
+                "--cases",
+                str(made),
+                "--results",
+                str(tmp_path),
+                "--limit",
+                "2",
+                "--workers",
+                "1",
+            ]
+        )
         == 0
     )
     jobs = sorted(blind.run.chosen(made, limit=2), key=lambda j: j.case.study)
     for job, (whole, parts) in zip(jobs, covariances, strict=True):
-        told = json.loads((tmp_path / "known_noise" / f"{job.case.id}.json").read_text(encoding="utf-8"))
+        told = json.loads(
+            (tmp_path / "known_noise" / f"{job.case.id}.json").read_text(
+                encoding="utf-8"
+            )
+        )
         assert told["answers"][0]["effects"] == []
         problem = blind.loading.prepared(made, job.case)
         with np.load(made / "truth" / f"{job.case.id}.npz") as kept:
-            wanted = blind.write.covariance(kept) / np.outer(problem.sigma, problem.sigma)
+            wanted = blind.write.covariance(kept) / np.outer(
+                problem.sigma, problem.sigma
+            )
         np.testing.assert_allclose(whole, wanted, atol=1e-9 * wanted.max())
         for members, part in zip(problem.blocks, parts, strict=False):
             assert np.array_equal(part, wanted[np.ix_(members[rows], members[rows])])
@@ -151,16 +213,22 @@ def test_who_knows_the_noise_is_given_its_covariance(blind, made, tmp_path, monk
 
 def test_every_effect_is_withheld_in_turn(blind, made):
     jobs = blind.run.chosen(made, limit=1, without="each")
-    assert [j.without for j in jobs] == [e.name for e in blind.loading.bench(jobs[0].case.study).effects]
+    assert [j.without for j in jobs] == [
+        e.name for e in blind.loading.bench(jobs[0].case.study).effects
+    ]
 
 
 def test_lists_name_cases_and_what_is_withheld(blind, made, tmp_path):
     listed = tmp_path / "list.jsonl"
-    count = blind.listing.write(made, listed, kinds=["single"], least=4.0, withhold=True)
+    count = blind.listing.write(
+        made, listed, kinds=["single"], least=4.0, withhold=True
+    )
     jobs = blind.run.chosen(made, listed=listed)
     labels = {label["id"]: label for label in blind.entries.labels(made)}
     assert len(jobs) == count > 0
-    assert all([e["name"] for e in labels[j.case.id]["effects"]] == [j.without] for j in jobs)
+    assert all(
+        [e["name"] for e in labels[j.case.id]["effects"]] == [j.without] for j in jobs
+    )
     assert all(labels[j.case.id]["effects"][0]["target"] >= 4.0 for j in jobs)
     with pytest.raises(ValueError, match="there are exact, null"):
         blind.listing.write(made, listed, kinds=["sngle"])
@@ -169,19 +237,38 @@ def test_lists_name_cases_and_what_is_withheld(blind, made, tmp_path):
 def test_lists_keep_effects_that_can_be_told_from_every_rival(blind, made, tmp_path):
     """By the oracle's own figures, those that the scorer goes by."""
     listed = tmp_path / "list.jsonl"
-    count = blind.listing.write(made, listed, kinds=["single", "pair"], least=6.0, apart=6.0, workers=1)
-    names = {json.loads(line)["id"] for line in listed.read_text(encoding="utf-8").splitlines()}
-    labels = {v["id"]: v for v in blind.entries.labels(made) if v["kind"] in ("single", "pair")}
-    labels = {n: v for n, v in labels.items() if min(e["target"] for e in v["effects"]) >= 6.0}
+    count = blind.listing.write(
+        made, listed, kinds=["single", "pair"], least=6.0, apart=6.0, workers=1
+    )
+    names = {
+        json.loads(line)["id"]
+        for line in listed.read_text(encoding="utf-8").splitlines()
+    }
+    labels = {
+        v["id"]: v
+        for v in blind.entries.labels(made)
+        if v["kind"] in ("single", "pair")
+    }
+    labels = {
+        n: v for n, v in labels.items() if min(e["target"] for e in v["effects"]) >= 6.0
+    }
     cases = [c for c in blind.loading.manifest(made) if c.id in labels]
     acting = {n: [e["name"] for e in v["effects"]] for n, v in labels.items()}
-    figures = blind.oracle.run(made, tmp_path / "results", cases, acting, workers=1, told=str)
+    figures = blind.oracle.run(
+        made, tmp_path / "results", cases, acting, workers=1, told=str
+    )
     told = [blind.entries.entry(v, figures[n], {}) for n, v in labels.items()]
-    apart = {e.label["id"] for e in told if e.testable and e.severity >= 6.0 and e.apart >= 6.0}
+    apart = {
+        e.label["id"]
+        for e in told
+        if e.testable and e.severity >= 6.0 and e.apart >= 6.0
+    }
     assert names == apart
     assert 0 < count == len(apart) < len(labels)
     with pytest.raises(ValueError, match="a lower --least or --apart"):
-        blind.listing.write(made, listed, kinds=["single"], least=20.0, apart=1e6, workers=1)
+        blind.listing.write(
+            made, listed, kinds=["single"], least=20.0, apart=1e6, workers=1
+        )
 
 
 @pytest.mark.parametrize(
@@ -192,9 +279,25 @@ def test_lists_keep_effects_that_can_be_told_from_every_rival(blind, made, tmp_p
         (["--dask", "tcp://nowhere:1"], "not installed"),
     ],
 )
-def test_bad_options_are_told_with_what_there_is(blind, made, tmp_path, capsys, monkeypatch, options, said):
+def test_bad_options_are_told_with_what_there_is(
+    blind, made, tmp_path, capsys, monkeypatch, options, said
+):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    assert blind.main(["run", "--cases", str(made), "--out", str(tmp_path), "--workers", "1", *options]) == 2
+    assert (
+        blind.main(
+            [
+                "run",
+                "--cases",
+                str(made),
+                "--out",
+                str(tmp_path),
+                "--workers",
+                "1",
+                *options,
+            ]
+        )
+        == 2
+    )
     assert said in capsys.readouterr().err
 
 
@@ -211,19 +314,25 @@ def test_jobs_go_to_a_cluster_and_come_back_with_their_results(blind, monkeypatc
 
         def map(self, work, jobs, pure):
             assert not pure
-            return [SimpleNamespace(key=f"k{j}", result=lambda j=j: work(j)) for j in jobs]
+            return [
+                SimpleNamespace(key=f"k{j}", result=lambda j=j: work(j)) for j in jobs
+            ]
 
     cluster = ModuleType("distributed")
     cluster.Client, cluster.as_completed = Client, lambda futures: reversed(futures)
     monkeypatch.setitem(sys.modules, "distributed", cluster)
-    assert list(blind.pool.results(lambda j: j * j, [2, 3], dask="tcp://there:8786")) == [(3, 9), (2, 4)]
+    assert list(
+        blind.pool.results(lambda j: j * j, [2, 3], dask="tcp://there:8786")
+    ) == [(3, 9), (2, 4)]
 
 
-# -- the oracle --------------------------------------------------------------------------------------------
+# -- the oracle ------------------------------------------------------------------------
 
 
 def test_what_a_rival_leaves_is_that_of_a_wider_covariance(blind):
-    """sqrt(lambda_k|j) by the Schur complement against the dense metric in which the rival is one more Gaussian."""
+    """sqrt(lambda_k|j) by the Schur complement against the dense metric in which the
+    rival is one more Gaussian.
+    """
     from oed.gap.library import Atom, Library
 
     rng = np.random.default_rng(5)
@@ -232,28 +341,43 @@ def test_what_a_rival_leaves_is_that_of_a_wider_covariance(blind):
     sigma = np.eye(n) + root @ root.T
     columns, dy = rng.normal(size=(n, 5)) * 0.4, rng.normal(size=n)
     forms = {"one": [0, 1], "two": [2, 3, 4], "two alone": [3]}
-    atoms = tuple(Atom(name.split()[0], {}, np.array(c), 0.0) for name, c in forms.items())
+    atoms = tuple(
+        Atom(name.split()[0], {}, np.array(c), 0.0) for name, c in forms.items()
+    )
     library = Library(columns, atoms, tuple("abcde"), ("",) * 5, np.ones(5), {})
     metric = blind.severity.Metric(sigma, J, prior)
     left = blind.oracle.absorbed(metric.seen(dy), metric.seen(columns), library)
     for name, expected in left.items():
         dense = []
         for label, c in forms.items():
-            wide = sigma + (J * prior**2) @ J.T + blind.oracle.RIVAL**2 * columns[:, c] @ columns[:, c].T
+            wide = (
+                sigma
+                + (J * prior**2) @ J.T
+                + blind.oracle.RIVAL**2 * columns[:, c] @ columns[:, c].T
+            )
             if label.split()[0] == name:
                 dense.append(float(dy @ np.linalg.solve(wide, dy)))
         assert expected == pytest.approx(math.sqrt(min(dense)), rel=1e-9)
 
 
 def test_legs_are_tied_where_each_would_make_the_same_readings(blind):
-    """Two legs whose forms span the same, a third that has more; not where none of them makes much of the change."""
+    """Two legs whose forms span the same, a third that has more; not where none of them
+    makes much of the change.
+    """
     from oed.gap.library import Atom, Library
 
     rng = np.random.default_rng(6)
     same, third = rng.normal(size=(30, 2)), rng.normal(size=(30, 2))
     columns = 20.0 * np.hstack([same, same @ [[0.6, 0.8], [-0.8, 0.6]], third])
     atoms = tuple(Atom("lost", {}, np.array([2 * k, 2 * k + 1]), 0.0) for k in range(3))
-    library = Library(columns, atoms, tuple("abcdef"), tuple(f"leg {k // 2 + 1}" for k in range(6)), np.ones(6), {})
+    library = Library(
+        columns,
+        atoms,
+        tuple("abcdef"),
+        tuple(f"leg {k // 2 + 1}" for k in range(6)),
+        np.ones(6),
+        {},
+    )
     change = same @ [2.0, 1.0]
     assert blind.oracle.tied(change, columns, library, "lost") == [["leg 1", "leg 2"]]
     assert blind.oracle.tied(third @ [2.0, 1.0], columns, library, "lost") == []
@@ -262,17 +386,27 @@ def test_legs_are_tied_where_each_would_make_the_same_readings(blind):
 
 
 def test_what_forms_in_one_leg_leave(blind):
-    """The least over effects and forms of a leg; forms over several legs, and those of no leg, are none of any leg."""
+    """The least over effects and forms of a leg; forms over several legs, and those of
+    no leg, are none of any leg.
+    """
     from oed.gap.library import Atom, Library
 
     columns = 1e6 * np.eye(5)
     spans = {"a": ([0], [1], [0, 2]), "b": ([3], [4])}
-    atoms = tuple(Atom(name, {}, np.array(c), 0.0) for name, all_of in spans.items() for c in all_of)
+    atoms = tuple(
+        Atom(name, {}, np.array(c), 0.0)
+        for name, all_of in spans.items()
+        for c in all_of
+    )
     labels = ("leg 1", "leg 2", "leg 2", "leg 1", "bar")
     library = Library(columns, atoms, tuple("vwxyz"), labels, np.ones(5), {})
-    seen = np.array([4.0, 2.0, 1.0, 3.0, 6.0])  # |seen|^2 = 66; one column takes its own entry
+    seen = np.array(
+        [4.0, 2.0, 1.0, 3.0, 6.0]
+    )  # |seen|^2 = 66; one column takes its own entry
     left = blind.oracle.by_leg(seen, columns, library)
-    assert left == pytest.approx({"leg 1": math.sqrt(66 - 16), "leg 2": math.sqrt(66 - 4)})
+    assert left == pytest.approx(
+        {"leg 1": math.sqrt(66 - 16), "leg 2": math.sqrt(66 - 4)}
+    )
     left = blind.oracle.by_leg(seen, columns, library, "b")
     assert left == pytest.approx({"leg 1": math.sqrt(66 - 9)})
 
@@ -283,7 +417,9 @@ def test_oracle_of_generated_cases(blind, made, tmp_path):
     for kind in ("single", "pair", "exact"):
         name = next(n for n, label in labels.items() if label["kind"] == kind)
         names = tuple(e["name"] for e in labels[name]["effects"])
-        told = json.loads(blind.oracle.work(blind.oracle.Job(made, tmp_path, cases[name], names)))
+        told = json.loads(
+            blind.oracle.work(blind.oracle.Job(made, tmp_path, cases[name], names))
+        )
         for e, label in zip(told["effects"], labels[name]["effects"], strict=True):
             assert e["sqrt_lambda"] == pytest.approx(label["sqrt_lambda"], rel=1e-3)
             assert e["given_others"] == pytest.approx(label["target"], rel=0.02)
@@ -296,13 +432,17 @@ def test_oracle_of_generated_cases(blind, made, tmp_path):
 
 
 def test_oracle_of_two_effects_is_that_of_the_dense_metric(blind, made, tmp_path):
-    """What else acts is absorbed first, with no bound on its size, then a rival; which never is what acts."""
+    """What else acts is absorbed first, with no bound on its size, then a rival; which
+    never is what acts.
+    """
     from oed.gap import library as library_of
 
     label = next(e for e in blind.entries.labels(made) if e["kind"] == "pair")
     chosen = next(c for c in blind.loading.manifest(made) if c.id == label["id"])
     names = tuple(e["name"] for e in label["effects"])
-    told = json.loads(blind.oracle.work(blind.oracle.Job(made, tmp_path, chosen, names)))["effects"]
+    told = json.loads(
+        blind.oracle.work(blind.oracle.Job(made, tmp_path, chosen, names))
+    )["effects"]
     problem = blind.loading.prepared(made, chosen)
     library = library_of.build(problem, blind.loading.bench(chosen.study).effects)
     with np.load(made / "truth" / f"{chosen.id}.npz") as kept:
@@ -312,12 +452,18 @@ def test_oracle_of_two_effects_is_that_of_the_dense_metric(blind, made, tmp_path
     for k, e in enumerate(told):
         dy, other = truth[f"dy_{k}"], truth[f"dy_{1 - k}"]
         beside = geometry + 1e6 * np.outer(other, other)
-        assert e["given_others"] == pytest.approx(math.sqrt(dy @ np.linalg.solve(beside, dy)), rel=1e-4)
+        assert e["given_others"] == pytest.approx(
+            math.sqrt(dy @ np.linalg.solve(beside, dy)), rel=1e-4
+        )
         assert e["sqrt_lambda"] > e["given_others"]
         assert not {e["nearest"]} & set(names)
         left = []
         for number in library.atoms_of(e["nearest"]):
-            columns = 3.0 * library.columns[:, library.atoms[number].columns] * problem.sigma[:, None]
+            columns = (
+                3.0
+                * library.columns[:, library.atoms[number].columns]
+                * problem.sigma[:, None]
+            )
             left.append(dy @ np.linalg.solve(beside + columns @ columns.T, dy))
         assert e["apart"] == pytest.approx(math.sqrt(min(left)), rel=1e-3)
 
@@ -331,7 +477,7 @@ def test_oracle_refuses_readings_of_another_case(blind, made, tmp_path):
         blind.oracle.work(blind.oracle.Job(folder, tmp_path, one, ()))
 
 
-# -- the baselines -----------------------------------------------------------------------------------------
+# -- the baselines ---------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -353,31 +499,56 @@ def test_stepwise_takes_the_form_of_least_bic(blind, problem):
     from oed.gap import library as library_of
 
     effects = [
-        e for e in blind.loading.bench("a3_full.study.toml").effects if e.name in ("servo_lag", "gravity", "bar_length")
+        e
+        for e in blind.loading.bench("a3_full.study.toml").effects
+        if e.name in ("servo_lag", "gravity", "bar_length")
     ]
     library = library_of.build(problem, effects)
-    lag = next(a for a in library.atoms if a.effect == "servo_lag" and len(a.columns) > 1)
+    lag = next(
+        a for a in library.atoms if a.effect == "servo_lag" and len(a.columns) > 1
+    )
     quiet = clean(problem, 1)
-    acting = quiet.with_residual(quiet.residual + library.columns[:, lag.columns] @ np.full(len(lag.columns), 0.5))
+    acting = quiet.with_residual(
+        quiet.residual
+        + library.columns[:, lag.columns] @ np.full(len(lag.columns), 0.5)
+    )
     assert blind.baselines.stepwise(quiet, library) == []
 
     def bic(columns) -> float:
         n, m = problem.slopes.shape
-        design = np.block([[problem.slopes, library.columns[:, columns]], [np.eye(m), np.zeros((m, len(columns)))]])
+        design = np.block(
+            [
+                [problem.slopes, library.columns[:, columns]],
+                [np.eye(m), np.zeros((m, len(columns)))],
+            ]
+        )
         target = np.concatenate([acting.residual, np.zeros(m)])
         scale = np.linalg.norm(design, axis=0)
-        left = target - (design / scale) @ np.linalg.lstsq(design / scale, target, rcond=1e-12)[0]
+        left = (
+            target
+            - (design / scale) @ np.linalg.lstsq(design / scale, target, rcond=1e-12)[0]
+        )
         return n * math.log(left @ left) + len(columns) * math.log(n)
 
-    told = {k: bic(a.columns) + len(a.constants) * math.log(len(problem)) for k, a in enumerate(library.atoms)}
+    told = {
+        k: bic(a.columns) + len(a.constants) * math.log(len(problem))
+        for k, a in enumerate(library.atoms)
+    }
     best = min(told, key=lambda k: told[k])
     assert told[best] < bic([])
-    assert blind.baselines.stepwise(acting, library)[0] == library.atoms[best].effect == "servo_lag"
+    assert (
+        blind.baselines.stepwise(acting, library)[0]
+        == library.atoms[best].effect
+        == "servo_lag"
+    )
 
 
 def test_harmonic_rules_are_silent_at_white_noise(blind, problem):
     names = [e.name for e in blind.loading.bench("a3_full.study.toml").effects]
-    alarms = sum(bool(blind.baselines.harmonic(clean(problem, seed), names)) for seed in range(20))
+    alarms = sum(
+        bool(blind.baselines.harmonic(clean(problem, seed), names))
+        for seed in range(20)
+    )
     assert alarms <= 2  # set for 1 %: three and more have a chance of 0.1 %
 
 
@@ -386,7 +557,9 @@ def test_harmonic_rules_name_what_stands_out(blind, problem, symptom):
     rows, quiet = problem.rows, clean(problem, 4)
     phase, last = rows["phase"].to_numpy(), rows["time"].max()
     change = {
-        "lag": rows["direction"] * rows["feed"] / rows["feed"].max() * np.cos(2 * phase),
+        "lag": (
+            rows["direction"] * rows["feed"] / rows["feed"].max() * np.cos(2 * phase)
+        ),
         "payload": rows["payload"] / rows["payload"].max() * np.cos(3 * phase),
         "jump": (rows["time"] > 0.3 * last) * 1.0,
     }[symptom]
@@ -394,4 +567,6 @@ def test_harmonic_rules_name_what_stands_out(blind, problem, symptom):
         quiet.with_residual(quiet.residual + 5.0 * np.asarray(change, dtype=float)),
         [e.name for e in blind.loading.bench("a3_full.study.toml").effects],
     )
-    assert told[0] == {"lag": "servo_lag", "payload": "gravity", "jump": "step"}[symptom]
+    assert (
+        told[0] == {"lag": "servo_lag", "payload": "gravity", "jump": "step"}[symptom]
+    )

@@ -1,4 +1,6 @@
-"""The blind benchmark's scorer: each measure counts the cases it is about, and what is written is whole."""
+"""The blind benchmark's scorer: each measure counts the cases it is about, and what is
+written is whole.
+"""
 
 from __future__ import annotations
 
@@ -17,25 +19,39 @@ def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
     return blind_modules("confusion", "entries", "judge", "measures", "score", "table")
 
 
-# -- measures ----------------------------------------------------------------------------------------------
+# -- measures --------------------------------------------------------------------------
 
 
 def good(blind) -> list:
     """Cases of every kind, all answered right."""
     one = {"split": "whole", "s0": 3.0, "s1": 1.0}
     place = [{"block": "leg 2", "p_value": 0.001, "strength": 1.0}]
-    pairs = [(case("null", {}, law=law), result(answer())) for law in blind.measures.LAWS]
+    pairs = [
+        (case("null", {}, law=law), result(answer())) for law in blind.measures.LAWS
+    ]
     for machine in ("a3", "hexapod"):
         label = case("single", {"backlash": 6.0}, machine=machine, blocks=("leg 2",))
         closure = [one, one | {"split": "within"}]
         pairs.append((label, result(answer("backlash"), where=place, closure=closure)))
-    pairs.append((case("single", {"gravity": 20.0}), result(answer("gravity", "unknown"), closure=closure)))
+    pairs.append(
+        (
+            case("single", {"gravity": 20.0}),
+            result(answer("gravity", "unknown"), closure=closure),
+        )
+    )
     two = case("pair", {"gravity": 10.0, "backlash": 6.0})
     pairs.append((two, result(answer("backlash", "gravity"), closure=closure)))
     exact = answer("bar_length", classes=[["bar_length", "encoder_scale"]])
-    pairs.append((case("exact", {"encoder_scale": 6.0}), result(exact, closure=closure)))
+    pairs.append(
+        (case("exact", {"encoder_scale": 6.0}), result(exact, closure=closure))
+    )
     pairs.append((case("unknown", {"pump": 10.0}), result(answer("unknown"))))
-    pairs.append((case("known_unknown", {"gravity": 6.0, "pump": 10.0}), result(answer("gravity", "unknown"))))
+    pairs.append(
+        (
+            case("known_unknown", {"gravity": 6.0, "pump": 10.0}),
+            result(answer("gravity", "unknown")),
+        )
+    )
     return entries_of(blind, *pairs)
 
 
@@ -43,7 +59,9 @@ def test_right_answers_reach_every_aim(blind):
     found = good(blind)
     rows = by_key([*blind.measures.rows(found), *blind.measures.own_rows(found)])
     wanted = {k: r for k, r in rows.items() if r.sense}
-    assert {k: r.status for k, r in wanted.items() if k != "set95"} == dict.fromkeys(set(wanted) - {"set95"}, "aim")
+    assert {k: r.status for k, r in wanted.items() if k != "set95"} == dict.fromkeys(
+        set(wanted) - {"set95"}, "aim"
+    )
     assert rows["set95"].value == 1.0
     assert rows["set95"].count == len(found)
     assert rows["set95"].status == "above"
@@ -54,7 +72,9 @@ def test_right_answers_reach_every_aim(blind):
 
 
 def test_an_idle_diagnosis_raises_no_alarm_and_finds_nothing(blind):
-    idle = [blind.entries.entry(e.label, e.oracle, result(answer())) for e in good(blind)]
+    idle = [
+        blind.entries.entry(e.label, e.oracle, result(answer())) for e in good(blind)
+    ]
     rows = by_key([*blind.measures.rows(idle), *blind.measures.own_rows(idle)])
     assert rows["alarm white"].status == "aim"
     for key in (
@@ -80,7 +100,10 @@ def test_place_is_told_apart_where_a_gap_is_seen(blind):
             [e for e in good(blind) if e.blocks],
             (
                 result(answer()),
-                result(answer("backlash"), where=[{"block": "leg 1", "p_value": 0.001, "strength": 1.0}]),
+                result(
+                    answer("backlash"),
+                    where=[{"block": "leg 1", "p_value": 0.001, "strength": 1.0}],
+                ),
             ),
             strict=True,
         )
@@ -91,7 +114,9 @@ def test_place_is_told_apart_where_a_gap_is_seen(blind):
 
 
 def test_a_failed_diagnosis_is_wrong_in_every_count(blind):
-    failed = [blind.entries.entry(e.label, e.oracle, {"error": "x"}) for e in good(blind)]
+    failed = [
+        blind.entries.entry(e.label, e.oracle, {"error": "x"}) for e in good(blind)
+    ]
     rows = by_key([*blind.measures.rows(failed), *blind.measures.own_rows(failed)])
     bad = {k for k, r in rows.items() if r.sense and r.status != "no"}
     assert bad == {"set95 size"}  # an empty set is small
@@ -99,14 +124,21 @@ def test_a_failed_diagnosis_is_wrong_in_every_count(blind):
 
 def test_what_is_counted_where(blind):
     far, near = case("single", {"backlash": 20.0}), case("single", {"friction": 2.0})
-    hidden, exact = case("single", {"gravity": 10.0}), case("exact", {"bar_length": 6.0})
+    hidden, exact = (
+        case("single", {"gravity": 10.0}),
+        case("exact", {"bar_length": 6.0}),
+    )
     unseen = case("unknown", {"pump": 20.0})
     found = [
         blind.entries.entry(far, known(far, apart=3.0), result(answer("friction"))),
         blind.entries.entry(near, known(near), result(answer("unknown"))),
-        blind.entries.entry(hidden, known(hidden, testable=("backlash",)), result(answer("unknown"))),
+        blind.entries.entry(
+            hidden, known(hidden, testable=("backlash",)), result(answer("unknown"))
+        ),
         blind.entries.entry(exact, known(exact), result(answer("bar_length"))),
-        blind.entries.entry(unseen, known(unseen, beyond=2.0), result(answer("step", "gravity"))),
+        blind.entries.entry(
+            unseen, known(unseen, beyond=2.0), result(answer("step", "gravity"))
+        ),
     ]
     rows = by_key(blind.measures.rows(found))
     assert rows["right class"].count == 1  # `near` alone: apart, and testable
@@ -123,26 +155,43 @@ def test_what_is_counted_where(blind):
 
 
 @pytest.mark.parametrize(("own", "counted"), [(2.0, 1), (7.9, 1), (8.1, 0), (12.0, 0)])
-def test_the_librarys_form_shows_an_effect_where_it_explains_more_than_any_rivals(blind, own, counted):
-    """Of 10 a rival leaves all: the own form must leave less than 8 for 6 more to be explained."""
+def test_the_librarys_form_shows_an_effect_where_it_explains_more_than_any_rivals(
+    blind, own, counted
+):
+    """Of 10 a rival leaves all: the own form must leave less than 8 for 6 more to be
+    explained.
+    """
     label = case("single", {"backlash": 20.0})
-    entry = blind.entries.entry(label, known(label, own=own), result(answer("backlash")))
+    entry = blind.entries.entry(
+        label, known(label, own=own), result(answer("backlash"))
+    )
     rows = by_key(blind.measures.rows([entry]))
     assert (rows["right class"].count, rows["right class shown"].count) == (1, counted)
     assert rows["right class shown"].sense == ""
     assert entry.shown == pytest.approx(math.sqrt(max(100.0 - own**2, 0.0)))
 
 
-@pytest.mark.parametrize(("other", "shown"), [(9.0, 8.0), (5.0, math.sqrt(8.0)), (3.0, 0.0), (None, math.sqrt(83.0))])
-def test_a_leg_is_shown_where_a_form_in_it_explains_more_than_any_in_another(blind, other, shown):
-    """Of 10 a form in the right leg leaves sqrt(17); without a form in another leg all of 10 is left there."""
+@pytest.mark.parametrize(
+    ("other", "shown"),
+    [(9.0, 8.0), (5.0, math.sqrt(8.0)), (3.0, 0.0), (None, math.sqrt(83.0))],
+)
+def test_a_leg_is_shown_where_a_form_in_it_explains_more_than_any_in_another(
+    blind, other, shown
+):
+    """Of 10 a form in the right leg leaves sqrt(17); without a form in another leg all
+    of 10 is left there.
+    """
     label = case("single", {"backlash": 10.0}, blocks=("leg 1",))
     told = known(label)
-    told["effects"][0]["legs"] = {"leg 1": math.sqrt(17.0)} | ({} if other is None else {"leg 2": other, "leg 3": 9.9})
+    told["effects"][0]["legs"] = {"leg 1": math.sqrt(17.0)} | (
+        {} if other is None else {"leg 2": other, "leg 3": 9.9}
+    )
     where = [{"block": "leg 2", "p_value": 0.001, "strength": 1.0}]
     entry = blind.entries.entry(label, told, result(answer("backlash"), where=where))
     rows = by_key(blind.measures.own_rows([entry]))
-    counts = [(rows[key].hits, rows[key].count) for key in ("leg shown", "leg not shown")]
+    counts = [
+        (rows[key].hits, rows[key].count) for key in ("leg shown", "leg not shown")
+    ]
     assert entry.leg_shown == pytest.approx(shown)
     assert counts == ([(0, 1), (0, 0)] if shown >= 6.0 else [(0, 0), (0, 1)])
     assert rows["leg shown"].sense == ""
@@ -152,7 +201,10 @@ def test_a_pair_counts_where_both_can_be_told_apart(blind):
     label = case("pair", {"backlash": 6.0, "gravity": 10.0})
     near = known(label)
     near["effects"][1]["apart"] = 2.0
-    found = [blind.entries.entry(label, o, result(answer("backlash", "gravity"))) for o in (known(label), near)]
+    found = [
+        blind.entries.entry(label, o, result(answer("backlash", "gravity")))
+        for o in (known(label), near)
+    ]
     rows = by_key(blind.measures.rows(found))
     assert rows["pairs"].count == 1
     assert rows["pairs 6"].count == 2
@@ -169,15 +221,23 @@ def test_padded_classes_show(blind):
 
 def test_probability_sums_over_answers_that_name_the_effect(blind):
     label = case("single", {"backlash": 10.0})
-    told = [answer("backlash", p=0.5), answer("backlash", "unknown", p=0.2), answer("backlash", "step", p=0.2)]
+    told = [
+        answer("backlash", p=0.5),
+        answer("backlash", "unknown", p=0.2),
+        answer("backlash", "step", p=0.2),
+    ]
     rows = by_key(blind.measures.own_rows(entries_of(blind, (label, result(*told)))))
     assert rows["probability"].value == pytest.approx(0.7)
 
 
 def test_closure_is_over_the_oracles_and_only_where_something_is_to_be_gained(blind):
     label = case("single", {"backlash": 10.0})
-    half = [{"split": "whole", "s0": 6.0, "s1": 4.0}]  # at another level: S0 is twice the oracle's
-    one = blind.entries.entry(label, known(label), result(answer("backlash"), closure=half))
+    half = [
+        {"split": "whole", "s0": 6.0, "s1": 4.0}
+    ]  # at another level: S0 is twice the oracle's
+    one = blind.entries.entry(
+        label, known(label), result(answer("backlash"), closure=half)
+    )
     little = known(label)
     little["closure"][1]["expected_gain"] = 35.0
     other = blind.entries.entry(label, little, result(answer("backlash"), closure=half))
@@ -185,11 +245,26 @@ def test_closure_is_over_the_oracles_and_only_where_something_is_to_be_gained(bl
 
 
 def test_paired_comparison_with_a_baseline(blind):
-    right = [(case("single", {"backlash": 6.0}), result(answer("backlash"), baseline=["friction"]))] * 9
-    wrong = [(case("single", {"backlash": 6.0}), result(answer(), baseline=["backlash"]))]
-    told = {p.measure: p for p in blind.measures.compared(entries_of(blind, *right, *wrong), "harmonic")}
+    right = [
+        (
+            case("single", {"backlash": 6.0}),
+            result(answer("backlash"), baseline=["friction"]),
+        )
+    ] * 9
+    wrong = [
+        (case("single", {"backlash": 6.0}), result(answer(), baseline=["backlash"]))
+    ]
+    told = {
+        p.measure: p
+        for p in blind.measures.compared(entries_of(blind, *right, *wrong), "harmonic")
+    }
     same = told["detection at sqrt(lambda) >= 6"]
-    assert (same.diagnosis, same.other, same.only_diagnosis, same.only_other) == (9, 10, 0, 1)
+    assert (same.diagnosis, same.other, same.only_diagnosis, same.only_other) == (
+        9,
+        10,
+        0,
+        1,
+    )
     assert same.verdict == "no difference"
     classes = told["right class at sqrt(lambda) >= 6"]
     assert (classes.only_diagnosis, classes.only_other) == (9, 1)
@@ -201,27 +276,45 @@ def test_paired_comparison_with_a_baseline(blind):
 
 def test_withheld_effects_are_to_be_unknown(blind):
     label = case("single", {"backlash": 10.0})
-    told = [result(answer("unknown")), result(answer("friction", "unknown")), result(answer("friction"))]
-    rows = by_key(blind.measures.withheld_rows(entries_of(blind, *[(label, r) for r in told])))
+    told = [
+        result(answer("unknown")),
+        result(answer("friction", "unknown")),
+        result(answer("friction")),
+    ]
+    rows = by_key(
+        blind.measures.withheld_rows(entries_of(blind, *[(label, r) for r in told]))
+    )
     assert rows["withheld alone"].hits == 1
     assert rows["withheld flagged"].hits == 2
     assert rows["withheld imitated"].count == 0
 
 
-# -- what is written ---------------------------------------------------------------------------------------
+# -- what is written -------------------------------------------------------------------
 
 
 def test_confusion_matrix(blind):
-    found = [*good(blind), *entries_of(blind, (case("single", {"backlash": 6.0}), result(answer("friction"))))]
-    found += entries_of(blind, (case("single", {"backlash": 6.0}), result(answer("friction", "gravity"))))
-    found += entries_of(blind, (case("single", {"backlash": 4.0}), result(answer("gravity"))))  # too small to count
+    found = [
+        *good(blind),
+        *entries_of(
+            blind, (case("single", {"backlash": 6.0}), result(answer("friction")))
+        ),
+    ]
+    found += entries_of(
+        blind,
+        (case("single", {"backlash": 6.0}), result(answer("friction", "gravity"))),
+    )
+    found += entries_of(
+        blind, (case("single", {"backlash": 4.0}), result(answer("gravity")))
+    )  # too small to count
     counts = blind.confusion.confusion(found).counts
     assert (
         counts.loc["backlash"].to_dict() | {"backlash": 2, "friction": 1, "several": 1}
         == counts.loc["backlash"].to_dict()
     )
     assert counts.loc["backlash"].sum() == 4
-    assert counts.loc["encoder_scale", "encoder_scale"] == 1  # its class was named by the other member
+    assert (
+        counts.loc["encoder_scale", "encoder_scale"] == 1
+    )  # its class was named by the other member
     assert counts.loc["(pump)", "unknown"] == 1
     assert counts.loc["none", "none"] == 5
     printed = blind.confusion.text(blind.confusion.confusion(found))
@@ -229,12 +322,19 @@ def test_confusion_matrix(blind):
     assert "several" in printed
 
 
-def test_more_pairs_count_where_they_can_be_told_from_every_rival_and_nowhere_else(blind):
+def test_more_pairs_count_where_they_can_be_told_from_every_rival_and_nowhere_else(
+    blind,
+):
     found = good(blind)
     label = case("pair", {"gravity": 10.0, "friction": 6.0})
     wrong = result(answer("gravity", "backlash"))
-    more = [blind.entries.entry(label, known(label, apart=apart), wrong) for apart in (6.0, 6.0, 5.0)]
-    before, after = (by_key(blind.score.score(found, more=some).rows) for some in ((), more))
+    more = [
+        blind.entries.entry(label, known(label, apart=apart), wrong)
+        for apart in (6.0, 6.0, 5.0)
+    ]
+    before, after = (
+        by_key(blind.score.score(found, more=some).rows) for some in ((), more)
+    )
     changed = {key for key in before if before[key] != after[key]}
     assert changed == {"pairs", "false effects pairs"}
     assert (before["pairs"].hits, before["pairs"].count) == (1, 1)
@@ -245,22 +345,51 @@ def test_more_pairs_count_where_they_can_be_told_from_every_rival_and_nowhere_el
 
 def test_score_is_written_whole(blind, tmp_path):
     found = [
-        blind.entries.entry(e.label, e.oracle, e.result | {"baselines": {"harmonic": [], "stepwise": ["step"]}})
+        blind.entries.entry(
+            e.label,
+            e.oracle,
+            e.result | {"baselines": {"harmonic": [], "stepwise": ["step"]}},
+        )
         for e in good(blind)
     ]
     made = blind.score.score(found, [("backlash", found[5])])
     blind.score._write(made, tmp_path)
     told = json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))
     assert told["about"]["cases"] == len(found)
-    assert {"confusion.png", "confusion.csv", "confusion_stepwise.png", "rows.csv", "paired.csv"} <= {
-        p.name for p in tmp_path.iterdir()
-    }
-    text = blind.table.markdown(made.rows, made.beside, made.paired, made.machines, made.about)
-    line = next(t for t in text.splitlines() if t.startswith("| false alarm, white noise"))
+    assert {
+        "confusion.png",
+        "confusion.csv",
+        "confusion_stepwise.png",
+        "rows.csv",
+        "paired.csv",
+    } <= {p.name for p in tmp_path.iterdir()}
+    text = blind.table.markdown(
+        made.rows, made.beside, made.paired, made.machines, made.about
+    )
+    line = next(
+        t for t in text.splitlines() if t.startswith("| false alarm, white noise")
+    )
     cells = [c.strip() for c in line.replace("\\|", "").strip("|").split("|")]
-    assert cells[1:] == ["0.0 %", "0.0 to 79.3 %", "0/1", "≤ 5 %", "≤ 2 %", "aim reached", "0.0 %", "100.0 %"]
-    widths = {block.count("|") for block in text.replace("\\|", "").splitlines() if block.startswith("| ---")}
-    assert all(t.replace("\\|", "").count("|") in widths for t in text.splitlines() if t.startswith("| "))
+    assert cells[1:] == [
+        "0.0 %",
+        "0.0 to 79.3 %",
+        "0/1",
+        "≤ 5 %",
+        "≤ 2 %",
+        "aim reached",
+        "0.0 %",
+        "100.0 %",
+    ]
+    widths = {
+        block.count("|")
+        for block in text.replace("\\|", "").splitlines()
+        if block.startswith("| ---")
+    }
+    assert all(
+        t.replace("\\|", "").count("|") in widths
+        for t in text.splitlines()
+        if t.startswith("| ")
+    )
 
 
 def test_what_would_be_were_the_noise_known_stands_beside_the_same_cases(blind):
@@ -268,9 +397,15 @@ def test_what_would_be_were_the_noise_known_stands_beside_the_same_cases(blind):
     idle = [blind.entries.entry(e.label, e.oracle, result(answer())) for e in found]
     for informed, last in ((idle, "0.00"), (idle[:-1], ""), ((), None)):
         made = blind.score.score(found, informed=informed)
-        text = blind.table.markdown(made.rows, made.beside, made.paired, made.machines, made.about)
+        text = blind.table.markdown(
+            made.rows, made.beside, made.paired, made.machines, made.about
+        )
         head = next(t for t in text.splitlines() if t.startswith("| measure"))
-        line = next(t for t in text.splitlines() if t.startswith("| false effects a case, all cases"))
+        line = next(
+            t
+            for t in text.splitlines()
+            if t.startswith("| false effects a case, all cases")
+        )
         assert head.endswith("| noise known |") == (last is not None)
         if last is not None:
             assert line.split("|")[-2].strip() == last
@@ -278,10 +413,20 @@ def test_what_would_be_were_the_noise_known_stands_beside_the_same_cases(blind):
 
 
 def test_no_results_is_told_with_a_remedy(blind, tmp_path, capsys):
-    assert blind.main(["score", "--cases", str(tmp_path), "--results", str(tmp_path)]) == 2
+    assert (
+        blind.main(["score", "--cases", str(tmp_path), "--results", str(tmp_path)]) == 2
+    )
     assert "`generate` wrote" in capsys.readouterr().err
-    line = {"id": "x", "study": "a3_full.study.toml", "readings": "cases/x.readings.csv"}
+    line = {
+        "id": "x",
+        "study": "a3_full.study.toml",
+        "readings": "cases/x.readings.csv",
+    }
     (tmp_path / "manifest.jsonl").write_text(json.dumps(line), encoding="utf-8")
-    (tmp_path / "labels.jsonl").write_text(json.dumps(case("null", {})), encoding="utf-8")
-    assert blind.main(["score", "--cases", str(tmp_path), "--results", str(tmp_path)]) == 2
+    (tmp_path / "labels.jsonl").write_text(
+        json.dumps(case("null", {})), encoding="utf-8"
+    )
+    assert (
+        blind.main(["score", "--cases", str(tmp_path), "--results", str(tmp_path)]) == 2
+    )
     assert "with `run`" in capsys.readouterr().err

@@ -1,7 +1,8 @@
-"""A small version of the blind benchmark: 12 cases on three machines must reach what so few can show.
+"""A small version of the blind benchmark: 12 cases on three machines must reach what so
+few can show.
 
-The generator shares no code with the diagnosis. `python -m benchmarks.blind` makes the whole benchmark; the slow test
-here looks at false alarms, noise law by noise law.
+The generator shares no code with the diagnosis. `python -m benchmarks.blind` makes the
+whole benchmark; the slow test here looks at false alarms, noise law by noise law.
 """
 
 from __future__ import annotations
@@ -37,23 +38,37 @@ CLEAR = 9.0
 @pytest.fixture(scope="module")
 def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
     """The benchmark's modules."""
-    return blind_modules("judge", "loading", "run", "generator.cases", "generator.write")
+    return blind_modules(
+        "judge", "loading", "run", "generator.cases", "generator.write"
+    )
 
 
 def diagnosed(blind: SimpleNamespace, folder: Path, case: Any) -> Mapping[str, Any]:
     """The result of a case, by way of its file of readings."""
-    (folder / f"{case.id}.csv").write_text(blind.write.table(case).to_csv(index=False), encoding="utf-8")
-    job = blind.run.Job(folder, blind.loading.Case(case.id, case.stage.plan.study, f"{case.id}.csv"))
+    (folder / f"{case.id}.csv").write_text(
+        blind.write.table(case).to_csv(index=False), encoding="utf-8"
+    )
+    job = blind.run.Job(
+        folder, blind.loading.Case(case.id, case.stage.plan.study, f"{case.id}.csv")
+    )
     result = json.loads(blind.run.work(job))
     assert "error" not in result, result.get("traceback")
     return result
 
 
-def drawn(blind: SimpleNamespace, kind: str, machine: str) -> Iterator[tuple[Any, Mapping[str, Any]]]:
-    """Cases of a kind that should be plain to tell, with their labels, in the generator's order."""
+def drawn(
+    blind: SimpleNamespace, kind: str, machine: str
+) -> Iterator[tuple[Any, Mapping[str, Any]]]:
+    """Cases of a kind that should be plain to tell, with their labels, in the
+    generator's order.
+    """
     for k in range(2000):
         role = blind.cases.role(SEED, "dev", k)
-        if role.kind != kind or role.machine != machine or (kind != "null" and role.plan == "poor"):
+        if (
+            role.kind != kind
+            or role.machine != machine
+            or (kind != "null" and role.plan == "poor")
+        ):
             continue
         case = blind.cases.make(SEED, "dev", k)
         if kind == "null" or min(s.target for s in case.sized) >= CLEAR:
@@ -68,38 +83,65 @@ def clear(label: Mapping[str, Any]) -> bool:
     return bool(acting) and min(e["target"] for e in acting) >= CLEAR
 
 
-def shortfalls(judge: Any, found: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> list[str]:
-    """Bars that the answers miss: (label, result) of each case. With so few cases one slip is granted where noise can
-    make one: a false alarm of 5 % twice in four cases is a matter of 1 %.
+def shortfalls(
+    judge: Any, found: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]
+) -> list[str]:
+    """Bars that the answers miss: (label, result) of each case. With so few cases one
+    slip is granted where noise can make one: a false alarm of 5 % twice in four cases
+    is a matter of 1 %.
     """
     missed = []
-    said = [(label, judge.said(result["answers"][0]), result) for label, result in found]
-    alarms = [label["id"] for label, answer, _ in said if label["kind"] == "null" and answer.gap]
+    said = [
+        (label, judge.said(result["answers"][0]), result) for label, result in found
+    ]
+    alarms = [
+        label["id"]
+        for label, answer, _ in said
+        if label["kind"] == "null" and answer.gap
+    ]
     if len(alarms) > 1:
         missed.append(f"false alarms: {alarms}")
     acting = [(label, answer) for label, answer, _ in said if clear(label)]
     unseen = [label["id"] for label, answer in acting if not answer.gap]
     if len(unseen) > 1:
         missed.append(f"not detected: {unseen}")
-    known = [(label, answer) for label, answer in acting if label["kind"] in ("single", "exact")]
-    wrong = [label["id"] for label, answer in known if not judge.found(answer, [label["effects"][0]["name"]])]
+    known = [
+        (label, answer)
+        for label, answer in acting
+        if label["kind"] in ("single", "exact")
+    ]
+    wrong = [
+        label["id"]
+        for label, answer in known
+        if not judge.found(answer, [label["effects"][0]["name"]])
+    ]
     if len(wrong) > 1:
         missed.append(f"wrong class: {wrong}")
     for label, answer in known:
         both = {"encoder_scale", "bar_length"}
-        if label["kind"] == "exact" and any(0 < len(both & set(c)) < 2 for c in answer.classes):
+        if label["kind"] == "exact" and any(
+            0 < len(both & set(c)) < 2 for c in answer.classes
+        ):
             missed.append(f"names one member of an exact class: {label['id']}")
     sizes = [len(c) for _, answer in known for c in answer.classes]
     if sizes and np.mean(sizes) > 4.0:
-        missed.append(f"classes of {np.mean(sizes):.1f} effects on the average say too little")
-    strange = [label["id"] for label, answer in acting if label["kind"] == "unknown" and not answer.unknown]
+        missed.append(
+            f"classes of {np.mean(sizes):.1f} effects on the average say too little"
+        )
+    strange = [
+        label["id"]
+        for label, answer in acting
+        if label["kind"] == "unknown" and not answer.unknown
+    ]
     if len(strange) > 1:
         missed.append(f"unknown effects called known: {strange}")
     return missed
 
 
 @pytest.fixture(scope="module")
-def small(blind: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Any, Any]]:
+def small(
+    blind: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory
+) -> list[tuple[Any, Any]]:
     """The small set, diagnosed: (label, result) of each case."""
     folder = tmp_path_factory.mktemp("small")
     found: list[tuple[Any, Any]] = []
@@ -110,18 +152,32 @@ def small(blind: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> l
 
 
 def plain(label: Mapping[str, Any]) -> bool:
-    """Whether the best textbook form of every other effect leaves much of what acts; in exact cases one does not."""
+    """Whether the best textbook form of every other effect leaves much of what acts; in
+    exact cases one does not.
+    """
     if label["kind"] in ("null", "exact"):
         return True
-    return min(v for e in label["effects"] for n, v in e["beyond"].items() if n != e["name"]) >= 6.0
+    return (
+        min(
+            v
+            for e in label["effects"]
+            for n, v in e["beyond"].items()
+            if n != e["name"]
+        )
+        >= 6.0
+    )
 
 
 def test_the_set_is_mixed(small: list[tuple[Any, Any]]) -> None:
-    assert Counter((label["kind"], label["machine"]) for label, _ in small) == {(k, m): n for k, m, n in SHARES}
+    assert Counter((label["kind"], label["machine"]) for label, _ in small) == {
+        (k, m): n for k, m, n in SHARES
+    }
     assert len({label["noise"]["name"] for label, _ in small}) >= 4
 
 
-def test_the_small_benchmark_is_passed(blind: SimpleNamespace, small: list[tuple[Any, Any]]) -> None:
+def test_the_small_benchmark_is_passed(
+    blind: SimpleNamespace, small: list[tuple[Any, Any]]
+) -> None:
     told = [(label["id"], label["machine"], label["kind"], [e["name"] for e in label["effects"]],
              result["answers"][0]) for label, result in small]  # fmt: skip
     assert not shortfalls(blind.judge, small), "\n".join(str(t) for t in told)
@@ -137,7 +193,10 @@ def test_the_small_benchmark_is_passed(blind: SimpleNamespace, small: list[tuple
     ],
 )
 def test_who_always_says_the_same_fails(
-    blind: SimpleNamespace, small: list[tuple[Any, Any]], answer: list[str], missed: list[str]
+    blind: SimpleNamespace,
+    small: list[tuple[Any, Any]],
+    answer: list[str],
+    missed: list[str],
 ) -> None:
     classes = [[n] for n in answer if n != "unknown"]
     always = {"answers": [{"effects": answer, "probability": 1.0, "classes": classes}]}
@@ -148,10 +207,18 @@ def test_who_always_says_the_same_fails(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["white", "correlated", "heavy", "run", "combined"])
-def test_false_alarms_of_each_noise_law(blind: SimpleNamespace, tmp_path: Path, law: str) -> None:
-    """Of ten sets without a gap at most two alarm: at a rate of 5 % three or more are a matter of 1.2 %."""
+def test_false_alarms_of_each_noise_law(
+    blind: SimpleNamespace, tmp_path: Path, law: str
+) -> None:
+    """Of ten sets without a gap at most two alarm: at a rate of 5 % three or more are a
+    matter of 1.2 %.
+    """
     cases = blind.cases
-    numbers = [k for k in range(400) if (r := cases.role(SEED, "dev", k)).kind == "null" and r.law == law][:10]
+    numbers = [
+        k
+        for k in range(400)
+        if (r := cases.role(SEED, "dev", k)).kind == "null" and r.law == law
+    ][:10]
     alarms = []
     for k in numbers:
         case = blind.cases.make(SEED, "dev", k)

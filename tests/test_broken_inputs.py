@@ -1,4 +1,6 @@
-"""Broken inputs: exit 2 and one clear paragraph that names the file, the field and what to do. No traceback."""
+"""Broken inputs: exit 2 and one clear paragraph that names the file, the field and what
+to do. No traceback.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def noise(kind: str) -> bytes:
 
 
 def told(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The paragraph on stderr of a call that must exit 2, before any work beyond reading its input."""
+    """The paragraph on stderr of a call that must exit 2, before any work beyond
+    reading its input.
+    """
     code = cli.main([str(a) for a in arguments])
     out, err = capsys.readouterr()
     assert code == 2
@@ -45,22 +49,56 @@ def one_paragraph(err: str) -> str:
 
 
 STUDIES = {
-    "unknown field": (("criterion =", "criterium ="), "design.criterium", "did you mean criterion"),
-    "nan": (("length_mm = 300.0", "length_mm = nan"), "setup[1].length_mm = nan", "give a number"),
-    "wrong unit": (("length_um = 0.5", "length_kg = 0.5"), "noise.length_kg", "length_mm"),
-    "unit of another kind": (("psi_deg = 0.0", "psi_mm = 0.0"), "setup[1].teach.psi_mm", "psi_deg"),
-    "pose out of the workspace": (("to = 1266.0", "to = 1300.0"), "design.candidates[1].z_mm", "1066 mm to 1266 mm"),
-    "pose out of reach": (("z_mm = 1286.0", "z_mm = 3000.0"), "setup[1].teach", "keep to poses within"),
+    "unknown field": (
+        ("criterion =", "criterium ="),
+        "design.criterium",
+        "did you mean criterion",
+    ),
+    "nan": (
+        ("length_mm = 300.0", "length_mm = nan"),
+        "setup[1].length_mm = nan",
+        "give a number",
+    ),
+    "wrong unit": (
+        ("length_um = 0.5", "length_kg = 0.5"),
+        "noise.length_kg",
+        "length_mm",
+    ),
+    "unit of another kind": (
+        ("psi_deg = 0.0", "psi_mm = 0.0"),
+        "setup[1].teach.psi_mm",
+        "psi_deg",
+    ),
+    "pose out of the workspace": (
+        ("to = 1266.0", "to = 1300.0"),
+        "design.candidates[1].z_mm",
+        "1066 mm to 1266 mm",
+    ),
+    "pose out of reach": (
+        ("z_mm = 1286.0", "z_mm = 3000.0"),
+        "setup[1].teach",
+        "keep to poses within",
+    ),
     "missing set-up": (("[[setup]]", "[[setup_]]"), "setup_", "did you mean setup"),
-    "grid of no set-up": (('setup = "cup"', 'setup = "bar"'), 'design.candidates[1].setup = "bar"', "set-ups: cup"),
-    "half a file": (('[expect]\nrank = { of = "identifiability.rank", equals = 18 }', "[expe"), "", "line"),
+    "grid of no set-up": (
+        ('setup = "cup"', 'setup = "bar"'),
+        'design.candidates[1].setup = "bar"',
+        "set-ups: cup",
+    ),
+    "half a file": (
+        ('[expect]\nrank = { of = "identifiability.rank", equals = 18 }', "[expe"),
+        "",
+        "line",
+    ),
     "future": (("schema = 1", "schema = 99"), "schema = 99", "schema = 1"),
 }
 
 
 @pytest.mark.parametrize("command", ["run", "check"])
 @pytest.mark.parametrize("name", STUDIES)
-def test_study(name: str, command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_study(
+    name: str, command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     change, field, remedy = STUDIES[name]
     path = tmp_path / "s.study.toml"
     path.write_text(sample.changed(sample.STUDY, change), encoding="utf-8")
@@ -71,26 +109,57 @@ def test_study(name: str, command: str, capsys: pytest.CaptureFixture[str], tmp_
     assert not (tmp_path / "out").exists()
 
 
-def test_study_without_any_set_up(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_study_without_any_set_up(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     path = tmp_path / "s.study.toml"
-    path.write_text('schema = 1\nname = "s"\nsetup = []\n[machine]\nmodel = "a3_head"\n', encoding="utf-8")
+    path.write_text(
+        'schema = 1\nname = "s"\nsetup = []\n[machine]\nmodel = "a3_head"\n',
+        encoding="utf-8",
+    )
     assert "setup: missing; add a [[setup]]" in told(capsys, "run", path)
 
 
 READINGS = {
-    "nan": (("300.001", "NaN"), "row 2, column length_mm = NaN", "leave the cell empty"),
-    "wrong unit": (("length_mm", "length_kg"), "row 1, column length_kg", "write length_m, length_mm, length_um"),
-    "pose out of reach": (("1146,90", "2146,90"), "row 3, column z_mm = 2146", "1066 to 1266"),
-    "unknown column": (("direction", "dierction"), "row 1, column dierction", "did you mean direction?"),
+    "nan": (
+        ("300.001", "NaN"),
+        "row 2, column length_mm = NaN",
+        "leave the cell empty",
+    ),
+    "wrong unit": (
+        ("length_mm", "length_kg"),
+        "row 1, column length_kg",
+        "write length_m, length_mm, length_um",
+    ),
+    "pose out of reach": (
+        ("1146,90", "2146,90"),
+        "row 3, column z_mm = 2146",
+        "1066 to 1266",
+    ),
+    "unknown column": (
+        ("direction", "dierction"),
+        "row 1, column dierction",
+        "did you mean direction?",
+    ),
     "missing set-up": (("cup,high", ",high"), "row 5, column setup", "name the setup"),
-    "unknown set-up": (("cup,high", "bar,high"), "row 5, column setup = bar", "known: cup"),
-    "unknown quantity": (("time_s", "tine_s"), "row 1, column tine_s", "did you mean time_s?"),
+    "unknown set-up": (
+        ("cup,high", "bar,high"),
+        "row 5, column setup = bar",
+        "known: cup",
+    ),
+    "unknown quantity": (
+        ("time_s", "tine_s"),
+        "row 1, column tine_s",
+        "did you mean time_s?",
+    ),
     "repeated order": (("low,2", "low,1"), "row 3, column order = 1", "1, 2, 3"),
 }
 
 
 @pytest.mark.parametrize("name", READINGS)
-def test_readings(name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_readings(
+    name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     change, where, remedy = READINGS[name]
     study, path = tmp_path / "s.study.toml", tmp_path / "r.readings.csv"
     study.write_text(sample.STUDY, encoding="utf-8")
@@ -101,12 +170,14 @@ def test_readings(name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path)
     assert not (tmp_path / "out").exists()
 
 
-# -- files that are no studies and no readings -------------------------------------------------------------
+# -- files that are no studies and no readings -----------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["binary", "lines", "text"])
 @pytest.mark.parametrize("name", ["x.study.toml", "x.readings.csv"])
-def test_ten_megabytes_of_noise(name: str, kind: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_ten_megabytes_of_noise(
+    name: str, kind: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     path = tmp_path / name
     path.write_bytes(noise(kind))
     assert str(path) in told(capsys, "check", path)
@@ -114,7 +185,9 @@ def test_ten_megabytes_of_noise(name: str, kind: str, capsys: pytest.CaptureFixt
 
 @pytest.mark.parametrize("size", [1_000, 100_000])
 @pytest.mark.parametrize("kind", ["binary", "lines"])
-def test_noise_that_is_not_too_large(kind: str, size: int, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_noise_that_is_not_too_large(
+    kind: str, size: int, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     path = tmp_path / "x.study.toml"
     path.write_bytes(noise(kind)[:size])
     assert str(path) in told(capsys, "run", path)
@@ -122,7 +195,9 @@ def test_noise_that_is_not_too_large(kind: str, size: int, capsys: pytest.Captur
 
 @pytest.mark.parametrize("content", [b"", b"\n \n", b"\xef\xbb\xbf"])
 @pytest.mark.parametrize("name", ["x.study.toml", "x.readings.csv"])
-def test_empty(name: str, content: bytes, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_empty(
+    name: str, content: bytes, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     path = tmp_path / name
     path.write_bytes(content)
     err = told(capsys, "check", path)
@@ -130,7 +205,9 @@ def test_empty(name: str, content: bytes, capsys: pytest.CaptureFixture[str], tm
     assert "empty" in err
 
 
-def test_no_file_a_folder_and_nesting(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_no_file_a_folder_and_nesting(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     assert "no such study file" in told(capsys, "run", tmp_path / "gone.study.toml")
     assert "no file" in told(capsys, "run", tmp_path)
     assert "gone.csv" in told(capsys, "check", tmp_path / "gone.csv")
@@ -139,16 +216,24 @@ def test_no_file_a_folder_and_nesting(capsys: pytest.CaptureFixture[str], tmp_pa
     assert "nested too deeply" in told(capsys, "run", path)
 
 
-# -- the real command --------------------------------------------------------------------------------------
+# -- the real command ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "content", [noise("binary"), sample.STUDY.replace("300.0", "nan").encode()], ids=["noise", "nan"]
+    "content",
+    [noise("binary"), sample.STUDY.replace("300.0", "nan").encode()],
+    ids=["noise", "nan"],
 )
 def test_in_a_process_of_its_own(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "x.study.toml"
     path.write_bytes(content)
-    command = [str(Path(sys.executable).with_name("oed")), "run", str(path), "--out", str(tmp_path / "out")]
+    command = [
+        str(Path(sys.executable).with_name("oed")),
+        "run",
+        str(path),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert str(path) in one_paragraph(done.stderr)

@@ -1,4 +1,6 @@
-"""Claims of a study: paths into its results, and whether what they lead to is as claimed."""
+"""Claims of a study: paths into its results, and whether what they lead to is as
+claimed.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,21 @@ import sample
 from pkm_studies import claims, study
 
 RESULT = {
-    "identifiability": {"rank": 18, "words": [{"kind": "seen", "text": "all"}], "ok": True},
-    "design": {"plans": [{"name": "paper 2 x 15", "kappa": 3748.0}, {"name": "v1.2", "kappa": float("nan")}]},
-    "estimate": {"parameters": {"cup.cup_x": {"value": 0.01}, "cup": {"value": 3.0}}, "bound": None},
+    "identifiability": {
+        "rank": 18,
+        "words": [{"kind": "seen", "text": "all"}],
+        "ok": True,
+    },
+    "design": {
+        "plans": [
+            {"name": "paper 2 x 15", "kappa": 3748.0},
+            {"name": "v1.2", "kappa": float("nan")},
+        ]
+    },
+    "estimate": {
+        "parameters": {"cup.cup_x": {"value": 0.01}, "cup": {"value": 3.0}},
+        "bound": None,
+    },
     "kappa_maps": [{"title": "taught", "kappa": [[1.0, 2.0], [3.0, 4.0]]}],
 }
 
@@ -50,12 +64,16 @@ def test_paths_lead_to_results(path: str, value: object) -> None:
     ],
 )
 def test_claims_are_measured(claim: str, met: bool) -> None:
-    said = study.parse(sample.STUDY.split("[expect]")[0] + f"[expect]\nit = {{ {claim} }}\n", Path("x"))
+    said = study.parse(
+        sample.STUDY.split("[expect]")[0] + f"[expect]\nit = {{ {claim} }}\n", Path("x")
+    )
     (found,) = claims.check_claims(said, RESULT)
     assert found.met is met
     assert found.claim == "it"
 
 
 def test_an_unknown_path_says_what_there_is() -> None:
-    with pytest.raises(LookupError, match=r"no such result: design.plan.0: .* did you mean plans"):
+    with pytest.raises(
+        LookupError, match=r"no such result: design.plan.0: .* did you mean plans"
+    ):
         claims.lookup(RESULT, "design.plan.0")

@@ -28,7 +28,9 @@ PLAN = sample.changed(
 
 
 @pytest.fixture
-def oed(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+def oed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Run:
     """The command, in a folder of its own: exit code, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
 
@@ -46,11 +48,17 @@ def write(path: Path, text: str) -> Path:
 
 
 def test_help_is_there_at_once() -> None:
-    """0.5 s for the whole process: the best of three, since other work may share the machine."""
+    """0.5 s for the whole process: the best of three, since other work may share the
+    machine.
+    """
     times = []
     for _ in range(3):
         start = time.perf_counter()
-        done = subprocess.run([sys.executable, "-m", "pkm_studies.cli", "--help"], capture_output=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-m", "pkm_studies.cli", "--help"],
+            capture_output=True,
+            check=True,
+        )
         times.append(time.perf_counter() - start)
     assert b"identify" in done.stdout
     assert min(times) <= 0.5
@@ -62,7 +70,10 @@ def test_help_imports_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("command", ["run", "check", "simulate", "identify", "report", "list", "schema", "new"])
+@pytest.mark.parametrize(
+    "command",
+    ["run", "check", "simulate", "identify", "report", "list", "schema", "new"],
+)
 def test_every_command_has_help(command: str, oed: Run) -> None:
     code, out, _ = oed(command, "--help")
     assert code == 0
@@ -87,11 +98,15 @@ def test_schema(of: str, oed: Run) -> None:
 
 
 def test_new_is_sound(oed: Run, tmp_path: Path) -> None:
-    code, out, _ = oed("new", "mine", "--machine", "a3_head", "--instrument", "ball_bar")
+    code, out, _ = oed(
+        "new", "mine", "--machine", "a3_head", "--instrument", "ball_bar"
+    )
     assert code == 0
     assert "oed run mine.study.toml" in out
     assert oed("check", "mine.study.toml")[0] == 0
-    assert oed("new", "mine", "--machine", "a3_head", "--instrument", "ball_bar")[0] == 2
+    assert (
+        oed("new", "mine", "--machine", "a3_head", "--instrument", "ball_bar")[0] == 2
+    )
     assert oed("new", "a/b", "--machine", "a3_head", "--instrument", "ball_bar")[0] == 2
     assert [p.name for p in tmp_path.iterdir()] == ["mine.study.toml"]
 
@@ -99,7 +114,9 @@ def test_new_is_sound(oed: Run, tmp_path: Path) -> None:
 def test_check_reads_readings_with_their_study(oed: Run, tmp_path: Path) -> None:
     study = write(tmp_path / "a.study.toml", sample.STUDY)
     good = write(tmp_path / "good.readings.csv", sample.READINGS)
-    bad = write(tmp_path / "bad.readings.csv", sample.READINGS.replace("1146,0", "11460,0"))
+    bad = write(
+        tmp_path / "bad.readings.csv", sample.READINGS.replace("1146,0", "11460,0")
+    )
     code, out, _ = oed("check", study, good)
     assert code == 0
     assert "48 candidates" in out
@@ -113,7 +130,10 @@ def test_check_reads_readings_with_their_study(oed: Run, tmp_path: Path) -> None
 
 
 def test_check_says_where_data_is_missing(oed: Run, tmp_path: Path) -> None:
-    study = write(tmp_path / "d.study.toml", sample.DELTA + '[readings]\nsource = "delta_v400"\npath = "gone"\n')
+    study = write(
+        tmp_path / "d.study.toml",
+        sample.DELTA + '[readings]\nsource = "delta_v400"\npath = "gone"\n',
+    )
     code, out, _ = oed("check", study)
     assert code == 0
     assert "looked in" in out
@@ -125,28 +145,51 @@ def test_run_tells_headline_claims_and_where(oed: Run, tmp_path: Path) -> None:
     assert (code, err) == (0, "")
     assert "Claim rank: met" in out
     assert "18 of 21" in out
-    assert json.loads((tmp_path / "out/small/result.json").read_text())["identifiability"]["rank"] == 18
-    assert "identifiability" in out.splitlines()  # one line a stage where stderr is no terminal
+    assert (
+        json.loads((tmp_path / "out/small/result.json").read_text())["identifiability"][
+            "rank"
+        ]
+        == 18
+    )
+    assert (
+        "identifiability" in out.splitlines()
+    )  # one line a stage where stderr is no terminal
     code, out, err = oed("run", study, "--quiet", "--out", "there", "--seed", "3")
     assert (code, out, err) == (0, "", "")
     assert json.loads((tmp_path / "there/result.json").read_text())["seed"] == 3
 
 
 def test_a_failing_claim_exits_1(oed: Run, tmp_path: Path) -> None:
-    study = write(tmp_path / "p.study.toml", sample.changed(PLAN, ("equals = 18", "equals = 21")))
+    study = write(
+        tmp_path / "p.study.toml", sample.changed(PLAN, ("equals = 18", "equals = 21"))
+    )
     code, out, err = oed("run", study, "--quiet", "--out", "x")
     assert (code, out) == (1, "")
     assert err == "oed: claim rank: not met: identifiability.rank = 21, measured 18\n"
 
 
 def test_simulated_readings_can_be_identified(oed: Run, tmp_path: Path) -> None:
-    text = PLAN + "[readings]\nsimulate = true\ntruth = { dq1_mm = 1.5 }\n[posterior]\nenabled = false\n"
+    text = (
+        PLAN
+        + "[readings]\nsimulate = true\ntruth = { dq1_mm = 1.5 }\n[posterior]\nenabled"
+        " = false\n"
+    )
     study = write(tmp_path / "p.study.toml", text)
     code, out, _ = oed("simulate", study, "--out", "new/r.readings.csv")
     assert code == 0
     assert "r.truth.json" in out
-    assert json.loads((tmp_path / "new/r.truth.json").read_text())["dq1"]["value"] == pytest.approx(1.5e-3)
-    code, _, _ = oed("identify", study, "--readings", "new/r.readings.csv", "--out", "found", "--quiet")
+    assert json.loads((tmp_path / "new/r.truth.json").read_text())["dq1"][
+        "value"
+    ] == pytest.approx(1.5e-3)
+    code, _, _ = oed(
+        "identify",
+        study,
+        "--readings",
+        "new/r.readings.csv",
+        "--out",
+        "found",
+        "--quiet",
+    )
     assert code == 0
     found = json.loads((tmp_path / "found/result.json").read_text())["estimate"]
     assert found["readings"] == 30
@@ -166,7 +209,10 @@ def test_a_report_again(oed: Run, tmp_path: Path) -> None:
 
 
 def test_one_seed_gives_the_same_bytes(oed: Run, tmp_path: Path) -> None:
-    study = write(tmp_path / "p.study.toml", PLAN + "[readings]\nsimulate = true\n[posterior]\nenabled = false\n")
+    study = write(
+        tmp_path / "p.study.toml",
+        PLAN + "[readings]\nsimulate = true\n[posterior]\nenabled = false\n",
+    )
     texts = []
     for folder in ("a", "b"):
         assert oed("run", study, "--quiet", "--out", folder)[0] == 0
@@ -175,7 +221,7 @@ def test_one_seed_gives_the_same_bytes(oed: Run, tmp_path: Path) -> None:
     assert texts[0] == texts[1]
 
 
-# -- how it ends -------------------------------------------------------------------------------------------
+# -- how it ends -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -209,10 +255,17 @@ def test_interrupted(oed: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_interrupted_in_earnest(tmp_path: Path) -> None:
     """SIGINT to the process in the middle of its work: one line, and whole files only."""
-    text = sample.STUDY + "[readings]\nsimulate = true\n[posterior]\nsteps = 1000000\ness = 1000000\n"
+    text = (
+        sample.STUDY
+        + "[readings]\nsimulate = true\n[posterior]\nsteps = 1000000\ness = 1000000\n"
+    )
     study = write(tmp_path / "p.study.toml", text)
-    # as from a terminal: who runs the tests in the background has the signal ignored, and passes that on
-    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); import sys; "
+    # as from a terminal: who runs the tests in the background has the signal ignored,
+    # and passes that on
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+        " import sys; "
+    )
     code += "from pkm_studies.cli import main; sys.exit(main())"
     process = subprocess.Popen(
         [sys.executable, "-c", code, "run", str(study), "--out", str(tmp_path / "out")],
@@ -239,9 +292,15 @@ def test_interrupted_in_earnest(tmp_path: Path) -> None:
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:
-    code = "import sys, os; os.close(sys.stdin.fileno()); from pkm_studies.cli import main; sys.exit(main())"
+    code = (
+        "import sys, os; os.close(sys.stdin.fileno()); from pkm_studies.cli import"
+        " main; sys.exit(main())"
+    )
     process = subprocess.Popen(
-        [sys.executable, "-c", code, "schema", "result"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code, "schema", "result"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     assert process.stdout is not None
     process.stdout.close()
@@ -249,7 +308,9 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert (process.returncode, err) == (0, "")
 
 
-def test_files_are_written_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_are_written_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = files.write_whole(tmp_path / "a/b.txt", "old")
 
     def broken(*_: object) -> None:
@@ -272,22 +333,44 @@ def test_the_folder_must_be_one(oed: Run, tmp_path: Path) -> None:
     assert "in the way" in err
 
 
-# -- pytest on studies -------------------------------------------------------------------------------------
+# -- pytest on studies -----------------------------------------------------------------
 
 
 def pytest_on(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *map(str, arguments)]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        *map(str, arguments),
+    ]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def test_each_claim_is_a_test(tmp_path: Path) -> None:
-    claims = 'wrong = { of = "identifiability.n", equals = 20 }\nnowhere = { of = "identifiability.m", min = 1 }\n'
+    claims = (
+        'wrong = { of = "identifiability.n", equals = 20 }\nnowhere = { of ='
+        ' "identifiability.m", min = 1 }\n'
+    )
     good = write(tmp_path / "good.study.toml", PLAN + claims)
-    gone = sample.DELTA + '[readings]\nsource = "delta_v400"\npath = "gone"\n[expect]\nany = { of = "seed", min = 0 }\n'
+    gone = (
+        sample.DELTA
+        + '[readings]\nsource = "delta_v400"\npath = "gone"\n[expect]\nany = { of ='
+        ' "seed", min = 0 }\n'
+    )
     write(tmp_path / "gone.study.toml", gone)
     write(tmp_path / "broken.study.toml", "schema = 1\n")
-    write(tmp_path / "slow.study.toml", PLAN.replace("schema = 1", "schema = 1\nslow = true"))
-    done = pytest_on(tmp_path, "-rs", "-m", "not slow", "--continue-on-collection-errors")
+    write(
+        tmp_path / "slow.study.toml",
+        PLAN.replace("schema = 1", "schema = 1\nslow = true"),
+    )
+    done = pytest_on(
+        tmp_path, "-rs", "-m", "not slow", "--continue-on-collection-errors"
+    )
     assert "1 passed, 1 skipped, 1 deselected, 1 error" in done.stdout
     assert "2 failed" in done.stdout
     assert "wanted   identifiability.n = 20\n  measured 21" in done.stdout

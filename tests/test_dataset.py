@@ -1,4 +1,6 @@
-"""Readings: what is read back is what was written; what cannot be used is refused with row and column."""
+"""Readings: what is read back is what was written; what cannot be used is refused with
+row and column.
+"""
 
 from __future__ import annotations
 
@@ -42,11 +44,15 @@ def refused(text: str | bytes, measurement: Measurement, folder: Path) -> Readin
     return error.value
 
 
-def test_commands_covariates_and_readings_come_in_si(head: Measurement, tmp_path: Path) -> None:
+def test_commands_covariates_and_readings_come_in_si(
+    head: Measurement, tmp_path: Path
+) -> None:
     found = loaded(sample.READINGS, head, tmp_path)
     np.testing.assert_allclose(found.y, [0.300001, 0.300002, 0.299999], rtol=1e-15)
     (series,) = found.series
-    np.testing.assert_allclose(series.commands()[1], [1.146, math.pi / 2, math.pi / 6], rtol=1e-14)
+    np.testing.assert_allclose(
+        series.commands()[1], [1.146, math.pi / 2, math.pi / 6], rtol=1e-14
+    )
     assert list(series.run) == ["low", "low", "high"]
     assert list(found.covariates["order"]) == [1, 2, 1]
     assert list(found.covariates["time"]) == [0.0, 6.0, 20.0]
@@ -55,7 +61,9 @@ def test_commands_covariates_and_readings_come_in_si(head: Measurement, tmp_path
     assert found.dropped == 1
 
 
-def test_the_first_row_of_a_run_is_its_reference(delta: Measurement, tmp_path: Path) -> None:
+def test_the_first_row_of_a_run_is_its_reference(
+    delta: Measurement, tmp_path: Path
+) -> None:
     found = loaded(sample.DELTA_READINGS, delta, tmp_path)
     assert found.setups == ("probe", "calliper")
     probe, calliper = found.series
@@ -73,7 +81,9 @@ def head_of(found: Dataset) -> list[str]:
     return list(found.covariates["setup"])
 
 
-def test_a_run_without_readings_goes_with_its_reference(delta: Measurement, tmp_path: Path) -> None:
+def test_a_run_without_readings_goes_with_its_reference(
+    delta: Measurement, tmp_path: Path
+) -> None:
     text = sample.changed(sample.DELTA_READINGS, (",64.8", ","))
     found = loaded(text, delta, tmp_path)
     assert found.dropped == 1
@@ -93,16 +103,21 @@ def test_excel_files_are_read(head: Measurement, tmp_path: Path) -> None:
     assert len(loaded(text, head, tmp_path)) == 3
 
 
-def test_files_are_taken_together_and_must_not_meet(head: Measurement, tmp_path: Path) -> None:
+def test_files_are_taken_together_and_must_not_meet(
+    head: Measurement, tmp_path: Path
+) -> None:
     paths = [tmp_path / "a.csv", tmp_path / "b.csv"]
     paths[0].write_text(sample.READINGS, encoding="utf-8")
-    paths[1].write_text(sample.READINGS.replace(",low,", ",again,").replace(",high,", ",top,"), encoding="utf-8")
+    paths[1].write_text(
+        sample.READINGS.replace(",low,", ",again,").replace(",high,", ",top,"),
+        encoding="utf-8",
+    )
     assert len(dataset.load(paths, head)) == 6
     with pytest.raises(ReadingsError, match="used twice"):
         dataset.load([paths[0], paths[0]], head)
 
 
-# -- round trip --------------------------------------------------------------------------------------------
+# -- round trip ------------------------------------------------------------------------
 
 number = st.floats(min_value=-1.0, max_value=1.0, allow_nan=False, width=64)
 row = st.tuples(
@@ -115,32 +130,62 @@ row = st.tuples(
 )
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=40,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(rows=st.lists(row, min_size=1, max_size=12))
-def test_what_is_written_is_read_back(rows: list, head: Measurement, tmp_path: Path) -> None:
-    rows = sorted(rows, key=lambda r: [r[3] for r in rows].index(r[3]))  # runs come one after the other
+def test_what_is_written_is_read_back(
+    rows: list, head: Measurement, tmp_path: Path
+) -> None:
+    rows = sorted(
+        rows, key=lambda r: [r[3] for r in rows].index(r[3])
+    )  # runs come one after the other
     command, y = np.array([r[:3] for r in rows]), np.array([r[4] for r in rows])
-    covariates = pd.DataFrame({"time": [r[5] for r in rows], "feed": [abs(r[4]) for r in rows]})
-    made = dataset.from_series([head.series("cup", command, [r[3] for r in rows])], y, head, covariates)
+    covariates = pd.DataFrame(
+        {"time": [r[5] for r in rows], "feed": [abs(r[4]) for r in rows]}
+    )
+    made = dataset.from_series(
+        [head.series("cup", command, [r[3] for r in rows])], y, head, covariates
+    )
     path = tmp_path / "round.readings.csv"
     dataset.save(path, made)
     again = dataset.load(path, head)
     np.testing.assert_allclose(again.y, y, rtol=1e-14, atol=1e-300)
-    np.testing.assert_allclose(again.series[0].commands(), command, rtol=1e-14, atol=1e-300)
+    np.testing.assert_allclose(
+        again.series[0].commands(), command, rtol=1e-14, atol=1e-300
+    )
     np.testing.assert_allclose(again.series[0].q, made.series[0].q, rtol=1e-12)
     assert list(again.series[0].run) == [r[3] for r in rows]
     for name in ("order", "time", "feed"):
-        np.testing.assert_allclose(again.covariates.get(name, np.nan), made.covariates[name].astype(float), rtol=1e-14)
+        np.testing.assert_allclose(
+            again.covariates.get(name, np.nan),
+            made.covariates[name].astype(float),
+            rtol=1e-14,
+        )
     assert list(tmp_path.iterdir()) == [path]
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(lengths=st.lists(st.integers(2, 4), min_size=1, max_size=4), seed=st.integers(0, 2**32 - 1))
-def test_joints_and_references_are_read_back(lengths: list[int], seed: int, delta: Measurement, tmp_path: Path) -> None:
+@settings(
+    max_examples=15,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    lengths=st.lists(st.integers(2, 4), min_size=1, max_size=4),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_joints_and_references_are_read_back(
+    lengths: list[int], seed: int, delta: Measurement, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(seed)
     q = rng.uniform(0.38, 0.42, (sum(lengths), 3))
     run = [f"run {k}" for k, n in enumerate(lengths) for _ in range(n)]
-    series = [delta.series_from_joints("probe", q[:2]), delta.series_from_joints("calliper", q, run)]
+    series = [
+        delta.series_from_joints("probe", q[:2]),
+        delta.series_from_joints("calliper", q, run),
+    ]
     y = rng.uniform(0.01, 0.1, sum(len(s) for s in series))
     made = dataset.from_series(series, y, delta)
     path = tmp_path / "round.readings.csv"
@@ -149,59 +194,110 @@ def test_joints_and_references_are_read_back(lengths: list[int], seed: int, delt
     np.testing.assert_allclose(again.y, y, rtol=1e-14)
     for old, new in zip(made.series, again.series, strict=True):
         np.testing.assert_allclose(new.q[new.index], old.q[old.index], rtol=1e-14)
-    pd.testing.assert_frame_equal(again.covariates.drop(columns="row"), made.covariates, check_dtype=False)
+    pd.testing.assert_frame_equal(
+        again.covariates.drop(columns="row"), made.covariates, check_dtype=False
+    )
 
 
 def test_series_of_one_set_up_keep_their_runs_apart(delta: Measurement) -> None:
     q = np.full((3, 3), 0.400) + np.arange(3)[:, None] * 0.001
-    twice = [delta.series_from_joints("calliper", q), delta.series_from_joints("calliper", q)]
+    twice = [
+        delta.series_from_joints("calliper", q),
+        delta.series_from_joints("calliper", q),
+    ]
     made = dataset.from_series(twice, np.arange(4.0), delta)
     assert list(made.covariates["run"]) == ["1", "1", "1 (2)", "1 (2)"]
     assert list(made.covariates["order"]) == [2, 3, 2, 3]
 
 
-def test_a_plan_to_fill_in_has_empty_readings(head: Measurement, tmp_path: Path) -> None:
+def test_a_plan_to_fill_in_has_empty_readings(
+    head: Measurement, tmp_path: Path
+) -> None:
     series = head.series("cup", np.array([[1.1, 0.0, 0.5]]))
     text = dataset.to_csv(dataset.from_series([series], np.array([np.nan]), head))
     assert text.splitlines()[1].endswith(",")
     assert "no reading was taken" in str(refused(text, head, tmp_path))
 
 
-# -- columns -----------------------------------------------------------------------------------------------
+# -- columns ---------------------------------------------------------------------------
 
 
-@given(stem=st.from_regex(r"[a-z]+[0-9]?", fullmatch=True), unit=st.sampled_from(sorted(units.UNITS)))
+@given(
+    stem=st.from_regex(r"[a-z]+[0-9]?", fullmatch=True),
+    unit=st.sampled_from(sorted(units.UNITS)),
+)
 def test_a_column_says_its_unit(stem: str, unit: str) -> None:
-    if stem in (*readings_table.PLAIN, *readings_table.LABELS) or (stem, unit) == ("feed", "mm_min"):
+    if stem in (*readings_table.PLAIN, *readings_table.LABELS) or (stem, unit) == (
+        "feed",
+        "mm_min",
+    ):
         return
     column = readings_table.parse_column(f"{stem}_{unit}")
-    assert (column.stem, column.unit, column.factor) == (stem, units.si_unit(unit), units.factor(unit))
+    assert (column.stem, column.unit, column.factor) == (
+        stem,
+        units.si_unit(unit),
+        units.factor(unit),
+    )
 
 
 def test_feed_is_a_length_in_a_minute() -> None:
     column = readings_table.parse_column("feed_mm_min")
-    assert (column.stem, column.unit, column.factor) == ("feed", "m/s", pytest.approx(1e-3 / 60.0))
+    assert (column.stem, column.unit, column.factor) == (
+        "feed",
+        "m/s",
+        pytest.approx(1e-3 / 60.0),
+    )
 
 
-# -- refused -----------------------------------------------------------------------------------------------
+# -- refused ---------------------------------------------------------------------------
 
 LINE = "cup,low,1,1146,0,30,0,1,0.5,300.001"
 BAD = {
-    "nan": ((LINE, LINE.replace("300.001", "nan")), 2, "length_mm", "not a finite number"),
-    "infinite": ((LINE, LINE.replace("300.001", "1e999")), 2, "length_mm", "not a finite number"),
-    "words": ((LINE, LINE.replace("300.001", "n/a")), 2, "length_mm", "leave the cell empty"),
-    "decimal comma": ((LINE, LINE.replace("300.001", '"300,001"')), 2, "length_mm", "with a point"),
+    "nan": (
+        (LINE, LINE.replace("300.001", "nan")),
+        2,
+        "length_mm",
+        "not a finite number",
+    ),
+    "infinite": (
+        (LINE, LINE.replace("300.001", "1e999")),
+        2,
+        "length_mm",
+        "not a finite number",
+    ),
+    "words": (
+        (LINE, LINE.replace("300.001", "n/a")),
+        2,
+        "length_mm",
+        "leave the cell empty",
+    ),
+    "decimal comma": (
+        (LINE, LINE.replace("300.001", '"300,001"')),
+        2,
+        "length_mm",
+        "with a point",
+    ),
     "repeated order": (("cup,low,2,", "cup,low,1,"), 3, "order", "used twice"),
     "broken order": (("cup,low,2,", "cup,low,1.5,"), 3, "order", "whole number"),
     "no order": (("cup,low,2,", "cup,low,,"), 3, "order", "whole number"),
     "no set-up": (("cup,low,2,", ",low,2,"), 3, "setup", "empty"),
     "unknown set-up": (("cup,high", "cop,high"), 5, "setup", "did you mean cup"),
     "direction": (("6,1,,", "6,2,,"), 3, "direction", "+1 or -1"),
-    "out of the workspace": (("1146,90", "1000,90"), 3, "z_mm", "goes from 1066 to 1266"),
+    "out of the workspace": (
+        ("1146,90", "1000,90"),
+        3,
+        "z_mm",
+        "goes from 1066 to 1266",
+    ),
     "pose missing": (("1146,90", ",90"), 3, "z_mm", "cell is empty"),
     "ragged": ((LINE, LINE + ",5"), 2, "", "11 cells"),
     "unknown column": (("time_s", "tine_s"), 1, "tine_s", "did you mean time_s"),
-    "unknown unit": (("length_mm", "length_kg"), 1, "length_kg", "length_mm, length_um"),
+    "unknown unit": (
+        ("length_mm", "length_kg"),
+        1,
+        "length_kg",
+        "length_mm, length_um",
+    ),
     "another unit": (("length_mm", "length_deg"), 1, "length_deg", "length_um"),
     "no unit": (("length_mm", "length"), 1, "length", "write length_m,"),
     "set-up column": (("setup,", "set,"), 1, "setup", "missing"),
@@ -212,7 +308,9 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_refused_with_row_and_column(name: str, head: Measurement, tmp_path: Path) -> None:
+def test_refused_with_row_and_column(
+    name: str, head: Measurement, tmp_path: Path
+) -> None:
     change, row, column, words = BAD[name]
     error = refused(sample.changed(sample.READINGS, change), head, tmp_path)
     assert (error.row, error.column) == (row, column)
@@ -230,10 +328,15 @@ def test_refused_with_row_and_column(name: str, head: Measurement, tmp_path: Pat
         (b"setup,run,order\n\0", "NUL"),
         (b'setup,run,order\n"a,b\n', "CSV"),
         (b"setup;run;order\n1;2;3\n", "commas"),
-        (b"setup,run,order," + b",".join(b"q%d_mm" % k for k in range(300)) + b"\n", "too many"),
+        (
+            b"setup,run,order," + b",".join(b"q%d_mm" % k for k in range(300)) + b"\n",
+            "too many",
+        ),
     ],
 )
-def test_refused_as_text(text: bytes, words: str, head: Measurement, tmp_path: Path) -> None:
+def test_refused_as_text(
+    text: bytes, words: str, head: Measurement, tmp_path: Path
+) -> None:
     assert words in str(refused(text, head, tmp_path))
 
 
@@ -245,7 +348,9 @@ def test_a_huge_file_is_refused_unread(head: Measurement, tmp_path: Path) -> Non
         dataset.load(path, head)
 
 
-def test_a_set_up_reads_only_its_own_channels(delta: Measurement, tmp_path: Path) -> None:
+def test_a_set_up_reads_only_its_own_channels(
+    delta: Measurement, tmp_path: Path
+) -> None:
     text = sample.changed(sample.DELTA_READINGS, ("18.1,", "18.1,60"))
     error = refused(text, delta, tmp_path)
     assert (error.row, error.column) == (2, "length_mm")
@@ -257,10 +362,18 @@ def test_a_run_of_one_row_measures_nothing(delta: Measurement, tmp_path: Path) -
 
 
 def test_joints_out_of_reach_are_told(delta: Measurement, tmp_path: Path) -> None:
-    error = refused(sample.changed(sample.DELTA_READINGS, ("390,410,400", "390,4100,400")), delta, tmp_path)
+    error = refused(
+        sample.changed(sample.DELTA_READINGS, ("390,410,400", "390,4100,400")),
+        delta,
+        tmp_path,
+    )
     assert (error.row, error.column) == (3, "q2_mm")
     # within the range of each joint, and yet no pose
-    error = refused(sample.changed(sample.DELTA_READINGS, ("390,410,400", "-40,590,-40")), delta, tmp_path)
+    error = refused(
+        sample.changed(sample.DELTA_READINGS, ("390,410,400", "-40,590,-40")),
+        delta,
+        tmp_path,
+    )
     assert error.row == 3
     assert "cannot reach" in str(error)
 

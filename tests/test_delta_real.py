@@ -1,4 +1,6 @@
-"""Real readings of a linear delta: the published fits are reproduced, and one session predicts another."""
+"""Real readings of a linear delta: the published fits are reproduced, and one session
+predicts another.
+"""
 
 import csv
 import dataclasses
@@ -25,8 +27,9 @@ ARMS = ("arm1", "arm2", "arm3")
 
 @dataclasses.dataclass(frozen=True)
 class Session:
-    """One session: joints (n, 3) and heights (n,), pairs of joints (m, 2, 3) and distances (m,), m; the firmware's fit
-    as machine parameters (10,)."""
+    """One session: joints (n, 3) and heights (n,), pairs of joints (m, 2, 3) and
+    distances (m,), m; the firmware's fit as machine parameters (10,).
+    """
 
     name: str
     contacts: np.ndarray
@@ -45,12 +48,21 @@ def sessions(shared_data: Path) -> dict[str, Session]:
     for name in ("heights", "distances"):
         with (folder / f"{name}.csv").open(encoding="utf-8", newline="") as file:
             tables[name] = list(csv.DictReader(file))
-    return {s["session"]: _session(s, tables) for s in json.loads((folder / "sessions.json").read_text("utf-8"))}
+    return {
+        s["session"]: _session(s, tables)
+        for s in json.loads((folder / "sessions.json").read_text("utf-8"))
+    }
 
 
 def _session(about: dict, tables: dict[str, list[dict[str, str]]]) -> Session:
-    step, fit, name = np.array(about["step_distance_mm"]) * MM, about["firmware_fit"], about["session"]
-    heights, distances = ([r for r in tables[t] if r["session"] == name] for t in ("heights", "distances"))
+    step, fit, name = (
+        np.array(about["step_distance_mm"]) * MM,
+        about["firmware_fit"],
+        about["session"],
+    )
+    heights, distances = (
+        [r for r in tables[t] if r["session"] == name] for t in ("heights", "distances")
+    )
 
     def joints(row: dict[str, str], prefix: str) -> np.ndarray:
         return np.array([float(row[f"{prefix}_{tower}"]) for tower in "abc"]) * step
@@ -59,7 +71,9 @@ def _session(about: dict, tables: dict[str, list[dict[str, str]]]) -> Session:
         name=name,
         contacts=np.array([joints(r, "steps") for r in heights]),
         heights=np.array([float(r["height_mm"]) for r in heights]) * MM,
-        pairs=np.array([[joints(r, "p1"), joints(r, "p2")] for r in distances]).reshape(-1, 2, 3),
+        pairs=np.array([[joints(r, "p1"), joints(r, "p2")] for r in distances]).reshape(
+            -1, 2, 3
+        ),
         distances=np.array([float(r["distance_mm"]) for r in distances]) * MM,
         firmware=np.r_[
             fit["delta_radius"] * MM,
@@ -72,11 +86,27 @@ def _session(about: dict, tables: dict[str, list[dict[str, str]]]) -> Session:
 
 @pytest.fixture(scope="module")
 def measurement() -> Measurement:
-    """The printed object's scale counts as known, as in the published fits; the bed's height is each session's own."""
+    """The printed object's scale counts as known, as in the published fits; the bed's
+    height is each session's own.
+    """
     setups = []
     for name in published.FIRMWARE_RMS:
-        setups.append(mount(height_probe.instrument, f"{name}_probe", sigma=[30e-6], tolerances={"offset": 0.5e-3}))
-        setups.append(mount(calliper.instrument, f"{name}_calliper", sigma=[60e-6], tolerances={"scale": 0.0}))
+        setups.append(
+            mount(
+                height_probe.instrument,
+                f"{name}_probe",
+                sigma=[30e-6],
+                tolerances={"offset": 0.5e-3},
+            )
+        )
+        setups.append(
+            mount(
+                calliper.instrument,
+                f"{name}_calliper",
+                sigma=[60e-6],
+                tolerances={"scale": 0.0},
+            )
+        )
     return Measurement(machine, setups)
 
 
@@ -86,12 +116,19 @@ def heights_of(m: Measurement, session: Session) -> Series:
 
 def distances_of(m: Measurement, session: Session) -> Series:
     runs = [str(i // 2) for i in range(2 * len(session.pairs))]
-    return m.series_from_joints(f"{session.name}_calliper", session.pairs.reshape(-1, 3), run=runs)
+    return m.series_from_joints(
+        f"{session.name}_calliper", session.pairs.reshape(-1, 3), run=runs
+    )
 
 
 def fitted(m: Measurement, session: Session) -> Estimate:
     series = [heights_of(m, session), distances_of(m, session)]
-    return identify(m, series, np.concatenate([session.heights, session.distances]), estimate_noise=True)
+    return identify(
+        m,
+        series,
+        np.concatenate([session.heights, session.distances]),
+        estimate_noise=True,
+    )
 
 
 def rms_mm(values: np.ndarray) -> float:
@@ -106,7 +143,9 @@ def test_the_firmwares_fit_leaves_its_published_residuals(
     theta = np.r_[session.firmware, np.zeros(len(measurement.names) - 10)]
     read = measurement.readings([heights_of(measurement, session)], theta)
     assert rms_mm(read - session.heights) == pytest.approx(heights, abs=1e-6)
-    nozzle = delta.nozzle(session.contacts, theta[0], theta[1:4], theta[4:7], theta[7:10])
+    nozzle = delta.nozzle(
+        session.contacts, theta[0], theta[1:4], theta[4:7], theta[7:10]
+    )
     assert read == pytest.approx(nozzle[:, 2], abs=1e-13)
     if distances is None:
         assert len(session.distances) == 0
@@ -119,7 +158,9 @@ def test_the_firmwares_fit_leaves_its_published_residuals(
 def test_one_session_predicts_another(
     measurement: Measurement, sessions: dict[str, Session], seen: str, unseen: str
 ) -> None:
-    """Held-out readings, and how many of them the 95 % intervals hold; the bed's height is free in each session."""
+    """Held-out readings, and how many of them the 95 % intervals hold; the bed's height
+    is free in each session.
+    """
     found, other = fitted(measurement, sessions[seen]), sessions[unseen]
     inside = []
     for kind, series, read, asked, ordinary in zip(
@@ -135,7 +176,9 @@ def test_one_session_predicts_another(
         miss = without_bed @ (read - measurement.readings([series], found.theta))
         h = measurement.jacobian([series], found.theta)
         sigma = found.noise_scale[f"{seen}_{kind}"] * measurement.sigma([series])
-        spread = without_bed @ (h @ found.covariance @ h.T + np.diag(sigma**2)) @ without_bed
+        spread = (
+            without_bed @ (h @ found.covariance @ h.T + np.diag(sigma**2)) @ without_bed
+        )
         inside += (np.abs(miss) < 1.96 * np.sqrt(np.diag(spread))).tolist()
         assert rms_mm(miss) <= asked
         assert rms_mm(miss) == pytest.approx(ordinary, rel=0.1)
@@ -143,29 +186,45 @@ def test_one_session_predicts_another(
     assert 0.85 <= np.mean(inside) <= 1.0
 
 
-def test_nominal_geometry_is_worse(measurement: Measurement, sessions: dict[str, Session]) -> None:
+def test_nominal_geometry_is_worse(
+    measurement: Measurement, sessions: dict[str, Session]
+) -> None:
     low, high = published.NOMINAL_DISTANCES
     for name in ("S03", "S04"):
-        read = measurement.readings([distances_of(measurement, sessions[name])], measurement.nominal)
+        read = measurement.readings(
+            [distances_of(measurement, sessions[name])], measurement.nominal
+        )
         assert low - 0.005 < rms_mm(read - sessions[name].distances) < high + 0.005
 
 
-def test_heights_alone_cannot_tell_the_arms(measurement: Measurement, sessions: dict[str, Session]) -> None:
-    """Seven contacts: rank 7, said before any fit, with all arms in what is lost. Distances bring all but the bed."""
+def test_heights_alone_cannot_tell_the_arms(
+    measurement: Measurement, sessions: dict[str, Session]
+) -> None:
+    """Seven contacts: rank 7, said before any fit, with all arms in what is lost.
+    Distances bring all but the bed.
+    """
     m, session = measurement, sessions["S04"]
 
-    def verdict(series: list[Series], *unknowns: str) -> identifiability.Identifiability:
+    def verdict(
+        series: list[Series], *unknowns: str
+    ) -> identifiability.Identifiability:
         names = [n for n in m.names[:10] if n != "angle3"] + list(unknowns)
         columns = [m.names.index(n) for n in names]
         scale = 1 / m.lengths[columns]
-        return identifiability.analyse(m.jacobian(series, m.nominal)[:, columns] * scale, names, scale)
+        return identifiability.analyse(
+            m.jacobian(series, m.nominal)[:, columns] * scale, names, scale
+        )
 
     alone = verdict([heights_of(m, session)], "S04_probe.offset")
     assert (alone.rank, len(alone.names)) == (7, 10)
-    assert all(any(arm in direction for direction in alone.named(alone.lost)) for arm in ARMS)
+    assert all(
+        any(arm in direction for direction in alone.named(alone.lost)) for arm in ARMS
+    )
     unit = np.eye(10)[[alone.names.index(arm) for arm in ARMS]]
     assert np.linalg.norm(unit @ alone.null_space.T, axis=1).min() > 0.1
-    both = verdict([heights_of(m, session), distances_of(m, session)], "S04_probe.offset")
+    both = verdict(
+        [heights_of(m, session), distances_of(m, session)], "S04_probe.offset"
+    )
     assert both.rank == 9
     assert [set(direction) for direction in both.named(both.lost)] == [
         {"endstop1", "endstop2", "endstop3", "S04_probe.offset"}
@@ -177,7 +236,9 @@ def test_heights_alone_cannot_tell_the_arms(measurement: Measurement, sessions: 
     assert low < miss < high
 
 
-def test_the_arms_stay_wide_and_are_said_to(measurement: Measurement, sessions: dict[str, Session]) -> None:
+def test_the_arms_stay_wide_and_are_said_to(
+    measurement: Measurement, sessions: dict[str, Session]
+) -> None:
     """Both sessions leave more than 0.4 mm of the arms' 1 mm open, and agree within it."""
     found = {name: fitted(measurement, sessions[name]) for name in ("S03", "S04")}
     arms = [measurement.names.index(arm) for arm in ARMS]
@@ -185,11 +246,15 @@ def test_the_arms_stay_wide_and_are_said_to(measurement: Measurement, sessions: 
         assert (estimate.sd[arms] > 0.4 * MM).all()
         assert all(any(arm in told for told in estimate.warnings) for arm in ARMS)
     apart = found["S03"].theta - found["S04"].theta
-    assert (np.abs(apart[arms]) < 2 * np.hypot(found["S03"].sd, found["S04"].sd)[arms]).all()
+    assert (
+        np.abs(apart[arms]) < 2 * np.hypot(found["S03"].sd, found["S04"].sd)[arms]
+    ).all()
 
 
 @pytest.mark.slow
-def test_the_sampled_arms_are_as_wide(measurement: Measurement, sessions: dict[str, Session]) -> None:
+def test_the_sampled_arms_are_as_wide(
+    measurement: Measurement, sessions: dict[str, Session]
+) -> None:
     session = sessions["S04"]
     series = [heights_of(measurement, session), distances_of(measurement, session)]
     y = np.concatenate([session.heights, session.distances])
@@ -202,18 +267,28 @@ def test_the_sampled_arms_are_as_wide(measurement: Measurement, sessions: dict[s
 
 
 @pytest.mark.parametrize("name", ["delta_v400", "delta_v400_reverse"])
-def test_the_study_reads_the_same_readings(sessions: dict[str, Session], name: str) -> None:
-    """Its data against the tables as read here: joints, pairs and values, reading by reading."""
+def test_the_study_reads_the_same_readings(
+    sessions: dict[str, Session], name: str
+) -> None:
+    """Its data against the tables as read here: joints, pairs and values, reading by
+    reading.
+    """
     resolved = resolve.resolve(study.load(ROOT / "studies" / f"{name}.study.toml"))
     data = resolved.dataset
-    assert set(data.setups) == {f"{s}_{kind}" for s in ("S03", "S04") for kind in ("probe", "calliper")}
+    assert set(data.setups) == {
+        f"{s}_{kind}" for s in ("S03", "S04") for kind in ("probe", "calliper")
+    }
     assert data.dropped == 0
     for series in data.series:
         session, kind = series.setup.split("_")
         read, mine = data.take([series.setup]).y, sessions[session]
         if kind == "probe":
-            assert series.q[series.index[:, 0]] == pytest.approx(mine.contacts, abs=1e-12)
+            assert series.q[series.index[:, 0]] == pytest.approx(
+                mine.contacts, abs=1e-12
+            )
             assert read == pytest.approx(mine.heights, abs=1e-12)
         else:
-            assert series.q[series.index[:, ::-1]] == pytest.approx(mine.pairs, abs=1e-12)
+            assert series.q[series.index[:, ::-1]] == pytest.approx(
+                mine.pairs, abs=1e-12
+            )
             assert read == pytest.approx(mine.distances, abs=1e-12)

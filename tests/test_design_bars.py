@@ -1,6 +1,8 @@
-"""What designs must reach: the problems of `benchmarks/design.py`, without their timing, and the A3 head's criteria.
+"""What designs must reach: the problems of `benchmarks/design.py`, without their
+timing, and the A3 head's criteria.
 
-Values are computed here from the chosen rows; bounds of D are drawn here from the weights alone.
+Values are computed here from the chosen rows; bounds of D are drawn here from the
+weights alone.
 """
 
 from __future__ import annotations
@@ -32,12 +34,18 @@ def benchmark(name: str) -> ModuleType:
 
 @pytest.fixture(scope="module", autouse=True)
 def benchmarks() -> Iterator[None]:
-    """The folder on the path while these tests run; the benchmark's limits of threads stay its own."""
+    """The folder on the path while these tests run; the benchmark's limits of threads
+    stay its own.
+    """
     before = dict(os.environ)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT / "benchmarks")
         yield
-        for name in [n for n in sys.modules if n in ("design", "hexapod", "peers") or n.startswith("peers.")]:
+        for name in [
+            n
+            for n in sys.modules
+            if n in ("design", "hexapod", "peers") or n.startswith("peers.")
+        ]:
             del sys.modules[name]
     os.environ.clear()
     os.environ.update(before)
@@ -54,17 +62,25 @@ def log_det(blocks: np.ndarray, weights: np.ndarray) -> float:
 
 
 def ceiling(blocks: np.ndarray, weights: np.ndarray, size: int) -> float:
-    """No `size` different candidates have a larger log det: with d_i = tr(M^-1 A_i), log det M' is at most log det M +
-    n log(sum of the `size` largest d_i / n), by the means of M^-1 M's eigenvalues."""
+    """No `size` different candidates have a larger log det: with d_i = tr(M^-1 A_i),
+    log det M' is at most log det M + n log(sum of the `size` largest d_i / n), by the
+    means of M^-1 M's eigenvalues.
+    """
     n = blocks.shape[-1]
     flat = blocks.reshape(-1, n)
     each = np.repeat(weights, len(flat) // len(blocks))
     m = (flat.T * each) @ flat
-    slopes = np.sum(flat * np.linalg.solve(m, flat.T).T, axis=1).reshape(len(blocks), -1).sum(axis=1)
-    return float(np.linalg.slogdet(m)[1] + n * np.log(np.sort(slopes)[-size:].sum() / n))
+    slopes = (
+        np.sum(flat * np.linalg.solve(m, flat.T).T, axis=1)
+        .reshape(len(blocks), -1)
+        .sum(axis=1)
+    )
+    return float(
+        np.linalg.slogdet(m)[1] + n * np.log(np.sort(slopes)[-size:].sum() / n)
+    )
 
 
-# -- rows of random numbers --------------------------------------------------------------------------------
+# -- rows of random numbers ------------------------------------------------------------
 
 
 def test_problem_a_by_d() -> None:
@@ -109,21 +125,26 @@ def test_problem_b(seed: int) -> None:
     v = ca.SX.sym("v", 20)
     model = ca.Function("rows", [v], [ca.horzcat(1, v.T)])
     ends = np.ones(20)
-    found = continuous.optimise(model, -ends, ends, 30, np.random.default_rng(seed), rounds=50)
+    found = continuous.optimise(
+        model, -ends, ends, 30, np.random.default_rng(seed), rounds=50
+    )
     assert np.abs(found.points).max() <= 1.0
     reached = log_det(np.column_stack([np.ones(30), found.points]), np.ones(30))
     assert 70.77 <= reached <= benchmark("peers").BOUND_B
 
 
-# -- poses of a hexapod ------------------------------------------------------------------------------------
+# -- poses of a hexapod ----------------------------------------------------------------
 
-#: the relaxation of instance 0 by Clarabel through cvxpy, from columns turned to the unit matrix
+#: the relaxation of instance 0 by Clarabel through cvxpy, from columns turned to the
+#: unit matrix
 CLARABEL = 263.13586
 
 
 @pytest.mark.parametrize(("instance", "efficiency"), [(0, 0.88), (1, 0.86), (2, 0.88)])
 def test_problem_c(instance: int, efficiency: float) -> None:
-    """10 of 2000 poses for 42 parameters. On instance 1 the relaxation is loose by more than the bar of 88 %."""
+    """10 of 2000 poses for 42 parameters. On instance 1 the relaxation is loose by more
+    than the bar of 88 %.
+    """
     blocks = benchmark("hexapod").blocks(instance)
     assert blocks.shape == (2000, 6, 42)
     found = exchange.choose(blocks, 10, np.random.default_rng(1), starts=20)
@@ -132,7 +153,9 @@ def test_problem_c(instance: int, efficiency: float) -> None:
     assert found.directions == 42
     assert found.value == pytest.approx(reached, abs=1e-6)
     assert found.efficiency >= efficiency
-    assert found.efficiency == pytest.approx(np.exp((reached - found.bound) / 42), abs=1e-6)
+    assert found.efficiency == pytest.approx(
+        np.exp((reached - found.bound) / 42), abs=1e-6
+    )
     if instance == 0:
         own = ceiling(blocks, relaxation.relax(blocks, 10).weights, 10)
         assert found.bound == pytest.approx(own, abs=1e-5)
@@ -149,18 +172,24 @@ def test_problem_cs_noise_is_full() -> None:
     assert np.abs(pairs).max() < 0.6
 
 
-# -- the A3 head by several criteria -----------------------------------------------------------------------
+# -- the A3 head by several criteria ---------------------------------------------------
 
 
 def of_a3(rows: np.ndarray) -> dict[str, float]:
     """A plan by each criterion, over the 18 directions seen."""
     s = np.linalg.svd(rows, compute_uv=False)[:18]
-    return {"D": 2.0 * float(np.log(s).sum()), "E": float(s[-1] ** 2), "kappa": float(s[0] / s[-1])}
+    return {
+        "D": 2.0 * float(np.log(s).sum()),
+        "E": float(s[-1] ** 2),
+        "kappa": float(s[0] / s[-1]),
+    }
 
 
 def test_a3_designs_are_best_in_their_own_criterion() -> None:
     """30 of 1512 readings of the taught cup, and the paper's two circles of 15."""
-    resolved = resolve(study.load(ROOT / "studies" / "a3_ball_bar.study.toml"), readings=())
+    resolved = resolve(
+        study.load(ROOT / "studies" / "a3_ball_bar.study.toml"), readings=()
+    )
     m = resolved.measurement
     rows = information.scaled(m, resolved.candidates, m.nominal, "length")[:, m.free]
     assert len(rows) == 1512
@@ -170,7 +199,9 @@ def test_a3_designs_are_best_in_their_own_criterion() -> None:
     }
     plans = {name: of_a3(rows[choice.indices]) for name, choice in found.items()}
     paper = next(p for p in resolved.references if p.name == "paper 2 x 15")
-    plans["paper"] = of_a3(information.scaled(m, paper.series, m.nominal, "length")[:, m.free])
+    plans["paper"] = of_a3(
+        information.scaled(m, paper.series, m.nominal, "length")[:, m.free]
+    )
     for name, choice in found.items():
         assert choice.directions == 18
         assert choice.value == pytest.approx(plans[name][name], rel=1e-6)
@@ -180,33 +211,48 @@ def test_a3_designs_are_best_in_their_own_criterion() -> None:
     assert plans["kappa"]["kappa"] < plans["D"]["kappa"] / 1.1
     assert plans["D"]["D"] > max(plans["E"]["D"], plans["kappa"]["D"])
     assert found["D"].efficiency >= 0.97
-    assert np.exp((plans["paper"]["D"] - plans["D"]["D"]) / 18) == pytest.approx(0.68, abs=0.005)
+    assert np.exp((plans["paper"]["D"] - plans["D"]["D"]) / 18) == pytest.approx(
+        0.68, abs=0.005
+    )
 
 
-# -- other packages ----------------------------------------------------------------------------------------
+# -- other packages --------------------------------------------------------------------
 
 
 def test_values_of_other_packages_are_computed_here() -> None:
     peers, rows = benchmark("peers"), rows_a()
     chosen = np.random.default_rng(5).permutation(2000)[:30]
     m = rows[chosen].T @ rows[chosen]
-    assert peers.value("A, D", chosen.tolist()) == (pytest.approx(np.linalg.slogdet(m)[1]), "")
-    assert peers.value("A, E", chosen.tolist()) == (pytest.approx(np.linalg.eigvalsh(m)[0]), "")
+    assert peers.value("A, D", chosen.tolist()) == (
+        pytest.approx(np.linalg.slogdet(m)[1]),
+        "",
+    )
+    assert peers.value("A, E", chosen.tolist()) == (
+        pytest.approx(np.linalg.eigvalsh(m)[0]),
+        "",
+    )
     assert peers.value("A, D", [*chosen[:-1], chosen[0]])[1] == "1 repeated"
     assert peers.value("A, D", chosen[:-1])[1] == "29 runs"
     assert peers.value("A, D", [int(chosen[0])] * 30)[0] == -np.inf
     points = np.random.default_rng(6).uniform(-1, 1, (30, 20))
     x = np.column_stack([np.ones(30), points])
-    assert peers.value("B, D", points.tolist()) == (pytest.approx(np.linalg.slogdet(x.T @ x)[1]), "")
+    assert peers.value("B, D", points.tolist()) == (
+        pytest.approx(np.linalg.slogdet(x.T @ x)[1]),
+        "",
+    )
     points[3, 4] = 1.001
     assert peers.value("B, D", points)[1] == "outside the box"
 
 
 def test_what_a_package_says_of_itself_is_not_believed(tmp_path: Path) -> None:
-    """A stand-in for a package's interpreter: it claims a value, which is ignored; it names rows, which are judged."""
+    """A stand-in for a package's interpreter: it claims a value, which is ignored; it
+    names rows, which are judged.
+    """
     design, peers = benchmark("design"), benchmark("peers")
     chosen = list(range(30))
-    answer = json.dumps({"found": chosen, "seconds": 0.25, "version": "9", "value": 1e9})
+    answer = json.dumps(
+        {"found": chosen, "seconds": 0.25, "version": "9", "value": 1e9}
+    )
     python = design.interpreter(tmp_path, "doekit")
     python.parent.mkdir(parents=True)
     python.write_text(f"#!/bin/sh\necho '{answer}'\n", encoding="utf-8")
@@ -214,8 +260,15 @@ def test_what_a_package_says_of_itself_is_not_believed(tmp_path: Path) -> None:
     task = peers.Task("A, D", "KL exchange", lambda rows: None)
     row = design.peer(tmp_path, "doekit", 0, task, 10.0)
     assert row.value == pytest.approx(log_det(rows_a()[chosen], np.ones(30)))
-    assert (row.seconds, row.method, row.bound, row.ours) == (0.25, "doekit 9, KL exchange", None, False)
-    assert design.peer(tmp_path, "pydoe", 0, task, 10.0).note == "skipped: not installed"
+    assert (row.seconds, row.method, row.bound, row.ours) == (
+        0.25,
+        "doekit 9, KL exchange",
+        None,
+        False,
+    )
+    assert (
+        design.peer(tmp_path, "pydoe", 0, task, 10.0).note == "skipped: not installed"
+    )
 
 
 def test_adapters_are_pinned_and_need_nothing_to_be_listed() -> None:
@@ -225,4 +278,7 @@ def test_adapters_are_pinned_and_need_nothing_to_be_listed() -> None:
         adapter = importlib.import_module(f"peers.{name}")
         assert "==" in adapter.REQUIRES[0]
         assert adapter.TASKS
-        assert all(isinstance(t, peers.Task) and t.problem in ("A, D", "A, E", "B, D") for t in adapter.TASKS)
+        assert all(
+            isinstance(t, peers.Task) and t.problem in ("A, D", "A, E", "B, D")
+            for t in adapter.TASKS
+        )

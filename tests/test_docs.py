@@ -13,7 +13,9 @@ import pytest
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TUTORIAL = DOCS / "tutorial_own_machine.md"
-GALLERY = sorted(p for p in (DOCS / "gallery").glob("*.py") if not p.name.startswith("_"))
+GALLERY = sorted(
+    p for p in (DOCS / "gallery").glob("*.py") if not p.name.startswith("_")
+)
 BLOCK = re.compile(r"^```(\w+)(?: file=(\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)\s]*)?\)")
 LARGEST = 60_000  # bytes of a picture
@@ -50,7 +52,10 @@ def commands(console: str) -> list[Command]:
 
 def matches(shown: str, line: str) -> bool:
     """`...` in what is shown stands for anything."""
-    return re.fullmatch(".*".join(re.escape(part) for part in shown.split("...")), line) is not None
+    return (
+        re.fullmatch(".*".join(re.escape(part) for part in shown.split("...")), line)
+        is not None
+    )
 
 
 def missing(shown: list[str], output: str) -> list[str]:
@@ -60,8 +65,14 @@ def missing(shown: list[str], output: str) -> list[str]:
 
 
 def execute(line: str, folder: Path) -> str:
-    """Output of a command as a user types it, with this Python and the commands beside it first on the path."""
-    places = [str(Path(sys.executable).parent), sysconfig.get_path("scripts"), os.environ.get("PATH", "")]
+    """Output of a command as a user types it, with this Python and the commands beside
+    it first on the path.
+    """
+    places = [
+        str(Path(sys.executable).parent),
+        sysconfig.get_path("scripts"),
+        os.environ.get("PATH", ""),
+    ]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     done = subprocess.run(
         ["bash", "-c", line],
@@ -77,7 +88,12 @@ def execute(line: str, folder: Path) -> str:
 
 @pytest.mark.parametrize(
     ("shown", "line", "same"),
-    [("a ... d", "a b c d", True), ("a", "a b", False), ("1.5...", "1.53 um", True), ("[x]", "[x]", True)],
+    [
+        ("a ... d", "a b c d", True),
+        ("a", "a b", False),
+        ("1.5...", "1.53 um", True),
+        ("[x]", "[x]", True),
+    ],
 )
 def test_dots_stand_for_anything(shown: str, line: str, same: bool) -> None:
     assert matches(shown, line) == same
@@ -90,7 +106,11 @@ def test_a_missing_line_is_noticed() -> None:
 
 def test_the_tutorial_shows_the_files_that_are_beside_it() -> None:
     shown = {b.file: b.text for b in blocks(TUTORIAL) if b.file}
-    kept = {p.name: p.read_text(encoding="utf-8") for p in (DOCS / "tutorial").iterdir() if p.is_file()}
+    kept = {
+        p.name: p.read_text(encoding="utf-8")
+        for p in (DOCS / "tutorial").iterdir()
+        if p.is_file()
+    }
     assert shown == kept
     assert len(kept["my_machine.py"].splitlines()) < 100
 
@@ -110,7 +130,9 @@ def test_the_tutorial_runs_as_written(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", GALLERY, ids=lambda p: p.stem)
 def test_gallery(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each example runs through, its asserts met, and writes its picture into the folder it is told."""
+    """Each example runs through, its asserts met, and writes its picture into the
+    folder it is told.
+    """
     monkeypatch.setattr(sys, "argv", [str(path), str(tmp_path)])
     monkeypatch.syspath_prepend(str(path.parent))
     runpy.run_path(str(path), run_name="__main__")
@@ -128,7 +150,9 @@ def test_every_example_is_in_the_gallery_with_its_picture() -> None:
         assert (DOCS / "img" / "gallery" / f"{path.stem}.png").stat().st_size < LARGEST
 
 
-@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda p: p.relative_to(DOCS).as_posix())
+@pytest.mark.parametrize(
+    "page", sorted(DOCS.rglob("*.md")), ids=lambda p: p.relative_to(DOCS).as_posix()
+)
 def test_links_lead_somewhere(page: Path) -> None:
     prose = BLOCK.sub("", page.read_text(encoding="utf-8"))
     dead = [link for link in LINK.findall(prose) if not (page.parent / link).exists()]

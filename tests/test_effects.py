@@ -1,11 +1,22 @@
-"""What every effect must do on every machine, and how effects are named. One by one: test_effects_by_hand.py."""
+"""What every effect must do on every machine, and how effects are named. One by one:
+test_effects_by_hand.py.
+"""
 
 import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
-from effects_sample import CARRIAGES, HERE, NAMES, ROUND, columns, effect_of, session, small
+from effects_sample import (
+    CARRIAGES,
+    HERE,
+    NAMES,
+    ROUND,
+    columns,
+    effect_of,
+    session,
+    small,
+)
 from kernel.cases import CASES
 
 from oed.gap.signature import exact, signature, untestable
@@ -16,14 +27,16 @@ from pkm_studies.errors import InputError
 def fits(machine: str, name: str) -> bool:
     if name == "guideway":
         return machine in CARRIAGES
-    return not (machine == "cable_robot" and name in ("screw_cyclic", "encoder_subdivision"))
+    return not (
+        machine == "cable_robot" and name in ("screw_cyclic", "encoder_subdivision")
+    )
 
 
 PAIRS = [(machine, name) for machine in CASES for name in NAMES]
 FITTING = [(machine, name) for machine, name in PAIRS if fits(machine, name)]
 
 
-# -- every effect ------------------------------------------------------------------------------------------
+# -- every effect ----------------------------------------------------------------------
 
 
 def test_the_library_is_that_of_the_contract() -> None:
@@ -35,12 +48,18 @@ def test_the_library_is_that_of_the_contract() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_an_effect_says_what_it_is_and_what_to_do(name: str) -> None:
     effect = effect_of(name)
-    for text in (effect.about, effect.remedy, effect.exposed_by):  # one short sentence each
+    for text in (
+        effect.about,
+        effect.remedy,
+        effect.exposed_by,
+    ):  # one short sentence each
         assert 10 < len(text) <= 120
         assert not text.endswith(".")
         assert ". " not in text
     assert effect.source
-    first = next(iter(effect.constants.values()), ())  # a larger grid is looked through by turns, this one first
+    first = next(
+        iter(effect.constants.values()), ()
+    )  # a larger grid is looked through by turns, this one first
     assert len(effect.grid()) <= (1000 if len(first) <= 64 < len(effect.grid()) else 64)
 
 
@@ -64,27 +83,48 @@ def test_columns_are_finite_and_of_the_poses_length(machine: str, name: str) -> 
         assert len(made) <= MANY.get(name, 16) * legs
         for c in made.values():
             assert c.scale > 0.0
-            assert c.label in ("", f"set-up {state.setup}", *(f"leg {i + 1}" for i in state.limbs))
-            changes = [*c.joints.values(), *c.parameters.values(), *c.nuisances.values(), *c.reading.values()]
+            assert c.label in (
+                "",
+                f"set-up {state.setup}",
+                *(f"leg {i + 1}" for i in state.limbs),
+            )
+            changes = [
+                *c.joints.values(),
+                *c.parameters.values(),
+                *c.nuisances.values(),
+                *c.reading.values(),
+            ]
             assert changes
-            assert all(v.shape == (len(state),) and np.isfinite(v).all() for v in changes)
+            assert all(
+                v.shape == (len(state),) and np.isfinite(v).all() for v in changes
+            )
 
 
 @pytest.mark.parametrize(("machine", "name"), FITTING)
-def test_the_signature_is_the_slope_of_the_exact_machine(machine: str, name: str, rng: np.random.Generator) -> None:
+def test_the_signature_is_the_slope_of_the_exact_machine(
+    machine: str, name: str, rng: np.random.Generator
+) -> None:
     """The error of first order falls with the square of the size."""
     s, effect = session(machine), effect_of(name)
-    points = [p for p in effect.grid() if any(True for _ in effect.columns(s.states[0], **p))]
+    points = [
+        p for p in effect.grid() if any(True for _ in effect.columns(s.states[0], **p))
+    ]
     point = points[len(points) // 2]
     found = signature(effect, point, s.states, s.responses, s.measurement, s.series)
     assert found.names
     assert np.isfinite(found.columns).all()
     drawn = rng.standard_normal(len(found.names))
-    theta, zero = s.measurement.nominal, s.measurement.readings(s.series, s.measurement.nominal)
+    theta, zero = (
+        s.measurement.nominal,
+        s.measurement.readings(s.series, s.measurement.nominal),
+    )
     errors = []
     for size in (4.0, 2.0):
         factors = {n: size * d for n, d in zip(found.names, drawn, strict=True)}
-        real = exact(s.measurement, s.series, theta, s.states, [(effect, point, factors)]) - zero
+        real = (
+            exact(s.measurement, s.series, theta, s.states, [(effect, point, factors)])
+            - zero
+        )
         first = found.columns @ (size * drawn)
         errors.append(np.linalg.norm(real - first))
         assert errors[-1] < 0.02 * np.linalg.norm(real) + 1e-11
@@ -110,15 +150,27 @@ def test_without_covariates_it_is_not_testable_or_does_without(name: str) -> Non
         assert reason == f"the readings do not have {wanted[name]}"
     else:
         assert reason is None
-    for state in bare.states:  # nor does one set-up without them spoil a session that has them
+    for (
+        state
+    ) in bare.states:  # nor does one set-up without them spoil a session that has them
         for c in columns(name, state).values():
-            assert all(np.isfinite(v).all() for v in (*c.joints.values(), *c.nuisances.values(), *c.reading.values()))
+            assert all(
+                np.isfinite(v).all()
+                for v in (
+                    *c.joints.values(),
+                    *c.nuisances.values(),
+                    *c.reading.values(),
+                )
+            )
 
 
 def test_one_direction_alone_shows_no_backlash() -> None:
     state = session("a3_head").states[0]
     one = small(state, ROUND)
-    assert untestable(effect_of("backlash"), [one]) == "the readings do not have direction: both"
+    assert (
+        untestable(effect_of("backlash"), [one])
+        == "the readings do not have direction: both"
+    )
     assert untestable(effect_of("backlash"), [state]) is None
 
 
@@ -128,14 +180,29 @@ def test_a_temperature_stands_for_time() -> None:
     assert untestable(effect_of("frame_thermal"), warm.states) is not None
 
 
-@pytest.mark.parametrize("name", ["leg_thermal", "gravity", "friction", "joint_runout", "joint_clearance", "guideway"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "leg_thermal",
+        "gravity",
+        "friction",
+        "joint_runout",
+        "joint_clearance",
+        "guideway",
+    ],
+)
 def test_a_machine_without_struts_is_told(name: str) -> None:
     machine = dataclasses.replace(CASES["a3_head"].machine, struts=None)
-    assert effect_of(name).unfit(machine) == "it does not tell its struts: give Machine.struts"
-    assert effect_of("frame_bending").unfit(machine) is None  # the tool is displaced, whatever carries it
+    assert (
+        effect_of(name).unfit(machine)
+        == "it does not tell its struts: give Machine.struts"
+    )
+    assert (
+        effect_of("frame_bending").unfit(machine) is None
+    )  # the tool is displaced, whatever carries it
 
 
-# -- names in a study --------------------------------------------------------------------------------------
+# -- names in a study ------------------------------------------------------------------
 
 OWN = """\
 import numpy as np
@@ -151,8 +218,12 @@ effect = Effect(
 def test_an_effect_of_ones_own(tmp_path: Path) -> None:
     (tmp_path / "wind.py").write_text(OWN, encoding="utf-8")
     assert catalogue.effect("wind.py", tmp_path, HERE).name == "wind"
-    assert catalogue.effect("wind.py:effect", tmp_path, HERE).about == "wind on the head"
-    assert catalogue.effect("pkm_models.effects.backlash:effect", tmp_path, HERE) is effect_of("backlash")
+    assert (
+        catalogue.effect("wind.py:effect", tmp_path, HERE).about == "wind on the head"
+    )
+    assert catalogue.effect(
+        "pkm_models.effects.backlash:effect", tmp_path, HERE
+    ) is effect_of("backlash")
 
 
 @pytest.mark.parametrize(

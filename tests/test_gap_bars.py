@@ -1,6 +1,8 @@
-"""What a diagnosis must and must not claim: exact classes, missing covariates, unseen runs, effects it does not know.
+"""What a diagnosis must and must not claim: exact classes, missing covariates, unseen
+runs, effects it does not know.
 
-Readings come from the blind benchmark's generator, which shares no code with the diagnosis, or from the exact closure.
+Readings come from the blind benchmark's generator, which shares no code with the
+diagnosis, or from the exact closure.
 """
 
 from __future__ import annotations
@@ -42,19 +44,27 @@ SLOW = pytest.mark.slow
 @pytest.fixture(scope="module")
 def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
     """The benchmark's modules."""
-    return blind_modules("loading", *(f"generator.{n}" for n in MODULES), "generator.effects.thermal")
+    return blind_modules(
+        "loading", *(f"generator.{n}" for n in MODULES), "generator.effects.thermal"
+    )
 
 
 @dataclasses.dataclass
 class Virtual:
-    """A case with one effect: as generated, its problem, and what the diagnosis may name."""
+    """A case with one effect: as generated, its problem, and what the diagnosis may
+    name.
+    """
 
     case: Any
     problem: Problem
     effects: Sequence[Any]
 
     def diagnosed(self, without: str = "") -> Diagnosis:
-        return diagnose(self.problem, [e for e in self.effects if e.name != without], np.random.default_rng(1))
+        return diagnose(
+            self.problem,
+            [e for e in self.effects if e.name != without],
+            np.random.default_rng(1),
+        )
 
 
 def virtual(
@@ -70,46 +80,76 @@ def virtual(
     columns: Sequence[str] = COLUMNS,
     rows: str = "",
 ) -> Virtual:
-    """Readings with one effect of sqrt(lambda) = size, beyond what the form `beside` absorbs where that is given.
+    """Readings with one effect of sqrt(lambda) = size, beyond what the form `beside`
+    absorbs where that is given.
 
-    plan: machine and plan;  columns: covariates in the file;  rows: a query on the file's rows
+    plan: machine and plan;  columns: covariates in the file;  rows: a query on the
+                             file's rows
     """
     rng = np.random.default_rng(seed)
     layout = dataclasses.replace(blind.plans.draw(rng, *plan), columns=tuple(columns))
     base = blind.scene.draw(rng, layout)
-    stage = blind.effects.Stage(layout, base.motion, base.layout, blind.thermal.climate(rng, layout))
+    stage = blind.effects.Stage(
+        layout, base.motion, base.layout, blind.thermal.climate(rng, layout)
+    )
     noise, group = blind.noise.draw(rng, law), blind.noise.grouping(layout, base.layout)
-    metric = blind.severity.Metric(blind.noise.covariance(noise, group), base.J, base.prior)
+    metric = blind.severity.Metric(
+        blind.noise.covariance(noise, group), base.J, base.prior
+    )
     effect, wanted = form(rng, stage), metric.size
     if beside is not None:
-        wanted = metric.beside(metric.seen(base.response(beside(rng, stage).push(1e-6))))
+        wanted = metric.beside(
+            metric.seen(base.response(beside(rng, stage).push(1e-6)))
+        )
     start = size / wanted(base.response(effect.push(1e-7))) * 1e-7
-    amplitude = blind.severity.amplitude(lambda a: base.read(effect.push(a)) - base.y, wanted, size, start)
+    amplitude = blind.severity.amplitude(
+        lambda a: base.read(effect.push(a)) - base.y, wanted, size, start
+    )
     clean = base.read(effect.push(amplitude))
     sized = blind.cases.Sized(effect, True, size, amplitude, clean - base.y)
     y = clean + blind.noise.sample(rng, noise, group)
-    case = blind.cases.Case("one", 0, "single", base, stage, noise, group, metric, (sized,), clean, y, (seed, 0, 0))
+    case = blind.cases.Case(
+        "one",
+        0,
+        "single",
+        base,
+        stage,
+        noise,
+        group,
+        metric,
+        (sized,),
+        clean,
+        y,
+        (seed, 0, 0),
+    )
     table = blind.write.table(case)
-    (folder / "one.csv").write_text((table.query(rows) if rows else table).to_csv(index=False), encoding="utf-8")
-    problem = blind.loading.prepared(folder, blind.loading.Case("one", layout.study, "one.csv"))
+    (folder / "one.csv").write_text(
+        (table.query(rows) if rows else table).to_csv(index=False), encoding="utf-8"
+    )
+    problem = blind.loading.prepared(
+        folder, blind.loading.Case("one", layout.study, "one.csv")
+    )
     return Virtual(case, problem, blind.loading.bench(layout.study).effects)
 
 
 def together(answers: Sequence[Answer], names: set[str]) -> list[bool]:
-    """For each class of the answers, down to 95 % of them, that has one of these names, whether it has them all."""
+    """For each class of the answers, down to 95 % of them, that has one of these names,
+    whether it has them all.
+    """
     before = np.cumsum([0.0, *(a.probability for a in answers)])
     likely = [a for a, p in zip(answers, before, strict=False) if p < 0.95]
     return [names <= set(c) for a in likely for c in a.classes if names & set(c)]
 
 
 def held(found: Diagnosis, names: set[str]) -> list[bool]:
-    """For each answer of the 95 % set that has one of these names, whether it has them all: beside the one a class of a
-    second effect may leave it out."""
+    """For each answer of the 95 % set that has one of these names, whether it has them
+    all: beside the one a class of a second effect may leave it out.
+    """
     every = [{name for c in a.classes for name in c} for a in found.set95]
     return [names <= each for each in every if names & each]
 
 
-# -- a common encoder scale and the bar's length -----------------------------------------------------------
+# -- a common encoder scale and the bar's length ---------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -126,7 +166,9 @@ def test_one_tool_never_tells_scale_from_bar(
 ) -> None:
     """The answer holds both, whichever acts, and names the reading that would tell."""
     form = blind.effects.EXACT[truth]
-    found = virtual(blind, tmp_path, seed, ("a3", "single"), form, 14.0, law=law).diagnosed()
+    found = virtual(
+        blind, tmp_path, seed, ("a3", "single"), form, 14.0, law=law
+    ).diagnosed()
     assert together(found.answers, TWO), found.answers[0]
     assert all(together(found.answers, TWO)), found.answers
     assert held(found, TWO), found.set95
@@ -139,11 +181,15 @@ def test_one_tool_never_tells_scale_from_bar(
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=SLOW)])
 @pytest.mark.parametrize("truth", sorted(TWO))
-def test_two_known_tools_tell_scale_from_bar(blind: SimpleNamespace, tmp_path: Path, truth: str, seed: int) -> None:
+def test_two_known_tools_tell_scale_from_bar(
+    blind: SimpleNamespace, tmp_path: Path, truth: str, seed: int
+) -> None:
     """At sqrt(lambda_k|j) = 8 the one that acts is named, and not the other."""
     forms = blind.effects.EXACT
     (rival,) = TWO - {truth}
-    made = virtual(blind, tmp_path, seed, ("a3", "full"), forms[truth], 8.0, beside=forms[rival])
+    made = virtual(
+        blind, tmp_path, seed, ("a3", "full"), forms[truth], 8.0, beside=forms[rival]
+    )
     found = made.diagnosed()
     assert found.answers[0].effects == (truth,)
     assert found.marginal[rival] < 0.1
@@ -151,24 +197,44 @@ def test_two_known_tools_tell_scale_from_bar(blind: SimpleNamespace, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("truth", "seed"), [("encoder_scale", 5), pytest.param("encoder_scale", 8, marks=SLOW), ("bar_length", 5)]
+    ("truth", "seed"),
+    [
+        ("encoder_scale", 5),
+        pytest.param("encoder_scale", 8, marks=SLOW),
+        ("bar_length", 5),
+    ],
 )
-def test_two_tools_do_not_misname_what_is_small(blind: SimpleNamespace, tmp_path: Path, truth: str, seed: int) -> None:
-    """At sqrt(lambda_k|j) = 2 either may be the likelier one; the one that acts is always in the answer."""
+def test_two_tools_do_not_misname_what_is_small(
+    blind: SimpleNamespace, tmp_path: Path, truth: str, seed: int
+) -> None:
+    """At sqrt(lambda_k|j) = 2 either may be the likelier one; the one that acts is
+    always in the answer.
+    """
     forms = blind.effects.EXACT
     (rival,) = TWO - {truth}
-    made = virtual(blind, tmp_path, seed, ("a3", "full"), forms[truth], 2.0, beside=forms[rival])
+    made = virtual(
+        blind, tmp_path, seed, ("a3", "full"), forms[truth], 2.0, beside=forms[rival]
+    )
     found = made.diagnosed()
     assert any(truth in c for c in found.answers[0].classes), found.answers[0]
 
 
-# -- what the readings cannot test -------------------------------------------------------------------------
+# -- what the readings cannot test -----------------------------------------------------
 
 
-def test_without_time_nothing_thermal_is_absent(blind: SimpleNamespace, tmp_path: Path) -> None:
-    """Legs grow; the file does not tell when. Thermal effects, drift and steps are not tested, and get no odds."""
-    form, left = blind.effects.KNOWN["leg_thermal"], [c for c in COLUMNS if c != "time_s"]
-    found = virtual(blind, tmp_path, 3, ("planar", "full"), form, 10.0, columns=left).diagnosed()
+def test_without_time_nothing_thermal_is_absent(
+    blind: SimpleNamespace, tmp_path: Path
+) -> None:
+    """Legs grow; the file does not tell when. Thermal effects, drift and steps are not
+    tested, and get no odds.
+    """
+    form, left = (
+        blind.effects.KNOWN["leg_thermal"],
+        [c for c in COLUMNS if c != "time_s"],
+    )
+    found = virtual(
+        blind, tmp_path, 3, ("planar", "full"), form, 10.0, columns=left
+    ).diagnosed()
     wanted = set(TIMED) - {"bar_thermal"}  # no bar here
     assert wanted <= set(found.not_testable)
     assert all("time" in found.not_testable[n] for n in wanted)
@@ -176,10 +242,19 @@ def test_without_time_nothing_thermal_is_absent(blind: SimpleNamespace, tmp_path
     assert not wanted & {n for a in found.answers for c in a.classes for n in c}
 
 
-@pytest.mark.parametrize("rows", ["", "direction == '1'"], ids=["no direction", "one direction"])
-def test_without_both_directions_backlash_is_not_absent(blind: SimpleNamespace, tmp_path: Path, rows: str) -> None:
-    form, left = blind.effects.KNOWN["backlash"], [c for c in COLUMNS if rows or c != "direction"]
-    made = virtual(blind, tmp_path, 3, ("planar", "full"), form, 10.0, columns=left, rows=rows)
+@pytest.mark.parametrize(
+    "rows", ["", "direction == '1'"], ids=["no direction", "one direction"]
+)
+def test_without_both_directions_backlash_is_not_absent(
+    blind: SimpleNamespace, tmp_path: Path, rows: str
+) -> None:
+    form, left = (
+        blind.effects.KNOWN["backlash"],
+        [c for c in COLUMNS if rows or c != "direction"],
+    )
+    made = virtual(
+        blind, tmp_path, 3, ("planar", "full"), form, 10.0, columns=left, rows=rows
+    )
     found = made.diagnosed()
     assert set(TURNING) <= set(found.not_testable)
     assert all("direction" in found.not_testable[n] for n in TURNING)
@@ -189,11 +264,15 @@ def test_without_both_directions_backlash_is_not_absent(blind: SimpleNamespace, 
 
 
 def test_with_all_columns_all_is_tested(blind: SimpleNamespace, tmp_path: Path) -> None:
-    made = virtual(blind, tmp_path, 3, ("a3", "full"), blind.effects.KNOWN["backlash"], 10.0)
-    assert not {*TIMED, *TURNING} & set(library.build(made.problem, made.effects).not_testable)
+    made = virtual(
+        blind, tmp_path, 3, ("a3", "full"), blind.effects.KNOWN["backlash"], 10.0
+    )
+    assert not {*TIMED, *TURNING} & set(
+        library.build(made.problem, made.effects).not_testable
+    )
 
 
-# -- an effect that the library does not have --------------------------------------------------------------
+# -- an effect that the library does not have ------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -207,55 +286,103 @@ def test_with_all_columns_all_is_tested(blind: SimpleNamespace, tmp_path: Path) 
     ],
     ids=lambda v: str(v),
 )
-def test_a_withheld_effect_is_unknown(blind: SimpleNamespace, tmp_path: Path, name: str, seed: int) -> None:
-    """Strong effects that no other can stand for; how often it goes so is a matter of the blind benchmark.
+def test_a_withheld_effect_is_unknown(
+    blind: SimpleNamespace, tmp_path: Path, name: str, seed: int
+) -> None:
+    """Strong effects that no other can stand for; how often it goes so is a matter of
+    the blind benchmark.
 
-    Where one leg has four fifths of the trace, that leg is named, by itself or with one that the readings cannot tell
-    from it.
+    Where one leg has four fifths of the trace, that leg is named, by itself or with one
+    that the readings cannot tell from it.
     """
-    made = virtual(blind, tmp_path, seed, ("planar", "full"), blind.effects.KNOWN[name], 20.0)
+    made = virtual(
+        blind, tmp_path, seed, ("planar", "full"), blind.effects.KNOWN[name], 20.0
+    )
     found = made.diagnosed(without=name)
     assert UNKNOWN in found.answers[0].effects, found.answers[:3]
     assert found.marginal[UNKNOWN] > 0.8
     shares = np.array(blind.cases.label(made.case)["effects"][0]["legs"])
     if shares.max() > 0.8:
-        legs = [b for b in found.where if b.block.startswith("leg") and b.p_value < 0.05]
-        # a lost zero of either leg of this machine makes nearly the same readings: then both are told, alike
-        assert f"leg {shares.argmax() + 1}" in [b.block for b in legs if b.p_value <= 10.0 * legs[0].p_value]
+        legs = [
+            b for b in found.where if b.block.startswith("leg") and b.p_value < 0.05
+        ]
+        # a lost zero of either leg of this machine makes nearly the same readings: then
+        # both are told, alike
+        assert f"leg {shares.argmax() + 1}" in [
+            b.block for b in legs if b.p_value <= 10.0 * legs[0].p_value
+        ]
 
 
-# -- a planar machine with gravity and over-constraint -----------------------------------------------------
+# -- a planar machine with gravity and over-constraint ---------------------------------
 
 ACTING = (
-    ("gravity", {"ratio": 0.47}, {"drives": 2.0, "struts": 2.0}),  # a weight beside the library's
-    ("frame_bending", {"sag": 0.2}, {"y by yz": -0.9, "y by zz": 1.5, "z by yy": -1.05, "z by yz": -1.2}),
+    (
+        "gravity",
+        {"ratio": 0.47},
+        {"drives": 2.0, "struts": 2.0},
+    ),  # a weight beside the library's
+    (
+        "frame_bending",
+        {"sag": 0.2},
+        {"y by yz": -0.9, "y by zz": 1.5, "z by yy": -1.05, "z by yz": -1.2},
+    ),
 )
 #: y (rm4) or z (rm5) of the lines, loads (N): those fitted, and others kept out
-FITTED = {"rm4": ((-1.5, 0.0, 1.5), (0.0, 1500.0)), "rm5": ((0.0, 0.75, 1.5), (0.0, 1500.0))}
+FITTED = {
+    "rm4": ((-1.5, 0.0, 1.5), (0.0, 1500.0)),
+    "rm5": ((0.0, 0.75, 1.5), (0.0, 1500.0)),
+}
 UNSEEN = {"rm4": ((-0.75, 0.75), (800.0,)), "rm5": ((0.375, 1.125), (800.0,))}
 READS = {"rm4": 1, "rm5": 2}  # channels
 
 
-def lines(m: Measurement, *parts: tuple[str, dict[str, Any]]) -> tuple[list[Series], pd.DataFrame]:
-    """Lines along z (rm4) and y (rm5) with their conditions; parts: (begin of the runs' names, places and loads)."""
+def lines(
+    m: Measurement, *parts: tuple[str, dict[str, Any]]
+) -> tuple[list[Series], pd.DataFrame]:
+    """Lines along z (rm4) and y (rm5) with their conditions; parts: (begin of the runs'
+    names, places and loads).
+    """
     series, rows = [], []
     for setup in READS:
         commands, runs = [], []
         for begin, where in parts:
             for load in where[setup][1]:
                 for at in where[setup][0]:
-                    s = np.linspace(0.0, 1.5, 11) if setup == "rm4" else np.linspace(-1.5, 1.5, 13)
-                    commands.append(np.column_stack([0 * s + at, s] if setup == "rm4" else [s, 0 * s + at]))
-                    run = {"setup": setup, "run": f"{begin} {at} m {load} N", "payload": load}
-                    runs += [run | {"order": k + 1, "direction": 1.0, "feed": 1.0 / 60.0} for k in range(len(s))]
-        series.append(m.series(setup, np.vstack(commands), run=[r["run"] for r in runs]))
-        rows += [r for r in runs if r["order"] > 1]  # the first of a line is its reference
-    return series, pd.DataFrame(rows).assign(time=lambda t: 1800.0 + 20.0 * np.arange(len(t)))
+                    s = (
+                        np.linspace(0.0, 1.5, 11)
+                        if setup == "rm4"
+                        else np.linspace(-1.5, 1.5, 13)
+                    )
+                    commands.append(
+                        np.column_stack(
+                            [0 * s + at, s] if setup == "rm4" else [s, 0 * s + at]
+                        )
+                    )
+                    run = {
+                        "setup": setup,
+                        "run": f"{begin} {at} m {load} N",
+                        "payload": load,
+                    }
+                    runs += [
+                        run | {"order": k + 1, "direction": 1.0, "feed": 1.0 / 60.0}
+                        for k in range(len(s))
+                    ]
+        series.append(
+            m.series(setup, np.vstack(commands), run=[r["run"] for r in runs])
+        )
+        rows += [
+            r for r in runs if r["order"] > 1
+        ]  # the first of a line is its reference
+    return series, pd.DataFrame(rows).assign(
+        time=lambda t: 1800.0 + 20.0 * np.arange(len(t))
+    )
 
 
 @dataclasses.dataclass
 class Planar:
-    """A virtual planar machine: the diagnosis of its lines, and all readings with those kept out."""
+    """A virtual planar machine: the diagnosis of its lines, and all readings with those
+    kept out.
+    """
 
     found: Diagnosis
     whole: Problem
@@ -263,7 +390,9 @@ class Planar:
 
 
 def planar(seed: int) -> Planar:
-    m = Measurement(planar_2dof.machine, [mount(getattr(relative, n), n) for n in READS])
+    m = Measurement(
+        planar_2dof.machine, [mount(getattr(relative, n), n) for n in READS]
+    )
     rng = np.random.default_rng(seed)
     theta = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
     series, rows = lines(m, ("fitted", FITTED), ("unseen", UNSEEN))
@@ -280,30 +409,45 @@ def planar(seed: int) -> Planar:
 
 
 def predicted(case: Planar) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Errors (k,) of the unseen readings without and with the effects named, covariances (k, k) of both; um.
+    """Errors (k,) of the unseen readings without and with the effects named,
+    covariances (k, k) of both; um.
 
-    Dense Gaussian conditioning on the fitted readings; constants (the platform's weight) are the library's likeliest.
+    Dense Gaussian conditioning on the fitted readings; constants (the platform's
+    weight) are the library's likeliest.
     """
     whole, held = case.whole, case.held
     noise = np.zeros((len(whole), len(whole)))
     for members, base in zip(whole.blocks, whole.base, strict=True):
         noise[np.ix_(members, members)] = np.eye(len(members)) if base is None else base
     plain = noise + whole.slopes @ whole.slopes.T
-    named = [effect_of(n) for n in dict.fromkeys(c.effect for c in case.found.coefficients)]
+    named = [
+        effect_of(n) for n in dict.fromkeys(c.effect for c in case.found.coefficients)
+    ]
     choices = itertools.product(*([(e, point) for point in e.grid()] for e in named))
-    best = max((corrected(case, plain, forms) for forms in choices), key=lambda c: evidence(case, c))
+    best = max(
+        (corrected(case, plain, forms) for forms in choices),
+        key=lambda c: evidence(case, c),
+    )
     um = 1e6 * whole.sigma[held]
     e0, p0 = conditioned(plain, whole.residual, held)
     e1, p1 = conditioned(best, whole.residual, held)
     return um * e0, um * e1, np.outer(um, um) * p0, np.outer(um, um) * p1
 
 
-def corrected(case: Planar, plain: np.ndarray, forms: Sequence[tuple[Effect, dict[str, float]]]) -> np.ndarray:
-    """Covariance (N, N) with the coefficients that the diagnosis names, wide beforehand."""
+def corrected(
+    case: Planar, plain: np.ndarray, forms: Sequence[tuple[Effect, dict[str, float]]]
+) -> np.ndarray:
+    """Covariance (N, N) with the coefficients that the diagnosis names, wide
+    beforehand.
+    """
     w, named = case.whole, {(c.effect, c.name) for c in case.found.coefficients}
     for effect, point in forms:
-        made = signature(effect, point, w.states, w.responses, w.measurement, w.series, w.sigma)
-        columns = 3.0 * w.of(made.columns)[:, [(effect.name, n) in named for n in made.names]]
+        made = signature(
+            effect, point, w.states, w.responses, w.measurement, w.series, w.sigma
+        )
+        columns = (
+            3.0 * w.of(made.columns)[:, [(effect.name, n) in named for n in made.names]]
+        )
         plain = plain + columns @ columns.T
     return plain
 
@@ -314,18 +458,25 @@ def evidence(case: Planar, covariance: np.ndarray) -> float:
     return float(-0.5 * white @ white - np.log(np.diag(root)).sum())
 
 
-def conditioned(covariance: np.ndarray, residual: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def conditioned(
+    covariance: np.ndarray, residual: np.ndarray, held: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     cross = covariance[np.ix_(held, ~held)]
     gain = np.linalg.solve(covariance[np.ix_(~held, ~held)], cross.T).T
-    return residual[held] - gain @ residual[~held], covariance[np.ix_(held, held)] - gain @ cross.T
+    return (
+        residual[held] - gain @ residual[~held],
+        covariance[np.ix_(held, held)] - gain @ cross.T,
+    )
 
 
 def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines() -> None:
-    """What geometry leaves, up to 0.06 mm, goes down to about 0.01 mm on lines and a load that were not fitted.
+    """What geometry leaves, up to 0.06 mm, goes down to about 0.01 mm on lines and a
+    load that were not fitted.
 
-    The rms of what is left there lies in its 95 % interval, channel by channel, in at least 9 of 12 cases: 8 or fewer
-    are a matter of 0.3 %. The shrink itself reaches the lower end of what the diagnosis said of unseen runs. In one
-    machine of six an effect more may be named (the weight is between two of the library's).
+    The rms of what is left there lies in its 95 % interval, channel by channel, in at
+    least 9 of 12 cases: 8 or fewer are a matter of 0.3 %. The shrink itself reaches the
+    lower end of what the diagnosis said of unseen runs. In one machine of six an effect
+    more may be named (the weight is between two of the library's).
     """
     inside, alone, draws = [], [], np.random.default_rng(7)
     for seed in range(6):
@@ -337,16 +488,22 @@ def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines() -> 
         assert 40.0 < np.abs(before).max() < 90.0
         assert np.abs(after).max() < 20.0
         assert np.sqrt(np.mean(after**2)) < 6.0
-        white0, white1 = (np.linalg.solve(np.linalg.cholesky(without), e) for e in (before, after))
+        white0, white1 = (
+            np.linalg.solve(np.linalg.cholesky(without), e) for e in (before, after)
+        )
         s0, s1 = np.mean(white0**2), np.mean(white1**2)
         told = next(c for c in case.found.closure if c.split == "whole")
         assert told.low > 0.9
-        assert (s0 - s1) / (s0 - 1.0) > told.low - 3.0 * np.sqrt(2.0 / len(after)) / (s0 - 1.0)
+        assert (s0 - s1) / (s0 - 1.0) > told.low - 3.0 * np.sqrt(2.0 / len(after)) / (
+            s0 - 1.0
+        )
         root = np.linalg.cholesky(with_them)
         likely = root @ draws.standard_normal((len(root), 2000))
         channel = case.whole.rows["channel"].to_numpy()[case.held]
         for name in ("dy", "dz"):
-            low, high = np.percentile(np.sqrt(np.mean(likely[channel == name] ** 2, axis=0)), [2.5, 97.5])
+            low, high = np.percentile(
+                np.sqrt(np.mean(likely[channel == name] ** 2, axis=0)), [2.5, 97.5]
+            )
             inside.append(low <= np.sqrt(np.mean(after[channel == name] ** 2)) <= high)
     assert sum(alone) >= 5
     assert sum(inside) >= 9

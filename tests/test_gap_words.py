@@ -1,4 +1,6 @@
-"""A diagnosis in words: what is found, where, how far it shrinks, and what is never said."""
+"""A diagnosis in words: what is found, where, how far it shrinks, and what is never
+said.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,20 @@ from pkm_studies.result_gap import About, Answer, Closure, Gap, Size, Where
 from pkm_studies.stages import gap_words
 
 
-def _gap(verdict: str, effects: list[str], classes: list[list[str]], **more: Any) -> Gap:
+def _gap(
+    verdict: str, effects: list[str], classes: list[list[str]], **more: Any
+) -> Gap:
     about = {
         "gravity": About("legs that give", "stiffen the legs", "a payload", "s"),
         "encoder_scale": About("scale", "measure the scale", "two bars", "s"),
-        "servo_lag": About("lag", "tune", "two feeds", "s", "the readings do not have feed", "feed_mm_min"),
+        "servo_lag": About(
+            "lag",
+            "tune",
+            "two feeds",
+            "s",
+            "the readings do not have feed",
+            "feed_mm_min",
+        ),
     }
     fields: dict[str, Any] = {
         "verdict": verdict,
@@ -45,7 +56,11 @@ def _gap(verdict: str, effects: list[str], classes: list[list[str]], **more: Any
 
 def test_no_gap_in_words() -> None:
     words = _gap("none", [], []).words
-    assert words[0] == "No gap is found: what calibration leaves is what noise alone would leave (probability 90 %)."
+    assert (
+        words[0]
+        == "No gap is found: what calibration leaves is what noise alone would leave"
+        " (probability 90 %)."
+    )
     assert len(words) == 2  # beside it only what could not be tested
 
 
@@ -54,21 +69,31 @@ def test_an_effect_in_words() -> None:
     assert found.words == [
         "The gap comes from gravity (probability 90 %): 12.3 um rms of length.",
         "It shows most in the time from 10 min to 20 min (p < 0.001).",
-        "With gravity in the model, the gap shrinks by 80 % (60 to 90 %) on whole runs kept out of the fit.",
-        "Not tested, for want of a column in the readings: servo lag (record feed_mm_min).",
+        (
+            "With gravity in the model, the gap shrinks by 80 % (60 to 90 %) on whole"
+            " runs kept out of the fit."
+        ),
+        (
+            "Not tested, for want of a column in the readings: servo lag (record"
+            " feed_mm_min)."
+        ),
     ]
     assert found.next == ["Look again.", "Against gravity: stiffen the legs."]
 
 
 def test_a_class_in_words() -> None:
     found = _gap("class", ["gravity"], [["gravity", "encoder_scale"]])
-    assert found.words[0].startswith("The gap comes from gravity or encoder scale; these readings cannot tell which")
+    assert found.words[0].startswith(
+        "The gap comes from gravity or encoder scale; these readings cannot tell which"
+    )
     assert "To tell encoder scale from the others: two bars." in found.next
     assert "If it is gravity: stiffen the legs." in found.next
 
 
 def test_mixtures_and_unknowns_in_words() -> None:
-    both = _gap("mixture", ["gravity", "encoder_scale"], [["gravity"], ["encoder_scale"]]).words[0]
+    both = _gap(
+        "mixture", ["gravity", "encoder_scale"], [["gravity"], ["encoder_scale"]]
+    ).words[0]
     assert both.startswith("The gap comes from gravity and encoder scale together")
     rest = _gap("mixture", ["gravity", "unknown"], [["gravity"]]).words[0]
     assert rest.startswith("Part of the gap comes from gravity")
@@ -80,11 +105,16 @@ def test_mixtures_and_unknowns_in_words() -> None:
 
 def test_what_the_unknown_is_like_is_told() -> None:
     """The likeliest form, and others that matter; nothing where there is none."""
-    forms = {"leg 2 in a wave of 12 min": 0.62, "the tool about the place 1, 2, 3 mm": 0.3, "drift": 0.04}
+    forms = {
+        "leg 2 in a wave of 12 min": 0.62,
+        "the tool about the place 1, 2, 3 mm": 0.3,
+        "drift": 0.04,
+    }
     told = _gap("unknown", ["unknown"], [], unknown=forms).words[1]
-    assert told == (
-        "What no known effect explains is most like: leg 2 in a wave of 12 min (probability 62 %); "
-        "or the tool about the place 1, 2, 3 mm (probability 30 %)."
+    assert (
+        told == "What no known effect explains is most like: leg 2 in a wave of 12 min"
+        " (probability 62 %); or the tool about the place 1, 2, 3 mm (probability"
+        " 30 %)."
     )
     one = _gap("unknown", ["unknown"], [], unknown={"drift": 0.06}).words[1]
     assert one.endswith("drift (probability 6 %).")
@@ -94,9 +124,14 @@ def test_what_the_unknown_is_like_is_told() -> None:
 @pytest.mark.parametrize(("low", "high", "told"), [
     (0.35, 49.55, "35 to over 100 %"), (-7.0, 0.4, "under -100 to 40 %"), (-0.2, 1.2, "-20 to 120 %"),
 ])  # fmt: skip
-def test_an_interval_that_tells_nothing_is_not_told_in_figures(low: float, high: float, told: str) -> None:
+def test_an_interval_that_tells_nothing_is_not_told_in_figures(
+    low: float, high: float, told: str
+) -> None:
     words = _gap(
-        "effect", ["gravity"], [["gravity"]], closure=[Closure("whole", 0.3, low, high, 0.1, 2.0, 1.2, 1.0, 9)]
+        "effect",
+        ["gravity"],
+        [["gravity"]],
+        closure=[Closure("whole", 0.3, low, high, 0.1, 2.0, 1.2, 1.0, 9)],
     )
     assert f"({told}) on whole runs" in words.words[2]
 
@@ -110,7 +145,9 @@ def test_places_that_hold_much_of_the_gap_are_told() -> None:
     ]
     told = _gap("effect", ["gravity"], [["gravity"]], where=places).words[1]
     assert told == "It shows most in all legs alike (p < 0.001) and run 2 (p < 0.001)."
-    nowhere = _gap("effect", ["gravity"], [["gravity"]], where=[Where("leg 1", 0.2, 0.5)]).words[1]
+    nowhere = _gap(
+        "effect", ["gravity"], [["gravity"]], where=[Where("leg 1", 0.2, 0.5)]
+    ).words[1]
     assert nowhere.startswith("No leg, run, time")
 
 
@@ -123,16 +160,31 @@ def test_a_gap_is_never_told_to_be_closed_whole() -> None:
 def test_more_than_the_whole_is_told_as_what_can_be_seen() -> None:
     more = [Closure("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
     told = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[2]
-    assert "shrinks by all that the noise lets be seen (80 to over 100 %) on stretches" in told
+    assert (
+        "shrinks by all that the noise lets be seen (80 to over 100 %) on stretches"
+        in told
+    )
 
 
 def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
-    found = _gap("effect", ["encoder_scale"], [["encoder_scale"]], next=["encoder_scale: measure the scale."])
+    found = _gap(
+        "effect",
+        ["encoder_scale"],
+        [["encoder_scale"]],
+        next=["encoder_scale: measure the scale."],
+    )
     assert found.next == ["Encoder scale: measure the scale."]
 
 
 @pytest.mark.parametrize(
-    ("share", "text"), [(1.0, "100 %"), (0.9999, "over 99 %"), (0.0001, "under 1 %"), (0.0, "0 %"), (0.734, "73 %")]
+    ("share", "text"),
+    [
+        (1.0, "100 %"),
+        (0.9999, "over 99 %"),
+        (0.0001, "under 1 %"),
+        (0.0, "0 %"),
+        (0.734, "73 %"),
+    ],
 )
 def test_a_probability_is_never_made_certain(share: float, text: str) -> None:
     assert gap_words.percent(share) == text

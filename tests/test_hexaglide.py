@@ -1,4 +1,6 @@
-"""Hexaglide: an oracle that knows no orientation; its place in the workspace; what a tracker loses."""
+"""Hexaglide: an oracle that knows no orientation; its place in the workspace; what a
+tracker loses.
+"""
 
 import numpy as np
 from oracles import hexapod_geometry as oracle
@@ -18,12 +20,19 @@ NO_TOOL = np.zeros(3)
 
 
 def commands(rng: np.random.Generator, n: int) -> Array:
-    return rng.uniform([c.lower for c in MACHINE.command], [c.upper for c in MACHINE.command], (n, 6))
+    return rng.uniform(
+        [c.lower for c in MACHINE.command], [c.upper for c in MACHINE.command], (n, 6)
+    )
 
 
 def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
-    """Carriages that stand still and struts of known length are a hexapod's feet and legs."""
-    base, local = (np.array([points[i] for i in hexaglide.LEGS]) for points in (hexaglide.B, hexaglide.A))
+    """Carriages that stand still and struts of known length are a hexapod's feet and
+    legs.
+    """
+    base, local = (
+        np.array([points[i] for i in hexaglide.LEGS])
+        for points in (hexaglide.B, hexaglide.A)
+    )
     tolerance = np.array([p.tolerance for p in MACHINE.parameters])
     x, q = KINEMATICS.inverse(commands(rng, 30))
     for xi, qi in zip(x, q, strict=True):
@@ -33,14 +42,23 @@ def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
         carriages = base + np.column_stack([qi + p[:6], p[6:18].reshape(6, 2)])
         joints = local + p[18:36].reshape(6, 3)
         rough, about, _ = KINEMATICS.frames(xi[None], NO_TOOL)
-        expected = oracle.forward(0.8 + p[36:], carriages, joints, about[0] + joints @ rough[0].T)
+        expected = oracle.forward(
+            0.8 + p[36:], carriages, joints, about[0] + joints @ rough[0].T
+        )
         assert np.abs(point[0] - expected[0]).max() < 1e-12
         assert np.abs(rotation[0] - expected[1]).max() < 1e-12
 
 
-def test_no_pose_of_the_workspace_is_near_a_singular_one(rng: np.random.Generator) -> None:
-    """Corners and 2000 poses between: struts in Pluecker coordinates; carriages in their travel and never passing."""
-    low, high = (np.array([getattr(c, side) for c in MACHINE.command]) for side in ("lower", "upper"))
+def test_no_pose_of_the_workspace_is_near_a_singular_one(
+    rng: np.random.Generator,
+) -> None:
+    """Corners and 2000 poses between: struts in Pluecker coordinates; carriages in
+    their travel and never passing.
+    """
+    low, high = (
+        np.array([getattr(c, side) for c in MACHINE.command])
+        for side in ("lower", "upper")
+    )
     corners = np.array(np.meshgrid(*np.column_stack([low, high]))).reshape(6, -1).T
     x, q = KINEMATICS.inverse(np.vstack([corners, commands(rng, 2000)]))
     base, platform, _ = KINEMATICS.struts(x, q, MACHINE.nominal)
@@ -49,8 +67,13 @@ def test_no_pose_of_the_workspace_is_near_a_singular_one(rng: np.random.Generato
     values = np.linalg.svd(np.concatenate([along, moment], -1), compute_uv=False)
     assert values[:, -1].min() > 0.3
     assert values[:, 0].max() < 2.2
-    assert np.abs(along[..., 0]).min() > 0.45  # no strut is across its guide, where its carriage would move nothing
-    assert all(c.lower < v.min() and v.max() < c.upper for c, v in zip(MACHINE.joints, q.T, strict=True))
+    assert (
+        np.abs(along[..., 0]).min() > 0.45
+    )  # no strut is across its guide, where its carriage would move nothing
+    assert all(
+        c.lower < v.min() and v.max() < c.upper
+        for c, v in zip(MACHINE.joints, q.T, strict=True)
+    )
     assert (q[:, 1::2] - q[:, ::2]).min() > 0.9
 
 
@@ -59,17 +82,27 @@ def look(setup: Setup, plan: Array) -> Seen:
     return explain.look(m, [m.series(setup.name, plan)])
 
 
-def test_positions_in_a_known_frame_lose_the_platforms_three_rotations(rng: np.random.Generator) -> None:
+def test_positions_in_a_known_frame_lose_the_platforms_three_rotations(
+    rng: np.random.Generator,
+) -> None:
     known = {f"{kind}_{n}": 0.0 for kind in ("shift", "turn") for n in "xyz"}
-    seen = look(mount(pose_tracker.position, "point", tolerances=known), commands(rng, 60))
+    seen = look(
+        mount(pose_tracker.position, "point", tolerances=known), commands(rng, 60)
+    )
     assert seen.verdict.rank == 39
     motions, rest = identifiability.lost_motions(seen.verdict, MACHINE, seen.scale)
-    assert motions == [f"rotation of the platform joints about the tool point, {n} axis" for n in "xyz"]
+    assert motions == [
+        f"rotation of the platform joints about the tool point, {n} axis" for n in "xyz"
+    ]
     assert len(rest) == 0
 
 
-def test_a_free_frame_hides_what_leaves_the_guides_along_x(rng: np.random.Generator) -> None:
-    """Of the six motions of the base the guides' parameters hold four: three shifts, and the turn about the travel."""
+def test_a_free_frame_hides_what_leaves_the_guides_along_x(
+    rng: np.random.Generator,
+) -> None:
+    """Of the six motions of the base the guides' parameters hold four: three shifts,
+    and the turn about the travel.
+    """
     seen = look(mount(pose_tracker.instrument, "pose"), commands(rng, 60))
     assert (len(seen.names), seen.verdict.rank) == (48, 44)
     motions, rest = identifiability.lost_motions(seen.verdict, MACHINE, seen.scale)

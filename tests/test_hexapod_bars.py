@@ -1,4 +1,6 @@
-"""Hexapod: an oracle that knows no orientation; 42 of 42 from full poses; what a single ball distance loses."""
+"""Hexapod: an oracle that knows no orientation; 42 of 42 from full poses; what a single
+ball distance loses.
+"""
 
 import re
 
@@ -17,17 +19,25 @@ from pkm_models.machines import hexapod
 
 MACHINE = hexapod.machine
 KINEMATICS = Kinematics(MACHINE)
-KNOWN = {f"{kind}_{n}": 0.0 for kind in ("shift", "turn") for n in "xyz"}  # the tracker's frame is the base frame
+KNOWN = {
+    f"{kind}_{n}": 0.0 for kind in ("shift", "turn") for n in "xyz"
+}  # the tracker's frame is the base frame
 NO_TOOL = np.zeros(3)
 
 
 def commands(rng: np.random.Generator, n: int) -> Array:
-    return rng.uniform([c.lower for c in MACHINE.command], [c.upper for c in MACHINE.command], (n, 6))
+    return rng.uniform(
+        [c.lower for c in MACHINE.command], [c.upper for c in MACHINE.command], (n, 6)
+    )
 
 
 def geometry(p: Array) -> tuple[Array, Array, Array]:
-    """Base joints (6, 3), platform joints (6, 3) and leg zeros (6,) of a parameter vector (42,)."""
-    base, local = (np.array([points[i] for i in hexapod.LEGS]) for points in (hexapod.B, hexapod.A))
+    """Base joints (6, 3), platform joints (6, 3) and leg zeros (6,) of a parameter
+    vector (42,).
+    """
+    base, local = (
+        np.array([points[i] for i in hexapod.LEGS]) for points in (hexapod.B, hexapod.A)
+    )
     return base + p[:18].reshape(6, 3), local + p[18:36].reshape(6, 3), p[36:]
 
 
@@ -38,7 +48,7 @@ def assembled(p: Array, q: Array, x: Array) -> tuple[Array, Array]:
     return oracle.forward(q + zeros, base, local, point[0] + local @ rotation[0].T)
 
 
-# -- kinematics --------------------------------------------------------------------------------------------
+# -- kinematics ------------------------------------------------------------------------
 
 
 def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
@@ -55,38 +65,54 @@ def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
 
 def test_slopes_are_those_of_the_oracle(rng: np.random.Generator) -> None:
     x, q = KINEMATICS.inverse(commands(rng, 4))
-    slopes = KINEMATICS.frames(x, NO_TOOL)[2] @ KINEMATICS.sensitivity(x, q, MACHINE.nominal)
+    slopes = KINEMATICS.frames(x, NO_TOOL)[2] @ KINEMATICS.sensitivity(
+        x, q, MACHINE.nominal
+    )
     for xi, qi, slope in zip(x, q, slopes, strict=True):
         for k in range(42):
             move = 1e-5 * np.eye(42)[k]
-            (up, turned), (down, back) = (assembled(s * move, qi, xi) for s in (1.0, -1.0))
+            (up, turned), (down, back) = (
+                assembled(s * move, qi, xi) for s in (1.0, -1.0)
+            )
             turn = (turned @ back.T - back @ turned.T) / 4e-5
-            expected = np.concatenate([(up - down) / 2e-5, [turn[2, 1], turn[0, 2], turn[1, 0]]])
+            expected = np.concatenate(
+                [(up - down) / 2e-5, [turn[2, 1], turn[0, 2], turn[1, 0]]]
+            )
             assert slope[:, k] == pytest.approx(expected, abs=1e-7)
 
 
 def test_the_legs_at_home_are_told_by_the_generic_geometry() -> None:
-    """Base and platform joint of a leg are 30 degrees apart on circles of 300 and 200 mm, 600 mm over each other."""
+    """Base and platform joint of a leg are 30 degrees apart on circles of 300 and 200
+    mm, 600 mm over each other.
+    """
     _, q = KINEMATICS.inverse(MACHINE.home_command[None])
-    expected = np.sqrt(0.3**2 + 0.2**2 - 2.0 * 0.3 * 0.2 * np.cos(np.deg2rad(30.0)) + 0.6**2)
+    expected = np.sqrt(
+        0.3**2 + 0.2**2 - 2.0 * 0.3 * 0.2 * np.cos(np.deg2rad(30.0)) + 0.6**2
+    )
     assert q[0] == pytest.approx([expected] * 6, abs=1e-14)
 
 
-# -- what is seen ------------------------------------------------------------------------------------------
+# -- what is seen ----------------------------------------------------------------------
 
 
 def look(setups: list[Setup], plans: list[Array]) -> Seen:
     m = Measurement(MACHINE, setups)
-    return explain.look(m, [m.series(s.name, c) for s, c in zip(setups, plans, strict=True)])
+    return explain.look(
+        m, [m.series(s.name, c) for s, c in zip(setups, plans, strict=True)]
+    )
 
 
 def free_cup(tool: float = 0.0, **settings: float) -> Setup:
     at = {"at_x": 0.0, "at_y": 0.0, "at_z": 0.200} | settings
-    return mount(ball_bar.free_cup, f"cup, tool {tool:.1f}", tool=(0.0, 0.0, tool), **at)
+    return mount(
+        ball_bar.free_cup, f"cup, tool {tool:.1f}", tool=(0.0, 0.0, tool), **at
+    )
 
 
 def held(rng: np.random.Generator, n: int) -> Array:
-    """Commands that keep a 300 mm bar on the free cup: five coordinates at random, z led by the bar."""
+    """Commands that keep a 300 mm bar on the free cup: five coordinates at random, z
+    led by the bar.
+    """
     m = Measurement(MACHINE, [free_cup()])
     command, possible = m.hold("cup, tool 0.0", commands(rng, n), "z")
     assert possible.all()
@@ -98,7 +124,9 @@ def lost(seen: Seen) -> Finding:
 
 
 def test_full_poses_in_a_known_frame_see_42_of_42(rng: np.random.Generator) -> None:
-    seen = look([mount(pose_tracker.instrument, "pose", tolerances=KNOWN)], [commands(rng, 60)])
+    seen = look(
+        [mount(pose_tracker.instrument, "pose", tolerances=KNOWN)], [commands(rng, 60)]
+    )
     assert (len(seen.names), seen.verdict.rank) == (42, 42)
     assert (seen.shrinkage < 0.7).all()
 
@@ -111,35 +139,57 @@ def test_seven_poses_are_enough_and_six_are_not(rng: np.random.Generator) -> Non
     assert look(tracker, [at[:6]]).verdict.rank == 36
 
 
-def test_positions_alone_lose_the_platforms_three_rotations(rng: np.random.Generator) -> None:
-    seen = look([mount(pose_tracker.position, "point", tolerances=KNOWN)], [commands(rng, 60)])
+def test_positions_alone_lose_the_platforms_three_rotations(
+    rng: np.random.Generator,
+) -> None:
+    seen = look(
+        [mount(pose_tracker.position, "point", tolerances=KNOWN)], [commands(rng, 60)]
+    )
     assert seen.verdict.rank == 39
     motions, rest = identifiability.lost_motions(seen.verdict, MACHINE, seen.scale)
-    assert motions == [f"rotation of the platform joints about the tool point, {n} axis" for n in "xyz"]
+    assert motions == [
+        f"rotation of the platform joints about the tool point, {n} axis" for n in "xyz"
+    ]
     assert len(rest) == 0
 
 
 def test_a_free_frame_hides_the_base(rng: np.random.Generator) -> None:
-    """42 + 6 of the registration; lost are the six motions of the base with the tracker's frame."""
+    """42 + 6 of the registration; lost are the six motions of the base with the
+    tracker's frame.
+    """
     seen = look([mount(pose_tracker.instrument, "pose")], [commands(rng, 60)])
     assert (len(seen.names), seen.verdict.rank) == (48, 42)
     motions, rest = identifiability.lost_motions(seen.verdict, MACHINE, seen.scale)
     assert len(motions) == 6
     assert len(rest) == 0
-    assert all("base joints" in m and "together with what pose is set up on" in m for m in motions)
+    assert all(
+        "base joints" in m and "together with what pose is set up on" in m
+        for m in motions
+    )
 
 
 def test_a_single_ball_distance_says_what_it_loses(rng: np.random.Generator) -> None:
-    """36 of 45 at any number of poses: three turns of the platform joints about the ball, six motions of the base."""
+    """36 of 45 at any number of poses: three turns of the platform joints about the
+    ball, six motions of the base.
+    """
     for n in (150, 600):
         seen = look([free_cup()], [held(rng, n)])
         assert (len(seen.names), seen.verdict.rank) == (45, 36)
     told = lost(seen)
     assert told.text.startswith("Lost, 9 directions of 45: ")
     for axis in "xyz":
-        assert f"the rotation of the platform joints about the tool point, {axis} axis" in told.text
-        assert f"the rotation of the base joints about the base centre, {axis} axis" in told.text
-        assert f"the translation of the base joints along {axis} together with what" in told.text
+        assert (
+            f"the rotation of the platform joints about the tool point, {axis} axis"
+            in told.text
+        )
+        assert (
+            f"the rotation of the base joints about the base centre, {axis} axis"
+            in told.text
+        )
+        assert (
+            f"the translation of the base joints along {axis} together with what"
+            in told.text
+        )
     assert "moving" not in told.text  # nothing is left that has no name
 
 
@@ -156,21 +206,38 @@ def test_its_remedies_are_computed_and_hold(rng: np.random.Generator) -> None:
     }
     for text, (setups, back, parameters) in trials.items():
         said = next(t for t in told if text in t)
-        assert "all lost directions" in said if back == 9 else re.search(rf"brings back {back} of 9", said)
+        assert (
+            "all lost directions" in said
+            if back == 9
+            else re.search(rf"brings back {back} of 9", said)
+        )
         plans = [at + np.array([0, 0, s.tool[2], 0, 0, 0]) for s in setups]
         seen = look(setups, plans)
         assert len(seen.names) == parameters
         assert len(seen.names) - seen.verdict.rank == 9 - back
 
 
-def test_the_lost_turns_change_no_distance_at_any_size(rng: np.random.Generator) -> None:
-    """Not only to first order: turn the six platform joints by 5 degrees about the ball."""
+def test_the_lost_turns_change_no_distance_at_any_size(
+    rng: np.random.Generator,
+) -> None:
+    """Not only to first order: turn the six platform joints by 5 degrees about the
+    ball.
+    """
     m = Measurement(MACHINE, [free_cup()])
     series = m.series("cup, tool 0.0", held(rng, 30))
     angle = np.deg2rad(5.0)
-    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    turn = np.array(
+        [
+            [np.cos(angle), 0, np.sin(angle)],
+            [0, 1, 0],
+            [-np.sin(angle), 0, np.cos(angle)],
+        ]
+    )
     local = np.array([hexapod.A[i] for i in hexapod.LEGS])
     theta = m.nominal
     theta[18:36] = (local @ turn.T - local).ravel()
     assert np.abs(theta).max() > 5e-3
-    assert np.abs(m.readings([series], theta) - m.readings([series], m.nominal)).max() < 1e-13
+    assert (
+        np.abs(m.readings([series], theta) - m.readings([series], m.nominal)).max()
+        < 1e-13
+    )

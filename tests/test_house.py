@@ -1,4 +1,6 @@
-"""The house itself: what the wheel holds, which way imports run, what no committed file may contain."""
+"""The house itself: what the wheel holds, which way imports run, what no committed file
+may contain.
+"""
 
 import ast
 import re
@@ -21,12 +23,19 @@ PACKAGES = {name: ROOT / folder / name for name, folder in {
 }.items()}  # fmt: skip
 
 # A character class in each word keeps these patterns from matching themselves.
-MACHINE_PATH = re.compile(r"(?<![\w.$}~-])(/(r[o]ot|h[o]me|w[o]rk|t[m]p|m[n]t|o[p]t|U[s]ers)/\w|[A-Z]:\\U[s]ers)")
-REGISTRY = re.compile(r"py[p]i|pythonh[o]sted|conda-f[o]rge|anac[o]nda|npm[j]s|crates\.i[o]", re.IGNORECASE)
+MACHINE_PATH = re.compile(
+    r"(?<![\w.$}~-])(/(r[o]ot|h[o]me|w[o]rk|t[m]p|m[n]t|o[p]t|U[s]ers)/\w|[A-Z]:\\U[s]ers)"
+)
+REGISTRY = re.compile(
+    r"py[p]i|pythonh[o]sted|conda-f[o]rge|anac[o]nda|npm[j]s|crates\.i[o]",
+    re.IGNORECASE,
+)
 
 
 def run(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=False
+    )
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +48,9 @@ def committed() -> list[Path]:
     """Files that git holds or would add, uv.lock aside."""
     if not shutil.which("git") or not (ROOT / ".git").exists():
         pytest.skip("not a git checkout")
-    listed = run("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard").stdout.split("\0")
+    listed = run(
+        "git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"
+    ).stdout.split("\0")
     paths = [ROOT / name for name in listed if name and name != "uv.lock"]
     return [path for path in paths if path.is_file()]
 
@@ -48,10 +59,14 @@ def committed() -> list[Path]:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """Names in the wheel, its own metadata aside."""
     folder = tmp_path_factory.mktemp("wheel")
-    built = run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder))
+    built = run(
+        sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)
+    )
     assert built.returncode == 0, built.stderr
     (path,) = folder.glob("*.whl")
-    return [name for name in zipfile.ZipFile(path).namelist() if ".dist-info/" not in name]
+    return [
+        name for name in zipfile.ZipFile(path).namelist() if ".dist-info/" not in name
+    ]
 
 
 def test_wheel_holds_exactly_the_four_packages(wheel: list[str]) -> None:
@@ -75,17 +90,23 @@ def test_imports_run_one_way() -> None:
     assert told.returncode == 0, told.stdout + told.stderr
 
 
-@pytest.mark.parametrize("pattern", [MACHINE_PATH, REGISTRY], ids=["machine path", "registry"])
+@pytest.mark.parametrize(
+    "pattern", [MACHINE_PATH, REGISTRY], ids=["machine path", "registry"]
+)
 def test_no_file_names(committed: list[Path], pattern: re.Pattern[str]) -> None:
     found = []
     for path in committed:
         raw = path.read_bytes()
         text = "" if b"\0" in raw else raw.decode("utf-8", errors="ignore")
-        found += [f"{path.relative_to(ROOT)}: {hit.group()}" for hit in pattern.finditer(text)]
+        found += [
+            f"{path.relative_to(ROOT)}: {hit.group()}" for hit in pattern.finditer(text)
+        ]
     assert not found
 
 
-@pytest.mark.parametrize("text", ["see /h\x6fme/me/x", "'/t\x6dp/out'", "C:\\U\x73ers\\me"])
+@pytest.mark.parametrize(
+    "text", ["see /h\x6fme/me/x", "'/t\x6dp/out'", "C:\\U\x73ers\\me"]
+)
 def test_machine_paths_are_recognised(text: str) -> None:
     assert MACHINE_PATH.search(text)
 
@@ -104,7 +125,9 @@ def test_every_module_has_a_docstring(committed: list[Path]) -> None:
 def test_one_version_everywhere(project: dict) -> None:
     version = project["project"]["version"]
     assert metadata.version("pkm-oed") == version
-    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_the_lock_is_of_these_dependencies(project: dict) -> None:
@@ -112,9 +135,9 @@ def test_the_lock_is_of_these_dependencies(project: dict) -> None:
     (own,) = (package for package in lock["package"] if package["name"] == "pkm-oed")
     locked = own["metadata"]["requires-dist"] + own["metadata"]["requires-dev"]["dev"]
     asked = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
-    assert {item["name"] + item["specifier"] for item in locked} == {re.sub(r"\[.*\]", "", item) for item in asked}, (
-        "run `make lock`"
-    )
+    assert {item["name"] + item["specifier"] for item in locked} == {
+        re.sub(r"\[.*\]", "", item) for item in asked
+    }, "run `make lock`"
 
 
 def test_the_command_of_the_package_is_there(project: dict) -> None:

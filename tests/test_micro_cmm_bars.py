@@ -1,4 +1,6 @@
-"""Micro-CMM: closed form, closure and an oracle agree; the paper's closed forms do not; what readings can see."""
+"""Micro-CMM: closed form, closure and an oracle agree; the paper's closed forms do not;
+what readings can see.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +21,10 @@ RHO = micro_cmm.R_FRAME - micro_cmm.R_PLATFORM
 
 def grid(nx: int, nz: int) -> Array:
     """Positions over the whole workspace, (n, 3)."""
-    ranges = [np.linspace(c.lower, c.upper, n) for c, n in zip(MACHINE.command, (nx, nx, nz), strict=True)]
+    ranges = [
+        np.linspace(c.lower, c.upper, n)
+        for c, n in zip(MACHINE.command, (nx, nx, nz), strict=True)
+    ]
     return np.column_stack([m.ravel() for m in np.meshgrid(*ranges, indexing="ij")])
 
 
@@ -33,19 +38,27 @@ def centres(p: Array) -> Array:
     return oracle.centres(rf, rp, thetaf, thetap)
 
 
-# -- direct kinematics -------------------------------------------------------------------------------------
+# -- direct kinematics -----------------------------------------------------------------
 
 
-def test_closed_form_and_newton_agree_over_the_workspace(rng: np.random.Generator) -> None:
+def test_closed_form_and_newton_agree_over_the_workspace(
+    rng: np.random.Generator,
+) -> None:
     points = grid(9, 6)
-    lengths = oracle.legs(points, oracle.centres([0.2] * 3, [0.06] * 3, oracle.THETA, oracle.THETA))
+    lengths = oracle.legs(
+        points, oracle.centres([0.2] * 3, [0.06] * 3, oracle.THETA, oracle.THETA)
+    )
     closed = micro_cmm.direct(lengths)
-    newton = KINEMATICS.forward(lengths, MACHINE.nominal, points + rng.uniform(-0.02, 0.02, points.shape))
+    newton = KINEMATICS.forward(
+        lengths, MACHINE.nominal, points + rng.uniform(-0.02, 0.02, points.shape)
+    )
     assert np.abs(closed - newton).max() < 1e-12
     assert np.abs(closed - points).max() < 1e-12
 
 
-def test_newton_agrees_with_the_oracle_on_machines_that_are_not_perfect(rng: np.random.Generator) -> None:
+def test_newton_agrees_with_the_oracle_on_machines_that_are_not_perfect(
+    rng: np.random.Generator,
+) -> None:
     points, machines = grid(4, 3), random_machines(rng, 30)
     _, q = KINEMATICS.inverse(points)
     found = KINEMATICS.forward(q, machines, points)
@@ -64,11 +77,13 @@ def test_slopes_are_those_of_the_oracle() -> None:
         assert np.abs(slopes[:, :, k] - expected).max() < 1e-12
 
 
-# -- the paper's closed forms (6)-(8) ----------------------------------------------------------------------
+# -- the paper's closed forms (6)-(8) --------------------------------------------------
 
 
 def test_printed_x_lost_a_minus_sign_and_carries_a_term_that_vanishes() -> None:
-    """With the sign of 2 l1^2 restored, x is off by rho / 4 (35 mm): the term in rho is to be cos^2 + sin^2 - 1 = 0."""
+    """With the sign of 2 l1^2 restored, x is off by rho / 4 (35 mm): the term in rho is
+    to be cos^2 + sin^2 - 1 = 0.
+    """
     points = grid(5, 3)
     _, q = KINEMATICS.inverse(points)
     x = oracle.printed(q, RHO)[:, 0]
@@ -91,18 +106,33 @@ def test_printed_z_needs_the_opposite_signs_of_x_and_y() -> None:
     assert np.abs(turned - np.abs(z)).max() < 1e-13
     as_printed = oracle.printed_z(x, y, q[:, 1], RHO)
     off_centre = np.hypot(x, y) > 0.03
-    assert np.abs(as_printed - np.abs(z))[off_centre & (np.abs(x - np.sqrt(3) * y) > 0.02)].min() > 1e-3
+    assert (
+        np.abs(as_printed - np.abs(z))[
+            off_centre & (np.abs(x - np.sqrt(3) * y) > 0.02)
+        ].min()
+        > 1e-3
+    )
     # all three together: nowhere in the workspace is the printed model right
-    assert np.linalg.norm(oracle.printed(q, RHO) * [1, 1, -1] - points, axis=1).min() > 0.1
+    assert (
+        np.linalg.norm(oracle.printed(q, RHO) * [1, 1, -1] - points, axis=1).min() > 0.1
+    )
 
 
 def test_spherical_joints_do_not_keep_the_platform_parallel() -> None:
-    """Turn the platform about a horizontal axis: it can be shifted so that all three legs keep their lengths."""
+    """Turn the platform about a horizontal axis: it can be shifted so that all three
+    legs keep their lengths.
+    """
     ring = np.column_stack([np.cos(oracle.THETA), np.sin(oracle.THETA), np.zeros(3)])
     frame, platform, at = 0.200 * ring, 0.060 * ring, np.array([0.01, 0.02, -0.2])
     wanted = np.linalg.norm(at + platform - frame, axis=1)
     angle = np.deg2rad(5.0)
-    tilt = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    tilt = np.array(
+        [
+            [np.cos(angle), 0, np.sin(angle)],
+            [0, 1, 0],
+            [-np.sin(angle), 0, np.cos(angle)],
+        ]
+    )
     tilted = platform @ tilt.T
     for _ in range(30):
         away = at + tilted - frame
@@ -112,7 +142,7 @@ def test_spherical_joints_do_not_keep_the_platform_parallel() -> None:
     assert np.linalg.norm(at - [0.01, 0.02, -0.2]) < 0.01
 
 
-# -- what readings see -------------------------------------------------------------------------------------
+# -- what readings see -----------------------------------------------------------------
 
 
 def measurement(*setups: Setup) -> Measurement:
@@ -128,10 +158,13 @@ def test_position_readings_see_nine_of_fifteen_in_the_stated_combinations() -> N
     for i in (1, 2, 3):
         assert pytest.approx({f"rf{i}": 1.0, f"rp{i}": -1.0}, rel=1e-6) in found
         assert {f"dl{i}": 1.0} in [pytest.approx(c) for c in found]
-        # R_f theta_f - R_p theta_p, told per unit of its pivot: with R_f = 200, R_p = 60 mm
+        # R_f theta_f - R_p theta_p, told per unit of its pivot: with R_f = 200, R_p =
+        # 60 mm
         pair = next(c for c in found if f"thetaf{i}" in c)
         assert set(pair) == {f"thetaf{i}", f"thetap{i}"}
-        assert pair[f"thetaf{i}"] / pair[f"thetap{i}"] == pytest.approx(-0.200 / 0.060, rel=1e-6)
+        assert pair[f"thetaf{i}"] / pair[f"thetap{i}"] == pytest.approx(
+            -0.200 / 0.060, rel=1e-6
+        )
 
 
 def test_the_lost_directions_change_no_reading_at_all() -> None:
@@ -144,26 +177,37 @@ def test_the_lost_directions_change_no_reading_at_all() -> None:
 
 
 def test_a_ball_plate_loses_the_machines_motions_in_its_plane_as_well() -> None:
-    """15 + 6 of the plate's registration, of which 12 are seen: 9 + 6 less x, y and the turn about z."""
+    """15 + 6 of the plate's registration, of which 12 are seen: 9 + 6 less x, y and the
+    turn about z.
+    """
     m = measurement(mount(ball_plate.instrument, "plate", at_z=-0.2))
     seen = explain.look(m, [m.series("plate", grid(4, 2))])
     assert (len(seen.names), seen.verdict.rank) == (21, 12)
 
 
-def test_distances_see_as_much_of_the_machine_as_the_plate(rng: np.random.Generator) -> None:
+def test_distances_see_as_much_of_the_machine_as_the_plate(
+    rng: np.random.Generator,
+) -> None:
     """Machine 9 less the three motions in the plane; the scale is a seventh."""
     m = measurement(mount(ball_plate.distance, "gauge"))
     pairs = np.vstack([rng.permutation(grid(3, 2)) for _ in range(4)])
-    seen = explain.look(m, [m.series("gauge", pairs, [str(i // 2) for i in range(len(pairs))])])
+    seen = explain.look(
+        m, [m.series("gauge", pairs, [str(i // 2) for i in range(len(pairs))])]
+    )
     assert (len(seen.names), seen.verdict.rank) == (16, 7)
 
 
 def test_a_ball_plate_by_hand() -> None:
-    """A plate shifted by 10 mm and turned by 90 degrees about z: (x, y) reads (-y, x), then the shift."""
+    """A plate shifted by 10 mm and turned by 90 degrees about z: (x, y) reads (-y, x),
+    then the shift.
+    """
     m = measurement(mount(ball_plate.instrument, "plate", at_z=-0.2))
     series = m.series("plate", np.array([[0.02, 0.03, -0.21]]))
     theta = m.nominal
-    theta[m.names.index("plate.shift_x")], theta[m.names.index("plate.turn_z")] = 0.01, np.pi / 2.0
+    theta[m.names.index("plate.shift_x")], theta[m.names.index("plate.turn_z")] = (
+        0.01,
+        np.pi / 2.0,
+    )
     assert m.readings([series], theta) == pytest.approx([-0.02, 0.02, -0.01], abs=1e-15)
 
 
@@ -175,13 +219,17 @@ def test_planted_errors_come_back_in_what_is_seen(rng: np.random.Generator) -> N
     found = identify.identify(m, series, y)
     verdict = explain.look(m, series).verdict
     off = verdict.combinations @ (found.theta - truth)
-    sd = np.sqrt(np.diag(verdict.combinations @ found.covariance @ verdict.combinations.T))
+    sd = np.sqrt(
+        np.diag(verdict.combinations @ found.covariance @ verdict.combinations.T)
+    )
     assert np.abs(off / sd).max() < 4.0
     assert (sd < 0.02 * np.abs(verdict.combinations) @ m.tolerance).all()
 
 
 def test_a_machine_turned_as_a_whole_is_accurate_after_the_best_fit() -> None:
-    """It never turns its platform, so that its points alone are aligned: frame and platform turned together."""
+    """It never turns its platform, so that its points alone are aligned: frame and
+    platform turned together.
+    """
     maps = predict.error_maps(KINEMATICS, grid(3, 2), "best_fit")
     turned = np.zeros(15)
     turned[6:12] = 1e-3

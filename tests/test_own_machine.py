@@ -1,4 +1,6 @@
-"""A user's own machine with a mistake in it is told as bad input: which function, what is wrong, what to do."""
+"""A user's own machine with a mistake in it is told as bad input: which function, what
+is wrong, what to do.
+"""
 
 from pathlib import Path
 
@@ -18,7 +20,9 @@ def told(folder: Path, old: str, new: str) -> str:
     assert old in text
     (folder / "my_machine.py").write_text(text.replace(old, new, 1), encoding="utf-8")
     study = folder / "circles.study.toml"
-    study.write_text((TUTORIAL / study.name).read_text(encoding="utf-8"), encoding="utf-8")
+    study.write_text(
+        (TUTORIAL / study.name).read_text(encoding="utf-8"), encoding="utf-8"
+    )
     with pytest.raises(InputError) as caught:
         resolve(load(study))
     return str(caught.value)
@@ -27,20 +31,51 @@ def told(folder: Path, old: str, new: str) -> str:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('ca.cos(x["phi"])', 'math.cos(x["phi"])', "not a number at the guess for home; use ca.cos"),
-        ('x["phi"]), ca.sin', 'x["turn"]), ca.sin', "closure asks for 'turn', which the machine has not"),
+        (
+            'ca.cos(x["phi"])',
+            'math.cos(x["phi"])',
+            "not a number at the guess for home; use ca.cos",
+        ),
+        (
+            'x["phi"]), ca.sin',
+            'x["turn"]), ca.sin',
+            "closure asks for 'turn', which the machine has not",
+        ),
         (
             "(_, elbow, joint) in zip(LIMBS, limbs,",
             "(_, elbow, joint) in zip(LIMBS[:2], limbs[:2],",
-            "2 equations, not 3; there must be one for each: 3 pose + 3 joint - 3 command coordinates",
+            (
+                "2 equations, not 3; there must be one for each: 3 pose + 3 joint - 3"
+                " command coordinates"
+            ),
         ),
         (GUESS, "return target(c)", "guess"),
-        (GUESS, "return target(c), [1.0]", "guess (values for pose and joints) gives (3, 1), not (3, 3)"),
-        (GUESS, "return target(c), [INWARD[i] for i in LIMBS]", "the home pose fails: my_machine: 1 of 1"),
+        (
+            GUESS,
+            "return target(c), [1.0]",
+            "guess (values for pose and joints) gives (3, 1), not (3, 3)",
+        ),
+        (
+            GUESS,
+            "return target(c), [INWARD[i] for i in LIMBS]",
+            "the home pose fails: my_machine: 1 of 1",
+        ),
         ('[tip[0], tip[1], x["phi"]]', "[tip[0], tip[1]]", "commanded gives 2, not 3"),
-        ("    read_error=lambda c, twist: [twist[0], twist[1], twist[5]],\n", "", "phi would be read as a translation"),
-        ("[twist[0], twist[1], twist[5]]", "[twist[0], twist[1]]", "read_error gives 2, not 3"),
-        ("[tip[0], tip[1], x", "[tip.x, tip[1], x", "commanded fails with AttributeError"),
+        (
+            "    read_error=lambda c, twist: [twist[0], twist[1], twist[5]],\n",
+            "",
+            "phi would be read as a translation",
+        ),
+        (
+            "[twist[0], twist[1], twist[5]]",
+            "[twist[0], twist[1]]",
+            "read_error gives 2, not 3",
+        ),
+        (
+            "[tip[0], tip[1], x",
+            "[tip.x, tip[1], x",
+            "commanded fails with AttributeError",
+        ),
         ("LIMBS = (1, 2, 3)", "LIMBS = (1, 2", "importing it failed with SyntaxError"),
         ("lever=BASE", "levre=BASE", "importing it failed with TypeError"),
     ],
@@ -56,7 +91,12 @@ def test_poses_that_the_bar_cannot_lead_are_told(tmp_path: Path) -> None:
     """A bar holds its length: 100 mm at a radius of 40 to 100 mm is no reading of it."""
     for name in ("my_machine.py", "circles.study.toml"):
         text = (TUTORIAL / name).read_text(encoding="utf-8")
-        (tmp_path / name).write_text(text.replace('r = "hold"', "r_mm = [40.0, 100.0]"), encoding="utf-8")
+        (tmp_path / name).write_text(
+            text.replace('r = "hold"', "r_mm = [40.0, 100.0]"), encoding="utf-8"
+        )
     (warning,) = resolve(load(tmp_path / "circles.study.toml")).warnings
-    assert "at 120 of 240 poses centre would read 40 mm to 100 mm, but it holds 100 mm" in warning
+    assert (
+        "at 120 of 240 poses centre would read 40 mm to 100 mm, but it holds 100 mm"
+        in warning
+    )
     assert not resolve(load(TUTORIAL / "circles.study.toml")).warnings

@@ -1,6 +1,8 @@
-"""The planar manipulator of Chang, Li and Li (2011) against the oracle and against what the paper prints.
+"""The planar manipulator of Chang, Li and Li (2011) against the oracle and against what
+the paper prints.
 
-Lengths are in mm against angles scaled by 1 m throughout, which is the toolkit's "length" scaling with a lever of 1 m.
+Lengths are in mm against angles scaled by 1 m throughout, which is the toolkit's
+"length" scaling with a lever of 1 m.
 """
 
 import numpy as np
@@ -16,8 +18,11 @@ from pkm_models.machines.planar_2dof import machine
 
 RM = {k: getattr(relative, f"rm{k}") for k in range(1, 6)}
 NAMES = ("D", "z1", "z2", "l1", "l2", "beta1", "beta2")
-#: the machine's error of a virtual test, SI; of the size of the deviations the paper began with
-WRONG = oracle.NOMINAL + np.array([0.9e-3, 0.4e-3, -0.5e-3, -0.6e-3, 0.3e-3, 0.35e-3, -0.25e-3])
+#: the machine's error of a virtual test, SI; of the size of the deviations the paper
+#: began with
+WRONG = oracle.NOMINAL + np.array(
+    [0.9e-3, 0.4e-3, -0.5e-3, -0.6e-3, 0.3e-3, 0.35e-3, -0.25e-3]
+)
 
 
 def measured(number: int, **tolerances: float) -> tuple[Measurement, Series]:
@@ -40,14 +45,16 @@ def together(*numbers: int) -> tuple[Measurement, list[Series]]:
 
 def verdict(m: Measurement, series: list[Series]) -> Identifiability:
     h = information.scaled(m, series, m.nominal, "length")[:, m.free]
-    return identifiability.analyse(h, [n for n, f in zip(m.names, m.free, strict=True) if f], 1 / m.lengths[m.free])
+    return identifiability.analyse(
+        h, [n for n, f in zip(m.names, m.free, strict=True) if f], 1 / m.lengths[m.free]
+    )
 
 
 def table(v: Identifiability) -> list[dict[str, float]]:
     return v.named(v.combinations)
 
 
-# -- the machine -------------------------------------------------------------------------------------------
+# -- the machine -----------------------------------------------------------------------
 
 
 def test_poses_agree_with_the_intersection_of_circles(rng: np.random.Generator) -> None:
@@ -56,18 +63,30 @@ def test_poses_agree_with_the_intersection_of_circles(rng: np.random.Generator) 
     x, q = m.kinematics.inverse(command)
     assert np.abs(q - oracle.inverse(command)).max() < 1e-14
     for p in (oracle.NOMINAL, WRONG):
-        assert np.abs(m.kinematics.forward(q, p, x) - oracle.forward(q, p)).max() < 1e-13
+        assert (
+            np.abs(m.kinematics.forward(q, p, x) - oracle.forward(q, p)).max() < 1e-13
+        )
 
 
-def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(rng: np.random.Generator) -> None:
+def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(
+    rng: np.random.Generator,
+) -> None:
     """Eq. (11) as printed is right: it is the slope of the exact pose."""
     m, _ = measured(5)
     command = np.column_stack([rng.uniform(-1.5, 1.5, 50), rng.uniform(0.0, 1.5, 50)])
     x, q = m.kinematics.inverse(command)
     printed = oracle.rows(command)
-    step = np.stack([oracle.forward(q, oracle.NOMINAL + 1e-30j * e).imag / 1e-30 for e in np.eye(7)], -1)
+    step = np.stack(
+        [
+            oracle.forward(q, oracle.NOMINAL + 1e-30j * e).imag / 1e-30
+            for e in np.eye(7)
+        ],
+        -1,
+    )
     assert np.abs(printed - step).max() < 1e-13
-    assert np.abs(m.kinematics.sensitivity(x, q, oracle.NOMINAL) - printed).max() < 1e-13
+    assert (
+        np.abs(m.kinematics.sensitivity(x, q, oracle.NOMINAL) - printed).max() < 1e-13
+    )
 
 
 @pytest.mark.parametrize("number", RM)
@@ -78,11 +97,20 @@ def test_readings_are_the_oracle_s(number: int) -> None:
     channel = {1: [0], 2: [1], 3: [1], 4: [0], 5: [0, 1]}[number]
     theta = np.r_[WRONG, m.nominal[7:]]
     assert np.abs(m.readings([series], theta) - exact[:, channel].ravel()).max() < 1e-13
-    assert np.abs(m.jacobian([series], m.nominal)[:, :7] - oracle.identification_rows(number)).max() < 1e-13
+    assert (
+        np.abs(
+            m.jacobian([series], m.nominal)[:, :7] - oracle.identification_rows(number)
+        ).max()
+        < 1e-13
+    )
 
 
-def test_tolerances_make_the_deviations_the_paper_began_with(rng: np.random.Generator) -> None:
-    """+-1.589 mm in y and +-1.715 mm in z on horizontal lines: a machine of median luck has about that."""
+def test_tolerances_make_the_deviations_the_paper_began_with(
+    rng: np.random.Generator,
+) -> None:
+    """+-1.589 mm in y and +-1.715 mm in z on horizontal lines: a machine of median luck
+    has about that.
+    """
     pose, line = oracle.lines(5)
     spread = [p.tolerance for p in machine.parameters]
     wrong = oracle.NOMINAL + spread * rng.standard_normal((400, 1, 7))
@@ -93,38 +121,48 @@ def test_tolerances_make_the_deviations_the_paper_began_with(rng: np.random.Gene
     assert (middle < 3.0).all()
 
 
-# -- noise -------------------------------------------------------------------------------------------------
+# -- noise -----------------------------------------------------------------------------
 
 
 def test_readings_of_a_line_share_the_noise_of_its_reference() -> None:
-    """Covariance of X_i - X_0: 2 sigma^2 on the diagonal, sigma^2 beside it, 0 between lines."""
+    """Covariance of X_i - X_0: 2 sigma^2 on the diagonal, sigma^2 beside it, 0 between
+    lines.
+    """
     m, series = measured(5)
     noise = m.noise([series])
     assert noise.root is not None
     covariance = (noise.root @ noise.root.T).toarray()
     own = np.array([1e-6, 3e-6]) ** 2
     per_line = np.kron(np.ones((10, 10)) + np.eye(10), np.diag(own))
-    assert covariance == pytest.approx(np.kron(np.eye(3), per_line), rel=1e-9, abs=1e-24)
+    assert covariance == pytest.approx(
+        np.kron(np.eye(3), per_line), rel=1e-9, abs=1e-24
+    )
 
 
 def test_differences_know_what_the_undifferenced_readings_know() -> None:
-    """Readings of a line against its first, with their correlation, are as good as all readings of the line with a free
-    zero point. Taken as independent they promise 20 % too little for RM 4's tilts, and waste 30 % of RM 1's D."""
+    """Readings of a line against its first, with their correlation, are as good as all
+    readings of the line with a free zero point. Taken as independent they promise 20 %
+    too little for RM 4's tilts, and waste 30 % of RM 1's D.
+    """
     for number, name, ratio in ((4, "beta1", 1.2536), (1, "D", 0.7072)):
         m, series = measured(number)
         pose, line = oracle.lines(number)
         tolerance, k = m.tolerance[:7], NAMES.index(name)
-        honest = information.posterior_covariance(information.scaled(m, [series], m.nominal, "tolerance")[:, :7])
+        honest = information.posterior_covariance(
+            information.scaled(m, [series], m.nominal, "tolerance")[:, :7]
+        )
         rows = oracle.rows(pose)[:, 0] * tolerance / RM[number].channels[0].sigma
         zero = line[:, None] == np.arange(3)
         centred = rows - zero @ np.linalg.lstsq(zero.astype(float), rows, rcond=None)[0]
-        assert honest == pytest.approx(np.linalg.inv(np.eye(7) + centred.T @ centred), rel=1e-6, abs=1e-12)
+        assert honest == pytest.approx(
+            np.linalg.inv(np.eye(7) + centred.T @ centred), rel=1e-6, abs=1e-12
+        )
         h = m.jacobian([series], m.nominal)[:, :7] * tolerance
         naive = information.posterior_covariance(h / m.sigma([series])[:, None])
         assert np.sqrt(honest[k, k] / naive[k, k]) == pytest.approx(ratio, abs=1e-3)
 
 
-# -- identifiability: section 2.3.3 ------------------------------------------------------------------------
+# -- identifiability: section 2.3.3 ----------------------------------------------------
 
 
 def test_rm1_sees_five_combinations_with_the_coefficient_one_over_d() -> None:
@@ -169,7 +207,9 @@ def test_rm4_sees_both_tilts() -> None:
     assert table(v) == [{"beta1": pytest.approx(1.0)}, {"beta2": pytest.approx(1.0)}]
 
 
-def test_all_relative_readings_of_the_workspace_see_six(rng: np.random.Generator) -> None:
+def test_all_relative_readings_of_the_workspace_see_six(
+    rng: np.random.Generator,
+) -> None:
     """Eqs. (14)-(15): 100 random poses against one, both components."""
     m = Measurement(machine, [mount(relative.rm5, "rm")])
     poses = np.column_stack([rng.uniform(-1.5, 1.5, 101), rng.uniform(0.0, 1.5, 101)])
@@ -179,7 +219,9 @@ def test_all_relative_readings_of_the_workspace_see_six(rng: np.random.Generator
 
 
 def test_smallest_singular_values() -> None:
-    """Lengths in mm, angles scaled by 1 m, all seven columns, not whitened; the paper's lines and reference points."""
+    """Lengths in mm, angles scaled by 1 m, all seven columns, not whitened; the paper's
+    lines and reference points.
+    """
     least = {k: verdict(*_one(k)).identifiable[-1] for k in (3, 5)}
     both = verdict(*together(4, 5)).identifiable[-1]
     assert least[3] == pytest.approx(0.0006, rel=0.02)
@@ -196,8 +238,10 @@ def test_singular_values_are_the_oracle_s() -> None:
 
 
 def test_a_ruler_of_unknown_direction_hides_a_turn_of_the_machine() -> None:
-    """Not in the paper, whose reference planes are perfect. Freed, the square's tilt takes one direction from RM 4 (a
-    common tilt of both guides), and the ruler's one from RM 5 (z1 - z2 against both tilts: the machine as a whole)."""
+    """Not in the paper, whose reference planes are perfect. Freed, the square's tilt
+    takes one direction from RM 4 (a common tilt of both guides), and the ruler's one
+    from RM 5 (z1 - z2 against both tilts: the machine as a whole).
+    """
     m4, s4 = measured(4, tilt=1e-3)
     v4 = verdict(m4, [s4])
     assert (v4.rank, len(v4.names)) == (2, 8)
@@ -208,31 +252,46 @@ def test_a_ruler_of_unknown_direction_hides_a_turn_of_the_machine() -> None:
     m5, s5 = measured(5, tilt=1e-3)
     v5 = verdict(m5, [s5])
     assert (v5.rank, len(v5.names)) == (6, 8)
-    # the whole machine turned by 1 rad/m D: one slider up, the other down, both guides and the apparent ruler back
+    # the whole machine turned by 1 rad/m D: one slider up, the other down, both guides
+    # and the apparent ruler back
     turned = np.array([0.0, oracle.D / 2, -oracle.D / 2, 0.0, 0.0, -1.0, -1.0, -1.0])
     assert np.abs(v5.combinations @ turned).max() < 1e-12
     assert np.abs(m5.jacobian([s5], m5.nominal) @ turned).max() < 1e-12
 
 
 def test_the_paper_s_poses_for_step_one_are_not_the_best_by_its_own_index() -> None:
-    """Section 2.4.1 takes z = 0 and 900 mm; Eq. (17) grows in proportion to the travel, up to 1500 mm."""
-    index = {z: amplification(_two_sided(4, [(y, v) for y in (-1.5, 1.5) for v in (0.0, z)]), 4) for z in (0.9, 1.5)}
+    """Section 2.4.1 takes z = 0 and 900 mm; Eq. (17) grows in proportion to the travel,
+    up to 1500 mm.
+    """
+    index = {
+        z: amplification(
+            _two_sided(4, [(y, v) for y in (-1.5, 1.5) for v in (0.0, z)]), 4
+        )
+        for z in (0.9, 1.5)
+    }
     assert index[1.5] / index[0.9] == pytest.approx(1.5 / 0.9)
 
 
 def test_the_height_of_step_two_makes_no_difference() -> None:
     """Section 2.4.1 takes z = 200 mm: with the tilts known, no row depends on z."""
     index = [
-        amplification(_two_sided(5, [(y, z) for y in (0.0, -1.5, 1.5)])[:, [0, 1, 3, 4]], 3) for z in (0.0, 0.2, 1.5)
+        amplification(
+            _two_sided(5, [(y, z) for y in (0.0, -1.5, 1.5)])[:, [0, 1, 3, 4]], 3
+        )
+        for z in (0.0, 0.2, 1.5)
     ]
     assert index == pytest.approx([0.28319] * 3, rel=1e-4)
 
 
 def _two_sided(number: int, poses: list[tuple[float, float]]) -> np.ndarray:
-    """H of an RM, as lengths, at poses: one line for each y of RM 4, one line in all for RM 5."""
+    """H of an RM, as lengths, at poses: one line for each y of RM 4, one line in all
+    for RM 5.
+    """
     m = Measurement(machine, [mount(RM[number], "rm")])
     run = [str(y) for y, _ in poses] if number == 4 else ["1"] * len(poses)
-    return information.scaled(m, [m.series("rm", np.array(poses), run=run)], m.nominal, "length")[:, :7]
+    return information.scaled(
+        m, [m.series("rm", np.array(poses), run=run)], m.nominal, "length"
+    )[:, :7]
 
 
 def _one(number: int) -> tuple[Measurement, list[Series]]:
@@ -240,7 +299,7 @@ def _one(number: int) -> tuple[Measurement, list[Series]]:
     return m, [series]
 
 
-# -- which measurement: section 2.4, Eq. (17) --------------------------------------------------------------
+# -- which measurement: section 2.4, Eq. (17) ------------------------------------------
 
 
 def amplification(h: np.ndarray, poses: int) -> float:
@@ -250,8 +309,13 @@ def amplification(h: np.ndarray, poses: int) -> float:
 
 
 def test_rm2_is_excluded_and_rm4_is_kept() -> None:
-    """RM 4 sees all that RM 2 sees, 2.3 times as strongly; RM 3 sees what RM 4 sees, and more, 7.9 times as weakly."""
-    index = {k: amplification(information.scaled(*_args(k), "length")[:, :7], 18) for k in (2, 4)}
+    """RM 4 sees all that RM 2 sees, 2.3 times as strongly; RM 3 sees what RM 4 sees,
+    and more, 7.9 times as weakly.
+    """
+    index = {
+        k: amplification(information.scaled(*_args(k), "length")[:, :7], 18)
+        for k in (2, 4)
+    }
     index[3] = amplification(information.scaled(*_args(3), "length")[:, :7], 33)
     assert index[4] / index[2] == pytest.approx(2.27, abs=0.02)
     assert index[4] > index[2]
@@ -262,8 +326,14 @@ def test_rm2_is_excluded_and_rm4_is_kept() -> None:
 
 def test_rm5_is_the_strongest_for_the_four_of_step_two() -> None:
     """D, z1 - z2, l1, l2 with the tilts known."""
-    index = {k: amplification(oracle.identification_rows(k)[:, [0, 1, 3, 4]], 33) for k in (1, 3, 5)}
-    kernel = {k: amplification(information.scaled(*_args(k), "length")[:, [0, 1, 3, 4]], 33) for k in (1, 3, 5)}
+    index = {
+        k: amplification(oracle.identification_rows(k)[:, [0, 1, 3, 4]], 33)
+        for k in (1, 3, 5)
+    }
+    kernel = {
+        k: amplification(information.scaled(*_args(k), "length")[:, [0, 1, 3, 4]], 33)
+        for k in (1, 3, 5)
+    }
     assert kernel == pytest.approx(index)
     assert index[5] > index[1]
     assert index[5] > index[3]

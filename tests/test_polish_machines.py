@@ -1,4 +1,6 @@
-"""Polished readings of machines: rows against the readings' own finite differences, gains, holds, ranges."""
+"""Polished readings of machines: rows against the readings' own finite differences,
+gains, holds, ranges.
+"""
 
 import dataclasses
 from collections.abc import Mapping
@@ -27,8 +29,12 @@ PAIRS = [
 
 @pytest.mark.parametrize(("machine", "setup"), PAIRS)
 @pytest.mark.parametrize("scaling", ["si", "length", "tolerance"])
-def test_rows_are_slopes_of_the_readings(machine: str, setup: str, scaling: information.Scaling) -> None:
-    """At random commands, against differences of the exact readings over each parameter."""
+def test_rows_are_slopes_of_the_readings(
+    machine: str, setup: str, scaling: information.Scaling
+) -> None:
+    """At random commands, against differences of the exact readings over each
+    parameter.
+    """
     m, series = reading_series(CASES[machine], setup, np.random.default_rng(4), 5)
     series = _away_from_home(m, series, setup, machine)
     mounted = m.setups[setup]
@@ -38,7 +44,9 @@ def test_rows_are_slopes_of_the_readings(machine: str, setup: str, scaling: info
         return
     rows = _symbolic(m, series, scaling)
     step = 1e-6
-    thetas = m.nominal + step * np.vstack([np.eye(len(m.nominal)), -np.eye(len(m.nominal))])
+    thetas = m.nominal + step * np.vstack(
+        [np.eye(len(m.nominal)), -np.eye(len(m.nominal))]
+    )
     y = m.readings([series], thetas)
     differences = (y[: len(m.nominal)] - y[len(m.nominal) :]).T / (2 * step)
     expected = differences * information.column_scale(m, scaling)
@@ -52,7 +60,9 @@ def test_rows_are_slopes_of_the_readings(machine: str, setup: str, scaling: info
 
 
 def _away_from_home(m: Measurement, series: Series, setup: str, machine: str) -> Series:
-    """Other commands than the upright pose, at which tilts have no second derivative, in the same runs."""
+    """Other commands than the upright pose, at which tilts have no second derivative,
+    in the same runs.
+    """
     case = CASES[machine]
     n = len(series.q) - (m.setups[setup].teach is not None)
     command = case.commands(np.random.default_rng(5), n + 1)[1:]
@@ -62,7 +72,9 @@ def _away_from_home(m: Measurement, series: Series, setup: str, machine: str) ->
     return dataclasses.replace(series, q=q, start=x, command=command)
 
 
-def _symbolic(m: Measurement, series: Series, scaling: information.Scaling) -> np.ndarray:
+def _symbolic(
+    m: Measurement, series: Series, scaling: information.Scaling
+) -> np.ndarray:
     setup = m.setups[series.setup]
     one = reading_slopes.reading(m, setup, scaling, np.eye(len(m.parameters)))
     settings = np.array([setup.settings[s.name] for s in setup.instrument.settings])
@@ -73,13 +85,15 @@ def _symbolic(m: Measurement, series: Series, scaling: information.Scaling) -> n
     return np.vstack(found)
 
 
-# -- the A3 head with a ball bar -------------------------------------------------------------------------------
+# -- the A3 head with a ball bar -------------------------------------------------------
 
 
 def _start(m: Measurement) -> Series:
     """18 readings on three circles, on hold."""
     stroke = np.repeat([0.03, 0.11, 0.19], 6)
-    psi = np.concatenate([2 * np.pi * np.arange(6) / 6 + shift for shift in (0.1, 0.5, 0.9)])
+    psi = np.concatenate(
+        [2 * np.pi * np.arange(6) / 6 + shift for shift in (0.1, 0.5, 0.9)]
+    )
     return m.series("cup", a3_plans.held(m, stroke, psi))
 
 
@@ -89,7 +103,9 @@ def _on_hold(found: polish.Polished, travel: float = 0.0) -> None:
     m, (series,) = found.measurement, found.series
     _, tip, _ = m.kinematics.frames(series.start, np.array(setup.tool))
     if setup.teach is not None:
-        _, cup, _ = m.kinematics.frames(m.kinematics.inverse(np.array([setup.teach]))[0], np.array(setup.tool))
+        _, cup, _ = m.kinematics.frames(
+            m.kinematics.inverse(np.array([setup.teach]))[0], np.array(setup.tool)
+        )
         tip, cup = tip[:-1], cup[0]
     else:
         cup = np.array([setup.settings[f"at_{n}"] for n in "xyz"])
@@ -103,14 +119,21 @@ def _judged(found: polish.Polished, start: Series, before: Measurement) -> None:
     rows = a3_plans.rows(before, [start])
     basis = np.linalg.svd(rows)[2][:18].T
     after = a3_plans.rows(found.measurement, found.series) @ basis
-    assert found.value_before == pytest.approx(np.linalg.slogdet((rows @ basis).T @ (rows @ basis))[1], abs=1e-5)
-    assert found.value_after == pytest.approx(np.linalg.slogdet(after.T @ after)[1], abs=1e-5)
+    assert found.value_before == pytest.approx(
+        np.linalg.slogdet((rows @ basis).T @ (rows @ basis))[1], abs=1e-5
+    )
+    assert found.value_after == pytest.approx(
+        np.linalg.slogdet(after.T @ after)[1], abs=1e-5
+    )
 
 
 FREE: dict[str, tuple[bool, Mapping[str, tuple[float, float]]]] = {
     "taught": (True, {}),
     "taught, length": (True, {"length": (0.28, 0.32)}),
-    "free cup": (False, {"at_x": (-0.05, 0.05), "at_y": (-0.05, 0.05), "at_z": (1.25, 1.32)}),
+    "free cup": (
+        False,
+        {"at_x": (-0.05, 0.05), "at_y": (-0.05, 0.05), "at_z": (1.25, 1.32)},
+    ),
     "free cup, tool": (False, {"tool_z": (-0.02, 0.05)}),
 }
 
@@ -120,10 +143,16 @@ def test_polished_bar_stays_on_hold(case: str) -> None:
     taught, ranges = FREE[case]
     m = a3_plans.measurement(taught=taught)
     start = _start(m)
-    if "tool" in case:  # a tool changes what is seen: a prior makes all directions count
-        found = polish.polish_readings(m, [start], free={"cup": ranges}, prior=np.eye(int(m.free.sum())))
+    if (
+        "tool" in case
+    ):  # a tool changes what is seen: a prior makes all directions count
+        found = polish.polish_readings(
+            m, [start], free={"cup": ranges}, prior=np.eye(int(m.free.sum()))
+        )
     else:
-        found = polish.polish_readings(m, [start], scaling="length", free={"cup": ranges})
+        found = polish.polish_readings(
+            m, [start], scaling="length", free={"cup": ranges}
+        )
         _judged(found, start, m)
     assert found.value_after > found.value_before + 0.1
     assert found.words.startswith("polishing gained")
@@ -132,9 +161,9 @@ def test_polished_bar_stays_on_hold(case: str) -> None:
     for name, (lower, upper) in ranges.items():
         value = setup.tool[2] if name == "tool_z" else setup.settings[name]
         assert lower <= value <= upper
-    assert any(v != m.setups["cup"].settings[n] for n, v in setup.settings.items()) == bool(
-        ranges and "tool" not in case
-    )
+    assert any(
+        v != m.setups["cup"].settings[n] for n, v in setup.settings.items()
+    ) == bool(ranges and "tool" not in case)
     assert taught == (setup.teach is not None)
     if taught:
         assert found.series[0].command[-1] == pytest.approx(setup.teach, abs=0)
@@ -145,7 +174,9 @@ def test_travel_gives_room() -> None:
     m = a3_plans.measurement()
     start = _start(m)
     held = polish.polish_readings(m, [start], scaling="length", iterations=150)
-    roomy = polish.polish_readings(m, [start], scaling="length", travel=1e-3, iterations=150)
+    roomy = polish.polish_readings(
+        m, [start], scaling="length", travel=1e-3, iterations=150
+    )
     _on_hold(roomy, 1e-3)
     assert roomy.value_after > held.value_after
 
@@ -158,12 +189,17 @@ def test_a_search_cut_short_is_never_worse() -> None:
         assert "the start is kept" in none.words
 
 
-# -- other machines --------------------------------------------------------------------------------------------
+# -- other machines --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "criterion",
-    [smooth.determinant(), smooth.variance(), smooth.power(4), smooth.of_interest(np.eye(13)[:, :7])],
+    [
+        smooth.determinant(),
+        smooth.variance(),
+        smooth.power(4),
+        smooth.of_interest(np.eye(13)[:, :7]),
+    ],
     ids=["D", "A", "power", "Ds"],
 )
 def test_planar_with_a_tracker(criterion: smooth.Smooth) -> None:
@@ -171,10 +207,14 @@ def test_planar_with_a_tracker(criterion: smooth.Smooth) -> None:
     m = Measurement(machine, [mount(pose_tracker.position, "tracker")])
     command = CASES["planar_2dof"].commands(np.random.default_rng(1), 8)
     n = int(m.free.sum())
-    found = polish.polish_readings(m, [m.series("tracker", command)], criterion, prior=np.eye(n), clearance=0.2)
+    found = polish.polish_readings(
+        m, [m.series("tracker", command)], criterion, prior=np.eye(n), clearance=0.2
+    )
     assert found.value_after > found.value_before
     rows = information.scaled(m, found.series, m.nominal, "tolerance")[:, m.free]
-    assert found.value_after == pytest.approx(criterion.value(np.eye(n) + rows.T @ rows), abs=1e-9)
+    assert found.value_after == pytest.approx(
+        criterion.value(np.eye(n) + rows.T @ rows), abs=1e-9
+    )
     assert not machine.out_of_range(found.series[0].command)
 
 
@@ -192,7 +232,9 @@ def test_what_cannot_be_is_told() -> None:
     with pytest.raises(ValueError, match="off what its instrument holds"):
         polish.polish_readings(m, [off], scaling="length")
     with pytest.raises(ValueError, match="recorded"):
-        polish.polish_readings(m, [m.series_from_joints("cup", start.q[:-1])], scaling="length")
+        polish.polish_readings(
+            m, [m.series_from_joints("cup", start.q[:-1])], scaling="length"
+        )
 
 
 def test_two_setups_share_nothing_but_the_machine() -> None:
@@ -202,7 +244,9 @@ def test_two_setups_share_nothing_but_the_machine() -> None:
     ]
     m = Measurement(CASES["a3_head"].machine, setups)
     bar = _start(m)
-    seen = m.series("tracker", CASES["a3_head"].commands(np.random.default_rng(0), 5)[1:])
+    seen = m.series(
+        "tracker", CASES["a3_head"].commands(np.random.default_rng(0), 5)[1:]
+    )
     found = polish.polish_readings(m, [bar, seen], prior=np.eye(int(m.free.sum())))
     assert found.value_after > found.value_before
     assert [len(s) for s in found.series] == [18, 4]

@@ -34,37 +34,57 @@ runs_by = "z"
 
 
 def resolved(protocol: str) -> Resolved:
-    return resolve(study.parse(STUDY.replace("PROTOCOL", protocol), Path("passes.study.toml")))
+    return resolve(
+        study.parse(STUDY.replace("PROTOCOL", protocol), Path("passes.study.toml"))
+    )
 
 
 def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long() -> None:
     once, six = resolved(""), resolved("repeats = 3\nboth_directions = true")
-    assert six.setups["cup"].sigma[0] == pytest.approx(once.setups["cup"].sigma[0] / np.sqrt(6))
+    assert six.setups["cup"].sigma[0] == pytest.approx(
+        once.setups["cup"].sigma[0] / np.sqrt(6)
+    )
     series = six.references[0].series
     assert len(series[0]) == 30
-    seconds = [choose.plan(r, explain.look(r.measurement, r.references[0].series), {}).cost * 60 for r in (once, six)]
+    seconds = [
+        choose.plan(r, explain.look(r.measurement, r.references[0].series), {}).cost
+        * 60
+        for r in (once, six)
+    ]
     mounting = once.setups["cup"].instrument.cost.setup
     assert (seconds[1] - mounting) == pytest.approx(6 * (seconds[0] - mounting))
 
 
 def test_kept_passes_hold_what_their_mean_holds() -> None:
-    """Same information, to the last digit, from 180 readings as from 30 means of six; runs tell the passes apart."""
+    """Same information, to the last digit, from 180 readings as from 30 means of six;
+    runs tell the passes apart.
+    """
     kept, mean = (
         resolved("repeats = 3\nboth_directions = true\naverage = false"),
         resolved("repeats = 3\nboth_directions = true"),
     )
-    seen = [explain.look(r.measurement, r.references[0].series, "tolerance") for r in (kept, mean)]
+    seen = [
+        explain.look(r.measurement, r.references[0].series, "tolerance")
+        for r in (kept, mean)
+    ]
     assert len(seen[0].series[0]) == 180
     assert seen[0].shrinkage == pytest.approx(seen[1].shrinkage, rel=1e-9)
     runs = list(dict.fromkeys(seen[0].series[0].run))
     assert runs[:2] == ["z=1146mm, forward 1", "z=1146mm, forward 2"]
     assert len(runs) == 12
     series = seen[0].series[0]
-    forth, back = (series.commands()[series.run == f"z=1266mm, {way} 2", 1] for way in ("forward", "backward"))
+    forth, back = (
+        series.commands()[series.run == f"z=1266mm, {way} 2", 1]
+        for way in ("forward", "backward")
+    )
     assert (back == forth[::-1]).all()
 
 
 def test_runs_that_carry_their_reference_are_not_repeated() -> None:
-    text = STUDY.replace("ball_bar", "calliper").replace("teach =", "# teach =").replace("PROTOCOL", "repeats = 2")
+    text = (
+        STUDY.replace("ball_bar", "calliper")
+        .replace("teach =", "# teach =")
+        .replace("PROTOCOL", "repeats = 2")
+    )
     with pytest.raises(InputError, match="repeats"):
         resolve(study.parse(text, Path("passes.study.toml")))

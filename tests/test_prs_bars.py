@@ -1,4 +1,6 @@
-"""The 3-PRS spindle head of Wang and Fan (2004) against the oracle: what its readings tell, and what they cannot."""
+"""The 3-PRS spindle head of Wang and Fan (2004) against the oracle: what its readings
+tell, and what they cannot.
+"""
 
 from collections.abc import Mapping
 
@@ -23,7 +25,11 @@ AT = {"at_x": GIMBAL[0], "at_y": GIMBAL[1], "at_z": GIMBAL[2]}
 KNOWN = {f"{kind}_{n}": 0.0 for kind in ("shift", "turn") for n in "xyz"}
 NOISE = np.array([0.3e-6, *[np.deg2rad(1.15 / 3600)] * 2])
 PAPER = 1e-3 * oracle.TABLE_4
-NAMES = tuple(f"{kind.format(i)}" for i in (1, 2, 3) for kind in ("db{}x", "db{}y", "db{}z", "dR{}x", "dR{}y", "dl{}"))
+NAMES = tuple(
+    f"{kind.format(i)}"
+    for i in (1, 2, 3)
+    for kind in ("db{}x", "db{}y", "db{}z", "dR{}x", "dR{}y", "dl{}")
+)
 SPIN = "rotation of the platform joints about the tool tip, z axis"
 
 
@@ -33,14 +39,21 @@ def poses(z: float | np.ndarray = 0.2) -> np.ndarray:
 
 
 def measured(
-    machine: Machine, instrument: Instrument, tolerances: Mapping[str, float] = KNOWN, z: float | np.ndarray = 0.2
+    machine: Machine,
+    instrument: Instrument,
+    tolerances: Mapping[str, float] = KNOWN,
+    z: float | np.ndarray = 0.2,
 ) -> tuple[Measurement, Series]:
     settings = AT if instrument.settings else {}
-    m = Measurement(machine, [mount(instrument, "read", tolerances=tolerances, **settings)])
+    m = Measurement(
+        machine, [mount(instrument, "read", tolerances=tolerances, **settings)]
+    )
     return m, m.series("read", poses(z))
 
 
-def look(machine: Machine, instrument: Instrument, tolerances: Mapping[str, float] = KNOWN) -> Seen:
+def look(
+    machine: Machine, instrument: Instrument, tolerances: Mapping[str, float] = KNOWN
+) -> Seen:
     m, series = measured(machine, instrument, tolerances)
     return explain.look(m, [series])
 
@@ -50,11 +63,16 @@ def lost(seen: Seen) -> str:
 
 
 def random_commands(rng: np.random.Generator, n: int) -> np.ndarray:
-    tilt, around = np.deg2rad(35) * np.sqrt(rng.uniform(size=n)), rng.uniform(-np.pi, np.pi, n)
-    return np.column_stack([rng.uniform(0.0, 0.4, n), tilt * np.cos(around), tilt * np.sin(around)])
+    tilt, around = (
+        np.deg2rad(35) * np.sqrt(rng.uniform(size=n)),
+        rng.uniform(-np.pi, np.pi, n),
+    )
+    return np.column_stack(
+        [rng.uniform(0.0, 0.4, n), tilt * np.cos(around), tilt * np.sin(around)]
+    )
 
 
-# -- the machine and its tables ----------------------------------------------------------------------------
+# -- the machine and its tables --------------------------------------------------------
 
 
 def test_table_4_is_table_3_less_table_1() -> None:
@@ -63,13 +81,23 @@ def test_table_4_is_table_3_less_table_1() -> None:
 
 
 def test_eq_2_as_printed_has_another_origin_than_table_1() -> None:
-    """The same triangle, (R/2, 0) further along X: with Table 1's platform, strut 1 would hang 0.3235 m sideways."""
-    printed = oracle.R * np.array([[1.5, 0.0], [0.0, np.sqrt(3) / 2], [0.0, -np.sqrt(3) / 2]])
+    """The same triangle, (R/2, 0) further along X: with Table 1's platform, strut 1
+    would hang 0.3235 m sideways.
+    """
+    printed = oracle.R * np.array(
+        [[1.5, 0.0], [0.0, np.sqrt(3) / 2], [0.0, -np.sqrt(3) / 2]]
+    )
     table = 1e-3 * oracle.TABLE_1[:, 3:5]
-    assert printed - table == pytest.approx(np.tile([oracle.R / 2, 0.0], (3, 1)), abs=1e-6)
+    assert printed - table == pytest.approx(
+        np.tile([oracle.R / 2, 0.0], (3, 1)), abs=1e-6
+    )
     platform = 1e-3 * oracle.TABLE_1[:, :2]
-    assert np.linalg.norm(table - platform, axis=1) == pytest.approx([0.149] * 3, abs=1e-6)
-    assert np.linalg.norm(printed - platform, axis=1) == pytest.approx([0.3235, 0.1632, 0.1632], abs=1e-4)
+    assert np.linalg.norm(table - platform, axis=1) == pytest.approx(
+        [0.149] * 3, abs=1e-6
+    )
+    assert np.linalg.norm(printed - platform, axis=1) == pytest.approx(
+        [0.3235, 0.1632, 0.1632], abs=1e-4
+    )
     assert [p.name for p in FULL.parameters] == list(NAMES)
 
 
@@ -90,12 +118,14 @@ def test_forward_is_the_triangle_on_three_swings(rng: np.random.Generator) -> No
     x, q = kinematics.inverse(command)
     for p in (PAPER, 1e-3 * rng.standard_normal((3, 6))):
         exact = oracle.forward(q, p)
-        found, point, _ = kinematics.frames(kinematics.forward(q, p.ravel(), x), np.zeros(3))
+        found, point, _ = kinematics.frames(
+            kinematics.forward(q, p.ravel(), x), np.zeros(3)
+        )
         assert np.abs(point - exact.tip).max() < 1e-13
         assert np.abs(found - exact.rotation).max() < 1e-13
 
 
-# -- instruments -------------------------------------------------------------------------------------------
+# -- instruments -----------------------------------------------------------------------
 
 
 def test_laser_ball_bar_reads_what_the_oracle_reads() -> None:
@@ -105,11 +135,16 @@ def test_laser_ball_bar_reads_what_the_oracle_reads() -> None:
     expected = oracle.laser_ball_bar(exact.tip, exact.rotation, GIMBAL, BASELINE)
     assert np.abs(m.readings([series], theta).reshape(22, 5) - expected).max() < 1e-13
     m, series = measured(FULL, laser_ball_bar.position)
-    assert np.abs(m.readings([series], theta).reshape(22, 3) - expected[:, :3]).max() < 1e-13
+    assert (
+        np.abs(m.readings([series], theta).reshape(22, 3) - expected[:, :3]).max()
+        < 1e-13
+    )
 
 
 def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng: np.random.Generator) -> None:
-    """Covariance of x, y, z, alpha, beta against 20000 readings whose R, theta, phi were disturbed at A and at B."""
+    """Covariance of x, y, z, alpha, beta against 20000 readings whose R, theta, phi
+    were disturbed at A and at B.
+    """
     m, series = measured(FULL, laser_ball_bar.instrument)
     root = m.noise([series]).root
     assert root is not None
@@ -117,16 +152,30 @@ def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng: np.random.Generator) ->
     tip, rot, _ = oracle.nominal(*poses().T)
     k, many = 14, 20_000
     noise = NOISE * rng.standard_normal((many, 2, 3))
-    read = oracle.laser_ball_bar(np.tile(tip[k], (many, 1)), np.tile(rot[k], (many, 1, 1)), GIMBAL, BASELINE, noise)
+    read = oracle.laser_ball_bar(
+        np.tile(tip[k], (many, 1)),
+        np.tile(rot[k], (many, 1, 1)),
+        GIMBAL,
+        BASELINE,
+        noise,
+    )
     block = covariance[5 * k : 5 * k + 5, 5 * k : 5 * k + 5]
     sd = np.sqrt(np.diag(block))
-    assert np.cov(read.T) / np.outer(sd, sd) == pytest.approx(block / np.outer(sd, sd), abs=0.03)
-    assert np.abs(block / np.outer(sd, sd) - np.eye(5)).max() > 0.3  # independent channels would be another thing
-    assert np.count_nonzero(covariance) <= 22 * 25  # readings are independent of each other
+    assert np.cov(read.T) / np.outer(sd, sd) == pytest.approx(
+        block / np.outer(sd, sd), abs=0.03
+    )
+    assert (
+        np.abs(block / np.outer(sd, sd) - np.eye(5)).max() > 0.3
+    )  # independent channels would be another thing
+    assert (
+        np.count_nonzero(covariance) <= 22 * 25
+    )  # readings are independent of each other
 
 
 def test_one_laser_ball_bar_reading_by_hand() -> None:
-    """A ball 0.7 m in front of the gimbal at its height: R is y, phi is -x, theta is z; 0.3 um, 0.7 m x 1.15 arcsec."""
+    """A ball 0.7 m in front of the gimbal at its height: R is y, phi is -x, theta is z;
+    0.3 um, 0.7 m x 1.15 arcsec.
+    """
     setup = mount(laser_ball_bar.position, "read", at_x=0.0, at_y=-0.7, at_z=0.2)
     m = Measurement(FULL, [setup])
     series = m.series("read", np.array([[0.2, 0.0, 0.0]]))
@@ -135,7 +184,9 @@ def test_one_laser_ball_bar_reading_by_hand() -> None:
 
 
 def test_registration_moves_what_is_read(rng: np.random.Generator) -> None:
-    """A frame shifted by t and turned by w about the gimbal: small-angle formulas, and the known frame at zero."""
+    """A frame shifted by t and turned by w about the gimbal: small-angle formulas, and
+    the known frame at zero.
+    """
     m, series = measured(FULL, laser_ball_bar.instrument, {})
     tip, rot, _ = oracle.nominal(*poses().T)
     t, w = 1e-6 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
@@ -154,11 +205,13 @@ def test_pose_tracker_reads_position_and_angles() -> None:
     assert np.abs(m.readings([series], theta).reshape(22, 6) - expected).max() < 1e-13
 
 
-# -- what is seen ------------------------------------------------------------------------------------------
+# -- what is seen ----------------------------------------------------------------------
 
 
 def test_strut_lengths_alone_see_five_of_six_errors_of_a_limb() -> None:
-    """Eq. (11) at the machine as drawn, at Table 2's poses and at thousands more: the tangential column is zero."""
+    """Eq. (11) at the machine as drawn, at Table 2's poses and at thousands more: the
+    tangential column is zero.
+    """
     rng = np.random.default_rng(1)
     for command in (poses(), random_commands(rng, 3000)):
         tip, rot, q = oracle.nominal(*command.T)
@@ -169,19 +222,29 @@ def test_strut_lengths_alone_see_five_of_six_errors_of_a_limb() -> None:
             assert np.abs(rows[:, i, 3:5] @ oracle.TANGENT[i]).max() < 1e-14
 
 
-def test_strut_only_machine_loses_the_three_tangential_offsets_from_full_poses() -> None:
+def test_strut_only_machine_loses_the_three_tangential_offsets_from_full_poses() -> (
+    None
+):
     seen = look(STRUTS, pose_tracker.instrument)
     assert (seen.verdict.rank, len(seen.names)) == (15, 18)
     tangential = np.zeros((3, 3, 6))
     tangential[range(3), range(3), 3:5] = oracle.TANGENT
     assert np.abs(seen.verdict.combinations @ tangential.reshape(3, 18).T).max() < 1e-9
-    for text in ("dR1y by +1 mm", "dR2x by +1 mm, dR2y by +0.577 mm", "dR3x by +1 mm, dR3y by -0.577 mm"):
+    for text in (
+        "dR1y by +1 mm",
+        "dR2x by +1 mm, dR2y by +0.577 mm",
+        "dR3x by +1 mm, dR3y by -0.577 mm",
+    ):
         assert f"moving {text}" in lost(seen)
 
 
-@pytest.mark.parametrize("z", [0.0, 0.2, np.linspace(0.0, 0.4, 22)], ids=["low", "middle", "climbing"])
+@pytest.mark.parametrize(
+    "z", [0.0, 0.2, np.linspace(0.0, 0.4, 22)], ids=["low", "middle", "climbing"]
+)
 def test_full_closure_sees_18_17_and_15_of_18(z: float | np.ndarray) -> None:
-    """Known frame, Table 2's poses: six components, position and axis, position. Heights, unprinted, do not matter."""
+    """Known frame, Table 2's poses: six components, position and axis, position.
+    Heights, unprinted, do not matter.
+    """
     for instrument, rank in (
         (pose_tracker.instrument, 18),
         (laser_ball_bar.instrument, 17),
@@ -193,9 +256,14 @@ def test_full_closure_sees_18_17_and_15_of_18(z: float | np.ndarray) -> None:
 
 
 def test_the_lost_directions_are_rotations_of_the_platform_joints() -> None:
-    assert lost(look(FULL, laser_ball_bar.instrument)).startswith(f"Lost, 1 direction of 18: the {SPIN}.")
+    assert lost(look(FULL, laser_ball_bar.instrument)).startswith(
+        f"Lost, 1 direction of 18: the {SPIN}."
+    )
     told = lost(look(FULL, laser_ball_bar.position))
-    assert all(f"rotation of the platform joints about the tool tip, {n} axis" in told for n in "xyz")
+    assert all(
+        f"rotation of the platform joints about the tool tip, {n} axis" in told
+        for n in "xyz"
+    )
     seen = look(FULL, laser_ball_bar.instrument)
     spin = np.zeros((3, 6))
     spin[:, :2] = np.cross([0.0, 0.0, 1.0], oracle.BALLS)[:, :2]
@@ -203,7 +271,9 @@ def test_the_lost_directions_are_rotations_of_the_platform_joints() -> None:
 
 
 def test_a_frame_that_is_not_known_hides_two_more_directions() -> None:
-    """Six unknowns more, 22, 21 and 19 of 24: shifting all sliders along X or Y is shifting the frame."""
+    """Six unknowns more, 22, 21 and 19 of 24: shifting all sliders along X or Y is
+    shifting the frame.
+    """
     for instrument, rank in (
         (pose_tracker.instrument, 22),
         (laser_ball_bar.instrument, 21),
@@ -218,21 +288,37 @@ def test_a_frame_that_is_not_known_hides_two_more_directions() -> None:
             assert np.abs(seen.verdict.combinations @ shift).max() < 1e-9
 
 
-# -- Table 4 planted ---------------------------------------------------------------------------------------
+# -- Table 4 planted -------------------------------------------------------------------
 
 
-def planted(seed: int, tolerances: Mapping[str, float]) -> tuple[Measurement, Series, np.ndarray]:
-    """Readings (110,) of the oracle's machine with Table 4's errors, noise on R, theta, phi at A and B."""
+def planted(
+    seed: int, tolerances: Mapping[str, float]
+) -> tuple[Measurement, Series, np.ndarray]:
+    """Readings (110,) of the oracle's machine with Table 4's errors, noise on R, theta,
+    phi at A and B.
+    """
     m, series = measured(FULL, laser_ball_bar.instrument, tolerances)
     exact = oracle.forward(series.q, PAPER)
     noise = NOISE * np.random.default_rng(seed).standard_normal((22, 2, 3))
-    return m, series, oracle.laser_ball_bar(exact.tip, exact.rotation, GIMBAL, BASELINE, noise).ravel()
+    return (
+        m,
+        series,
+        oracle.laser_ball_bar(
+            exact.tip, exact.rotation, GIMBAL, BASELINE, noise
+        ).ravel(),
+    )
 
 
-@pytest.mark.parametrize("tolerances", [KNOWN, {}], ids=["known frame", "aligned frame"])
-def test_table_4_comes_back_in_every_identifiable_combination(tolerances: Mapping[str, float]) -> None:
-    """Eight seeds; 17 combinations with the frame known, 21 with its six unknowns. All within 3 posterior standard
-    deviations, and not all well within: their mean square is near 1 where the readings, not the tolerances, decide."""
+@pytest.mark.parametrize(
+    "tolerances", [KNOWN, {}], ids=["known frame", "aligned frame"]
+)
+def test_table_4_comes_back_in_every_identifiable_combination(
+    tolerances: Mapping[str, float],
+) -> None:
+    """Eight seeds; 17 combinations with the frame known, 21 with its six unknowns. All
+    within 3 posterior standard deviations, and not all well within: their mean square
+    is near 1 where the readings, not the tolerances, decide.
+    """
     found, sizes = [], []
     for seed in range(8):
         m, series, y = planted(seed, tolerances)
@@ -241,7 +327,14 @@ def test_table_4_comes_back_in_every_identifiable_combination(tolerances: Mappin
         keep = [m.names.index(n) for n in names]
         estimate = identify.identify(m, [series], y)
         miss = estimate.theta[keep] - np.r_[PAPER.ravel(), np.zeros(6)][keep]
-        sd = np.sqrt(np.einsum("ij,jk,ik->i", combinations, estimate.covariance[np.ix_(keep, keep)], combinations))
+        sd = np.sqrt(
+            np.einsum(
+                "ij,jk,ik->i",
+                combinations,
+                estimate.covariance[np.ix_(keep, keep)],
+                combinations,
+            )
+        )
         found.append(combinations @ miss / sd)
         prior = np.sqrt((combinations**2) @ m.tolerance[keep] ** 2)
         sizes.append(sd / prior)
@@ -254,8 +347,10 @@ def test_table_4_comes_back_in_every_identifiable_combination(tolerances: Mappin
 
 
 def test_what_the_paper_s_own_equations_return_for_its_own_numbers() -> None:
-    """A virtual machine with Table 4's errors, its poses known without noise, Eq. (12) solved as in section 6: all
-    comes back to 2 um but the tangential offsets, which come back as zero, for they are not in the equations."""
+    """A virtual machine with Table 4's errors, its poses known without noise, Eq. (12)
+    solved as in section 6: all comes back to 2 um but the tangential offsets, which
+    come back as zero, for they are not in the equations.
+    """
     q = oracle.nominal(*poses().T)[2]
     exact = oracle.forward(q, PAPER)
     found = oracle.paper_fit(exact.tip, exact.rotation, q, cut=1e-3)
@@ -267,22 +362,36 @@ def test_what_the_paper_s_own_equations_return_for_its_own_numbers() -> None:
     assert np.abs(wrong).max() < 2e-6
 
 
-def test_a_millimetre_of_tangential_offset_changes_a_strut_by_half_a_micrometre() -> None:
-    """Exactly, at measured poses: e^2 / 2l. The laser ball bar reads a position to 4 um."""
+def test_a_millimetre_of_tangential_offset_changes_a_strut_by_half_a_micrometre() -> (
+    None
+):
+    """Exactly, at measured poses: e^2 / 2l. The laser ball bar reads a position to 4
+    um.
+    """
     q = oracle.nominal(*poses().T)[2]
     exact = oracle.forward(q, PAPER)
     for e in (1e-3, -1e-3):
         moved = PAPER.copy()
         moved[:, 3:5] += e * oracle.TANGENT
-        length = np.linalg.norm(oracle.struts(exact.tip, exact.rotation, q, moved), axis=-1) - oracle.L - moved[:, 5]
-        assert length == pytest.approx(np.full((22, 3), e**2 / (2 * oracle.L)), rel=2e-3)
-        assert np.ptp(length, axis=0).max() < 1e-11  # and what there is, is constant: it passes for dl
+        length = (
+            np.linalg.norm(oracle.struts(exact.tip, exact.rotation, q, moved), axis=-1)
+            - oracle.L
+            - moved[:, 5]
+        )
+        assert length == pytest.approx(
+            np.full((22, 3), e**2 / (2 * oracle.L)), rel=2e-3
+        )
+        assert (
+            np.ptp(length, axis=0).max() < 1e-11
+        )  # and what there is, is constant: it passes for dl
 
 
 def test_gamma_is_no_function_of_alpha_and_beta_on_a_machine_with_errors() -> None:
-    """Section 5.2 (d) computes gamma from alpha and beta. With Table 4's errors it is 1.7 to 2.4 mrad off, by the mean
-    tangential offset over r; the paper's procedure, fed with that, misses its own numbers by 0.4 mm in a ball joint,
-    0.25 mm in a strut and 0.85 mm in a slider's radial place, without any noise."""
+    """Section 5.2 (d) computes gamma from alpha and beta. With Table 4's errors it is
+    1.7 to 2.4 mrad off, by the mean tangential offset over r; the paper's procedure,
+    fed with that, misses its own numbers by 0.4 mm in a ball joint, 0.25 mm in a strut
+    and 0.85 mm in a slider's radial place, without any noise.
+    """
     q = oracle.nominal(*poses().T)[2]
     exact = oracle.forward(q, PAPER)
     alpha, beta, gamma = oracle.angles(exact.rotation).T
@@ -294,4 +403,6 @@ def test_gamma_is_no_function_of_alpha_and_beta_on_a_machine_with_errors() -> No
     wrong = 1e3 * (oracle.paper_fit(exact.tip, rot, q, cut=1e-3) - PAPER)
     assert np.abs(wrong[:, :3]).max() == pytest.approx(0.404, abs=2e-3)
     assert np.abs(wrong[:, 5]).max() == pytest.approx(0.246, abs=2e-3)
-    assert np.abs((wrong[:, 3:5] * oracle.RADIAL).sum(1)).max() == pytest.approx(0.850, abs=2e-3)
+    assert np.abs((wrong[:, 3:5] * oracle.RADIAL).sum(1)).max() == pytest.approx(
+        0.850, abs=2e-3
+    )

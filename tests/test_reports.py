@@ -1,4 +1,6 @@
-"""Reports: both files whole, self-contained, escaped, the same each time, and sound where parts are missing."""
+"""Reports: both files whole, self-contained, escaped, the same each time, and sound
+where parts are missing.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,10 @@ VOID = {"meta", "img", "link", "br", "hr", "input"}
 
 @pytest.fixture(scope="module")
 def full(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    return write_report(_stored(report_fixture.sample()), tmp_path_factory.mktemp("report") / "new folder")
+    return write_report(
+        _stored(report_fixture.sample()),
+        tmp_path_factory.mktemp("report") / "new folder",
+    )
 
 
 def _stored(result: dict[str, Any]) -> dict[str, Any]:
@@ -79,11 +84,17 @@ class Tags(HTMLParser):
         assert self.open.pop() == tag
 
 
-@pytest.mark.parametrize("build", [report_fixture.sample, report_fixture.bare, report_fixture.delta])
+@pytest.mark.parametrize(
+    "build", [report_fixture.sample, report_fixture.bare, report_fixture.delta]
+)
 def test_fixture_conforms_to_the_schema(build: Callable[[], dict[str, Any]]) -> None:
     raw = build()
-    for entry in raw["kappa_maps"]:  # NaN is stored as null, which the schema's floats refuse
-        entry["kappa"] = [[1e9 if k is None else k for k in row] for row in entry["kappa"]]
+    for entry in raw[
+        "kappa_maps"
+    ]:  # NaN is stored as null, which the schema's floats refuse
+        entry["kappa"] = [
+            [1e9 if k is None else k for k in row] for row in entry["kappa"]
+        ]
     decoded = msgspec.json.decode(msgspec.json.encode(raw), type=StudyResult)
     assert len(decoded.machine.parameters) == 18
 
@@ -95,7 +106,10 @@ def test_both_files_are_whole(full: tuple[Path, Path]) -> None:
     assert book.name == "report.pdf"
     assert book.read_bytes().startswith(b"%PDF")
     assert b"%%EOF" in book.read_bytes()[-32:]
-    assert sorted(p.name for p in page.parent.iterdir()) == ["report.html", "report.pdf"]
+    assert sorted(p.name for p in page.parent.iterdir()) == [
+        "report.html",
+        "report.pdf",
+    ]
 
 
 def test_page_is_small_and_loads_nothing(full: tuple[Path, Path]) -> None:
@@ -103,25 +117,44 @@ def test_page_is_small_and_loads_nothing(full: tuple[Path, Path]) -> None:
     assert len(page) < 3_000_000
     tags = Tags(page)
     assert not tags.open
-    assert not {tag for tag, _ in tags.found} & {"script", "link", "iframe", "object", "embed"}
+    assert not {tag for tag, _ in tags.found} & {
+        "script",
+        "link",
+        "iframe",
+        "object",
+        "embed",
+    }
     for tag, attributes in tags.found:
         for name in ("src", "href", "srcset", "poster"):
             value = attributes.get(name) or ""
-            assert value.startswith(("data:image/", "#")) or not value, (tag, value[:60])
+            assert value.startswith(("data:image/", "#")) or not value, (
+                tag,
+                value[:60],
+            )
     assert not re.search(r"url\(|@import", page)
 
 
 def test_every_heading_is_there_and_linked(full: tuple[Path, Path]) -> None:
     page = full[0].read_text(encoding="utf-8")
     headings = [_shown(h).strip() for h in re.findall(r"<h2>(.*?)</h2>", page)]
-    assert headings == [f"{k} {chapter.TITLE}" for k, chapter in enumerate(sections.CHAPTERS, 1)]
+    assert headings == [
+        f"{k} {chapter.TITLE}" for k, chapter in enumerate(sections.CHAPTERS, 1)
+    ]
     anchors = set(re.findall(r'id="([^"]+)"', page))
     assert {target for target in re.findall(r'href="#([^"]+)"', page)} <= anchors
 
 
 def test_the_question_and_the_answers_come_first(full: tuple[Path, Path]) -> None:
-    result, shown = report_fixture.sample(), _shown(full[0].read_text(encoding="utf-8").partition("<h2>")[0])
-    for text in (result["title"], result["question"], *result["headline"], *[c["claim"] for c in result["claims"]]):
+    result, shown = (
+        report_fixture.sample(),
+        _shown(full[0].read_text(encoding="utf-8").partition("<h2>")[0]),
+    )
+    for text in (
+        result["title"],
+        result["question"],
+        *result["headline"],
+        *[c["claim"] for c in result["claims"]],
+    ):
         assert text in shown
     assert "not met" in shown
 
@@ -144,7 +177,9 @@ def test_the_study_file_and_the_seed_are_shown(full: tuple[Path, Path]) -> None:
     assert "<tags>" not in page
 
 
-def test_the_same_result_gives_the_same_page(full: tuple[Path, Path], tmp_path: Path) -> None:
+def test_the_same_result_gives_the_same_page(
+    full: tuple[Path, Path], tmp_path: Path
+) -> None:
     page, book = write_report(_stored(report_fixture.sample()), tmp_path)
     assert page.read_bytes() == full[0].read_bytes()
     assert book.read_bytes() == full[1].read_bytes()
@@ -153,7 +188,9 @@ def test_the_same_result_gives_the_same_page(full: tuple[Path, Path], tmp_path: 
 def test_users_settings_change_nothing(tmp_path: Path) -> None:
     result = {**report_fixture.bare(), "drawing": report_fixture.sample()["drawing"]}
     plain = html_writer.render(document.build(result))
-    with matplotlib.style.context({"font.size": 30.0, "axes.grid": False, "text.usetex": False}):
+    with matplotlib.style.context(
+        {"font.size": 30.0, "axes.grid": False, "text.usetex": False}
+    ):
         assert html_writer.render(document.build(result)) == plain
 
 
@@ -166,7 +203,17 @@ def test_nothing_but_the_heads_is_needed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "missing", ["versions", "question", "headline", "held_out", "claims", "warnings", "seconds", "title"]
+    "missing",
+    [
+        "versions",
+        "question",
+        "headline",
+        "held_out",
+        "claims",
+        "warnings",
+        "seconds",
+        "title",
+    ],
 )
 def test_a_result_of_an_older_version_lacks_a_key(missing: str) -> None:
     result = report_fixture.bare()
@@ -176,7 +223,13 @@ def test_a_result_of_an_older_version_lacks_a_key(missing: str) -> None:
 
 def test_text_of_the_study_is_never_markup(tmp_path: Path) -> None:
     result = _stored(report_fixture.sample())
-    result |= {"title": NASTY, "question": NASTY, "headline": [NASTY], "warnings": [NASTY], "study_text": NASTY}
+    result |= {
+        "title": NASTY,
+        "question": NASTY,
+        "headline": [NASTY],
+        "warnings": [NASTY],
+        "study_text": NASTY,
+    }
     result["claims"][0]["claim"] = NASTY
     result["drawing"]["reading_of"] = [NASTY] * 30
     result["kappa_maps"][0]["title"] = NASTY
@@ -186,7 +239,12 @@ def test_text_of_the_study_is_never_markup(tmp_path: Path) -> None:
     for key in ("setup", "run"):
         result["design"]["poses"][0][key] = NASTY
     design = result["design"]
-    design |= {"words": NASTY, "setups": [NASTY], "refused": {NASTY: 2}, "criterion": NASTY}
+    design |= {
+        "words": NASTY,
+        "setups": [NASTY],
+        "refused": {NASTY: 2},
+        "criterion": NASTY,
+    }
     design["plans"][1]["name"] = design["compared"][1]["name"] = NASTY
     design["polished"] |= {"words": NASTY, "setups": {NASTY: {NASTY: 1.0}}}
     design["order"]["setups"] = [NASTY, "b"]
@@ -202,7 +260,10 @@ def test_text_of_the_study_is_never_markup(tmp_path: Path) -> None:
 
 EMPTY: list[tuple[Callable[[Any], Figure], Any]] = [
     (machine.draw, {"lines": [], "tool_points": [], "reading_of": [], "bars": []}),
-    (kappa.draw, [{"title": "t", "circles": [2], "points": [3, 4], "kappa": [[None, None]]}]),
+    (
+        kappa.draw,
+        [{"title": "t", "circles": [2], "points": [3, 4], "kappa": [[None, None]]}],
+    ),
     (singular.draw, {"singular_values": [], "rank": 0, "n": 0, "tolerance": 1e-9}),
     (parameters.draw, {}),
     (residuals.draw, {"residuals": [], "residuals_before": [], "unit": "um"}),
@@ -219,8 +280,14 @@ EMPTY: list[tuple[Callable[[Any], Figure], Any]] = [
 ]
 
 
-@pytest.mark.parametrize(("draw", "part"), EMPTY, ids=[draw.__module__.rpartition(".")[2] for draw, _ in EMPTY])
-def test_a_figure_without_data_says_so(draw: Callable[[Any], Figure], part: Any) -> None:
+@pytest.mark.parametrize(
+    ("draw", "part"),
+    EMPTY,
+    ids=[draw.__module__.rpartition(".")[2] for draw, _ in EMPTY],
+)
+def test_a_figure_without_data_says_so(
+    draw: Callable[[Any], Figure], part: Any
+) -> None:
     with style.applied():
         figure = draw(part)
         assert not figure.axes
@@ -250,7 +317,9 @@ def test_figures_keep_all_words_inside(build: Callable[[], dict[str, Any]]) -> N
 
 
 def _check_inside(figure: Figure) -> None:
-    """Nothing drawn reaches beyond the figure; of 3-D axes only their frame and labels are asked."""
+    """Nothing drawn reaches beyond the figure; of 3-D axes only their frame and labels
+    are asked.
+    """
     figure.draw_without_rendering()
     renderer: Any = FigureCanvasAgg(figure).get_renderer()
     for axes in figure.axes:
@@ -265,14 +334,31 @@ def _check_inside(figure: Figure) -> None:
 
 def test_a_plan_of_other_machines_is_drawn() -> None:
     spots = [
-        {"command": {"z_mm": float(k), "a_deg": 2.0 * k}, "before": {"z": 1.0}, "after": {"z": 0.1 * k}}
+        {
+            "command": {"z_mm": float(k), "a_deg": 2.0 * k},
+            "before": {"z": 1.0},
+            "after": {"z": 0.1 * k},
+        }
         for k in range(5)
     ]
-    one = [{"command": {"z_mm": s["command"]["z_mm"]}, "before": s["before"], "after": s["after"]} for s in spots]
+    one = [
+        {
+            "command": {"z_mm": s["command"]["z_mm"]},
+            "before": s["before"],
+            "after": s["after"],
+        }
+        for s in spots
+    ]
     part = report_fixture.delta()["prediction"]
     with style.applied():
         for points in (spots, one):
-            drawn = workspace.draw({"components": {"z": part["components"]["z"]}, "unit": {"z": "um"}, "map": points})
+            drawn = workspace.draw(
+                {
+                    "components": {"z": part["components"]["z"]},
+                    "unit": {"z": "um"},
+                    "map": points,
+                }
+            )
             assert drawn.axes
 
 
@@ -280,14 +366,20 @@ def test_a_figure_of_many_marks_becomes_pixels(tmp_path: Path) -> None:
     result = _stored(report_fixture.bare())
     result["estimate"] = report_fixture.sample()["estimate"]
     values = [float(k % 17) for k in range(6000)]
-    result["estimate"] |= {"residuals": values, "residuals_before": values, "channels": ["length"] * 6000}
+    result["estimate"] |= {
+        "residuals": values,
+        "residuals_before": values,
+        "channels": ["length"] * 6000,
+    }
     made = document.build(result)
     assert made.images["residuals"].kind == "png"
     assert b"data:image/png" in html_writer.render(made)
     assert pdf_writer.render(made).startswith(b"%PDF")
 
 
-def test_a_failed_write_leaves_the_old_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_the_old_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "report.html").write_text("old")
 
     def fail(*_: Any) -> None:
@@ -329,7 +421,12 @@ def test_words() -> None:
     assert words.plain(0.5) == "0.5"
     assert words.plain(1000.0) == "1000"
     assert words.percent(0.9767) == "98\N{NO-BREAK SPACE}%"
-    assert words.column([0.0, 24.0, None, 33.8908]) == ["0.0000", "24.0000", "–", "33.8908"]
+    assert words.column([0.0, 24.0, None, 33.8908]) == [
+        "0.0000",
+        "24.0000",
+        "–",
+        "33.8908",
+    ]
     assert words.listing(["a", "b", "c"]) == "a, b and c"
     assert words.combination({"a": -0.5, "b": 1.0}) == "b − 0.5\N{NO-BREAK SPACE}a"
     assert words.fixed(-0.0001, 2) == "0.00"

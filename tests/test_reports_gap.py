@@ -1,4 +1,6 @@
-"""The report's chapter on the gap: sound for every verdict, whole where parts are missing, its figures legible."""
+"""The report's chapter on the gap: sound for every verdict, whole where parts are
+missing, its figures legible.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,16 @@ NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </scrip
 def test_legs_that_nothing_tells_apart_are_said_to_be(stored: dict[str, Any]) -> None:
     one = {"block": "leg 1", "p_value": 1e-9, "strength": 0.8}
     caption = "Of leg 1 and leg 2 the readings are the same"
-    for other, tied in (({"strength": 0.8}, True), ({"strength": 0.79}, False), ({"p_value": 0.5}, False)):
-        gap = {**stored, "verdict": "effect", "where": [one, {**one, "block": "leg 2", **other}]}
+    for other, tied in (
+        ({"strength": 0.8}, True),
+        ({"strength": 0.79}, False),
+        ({"p_value": 0.5}, False),
+    ):
+        gap = {
+            **stored,
+            "verdict": "effect",
+            "where": [one, {**one, "block": "leg 2", **other}],
+        }
         assert (caption in str(chapter._places(gap)[0])) == tied
 
 
@@ -43,29 +53,44 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     path = gap_fixture.written(tmp_path_factory.mktemp("gap"))
     job = pipeline._Job(load(path), path.parent, 3, pipeline.Silent(), None)
     series, truth, y, covariates, _ = job.virtual(job.planned(None))
-    found = gap_fixture.diagnosis(problem.planned(job.measurement, series, covariates, truth, y))
+    found = gap_fixture.diagnosis(
+        problem.planned(job.measurement, series, covariates, truth, y)
+    )
     made = stage.section(found, job.resolved.gap.effects)
     decoded: dict[str, Any] = json.loads(msgspec.json.encode(made))
     return decoded
 
 
 def _result(gap: dict[str, Any]) -> dict[str, Any]:
-    return {**json.loads(msgspec.json.encode(report_fixture.bare())), "gap": copy.deepcopy(gap)}
+    return {
+        **json.loads(msgspec.json.encode(report_fixture.bare())),
+        "gap": copy.deepcopy(gap),
+    }
 
 
 def _shown(page: str) -> str:
     return html.unescape(re.sub(r"<[^>]*>", " ", page))
 
 
-def test_the_chapter_comes_first_and_only_where_there_is_a_diagnosis(stored: dict[str, Any]) -> None:
+def test_the_chapter_comes_first_and_only_where_there_is_a_diagnosis(
+    stored: dict[str, Any],
+) -> None:
     assert sections.chapters(_result(stored))[0].anchor == "gap"
-    assert [s.anchor for s in sections.chapters(report_fixture.bare())].count("gap") == 0
+    assert [s.anchor for s in sections.chapters(report_fixture.bare())].count(
+        "gap"
+    ) == 0
 
 
-def test_the_page_tells_findings_causes_places_and_closure(stored: dict[str, Any], tmp_path: Path) -> None:
+def test_the_page_tells_findings_causes_places_and_closure(
+    stored: dict[str, Any], tmp_path: Path
+) -> None:
     page, book = write_report(_result(stored), tmp_path)
     assert book.read_bytes().startswith(b"%PDF")
-    shown = " ".join(_shown(page.read_text(encoding="utf-8")).replace("\N{NO-BREAK SPACE}", " ").split())
+    shown = " ".join(
+        _shown(page.read_text(encoding="utf-8"))
+        .replace("\N{NO-BREAK SPACE}", " ")
+        .split()
+    )
     for text in (
         "The gap comes from backlash (probability 97 %)",
         "Against backlash: preload the screws",
@@ -90,10 +115,27 @@ def test_the_largest_coefficient_stands_first(stored: dict[str, Any]) -> None:
 def test_every_verdict_has_a_page(stored: dict[str, Any], verdict: str) -> None:
     gap = copy.deepcopy(stored) | {"verdict": verdict}
     if verdict in ("none", "unknown"):
-        gap |= {"selected": [], "sizes": [], "coefficients": [], "closure": [], "confusable": [], "next": []}
-        gap["answers"] = [{"effects": ["unknown"] if verdict == "unknown" else [], "probability": 0.9, "classes": []}]
+        gap |= {
+            "selected": [],
+            "sizes": [],
+            "coefficients": [],
+            "closure": [],
+            "confusable": [],
+            "next": [],
+        }
+        gap["answers"] = [
+            {
+                "effects": ["unknown"] if verdict == "unknown" else [],
+                "probability": 0.9,
+                "classes": [],
+            }
+        ]
         for t in gap["traces"]:
-            t |= {"explained": [0.0] * len(t["at"]), "after": t["before"], "unexplained": t["before"]}
+            t |= {
+                "explained": [0.0] * len(t["at"]),
+                "after": t["before"],
+                "unexplained": t["before"],
+            }
     made = document.build(_result(gap))
     assert html_writer.render(made).rstrip().endswith(b"</html>")
     assert pdf_writer.render(made).startswith(b"%PDF")
@@ -102,16 +144,31 @@ def test_every_verdict_has_a_page(stored: dict[str, Any], verdict: str) -> None:
 
 
 def test_nothing_but_the_contract_s_own_keys_is_needed(stored: dict[str, Any]) -> None:
-    kept = ("verdict", "answers", "set95", "where", "closure", "not_testable", "confusable")
+    kept = (
+        "verdict",
+        "answers",
+        "set95",
+        "where",
+        "closure",
+        "not_testable",
+        "confusable",
+    )
     made = document.build(_result({k: stored[k] for k in kept} | {"selected": []}))
     assert pdf_writer.render(made).startswith(b"%PDF")
 
 
-def test_text_of_the_readings_is_never_markup(stored: dict[str, Any], tmp_path: Path) -> None:
+def test_text_of_the_readings_is_never_markup(
+    stored: dict[str, Any], tmp_path: Path
+) -> None:
     gap = copy.deepcopy(stored)
     for t in gap["traces"]:
         t |= {"setup": NASTY, "run": NASTY, "base": NASTY, "channel": NASTY}
-    gap |= {"words": [NASTY], "next": [NASTY], "noise": [NASTY], "not_testable": [NASTY]}
+    gap |= {
+        "words": [NASTY],
+        "next": [NASTY],
+        "noise": [NASTY],
+        "not_testable": [NASTY],
+    }
     gap["where"][0]["block"] = f"run {NASTY}"
     gap["marginal"] = {NASTY: 0.5}
     gap["sizes"][0]["effect"] = gap["coefficients"][0]["name"] = NASTY
@@ -124,11 +181,13 @@ def test_text_of_the_readings_is_never_markup(stored: dict[str, Any], tmp_path: 
 
 
 def test_the_same_result_gives_the_same_bytes(stored: dict[str, Any]) -> None:
-    first, second = (html_writer.render(document.build(_result(stored))) for _ in range(2))
+    first, second = (
+        html_writer.render(document.build(_result(stored))) for _ in range(2)
+    )
     assert first == second
 
 
-# -- figures -------------------------------------------------------------------------------------------------
+# -- figures ---------------------------------------------------------------------------
 
 
 def test_figures_without_data_say_so() -> None:
@@ -162,7 +221,11 @@ def _figures(gap: dict[str, Any]) -> list[Figure]:
 
 
 def test_the_likeliest_cause_is_at_the_top_and_coloured(stored: dict[str, Any]) -> None:
-    gap = stored | {"marginal": {f"effect_{k:02d}": 0.01 * k for k in range(14)} | {"backlash": 0.98}}
+    gap = stored | {
+        "marginal": (
+            {f"effect_{k:02d}": 0.01 * k for k in range(14)} | {"backlash": 0.98}
+        )
+    }
     with style.applied():
         axes = gap_causes.draw(gap).axes
     labels = [t.get_text() for t in axes[0].get_yticklabels()]
@@ -170,26 +233,47 @@ def test_the_likeliest_cause_is_at_the_top_and_coloured(stored: dict[str, Any]) 
     assert len(labels) == gap_causes.MOST
     assert axes[0].patches[0].get_width() == pytest.approx(98.0)
     assert axes[0].patches[0].get_facecolor() != axes[0].patches[1].get_facecolor()
-    assert axes[1].patches[0].get_width() == pytest.approx(stored["sizes"][0]["rms"]["length"])
+    assert axes[1].patches[0].get_width() == pytest.approx(
+        stored["sizes"][0]["rms"]["length"]
+    )
 
 
-def test_only_the_runs_with_the_largest_residuals_are_drawn(stored: dict[str, Any]) -> None:
+def test_only_the_runs_with_the_largest_residuals_are_drawn(
+    stored: dict[str, Any],
+) -> None:
     one = stored["traces"][0]
-    many = [{**one, "run": f"r{k}", "before": [v * (1 + k % 5) for v in one["before"]]} for k in range(20)]
+    many = [
+        {**one, "run": f"r{k}", "before": [v * (1 + k % 5) for v in one["before"]]}
+        for k in range(20)
+    ]
     kept = gap_trace.chosen(many)
     assert len(kept) == gap_trace.MOST
-    assert [t["run"] for t in kept if t["run"] in ("r4", "r9", "r14", "r19")] == ["r4", "r9", "r14", "r19"]
+    assert [t["run"] for t in kept if t["run"] in ("r4", "r9", "r14", "r19")] == [
+        "r4",
+        "r9",
+        "r14",
+        "r19",
+    ]
     assert "r0" not in [t["run"] for t in kept]
     with style.applied():
-        assert len([a for a in gap_trace.draw(many).axes if a.get_visible()]) == gap_trace.MOST
+        assert (
+            len([a for a in gap_trace.draw(many).axes if a.get_visible()])
+            == gap_trace.MOST
+        )
 
 
 def test_both_ways_of_a_circle_share_a_panel(stored: dict[str, Any]) -> None:
     found = gap_polar.circles(stored["traces"])
-    assert [[t["direction"] for t in runs] for runs in found.values()] == [[1, -1], [1, -1]]
+    assert [[t["direction"] for t in runs] for runs in found.values()] == [
+        [1, -1],
+        [1, -1],
+    ]
     with style.applied():
         figure = gap_polar.draw(stored["traces"])
-    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["forward", "backward"]
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == [
+        "forward",
+        "backward",
+    ]
     upper = figure.axes[0]
     around = next(line for line in upper.lines if line.get_label() == "forward")
     trace = stored["traces"][0]
@@ -201,13 +285,19 @@ def test_both_ways_of_a_circle_share_a_panel(stored: dict[str, Any]) -> None:
 def test_a_machine_in_a_plane_has_one_view_and_one_in_space_two() -> None:
     flat = style.array([[0.0, 10.0 * k, 100.0 * (k % 3)] for k in range(9)])
     assert gap_map.views(flat) == [(1, 2)]
-    solid = style.array([[300.0 * (k % 2), 10.0 * k, 100.0 * (k % 3)] for k in range(9)])
+    solid = style.array(
+        [[300.0 * (k % 2), 10.0 * k, 100.0 * (k % 3)] for k in range(9)]
+    )
     assert gap_map.views(solid) == [(0, 1), (0, 2)]
 
 
 def test_one_of_many_is_not_named_before_the_others() -> None:
     few, many = ["friction", "backlash"], ["step", *(f"effect_{k}" for k in range(6))]
-    answer = {"effects": ["friction", "step", "unknown"], "probability": 0.4, "classes": [few, many]}
+    answer = {
+        "effects": ["friction", "step", "unknown"],
+        "probability": 0.4,
+        "classes": [few, many],
+    }
     said, percent, alike = chapter._row(answer)
     assert said == "friction, one of 7 and an effect of unknown form"
     assert percent == words.percent(0.4)

@@ -28,19 +28,27 @@ def refused(text: str, *changes: tuple[str, str], folder: Path = Path()) -> Inpu
     return error.value
 
 
-# -- numbers with units ------------------------------------------------------------------------------------
+# -- numbers with units ----------------------------------------------------------------
 
 name = st.from_regex(r"[a-z]+[0-9]?(_[xyz])?", fullmatch=True)
 
 
 @given(name=name, unit=st.sampled_from(sorted(units.UNITS)), value=st.floats(-1e6, 1e6))
 def test_a_key_gives_its_value_in_si(name: str, unit: str, value: float) -> None:
-    found = quantities.read({f"{name}_{unit}": value}, {name: units.si_unit(unit)}, HERE)
+    found = quantities.read(
+        {f"{name}_{unit}": value}, {name: units.si_unit(unit)}, HERE
+    )
     assert found == {name: pytest.approx(value * units.factor(unit), rel=1e-15)}
 
 
-@given(name=name, unit=st.sampled_from(sorted(units.UNITS)), kind=st.sampled_from(sorted(units.DISPLAY)))
-def test_a_unit_of_another_kind_is_refused_with_those_that_fit(name: str, unit: str, kind: str) -> None:
+@given(
+    name=name,
+    unit=st.sampled_from(sorted(units.UNITS)),
+    kind=st.sampled_from(sorted(units.DISPLAY)),
+)
+def test_a_unit_of_another_kind_is_refused_with_those_that_fit(
+    name: str, unit: str, kind: str
+) -> None:
     if units.si_unit(unit) == kind:
         return
     with pytest.raises(InputError) as error:
@@ -67,7 +75,7 @@ def test_a_quantity_given_twice_is_refused() -> None:
         quantities.read({"length_mm": 1.0, "length_um": 1.0}, {"length": "m"}, HERE)
 
 
-# -- the file ----------------------------------------------------------------------------------------------
+# -- the file --------------------------------------------------------------------------
 
 BROKEN = {
     "unknown table": (("[noise]", "[noize]"), "noize", "did you mean noise"),
@@ -159,18 +167,27 @@ def test_tables_refused_with_field_and_remedy(name: str) -> None:
 
 
 def test_a_pose_that_does_not_close_is_told() -> None:
-    text = sample.DELTA + "[[design.candidates]]\nsetup = 'probe'\nx_mm = [0, 100]\ny_mm = 0\nz_mm = 20\n"
-    error = refused(text, ('"linear_delta"', '"linear_delta"\nnominal = { arm1_mm = 200 }'))
+    text = (
+        sample.DELTA
+        + "[[design.candidates]]\nsetup = 'probe'\nx_mm = [0, 100]\ny_mm = 0\nz_mm ="
+        " 20\n"
+    )
+    error = refused(
+        text, ('"linear_delta"', '"linear_delta"\nnominal = { arm1_mm = 200 }')
+    )
     assert error.field == "design.candidates[1]"
     assert "cannot be assembled" in str(error)
 
 
 def test_entries_count_from_1() -> None:
-    error = refused(sample.STUDY, ("teach = { z_mm = 1286.0", "tool_mm = [0.0, 1.0]\nteach = { z_mm = 1286.0"))
+    error = refused(
+        sample.STUDY,
+        ("teach = { z_mm = 1286.0", "tool_mm = [0.0, 1.0]\nteach = { z_mm = 1286.0"),
+    )
     assert error.field == "setup[1].tool_mm"
 
 
-# -- what it means -----------------------------------------------------------------------------------------
+# -- what it means ---------------------------------------------------------------------
 
 
 def test_the_grid_varies_its_first_coordinate_slowest() -> None:
@@ -179,7 +196,9 @@ def test_the_grid_varies_its_first_coordinate_slowest() -> None:
     command = series.commands()
     assert len(series) == 48
     np.testing.assert_allclose(command[:12, 0], 1.066)
-    np.testing.assert_allclose(command[:12, 1], np.radians(np.arange(0, 360, 30)), atol=1e-12)
+    np.testing.assert_allclose(
+        command[:12, 1], np.radians(np.arange(0, 360, 30)), atol=1e-12
+    )
     reading = found.measurement.readings(found.candidates, found.measurement.nominal)
     np.testing.assert_allclose(reading, 0.300, rtol=1e-9)
 
@@ -209,7 +228,14 @@ sigma_mm = 2
     )
     found = sample.resolved(
         sample.changed(
-            text, ('"a3_head"', '"a3_head"\nfixed = ["db?z", "beta1", "cup.cup_z"]\nnominal = { dq2_mm = 8 }')
+            text,
+            (
+                '"a3_head"',
+                (
+                    '"a3_head"\nfixed = ["db?z", "beta1", "cup.cup_z"]\nnominal = {'
+                    " dq2_mm = 8 }"
+                ),
+            ),
         )
     )
     cup, long = found.setups["cup"], found.setups["long"]
@@ -270,14 +296,20 @@ pairs_mm = [[[0, 0, 20], [50, 0, 20]], [[0, 0, 20], [0, 50, 20]], [[0, 0, 20], [
     )
     found = sample.resolved(text)
     np.testing.assert_allclose(
-        found.measurement.readings(found.candidates, found.measurement.nominal), 0.050, rtol=1e-9
+        found.measurement.readings(found.candidates, found.measurement.nominal),
+        0.050,
+        rtol=1e-9,
     )
-    assert "outside the workspace" in str(refused(text, ("[50, 0, 20]", "[500, 0, 20]")))
+    assert "outside the workspace" in str(
+        refused(text, ("[50, 0, 20]", "[500, 0, 20]"))
+    )
     assert "two poses" in str(refused(text, ('setup = "calliper"', 'setup = "probe"')))
 
 
 def test_candidates_that_cannot_be_held_are_left_out_and_told() -> None:
-    found = sample.resolved(sample.changed(sample.STUDY, ("length_mm = 300.0", "length_mm = 100.0")))
+    found = sample.resolved(
+        sample.changed(sample.STUDY, ("length_mm = 300.0", "length_mm = 100.0"))
+    )
     assert 0 < len(found.candidates[0]) < 48
     assert "left out" in found.warnings[0]
 
@@ -298,15 +330,22 @@ coordinate = "theta"
     heights = circles.series(2, 15).commands()[:, 0]
     np.testing.assert_allclose(np.unique(np.round(heights, 9)), [1.146, 1.266])
     np.testing.assert_allclose(circles.series(1, 15).commands()[:, 0], 1.206)
-    # 2 circles of 15 points, taught cup: condition number 3748 over the 18 identifiable directions
+    # 2 circles of 15 points, taught cup: condition number 3748 over the 18 identifiable
+    # directions
     measurement = circles.measurement
-    columns = measurement.jacobian([circles.series(2, 15)], measurement.nominal) / measurement.lengths
+    columns = (
+        measurement.jacobian([circles.series(2, 15)], measurement.nominal)
+        / measurement.lengths
+    )
     values = np.linalg.svd(columns[:, measurement.free], compute_uv=False)
     assert values[0] / values[17] == pytest.approx(3748, rel=1e-3)
 
 
 def test_truth_is_in_si_and_names_the_set_up() -> None:
-    text = sample.STUDY + '[readings]\nsimulate = true\n[readings.truth]\nbeta1_deg = 0.5\n"cup.cup_y_um" = 3\n'
+    text = (
+        sample.STUDY + "[readings]\nsimulate = true\n[readings.truth]\nbeta1_deg ="
+        ' 0.5\n"cup.cup_y_um" = 3\n'
+    )
     found = sample.resolved(text + "[readings.truth.cup]\ncup_x_mm = 0.1\n")
     assert found.truth == {
         "beta1": pytest.approx(math.radians(0.5)),
@@ -333,26 +372,38 @@ def test_an_absent_source_has_an_error_of_its_own(tmp_path: Path) -> None:
 
 
 def test_a_source_becomes_readings(tmp_path: Path) -> None:
-    (tmp_path / "sessions.json").write_text('[{"session": "S1", "step_distance_mm": [0.01, 0.01, 0.02]}]')
-    (tmp_path / "heights.csv").write_text("session,i,height_mm,steps_a,steps_b,steps_c\nS1,0,18.1,40000,40100,20050\n")
+    (tmp_path / "sessions.json").write_text(
+        '[{"session": "S1", "step_distance_mm": [0.01, 0.01, 0.02]}]'
+    )
+    (tmp_path / "heights.csv").write_text(
+        "session,i,height_mm,steps_a,steps_b,steps_c\nS1,0,18.1,40000,40100,20050\n"
+    )
     (tmp_path / "distances.csv").write_text(
         "session,i,distance_mm,p1_a,p1_b,p1_c,p2_a,p2_b,p2_c\nS1,0,64.9,41000,40000,20000,38000,40000,21000\n"
     )
-    text = sample.changed(sample.DELTA, ('"probe"', '"S1_probe"'), ('"calliper"', '"S1_calliper"'))
-    found = sample.resolved(text + '[readings]\nsource = "delta_v400"\npath = "."\n', tmp_path).dataset
+    text = sample.changed(
+        sample.DELTA, ('"probe"', '"S1_probe"'), ('"calliper"', '"S1_calliper"')
+    )
+    found = sample.resolved(
+        text + '[readings]\nsource = "delta_v400"\npath = "."\n', tmp_path
+    ).dataset
     assert found is not None
     np.testing.assert_allclose(found.y, [0.0181, 0.0649])
     np.testing.assert_allclose(found.series[0].q[0], [0.400, 0.401, 0.401])
-    np.testing.assert_allclose(found.series[1].q[found.series[1].index[0]], [[0.38, 0.40, 0.42], [0.41, 0.40, 0.40]])
+    np.testing.assert_allclose(
+        found.series[1].q[found.series[1].index[0]],
+        [[0.38, 0.40, 0.42], [0.41, 0.40, 0.40]],
+    )
 
 
-# -- models of one's own -----------------------------------------------------------------------------------
+# -- models of one's own ---------------------------------------------------------------
 
 
 def test_a_machine_from_a_file(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
-        '"""Mine."""\nimport dataclasses\nfrom pkm_models.machines.a3_head import machine as base\n'
-        'machine = dataclasses.replace(base, name="mine")\nhead = machine\n'
+        '"""Mine."""\nimport dataclasses\nfrom pkm_models.machines.a3_head import'
+        ' machine as base\nmachine = dataclasses.replace(base, name="mine")\nhead ='
+        " machine\n"
     )
     for reference in ("mine.py", "mine.py:head", "./mine.py:machine"):
         text = sample.changed(sample.STUDY, ('"a3_head"', f'"{reference}"'))
@@ -362,16 +413,26 @@ def test_a_machine_from_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "words"), [("1/0", "ZeroDivisionError"), ("(", "SyntaxError"), ("exit()", "SystemExit")]
+    ("source", "words"),
+    [("1/0", "ZeroDivisionError"), ("(", "SyntaxError"), ("exit()", "SystemExit")],
 )
 def test_a_file_that_fails_is_told(source: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "bad.py").write_text(source)
-    assert words in str(refused(sample.STUDY, ('"a3_head"', '"bad.py"'), folder=tmp_path))
+    assert words in str(
+        refused(sample.STUDY, ('"a3_head"', '"bad.py"'), folder=tmp_path)
+    )
 
 
 def test_an_instrument_that_cannot_read_the_machine_is_told(tmp_path: Path) -> None:
-    error = refused(sample.STUDY, ('instrument = "ball_bar"', 'instrument = "redundancy"'), folder=tmp_path)
-    assert "it cannot read a3_head: it takes one joint more than degrees of freedom, here are 0 more" in str(error)
+    error = refused(
+        sample.STUDY,
+        ('instrument = "ball_bar"', 'instrument = "redundancy"'),
+        folder=tmp_path,
+    )
+    assert (
+        "it cannot read a3_head: it takes one joint more than degrees of freedom, here"
+        " are 0 more" in str(error)
+    )
 
 
 @pytest.mark.parametrize("kind", catalogue.KINDS)
@@ -382,7 +443,9 @@ def test_the_catalogue_gives_its_sources(kind: str) -> None:
     assert entries
 
 
-@pytest.mark.parametrize("instrument", [e.name for e in catalogue.listing("instruments")])
+@pytest.mark.parametrize(
+    "instrument", [e.name for e in catalogue.listing("instruments")]
+)
 @pytest.mark.parametrize("machine", [e.name for e in catalogue.listing("machines")])
 def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> None:
     if (instrument, machine == "cable_robot") == ("redundancy", False):
@@ -397,7 +460,10 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     assert len(found.prediction) <= 1000
     # what is commented out is right as well
     text = path.read_text(encoding="utf-8")
-    lines = [line.removeprefix("# ") if fnmatch.fnmatch(line, "# [[a-z]*[]=]*") else line for line in text.splitlines()]
+    lines = [
+        line.removeprefix("# ") if fnmatch.fnmatch(line, "# [[a-z]*[]=]*") else line
+        for line in text.splitlines()
+    ]
     sample.resolved("\n".join(lines), tmp_path)
     with pytest.raises(InputError, match="of this name"):
         template.write("fresh", machine, instrument, tmp_path)

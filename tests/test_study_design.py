@@ -1,4 +1,6 @@
-"""Criteria of a study's [design] against all subsets, with any instruments; what is refused."""
+"""Criteria of a study's [design] against all subsets, with any instruments; what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +17,25 @@ from oed.measurement import Series
 from pkm_studies import pipeline, study
 from pkm_studies.errors import InputError
 
-# -- criteria: all 56 choices of 3 readings out of 8 -----------------------------------------------------------
+# -- criteria: all 56 choices of 3 readings out of 8 -----------------------------------
 
 
-@pytest.mark.parametrize("name", ["D", "Ds", "A", "c", "I", "G", "O1", "O5", "kappa", "O2"])
+@pytest.mark.parametrize(
+    "name", ["D", "Ds", "A", "c", "I", "G", "O1", "O5", "kappa", "O2"]
+)
 def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
     resolved, found = chosen(text(f'criterion = "{name}"\n' + KNOWN + EXTRA))
     h = rows(resolved)
-    best = max(value(name, h[list(some)], resolved) for some in itertools.combinations(range(8), 3))
+    best = max(
+        value(name, h[list(some)], resolved)
+        for some in itertools.combinations(range(8), 3)
+    )
     sign = -1.0 if name == "kappa" else 1.0
     made = section(resolved, found)
     size = abs(best)
-    assert sign * found.choice.value == pytest.approx(value(name, h[found.choice.indices], resolved), rel=1e-5)
+    assert sign * found.choice.value == pytest.approx(
+        value(name, h[found.choice.indices], resolved), rel=1e-5
+    )
     assert sign * found.choice.value == pytest.approx(best, abs=2e-5 * size)
     assert made.bound is not None
     assert sign * made.bound >= best - 1e-5 * size
@@ -37,16 +46,28 @@ def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
 @pytest.mark.parametrize("name", ["E", "O3", "O4"])
 def test_eigenvalues_without_tolerances(name: str) -> None:
     """18 of 20 readings, over the directions that all of them see."""
-    tables = GRID.format(name="cup").replace("[1086, 1246]", "[1086, 1146, 1206, 1266]").replace("230", "200, 230")
-    resolved, found = chosen(text(f'criterion = "{name}"\nreadings = 18\n', tables=tables))
+    tables = (
+        GRID.format(name="cup")
+        .replace("[1086, 1246]", "[1086, 1146, 1206, 1266]")
+        .replace("230", "200, 230")
+    )
+    resolved, found = chosen(
+        text(f'criterion = "{name}"\nreadings = 18\n', tables=tables)
+    )
     m = resolved.measurement
     h = (m.jacobian(resolved.candidates, m.nominal) / m.lengths)[:, m.free]
     assert len(h) == 20
     basis = np.linalg.svd(h, full_matrices=False)[2][: found.choice.directions].T
     told = []
     for out in itertools.combinations(range(20), 2):
-        w = np.linalg.eigvalsh((np.delete(h, out, axis=0) @ basis).T @ (np.delete(h, out, axis=0) @ basis))
-        told.append({"E": w[0], "O3": np.sqrt(max(w[0], 0.0)), "O4": w[0] / np.sqrt(w[-1])}[name])
+        w = np.linalg.eigvalsh(
+            (np.delete(h, out, axis=0) @ basis).T @ (np.delete(h, out, axis=0) @ basis)
+        )
+        told.append(
+            {"E": w[0], "O3": np.sqrt(max(w[0], 0.0)), "O4": w[0] / np.sqrt(w[-1])}[
+                name
+            ]
+        )
     assert found.choice.value == pytest.approx(max(told), rel=1e-5)
     assert "directions that the candidates see" in section(resolved, found).words
 
@@ -65,19 +86,32 @@ def test_compound_is_the_mean_of_logarithms() -> None:
 
 
 def test_compared_designs_score_each_other() -> None:
-    resolved, found = chosen(text('criterion = "D"\ncompare = ["A", "c"]\n' + KNOWN + EXTRA))
+    resolved, found = chosen(
+        text('criterion = "D"\ncompare = ["A", "c"]\n' + KNOWN + EXTRA)
+    )
     h, table = rows(resolved), {c.name: c for c in found.compared}
     assert list(table) == ["D", "A", "c"]
     assert table["D"].gain == 1.0
     for name in ("A", "c"):
         assert table[name].gain >= 1.0
-        assert table[name].values["D"] == pytest.approx(value(name, h[found.choice.indices], resolved), rel=1e-5)
-        assert table[name].gain == pytest.approx(table[name].values["D"] / table[name].values[name], rel=1e-6)
+        assert table[name].values["D"] == pytest.approx(
+            value(name, h[found.choice.indices], resolved), rel=1e-5
+        )
+        assert table[name].gain == pytest.approx(
+            table[name].values["D"] / table[name].values[name], rel=1e-6
+        )
 
 
 def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
-    more = GRID.format(name="cup").replace("candidates", "reference").replace('"cup"', '"cup"\nname = "given"')
-    made = study.parse(text("criterion = 'I'\n" + KNOWN, tables=GRID.format(name="cup") + more), Path("x.study.toml"))
+    more = (
+        GRID.format(name="cup")
+        .replace("candidates", "reference")
+        .replace('"cup"', '"cup"\nname = "given"')
+    )
+    made = study.parse(
+        text("criterion = 'I'\n" + KNOWN, tables=GRID.format(name="cup") + more),
+        Path("x.study.toml"),
+    )
     found = pipeline.run(made, tmp_path, report=False)
     assert found.design is not None
     assert found.prediction is not None
@@ -85,20 +119,28 @@ def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
     for name, component in found.prediction.components.items():
         key = f"{name}_{found.prediction.unit[name]}"
         assert plan.predicted[key] == pytest.approx(component.known.rms, rel=1e-9)
-        assert plan.gain[key] == pytest.approx(given.predicted[key] / plan.predicted[key])
+        assert plan.gain[key] == pytest.approx(
+            given.predicted[key] / plan.predicted[key]
+        )
     assert given.n == 8
     assert given.gain["x_um"] == 1.0
 
 
-# -- instruments -----------------------------------------------------------------------------------------------
+# -- instruments -----------------------------------------------------------------------
 
 
 def test_readings_that_share_a_reference() -> None:
-    """Lines told against one reference: the plan's information is that of its correlated readings."""
+    """Lines told against one reference: the plan's information is that of its
+    correlated readings.
+    """
     planar = (
-        'schema = 1\nname = "small"\nmachine = { model = "planar_2dof" }\n[[setup]]\nname = "rm5"\ninstrument = "rm5"\n'
+        'schema = 1\nname = "small"\nmachine = { model = "planar_2dof"'
+        ' }\n[[setup]]\nname = "rm5"\ninstrument = "rm5"\n'
     )
-    design = '[design]\nreadings = 4\nscaling = "tolerance"\nprior = true\n[[design.candidates]]\nsetup = "rm5"\n'
+    design = (
+        '[design]\nreadings = 4\nscaling = "tolerance"\nprior ='
+        ' true\n[[design.candidates]]\nsetup = "rm5"\n'
+    )
     grid = 'y_mm = [0, -1200, -600, 600, 1200]\nz_mm = [0, 750, 1500]\nruns_by = "z"\n'
     resolved, found = chosen(planar + design + grid)
     m, (whole,) = resolved.measurement, resolved.candidates
@@ -113,12 +155,18 @@ def test_readings_that_share_a_reference() -> None:
     assert found.choice.value == pytest.approx(best, rel=1e-8)
     assert told(list(found.series)) == pytest.approx(best, rel=1e-8)
     with pytest.raises(InputError, match="does not profile out"):
-        chosen(planar + design.replace("readings = 4", 'readings = 4\ncriterion = "E"') + grid)
+        chosen(
+            planar
+            + design.replace("readings = 4", 'readings = 4\ncriterion = "E"')
+            + grid
+        )
 
 
 def test_instruments_with_different_channels() -> None:
     tracker = '[[setup]]\nname = "tracker"\ninstrument = "pose_tracker"\n'
-    resolved, found = chosen(text(KNOWN, tables=GRID.format(name="cup") + TRACKED, setups=CUP + tracker))
+    resolved, found = chosen(
+        text(KNOWN, tables=GRID.format(name="cup") + TRACKED, setups=CUP + tracker)
+    )
     m = resolved.measurement
     bar, seen = resolved.candidates
     assert len(m.setups["cup"].sigma) != len(m.setups["tracker"].sigma)
@@ -129,7 +177,9 @@ def test_instruments_with_different_channels() -> None:
 
     every = (np.array(some) for some in itertools.combinations(range(12), 3))
     split = ([(bar, s[s < 8]), (seen, s[s >= 8] - 8)] for s in every)
-    best = max(told([series.take(k) for series, k in parts if k.size]) for parts in split)
+    best = max(
+        told([series.take(k) for series, k in parts if k.size]) for parts in split
+    )
     assert found.choice.value == pytest.approx(best, rel=1e-8)
     assert told(list(found.series)) == pytest.approx(best, rel=1e-8)
 
@@ -143,7 +193,7 @@ theta_deg = 20
 """
 
 
-# -- refusals --------------------------------------------------------------------------------------------------
+# -- refusals --------------------------------------------------------------------------
 
 REFUSED = {
     "criterion and compound": ('criterion = "A"\ncompound = { D = 1.0 }', "design.compound", "keep criterion or"),
@@ -188,7 +238,11 @@ def test_refused_with_field_and_remedy(name: str) -> None:
         ("readings = 4", "design.criterion", "cannot determine"),
         ("readings = 9", "design.criterion", "cannot choose 9"),
         (KNOWN + "budget_min = 5", "design.criterion", "raise the budget"),
-        (KNOWN + "order = { reference_every_min = 0.1 }", "design.order.reference_every_min", "raise it"),
+        (
+            KNOWN + "order = { reference_every_min = 0.1 }",
+            "design.order.reference_every_min",
+            "raise it",
+        ),
     ],
 )
 def test_what_cannot_be_chosen(said: str, field: str, words: str) -> None:

@@ -1,4 +1,6 @@
-"""The diagnosis of a study: what [gap] says, readings of a virtual machine with effects, the section, the command."""
+"""The diagnosis of a study: what [gap] says, readings of a virtual machine with
+effects, the section, the command.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,15 @@ FOLDER = Path(__file__).resolve().parent
 
 
 @pytest.fixture
-def oed(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+def oed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Run:
     """The command, with the diagnosis made by hand."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("oed.gap.diagnose.diagnose", lambda problem, effects, rng: gap_fixture.diagnosis(problem))
+    monkeypatch.setattr(
+        "oed.gap.diagnose.diagnose",
+        lambda problem, effects, rng: gap_fixture.diagnosis(problem),
+    )
 
     def call(*arguments: object) -> tuple[int, str, str]:
         code = cli.main([str(a) for a in arguments])
@@ -45,19 +52,26 @@ def _rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-# -- what [gap] says -----------------------------------------------------------------------------------------
+# -- what [gap] says -------------------------------------------------------------------
 
 
 def test_all_known_effects_are_tried_but_those_left_out() -> None:
     names = {e.name for e in sample.resolved(sample.STUDY + "[gap]\n").gap.effects}
     assert {"gravity", "backlash", "leg_thermal"} <= names
-    fewer = {e.name for e in sample.resolved(sample.STUDY + '[gap]\nwithout = ["gravity"]\n').gap.effects}
+    fewer = {
+        e.name
+        for e in sample.resolved(
+            sample.STUDY + '[gap]\nwithout = ["gravity"]\n'
+        ).gap.effects
+    }
     assert names - fewer == {"gravity"}
     assert sample.resolved().gap is None
 
 
 def test_an_effect_of_ones_own_replaces_the_library_s(tmp_path: Path) -> None:
-    path = gap_fixture.written(tmp_path, sample.STUDY + '[gap]\neffects = ["all", "effects.py:backlash"]\n')
+    path = gap_fixture.written(
+        tmp_path, sample.STUDY + '[gap]\neffects = ["all", "effects.py:backlash"]\n'
+    )
     asked = resolve_gap.asked(load(path), sample.resolved().machine)
     assert asked is not None
     (mine,) = [e for e in asked.effects if e.name == "backlash"]
@@ -66,19 +80,43 @@ def test_an_effect_of_ones_own_replaces_the_library_s(tmp_path: Path) -> None:
 
 BAD = {
     "effect": ('[gap]\neffects = ["gravty"]', "gap.effects[1]", "gravity"),
-    "without": ('[gap]\nwithout = ["gravty"]', "gap.without[1]", "did you mean gravity"),
-    "none left": ('[gap]\neffects = ["gravity"]\nwithout = ["gravity"]', "gap.effects", "no effect is left"),
+    "without": (
+        '[gap]\nwithout = ["gravty"]',
+        "gap.without[1]",
+        "did you mean gravity",
+    ),
+    "none left": (
+        '[gap]\neffects = ["gravity"]\nwithout = ["gravity"]',
+        "gap.effects",
+        "no effect is left",
+    ),
     "gravity": ("[gap]\ngravity = [0, 0, 0]", "gap.gravity", "[0, 0, -1]"),
-    "payload": ("[gap.conditions]\npayload_N = [-1]", "gap.conditions.payload_N[1]", ">= 0"),
-    "no feed": ("[gap.conditions]\nfeed_mm_min = []", "gap.conditions.feed_mm_min", "list"),
-    "warming": ("[gap.conditions.temperature]\nleg = { rise_C = 1 }", "gap.conditions.temperature.leg", "after_min"),
+    "payload": (
+        "[gap.conditions]\npayload_N = [-1]",
+        "gap.conditions.payload_N[1]",
+        ">= 0",
+    ),
+    "no feed": (
+        "[gap.conditions]\nfeed_mm_min = []",
+        "gap.conditions.feed_mm_min",
+        "list",
+    ),
+    "warming": (
+        "[gap.conditions.temperature]\nleg = { rise_C = 1 }",
+        "gap.conditions.temperature.leg",
+        "after_min",
+    ),
     "acting": ('[[gap.acting]]\neffect = "gravty"', "gap.acting[1].effect", "gravity"),
     "constant": (
         '[[gap.acting]]\neffect = "gravity"\nconstants = { raito = 1 }',
         "gap.acting[1].constants.raito",
         "did you mean ratio",
     ),
-    "field": ('[[gap.acting]]\neffect = "gravity"\nsizes = 2', "gap.acting[1].sizes", "did you mean size"),
+    "field": (
+        '[[gap.acting]]\neffect = "gravity"\nsizes = 2',
+        "gap.acting[1].sizes",
+        "did you mean size",
+    ),
 }
 
 
@@ -92,7 +130,9 @@ def test_what_is_wrong_is_told_with_field_and_remedy(case: str) -> None:
 
 
 def test_a_coefficient_that_an_effect_has_not(oed: Run, tmp_path: Path) -> None:
-    study = gap_fixture.written(tmp_path, sample.changed(gap_fixture.STUDY, ('"leg 2" = 2.0', '"leg 4" = 2.0')))
+    study = gap_fixture.written(
+        tmp_path, sample.changed(gap_fixture.STUDY, ('"leg 2" = 2.0', '"leg 4" = 2.0'))
+    )
     code, _, err = oed("simulate", study, "--out", "r.csv")
     assert code == 2
     assert "gap.acting[1].coefficients.leg 4" in err
@@ -109,32 +149,48 @@ def test_a_study_file_is_read_back() -> None:
 
 def test_the_schema_tells_the_tables() -> None:
     told = schemas.study()["$defs"]
-    assert {"effects", "without", "gravity", "conditions", "acting"} <= set(told["Gap"]["properties"])
-    assert {"feed_mm_min", "payload_N"} <= set(told["Conditions"]["properties"])
-    assert {"verdict", "answers", "set95", "where", "closure", "not_testable", "confusable"} <= set(
-        schemas.result()["$defs"]["Gap"]["required"]
+    assert {"effects", "without", "gravity", "conditions", "acting"} <= set(
+        told["Gap"]["properties"]
     )
+    assert {"feed_mm_min", "payload_N"} <= set(told["Conditions"]["properties"])
+    assert {
+        "verdict",
+        "answers",
+        "set95",
+        "where",
+        "closure",
+        "not_testable",
+        "confusable",
+    } <= set(schemas.result()["$defs"]["Gap"]["required"])
 
 
-# -- conditions and virtual machines -------------------------------------------------------------------------
+# -- conditions and virtual machines ---------------------------------------------------
 
 
 def test_conditions_of_readings(tmp_path: Path) -> None:
     """Times, ways, feeds and loads of two circles both ways, counted by hand."""
     path = gap_fixture.written(tmp_path)
     found = resolve_gap.covariates(*_planned(path), load(path).gap.conditions)
-    # 10 min warming, 5 min to mount, 2 s a reading; 24 readings a pass; a minute between passes
+    # 10 min warming, 5 min to mount, 2 s a reading; 24 readings a pass; a minute
+    # between passes
     starts = 900.0 + np.arange(4) * (24 * 2.0 + 60.0)
     expected = np.concatenate([start + 2.0 * np.arange(1, 25) for start in starts])
     np.testing.assert_allclose(found["time"], expected)
-    np.testing.assert_array_equal(found["direction"], np.repeat([1.0, -1.0, 1.0, -1.0], 24))
-    np.testing.assert_allclose(found["feed"], np.repeat([0.5, 1.0, 0.5, 1.0], 24) / 60.0)
+    np.testing.assert_array_equal(
+        found["direction"], np.repeat([1.0, -1.0, 1.0, -1.0], 24)
+    )
+    np.testing.assert_allclose(
+        found["feed"], np.repeat([0.5, 1.0, 0.5, 1.0], 24) / 60.0
+    )
     np.testing.assert_array_equal(found["payload"], 50.0)
     np.testing.assert_array_equal(found["repeat"], 1.0)
 
 
 def test_averaged_passes_have_no_direction_and_take_their_time(tmp_path: Path) -> None:
-    path = gap_fixture.written(tmp_path, sample.changed(gap_fixture.STUDY, ("average = false", "average = true")))
+    path = gap_fixture.written(
+        tmp_path,
+        sample.changed(gap_fixture.STUDY, ("average = false", "average = true")),
+    )
     found = resolve_gap.covariates(*_planned(path), load(path).gap.conditions)
     assert "direction" not in found
     np.testing.assert_allclose(found["time"].iloc[:2], [904.0, 908.0])
@@ -143,11 +199,19 @@ def test_averaged_passes_have_no_direction_and_take_their_time(tmp_path: Path) -
 def test_temperatures_rise_as_said(tmp_path: Path) -> None:
     text = sample.changed(
         gap_fixture.STUDY,
-        ("payload_N = 50", "payload_N = 50\ntemperature = { frame = { rise_C = 3.0, after_min = 20.0 } }"),
+        (
+            "payload_N = 50",
+            (
+                "payload_N = 50\ntemperature = { frame = { rise_C = 3.0, after_min ="
+                " 20.0 } }"
+            ),
+        ),
     )
     path = gap_fixture.written(tmp_path, text)
     found = resolve_gap.covariates(*_planned(path), load(path).gap.conditions)
-    np.testing.assert_allclose(found["temp_frame"], 3.0 * (1.0 - np.exp(-found["time"] / 1200.0)), rtol=1e-12)
+    np.testing.assert_allclose(
+        found["temp_frame"], 3.0 * (1.0 - np.exp(-found["time"] / 1200.0)), rtol=1e-12
+    )
 
 
 def _planned(path: Path) -> tuple[Any, tuple[Series, ...]]:
@@ -156,16 +220,27 @@ def _planned(path: Path) -> tuple[Any, tuple[Series, ...]]:
 
 
 def test_simulated_readings_have_the_effect(oed: Run, tmp_path: Path) -> None:
-    """With and without backlash, against exact readings at joints moved by hand: q_i + b_i sign(dq_i) / 2."""
+    """With and without backlash, against exact readings at joints moved by hand: q_i +
+    b_i sign(dq_i) / 2.
+    """
     with_it = gap_fixture.written(tmp_path)
     plain = tmp_path / "plain.study.toml"
-    plain.write_text(gap_fixture.STUDY[: gap_fixture.STUDY.index("[[gap.acting]]")], encoding="utf-8")
+    plain.write_text(
+        gap_fixture.STUDY[: gap_fixture.STUDY.index("[[gap.acting]]")], encoding="utf-8"
+    )
     assert oed("simulate", with_it, "--out", "a.readings.csv")[0] == 0
     assert oed("simulate", plain, "--out", "b.readings.csv")[0] == 0
     a, b = _rows(tmp_path / "a.readings.csv"), _rows(tmp_path / "b.readings.csv")
-    change = np.array([1e-3 * (float(x["length_mm"]) - float(y["length_mm"])) for x, y in zip(a, b, strict=True)])
+    change = np.array(
+        [
+            1e-3 * (float(x["length_mm"]) - float(y["length_mm"]))
+            for x, y in zip(a, b, strict=True)
+        ]
+    )
 
-    job = pipeline._Job(load(plain), tmp_path, 3, pipeline.Silent(), [tmp_path / "b.readings.csv"])
+    job = pipeline._Job(
+        load(plain), tmp_path, 3, pipeline.Silent(), [tmp_path / "b.readings.csv"]
+    )
     told = json.loads((tmp_path / "b.truth.json").read_text())
     truth = np.array([told[n]["value"] for n in job.measurement.names])
     (series,) = job.resolved.dataset.series
@@ -174,7 +249,9 @@ def test_simulated_readings_have_the_effect(oed: Run, tmp_path: Path) -> None:
         at = np.flatnonzero(series.run == run)
         steps = np.sign(np.diff(series.q[at], axis=0))
         sense, after = np.vstack([steps[:1], steps]), np.vstack([steps, steps[-1:]])
-        sure[at] = (sense == after).all(axis=1)  # elsewhere a joint turns back between the neighbours
+        sure[at] = (sense == after).all(
+            axis=1
+        )  # elsewhere a joint turns back between the neighbours
         moved[at] += 0.5 * sense * np.array([0.0, 1.5 * 2.0, 1.5 * -0.5]) * 5e-6
     expected = job.measurement.readings([series], truth)
     bent = job.measurement.readings([Series(**{**_fields(series), "q": moved})], truth)
@@ -184,33 +261,55 @@ def test_simulated_readings_have_the_effect(oed: Run, tmp_path: Path) -> None:
     assert np.abs(change).max() > 5e-6
 
     acting = json.loads((tmp_path / "a.truth.json").read_text())["effects"]
-    assert acting[0]["coefficients"]["leg 2"] == {"value": pytest.approx(1.5e-5), "prior_sds": 3.0}
+    assert acting[0]["coefficients"]["leg 2"] == {
+        "value": pytest.approx(1.5e-5),
+        "prior_sds": 3.0,
+    }
     assert acting[0]["constants"] == {"reach": 1.0}
-    assert acting[0]["rms"]["length_um"] == pytest.approx(1e6 * np.sqrt(np.mean(change**2)), rel=1e-3)
+    assert acting[0]["rms"]["length_um"] == pytest.approx(
+        1e6 * np.sqrt(np.mean(change**2)), rel=1e-3
+    )
     assert "effects" not in told
 
 
 def _fields(series: Series) -> dict[str, Any]:
-    return {n: getattr(series, n) for n in ("setup", "q", "start", "command", "index", "run")}
+    return {
+        n: getattr(series, n)
+        for n in ("setup", "q", "start", "command", "index", "run")
+    }
 
 
 def test_each_pass_has_a_state_of_its_own(tmp_path: Path) -> None:
-    """Passes of a circle share their poses in the plan, but neither their way nor their time."""
+    """Passes of a circle share their poses in the plan, but neither their way nor their
+    time.
+    """
     path = gap_fixture.written(tmp_path)
     measurement, series = _planned(path)
     asked = resolve_gap.asked(load(path), measurement.machine)
     made = gap_virtual.laid_out(measurement, series, asked)
     assert [len(s.q) for s in made.series] == [4 * 24 + 1]
     truth = measurement.nominal
-    np.testing.assert_array_equal(measurement.readings(made.series, truth), measurement.readings(series, truth))
+    np.testing.assert_array_equal(
+        measurement.readings(made.series, truth), measurement.readings(series, truth)
+    )
 
 
-def test_drawn_coefficients_are_of_the_textbook_s_form(oed: Run, tmp_path: Path) -> None:
-    text = sample.changed(gap_fixture.STUDY, ('coefficients = { "leg 2" = 2.0, "leg 3" = -0.5 }', "draw = true"))
+def test_drawn_coefficients_are_of_the_textbook_s_form(
+    oed: Run, tmp_path: Path
+) -> None:
+    text = sample.changed(
+        gap_fixture.STUDY,
+        ('coefficients = { "leg 2" = 2.0, "leg 3" = -0.5 }', "draw = true"),
+    )
     study = gap_fixture.written(tmp_path, text)
     for name in "ab":
         assert oed("simulate", study, "--out", f"{name}.readings.csv")[0] == 0
-    found = [json.loads((tmp_path / f"{n}.truth.json").read_text())["effects"][0]["coefficients"] for n in "ab"]
+    found = [
+        json.loads((tmp_path / f"{n}.truth.json").read_text())["effects"][0][
+            "coefficients"
+        ]
+        for n in "ab"
+    ]
     assert found[0] == found[1]
     assert set(found[0]) == {"leg 1", "leg 2", "leg 3"}
     assert len({c["prior_sds"] for c in found[0].values()}) == 3
@@ -218,18 +317,27 @@ def test_drawn_coefficients_are_of_the_textbook_s_form(oed: Run, tmp_path: Path)
 
 def test_without_a_table_readings_are_as_before(oed: Run, tmp_path: Path) -> None:
     """No covariates; and with a table and nothing acting, the same readings."""
-    start, end = gap_fixture.STUDY.index("[gap]"), gap_fixture.STUDY.index("[[gap.acting]]")
-    for name, text in (("a", gap_fixture.STUDY[:start]), ("b", gap_fixture.STUDY[:end])):
+    start, end = (
+        gap_fixture.STUDY.index("[gap]"),
+        gap_fixture.STUDY.index("[[gap.acting]]"),
+    )
+    for name, text in (
+        ("a", gap_fixture.STUDY[:start]),
+        ("b", gap_fixture.STUDY[:end]),
+    ):
         (tmp_path / f"{name}.study.toml").write_text(text, encoding="utf-8")
         (tmp_path / "effects.py").write_text(gap_fixture.EFFECTS, encoding="utf-8")
-        assert oed("simulate", tmp_path / f"{name}.study.toml", "--out", f"{name}.csv")[0] == 0
+        assert (
+            oed("simulate", tmp_path / f"{name}.study.toml", "--out", f"{name}.csv")[0]
+            == 0
+        )
     a, b = _rows(tmp_path / "a.csv"), _rows(tmp_path / "b.csv")
     assert [r["length_mm"] for r in a] == [r["length_mm"] for r in b]
     assert "time_s" not in a[0]
     assert {"time_s", "direction", "feed_mm_min", "payload_N", "repeat"} <= set(b[0])
 
 
-# -- the section ---------------------------------------------------------------------------------------------
+# -- the section -----------------------------------------------------------------------
 
 
 def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
@@ -251,18 +359,32 @@ def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
     assert value["leg 2"] == pytest.approx(15e-6, rel=0.03)
     assert value["leg 3"] == pytest.approx(-3.75e-6, rel=0.15)
     assert gap.rms_after["length"] < 0.6 < 5.0 < gap.rms_before["length"]
-    assert (json.loads(text)["posterior"], json.loads(text)["prediction"]) == (None, None)
+    assert (json.loads(text)["posterior"], json.loads(text)["prediction"]) == (
+        None,
+        None,
+    )
 
 
-def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(oed: Run, tmp_path: Path) -> None:
+def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(
+    oed: Run, tmp_path: Path
+) -> None:
     study = gap_fixture.written(tmp_path)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     assert oed("diagnose", study, "--out", "own", "--quiet") == (0, "", "")
-    assert oed("diagnose", study, "--readings", "r.csv", "--out", "file", "--quiet") == (0, "", "")
-    own, file = (json.loads((tmp_path / n / "result.json").read_text())["gap"] for n in ("own", "file"))
+    assert oed(
+        "diagnose", study, "--readings", "r.csv", "--out", "file", "--quiet"
+    ) == (0, "", "")
+    own, file = (
+        json.loads((tmp_path / n / "result.json").read_text())["gap"]
+        for n in ("own", "file")
+    )
     assert own["words"] == file["words"]
     for a, b in zip(own["traces"], file["traces"], strict=True):
-        assert (a["run"], a["direction"], a["payload_N"]) == (b["run"], b["direction"], b["payload_N"])
+        assert (a["run"], a["direction"], a["payload_N"]) == (
+            b["run"],
+            b["direction"],
+            b["payload_N"],
+        )
         np.testing.assert_allclose(a["after"], b["after"], atol=2e-4)
     assert oed("run", study, "--out", "whole", "--quiet") == (0, "", "")
     assert json.loads((tmp_path / "whole/result.json").read_text())["gap"] == own
@@ -289,11 +411,16 @@ def test_claims_can_point_into_the_diagnosis(oed: Run, tmp_path: Path) -> None:
     study = gap_fixture.written(tmp_path, gap_fixture.STUDY + claims)
     code, _, err = oed("diagnose", study, "--out", "x", "--quiet")
     assert code == 1
-    assert err == "oed: claim cause: not met: gap.answers[0].effects contains 'gravity', measured [\"backlash\"]\n"
+    assert (
+        err == "oed: claim cause: not met: gap.answers[0].effects contains 'gravity',"
+        ' measured ["backlash"]\n'
+    )
 
 
 def test_nothing_to_diagnose(oed: Run, tmp_path: Path) -> None:
-    text = sample.changed(gap_fixture.STUDY, ("[readings]\nsimulate = true\ndraw = true\n", ""))
+    text = sample.changed(
+        gap_fixture.STUDY, ("[readings]\nsimulate = true\ndraw = true\n", "")
+    )
     study = gap_fixture.written(tmp_path, text)
     code, _, err = oed("diagnose", study, "--out", "x")
     assert code == 2
@@ -301,15 +428,22 @@ def test_nothing_to_diagnose(oed: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "x").exists()
 
 
-def test_a_study_without_a_table_is_diagnosed_with_all_effects(oed: Run, tmp_path: Path) -> None:
-    study = gap_fixture.written(tmp_path, gap_fixture.STUDY[: gap_fixture.STUDY.index("[gap]")])
+def test_a_study_without_a_table_is_diagnosed_with_all_effects(
+    oed: Run, tmp_path: Path
+) -> None:
+    study = gap_fixture.written(
+        tmp_path, gap_fixture.STUDY[: gap_fixture.STUDY.index("[gap]")]
+    )
     assert oed("diagnose", study, "--out", "x", "--quiet")[0] == 0
-    assert "gravity" in json.loads((tmp_path / "x/result.json").read_text())["gap"]["tried"]
+    assert (
+        "gravity"
+        in json.loads((tmp_path / "x/result.json").read_text())["gap"]["tried"]
+    )
     assert oed("run", study, "--out", "y", "--quiet")[0] == 0
     assert json.loads((tmp_path / "y/result.json").read_text())["gap"] is None
 
 
-# -- traces --------------------------------------------------------------------------------------------------
+# -- traces ----------------------------------------------------------------------------
 
 
 def _diagnosed(tmp_path: Path) -> Diagnosis:
@@ -318,7 +452,9 @@ def _diagnosed(tmp_path: Path) -> Diagnosis:
     path = gap_fixture.written(tmp_path)
     job = pipeline._Job(load(path), tmp_path, 3, pipeline.Silent(), None)
     series, truth, y, covariates, _ = job.virtual(job.planned(None))
-    return gap_fixture.diagnosis(problem.planned(job.measurement, series, covariates, truth, y))
+    return gap_fixture.diagnosis(
+        problem.planned(job.measurement, series, covariates, truth, y)
+    )
 
 
 def test_traces_are_circles_both_ways(tmp_path: Path) -> None:
@@ -327,11 +463,16 @@ def test_traces_are_circles_both_ways(tmp_path: Path) -> None:
     assert [t.kind for t in traces] == ["circle"] * 4
     assert [t.base for t in traces] == ["z=1146mm"] * 2 + ["z=1206mm"] * 2
     assert [t.direction for t in traces] == [1, -1, 1, -1]
-    # the tool stands on a sphere of 300 mm about the cup, and the circle's height tells its radius
-    assert traces[0].radius_mm == pytest.approx(math.sqrt(300.0**2 - 138.0**2), abs=15.0)
+    # the tool stands on a sphere of 300 mm about the cup, and the circle's height tells
+    # its radius
+    assert traces[0].radius_mm == pytest.approx(
+        math.sqrt(300.0**2 - 138.0**2), abs=15.0
+    )
     assert all(np.diff(t.at).min() > 0.0 for t in traces)
     every = np.concatenate([t.before for t in traces])
-    assert np.sqrt(np.mean(every**2)) == pytest.approx(1e6 * np.sqrt(np.mean(found.before**2)), rel=1e-4)
+    assert np.sqrt(np.mean(every**2)) == pytest.approx(
+        1e6 * np.sqrt(np.mean(found.before**2)), rel=1e-4
+    )
     explained = np.concatenate([t.explained for t in traces])
     left = every - np.concatenate([t.after for t in traces])
     np.testing.assert_allclose(explained, left, atol=3e-4)

@@ -1,4 +1,6 @@
-"""What planned readings could find, in studies and reports: figures against the kernel's, files, what is refused."""
+"""What planned readings could find, in studies and reports: figures against the
+kernel's, files, what is refused.
+"""
 
 from __future__ import annotations
 
@@ -84,7 +86,9 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]
     return json.loads((out / "result.json").read_text()), out
 
 
-def test_chosen_runs_tell_what_the_published_ones_do_not(ran: tuple[dict[str, Any], Path]) -> None:
+def test_chosen_runs_tell_what_the_published_ones_do_not(
+    ran: tuple[dict[str, Any], Path],
+) -> None:
     chosen = ran[0]["gap_before"]["chosen"]
     assert chosen["candidates"] == 8
     assert len(chosen["runs"]) == 4
@@ -103,7 +107,12 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
     asked = resolve(study.parse(STUDY, HERE))
     published = asked.references[0].series[0]
     made = [
-        runs.Run(name=str(r), setup="cup", command=published.commands()[published.run == r], condition={})
+        runs.Run(
+            name=str(r),
+            setup="cup",
+            command=published.commands()[published.run == r],
+            condition={},
+        )
         for r in dict.fromkeys(published.run)
     ]
     problem, _ = runs.prepared(asked.measurement, made)
@@ -111,12 +120,18 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
     told = detect.detect(problem, plain(problem), effects, np.random.default_rng(0))
     np.testing.assert_allclose(table["apart"], told.apart, rtol=1e-6, atol=1e-8)
     rows = {e["name"]: e for e in table["effects"]}
-    assert rows["gravity"]["detectability"] == pytest.approx(told.of("gravity").detectability)
-    assert rows["gravity"]["signature"]["length"] == pytest.approx(1e6 * told.of("gravity").signature["length"])
+    assert rows["gravity"]["detectability"] == pytest.approx(
+        told.of("gravity").detectability
+    )
+    assert rows["gravity"]["signature"]["length"] == pytest.approx(
+        1e6 * told.of("gravity").signature["length"]
+    )
     assert "direction" in rows["backlash"]["not_testable"]
 
 
-def test_poses_of_the_chosen_runs_can_be_filled_in_and_read(ran: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+def test_poses_of_the_chosen_runs_can_be_filled_in_and_read(
+    ran: tuple[dict[str, Any], Path], tmp_path: Path
+) -> None:
     text = (ran[1] / "gap_poses.csv").read_text()
     header = text.splitlines()[0].split(",")
     assert {"payload_N", "direction", "time_s", "length_mm"} <= set(header)
@@ -134,7 +149,10 @@ def test_poses_of_the_chosen_runs_can_be_filled_in_and_read(ran: tuple[dict[str,
 
 
 def test_a_plan_that_is_kept_is_part_of_the_choice() -> None:
-    both = ('candidates = ["circles"]', 'candidates = ["circles"]\nkeep = "published"'), ("runs = 4", "runs = 2")
+    both = (
+        ('candidates = ["circles"]', 'candidates = ["circles"]\nkeep = "published"'),
+        ("runs = 4", "runs = 2"),
+    )
     asked = resolve(study.parse(changed(STUDY, *both), HERE)).gap_design
     assert asked is not None
     assert asked.kept == (0, 1)
@@ -143,7 +161,10 @@ def test_a_plan_that_is_kept_is_part_of_the_choice() -> None:
 
 
 def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:
-    times = "conditions = [{ payload_N = 0, start_min = 0 }, { payload_N = 200, start_min = 0.5 }, { start_min = 9 }]"
+    times = (
+        "conditions = [{ payload_N = 0, start_min = 0 }, { payload_N = 200, start_min ="
+        " 0.5 }, { start_min = 9 }]"
+    )
     text = re.sub(r"conditions = .*", times, STUDY).replace("runs = 4", "runs = 2")
     made = pipeline.run(study.parse(text, HERE), tmp_path, report=False)
     assert made.gap_before is not None
@@ -155,34 +176,64 @@ def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('find = ["gravity", "encoder_scale"]', 'find = ["gravity"]', "nothing to tell apart"),
-        ('find = ["gravity", "encoder_scale"]', 'find = ["gravity", "rust"]', 'gap.design.find[2] = "rust"'),
-        ('find = ["gravity", "encoder_scale"]', 'find = ["gravity", "guideway"]', "cannot occur on a3_head"),
-        ('candidates = ["circles"]', 'candidates = ["circle"]', "did you mean circles?"),
+        (
+            'find = ["gravity", "encoder_scale"]',
+            'find = ["gravity"]',
+            "nothing to tell apart",
+        ),
+        (
+            'find = ["gravity", "encoder_scale"]',
+            'find = ["gravity", "rust"]',
+            'gap.design.find[2] = "rust"',
+        ),
+        (
+            'find = ["gravity", "encoder_scale"]',
+            'find = ["gravity", "guideway"]',
+            "cannot occur on a3_head",
+        ),
+        (
+            'candidates = ["circles"]',
+            'candidates = ["circle"]',
+            "did you mean circles?",
+        ),
         ("runs = 4", "runs = 40", "there are only 8 candidate runs"),
         ("runs = 4", "share = 0.2", "how many runs"),
-        ("payload_N = 200, direction = -1", "payload_N = 200, start_min = 3", "some runs have a time"),
+        (
+            "payload_N = 200, direction = -1",
+            "payload_N = 200, start_min = 3",
+            "some runs have a time",
+        ),
     ],
 )
-def test_what_cannot_be_done_is_refused_before_anything_runs(old: str, new: str, told: str) -> None:
+def test_what_cannot_be_done_is_refused_before_anything_runs(
+    old: str, new: str, told: str
+) -> None:
     with pytest.raises(InputError, match=re.escape(told)):
         resolve(study.parse(changed(STUDY, (old, new)), HERE))
 
 
 def test_effects_that_no_candidate_can_test_are_told(tmp_path: Path) -> None:
-    text = STUDY.replace('find = ["gravity", "encoder_scale"]', 'find = ["gravity", "servo_lag"]')
+    text = STUDY.replace(
+        'find = ["gravity", "encoder_scale"]', 'find = ["gravity", "servo_lag"]'
+    )
     path = tmp_path / "before.study.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match="servo_lag cannot be tested by these candidates"):
+    with pytest.raises(
+        InputError, match="servo_lag cannot be tested by these candidates"
+    ):
         pipeline.run(study.load(path), tmp_path / "out", report=False)
 
 
-def test_the_chapter_tells_runs_pairs_and_sizes(ran: tuple[dict[str, Any], Path]) -> None:
+def test_the_chapter_tells_runs_pairs_and_sizes(
+    ran: tuple[dict[str, Any], Path],
+) -> None:
     result = report_fixture.bare() | {"gap_before": ran[0]["gap_before"]}
     result = json.loads(msgspec.json.encode(result))
     assert sections.chapters(result)[0].anchor == "gap-before"
     page = html_writer.render(document.build(result)).decode()
-    shown = html.unescape(re.sub(r"<[^>]*>", " ", page)).replace("\N{NO-BREAK SPACE}", " ")
+    shown = html.unescape(re.sub(r"<[^>]*>", " ", page)).replace(
+        "\N{NO-BREAK SPACE}", " "
+    )
     assert "What these readings could find" in shown
     for run in ran[0]["gap_before"]["chosen"]["runs"]:
         assert run["run"] in shown
@@ -191,7 +242,9 @@ def test_the_chapter_tells_runs_pairs_and_sizes(ran: tuple[dict[str, Any], Path]
     assert "Backlash: the readings do not have direction: both." in shown
 
 
-def test_the_matrix_shows_every_pair_and_stays_within_its_frame(ran: tuple[dict[str, Any], Path]) -> None:
+def test_the_matrix_shows_every_pair_and_stays_within_its_frame(
+    ran: tuple[dict[str, Any], Path],
+) -> None:
     table = ran[0]["gap_before"]["chosen"]["table"]
     with style.applied():
         figure = confusable.draw(table)
@@ -199,7 +252,10 @@ def test_the_matrix_shows_every_pair_and_stays_within_its_frame(ran: tuple[dict[
         texts = [t.get_text() for t in figure.axes[0].texts]
         assert texts == [confusable.short(v) for row in table["apart"] for v in row]
         box = figure.bbox
-        for label in (*figure.axes[0].get_xticklabels(), *figure.axes[0].get_yticklabels()):
+        for label in (
+            *figure.axes[0].get_xticklabels(),
+            *figure.axes[0].get_yticklabels(),
+        ):
             extent = label.get_window_extent()
             assert extent.x0 >= box.x0 - 1
             assert extent.x1 <= box.x1 + 1

@@ -86,7 +86,10 @@ def test_without_a_time_of_its_own_it_has_what_the_plan_leaves(tmp_path: Path) -
     found = planned(changed(STUDY, ("budget_min = 30.0\n", "")), tmp_path)
     plan, chosen = found.plan, found.gap_before.chosen
     assert plan.budget_min == pytest.approx(150.0)
-    assert plan.cost + sum(r.seconds for r in chosen.runs[chosen.kept :]) / 60.0 <= 150.0 + 1e-6
+    assert (
+        plan.cost + sum(r.seconds for r in chosen.runs[chosen.kept :]) / 60.0
+        <= 150.0 + 1e-6
+    )
     assert len(chosen.runs) > chosen.kept
 
 
@@ -94,10 +97,15 @@ def test_without_a_time_of_its_own_it_has_what_the_plan_leaves(tmp_path: Path) -
     ("change", "told"),
     [
         (("budget_min = 30.0", "budget_min = 150.0"), "gap.design.budget_min = 150"),
-        (("budget_min = 150.0", "budget_min = 100.0"), "30 min of it are for [gap.design]"),
+        (
+            ("budget_min = 150.0", "budget_min = 100.0"),
+            "30 min of it are for [gap.design]",
+        ),
     ],
 )
-def test_too_little_time_is_refused(tmp_path: Path, change: tuple[str, str], told: str) -> None:
+def test_too_little_time_is_refused(
+    tmp_path: Path, change: tuple[str, str], told: str
+) -> None:
     with pytest.raises(InputError) as error:
         planned(changed(STUDY, change), tmp_path)
     assert told in str(error.value)

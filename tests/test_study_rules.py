@@ -1,4 +1,6 @@
-"""Rules, limits, polish and order of a study's [design]: each against what the plan then is."""
+"""Rules, limits, polish and order of a study's [design]: each against what the plan
+then is.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +10,38 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sample
-from design_sample import EXTRA, FREE, GRID, GRIDS, KNOWN, THREE, chosen, rows, section, text, value
+from design_sample import (
+    EXTRA,
+    FREE,
+    GRID,
+    GRIDS,
+    KNOWN,
+    THREE,
+    chosen,
+    rows,
+    section,
+    text,
+    value,
+)
 
 from oed import dataset
 from pkm_studies import pipeline, study
 from pkm_studies.errors import InputError
 
-# -- rules -----------------------------------------------------------------------------------------------------
+# -- rules -----------------------------------------------------------------------------
 
 
 def test_the_best_two_of_three_setups() -> None:
     resolved, found = chosen(
-        text(KNOWN.replace("3", "4") + "setups_max = 2\n", tables=GRIDS.replace(", 230]", "]"), setups=THREE)
+        text(
+            KNOWN.replace("3", "4") + "setups_max = 2\n",
+            tables=GRIDS.replace(", 230]", "]"),
+            setups=THREE,
+        )
     )
-    owner = np.repeat([s.setup for s in resolved.candidates], [len(s) for s in resolved.candidates])
+    owner = np.repeat(
+        [s.setup for s in resolved.candidates], [len(s) for s in resolved.candidates]
+    )
     h = rows(resolved)
     every = (list(s) for s in itertools.combinations(range(len(h)), 4))
     best = max(value("D", h[s], resolved) for s in every if len(set(owner[s])) <= 2)
@@ -34,7 +54,13 @@ def test_the_best_two_of_three_setups() -> None:
 
 
 def test_a_budget_is_kept_and_used() -> None:
-    resolved, found = chosen(text('scaling = "tolerance"\nprior = true\nbudget_min = 31\n', tables=GRIDS, setups=THREE))
+    resolved, found = chosen(
+        text(
+            'scaling = "tolerance"\nprior = true\nbudget_min = 31\n',
+            tables=GRIDS,
+            setups=THREE,
+        )
+    )
     made = section(resolved, found)
     assert made.cost_min is not None
     # two set-ups of 15 min, and 10 readings of 6 s
@@ -46,29 +72,59 @@ def test_a_budget_is_kept_and_used() -> None:
 
 def test_readings_keep_their_distance() -> None:
     _, found = chosen(text(KNOWN + "apart = { z_mm = 320, psi_deg = 110 }\n"))
-    command = np.vstack([s.commands() for s in found.series])[:, :2] / [0.32, np.radians(110)]
-    gap = np.linalg.norm(command[:, None] - command[None], axis=2)[np.triu_indices(3, 1)]
+    command = np.vstack([s.commands() for s in found.series])[:, :2] / [
+        0.32,
+        np.radians(110),
+    ]
+    gap = np.linalg.norm(command[:, None] - command[None], axis=2)[
+        np.triu_indices(3, 1)
+    ]
     assert gap.min() >= 1.0 - 1e-9
     _, near = chosen(text(KNOWN))
-    command = np.vstack([s.commands() for s in near.series])[:, :2] / [0.32, np.radians(110)]
-    assert np.linalg.norm(command[:, None] - command[None], axis=2)[np.triu_indices(3, 1)].min() < 1.0
+    command = np.vstack([s.commands() for s in near.series])[:, :2] / [
+        0.32,
+        np.radians(110),
+    ]
+    assert (
+        np.linalg.norm(command[:, None] - command[None], axis=2)[
+            np.triu_indices(3, 1)
+        ].min()
+        < 1.0
+    )
     resolved, few = chosen(text(KNOWN + "apart = { z_mm = 200, psi_deg = 200 }\n"))
-    assert "3 were asked for, but the rules leave no room for more" in section(resolved, few).words
+    assert (
+        "3 were asked for, but the rules leave no room for more"
+        in section(resolved, few).words
+    )
 
 
 def test_whole_circles() -> None:
-    tables = GRID.format(name="cup").replace("[1086, 1246]", "[1086, 1146, 1206, 1246]") + 'runs_by = "z"\n'
-    resolved, found = chosen(text(KNOWN.replace("3", "2") + "whole_runs = true\n", tables=tables))
+    tables = (
+        GRID.format(name="cup").replace("[1086, 1246]", "[1086, 1146, 1206, 1246]")
+        + 'runs_by = "z"\n'
+    )
+    resolved, found = chosen(
+        text(KNOWN.replace("3", "2") + "whole_runs = true\n", tables=tables)
+    )
     made = section(resolved, found)
     assert (made.n, made.candidates) == (8, 4)
     assert made.words.endswith(("of 4 runs.", "of 4 runs is better by D."))
     h = rows(resolved).reshape(4, 4, -1)
-    best = max(itertools.combinations(range(4), 2), key=lambda s: value("D", np.vstack(h[list(s)]), resolved))
+    best = max(
+        itertools.combinations(range(4), 2),
+        key=lambda s: value("D", np.vstack(h[list(s)]), resolved),
+    )
     assert tuple(found.choice.indices) == best
-    assert [p.run for p in made.poses] == [r for r in dict.fromkeys(p.run for p in made.poses) for _ in range(4)]
+    assert [p.run for p in made.poses] == [
+        r for r in dict.fromkeys(p.run for p in made.poses) for _ in range(4)
+    ]
 
 
-KEPT = GRID.format(name="cup").replace("candidates", "reference").replace('"cup"', '"cup"\nname = "before"')
+KEPT = (
+    GRID.format(name="cup")
+    .replace("candidates", "reference")
+    .replace('"cup"', '"cup"\nname = "before"')
+)
 
 
 def test_a_plan_is_added_to() -> None:
@@ -93,12 +149,21 @@ def test_a_set_up_of_kept_readings_is_mounted_already() -> None:
     tables = GRIDS + GRID.format(name="low").replace("candidates", "reference").replace(
         '"low"', '"low"\nname = "before"'
     )
-    resolved, found = chosen(text(KNOWN + 'setups_max = 1\nkeep = "before"\n', tables=tables, setups=THREE))
+    resolved, found = chosen(
+        text(KNOWN + 'setups_max = 1\nkeep = "before"\n', tables=tables, setups=THREE)
+    )
     m, old = resolved.measurement, resolved.references[0].series
     held = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
-    h, owner = rows(resolved), np.repeat(["low", "high", "side"], [len(s) for s in resolved.candidates])
+    h, owner = (
+        rows(resolved),
+        np.repeat(["low", "high", "side"], [len(s) for s in resolved.candidates]),
+    )
     every = (list(s) for s in itertools.combinations(range(len(h)), 3))
-    best = max(value("D", np.vstack([held, h[s]]), resolved) for s in every if not {"high", "side"} <= set(owner[s]))
+    best = max(
+        value("D", np.vstack([held, h[s]]), resolved)
+        for s in every
+        if not {"high", "side"} <= set(owner[s])
+    )
     assert found.choice.value == pytest.approx(best, rel=1e-9)
     assert set(found.order.setups) == {"low"} | set(owner[found.choice.indices])
 
@@ -106,7 +171,10 @@ def test_a_set_up_of_kept_readings_is_mounted_already() -> None:
 def test_readings_of_a_file_are_kept(tmp_path: Path) -> None:
     resolved, first = chosen(text(KNOWN))
     y = resolved.measurement.readings(first.series, resolved.measurement.nominal)
-    dataset.save(tmp_path / "first.csv", dataset.from_series(first.series, y, resolved.measurement))
+    dataset.save(
+        tmp_path / "first.csv",
+        dataset.from_series(first.series, y, resolved.measurement),
+    )
     _, second = chosen(text(KNOWN + 'keep_readings = "first.csv"\n'), tmp_path)
     assert second.kept == 3
     assert sum(map(len, second.series)) == 6
@@ -138,52 +206,75 @@ cup_cone = { axis = [0, 0, -1], half_angle_deg = 60 }
 
 
 def test_a_sphere_in_the_way_and_an_unlikely_travel() -> None:
-    way = "\n[design.limits]\nspheres = [{ at_mm = [90, 80, 1180], radius_mm = 20 }]\nbar_mm = 5\nmargin_mm = 15\n"
+    way = (
+        "\n[design.limits]\nspheres = [{ at_mm = [90, 80, 1180], radius_mm = 20"
+        " }]\nbar_mm = 5\nmargin_mm = 15\n"
+    )
     resolved, _ = chosen(text(KNOWN, tables=GRID.format(name="cup") + way))
     free = sample.resolved(text(KNOWN)).candidates[0]
     _, tip, _ = resolved.measurement.kinematics.frames(free.start[:8], np.zeros(3))
     along = np.linspace(0, 1, 2001)[:, None, None]
     bar = np.array([0, 0, 1.286]) + along * (tip - np.array([0, 0, 1.286]))
-    near = np.linalg.norm(bar - np.array([0.090, 0.080, 1.180]), axis=2).min(axis=0) < 0.040
+    near = (
+        np.linalg.norm(bar - np.array([0.090, 0.080, 1.180]), axis=2).min(axis=0)
+        < 0.040
+    )
     assert 0 < near.sum() < 8
     assert resolved.refused == {"come too near an obstacle": int(near.sum())}
     unlikely = "\n[design.limits]\ntravel_mm = 0.001\ntravel_chance = 0.9\n"
-    with pytest.raises(InputError, match=r"8 leave the travel of the instrument on too many machines"):
+    with pytest.raises(
+        InputError, match=r"8 leave the travel of the instrument on too many machines"
+    ):
         sample.resolved(text(KNOWN, tables=GRID.format(name="cup") + unlikely))
 
 
-# -- polish and order ------------------------------------------------------------------------------------------
+# -- polish and order ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("criterion", ["D", "I", "c"])
 def test_polished_poses_are_better_and_on_hold(criterion: str, tmp_path: Path) -> None:
-    polish = "\n[design.polish]\nfree = { low = { at_x_mm = [-20, 20] } }\niterations = 60\n"
+    polish = (
+        "\n[design.polish]\nfree = { low = { at_x_mm = [-20, 20] } }\niterations = 60\n"
+    )
     table = GRID.format(name="low").replace("[1086, 1246]", "[1126, 1226]")
     said = f'criterion = "{criterion}"\n' + EXTRA + KNOWN.replace("3", "6")
-    said = text(said, tables=table + polish, setups=FREE.format(name="low", x=0, z=1126))
-    found = pipeline.run(study.parse(said, Path("x.study.toml")), tmp_path, report=False)
+    said = text(
+        said, tables=table + polish, setups=FREE.format(name="low", x=0, z=1126)
+    )
+    found = pipeline.run(
+        study.parse(said, Path("x.study.toml")), tmp_path, report=False
+    )
     made = found.design
     assert made is not None
     assert made.polished is not None
     assert made.polished.after > made.polished.before
     assert made.value == pytest.approx(made.polished.after, rel=1e-9)
-    assert made.plans[0].value == pytest.approx(made.value, rel=1e-8)  # in working order: rounded otherwise
+    assert made.plans[0].value == pytest.approx(
+        made.value, rel=1e-8
+    )  # in working order: rounded otherwise
     assert (made.bound, made.efficiency) == (None, None)
     assert "polishing gained" in made.words
-    assert all(p.reading["length_mm"] == pytest.approx(300.0, abs=1e-6) for p in made.poses)
+    assert all(
+        p.reading["length_mm"] == pytest.approx(300.0, abs=1e-6) for p in made.poses
+    )
     assert -20 <= made.polished.setups["low"]["at_x_mm"] <= 20
     assert any("write at_x_mm" in w for w in found.warnings)
     assert found.setups[0].numbers["at_x_mm"] == made.polished.setups["low"]["at_x_mm"]
 
 
-def test_the_order_is_short_and_the_reference_comes_often_enough(tmp_path: Path) -> None:
+def test_the_order_is_short_and_the_reference_comes_often_enough(
+    tmp_path: Path,
+) -> None:
     order = """
 [design.order]
 speed_mm_s = 2.0
 reference_every_min = 6.0
 reference = { z_mm = 1166, psi_deg = 90, theta = "hold" }
 """
-    said = study.parse(text(KNOWN.replace("3", "8"), tables=GRID.format(name="cup") + order), Path("x.study.toml"))
+    said = study.parse(
+        text(KNOWN.replace("3", "8"), tables=GRID.format(name="cup") + order),
+        Path("x.study.toml"),
+    )
     found = pipeline.run(said, tmp_path, report=False).design
     assert found is not None
     assert found.order is not None
@@ -191,8 +282,13 @@ reference = { z_mm = 1166, psi_deg = 90, theta = "hold" }
     assert found.order.after_s < found.order.before_s
     resolved, plain = chosen(text(KNOWN.replace("3", "8")))
     (series,), m = plain.series, resolved.measurement
-    q = np.vstack([m.kinematics.inverse(m.machine.home_command)[1], series.q[series.index[:, 0]]])
-    times = [np.abs(np.diff(q[[0, *p]], axis=0)).max(axis=1).sum() / 2e-3 for p in itertools.permutations(range(1, 9))]
+    q = np.vstack(
+        [m.kinematics.inverse(m.machine.home_command)[1], series.q[series.index[:, 0]]]
+    )
+    times = [
+        np.abs(np.diff(q[[0, *p]], axis=0)).max(axis=1).sum() / 2e-3
+        for p in itertools.permutations(range(1, 9))
+    ]
     assert found.order.after_s == pytest.approx(min(times), rel=1e-9)
     runs = [p.run for p in found.poses]
     assert runs[0] == runs[-1] == "reference"
@@ -211,7 +307,9 @@ reference = { z_mm = 1166, psi_deg = 90, theta = "hold" }
     assert max(np.diff(at)) - 6.0 <= 360.0 + 1e-6
     filled = tmp_path / "filled.readings.csv"
     lines = (tmp_path / "poses.csv").read_text().splitlines()
-    filled.write_text("\n".join([lines[0], *(line + "300.0" for line in lines[1:])]) + "\n")
+    filled.write_text(
+        "\n".join([lines[0], *(line + "300.0" for line in lines[1:])]) + "\n"
+    )
     assert len(dataset.load([filled], m)) == len(runs)
     assert [line.split(",")[1] for line in lines[1:]] == runs
     assert [line.split(",")[2] for line in lines[1:] if ",reference," in line] == [

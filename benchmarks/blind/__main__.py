@@ -1,7 +1,7 @@
 """python -m benchmarks.blind COMMAND, from the project's root.
 
-`generate` writes a set of cases, `run` diagnoses them, `score` scores the results; `list` names some of the cases. The
-whole way from nothing to a table is in `score.py`.
+`generate` writes a set of cases, `run` diagnoses them, `score` scores the results;
+`list` names some of the cases. The whole way from nothing to a table is in `score.py`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,17 @@ from benchmarks.blind import commands as other
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 done, 2 bad input."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.blind", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.blind", description=__doc__
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     _generate_options(commands.add_parser("generate", help="write a set of cases"))
     other.add(commands)
     _forms_options(
-        commands.add_parser("forms", help="how large effects must be, how far they depart from the textbook")
+        commands.add_parser(
+            "forms",
+            help="how large effects must be, how far they depart from the textbook",
+        )
     )
     said = parser.parse_args(arguments)
     try:
@@ -36,13 +41,28 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _generate_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", type=Path, required=True, help="folder to write to; what is there is kept")
-    parser.add_argument("--set", dest="name", choices=("dev", "blind", "six"), required=True)
     parser.add_argument(
-        "--cases", type=int, default=200, help="how many (200 hold every kind; 1000 every law 75 times)"
+        "--out",
+        type=Path,
+        required=True,
+        help="folder to write to; what is there is kept",
+    )
+    parser.add_argument(
+        "--set", dest="name", choices=("dev", "blind", "six"), required=True
+    )
+    parser.add_argument(
+        "--cases",
+        type=int,
+        default=200,
+        help="how many (200 hold every kind; 1000 every law 75 times)",
     )
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--machines", nargs="+", default=[], help="only these (cases keep their numbers)")
+    parser.add_argument(
+        "--machines",
+        nargs="+",
+        default=[],
+        help="only these (cases keep their numbers)",
+    )
     parser.add_argument("--kinds", nargs="+", default=[], help="only these kinds")
     parser.set_defaults(run=_generate)
 
@@ -54,20 +74,35 @@ def _generate(said: argparse.Namespace) -> int:
 
     def told(done: int, count: int) -> None:
         if done % 50 == 0 or done == count:
-            print(f"{done} of {count} cases, {time.perf_counter() - start:.0f} s", flush=True)
+            print(
+                f"{done} of {count} cases, {time.perf_counter() - start:.0f} s",
+                flush=True,
+            )
 
     if said.cases < 1:
         raise ValueError(f"--cases {said.cases}: give at least 1")
     new = write.generate(
-        said.out, name=said.name, count=said.cases, seed=said.seed, machines=said.machines, kinds=said.kinds, told=told
+        said.out,
+        name=said.name,
+        count=said.cases,
+        seed=said.seed,
+        machines=said.machines,
+        kinds=said.kinds,
+        told=told,
     )
     print(f"{new} new in {said.out}")
     return 0
 
 
 def _forms_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--machines", nargs="+", default=["a3", "planar", "delta", "hexapod", "hexaglide"])
-    parser.add_argument("--draws", type=int, default=12, help="forms drawn of each effect")
+    parser.add_argument(
+        "--machines",
+        nargs="+",
+        default=["a3", "planar", "delta", "hexapod", "hexaglide"],
+    )
+    parser.add_argument(
+        "--draws", type=int, default=12, help="forms drawn of each effect"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.set_defaults(run=_forms)
 

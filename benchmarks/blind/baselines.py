@@ -1,12 +1,15 @@
-"""Two ways that a diagnosis has to beat, on the same residuals after calibration and the same covariates.
+"""Two ways that a diagnosis has to beat, on the same residuals after calibration and
+the same covariates.
 
-harmonic  as ball-bar software does: harmonics of each run, what changes in them with direction, feed, payload and time,
-          and rules on which of these symptoms stands out of the noise (level and repeatability told from the readings)
-stepwise  forward selection by BIC over the library's own signatures, by least squares beside the parameters, noise as
-          stated to within a common level
+harmonic  as ball-bar software does: harmonics of each run, what changes in them with
+          direction, feed, payload and time, and rules on which of these symptoms stands
+          out of the noise (level and repeatability told from the readings)
+stepwise  forward selection by BIC over the library's own signatures, by least squares
+          beside the parameters, noise as stated to within a common level
 
-Both answer with a set of effects; neither has a class or an unknown.
-Sources: ISO 230-4 and the manuals of circular tests for the symptoms; Schwarz 1978, Ann. Stat. 6, 461-464, for BIC.
+Both answer with a set of effects; neither has a class or an unknown. Sources: ISO 230-4
+and the manuals of circular tests for the symptoms; Schwarz 1978, Ann. Stat. 6, 461-464,
+for BIC.
 """
 
 from __future__ import annotations
@@ -25,7 +28,8 @@ from oed.gap.library import Library
 from oed.gap.problem import Problem
 
 Index = NDArray[np.intp]
-#: effects that the stepwise selection may take, and the share of a column's size that calibration must leave
+#: effects that the stepwise selection may take, and the share of a column's size that
+#: calibration must leave
 MOST, LEAST = 5, 1e-5
 #: false alarm that the harmonic rules are set for, over all their symptoms
 ALARM = 0.01
@@ -38,7 +42,8 @@ HIGHEST, PER_HARMONIC = 6, 3
 def stepwise(problem: Problem, library: Library) -> list[str]:
     """Effects of a library that forward selection by BIC takes, in its order.
 
-    BIC = N log(RSS / N) + k log N; k counts a form's columns and its effect's constants.
+    BIC = N log(RSS / N) + k log N; k counts a form's columns and its effect's
+    constants.
     """
     metric = Metric(problem, plain(problem))
     white, absorbed = metric.parts(np.column_stack([problem.residual, library.columns]))
@@ -46,14 +51,20 @@ def stepwise(problem: Problem, library: Library) -> list[str]:
     raw = np.sqrt((library.columns**2).sum(axis=0))
     seen = np.sqrt(np.maximum(np.diag(full)[1:], 0.0))
     scale = np.where(seen > LEAST * raw, 1.0 / np.maximum(seen, 1e-300), 0.0)
-    gram, b, rest = full[1:, 1:] * np.outer(scale, scale), full[1:, 0] * scale, float(full[0, 0])
+    gram, b, rest = (
+        full[1:, 1:] * np.outer(scale, scale),
+        full[1:, 0] * scale,
+        float(full[0, 0]),
+    )
     size, chosen = len(problem), []
     for _ in range(MOST):
         left = [a for a in library.atoms if a.effect not in chosen]
         if not left:
             break
         gains = _gains(gram, b, [a.columns for a in left])
-        cost = np.array([len(a.columns) + len(a.constants) for a in left]) * math.log(size)
+        cost = np.array([len(a.columns) + len(a.constants) for a in left]) * math.log(
+            size
+        )
         told = size * np.log1p(-np.minimum(gains / rest, 1.0 - 1e-12)) + cost
         best = int(np.argmin(told))
         if told[best] >= 0.0:
@@ -77,7 +88,9 @@ def _gains(gram: Array, b: Array, choices: Sequence[Index]) -> Array:
     return found
 
 
-def _after(gram: Array, b: Array, rest: float, columns: Index) -> tuple[Array, Array, float]:
+def _after(
+    gram: Array, b: Array, rest: float, columns: Index
+) -> tuple[Array, Array, float]:
     """Gram matrix, projections and residual sum of squares with some columns taken out."""
     values, vectors = np.linalg.eigh(gram[np.ix_(columns, columns)])
     kept = values > 1e-6
@@ -86,12 +99,13 @@ def _after(gram: Array, b: Array, rest: float, columns: Index) -> tuple[Array, A
     return gram - half.T @ half, b - half.T @ told, rest - float(told @ told)
 
 
-# -- harmonics ---------------------------------------------------------------------------------------------
+# -- harmonics -------------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True)
 class Runs:
-    """Harmonics of R runs (of one channel each), every coefficient in units of its noise's standard deviation.
+    """Harmonics of R runs (of one channel each), every coefficient in units of its
+    noise's standard deviation.
 
     parts (R, 1 + 2 HIGHEST)  offset, cosines and sines by turns; 0 beyond `order` (R,)
     path (R,)                 number of the path that a run follows
@@ -108,7 +122,9 @@ class Runs:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Symptom:
-    """Energy of a symptom over what noise makes of it (its degrees of freedom), and whether it stands out."""
+    """Energy of a symptom over what noise makes of it (its degrees of freedom), and
+    whether it stands out.
+    """
 
     name: str
     energy: float
@@ -122,7 +138,9 @@ class Symptom:
 
 
 def harmonic(problem: Problem, names: Sequence[str]) -> list[str]:
-    """Effects among `names`, those that the readings can test, that the rules come to; strongest first, at most two."""
+    """Effects among `names`, those that the readings can test, that the rules come to;
+    strongest first, at most two.
+    """
     runs = runs_of(problem)
     found = sorted((s for s in symptoms(runs) if s.clear), key=lambda s: -s.excess)
     called: list[str] = []
@@ -136,11 +154,17 @@ def harmonic(problem: Problem, names: Sequence[str]) -> list[str]:
 
 
 def runs_of(problem: Problem) -> Runs:
-    """Harmonics of the residuals after calibration, run by run; noise is told by what they leave, and by repeats."""
+    """Harmonics of the residuals after calibration, run by run; noise is told by what
+    they leave, and by repeats.
+    """
     metric = Metric(problem, plain(problem))
     left = problem.residual - problem.slopes @ metric.fitted(problem.residual)
     rows, phase = problem.rows, problem.rows["phase"].to_numpy(dtype=float)
-    names = [c for c in rows.columns if c in ("time", "direction", "feed", "payload") or str(c).startswith("temp_")]
+    names = [
+        c
+        for c in rows.columns
+        if c in ("time", "direction", "feed", "payload") or str(c).startswith("temp_")
+    ]
     paths: dict[tuple[object, ...], int] = {}
     parts, orders, path, rest, about = [], [], [], [], []
     joints = np.concatenate([
@@ -152,7 +176,11 @@ def runs_of(problem: Problem) -> Runs:
             at = members[problem.group[members] == channel]
             order = int(np.clip((len(at) - 1) // (2 * PER_HARMONIC), 0, HIGHEST))
             told, error = _harmonics(phase[at], left[at], order)
-            key = (rows["setup"].iloc[at[0]], int(channel), np.sort(np.round(joints[at].sum(axis=1), 6)).tobytes())
+            key = (
+                rows["setup"].iloc[at[0]],
+                int(channel),
+                np.sort(np.round(joints[at].sum(axis=1), 6)).tobytes(),
+            )
             parts.append(np.pad(told, (0, 1 + 2 * HIGHEST - len(told))))
             orders.append(order)
             path.append(paths.setdefault(key, len(paths)))
@@ -171,7 +199,9 @@ def runs_of(problem: Problem) -> Runs:
 
 
 def _harmonics(phase: Array, values: Array, order: int) -> tuple[Array, Array]:
-    """Coefficients in units of their own standard deviation per noise, and what is left, per its degrees of freedom."""
+    """Coefficients in units of their own standard deviation per noise, and what is
+    left, per its degrees of freedom.
+    """
     waves = [np.ones(len(phase))]
     for k in range(1, order + 1):
         waves += [np.cos(k * phase), np.sin(k * phase)]
@@ -182,16 +212,27 @@ def _harmonics(phase: Array, values: Array, order: int) -> tuple[Array, Array]:
 
 
 def _repeatable(runs: Runs) -> Runs:
-    """With the noise of offsets and of harmonics as large as repeats of the same run under the same conditions show."""
-    conditions = [runs.path, *(runs.about[n] for n in ("direction", "feed", "payload") if n in runs.about)]
-    label = np.unique(np.nan_to_num(np.column_stack(conditions), nan=-1e9).round(9), axis=0, return_inverse=True)[1]
+    """With the noise of offsets and of harmonics as large as repeats of the same run
+    under the same conditions show.
+    """
+    conditions = [
+        runs.path,
+        *(runs.about[n] for n in ("direction", "feed", "payload") if n in runs.about),
+    ]
+    label = np.unique(
+        np.nan_to_num(np.column_stack(conditions), nan=-1e9).round(9),
+        axis=0,
+        return_inverse=True,
+    )[1]
     label = np.ravel(label)
     steps = []
     for k in np.unique(label):
         at = np.flatnonzero(label == k)
         if "time" in runs.about and np.isfinite(runs.about["time"][at]).all():
             at = at[np.argsort(runs.about["time"][at], kind="stable")]
-        steps.append(np.diff(runs.parts[at], axis=0) / math.sqrt(2.0))  # of neighbours in time: a drift hardly counts
+        steps.append(
+            np.diff(runs.parts[at], axis=0) / math.sqrt(2.0)
+        )  # of neighbours in time: a drift hardly counts
     moved = np.vstack(steps)
     if len(moved) < 2:
         return runs
@@ -211,8 +252,11 @@ def symptoms(runs: Runs) -> list[Symptom]:
     for name in ("direction", "payload", "feed", "lag"):
         column = _covariate(runs, name)
         if column is not None:
-            # offsets aside: how well a run repeats as a whole is no matter of its direction or load
-            shown.append((name, *_explained(base, column[:, None] * base, moved[:, 1:])))
+            # offsets aside: how well a run repeats as a whole is no matter of its
+            # direction or load
+            shown.append(
+                (name, *_explained(base, column[:, None] * base, moved[:, 1:]))
+            )
     time = _covariate(runs, "time")
     if time is not None:
         share = (time - time.min()) / max(float(np.ptp(time)), 1e-12)
@@ -220,29 +264,50 @@ def symptoms(runs: Runs) -> list[Symptom]:
         shown.append(("trend", *_explained(base, warm, moved[:, :1])))
         shown.append(("wandering centre", *_explained(base, warm, moved[:, 1:3])))
         cuts = [(share >= c).astype(float)[:, None] for c in np.linspace(0.1, 0.9, 17)]
-        shown.append(("jump", *max((_explained(base, c, moved[:, :1]) for c in cuts), key=lambda e: e[0])))
+        shown.append(
+            (
+                "jump",
+                *max(
+                    (_explained(base, c, moved[:, :1]) for c in cuts),
+                    key=lambda e: e[0],
+                ),
+            )
+        )
     static = runs.parts - moved
     counts = np.bincount(runs.path)[runs.path]
     for low, high in ((0, 0), (1, 1), (2, 2), (3, 4), (5, HIGHEST)):
         columns = slice(max(2 * low - 1, 0), 2 * high + 1)
         there = (np.minimum(2 * runs.order + 1, columns.stop) - columns.start).clip(0)
         freedom = round(float((there / counts).sum()))
-        shown.append((f"harmonics {low}-{high}", float((static[:, columns] ** 2).sum()), freedom))
+        shown.append(
+            (f"harmonics {low}-{high}", float((static[:, columns] ** 2).sum()), freedom)
+        )
     told = [s for s in shown if s[2] > 0]
     alarm = ALARM / max(len(told), 1)
     tries = {"jump": 17}
-    return [Symptom(n, e, f, e > stats.chi2.isf(alarm / tries.get(n, 1), f)) for n, e, f in told]
+    return [
+        Symptom(n, e, f, e > stats.chi2.isf(alarm / tries.get(n, 1), f))
+        for n, e, f in told
+    ]
 
 
 def _covariate(runs: Runs, name: str) -> Array | None:
-    """A covariate (R,), centred; None where it is not known or does not change. `lag`: direction times feed."""
+    """A covariate (R,), centred; None where it is not known or does not change. `lag`:
+    direction times feed.
+    """
     parts = ("direction", "feed") if name == "lag" else (name,)
     if any(p not in runs.about or not np.isfinite(runs.about[p]).all() for p in parts):
         return None
     value = np.prod([runs.about[p] for p in parts], axis=0)
-    if name == "lag" and (np.ptp(runs.about["feed"]) <= 0.0 or np.ptp(runs.about["direction"]) <= 0.0):
+    if name == "lag" and (
+        np.ptp(runs.about["feed"]) <= 0.0 or np.ptp(runs.about["direction"]) <= 0.0
+    ):
         return None
-    return None if np.ptp(value) <= 1e-12 * max(float(np.abs(value).max()), 1.0) else value - value.mean()
+    return (
+        None
+        if np.ptp(value) <= 1e-12 * max(float(np.abs(value).max()), 1.0)
+        else value - value.mean()
+    )
 
 
 def _fit(columns: Array, values: Array) -> Array:
@@ -255,7 +320,11 @@ def _fit(columns: Array, values: Array) -> Array:
 def _explained(base: Array, columns: Array, moved: Array) -> tuple[float, int]:
     """Energy that columns beside each path's mean explain, and its degrees of freedom."""
     left = columns - _fit(base, columns)
-    rank = int(np.linalg.matrix_rank(left, tol=1e-9 * max(float(np.abs(columns).max(initial=0.0)), 1e-300)))
+    rank = int(
+        np.linalg.matrix_rank(
+            left, tol=1e-9 * max(float(np.abs(columns).max(initial=0.0)), 1e-300)
+        )
+    )
     if not rank:
         return 0.0, 0
     there = int((np.abs(moved) > 0).any(axis=0).sum())
@@ -270,14 +339,22 @@ def _causes(symptom: str, runs: Runs) -> list[str]:
             return ["servo_lag", "backlash"]
         sign = _covariate(runs, "direction")
         odd = runs.parts if sign is None else runs.parts * np.sign(sign)[:, None]
-        mean = np.vstack([odd[runs.path == k].mean(axis=0) for k in np.unique(runs.path)])
+        mean = np.vstack(
+            [odd[runs.path == k].mean(axis=0) for k in np.unique(runs.path)]
+        )
         high, low = float((mean[:, 5:] ** 2).sum()), float((mean[:, 1:5] ** 2).sum())
-        return ["backlash", "friction"] if high > 0.15 * low else ["friction", "backlash"]
+        return (
+            ["backlash", "friction"] if high > 0.15 * low else ["friction", "backlash"]
+        )
     if symptom in ("trend", "wandering centre"):
         return _drift(symptom, runs)
     legs = runs.legs
     three = slice(5, 9)
-    common = runs.parts[:, 2 * legs - 1 : 2 * legs + 1] if legs in (3, 4) else np.zeros((1, 1))
+    common = (
+        runs.parts[:, 2 * legs - 1 : 2 * legs + 1]
+        if legs in (3, 4)
+        else np.zeros((1, 1))
+    )
     together = float((common**2).sum()) > 0.7 * float((runs.parts[:, three] ** 2).sum())
     rules = {
         "payload": ["gravity"],
@@ -287,14 +364,20 @@ def _causes(symptom: str, runs: Runs) -> list[str]:
         "harmonics 1-1": ["guideway", "frame_bending"],
         "harmonics 2-2": ["encoder_scale", "frame_bending"],
         # as many waves as legs, in all of them: what the legs have in common
-        "harmonics 3-4": ["bar_length", "encoder_scale"] if together else ["guideway", "pitch_accumulation"],
+        "harmonics 3-4": (
+            ["bar_length", "encoder_scale"]
+            if together
+            else ["guideway", "pitch_accumulation"]
+        ),
         f"harmonics 5-{HIGHEST}": ["screw_cyclic", "encoder_subdivision"],
     }
     return rules[symptom]
 
 
 def _drift(symptom: str, runs: Runs) -> list[str]:
-    """What drifts: the body whose temperature goes with the runs' offsets, else the mount where the centre moves."""
+    """What drifts: the body whose temperature goes with the runs' offsets, else the
+    mount where the centre moves.
+    """
     if symptom == "wandering centre":
         return ["mount_drift", "frame_thermal"]
     base = np.equal.outer(runs.path, np.unique(runs.path)).astype(float)

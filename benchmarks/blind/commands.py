@@ -1,4 +1,6 @@
-"""Options of `run`, `known-noise`, `list` and `score`; what these do is loaded only when they are asked for."""
+"""Options of `run`, `known-noise`, `list` and `score`; what these do is loaded only
+when they are asked for.
+"""
 
 from __future__ import annotations
 
@@ -13,29 +15,70 @@ _told = partial(print, flush=True)
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the commands."""
     _run_options(commands.add_parser("run", help="diagnose every case of a set"))
-    _known_options(commands.add_parser("known-noise", help="diagnose again as who knows the noise's covariance"))
-    _list_options(commands.add_parser("list", help="list cases by what is in them, for `run --list`"))
+    _known_options(
+        commands.add_parser(
+            "known-noise", help="diagnose again as who knows the noise's covariance"
+        )
+    )
+    _list_options(
+        commands.add_parser(
+            "list", help="list cases by what is in them, for `run --list`"
+        )
+    )
     _score_options(commands.add_parser("score", help="score the results of a set"))
 
 
 def _set(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--cases", type=Path, required=True, metavar="SET", help="folder that `generate` wrote")
+    parser.add_argument(
+        "--cases",
+        type=Path,
+        required=True,
+        metavar="SET",
+        help="folder that `generate` wrote",
+    )
 
 
 def _workers(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--workers", type=_count, default=0, help="processes; one a core if not given")
-    parser.add_argument("--again", action="store_true", help="make anew what is there already")
+    parser.add_argument(
+        "--workers", type=_count, default=0, help="processes; one a core if not given"
+    )
+    parser.add_argument(
+        "--again", action="store_true", help="make anew what is there already"
+    )
 
 
 def _run_options(parser: argparse.ArgumentParser) -> None:
     _set(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="RESULTS", help="folder of the results")
-    parser.add_argument("--only", default="", help="machines or plans, separated by commas: a3,planar_full")
-    parser.add_argument("--list", dest="listed", type=Path, help="file of cases, and of effects withheld from each")
-    parser.add_argument("--limit", type=_count, default=0, help="at most so many cases")
-    parser.add_argument("--without", default="", metavar="EFFECT", help="withhold an effect; `each`: every one in turn")
     parser.add_argument(
-        "--dask", default="", metavar="ADDRESS", help="scheduler of a Dask cluster that sees the same files"
+        "--out",
+        type=Path,
+        required=True,
+        metavar="RESULTS",
+        help="folder of the results",
+    )
+    parser.add_argument(
+        "--only",
+        default="",
+        help="machines or plans, separated by commas: a3,planar_full",
+    )
+    parser.add_argument(
+        "--list",
+        dest="listed",
+        type=Path,
+        help="file of cases, and of effects withheld from each",
+    )
+    parser.add_argument("--limit", type=_count, default=0, help="at most so many cases")
+    parser.add_argument(
+        "--without",
+        default="",
+        metavar="EFFECT",
+        help="withhold an effect; `each`: every one in turn",
+    )
+    parser.add_argument(
+        "--dask",
+        default="",
+        metavar="ADDRESS",
+        help="scheduler of a Dask cluster that sees the same files",
     )
     parser.add_argument("--seed", type=_count, default=0)
     _workers(parser)
@@ -44,8 +87,15 @@ def _run_options(parser: argparse.ArgumentParser) -> None:
 
 def _known_options(parser: argparse.ArgumentParser) -> None:
     _set(parser)
-    parser.add_argument("--results", type=Path, required=True, help="folder that `run` writes")
-    parser.add_argument("--list", dest="listed", type=Path, help="file of cases; lines with an effect withheld are not")
+    parser.add_argument(
+        "--results", type=Path, required=True, help="folder that `run` writes"
+    )
+    parser.add_argument(
+        "--list",
+        dest="listed",
+        type=Path,
+        help="file of cases; lines with an effect withheld are not",
+    )
     parser.add_argument("--limit", type=_count, default=0, help="at most so many cases")
     parser.add_argument("--seed", type=_count, default=0)
     _workers(parser)
@@ -59,19 +109,39 @@ def _list_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--machines", nargs="+", default=[])
     parser.add_argument("--least", type=float, default=0.0, help="least sqrt(lambda)")
     parser.add_argument(
-        "--apart", type=float, default=0.0, help="least sqrt(lambda_k|j) of known effects from any rival"
+        "--apart",
+        type=float,
+        default=0.0,
+        help="least sqrt(lambda_k|j) of known effects from any rival",
     )
-    parser.add_argument("--workers", type=_count, default=0, help="processes; one a core if not given")
-    parser.add_argument("--withhold", action="store_true", help="withhold each case's effect from the library")
+    parser.add_argument(
+        "--workers", type=_count, default=0, help="processes; one a core if not given"
+    )
+    parser.add_argument(
+        "--withhold",
+        action="store_true",
+        help="withhold each case's effect from the library",
+    )
     parser.set_defaults(run=_list)
 
 
 def _score_options(parser: argparse.ArgumentParser) -> None:
     _set(parser)
-    parser.add_argument("--results", type=Path, required=True, help="folder that `run` wrote")
-    parser.add_argument("--out", type=Path, help="folder of the scores; RESULTS/score if not given")
-    parser.add_argument("--pairs", type=Path, metavar="SET", help="set of pairs beside it; results in the same folder")
-    parser.add_argument("--table", type=Path, help="Markdown file to write the table to")
+    parser.add_argument(
+        "--results", type=Path, required=True, help="folder that `run` wrote"
+    )
+    parser.add_argument(
+        "--out", type=Path, help="folder of the scores; RESULTS/score if not given"
+    )
+    parser.add_argument(
+        "--pairs",
+        type=Path,
+        metavar="SET",
+        help="set of pairs beside it; results in the same folder",
+    )
+    parser.add_argument(
+        "--table", type=Path, help="Markdown file to write the table to"
+    )
     _workers(parser)
     parser.set_defaults(run=_score)
 
@@ -105,20 +175,29 @@ def _run(said: argparse.Namespace) -> int:
 def _known(said: argparse.Namespace) -> int:
     from benchmarks.blind import knowing
 
-    options = {n: getattr(said, n) for n in ("listed", "limit", "workers", "again", "seed")}
+    options = {
+        n: getattr(said, n) for n in ("listed", "limit", "workers", "again", "seed")
+    }
     return _ended(knowing.diagnosed(said.cases, said.results, told=_told, **options))
 
 
 def _ended(failed: int) -> int:
     if failed:
-        print(f"{failed} diagnoses failed: see `error` in their files; they are tried again next time", file=sys.stderr)
+        print(
+            f"{failed} diagnoses failed: see `error` in their files; they are tried"
+            " again next time",
+            file=sys.stderr,
+        )
     return 1 if failed else 0
 
 
 def _list(said: argparse.Namespace) -> int:
     from benchmarks.blind import listing
 
-    options = {n: getattr(said, n) for n in ("kinds", "machines", "least", "apart", "withhold", "workers")}
+    options = {
+        n: getattr(said, n)
+        for n in ("kinds", "machines", "least", "apart", "withhold", "workers")
+    }
     print(f"{listing.write(said.cases, said.out, **options)} cases in {said.out}")
     return 0
 

@@ -1,4 +1,6 @@
-"""The confusion matrix: what acts against what was answered, printed, as CSV and as a picture."""
+"""The confusion matrix: what acts against what was answered, printed, as CSV and as a
+picture.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ ORDER = (
 
 @dataclasses.dataclass(frozen=True)
 class Confusion:
-    """Counts (rows, columns) of what acts and what was answered, and each row's number of cases."""
+    """Counts (rows, columns) of what acts and what was answered, and each row's number
+    of cases.
+    """
 
     counts: pd.DataFrame
 
@@ -52,8 +56,9 @@ class Confusion:
 def confusion(entries: Sequence[Entry], method: str = DIAGNOSIS) -> Confusion:
     """Of null cases and of single effects (known, exact, unknown) at sqrt(lambda) >= 6.
 
-    A class that holds the true effect counts as the true effect, another as its first name; an unknown remainder beside
-    one name is left out; `several`: more names than one, none of them alone.
+    A class that holds the true effect counts as the true effect, another as its first
+    name; an unknown remainder beside one name is left out; `several`: more names than
+    one, none of them alone.
     """
     acted, answered = [], []
     for e in entries:
@@ -63,11 +68,19 @@ def confusion(entries: Sequence[Entry], method: str = DIAGNOSIS) -> Confusion:
             continue
         acted.append(_truth(e))
         answered.append(_answer(e, e.said[method]))
-    counts = pd.crosstab(pd.Series(acted, dtype=object), pd.Series(answered, dtype=object))
+    counts = pd.crosstab(
+        pd.Series(acted, dtype=object), pd.Series(answered, dtype=object)
+    )
     rows = [*ORDER, *sorted(set(acted) - {*ORDER, NONE}), NONE]
     columns = [*ORDER, UNKNOWN, SEVERAL, NONE, FAILED]
-    counts = counts.reindex(index=[r for r in rows if r in counts.index], columns=columns, fill_value=0)
-    seen = [c for c in columns if c in (UNKNOWN, NONE) or c in counts.index or counts[c].any()]
+    counts = counts.reindex(
+        index=[r for r in rows if r in counts.index], columns=columns, fill_value=0
+    )
+    seen = [
+        c
+        for c in columns
+        if c in (UNKNOWN, NONE) or c in counts.index or counts[c].any()
+    ]
     counts = counts[seen]
     counts.index.name, counts.columns.name = "acts", "answered"
     return Confusion(counts)
@@ -96,20 +109,28 @@ def text(made: Confusion) -> str:
     width = max(len(str(r)) for r in counts.index) + 2
     lines = [" " * width + "".join(f"{k + 1:>4}" for k in range(counts.shape[1]))]
     for name, row in counts.iterrows():
-        lines.append(f"{name!s:<{width}}" + "".join(f"{'.' if v == 0 else v:>4}" for v in row))
-    lines.append("answered: " + ", ".join(f"{k + 1} {c}" for k, c in enumerate(counts.columns)))
+        lines.append(
+            f"{name!s:<{width}}" + "".join(f"{'.' if v == 0 else v:>4}" for v in row)
+        )
+    lines.append(
+        "answered: " + ", ".join(f"{k + 1} {c}" for k, c in enumerate(counts.columns))
+    )
     return "\n".join(lines)
 
 
 def picture(made: Confusion, path: Path, title: str) -> None:
-    """Shares of each row as a picture with the counts written in; effects of nobody's library in brackets."""
+    """Shares of each row as a picture with the counts written in; effects of nobody's
+    library in brackets.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import FixedLocator
 
     counts, shares = made.counts.to_numpy(), made.shares.to_numpy()
     high, wide = counts.shape
-    figure = Figure(figsize=(2.9 + 0.36 * wide, 2.4 + 0.27 * high), dpi=150, layout="constrained")
+    figure = Figure(
+        figsize=(2.9 + 0.36 * wide, 2.4 + 0.27 * high), dpi=150, layout="constrained"
+    )
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     shown = axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
@@ -119,10 +140,27 @@ def picture(made: Confusion, path: Path, title: str) -> None:
             right = told == (UNKNOWN if acts.startswith("(") else acts)
             colour = "white" if shares[i, j] > 0.55 else "black"
             weight = "bold" if right else "normal"
-            axes.text(j, i, str(count), ha="center", va="center", fontsize=7, color=colour, fontweight=weight)
-    axes.set_xticks(range(wide), [_words(c) for c in made.counts.columns], rotation=55, ha="right", fontsize=8)
+            axes.text(
+                j,
+                i,
+                str(count),
+                ha="center",
+                va="center",
+                fontsize=7,
+                color=colour,
+                fontweight=weight,
+            )
+    axes.set_xticks(
+        range(wide),
+        [_words(c) for c in made.counts.columns],
+        rotation=55,
+        ha="right",
+        fontsize=8,
+    )
     sums = counts.sum(axis=1)
-    labels = [f"{_words(r)}  ({n})" for r, n in zip(made.counts.index, sums, strict=True)]
+    labels = [
+        f"{_words(r)}  ({n})" for r, n in zip(made.counts.index, sums, strict=True)
+    ]
     axes.set_yticks(range(high), labels, fontsize=8)
     axes.xaxis.set_minor_locator(FixedLocator(np.arange(-0.5, wide).tolist()))
     axes.yaxis.set_minor_locator(FixedLocator(np.arange(-0.5, high).tolist()))

@@ -1,10 +1,12 @@
-"""The same diagnosis by an observer who knows the noise: what telling it from the readings costs, and what none can do.
+"""The same diagnosis by an observer who knows the noise: what telling it from the
+readings costs, and what none can do.
 
     python -m benchmarks.blind known-noise --cases SET --results RESULTS
 
-writes RESULTS/known_noise/ID.json as `run` writes RESULTS/ID.json, with the true covariance of the readings (up to its
-level) in place of a noise law told from them. Which readings are far off is told as the diagnosis tells it.
-Opens the truth, as the oracle does; `score` puts the figures of these results beside the diagnosis's.
+writes RESULTS/known_noise/ID.json as `run` writes RESULTS/ID.json, with the true
+covariance of the readings (up to its level) in place of a noise law told from them.
+Which readings are far off is told as the diagnosis tells it. Opens the truth, as the
+oracle does; `score` puts the figures of these results beside the diagnosis's.
 """
 
 from __future__ import annotations
@@ -33,15 +35,22 @@ def diagnosed(
     seed: int = 0,
     told: Callable[[str], None] = print,
 ) -> int:
-    """Diagnose the cases of a set that have no such result yet; how many failed. Options as `run.run` has them.
+    """Diagnose the cases of a set that have no such result yet; how many failed.
+    Options as `run.run` has them.
 
     Raises ValueError, OSError.
     """
     out = results / FOLDER
-    jobs = [j for j in run.chosen(folder, listed=listed, limit=limit, seed=seed) if not j.without]
+    jobs = [
+        j
+        for j in run.chosen(folder, listed=listed, limit=limit, seed=seed)
+        if not j.without
+    ]
     jobs = [j for j in jobs if again or not run.done(j.file(out))]
     jobs.sort(key=lambda j: j.case.study)
-    return run.carried_out(work, jobs, lambda j: j.file(out), workers=workers, told=told)
+    return run.carried_out(
+        work, jobs, lambda j: j.file(out), workers=workers, told=told
+    )
 
 
 def work(job: run.Job) -> str:
@@ -58,7 +67,9 @@ def _diagnosed(job: run.Job) -> dict[str, Any]:
 
 
 def figures(oracles: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """The oracle's figures by which this observer is scored: closures under the true law are those of its own."""
+    """The oracle's figures by which this observer is scored: closures under the true
+    law are those of its own.
+    """
     return {name: {**f, "closure": _true(f["closure"])} for name, f in oracles.items()}
 
 

@@ -1,4 +1,5 @@
-"""What a diagnosis may read: the list of cases, their studies and readings, the library of effects.
+"""What a diagnosis may read: the list of cases, their studies and readings, the library
+of effects.
 
 Labels and truth are no business of this module; the runner has no other way to a case.
 """
@@ -24,7 +25,9 @@ HERE = Path(__file__).resolve().parent
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Case:
-    """A case as the manifest names it: study file beside this module, readings relative to the set's folder."""
+    """A case as the manifest names it: study file beside this module, readings relative
+    to the set's folder.
+    """
 
     id: str
     study: str
@@ -43,7 +46,9 @@ class Case:
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """A study's measurement and the effects that are tried; gravity is its direction in the base frame."""
+    """A study's measurement and the effects that are tried; gravity is its direction in
+    the base frame.
+    """
 
     measurement: Measurement
     effects: tuple[Effect, ...]
@@ -51,27 +56,38 @@ class Bench:
 
 
 def manifest(folder: Path, only: Sequence[str] = ()) -> list[Case]:
-    """Cases of a set, in the manifest's order; `only` of these machines (`a3`) or plans (`a3_full`).
+    """Cases of a set, in the manifest's order; `only` of these machines (`a3`) or plans
+    (`a3_full`).
 
-    Raises ValueError for a line that is none, and for a machine that no case has; OSError.
+    Raises ValueError for a line that is none, and for a machine that no case has;
+    OSError.
     """
     file, cases = folder / "manifest.jsonl", []
-    for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), start=1):
+    for number, line in enumerate(
+        file.read_text(encoding="utf-8").splitlines(), start=1
+    ):
         try:
             said = json.loads(line)
             cases.append(Case(said["id"], said["study"], said["readings"]))
         except (json.JSONDecodeError, KeyError, TypeError) as error:
-            raise ValueError(f"{file}, line {number}: {error!r}; make the set anew with `generate`") from None
+            raise ValueError(
+                f"{file}, line {number}: {error!r}; make the set anew with `generate`"
+            ) from None
     known = {c.machine for c in cases} | {c.plan for c in cases}
     for name in only:
         if name not in known:
-            raise ValueError(f"--only {name}: no case has this machine or plan; there are {', '.join(sorted(known))}")
+            raise ValueError(
+                f"--only {name}: no case has this machine or plan; there are"
+                f" {', '.join(sorted(known))}"
+            )
     return [c for c in cases if not only or c.machine in only or c.plan in only]
 
 
 @functools.cache
 def bench(name: str) -> Bench:
-    """The bench of a study file beside this module; made once in a process, for it compiles the machine."""
+    """The bench of a study file beside this module; made once in a process, for it
+    compiles the machine.
+    """
     said = study.load(HERE / name)
     found = resolve.resolve(said, readings=[])
     asked = resolve_gap.asked(said, found.machine, always=True)
@@ -83,7 +99,9 @@ def prepared(folder: Path, case: Case) -> Problem:
     """The residuals of a case. Raises ReadingsError, IdentificationError."""
     at = bench(case.study)
     data = dataset.load(folder / case.readings, at.measurement)
-    return problem_of.prepare(at.measurement, data.series, data.y, data.covariates, gravity=at.gravity)
+    return problem_of.prepare(
+        at.measurement, data.series, data.y, data.covariates, gravity=at.gravity
+    )
 
 
 def write(path: Path, text: str) -> None:

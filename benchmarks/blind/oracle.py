@@ -1,17 +1,21 @@
-"""What whoever knows the truth could do: the yardstick of the scorer, which alone may use this.
+"""What whoever knows the truth could do: the yardstick of the scorer, which alone may
+use this.
 
-With the true noise covariance and the true slopes, M = (Sigma + J Lambda J^T)^-1, and dy an effect's exact change of
-the readings,
+With the true noise covariance and the true slopes, M = (Sigma + J Lambda J^T)^-1, and
+dy an effect's exact change of the readings,
 
     sqrt(lambda)      = |dy|_M
-    sqrt(lambda_k|j)  = what is left of it once a rival j of the library has absorbed all it can: its columns are held
-                        at RIVAL times their physical prior scales, the most absorbing of its forms and constants
-                        counts, and what other effects truly act in the case is taken out of everything first.
+    sqrt(lambda_k|j)  = what is left of it once a rival j of the library has absorbed
+                      all it can: its columns are held at RIVAL times their physical
+                      prior scales, the most absorbing of its forms and constants
+                      counts, and what other effects truly act in the case is taken out
+                      of everything first.
 
-`apart` is the least over rivals other than the effects that act; `own` what the effect's own library form leaves;
-`beyond` the least over all of the library, for effects that are in none; `legs` the least over all forms that act in
-one leg alone, leg by leg. `tied` are legs of which an effect in another leg makes the same readings, so that nothing
-tells where it is.
+`apart` is the least over rivals other than the effects that act; `own` what the
+effect's own library form leaves; `beyond` the least over all of the library, for
+effects that are in none; `legs` the least over all forms that act in one leg alone, leg
+by leg. `tied` are legs of which an effect in another leg makes the same readings, so
+that nothing tells where it is.
 """
 
 from __future__ import annotations
@@ -41,14 +45,17 @@ from oed.gap.problem import Pack, Problem
 RIVAL = 3.0
 #: readings of the truth and of the file may differ by the rounding of the file, m
 ROUNDING = 1e-9
-#: shares of an effect's sqrt(lambda): by which what two tied legs leave of it may differ, and that they leave at most
+#: shares of an effect's sqrt(lambda): by which what two tied legs leave of it may
+#: differ, and that they leave at most
 TIED, HALF = 1e-3, 0.5
 SPLITS: tuple[closure_of.Split, ...] = ("within", "whole")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Job:
-    """A case, the effects that act in it, and the folder of its result; the oracle's own go to `results/oracle`."""
+    """A case, the effects that act in it, and the folder of its result; the oracle's
+    own go to `results/oracle`.
+    """
 
     folder: Path
     results: Path
@@ -71,14 +78,18 @@ def run(
     again: bool = False,
     told: Callable[[str], None] = print,
 ) -> dict[str, dict[str, Any]]:
-    """The oracle's figures of every case, by id; those that are older than a case's result are made anew.
+    """The oracle's figures of every case, by id; those that are older than a case's
+    result are made anew.
 
-    acting: names of the effects that act, by case, in the order of the truth's `dy_0`, `dy_1`, ...
+    acting: names of the effects that act, by case, in the order of the truth's `dy_0`,
+    `dy_1`, ...
     """
     jobs = [Job(folder, results, c, tuple(acting[c.id])) for c in cases]
     due = [j for j in jobs if again or _stale(j)]
     due.sort(key=lambda j: j.case.study)
-    for number, (job, text) in enumerate(pool.results(work, due, workers=workers), start=1):
+    for number, (job, text) in enumerate(
+        pool.results(work, due, workers=workers), start=1
+    ):
         loading.write(job.file, text)
         if number % 50 == 0 or number == len(due):
             told(f"oracle: {number} of {len(due)} cases")
@@ -93,16 +104,22 @@ def _stale(job: Job) -> bool:
 
 
 def work(job: Job) -> str:
-    """The oracle's figures of a case as JSON. Raises ValueError where readings and truth do not belong together."""
+    """The oracle's figures of a case as JSON. Raises ValueError where readings and
+    truth do not belong together.
+    """
     problem, truth = _opened(job)
     said = _distances(job, problem, truth)
     sigma = truth_of.covariance(truth)
-    said["closure"] = _closures(problem, sigma, truth, _result(job)) if job.effects else []
+    said["closure"] = (
+        _closures(problem, sigma, truth, _result(job)) if job.effects else []
+    )
     return json.dumps(said, allow_nan=False)
 
 
 def distances(job: Job) -> dict[str, Any]:
-    """The figures of a case that need no result: all but `closure`. Raises ValueError as `work` does."""
+    """The figures of a case that need no result: all but `closure`. Raises ValueError
+    as `work` does.
+    """
     return _distances(job, *_opened(job))
 
 
@@ -133,15 +150,20 @@ def _check(problem: Problem, truth: dict[str, Array], job: Job) -> None:
     y = measured + left - slopes @ (problem.theta - problem.measurement.nominal)
     if y.shape != truth["y"].shape or float(np.abs(y - truth["y"]).max()) > ROUNDING:
         raise ValueError(
-            f"{job.case.readings}: these are not the readings of truth/{job.case.id}.npz; make the set anew"
+            f"{job.case.readings}: these are not the readings of"
+            f" truth/{job.case.id}.npz; make the set anew"
         )
 
 
-# -- distances ---------------------------------------------------------------------------------------------
+# -- distances -------------------------------------------------------------------------
 
 
 def _effects(
-    problem: Problem, known: Library, sigma: Array, truth: dict[str, Array], names: Sequence[str]
+    problem: Problem,
+    known: Library,
+    sigma: Array,
+    truth: dict[str, Array],
+    names: Sequence[str],
 ) -> list[dict[str, Any]]:
     if not names:
         return []
@@ -151,7 +173,9 @@ def _effects(
     seen = [metric.seen(c) for c in changes]
     found = []
     for k, name in enumerate(names):
-        others = np.array(seen[:k] + seen[k + 1 :]).reshape(len(names) - 1, len(problem)).T
+        others = (
+            np.array(seen[:k] + seen[k + 1 :]).reshape(len(names) - 1, len(problem)).T
+        )
         mine, theirs = _without(seen[k], others), _without(columns, others)
         left = absorbed(mine, theirs, known)
         rivals = {n: v for n, v in left.items() if n not in names}
@@ -181,9 +205,11 @@ def _without(values: Array, directions: Array) -> Array:
 
 
 def absorbed(seen: Array, columns: Array, known: Library) -> dict[str, float]:
-    """For each effect of a library what it leaves of `seen` (N,), in coordinates in which M is the identity.
+    """For each effect of a library what it leaves of `seen` (N,), in coordinates in
+    which M is the identity.
 
-    sqrt(v^T v - v^T C (C^T C + 1 / RIVAL^2)^-1 C^T v), least over the effect's forms: all limbs, textbook and adapted.
+    sqrt(v^T v - v^T C (C^T C + 1 / RIVAL^2)^-1 C^T v), least over the effect's forms:
+    all limbs, textbook and adapted.
     """
     left: dict[str, float] = {}
     for atom, kept in zip(known.atoms, _kept(seen, columns, known.atoms), strict=True):
@@ -191,9 +217,17 @@ def absorbed(seen: Array, columns: Array, known: Library) -> dict[str, float]:
     return left
 
 
-def by_leg(seen: Array, columns: Array, known: Library, name: str = "") -> dict[str, float]:
-    """What forms that act in one leg alone leave of `seen` (N,) at least, for each leg: of an effect, or of all."""
-    some = [a for a in known.atoms if name in ("", a.effect) and len({known.labels[c] for c in a.columns}) == 1]
+def by_leg(
+    seen: Array, columns: Array, known: Library, name: str = ""
+) -> dict[str, float]:
+    """What forms that act in one leg alone leave of `seen` (N,) at least, for each leg:
+    of an effect, or of all.
+    """
+    some = [
+        a
+        for a in known.atoms
+        if name in ("", a.effect) and len({known.labels[c] for c in a.columns}) == 1
+    ]
     least: dict[str, float] = {}
     for atom, kept in zip(some, _kept(seen, columns, some), strict=True):
         leg = known.labels[atom.columns[0]]
@@ -203,14 +237,18 @@ def by_leg(seen: Array, columns: Array, known: Library, name: str = "") -> dict[
 
 
 def tied(seen: Array, columns: Array, known: Library, name: str) -> list[list[str]]:
-    """Groups of legs of which an effect in any one alone leaves the same of `seen` (N,), whatever its forms."""
+    """Groups of legs of which an effect in any one alone leaves the same of `seen`
+    (N,), whatever its forms.
+    """
     whole = float(np.linalg.norm(seen))
     groups: list[list[str]] = []
     least = by_leg(seen, columns, known, name)
     for leg, kept in least.items():
         if kept > HALF * whole:
             continue
-        group = next((g for g in groups if abs(least[g[0]] - kept) < TIED * whole), None)
+        group = next(
+            (g for g in groups if abs(least[g[0]] - kept) < TIED * whole), None
+        )
         if group is None:
             groups.append([leg])
         else:
@@ -224,37 +262,52 @@ def _kept(seen: Array, columns: Array, atoms: Sequence[Atom]) -> list[float]:
     for form in (columns[:, a.columns] for a in atoms):
         told = form.T @ seen
         inner = form.T @ form + np.eye(len(told)) / RIVAL**2
-        kept.append(math.sqrt(max(whole - float(told @ np.linalg.solve(inner, told)), 0.0)))
+        kept.append(
+            math.sqrt(max(whole - float(told @ np.linalg.solve(inner, told)), 0.0))
+        )
     return kept
 
 
-# -- closure -----------------------------------------------------------------------------------------------
+# -- closure ---------------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True)
 class TrueLaw(Law):
-    """The true covariance (N, N) of the readings, in units of their stated noise, in place of a law's."""
+    """The true covariance (N, N) of the readings, in units of their stated noise, in
+    place of a law's.
+    """
 
     covariance: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
     def covariances(self, pack: Pack) -> Array:
         """As in `Law`."""
-        return np.asarray(self.covariance[pack.members[:, :, None], pack.members[:, None, :]])
+        return np.asarray(
+            self.covariance[pack.members[:, :, None], pack.members[:, None, :]]
+        )
 
 
 def true_law(problem: Problem, sigma: Array) -> TrueLaw:
-    """The law of a covariance (N, N), SI. Raises ValueError where it relates readings of different runs."""
+    """The law of a covariance (N, N), SI. Raises ValueError where it relates readings
+    of different runs.
+    """
     told = sigma / np.outer(problem.sigma, problem.sigma)
     across = told.copy()
     for members in problem.blocks:
         across[np.ix_(members, members)] = 0.0
     if float(np.abs(across).max(initial=0.0)) > 1e-9:
-        raise ValueError("the true noise relates readings of different runs; the law of a diagnosis cannot")
+        raise ValueError(
+            "the true noise relates readings of different runs; the law of a diagnosis"
+            " cannot"
+        )
     return TrueLaw(0.0, 0.0, 1.0, np.ones(len(problem)), covariance=told)
 
 
-def _closures(problem: Problem, sigma: Array, truth: dict[str, Array], result: dict[str, Any]) -> list[dict[str, Any]]:
-    """For each split: the gain to be expected, the oracle's closure under the true law and under the diagnosis's."""
+def _closures(
+    problem: Problem, sigma: Array, truth: dict[str, Array], result: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """For each split: the gain to be expected, the oracle's closure under the true law
+    and under the diagnosis's.
+    """
     change = (truth["clean"] - truth["y0"]) / problem.sigma
     right = true_law(problem, sigma)
     taken = law_of(result["law"], len(problem)) if "law" in result else None
@@ -262,12 +315,23 @@ def _closures(problem: Problem, sigma: Array, truth: dict[str, Array], result: d
     for split in SPLITS:
         best = _oracle(problem, right, change, split)
         said: dict[str, Any] = {"split": split, "n": best["n"], "true": best}
-        said["expected_gain"] = closure_of.expected_gain(problem, right, change, split=split)
-        said["same_law"] = None if taken is None else _oracle(problem, taken, change, split)
+        said["expected_gain"] = closure_of.expected_gain(
+            problem, right, change, split=split
+        )
+        said["same_law"] = (
+            None if taken is None else _oracle(problem, taken, change, split)
+        )
         found.append(said)
     return found
 
 
-def _oracle(problem: Problem, law: Law, change: Array, split: closure_of.Split) -> dict[str, Any]:
-    made = closure_of.oracle_closure(problem, law, change, np.random.default_rng(0), split=split, draws=1)
-    return {k: None if not math.isfinite(v := getattr(made, k)) else v for k in ("value", "s0", "s1", "n")}
+def _oracle(
+    problem: Problem, law: Law, change: Array, split: closure_of.Split
+) -> dict[str, Any]:
+    made = closure_of.oracle_closure(
+        problem, law, change, np.random.default_rng(0), split=split, draws=1
+    )
+    return {
+        k: None if not math.isfinite(v := getattr(made, k)) else v
+        for k in ("value", "s0", "s1", "n")
+    }

@@ -13,12 +13,17 @@ Done = TypeVar("Done")
 
 
 def results(
-    work: Callable[[Job], Done], jobs: Sequence[Job], *, workers: int = 0, dask: str = ""
+    work: Callable[[Job], Done],
+    jobs: Sequence[Job],
+    *,
+    workers: int = 0,
+    dask: str = "",
 ) -> Iterator[tuple[Job, Done]]:
     """Each job with what `work` makes of it, as they come.
 
     workers   processes; 0: one a core, 1: this process alone
-    dask      address of a scheduler, in place of processes here; its workers need the project and the sets' folders
+    dask      address of a scheduler, in place of processes here; its workers need the
+              project and the sets' folders
     """
     if dask:
         yield from _on_cluster(work, jobs, dask)
@@ -40,12 +45,15 @@ def results(
             raise
 
 
-def _on_cluster(work: Callable[[Job], Done], jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, Done]]:
+def _on_cluster(
+    work: Callable[[Job], Done], jobs: Sequence[Job], address: str
+) -> Iterator[tuple[Job, Done]]:
     try:
         distributed: Any = __import__("distributed")
     except ImportError:
         raise ValueError(
-            f"--dask {address}: the package `distributed` is not installed; `pip install dask[distributed]`"
+            f"--dask {address}: the package `distributed` is not installed; `pip"
+            " install dask[distributed]`"
         ) from None
     with distributed.Client(address) as client:
         begun = client.map(work, list(jobs), pure=False)

@@ -1,10 +1,12 @@
-"""Diagnose every case of a set, by what a diagnosis may read: `cases/`, `manifest.jsonl` and the study files.
+"""Diagnose every case of a set, by what a diagnosis may read: `cases/`,
+`manifest.jsonl` and the study files.
 
     python -m benchmarks.blind run --cases SET --out RESULTS
     python -m benchmarks.blind run --cases SET --out RESULTS --list WITHHELD
 
-writes RESULTS/ID.json, and RESULTS/without/EFFECT/ID.json where an effect is withheld from the library. What is there
-already is left alone, but for cases that failed. Labels and truth are never opened, nor needed.
+writes RESULTS/ID.json, and RESULTS/without/EFFECT/ID.json where an effect is withheld
+from the library. What is there already is left alone, but for cases that failed. Labels
+and truth are never opened, nor needed.
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ class Job:
 
     def file(self, out: Path) -> Path:
         """Where its result is."""
-        return (out / "without" / self.without if self.without else out) / f"{self.case.id}.json"
+        return (
+            out / "without" / self.without if self.without else out
+        ) / f"{self.case.id}.json"
 
 
 def run(
@@ -64,17 +68,24 @@ def run(
     seed: int = 0,
     told: Callable[[str], None] = print,
 ) -> int:
-    """Diagnose the cases of a set that have no result yet; how many failed. Raises ValueError, OSError.
+    """Diagnose the cases of a set that have no result yet; how many failed. Raises
+    ValueError, OSError.
 
-    only     machines or plans;  listed: file of cases (see `chosen`);  limit: at most so many cases
-    without  an effect withheld from the library; `each`: every one in turn, and the whole library not at all
+    only     machines or plans;  listed: file of cases (see `chosen`);  limit: at most
+             so many cases
+    without  an effect withheld from the library; `each`: every one in turn, and the
+             whole library not at all
     again    diagnose afresh what has a result;  workers, dask: see `pool.results`
     """
-    jobs = chosen(folder, only=only, listed=listed, limit=limit, without=without, seed=seed)
+    jobs = chosen(
+        folder, only=only, listed=listed, limit=limit, without=without, seed=seed
+    )
     if not again:
         jobs = [j for j in jobs if not done(j.file(out))]
     jobs.sort(key=lambda j: j.case.study)  # a process compiles few machines
-    return carried_out(work, jobs, lambda j: j.file(out), workers=workers, dask=dask, told=told)
+    return carried_out(
+        work, jobs, lambda j: j.file(out), workers=workers, dask=dask, told=told
+    )
 
 
 def carried_out(
@@ -86,13 +97,20 @@ def carried_out(
     dask: str = "",
     told: Callable[[str], None] = print,
 ) -> int:
-    """Write the result that `work` makes of each job to its file, as they come; how many have an `error`."""
+    """Write the result that `work` makes of each job to its file, as they come; how
+    many have an `error`.
+    """
     failed, begun = 0, time.perf_counter()
-    for number, (job, text) in enumerate(pool.results(work, jobs, workers=workers, dask=dask), start=1):
+    for number, (job, text) in enumerate(
+        pool.results(work, jobs, workers=workers, dask=dask), start=1
+    ):
         loading.write(file(job), text)
         failed += "error" in json.loads(text)
         if number % 20 == 0 or number == len(jobs):
-            told(f"{number} of {len(jobs)} diagnoses, {failed} failed, {time.perf_counter() - begun:.0f} s")
+            told(
+                f"{number} of {len(jobs)} diagnoses, {failed} failed,"
+                f" {time.perf_counter() - begun:.0f} s"
+            )
     return failed
 
 
@@ -105,37 +123,59 @@ def chosen(
     without: str = "",
     seed: int = 0,
 ) -> list[Job]:
-    """Jobs of a set. Lines of the file `listed` are {"id": ..., "without": effect, or nothing}. Raises ValueError."""
+    """Jobs of a set. Lines of the file `listed` are {"id": ..., "without": effect, or
+    nothing}. Raises ValueError.
+    """
     cases = loading.manifest(folder, only)
     if listed is None:
         some = cases[: limit or None]
-        return [Job(folder, c, name, seed) for c in some for name in _withheld(c, without)]
+        return [
+            Job(folder, c, name, seed) for c in some for name in _withheld(c, without)
+        ]
     if without:
-        raise ValueError(f"--without {without} and --list {listed}: give one of them; a list names what is withheld")
+        raise ValueError(
+            f"--without {without} and --list {listed}: give one of them; a list names"
+            " what is withheld"
+        )
     by_id, jobs = {c.id: c for c in cases}, []
-    for number, line in enumerate(listed.read_text(encoding="utf-8").splitlines(), start=1):
+    for number, line in enumerate(
+        listed.read_text(encoding="utf-8").splitlines(), start=1
+    ):
         try:
             said = json.loads(line)
             name, effect = str(said["id"]), str(said.get("without", ""))
         except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f'{listed}, line {number}: {error!r}; write {{"id": ..., "without": effect}}') from None
+            raise ValueError(
+                f'{listed}, line {number}: {error!r}; write {{"id": ..., "without":'
+                " effect}"
+            ) from None
         if name in by_id:
             case = by_id[name]
-            jobs += [Job(folder, case, e, seed) for e in (_withheld(case, effect) if effect else [""])]
+            jobs += [
+                Job(folder, case, e, seed)
+                for e in (_withheld(case, effect) if effect else [""])
+            ]
     if not jobs:
-        raise ValueError(f"{listed}: none of its cases is in {folder}; make the list for this set")
+        raise ValueError(
+            f"{listed}: none of its cases is in {folder}; make the list for this set"
+        )
     return jobs[: limit or None]
 
 
 def _withheld(case: Case, without: str) -> list[str]:
-    """Names to withhold, in turn. Raises ValueError for an effect that is not in the library."""
+    """Names to withhold, in turn. Raises ValueError for an effect that is not in the
+    library.
+    """
     if not without:
         return [""]
     names = [e.name for e in loading.bench(case.study).effects]
     if without == EACH:
         return names
     if without not in names:
-        raise ValueError(f"--without {without}: no such effect; there are {', '.join(names)}, or {EACH}")
+        raise ValueError(
+            f"--without {without}: no such effect; there are {', '.join(names)}, or"
+            f" {EACH}"
+        )
     return [without]
 
 
@@ -150,27 +190,41 @@ def done(file: Path) -> bool:
 
 
 def work(job: Job) -> str:
-    """The text of a case's result: JSON, with `error` where the diagnosis fails, for no failure may stop the others."""
+    """The text of a case's result: JSON, with `error` where the diagnosis fails, for no
+    failure may stop the others.
+    """
     return as_json(job, _diagnosed)
 
 
 def as_json(job: Job, made: Callable[[Job], dict[str, Any]]) -> str:
     """What is `made` of a case, or the `error` that it ends with, as JSON."""
-    said: dict[str, Any] = {"id": job.case.id, "study": job.case.study, "without": job.without}
+    said: dict[str, Any] = {
+        "id": job.case.id,
+        "study": job.case.study,
+        "without": job.without,
+    }
     try:
         said |= made(job)
     except Exception as error:
-        said |= {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc(limit=-4)}
+        said |= {
+            "error": f"{type(error).__name__}: {error}",
+            "traceback": traceback.format_exc(limit=-4),
+        }
     return json.dumps(said, default=float, allow_nan=False)
 
 
 def _diagnosed(job: Job) -> dict[str, Any]:
     begun = time.perf_counter()
-    effects = [e for e in loading.bench(job.case.study).effects if e.name != job.without]
+    effects = [
+        e for e in loading.bench(job.case.study).effects if e.name != job.without
+    ]
     problem = loading.prepared(job.folder, job.case)
     ready = time.perf_counter()
     said = told(diagnose.diagnose(problem, effects, draws(job)))
-    said["seconds"] = {"prepare": ready - begun, "diagnose": time.perf_counter() - ready}
+    said["seconds"] = {
+        "prepare": ready - begun,
+        "diagnose": time.perf_counter() - ready,
+    }
     if not job.without:
         said["baselines"] = beside(problem, effects)
     return said
@@ -178,7 +232,9 @@ def _diagnosed(job: Job) -> dict[str, Any]:
 
 def draws(job: Job) -> np.random.Generator:
     """The same draws for a case whatever is run before it."""
-    return np.random.default_rng([job.seed, zlib.crc32(f"{job.case.id}/{job.without}".encode())])
+    return np.random.default_rng(
+        [job.seed, zlib.crc32(f"{job.case.id}/{job.without}".encode())]
+    )
 
 
 def beside(problem: Problem, effects: Sequence[Effect]) -> dict[str, list[str]]:
@@ -198,14 +254,28 @@ def told(found: Diagnosis) -> dict[str, Any]:
         "set95": [_answer(a) for a in found.set95],
         "marginal": {n: round(float(p), 6) for n, p in found.marginal.items()},
         "where": [
-            {"block": b.block, "p_value": _known(b.p_value), "strength": _known(b.strength)} for b in found.where
+            {
+                "block": b.block,
+                "p_value": _known(b.p_value),
+                "strength": _known(b.strength),
+            }
+            for b in found.where
         ],
         "closure": [_closure(c) for c in found.closure],
         "not_testable": sorted(found.not_testable),
         "confusable": [list(c) for c in found.confusable],
-        "sizes": [{"effect": s.effect, "detectability": _known(s.detectability)} for s in found.sizes],
+        "sizes": [
+            {"effect": s.effect, "detectability": _known(s.detectability)}
+            for s in found.sizes
+        ],
         "legs": [
-            {"effect": c.effect, "name": c.name, "label": c.label, "mean": _known(c.mean), "sd": _known(c.sd)}
+            {
+                "effect": c.effect,
+                "name": c.name,
+                "label": c.label,
+                "mean": _known(c.mean),
+                "sd": _known(c.sd),
+            }
             for c in found.coefficients
         ],
         "law": _law(found.law),
@@ -226,7 +296,9 @@ def _closure(c: Closure) -> dict[str, Any]:
 
 
 def _law(law: Law) -> dict[str, Any]:
-    """All of a law; variances and ratios of single readings only where they are not all 1."""
+    """All of a law; variances and ratios of single readings only where they are not all
+    1.
+    """
     return {
         "repeat": law.repeat,
         "wander": law.wander,

@@ -1,29 +1,35 @@
-"""Score the results of a set: the only part that opens labels and truth (with `oracle` and `listing`).
+"""Score the results of a set: the only part that opens labels and truth (with `oracle`
+and `listing`).
 
-    python -m benchmarks.blind score --cases SET --results RESULTS --out SCORE --table RESULTS.md
+    python -m benchmarks.blind score --cases SET --results RESULTS --out SCORE --table
+    RESULTS.md
 
-From nothing to that page, one line after the other (N: number of cases; a second machine can take part by --dask):
+From nothing to that page, one line after the other (N: number of cases; a second
+machine can take part by --dask):
 
     python -m benchmarks.blind generate --set blind --cases 1000 --seed N --out SET
-    python -m benchmarks.blind run --cases SET --out RESULTS
-    python -m benchmarks.blind list --cases SET --kinds single --least 6 --withhold --out WITHHELD
-    python -m benchmarks.blind run --cases SET --out RESULTS --list WITHHELD
-    python -m benchmarks.blind score --cases SET --results RESULTS --out SCORE --table RESULTS.md
+    python -m benchmarks.blind run --cases SET --out RESULTS python -m benchmarks.blind
+    list --cases SET --kinds single --least 6 --withhold --out WITHHELD python -m
+    benchmarks.blind run --cases SET --out RESULTS --list WITHHELD python -m
+    benchmarks.blind score --cases SET --results RESULTS --out SCORE --table RESULTS.md
 
-and before the last, for a column of what who knows the noise would find, which takes about half as long as `run`,
+and before the last, for a column of what who knows the noise would find, which takes
+about half as long as `run`,
 
     python -m benchmarks.blind known-noise --cases SET --results RESULTS
 
-Few pairs of effects can be told from every rival, one in ten; more of them, for the rows of such pairs alone, by
+Few pairs of effects can be told from every rival, one in ten; more of them, for the
+rows of such pairs alone, by
 
-    python -m benchmarks.blind generate --set blind --kinds pair --cases M --seed N --out PAIRS
-    python -m benchmarks.blind list --cases PAIRS --least 6 --apart 6 --out TOLD
-    python -m benchmarks.blind run --cases PAIRS --out RESULTS --list TOLD
+    python -m benchmarks.blind generate --set blind --kinds pair --cases M --seed N
+    --out PAIRS python -m benchmarks.blind list --cases PAIRS --least 6 --apart 6 --out
+    TOLD python -m benchmarks.blind run --cases PAIRS --out RESULTS --list TOLD
 
 and `score ... --pairs PAIRS`.
 
-SCORE/ then holds rows.csv (every measure, for all cases, for each machine and for each method), paired.csv, score.json,
-and confusion*.csv and .png. Needs the results of `run`; the oracle's figures are kept in RESULTS/oracle.
+SCORE/ then holds rows.csv (every measure, for all cases, for each machine and for each
+method), paired.csv, score.json, and confusion*.csv and .png. Needs the results of
+`run`; the oracle's figures are kept in RESULTS/oracle.
 """
 
 from __future__ import annotations
@@ -37,7 +43,15 @@ from typing import Any
 
 import pandas as pd
 
-from benchmarks.blind import confusion, entries, knowing, loading, measures, oracle, table
+from benchmarks.blind import (
+    confusion,
+    entries,
+    knowing,
+    loading,
+    measures,
+    oracle,
+    table,
+)
 from benchmarks.blind.entries import BASELINES, DIAGNOSIS, Entry
 from benchmarks.blind.measures import Paired, Row
 
@@ -51,7 +65,8 @@ class Score:
 
     rows      the diagnosis's over all cases;  machines: the same, machine by machine
     beside    each baseline's, and what they would be were the noise known
-    paired    comparisons with the baselines;  withheld: (effect, cases, rows) of results without an effect
+    paired    comparisons with the baselines;  withheld: (effect, cases, rows) of
+              results without an effect
     """
 
     entries: Sequence[Entry]
@@ -74,7 +89,8 @@ def run(
     again: bool = False,
     told: Callable[[str], None] = print,
 ) -> Score:
-    """Score a set's results, write the files, print the table. `pairs`: a set of which only the pairs count.
+    """Score a set's results, write the files, print the table. `pairs`: a set of which
+    only the pairs count.
 
     Raises ValueError, OSError.
     """
@@ -92,7 +108,11 @@ def run(
     )
     _write(made, out)
     text = table.markdown(
-        [*made.rows, *made.withheld.get("all", ())], made.beside, made.paired, made.machines, made.about
+        [*made.rows, *made.withheld.get("all", ())],
+        made.beside,
+        made.paired,
+        made.machines,
+        made.about,
     )
     if page is not None:
         loading.write(page, text)
@@ -102,17 +122,28 @@ def run(
 
 
 def _figures(folder: Path, results: Path, **options: Any) -> dict[str, dict[str, Any]]:
-    """The oracle's figures of the cases of a set that have a result, by id; options as `oracle.run` has them."""
-    missing = [f for f in ("labels.jsonl", "manifest.jsonl") if not (folder / f).is_file()]
+    """The oracle's figures of the cases of a set that have a result, by id; options as
+    `oracle.run` has them.
+    """
+    missing = [
+        f for f in ("labels.jsonl", "manifest.jsonl") if not (folder / f).is_file()
+    ]
     if missing:
-        raise ValueError(f"{folder}: there is no {missing[0]}; give the folder that `generate` wrote")
+        raise ValueError(
+            f"{folder}: there is no {missing[0]}; give the folder that `generate` wrote"
+        )
     cases = [c for c in loading.manifest(folder) if _is_there(results, c.id)]
-    acting = {label["id"]: [e["name"] for e in label["effects"]] for label in entries.labels(folder)}
+    acting = {
+        label["id"]: [e["name"] for e in label["effects"]]
+        for label in entries.labels(folder)
+    }
     return oracle.run(folder, results, cases, acting, **options)
 
 
 def _is_there(results: Path, name: str) -> bool:
-    return (results / f"{name}.json").is_file() or any((results / "without").glob(f"*/{name}.json"))
+    return (results / f"{name}.json").is_file() or any(
+        (results / "without").glob(f"*/{name}.json")
+    )
 
 
 def score(
@@ -123,19 +154,31 @@ def score(
     more: Sequence[Entry] = (),
     more_informed: Sequence[Entry] = (),
 ) -> Score:
-    """All measures of some entries; `informed`: of the same cases by who knows the noise; `more`: pairs (see `rows` in
-    `measures`)."""
+    """All measures of some entries; `informed`: of the same cases by who knows the
+    noise; `more`: pairs (see `rows` in `measures`).
+    """
     methods = [m for m in BASELINES if any(m in e.said for e in found)]
-    rows = [*measures.rows(found, more=more), *measures.own_rows(found), *measures.reliability(found)]
+    rows = [
+        *measures.rows(found, more=more),
+        *measures.own_rows(found),
+        *measures.reliability(found),
+    ]
     machines = sorted({e.machine for e in found})
-    beside: dict[str, Sequence[Row]] = {m: measures.rows(found, m, more) for m in methods}
+    beside: dict[str, Sequence[Row]] = {
+        m: measures.rows(found, m, more) for m in methods
+    }
     if informed:
-        beside[KNOWING] = [*measures.rows(informed, more=more_informed), *measures.own_rows(informed)]
+        beside[KNOWING] = [
+            *measures.rows(informed, more=more_informed),
+            *measures.own_rows(informed),
+        ]
     without: dict[str, Sequence[Row]] = {}
     if withheld:
         without["all"] = measures.withheld_rows([e for _, e in withheld])
         for name in sorted({n for n, _ in withheld}):
-            without[name] = measures.withheld_rows([e for n, e in withheld if n == name])
+            without[name] = measures.withheld_rows(
+                [e for n, e in withheld if n == name]
+            )
     return Score(
         entries=found,
         rows=rows,
@@ -147,7 +190,9 @@ def score(
             "cases": len(found),
             "failed": sum(e.said[DIAGNOSIS] is None for e in found),
             "kinds": dict(collections.Counter(e.kind for e in found).most_common()),
-            "machines": dict(collections.Counter(e.machine for e in found).most_common()),
+            "machines": dict(
+                collections.Counter(e.machine for e in found).most_common()
+            ),
             "withheld": len(withheld),
             "more": len(measures.pairs(more)),
         },
@@ -159,11 +204,17 @@ def _of(machine: str, some: Sequence[Entry]) -> list[Entry]:
 
 
 def _of_machine(some: Sequence[Entry], more: Sequence[Entry]) -> list[Row]:
-    """A machine's rows; there the right class is of its own cases, seen machine or not, and null cases are together."""
+    """A machine's rows; there the right class is of its own cases, seen machine or not,
+    and null cases are together.
+    """
     null = [measures.alarm(e, e.said[DIAGNOSIS]) for e in some if e.kind == "null"]
-    apart = [measures.right_class(e, e.said[DIAGNOSIS]) for e in measures.told_apart(some)]
+    apart = [
+        measures.right_class(e, e.said[DIAGNOSIS]) for e in measures.told_apart(some)
+    ]
     rows = [
-        r for r in measures.rows(some, more=more) if not r.key.startswith("right class") or r.key == "right class 6"
+        r
+        for r in measures.rows(some, more=more)
+        if not r.key.startswith("right class") or r.key == "right class 6"
     ]
     return [
         measures.share("alarm", "false alarm, all laws", null),
@@ -178,7 +229,11 @@ def _write(made: Score, out: Path) -> None:
     groups |= {(m, "all"): rows for m, rows in made.beside.items()}
     groups |= {(DIAGNOSIS, m): rows for m, rows in made.machines.items()}
     groups |= {(DIAGNOSIS, f"without {n}"): rows for n, rows in made.withheld.items()}
-    flat = [{"method": m, "cases of": g} | r.told() for (m, g), rows in groups.items() for r in rows]
+    flat = [
+        {"method": m, "cases of": g} | r.told()
+        for (m, g), rows in groups.items()
+        for r in rows
+    ]
     paired = [dataclasses.asdict(p) | {"better": p.verdict} for p in made.paired]
     loading.write(out / "rows.csv", pd.DataFrame(flat).to_csv(index=False))
     loading.write(out / "paired.csv", pd.DataFrame(paired).to_csv(index=False))
@@ -188,6 +243,8 @@ def _write(made: Score, out: Path) -> None:
         name = "confusion" if method == DIAGNOSIS else f"confusion_{method}"
         matrices[method] = matrix.counts.to_dict(orient="index")
         loading.write(out / f"{name}.csv", matrix.counts.to_csv())
-        confusion.picture(matrix, out / f"{name}.png", f"What acts and what was answered: {method}")
+        confusion.picture(
+            matrix, out / f"{name}.png", f"What acts and what was answered: {method}"
+        )
     whole = {"about": made.about, "rows": flat, "paired": paired, "confusion": matrices}
     loading.write(out / "score.json", json.dumps(whole, indent=1, default=int))

@@ -10,7 +10,13 @@ from benchmarks.blind.measures import Paired, Row
 
 #: measures without a unit of share: told as numbers
 NUMBERS = ("false effects", "class size", "set95 size", "closure", "probability")
-WORDS = {"aim": "aim reached", "must": "reached", "no": "**not reached**", "above": "above the band", "-": ""}
+WORDS = {
+    "aim": "aim reached",
+    "must": "reached",
+    "no": "**not reached**",
+    "above": "above the band",
+    "-": "",
+}
 
 
 def markdown(
@@ -23,16 +29,23 @@ def markdown(
     """The whole page.
 
     rows      the diagnosis's, those with a target first;  beside: rows of each baseline
-    paired    comparisons;  machines: rows of each machine's cases alone;  about: counts of cases, see `score`
+    paired    comparisons;  machines: rows of each machine's cases alone;  about: counts
+              of cases, see `score`
     """
     parts = [
-        f"# Blind benchmark: {about['cases']} cases, {about['failed']} failed diagnoses",
+        (
+            f"# Blind benchmark: {about['cases']} cases, {about['failed']} failed"
+            " diagnoses"
+        ),
         "",
         _by(about),
         "",
-        "`python -m benchmarks.blind score --cases SET --results RESULTS --table FILE` writes this page. "
-        "Intervals: 95 %, Wilson for shares; proved: the interval's worse end reaches what must be. "
-        "What counts as what is told in `benchmarks/blind/measures.py`.",
+        (
+            "`python -m benchmarks.blind score --cases SET --results RESULTS --table"
+            " FILE` writes this page. Intervals: 95 %, Wilson for shares; proved: the"
+            " interval's worse end reaches what must be. What counts as what is told in"
+            " `benchmarks/blind/measures.py`."
+        ),
         "",
         *_main(rows, beside),
         "",
@@ -40,7 +53,10 @@ def markdown(
         "",
         *_more(rows, beside),
         "",
-        "Diagnosis and baselines on the same cases (right answers; exact McNemar test; better at the 1 % level):",
+        (
+            "Diagnosis and baselines on the same cases (right answers; exact McNemar"
+            " test; better at the 1 % level):"
+        ),
         "",
         *_paired(paired),
         "",
@@ -57,20 +73,41 @@ def _by(about: Mapping[str, Any]) -> str:
     more = ""
     if about["more"]:
         more = (
-            f" Beside them, {about['more']} pairs that can be told from every rival, for the rows of such pairs alone."
+            f" Beside them, {about['more']} pairs that can be told from every rival,"
+            " for the rows of such pairs alone."
         )
     return f"Cases by kind: {kinds}. By machine: {machines}.{more}"
 
 
 def _main(rows: Sequence[Row], beside: Mapping[str, Sequence[Row]]) -> Iterable[str]:
-    heads = ["measure", "result", "95 % interval", "cases", "must reach", "aim", "", *beside]
+    heads = [
+        "measure",
+        "result",
+        "95 % interval",
+        "cases",
+        "must reach",
+        "aim",
+        "",
+        *beside,
+    ]
     yield _line(heads)
     yield _line(["---", *["--:"] * 5, "---", *["--:"] * len(beside)])
     for r in rows:
         if r.sense:
             must, aim = wanted(r)
             word = WORDS[r.status] + (", proved" if r.proved else "")
-            yield _line([r.measure, value(r), interval(r), count(r), must, aim, word, *_others(r, beside)])
+            yield _line(
+                [
+                    r.measure,
+                    value(r),
+                    interval(r),
+                    count(r),
+                    must,
+                    aim,
+                    word,
+                    *_others(r, beside),
+                ]
+            )
 
 
 def _more(rows: Sequence[Row], beside: Mapping[str, Sequence[Row]]) -> Iterable[str]:
@@ -78,11 +115,15 @@ def _more(rows: Sequence[Row], beside: Mapping[str, Sequence[Row]]) -> Iterable[
     yield _line(["---", *["--:"] * (3 + len(beside))])
     for r in rows:
         if not r.sense:
-            yield _line([r.measure, value(r), interval(r), count(r), *_others(r, beside)])
+            yield _line(
+                [r.measure, value(r), interval(r), count(r), *_others(r, beside)]
+            )
 
 
 def _others(row: Row, beside: Mapping[str, Sequence[Row]]) -> list[str]:
-    """The same measure of what stands beside; nothing where that has not the same cases."""
+    """The same measure of what stands beside; nothing where that has not the same
+    cases.
+    """
     told = []
     for rows in beside.values():
         same = [r for r in rows if r.key == row.key and r.count == row.count]
@@ -91,16 +132,45 @@ def _others(row: Row, beside: Mapping[str, Sequence[Row]]) -> list[str]:
 
 
 def _paired(paired: Sequence[Paired]) -> Iterable[str]:
-    yield _line(["cases", "number", "baseline", "diagnosis right", "baseline right", "only one: d / b", "p", "better"])
+    yield _line(
+        [
+            "cases",
+            "number",
+            "baseline",
+            "diagnosis right",
+            "baseline right",
+            "only one: d / b",
+            "p",
+            "better",
+        ]
+    )
     yield _line(["---", "--:", "---", "--:", "--:", "--:", "--:", "---"])
     for p in paired:
         only = f"{p.only_diagnosis} / {p.only_other}"
         told = f"{p.p_value:.1g}" if p.p_value < 0.01 else f"{p.p_value:.2f}"
-        yield _line([p.measure, str(p.count), p.baseline, str(p.diagnosis), str(p.other), only, told, p.verdict])
+        yield _line(
+            [
+                p.measure,
+                str(p.count),
+                p.baseline,
+                str(p.diagnosis),
+                str(p.other),
+                only,
+                told,
+                p.verdict,
+            ]
+        )
 
 
 def _machines(machines: Mapping[str, Sequence[Row]]) -> Iterable[str]:
-    names = ["alarm", "detection 6", "detection 10", "right class", "right class 6", "probability"]
+    names = [
+        "alarm",
+        "detection 6",
+        "detection 10",
+        "right class",
+        "right class 6",
+        "probability",
+    ]
     names += ["unknown", "pairs", "set95", "place"]
     first = {r.key: r for rows in machines.values() for r in rows}
     yield _line(["measure", *machines])
@@ -110,7 +180,9 @@ def _machines(machines: Mapping[str, Sequence[Row]]) -> Iterable[str]:
             cells = []
             for rows in machines.values():
                 r = next((r for r in rows if r.key == name), None)
-                cells.append("" if r is None or not r.count else f"{value(r)} ({count(r)})")
+                cells.append(
+                    "" if r is None or not r.count else f"{value(r)} ({count(r)})"
+                )
             yield _line([first[name].measure, *cells])
 
 
@@ -118,7 +190,7 @@ def _line(cells: Iterable[str]) -> str:
     return "| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |"
 
 
-# -- numbers -----------------------------------------------------------------------------------------------
+# -- numbers ---------------------------------------------------------------------------
 
 
 def value(row: Row) -> str:
@@ -153,7 +225,11 @@ def wanted(row: Row) -> tuple[str, str]:
 
 
 def _bound(row: Row, number: float) -> str:
-    return f"{number:.2f}" if row.hits is None and not _is_share(row) else f"{100 * number:g} %"
+    return (
+        f"{number:.2f}"
+        if row.hits is None and not _is_share(row)
+        else f"{100 * number:g} %"
+    )
 
 
 def _told(row: Row, number: float) -> str:

@@ -19,9 +19,13 @@ def strategy() -> Choice:
         inputs=[ContinuousInput(key=name, bounds=(-1.0, 1.0)) for name in names],
         outputs=[ContinuousOutput(key="y")],
     )
-    model = DoEStrategy(domain=domain, criterion=DOptimalityCriterion(formula="linear"), seed=1)
+    model = DoEStrategy(
+        domain=domain, criterion=DOptimalityCriterion(formula="linear"), seed=1
+    )
     made = strategies.map(model)
-    return lambda: made.ask(candidate_count=SIZE)[names].to_numpy(dtype=float).clip(-1.0, 1.0)
+    return lambda: (
+        made.ask(candidate_count=SIZE)[names].to_numpy(dtype=float).clip(-1.0, 1.0)
+    )
 
 
 TASKS = (Task("B, D", "Ipopt", strategy, "one local search; no list of rows"),)

@@ -12,7 +12,16 @@ def coordinates() -> Choice:
     from dexpy.model import ModelOrder
     from dexpy.optimal import build_optimal
 
-    return lambda: build_optimal(FACTORS, order=ModelOrder.linear, run_count=SIZE).to_numpy(dtype=float)
+    return lambda: build_optimal(
+        FACTORS, order=ModelOrder.linear, run_count=SIZE
+    ).to_numpy(dtype=float)
 
 
-TASKS = (Task("B, D", "coordinate exchange, 1 start", coordinates, "no list of rows; no E; unmaintained since 2017"),)
+TASKS = (
+    Task(
+        "B, D",
+        "coordinate exchange, 1 start",
+        coordinates,
+        "no list of rows; no E; unmaintained since 2017",
+    ),
+)

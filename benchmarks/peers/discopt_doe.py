@@ -29,4 +29,11 @@ def greedy(criterion: str = "determinant") -> Choice:
     return choose
 
 
-TASKS = (Task("B, D", "greedy, L-BFGS-B", greedy, "one point after the other, no exchange; no list of rows"),)
+TASKS = (
+    Task(
+        "B, D",
+        "greedy, L-BFGS-B",
+        greedy,
+        "one point after the other, no exchange; no list of rows",
+    ),
+)

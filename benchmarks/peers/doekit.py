@@ -21,7 +21,9 @@ def fedorov(rows: np.ndarray) -> Choice:
     from doekit.domain.criteria import get_criterion
     from doekit.generation.search.optimal import fedorov_exchange
 
-    return lambda: fedorov_exchange(rows, SIZE, get_criterion("E"), rng=np.random.default_rng(1))
+    return lambda: fedorov_exchange(
+        rows, SIZE, get_criterion("E"), rng=np.random.default_rng(1)
+    )
 
 
 TASKS = (Task("A, D", "KL exchange", kl), Task("A, E", "Fedorov exchange", fedorov))

@@ -13,7 +13,9 @@ def fedorov(rows: np.ndarray) -> Choice:
     """Its `optimize_d_optimal` with its 50 random starts."""
     from doetools.design.d_opt.optimizer import optimize_d_optimal
 
-    return lambda: optimize_d_optimal(rows, n_min=SIZE, n_max=SIZE, random_state=1).best_indices[SIZE]
+    return lambda: optimize_d_optimal(
+        rows, n_min=SIZE, n_max=SIZE, random_state=1
+    ).best_indices[SIZE]
 
 
 TASKS = (Task("A, D", "Fedorov exchange, 50 starts", fedorov, "D only"),)

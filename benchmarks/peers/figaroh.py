@@ -1,4 +1,6 @@
-"""FIGAROH: the optimisers behind its optimal calibration, given information matrices instead of a robot."""
+"""FIGAROH: the optimisers behind its optimal calibration, given information matrices
+instead of a robot.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ REQUIRES = ("figaroh==1.0.2", "picos==2.6.2", "cvxopt==1.3.3")
 
 
 def socp(rows: np.ndarray) -> Choice:
-    """Relaxed weights by picos and CVXOPT; the 30 largest (its own rule takes all above 1e-5)."""
+    """Relaxed weights by picos and CVXOPT; the 30 largest (its own rule takes all above
+    1e-5).
+    """
     from figaroh.optimal.base_optimal_calibration import SOCPOptimizer
 
     pool = dict(enumerate(rows[:, :, None] * rows[:, None, :]))
@@ -26,7 +30,9 @@ def detmax(rows: np.ndarray) -> Choice:
     def choose() -> list[int]:
         held: list[int] = []
 
-        def keep(chosen: list[int]) -> float:  # the class keeps its set in a local variable of `main_algo`
+        def keep(
+            chosen: list[int],
+        ) -> float:  # the class keeps its set in a local variable of `main_algo`
             held[:] = chosen
             return evaluate(chosen)
 
@@ -39,6 +45,11 @@ def detmax(rows: np.ndarray) -> Choice:
 
 
 TASKS = (
-    Task("A, D", "SOCP, 30 largest weights", socp, "chooses how many itself; no exchange after the weights"),
+    Task(
+        "A, D",
+        "SOCP, 30 largest weights",
+        socp,
+        "chooses how many itself; no exchange after the weights",
+    ),
     Task("A, D", "DETMAX", detmax),
 )

@@ -1,4 +1,6 @@
-"""industrialstats: row exchange over a candidate set, which is handed over in place of its grid."""
+"""industrialstats: row exchange over a candidate set, which is handed over in place of
+its grid.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""OApackage: coordinate exchange of two-level arrays, weighted for its D1 efficiency (main effects and intercept)."""
+"""OApackage: coordinate exchange of two-level arrays, weighted for its D1 efficiency
+(main effects and intercept).
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,12 @@ def coordinates(starts: int) -> Choice:
     def choose() -> np.ndarray:
         oapackage.set_srand(1)
         _, effects, designs, _ = Doptimize(
-            kind, nrestarts=starts, optimfunc=[0, 0, 1], verbose=0, dverbose=0, selectpareto=False
+            kind,
+            nrestarts=starts,
+            optimfunc=[0, 0, 1],
+            verbose=0,
+            dverbose=0,
+            selectpareto=False,
         )
         return 2.0 * np.array(designs[int(np.argmax(effects[:, 2]))]) - 1.0
 

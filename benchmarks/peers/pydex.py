@@ -1,4 +1,6 @@
-"""pydex: relaxed weights by cvxpy, then Adams' apportionment; with more supports than runs, the largest weights."""
+"""pydex: relaxed weights by cvxpy, then Adams' apportionment; with more supports than
+runs, the largest weights.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,15 @@ REQUIRES = ("pydex==0.0.9", "cvxpy==1.9.3", "clarabel==0.11.1")
 
 
 def weights(rows: np.ndarray, criterion: str) -> Choice:
-    """Candidates' information given as its `atomic_fims`, so that nothing is differentiated."""
+    """Candidates' information given as its `atomic_fims`, so that nothing is
+    differentiated.
+    """
     from pydex.core.designer import Designer
 
     designer = Designer()
-    designer.simulate = lambda ti_controls, model_parameters: np.array([ti_controls @ model_parameters])
+    designer.simulate = lambda ti_controls, model_parameters: np.array(
+        [ti_controls @ model_parameters]
+    )
     designer.ti_controls_candidates = rows
     designer.model_parameters = np.ones(rows.shape[1])
     designer.initialize(verbose=0)
@@ -27,7 +33,9 @@ def weights(rows: np.ndarray, criterion: str) -> Choice:
         designer.design_experiment(goal, package="cvxpy", optimizer="CLARABEL")
         designer.apportion(SIZE, trimmed=False, compute_actual_efficiency=False)
         counts = np.zeros(len(rows), dtype=int)
-        for candidate, runs in zip(designer.optimal_candidates, designer.apportionments, strict=True):
+        for candidate, runs in zip(
+            designer.optimal_candidates, designer.apportionments, strict=True
+        ):
             counts[candidate[0]] = int(np.nansum(runs))
         return np.repeat(np.arange(len(rows)), counts)
 

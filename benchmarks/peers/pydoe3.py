@@ -1,4 +1,6 @@
-"""pyDOE3: polynomial models in factors only, so the 21 columns are its factors and an intercept comes on top."""
+"""pyDOE3: polynomial models in factors only, so the 21 columns are its factors and an
+intercept comes on top.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,12 @@ def optimal(rows: np.ndarray, criterion: str, method: str) -> Choice:
 
 NOTE = "always adds an intercept"
 TASKS = (
-    Task("A, D", "greedy (its default)", lambda rows: optimal(rows, "D", "sequential"), NOTE),
+    Task(
+        "A, D",
+        "greedy (its default)",
+        lambda rows: optimal(rows, "D", "sequential"),
+        NOTE,
+    ),
     Task("A, D", "DETMAX", lambda rows: optimal(rows, "D", "detmax"), NOTE),
     Task("A, E", "DETMAX", lambda rows: optimal(rows, "E", "detmax"), NOTE),
 )

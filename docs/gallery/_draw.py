@@ -1,7 +1,9 @@
-"""What the examples of the gallery share: a picture of the machine to scale, beside a plot, in the look of the reports.
+"""What the examples of the gallery share: a picture of the machine to scale, beside a
+plot, in the look of the reports.
 
 picture = _draw.Picture("Thirty readings", "Condition number")
-picture.machine(kinematics)                      # its skeleton at home, or at a command (n_dof,)
+picture.machine(kinematics)                      # its skeleton at home, or at a command
+                                                 (n_dof,)
 picture.points(places, label="readings")         # (n, 3) in m
 picture.plot.plot(...)                           # the axes on the right
 picture.save(__file__, ["what was found"])
@@ -35,13 +37,17 @@ class Picture:
         with style.applied():
             self.figure = Figure(figsize=(style.WIDTH, HEIGHT))
             self.figure.set_layout_engine("none")
-            self.scene: Any = self.figure.add_axes((0.0, 0.12, 0.5, 0.8), projection="3d", proj_type="ortho")
+            self.scene: Any = self.figure.add_axes(
+                (0.0, 0.12, 0.5, 0.8), projection="3d", proj_type="ortho"
+            )
             self.plot: Axes = self.figure.add_axes((0.62, 0.15, 0.36, 0.76))
             for place, text in ((0.02, left), (0.53, right)):
                 self.figure.text(place, 0.945, text, fontsize=8.5, fontweight="bold")
         self._clouds: list[Array] = []
 
-    def machine(self, kinematics: Kinematics, command: Array | None = None, **look: Any) -> None:
+    def machine(
+        self, kinematics: Kinematics, command: Array | None = None, **look: Any
+    ) -> None:
         """The machine's skeleton at a command (n_dof,), SI, or at home."""
         at = kinematics.machine.home_command if command is None else command
         x, q = kinematics.inverse(np.atleast_2d(at))
@@ -51,7 +57,9 @@ class Picture:
     def line(self, places: Array, **look: Any) -> None:
         """A polyline through points (n, 3), m."""
         self._clouds.append(1e3 * np.atleast_2d(places))
-        self.scene.plot(*self._clouds[-1].T, solid_capstyle="round", **{"color": style.INK, **look})
+        self.scene.plot(
+            *self._clouds[-1].T, solid_capstyle="round", **{"color": style.INK, **look}
+        )
 
     def points(self, places: Array, **look: Any) -> None:
         """Points (n, 3), m, as marks."""
@@ -60,8 +68,14 @@ class Picture:
         self.scene.plot(*self._clouds[-1].T, **{**mark, **look})
 
     def save(self, example: str, findings: Sequence[str] = ()) -> Path:
-        """Writes NAME.png for the example NAME.py, into the folder on the command line or docs/img/gallery."""
-        folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "img" / "gallery"
+        """Writes NAME.png for the example NAME.py, into the folder on the command line
+        or docs/img/gallery.
+        """
+        folder = (
+            Path(sys.argv[1])
+            if len(sys.argv) > 1
+            else Path(__file__).parents[1] / "img" / "gallery"
+        )
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"{Path(example).stem}.png"
         with style.applied():
@@ -71,17 +85,26 @@ class Picture:
             print(text)
         size = path.stat().st_size
         if size >= LARGEST:
-            raise ValueError(f"{path.name} has {size} bytes, the limit is {LARGEST}: draw fewer points")
+            raise ValueError(
+                f"{path.name} has {size} bytes, the limit is {LARGEST}: draw fewer"
+                " points"
+            )
         return path
 
     def _fit(self) -> None:
-        """Equal scale on all axes, filling the left half; a legend below where something has a label."""
+        """Equal scale on all axes, filling the left half; a legend below where
+        something has a label.
+        """
         cloud = np.vstack(self._clouds)
         low, high = cloud.min(axis=0), cloud.max(axis=0)
         size = np.maximum(high - low, 0.3 * max(float(np.max(high - low)), 1.0)) * 1.06
         box = (low + high - size) / 2.0, (low + high + size) / 2.0
         marks, _ = self.scene.get_legend_handles_labels()
         if marks:
-            self.figure.legend(handles=marks, loc="lower left", ncols=2, borderaxespad=0.3)
+            self.figure.legend(
+                handles=marks, loc="lower left", ncols=2, borderaxespad=0.3
+            )
         drawing._frame(self.scene, box)
-        drawing._fit(self.figure, self.scene, box, (0.02, 0.10 if marks else 0.02, 0.50, 0.92))
+        drawing._fit(
+            self.figure, self.scene, box, (0.02, 0.10 if marks else 0.02, 0.50, 0.92)
+        )

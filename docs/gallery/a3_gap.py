@@ -1,11 +1,14 @@
-"""A3 spindle head that stays worse than its noise: which effects cause it, with and without knowing the direction.
+"""A3 spindle head that stays worse than its noise: which effects cause it, with and
+without knowing the direction.
 
     python docs/gallery/a3_gap.py [FOLDER]
 
-The head of `a3_gap.study.toml` has a leg that warms up and a drive with play. Calibrated, it leaves eight times the
-noise. From the readings with time, feed and direction, both effects are found in their legs and in their sizes. Without
-the column `direction`, play cannot be named, and the diagnosis says so. What it finds in its place in that leg, servo
-lag, which changes with the sense of motion too, explains a part only; the rest it calls a form of no known effect.
+The head of `a3_gap.study.toml` has a leg that warms up and a drive with play.
+Calibrated, it leaves eight times the noise. From the readings with time, feed and
+direction, both effects are found in their legs and in their sizes. Without the column
+`direction`, play cannot be named, and the diagnosis says so. What it finds in its place
+in that leg, servo lag, which changes with the sense of motion too, explains a part
+only; the rest it calls a form of no known effect.
 """
 
 import tempfile
@@ -31,7 +34,9 @@ with tempfile.TemporaryDirectory() as folder:
 
 
 def diagnosed(covariates) -> Diagnosis:
-    problem = problem_of.prepare(bench, data.series, data.y, covariates, gravity=asked.gravity)
+    problem = problem_of.prepare(
+        bench, data.series, data.y, covariates, gravity=asked.gravity
+    )
     return diagnose(problem, asked.effects, np.random.default_rng(said.seed))
 
 
@@ -56,9 +61,13 @@ assert "backlash" not in blind.answers[0].effects
 assert "unknown" in blind.answers[0].effects
 
 series = data.series[0]
-command = series.command[series.index[:, 0]]  # of the pose read; the other one is where the cup was taught
+command = series.command[
+    series.index[:, 0]
+]  # of the pose read; the other one is where the cup was taught
 angle = np.rad2deg(command[:, 1])
-picture = _draw.Picture("Circles at three heights", "Residual of the middle circle [um]")
+picture = _draw.Picture(
+    "Circles at three heights", "Residual of the middle circle [um]"
+)
 picture.machine(bench.kinematics, np.array([command[0, 0], 0.9, np.deg2rad(30.0)]))
 places, _ = bench.kinematics.inverse(command[::6])
 picture.points(places[:, :3], label="readings", ms=2.0)
@@ -67,16 +76,35 @@ for name, shade in (("forward", style.BLUE), ("backward", style.ORANGE)):
     rows = rows[np.argsort(angle[rows])]
     for values, look in ((full.before, "o-"), (full.after, ":")):
         label = name if values is full.before else f"{name}, with causes"
-        picture.plot.plot(angle[rows], 1e6 * values[rows], look, color=shade, ms=2.0, lw=1.0, label=label)
+        picture.plot.plot(
+            angle[rows],
+            1e6 * values[rows],
+            look,
+            color=shade,
+            ms=2.0,
+            lw=1.0,
+            label=label,
+        )
 picture.plot.set_xlabel("angle of the circle [degrees]")
 picture.plot.set_ylim(-9.0, 14.0)
-picture.plot.legend(loc="upper center", ncols=2, fontsize=6.5, columnspacing=0.8, handlelength=1.5)
+picture.plot.legend(
+    loc="upper center", ncols=2, fontsize=6.5, columnspacing=0.8, handlelength=1.5
+)
 picture.save(
     __file__,
     [
-        f"calibrated {rms(full.before):.2f} um rms, with the causes {rms(full.after):.2f} um",
+        (
+            f"calibrated {rms(full.before):.2f} um rms, with the causes"
+            f" {rms(full.after):.2f} um"
+        ),
         f"{' and '.join(best.effects)}: {best.probability:.0%}",
-        f"play of leg 3: {1e6 * play.mean:.2f} um (6), rise of leg 2: {rise.mean:.2f} K (3)",
-        f"without direction: {' and '.join(blind.answers[0].effects)}, where: {blind.where[0].block}",
+        (
+            f"play of leg 3: {1e6 * play.mean:.2f} um (6), rise of leg 2:"
+            f" {rise.mean:.2f} K (3)"
+        ),
+        (
+            f"without direction: {' and '.join(blind.answers[0].effects)}, where:"
+            f" {blind.where[0].block}"
+        ),
     ],
 )

@@ -1,11 +1,13 @@
-"""Cable robot: four lines for three degrees of freedom, so that the machine itself tells whether its model is right.
+"""Cable robot: four lines for three degrees of freedom, so that the machine itself
+tells whether its model is right.
 
     python docs/gallery/cable_robot.py [FOLDER]
 
-A virtual Hangprinter is dragged about by hand and its motors are read; a camera sees it in nine poses. Anchors, spools
-and line lengths are identified from these nine. In 35 other poses nobody knows where it was, but four lines meet in one
-point only on the right machine: the gap that they leave falls from centimetres to what a line is good for. The study
-`hangprinter_hp4` does the same with real readings.
+A virtual Hangprinter is dragged about by hand and its motors are read; a camera sees it
+in nine poses. Anchors, spools and line lengths are identified from these nine. In 35
+other poses nobody knows where it was, but four lines meet in one point only on the
+right machine: the gap that they leave falls from centimetres to what a line is good
+for. The study `hangprinter_hp4` does the same with real readings.
 """
 
 import _draw
@@ -21,18 +23,25 @@ from pkm_reports import style
 
 KNOWN, OTHER, LINE = 9, 35, 0.3e-3  # poses, poses, m of noise on each line
 rng = np.random.default_rng(11)
-robot = Measurement(machine, [mount(camera.known_frame, "camera"), mount(redundancy.instrument, "lines")])
+robot = Measurement(
+    machine,
+    [mount(camera.known_frame, "camera"), mount(redundancy.instrument, "lines")],
+)
 truth = simulate.draw(robot, rng)
 places = rng.uniform([-0.35, -0.35, 0.0], [0.35, 0.35, 1.2], (KNOWN + OTHER, 3))
 motors = compensate.joints(robot.kinematics, places, truth)  # taut lines at each place
-turns = np.array([FOLD[i] for i in LINES]) * GEAR / SPOOL  # of a motor, rad for a metre of line
+turns = (
+    np.array([FOLD[i] for i in LINES]) * GEAR / SPOOL
+)  # of a motor, rad for a metre of line
 motors += LINE * turns * rng.standard_normal(motors.shape)
 
 known = [robot.series_from_joints(name, motors[:KNOWN]) for name in ("camera", "lines")]
 seen = places[:KNOWN] + 1e-3 * rng.standard_normal((KNOWN, 3))
 found = identify(robot, known, np.concatenate([seen.ravel(), np.zeros(KNOWN)]))
 other = robot.series_from_joints("lines", motors[KNOWN:])
-before, after = (1e3 * robot.readings([other], theta) for theta in (robot.nominal, found.theta))
+before, after = (
+    1e3 * robot.readings([other], theta) for theta in (robot.nominal, found.theta)
+)
 
 
 def rms(values: np.ndarray) -> float:
@@ -48,12 +57,26 @@ picture = _draw.Picture("Nine known poses, 35 others", "Gap that four lines leav
 picture.machine(robot.kinematics)
 picture.points(places[KNOWN:], color=style.GREY, ms=2.0, label="unknown")
 picture.points(places[:KNOWN], label="seen by the camera")
-for values, colour, name in ((before, style.GREY, "nominal"), (after, style.BLUE, "identified")):
+for values, colour, name in (
+    (before, style.GREY, "nominal"),
+    (after, style.BLUE, "identified"),
+):
     picture.plot.plot(
-        np.abs(values), color=colour, marker="o", ms=3.0, lw=0.6, label=f"{name}: rms {rms(values):.2g} mm"
+        np.abs(values),
+        color=colour,
+        marker="o",
+        ms=3.0,
+        lw=0.6,
+        label=f"{name}: rms {rms(values):.2g} mm",
     )
 style.log_axis(picture.plot, "y")
 picture.plot.set(xlabel="pose", ylabel="gap [mm]")
 picture.plot.set_ylim(0.02, 300.0)
 picture.plot.legend(loc="upper right", fontsize=6.5, frameon=False)
-picture.save(__file__, [f"gap of the 35 other poses: {rms(before):.1f} mm before, {rms(after):.2f} mm after"])
+picture.save(
+    __file__,
+    [
+        f"gap of the 35 other poses: {rms(before):.1f} mm before, {rms(after):.2f} mm"
+        " after"
+    ],
+)

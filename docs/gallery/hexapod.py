@@ -2,10 +2,11 @@
 
     python docs/gallery/hexapod.py [FOLDER]
 
-A bar from the tool point to a cup reads one distance a pose. With the platform level it hardly sees the machine. At all
-orientations it sees 36 of 45 directions, cup included, and never more: turning the six platform joints about the ball,
-or moving the base together with the cup, changes no distance. A second tool shows the tilts; full poses in a known
-frame show everything.
+A bar from the tool point to a cup reads one distance a pose. With the platform level it
+hardly sees the machine. At all orientations it sees 36 of 45 directions, cup included,
+and never more: turning the six platform joints about the ball, or moving the base
+together with the cup, changes no distance. A second tool shows the tilts; full poses in
+a known frame show everything.
 """
 
 import itertools
@@ -26,15 +27,33 @@ hexapod = Measurement(
     machine,
     [
         mount(ball_bar.free_cup, "bar", at_x=0.0, at_y=0.0, at_z=CUP),
-        mount(ball_bar.free_cup, "long tool", at_x=0.0, at_y=0.0, at_z=CUP + LONGER, tool=(0.0, 0.0, LONGER)),
+        mount(
+            ball_bar.free_cup,
+            "long tool",
+            at_x=0.0,
+            at_y=0.0,
+            at_z=CUP + LONGER,
+            tool=(0.0, 0.0, LONGER),
+        ),
         mount(pose_tracker.position, "positions", tolerances=KNOWN),
         mount(pose_tracker.instrument, "poses", tolerances=KNOWN),
     ],
 )
 side = (-0.1, 0.0, 0.1)
-level = np.array([(x, y, HEIGHT, 0.0, 0.0, 0.0) for x in np.linspace(-0.1, 0.1, 7) for y in np.linspace(-0.1, 0.1, 7)])
+level = np.array(
+    [
+        (x, y, HEIGHT, 0.0, 0.0, 0.0)
+        for x in np.linspace(-0.1, 0.1, 7)
+        for y in np.linspace(-0.1, 0.1, 7)
+    ]
+)
 turned = np.array(
-    [(x, y, HEIGHT, *angles) for x in side for y in side for angles in itertools.product((-TILT, TILT), repeat=3)]
+    [
+        (x, y, HEIGHT, *angles)
+        for x in side
+        for y in side
+        for angles in itertools.product((-TILT, TILT), repeat=3)
+    ]
 )
 
 
@@ -45,7 +64,10 @@ def held(setup: str, command: np.ndarray) -> np.ndarray:
     return solved
 
 
-bar, long_tool = hexapod.series("bar", held("bar", turned)), hexapod.series("long tool", held("long tool", turned))
+bar, long_tool = (
+    hexapod.series("bar", held("bar", turned)),
+    hexapod.series("long tool", held("long tool", turned)),
+)
 plans = {
     "bar, level": [hexapod.series("bar", held("bar", level))],
     "bar, turned": [bar],
@@ -62,9 +84,14 @@ assert found["positions"] == (39, 42)
 assert found["full poses"] == (42, 42)
 lost = next(f for f in explain(seen["bar, turned"]) if f.kind == "lost")
 assert "rotation of the platform joints about the tool point" in lost.text
-assert "translation of the base joints along z together with what bar is set up on" in lost.text
+assert (
+    "translation of the base joints along z together with what bar is set up on"
+    in lost.text
+)
 
-picture = _draw.Picture("72 bar readings, all orientations", "Directions seen, and lost")
+picture = _draw.Picture(
+    "72 bar readings, all orientations", "Directions seen, and lost"
+)
 picture.machine(hexapod.kinematics)
 tips = bar.commands()[:, :3]
 picture.points(tips, label="ball at the tool point")
@@ -72,9 +99,18 @@ for tip in np.unique(tips.round(9), axis=0):
     picture.line(np.array([[0.0, 0.0, CUP], tip]), color=style.BLUE, lw=0.5)
 for k, (rank, n) in enumerate(reversed(found.values())):
     picture.plot.barh(k, rank, 0.6, color=style.BLUE, label="seen" if k == 0 else None)
-    picture.plot.barh(k, n - rank, 0.6, left=rank, color=style.GREY, label="lost" if k == 0 else None)
+    picture.plot.barh(
+        k, n - rank, 0.6, left=rank, color=style.GREY, label="lost" if k == 0 else None
+    )
 picture.plot.set_yticks(range(len(found)), list(reversed(found)), fontsize=7.0)
 picture.plot.set_xlabel("directions of machine and set-up")
 picture.plot.set_xlim(0.0, 64.0)
 picture.plot.legend(loc="lower right", frameon=False, fontsize=7.0)
-picture.save(__file__, [*(f"{name}: {r} of {n}" for name, (r, n) in found.items()), lost.text, *lost.remedies])
+picture.save(
+    __file__,
+    [
+        *(f"{name}: {r} of {n}" for name, (r, n) in found.items()),
+        lost.text,
+        *lost.remedies,
+    ],
+)

@@ -1,11 +1,13 @@
-"""Micro-CMM: what calibrated artefacts see of three legs, and the right direct kinematics.
+"""Micro-CMM: what calibrated artefacts see of three legs, and the right direct
+kinematics.
 
     python docs/gallery/micro_cmm.py [FOLDER]
 
-The machine's 15 errors come in nine combinations: a leg tells R_f - R_p, R_f theta_f - R_p theta_p and its zero, and
-nothing else. Positions in a frame that is known see all nine. A ball plate lies where it was put, and distances have no
-place at all: both lose the three motions of the machine in its plane, which no user needs. The closed form of its paper
-is wrong; the corrected one agrees with Newton's method on the closure.
+The machine's 15 errors come in nine combinations: a leg tells R_f - R_p, R_f theta_f -
+R_p theta_p and its zero, and nothing else. Positions in a frame that is known see all
+nine. A ball plate lies where it was put, and distances have no place at all: both lose
+the three motions of the machine in its plane, which no user needs. The closed form of
+its paper is wrong; the corrected one agrees with Newton's method on the closure.
 """
 
 import _draw
@@ -29,16 +31,22 @@ cmm = Measurement(
 side, heights = (-0.035, 0.0, 0.035), (-0.24, -0.16)
 balls = np.array([(x, y, z) for z in heights for x in side for y in side])
 rng = np.random.default_rng(5)
-pairs = rng.permutation(np.vstack([balls, balls]))  # 18 pairs of balls, first and second end
+pairs = rng.permutation(
+    np.vstack([balls, balls])
+)  # 18 pairs of balls, first and second end
 series = {
     "positions": cmm.series("positions", balls),
     "ball plate": cmm.series("ball plate", balls),
-    "distances": cmm.series("distances", pairs, [str(k // 2) for k in range(len(pairs))]),
+    "distances": cmm.series(
+        "distances", pairs, [str(k // 2) for k in range(len(pairs))]
+    ),
 }
 seen = {name: look(cmm, [s]) for name, s in series.items()}
 
 _, lengths = cmm.kinematics.inverse(balls)
-newton = cmm.kinematics.forward(lengths, machine.nominal, np.tile(machine.home_command, (len(balls), 1)))
+newton = cmm.kinematics.forward(
+    lengths, machine.nominal, np.tile(machine.home_command, (len(balls), 1))
+)
 apart = np.abs(direct(lengths) - newton).max()
 assert apart < 1e-12
 found = {name: (s.verdict.rank, len(s.names)) for name, s in seen.items()}
@@ -64,6 +72,9 @@ picture.save(
     __file__,
     [
         f"closed form and Newton are {apart:.0e} m apart over the workspace",
-        *(f"{name}: {rank} of {n} directions seen" for name, (rank, n) in found.items()),
+        *(
+            f"{name}: {rank} of {n} directions seen"
+            for name, (rank, n) in found.items()
+        ),
     ],
 )

@@ -1,7 +1,8 @@
-"""A planar 3-RRR robot: three motors, three cranks, three rods, one plate that slides on a table.
+"""A planar 3-RRR robot: three motors, three cranks, three rods, one plate that slides
+on a table.
 
-Limb i has its motor at B_i. The motor turns a crank, and a rod joins the crank's end (the elbow E_i) to the plate
-at A_i. Zero when assembled:
+Limb i has its motor at B_i. The motor turns a crank, and a rod joins the crank's end
+(the elbow E_i) to the plate at A_i. Zero when assembled:
 
     |A_i - E_i| - rod_i,    E_i = B_i + crank_i (cos(q_i + zero_i), sin(q_i + zero_i)).
 """
@@ -34,13 +35,20 @@ def limb(x, q, p, i):
 
 def closure(x, q, p):
     limbs = [limb(x, q, p, i) for i in LIMBS]
-    return [ca.norm_2(joint - elbow) - p[f"rod{i}"] for i, (_, elbow, joint) in zip(LIMBS, limbs, strict=True)]
+    return [
+        ca.norm_2(joint - elbow) - p[f"rod{i}"]
+        for i, (_, elbow, joint) in zip(LIMBS, limbs, strict=True)
+    ]
 
 
 def platform(x):
-    """Rotation (3 x 3) and tool point (3,): the tool is in the middle of the plate, z = 0 is the table."""
+    """Rotation (3 x 3) and tool point (3,): the tool is in the middle of the plate, z =
+    0 is the table.
+    """
     c, s = ca.cos(x["phi"]), ca.sin(x["phi"])
-    rotation = ca.vertcat(ca.horzcat(c, -s, 0.0), ca.horzcat(s, c, 0.0), ca.horzcat(0.0, 0.0, 1.0))
+    rotation = ca.vertcat(
+        ca.horzcat(c, -s, 0.0), ca.horzcat(s, c, 0.0), ca.horzcat(0.0, 0.0, 1.0)
+    )
     return rotation, ca.vertcat(x["x"], x["y"], 0.0)
 
 
@@ -49,7 +57,9 @@ def target(c):
 
 
 def guess(c):
-    """The commanded pose, all elbows to the left of the line to the middle; Newton does the rest."""
+    """The commanded pose, all elbows to the left of the line to the middle; Newton does
+    the rest.
+    """
     return target(c), [INWARD[i] + 1.0 for i in LIMBS]
 
 
@@ -66,8 +76,14 @@ for i in LIMBS:
         Parameter(f"rod{i}", ROD, 0.1e-3, "m", f"length of rod {i}"),
         Parameter(f"zero{i}", 0.0, 5.0e-3, "rad", f"zero of motor {i}"),
     ]
-    parameters += [Parameter(f"db{i}{k}", 0.0, 0.2e-3, "m", f"{k} error of motor {i}") for k in "xy"]
-    parameters += [Parameter(f"da{i}{k}", 0.0, 0.1e-3, "m", f"{k} error of plate joint {i}") for k in "xy"]
+    parameters += [
+        Parameter(f"db{i}{k}", 0.0, 0.2e-3, "m", f"{k} error of motor {i}")
+        for k in "xy"
+    ]
+    parameters += [
+        Parameter(f"da{i}{k}", 0.0, 0.1e-3, "m", f"{k} error of plate joint {i}")
+        for k in "xy"
+    ]
     place = (PLATE * math.cos(ANGLE[i]), PLATE * math.sin(ANGLE[i]), 0.0)
     joints_of_plate.append(((f"da{i}x", f"da{i}y", ""), place))  # nothing moves along z
 
@@ -84,7 +100,11 @@ machine = Machine(
     ),
     home={"r": 0.0, "az": 0.0, "phi": 0.0},
     parameters=tuple(parameters),
-    components=(Component("x", "m", True), Component("y", "m", True), Component("phi", "rad", True)),
+    components=(
+        Component("x", "m", True),
+        Component("y", "m", True),
+        Component("phi", "rad", True),
+    ),
     lever=BASE,
     closure=closure,
     platform=platform,

@@ -23,15 +23,34 @@ def starting_at(joints):
 
 kinematics = Kinematics(machine)
 x, q = kinematics.inverse(machine.home_command)
-poses = np.array([[0.0, 0.0, phi] for phi in np.deg2rad([-20.0, -10.0, 0.0, 10.0, 20.0])])
+poses = np.array(
+    [[0.0, 0.0, phi] for phi in np.deg2rad([-20.0, -10.0, 0.0, 10.0, 20.0])]
+)
 
-attempt("out of reach", lambda: kinematics.inverse(np.array([[0.1, 0.0, 0.0], [0.4, 0.0, 0.0]])))
-attempt("millimetres for metres", lambda: kinematics.inverse(np.array([[100.0, 0.0, 0.0]])))
+attempt(
+    "out of reach",
+    lambda: kinematics.inverse(np.array([[0.1, 0.0, 0.0], [0.4, 0.0, 0.0]])),
+)
+attempt(
+    "millimetres for metres", lambda: kinematics.inverse(np.array([[100.0, 0.0, 0.0]]))
+)
 attempt("degrees for radians", lambda: kinematics.inverse(np.array([[0.1, 0.0, 10.0]])))
-attempt("a guess at a singular pose", lambda: starting_at([INWARD[i] for i in LIMBS]).inverse(poses))
-attempt("a guess between two modes", lambda: starting_at([0.0, 0.0, 0.0]).inverse(poses))
-attempt("joints in degrees", lambda: kinematics.forward(np.rad2deg(q), machine.nominal, x))
+attempt(
+    "a guess at a singular pose",
+    lambda: starting_at([INWARD[i] for i in LIMBS]).inverse(poses),
+)
+attempt(
+    "a guess between two modes", lambda: starting_at([0.0, 0.0, 0.0]).inverse(poses)
+)
+attempt(
+    "joints in degrees", lambda: kinematics.forward(np.rad2deg(q), machine.nominal, x)
+)
 
 right = starting_at([INWARD[i] - 1.0 for i in LIMBS])
 print("-- every elbow to the right: no error, another machine")
-print("cranks at home:", np.rad2deg(right.inverse(machine.home_command)[1][0] - [INWARD[i] for i in LIMBS]).round(2))
+print(
+    "cranks at home:",
+    np.rad2deg(
+        right.inverse(machine.home_command)[1][0] - [INWARD[i] for i in LIMBS]
+    ).round(2),
+)

@@ -8,17 +8,25 @@ from oed.machine import Expr
 
 
 def tilt_torsion(rx: Expr, ry: Expr, spin: Expr) -> Expr:
-    """Rotation (3 x 3): a spin about the tool axis, then a tilt by the rotation vector (rx, ry, 0).
+    """Rotation (3 x 3): a spin about the tool axis, then a tilt by the rotation vector
+    (rx, ry, 0).
 
-    With precession psi and nutation theta, (rx, ry) = theta (cos psi, sin psi) and R equals the z-x-z Euler
-    product Rz(psi) Rx(theta) Rz(phi) with phi = spin - psi. Unlike Euler angles it is regular at theta = 0.
+    With precession psi and nutation theta, (rx, ry) = theta (cos psi, sin psi) and R
+    equals the z-x-z Euler product Rz(psi) Rx(theta) Rz(phi) with phi = spin - psi.
+    Unlike Euler angles it is regular at theta = 0.
     """
     square = rx**2 + ry**2
     small = square < 1e-6  # series there: exact to rounding, second derivatives too
     safe = ca.if_else(small, 1.0, square)
     angle = ca.sqrt(safe)
-    a = ca.if_else(small, 1.0 - square / 6.0 * (1.0 - square / 20.0), ca.sin(angle) / angle)
-    b = ca.if_else(small, 0.5 - square / 24.0 * (1.0 - square / 30.0), 2.0 * ca.sin(angle / 2.0) ** 2 / safe)
+    a = ca.if_else(
+        small, 1.0 - square / 6.0 * (1.0 - square / 20.0), ca.sin(angle) / angle
+    )
+    b = ca.if_else(
+        small,
+        0.5 - square / 24.0 * (1.0 - square / 30.0),
+        2.0 * ca.sin(angle / 2.0) ** 2 / safe,
+    )
     c = 1.0 - b * square
     tilt = ca.vertcat(
         ca.horzcat(c + b * rx * rx, b * rx * ry, a * ry),
@@ -31,4 +39,6 @@ def tilt_torsion(rx: Expr, ry: Expr, spin: Expr) -> Expr:
 def about_z(angle: Expr) -> Expr:
     """Rotation (3 x 3) about z."""
     cos, sin = ca.cos(angle), ca.sin(angle)
-    return ca.vertcat(ca.horzcat(cos, -sin, 0), ca.horzcat(sin, cos, 0), ca.horzcat(0, 0, 1))
+    return ca.vertcat(
+        ca.horzcat(cos, -sin, 0), ca.horzcat(sin, cos, 0), ca.horzcat(0, 0, 1)
+    )

@@ -1,4 +1,6 @@
-"""What machines have in common that drive all six coordinates of a platform: tool point, tilt and spin."""
+"""What machines have in common that drive all six coordinates of a platform: tool
+point, tilt and spin.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +12,23 @@ from oed.machine import Component, Coordinate, Expr, Values
 from pkm_models.rotation import tilt_torsion
 
 XYZ, ANGLES = "xyz", ("rx", "ry", "spin")
-POSE = tuple(Coordinate(n, "m") for n in XYZ) + tuple(Coordinate(n, "rad") for n in ANGLES)
+POSE = tuple(Coordinate(n, "m") for n in XYZ) + tuple(
+    Coordinate(n, "rad") for n in ANGLES
+)
 COMPONENTS = tuple(Component(n, "m", compensatable=True) for n in XYZ) + tuple(
     Component(n, "rad", compensatable=True) for n in ("ax", "ay", "az")
 )
 
 
 def command(home: Sequence[float], reach: float, tilt: float) -> tuple[Coordinate, ...]:
-    """Tool point within `reach` (m) of home (3,) along each axis, angles within `tilt` (rad)."""
+    """Tool point within `reach` (m) of home (3,) along each axis, angles within `tilt`
+    (rad).
+    """
     return (
-        *(Coordinate(n, "m", middle - reach, middle + reach) for n, middle in zip(XYZ, home, strict=True)),
+        *(
+            Coordinate(n, "m", middle - reach, middle + reach)
+            for n, middle in zip(XYZ, home, strict=True)
+        ),
         *(Coordinate(n, "rad", -tilt, tilt) for n in ANGLES),
     )
 

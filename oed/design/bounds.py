@@ -1,8 +1,10 @@
-"""The best that any plan under given rules could be: a valid bound, and how loose it may be.
+"""The best that any plan under given rules could be: a valid bound, and how loose it
+may be.
 
-Concave criteria: the relaxation's bound. Rules about set-ups are met by bounding every combination of set-ups by
-itself where there are few, and are left out (which only raises the bound) where there are many; so are distances.
-E and the condition number have relaxations of their own.
+Concave criteria: the relaxation's bound. Rules about set-ups are met by bounding every
+combination of set-ups by itself where there are few, and are left out (which only
+raises the bound) where there are many; so are distances. E and the condition number
+have relaxations of their own.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from oed.design.rules import Rules
 
 @dataclasses.dataclass(frozen=True)
 class Bound:
-    """No plan exceeds `value` (log phi); `gap` is how loose it is known to be at the most, as a relaxation.
+    """No plan exceeds `value` (log phi); `gap` is how loose it is known to be at the
+    most, as a relaxation.
 
     weights, slopes (C,): of the relaxation that attains it, to lead the search
     """
@@ -32,7 +35,13 @@ class Bound:
     slopes: Array
 
 
-def bound(blocks: Array, criterion: Criterion, rules: Rules, prior: Array, tolerance: float = 1e-8) -> Bound:
+def bound(
+    blocks: Array,
+    criterion: Criterion,
+    rules: Rules,
+    prior: Array,
+    tolerance: float = 1e-8,
+) -> Bound:
     """Bound over all plans under the rules, for a concave criterion."""
     best: Bound | None = None
     parts: dict[bytes, Bound] = {}
@@ -41,7 +50,9 @@ def bound(blocks: Array, criterion: Criterion, rules: Rules, prior: Array, toler
         told = _spread(found, candidates, cost, len(blocks))
         key = candidates.tobytes()
         # number and budget both hold: the lower of their bounds does
-        parts[key] = told if key not in parts or told.value < parts[key].value else parts[key]
+        parts[key] = (
+            told if key not in parts or told.value < parts[key].value else parts[key]
+        )
     for told in parts.values():
         best = told if best is None or told.value > best.value else best
     if best is None:
@@ -50,7 +61,12 @@ def bound(blocks: Array, criterion: Criterion, rules: Rules, prior: Array, toler
 
 
 def _relaxed(
-    blocks: Array, criterion: Criterion, total: float, cost: Array | None, prior: Array, tolerance: float
+    blocks: Array,
+    criterion: Criterion,
+    total: float,
+    cost: Array | None,
+    prior: Array,
+    tolerance: float,
 ) -> Relaxed:
     """The relaxation, over v = cost w where a cost is told."""
     scaled = blocks if cost is None else blocks / np.sqrt(cost)[:, None, None]
@@ -70,12 +86,20 @@ def _spread(found: Relaxed, candidates: Index, cost: Array | None, count: int) -
     return Bound(found.bound, found.gap, weights, slopes)
 
 
-def condition_bound(blocks: Array, criterion: Criterion, rules: Rules, prior: Array) -> Bound | None:
-    """Bound of kappa, O2 and O4, for plans of a stated number of readings; None where a budget rules.
+def condition_bound(
+    blocks: Array, criterion: Criterion, rules: Rules, prior: Array
+) -> Bound | None:
+    """Bound of kappa, O2 and O4, for plans of a stated number of readings; None where a
+    budget rules.
 
-    More readings can make the condition number worse, so a plan within a budget need not use it up.
+    More readings can make the condition number worse, so a plan within a budget need
+    not use it up.
     """
-    if rules.size is None or rules.budget is not None or not isinstance(criterion, Spectrum):
+    if (
+        rules.size is None
+        or rules.budget is not None
+        or not isinstance(criterion, Spectrum)
+    ):
         return None
     size = float(rules.size)
     if criterion.name == "O4":

@@ -1,8 +1,9 @@
 """The best plan of all, proven: branch and bound for small cases.
 
-A node has candidates taken and candidates left out; the relaxation over the rest bounds every plan below it. The node
-with the highest bound is split at the candidate whose weight is least decided. Candidates that no better plan can hold
-are left out on the way (`oed.design.relaxation.eliminated`), which is what makes dozens of candidates few.
+A node has candidates taken and candidates left out; the relaxation over the rest bounds
+every plan below it. The node with the highest bound is split at the candidate whose
+weight is least decided. Candidates that no better plan can hold are left out on the way
+(`oed.design.relaxation.eliminated`), which is what makes dozens of candidates few.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ EQUAL = 1e-9
 class Proven:
     """The best plan found, and what is known of it.
 
-    indices ascending; value and bound as log phi; `optimal` where no plan is better (by more than rounding)
+    indices ascending; value and bound as log phi; `optimal` where no plan is better (by
+    more than rounding)
     """
 
     indices: Index
@@ -55,19 +57,27 @@ def solve(
     nodes: int = NODES,
     start: Index | None = None,
 ) -> Proven:
-    """The best `size` candidates of rows (C, n) or blocks (C, k, n) by a smooth criterion.
+    """The best `size` candidates of rows (C, n) or blocks (C, k, n) by a smooth
+    criterion.
 
-    Starts from the exchange's plan, or from `start`. Stops after `nodes` nodes with the best plan and a valid bound.
-    Raises ValueError for criteria that are not smooth and concave, and as `exchange.choose`.
+    Starts from the exchange's plan, or from `start`. Stops after `nodes` nodes with the
+    best plan and a valid bound. Raises ValueError for criteria that are not smooth and
+    concave, and as `exchange.choose`.
     """
     blocks = as_blocks(rows)
-    wanted = named(criterion, blocks.shape[2]) if isinstance(criterion, str) else criterion
+    wanted = (
+        named(criterion, blocks.shape[2]) if isinstance(criterion, str) else criterion
+    )
     if not (wanted.smooth and wanted.concave):
-        raise ValueError(f"branch and bound needs a smooth, concave criterion, not {wanted.name}")
+        raise ValueError(
+            f"branch and bound needs a smooth, concave criterion, not {wanted.name}"
+        )
     if start is None:
         start = exchange.choose(blocks, size, rng, wanted, prior).indices
     blocks, basis = seen(blocks, prior)
-    base = np.zeros((blocks.shape[2],) * 2) if prior is None else basis.T @ prior @ basis
+    base = (
+        np.zeros((blocks.shape[2],) * 2) if prior is None else basis.T @ prior @ basis
+    )
     return _Tree(blocks, wanted.within(basis), base, size).run(np.sort(start), nodes)
 
 
@@ -92,7 +102,12 @@ class _Tree:
             if bound <= value + EQUAL:
                 continue
             plan = np.sort(
-                np.concatenate([node.taken, left[np.argsort(-weights, kind="stable")][: self.missing(node)]])
+                np.concatenate(
+                    [
+                        node.taken,
+                        left[np.argsort(-weights, kind="stable")][: self.missing(node)],
+                    ]
+                )
             )
             reached = self.value(plan)
             if reached > value:
@@ -100,7 +115,9 @@ class _Tree:
             for child in self.split(node, left, weights):
                 heapq.heappush(heap, (-bound, next(ticket), child))
         above = max([value, *(-b for b, _, _ in heap)])
-        return Proven(best.astype(np.intp), value, above, above <= value + EQUAL, looked)
+        return Proven(
+            best.astype(np.intp), value, above, above <= value + EQUAL, looked
+        )
 
     def value(self, chosen: Index) -> float:
         """log phi of a plan."""
@@ -111,12 +128,18 @@ class _Tree:
         return self.size - len(node.taken)
 
     def bounded(self, node: _Node, value: float) -> tuple[float, Array, Index]:
-        """Bound of the plans below a node, the weights that attain it, and the candidates still open."""
+        """Bound of the plans below a node, the weights that attain it, and the
+        candidates still open.
+        """
         missing = self.missing(node)
         if missing == 0 or missing >= len(node.open):
             whole = np.concatenate([node.taken, node.open[:missing]])
             return self.value(whole), np.ones(len(node.open)), node.open
-        held = Plain(self.criterion, self.blocks[node.open], self.base + information(self.blocks[node.taken]))
+        held = Plain(
+            self.criterion,
+            self.blocks[node.open],
+            self.base + information(self.blocks[node.taken]),
+        )
         found = relaxation.solve(held, float(missing), 1.0, 1e-7)
         active = np.flatnonzero(found.weights > 0)
         line = held.line(active, found.weights[active])
@@ -133,4 +156,7 @@ class _Tree:
             return []
         middle = int(np.argmin(np.abs(weights - 0.5)))
         rest = np.delete(left, middle)
-        return [_Node(np.append(node.taken, left[middle]), rest), _Node(node.taken, rest)]
+        return [
+            _Node(np.append(node.taken, left[middle]), rest),
+            _Node(node.taken, rest),
+        ]

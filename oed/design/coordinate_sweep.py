@@ -1,13 +1,15 @@
-"""One sweep of exchange in continuous coordinates over all points of a design, as one CasADi call.
+"""One sweep of exchange in continuous coordinates over all points of a design, as one
+CasADi call.
 
-A point's block X is taken out of M and put back by Woodbury's formula. With U = X A, A = M^-1, Z = X C and
-T = (1 - U X^T)^-1 (taken out) or -(1 + U X^T)^-1 (put in),
+A point's block X is taken out of M and put back by Woodbury's formula. With U = X A, A
+= M^-1, Z = X C and T = (1 - U X^T)^-1 (taken out) or -(1 + U X^T)^-1 (put in),
 
     A' = A + U^T T U,
     variance, C = A W A:               C' = C + U^T T Z + Z^T T U + U^T T (Z X^T) T U,
     Ds, C = N (N^T M N)^-1 N^T:        as A, with Z for U.
 
-In between each coordinate takes its best value. See `oed.design.continuous` for the gains.
+In between each coordinate takes its best value. See `oed.design.continuous` for the
+gains.
 """
 
 from __future__ import annotations
@@ -28,10 +30,12 @@ STEP_GAIN = 1e-11
 
 
 class Sweep:
-    """Compiled sweep over `size` points for rows v -> X (k, n), within lower and upper (d,).
+    """Compiled sweep over `size` points for rows v -> X (k, n), within lower and upper
+    (d,).
 
-    `between` values are tried for coordinates that X is not affine in: half of them anywhere, half near the present
-    one. limits: CasADi function v -> g, values with g > slack are not taken.
+    `between` values are tried for coordinates that X is not affine in: half of them
+    anywhere, half near the present one. limits: CasADi function v -> g, values with g >
+    slack are not taken.
     """
 
     def __init__(
@@ -53,12 +57,17 @@ class Sweep:
         entries = ca.vec(rows(v))
         slopes = ca.jacobian(entries, v)
         self._touched = [slopes[:, j].sparsity().row() for j in range(len(lower))]
-        straight = [k == 1 and limits is None and ca.jacobian(slopes[:, j], v[j]).nnz() == 0 for j in range(len(lower))]
+        straight = [
+            k == 1 and limits is None and ca.jacobian(slopes[:, j], v[j]).nnz() == 0
+            for j in range(len(lower))
+        ]
         #: whether the ends of every coordinate's range are all that can be best
         self.straight = all(straight)
         self._between = [0 if s else between for s in straight]
         self._draws = max(self._between)
-        ways = [ca.SX.sym(f"way{i}", n, n) for i in range(1 if self._kind == "D" else 2)]
+        ways = [
+            ca.SX.sym(f"way{i}", n, n) for i in range(1 if self._kind == "D" else 2)
+        ]
         t = ca.SX.sym("t", self._draws)
         after, place = self._step(ways, v, t)
         step = ca.Function("step", [*ways, v, t], [*after, place], {"cse": True})
@@ -74,8 +83,12 @@ class Sweep:
                 buffer.set_arg(i, memoryview(array.reshape(-1).data))
         buffer.set_res(len(ways), memoryview(self._output.reshape(-1).data))
 
-    def __call__(self, inverse: Array, partner: Array, points: Array, rng: np.random.Generator) -> Array:
-        """Points (N, d) after one sweep, from M^-1 and the criterion's partner (n, n) at the points."""
+    def __call__(
+        self, inverse: Array, partner: Array, points: Array, rng: np.random.Generator
+    ) -> Array:
+        """Points (N, d) after one sweep, from M^-1 and the criterion's partner (n, n)
+        at the points.
+        """
         ways = [inverse] if self._kind == "D" else [inverse, partner]
         levels = self._levels(rng) if self._draws else self._inputs[-1]
         for memory, array in zip(self._inputs, (*ways, points, levels), strict=True):
@@ -84,13 +97,17 @@ class Sweep:
         return np.clip(self._output, self._lower, self._upper)
 
     def _levels(self, rng: np.random.Generator) -> Array:
-        """Shares of the range: the first half in [0, 1], the rest steps to either side, 1e-4 to 0.1."""
+        """Shares of the range: the first half in [0, 1], the rest steps to either side,
+        1e-4 to 0.1.
+        """
         shape = self._inputs[-1].shape
         far = shape[1] - shape[1] // 2
-        steps = 10.0 ** rng.uniform(-4.0, -1.0, (shape[0], shape[1] // 2)) * rng.choice([-1.0, 1.0], shape[1] // 2)
+        steps = 10.0 ** rng.uniform(-4.0, -1.0, (shape[0], shape[1] // 2)) * rng.choice(
+            [-1.0, 1.0], shape[1] // 2
+        )
         return np.hstack([rng.uniform(size=(shape[0], far)), steps])
 
-    # -- the symbolic step of one point ----------------------------------------------------------------------
+    # -- the symbolic step of one point ------------------------------------------------
 
     def _step(self, ways: Sequence[Any], v: Any, t: Any) -> tuple[list[Any], Any]:
         """M^-1 (and C) and the point after its coordinates took their best values."""
@@ -106,7 +123,9 @@ class Sweep:
             place, x = _with(place, j, best), x + change
         return self._moved(ways, along, x, out=False), place
 
-    def _moved(self, ways: Sequence[Any], along: Sequence[Any], x: Any, *, out: bool) -> list[Any]:
+    def _moved(
+        self, ways: Sequence[Any], along: Sequence[Any], x: Any, *, out: bool
+    ) -> list[Any]:
         """M^-1 and partner after X is taken out or put in; `along` are U and Z."""
         u = along[0]
         inner = _inner(u @ x.T, out)
@@ -117,25 +136,43 @@ class Sweep:
         elif self._kind == "variance":
             side = inner @ u
             mixed = side.T @ along[1]
-            moved.append(_mirrored(ways[1] + mixed + mixed.T + side.T @ (along[1] @ x.T) @ side))
+            moved.append(
+                _mirrored(ways[1] + mixed + mixed.T + side.T @ (along[1] @ x.T) @ side)
+            )
         return moved
 
     def _best(
-        self, ways: Sequence[Any], along: Sequence[Any], here: Sequence[Any], place: Any, x: Any, t: Any, j: int
+        self,
+        ways: Sequence[Any],
+        along: Sequence[Any],
+        here: Sequence[Any],
+        place: Any,
+        x: Any,
+        t: Any,
+        j: int,
     ) -> Any:
-        """Best value of coordinate j; `along` are X R and X Q, `here` the same times X^T."""
+        """Best value of coordinate j; `along` are X R and X Q, `here` the same times
+        X^T.
+        """
         best, best_gain = place[j], self._gain(here) + STEP_GAIN
         for value in self._values(place[j], t, j):
-            gain = self._gain(self._there(ways, along, here, self._change(place, x, value, j)))
+            gain = self._gain(
+                self._there(ways, along, here, self._change(place, x, value, j))
+            )
             better = gain > best_gain
             if self._limits is not None:
                 allowed = ca.mmax(self._limits(_with(place, j, value))) <= self._slack
                 better = ca.logic_and(better, allowed)
-            best, best_gain = ca.if_else(better, value, best), ca.if_else(better, gain, best_gain)
+            best, best_gain = (
+                ca.if_else(better, value, best),
+                ca.if_else(better, gain, best_gain),
+            )
         return best
 
     @staticmethod
-    def _there(ways: Sequence[Any], along: Sequence[Any], here: Sequence[Any], change: Any) -> list[Any]:
+    def _there(
+        ways: Sequence[Any], along: Sequence[Any], here: Sequence[Any], change: Any
+    ) -> list[Any]:
         """X R X^T and X Q X^T after a change of X."""
         there = []
         for w, g, s in zip(ways, along, here, strict=True):
@@ -148,12 +185,18 @@ class Sweep:
         far = self._draws - self._draws // 2
         values: list[Any] = [ca.SX(lower), ca.SX(upper)]
         for i in range(self._between[j]):
-            wish = lower + t[i] * (upper - lower) if i < far else now + t[i] * (upper - lower)
+            wish = (
+                lower + t[i] * (upper - lower)
+                if i < far
+                else now + t[i] * (upper - lower)
+            )
             values.append(ca.fmin(ca.fmax(wish, lower), upper))
         return values
 
     def _change(self, place: Any, x: Any, value: Any, j: int) -> Any:
-        """How X changes (sparse) when coordinate j takes a value: only entries that hold it."""
+        """How X changes (sparse) when coordinate j takes a value: only entries that
+        hold it.
+        """
         moved, change = ca.vec(self._rows(_with(place, j, value))), ca.SX(*x.shape)
         for e in self._touched[j]:
             r, column = e % x.shape[0], e // x.shape[0]
@@ -164,7 +207,9 @@ class Sweep:
         k = s[0].shape[0]
         one = ca.SX.eye(k)
         if self._kind == "variance":
-            return ca.trace(ca.solve(one + s[0], s[1])) if k > 1 else s[1] / (1.0 + s[0])
+            return (
+                ca.trace(ca.solve(one + s[0], s[1])) if k > 1 else s[1] / (1.0 + s[0])
+            )
         gain = _log_det(one + s[0])
         return gain - _log_det(one + s[1]) if self._kind == "Ds" else gain
 

@@ -1,9 +1,11 @@
-"""Choice of candidates by exchange, for any criterion and under any rules, with a certificate.
+"""Choice of candidates by exchange, for any criterion and under any rules, with a
+certificate.
 
-The relaxation (`oed.design.bounds`) comes first: it gives the bound, and its slopes and weights lead the search
-(`oed.design.search`). An exchange takes one candidate out and puts the best one in, by the criterion's exact value
-after adding (`Criterion.added`); D of single rows knows all pairs at once (`oed.design.fedorov`). Criteria that are
-not smooth are reached over their ladder: E by exchanges that lower tr M^-p while p grows.
+The relaxation (`oed.design.bounds`) comes first: it gives the bound, and its slopes and
+weights lead the search (`oed.design.search`). An exchange takes one candidate out and
+puts the best one in, by the criterion's exact value after adding (`Criterion.added`); D
+of single rows knows all pairs at once (`oed.design.fedorov`). Criteria that are not
+smooth are reached over their ladder: E by exchanges that lower tr M^-p while p grows.
 """
 
 from __future__ import annotations
@@ -29,11 +31,14 @@ class Choice:
     """Chosen candidates.
 
     indices     ascending
-    criterion   name;  value, bound in the criterion's own terms (log det, least eigenvalue, kappa, ...): no plan under
-                the same rules is better than the bound; None where none was computed
+    criterion   name;  value, bound in the criterion's own terms (log det, least
+                eigenvalue, kappa, ...): no plan under the same rules is better than the
+                bound; None where none was computed
     gap         what is known of the bound's own slack as a relaxation (log phi)
-    efficiency  phi(plan) / phi(bound): the share of the readings that the best plan could do with
-    directions  that candidates and prior see, and the criterion is told over; of `columns`
+    efficiency  phi(plan) / phi(bound): the share of the readings that the best plan
+                could do with
+    directions  that candidates and prior see, and the criterion is told over; of
+                `columns`
     """
 
     indices: Index
@@ -58,14 +63,15 @@ def choose(
     certify: bool = True,
     rules: Rules | None = None,
 ) -> Choice:
-    """Choose different candidates out of rows (C, n) or blocks (C, k, n), whitened and scaled: `size` of them, or
-    what `rules` say.
+    """Choose different candidates out of rows (C, n) or blocks (C, k, n), whitened and
+    scaled: `size` of them, or what `rules` say.
 
-    prior (n, n) is information held already (tolerances, earlier stages, readings kept). Without one, the design lives
-    in the directions that the candidates together can see (singular values above `tolerance` of the largest): no plan
-    sees more. `starts` rounds of local search are made. The bound comes with smooth criteria at no cost; for the
-    others, `certify` = False leaves it out. Raises ValueError where no plan under the rules determines what the
-    criterion asks for.
+    prior (n, n) is information held already (tolerances, earlier stages, readings
+    kept). Without one, the design lives in the directions that the candidates together
+    can see (singular values above `tolerance` of the largest): no plan sees more.
+    `starts` rounds of local search are made. The bound comes with smooth criteria at no
+    cost; for the others, `certify` = False leaves it out. Raises ValueError where no
+    plan under the rules determines what the criterion asks for.
     """
     blocks = as_blocks(rows)
     columns = blocks.shape[2]
@@ -77,14 +83,24 @@ def choose(
     wanted = wanted.within(basis)
     base = np.zeros((n, n)) if prior is None else basis.T @ prior @ basis
     if prior is None and rules.size is not None and rules.size * blocks.shape[1] < n:
-        raise ValueError(f"{rules.size} readings cannot determine the {n} directions the candidates see")
+        raise ValueError(
+            f"{rules.size} readings cannot determine the {n} directions the"
+            " candidates see"
+        )
     lead = bound(blocks, _leader(wanted, n), rules, base)
     judge = Single(blocks, wanted, base)
-    best = search(judge, rules, lead.weights, lead.slopes, _greedy(judge, rules), rng, starts)
+    best = search(
+        judge, rules, lead.weights, lead.slopes, _greedy(judge, rules), rng, starts
+    )
     value = judge.value(best)
     if not np.isfinite(value):
-        raise ValueError(f"no plan under these rules determines the {n} directions the candidates see")
-    above = _above(blocks, wanted, rules, base, lead) if wanted.smooth or certify else None
+        raise ValueError(
+            f"no plan under these rules determines the {n} directions the"
+            " candidates see"
+        )
+    above = (
+        _above(blocks, wanted, rules, base, lead) if wanted.smooth or certify else None
+    )
     return _told(best, wanted, value, above, n, columns)
 
 
@@ -95,19 +111,24 @@ def greedy_d(blocks: Array, size: int, base: Array) -> Index:
 
 
 def _greedy(judge: Single, rules: Rules) -> list[Index]:
-    """Greedy plans by this criterion and by D: the first may be blind while directions are unseen."""
+    """Greedy plans by this criterion and by D: the first may be blind while directions
+    are unseen.
+    """
     ways = [dataclasses.replace(judge, criterion=Determinant(judge.base.shape[0]))]
     if judge.criterion.smooth and not isinstance(judge.criterion, Determinant):
         ways.append(judge)
     return [greedy(w, rules, judge.ridge()) for w in ways]
 
 
-# -- bounds ------------------------------------------------------------------------------------------------
+# -- bounds ----------------------------------------------------------------------------
 
 
 def _check(blocks: Array, rules: Rules) -> None:
     if rules.size is not None and not 0 < rules.size <= len(blocks):
-        raise ValueError(f"cannot choose {rules.size} different readings out of {len(blocks)} candidates")
+        raise ValueError(
+            f"cannot choose {rules.size} different readings out of {len(blocks)}"
+            " candidates"
+        )
     if not rules.allowed(np.zeros(0, dtype=np.intp), len(blocks)).any():
         raise ValueError("the rules allow no reading at all: raise the budget")
 
@@ -117,10 +138,16 @@ def _leader(criterion: Criterion, directions: int) -> Criterion:
     if criterion.smooth:
         return criterion
     smooth = [c for c in criterion.ladder() if c.smooth and c.concave]
-    return smooth[-1] if criterion.concave and smooth else Variance(np.eye(directions), "A")
+    return (
+        smooth[-1]
+        if criterion.concave and smooth
+        else Variance(np.eye(directions), "A")
+    )
 
 
-def _above(blocks: Array, criterion: Criterion, rules: Rules, base: Array, lead: Bound) -> Bound | None:
+def _above(
+    blocks: Array, criterion: Criterion, rules: Rules, base: Array, lead: Bound
+) -> Bound | None:
     """The bound of the criterion itself."""
     if criterion.smooth:
         return lead
@@ -129,9 +156,18 @@ def _above(blocks: Array, criterion: Criterion, rules: Rules, base: Array, lead:
     return condition_bound(blocks, criterion, rules, base)
 
 
-def _told(best: Index, criterion: Criterion, value: float, above: Bound | None, n: int, columns: int) -> Choice:
+def _told(
+    best: Index,
+    criterion: Criterion,
+    value: float,
+    above: Bound | None,
+    n: int,
+    columns: int,
+) -> Choice:
     if above is None:
-        return Choice(np.sort(best), criterion.name, criterion.told(value, len(best)), n, columns)
+        return Choice(
+            np.sort(best), criterion.name, criterion.told(value, len(best)), n, columns
+        )
     return Choice(
         indices=np.sort(best),
         criterion=criterion.name,

@@ -1,6 +1,7 @@
 """D exchange of single rows by Fedorov's formula: all pairs at once.
 
-Replacing i by j multiplies det M by (1 - d_ii)(1 + d_jj) + d_ij^2, d_ij = x_i^T M^-1 x_j (Fedorov 1972).
+Replacing i by j multiplies det M by (1 - d_ii)(1 + d_jj) + d_ij^2, d_ij = x_i^T M^-1
+x_j (Fedorov 1972).
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ GAIN = 1e-9
 
 
 def improve(rows: Array, chosen: Index, base: Array) -> Index:
-    """The best pair of rows (C, n) each time, until none helps; base (n, n) positive information held."""
+    """The best pair of rows (C, n) each time, until none helps; base (n, n) positive
+    information held.
+    """
     chosen = chosen.copy()
     inverse = _inverse(rows[chosen].T @ rows[chosen] + base)
     for count in range(100 * len(chosen)):
         projected = rows @ inverse
         own = np.einsum("ij,ij->i", projected, rows)
-        factor = (1.0 - own[chosen])[:, None] * (1.0 + own)[None, :] + (projected[chosen] @ rows.T) ** 2
+        factor = (1.0 - own[chosen])[:, None] * (1.0 + own)[None, :] + (
+            projected[chosen] @ rows.T
+        ) ** 2
         factor[:, chosen] = 0.0
         i, j = divmod(int(factor.argmax()), factor.shape[1])
         if factor[i, j] <= 1.0 + GAIN:

@@ -2,13 +2,16 @@
 
     maximise  l_min(M) - z l_max(M),   M = M0 + sum_i w_i A_i,  A_i = X_i^T X_i,   0 <= w_i <= cap_i,  sum_i w_i = N
 
-is: maximise t - z r with S1 = M - t 1 and S2 = r 1 - M positive semidefinite. With their duals Y and Z, and a, b those
-of the limits of w, the path Y S1 = Z S2 = w a = (cap - w) b = mu is followed by predictor and corrector steps
-(Helmberg, Rendl, Vanderbei, Wolkowicz 1996, SIAM J. Optim. 6, 342-361; Mehrotra 1992, SIAM J. Optim. 2, 575-601), each
-one linear system of the size of the active set with entries tr(A_i S1^-1 A_j Y) + tr(A_i S2^-1 A_j Z).
+is: maximise t - z r with S1 = M - t 1 and S2 = r 1 - M positive semidefinite. With
+their duals Y and Z, and a, b those of the limits of w, the path Y S1 = Z S2 = w a =
+(cap - w) b = mu is followed by predictor and corrector steps (Helmberg, Rendl,
+Vanderbei, Wolkowicz 1996, SIAM J. Optim. 6, 342-361; Mehrotra 1992, SIAM J. Optim. 2,
+575-601), each one linear system of the size of the active set with entries tr(A_i S1^-1
+A_j Y) + tr(A_i S2^-1 A_j Z).
 
-S1 is kept as T S1 T^T with T M T^T = 1 at a good plan, so that eigenvalues may spread over ten decades; S2 is rounded
-against l_max, which is all it needs. For kappa, z = l_min / l_max follows the plan (`oed.design.condition`).
+S1 is kept as T S1 T^T with T M T^T = 1 at a good plan, so that eigenvalues may spread
+over ten decades; S2 is rounded against l_max, which is all it needs. For kappa, z =
+l_min / l_max follows the plan (`oed.design.condition`).
 """
 
 from __future__ import annotations
@@ -30,7 +33,9 @@ STAY = 0.95
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Setting:
-    """Candidates X_i, also as `white` = X_i T^T with T = `turn`, T M T^T = 1 at the plan `start`; `square` = T T^T."""
+    """Candidates X_i, also as `white` = X_i T^T with T = `turn`, T M T^T = 1 at the
+    plan `start`; `square` = T T^T.
+    """
 
     blocks: Array
     base: Array
@@ -47,35 +52,55 @@ class Setting:
         white = self.white_base + information(self.white[active], weights)
         inverse = self.turn.T @ np.linalg.inv(white) @ self.turn
         m = self.base + information(self.blocks[active], weights)
-        return 1.0 / float(np.linalg.eigvalsh(inverse)[-1]), float(np.linalg.eigvalsh(m)[-1])
+        return 1.0 / float(np.linalg.eigvalsh(inverse)[-1]), float(
+            np.linalg.eigvalsh(m)[-1]
+        )
 
     def take(self, active: Index) -> Setting:
         """Over some of the candidates."""
-        some = {name: getattr(self, name)[active] for name in ("blocks", "caps", "start", "white")}
+        some = {
+            name: getattr(self, name)[active]
+            for name in ("blocks", "caps", "start", "white")
+        }
         return dataclasses.replace(self, **some)
 
 
-def setting_of(rows: Array, size: float, prior: Array | None, cap: Array | float) -> Setting:
+def setting_of(
+    rows: Array, size: float, prior: Array | None, cap: Array | float
+) -> Setting:
     blocks = as_blocks(rows)
     count, _, n = blocks.shape
     caps = np.minimum(np.broadcast_to(np.asarray(cap, dtype=float), (count,)), size)
     if caps.sum() < size * (1 - 1e-12):
-        raise ValueError(f"{count} candidates of at most {np.max(cap):g} each cannot carry a weight of {size:g}")
+        raise ValueError(
+            f"{count} candidates of at most {np.max(cap):g} each cannot carry a weight"
+            f" of {size:g}"
+        )
     base = np.zeros((n, n)) if prior is None else np.asarray(prior, dtype=float)
     try:
         start = caps * (size / caps.sum())
         scale = np.sqrt(np.diag(base + information(blocks, start)))
-        np.linalg.cholesky((base + information(blocks, start)) / np.outer(scale, scale) - 1e-14 * n * np.eye(n))
+        np.linalg.cholesky(
+            (base + information(blocks, start)) / np.outer(scale, scale)
+            - 1e-14 * n * np.eye(n)
+        )
         start = relaxation.relax(blocks, size, base, caps, 1e-2).weights
         turn = np.linalg.inv(np.linalg.cholesky(base + information(blocks, start)))
     except np.linalg.LinAlgError as error:
-        raise ValueError("candidates and prior leave directions unseen: take the directions that are seen") from error
+        raise ValueError(
+            "candidates and prior leave directions unseen: take the directions that are"
+            " seen"
+        ) from error
     white, square = blocks @ turn.T, np.asarray(turn @ turn.T)
-    return Setting(blocks, base, size, caps, start, turn, white, turn @ base @ turn.T, square)
+    return Setting(
+        blocks, base, size, caps, start, turn, white, turn @ base @ turn.T, square
+    )
 
 
 class _Move(NamedTuple):
-    """A step: of w, t, r, S1, S2, and of Y, Z, a, b; shares of it that end at a border of the former, the latter."""
+    """A step: of w, t, r, S1, S2, and of Y, Z, a, b; shares of it that end at a border
+    of the former, the latter.
+    """
 
     w: Array
     t: float
@@ -91,12 +116,20 @@ class _Move(NamedTuple):
 
 
 class Path:
-    """The state of the method over an active set; y and s1 are in the turned coordinates, T^-T Y T^-1 and T S1 T^T."""
+    """The state of the method over an active set; y and s1 are in the turned
+    coordinates, T^-T Y T^-1 and T S1 T^T.
+    """
 
     def __init__(
-        self, setting: Setting, slope: float | None, weights: Array, centre: float, known: float = 0.0
+        self,
+        setting: Setting,
+        slope: float | None,
+        weights: Array,
+        centre: float,
+        known: float = 0.0,
     ) -> None:
-        """At `weights` drawn by a share `centre` towards even ones, at the same share's distance from l_min.
+        """At `weights` drawn by a share `centre` towards even ones, at the same share's
+        distance from l_min.
 
         Without a slope: at that of the weights, or at the `known` one of a better plan.
         """
@@ -119,18 +152,26 @@ class Path:
 
     def _low(self) -> Array:
         s = self.setting
-        return np.asarray(s.white_base + information(s.white, self.w) - self.t * s.square)
+        return np.asarray(
+            s.white_base + information(s.white, self.w) - self.t * s.square
+        )
 
     def _high(self) -> Array:
         s = self.setting
-        return np.asarray(self.r * np.eye(len(s.base)) - s.base - information(s.blocks, self.w))
+        return np.asarray(
+            self.r * np.eye(len(s.base)) - s.base - information(s.blocks, self.w)
+        )
 
     def step(self) -> bool:
-        """One predictor and corrector; False where rounding ends the path (the state is then the last sound one)."""
+        """One predictor and corrector; False where rounding ends the path (the state is
+        then the last sound one).
+        """
         try:
             system = _System(self, self._low(), self._high())
             guess = system.move(0.0, None)
-            left = system.gap(guess, min(1.0, guess.primal), min(1.0, guess.dual)) / system.gap(None, 0.0, 0.0)
+            left = system.gap(
+                guess, min(1.0, guess.primal), min(1.0, guess.dual)
+            ) / system.gap(None, 0.0, 0.0)
             mu = system.gap(None, 0.0, 0.0) / system.order
             move = system.move(float(np.clip(left**2, 1e-3, 1.0)) * mu, guess)
             primal, dual = min(1.0, STAY * move.primal), min(1.0, STAY * move.dual)
@@ -140,13 +181,24 @@ class Path:
                 np.linalg.cholesky(z)
         except (np.linalg.LinAlgError, ValueError, FloatingPointError):
             return False
-        self.w, self.t, self.r = self.w + primal * move.w, self.t + primal * move.t, self.r + primal * move.r
-        self.y, self.z, self.a, self.b = y, z, self.a + dual * move.a, self.b + dual * move.b
+        self.w, self.t, self.r = (
+            self.w + primal * move.w,
+            self.t + primal * move.t,
+            self.r + primal * move.r,
+        )
+        self.y, self.z, self.a, self.b = (
+            y,
+            z,
+            self.a + dual * move.a,
+            self.b + dual * move.b,
+        )
         return max(primal, dual) > 1e-8
 
 
 class _System:
-    """The linear system of one step: rows for the weights, t and r, bordered by sum dw = 0."""
+    """The linear system of one step: rows for the weights, t and r, bordered by sum dw
+    = 0.
+    """
 
     def __init__(self, path: Path, s1: Array, s2: Array) -> None:
         self.path, self.s1, self.s2 = path, s1, s2
@@ -174,26 +226,43 @@ class _System:
         self.border = self._solve(np.append(np.ones(count), [0.0, 0.0]))
 
     def _solve(self, right: Array) -> Array:
-        return np.asarray(linalg.cho_solve(self.factor, right * self.scale) * self.scale)
+        return np.asarray(
+            linalg.cho_solve(self.factor, right * self.scale) * self.scale
+        )
 
     def move(self, target: float, guess: _Move | None) -> _Move:
-        """The step to complementarity `target`, with the second order that a first guess shows."""
+        """The step to complementarity `target`, with the second order that a first
+        guess shows.
+        """
         path, s, p, q = self.path, self.path.setting, self.p, self.q
         w, spare, count = path.w, s.caps - path.w, len(path.w)
         bend1 = bend2 = np.zeros_like(p)
         bend_a = bend_b = np.zeros(count)
         if guess is not None:
-            bend1, bend2 = _symmetric(guess.y @ guess.s1 @ p), _symmetric(guess.z @ guess.s2 @ q)
+            bend1, bend2 = (
+                _symmetric(guess.y @ guess.s1 @ p),
+                _symmetric(guess.z @ guess.s2 @ q),
+            )
             bend_a, bend_b = guess.a * guess.w / w, -guess.b * guess.w / spare
         right = np.zeros(count + 2)
-        right[:count] = target * self.push - bend_a + bend_b - _traces(s.white, bend1) + _traces(s.blocks, bend2)
+        right[:count] = (
+            target * self.push
+            - bend_a
+            + bend_b
+            - _traces(s.white, bend1)
+            + _traces(s.blocks, bend2)
+        )
         right[count] = 1.0 - target * np.sum(p * s.square) + np.sum(bend1 * s.square)
         right[-1] = target * np.trace(q) - path.slope - np.trace(bend2)
         x = self._solve(right)
         x -= x[:count].sum() / self.border[:count].sum() * self.border
         dw, dt, dr = x[:count], float(x[count]), float(x[-1]) if path.slope else 0.0
         d1 = information(s.white, dw) - dt * s.square
-        d2 = dr * np.eye(len(p)) - information(s.blocks, dw) if path.slope else np.zeros_like(p)
+        d2 = (
+            dr * np.eye(len(p)) - information(s.blocks, dw)
+            if path.slope
+            else np.zeros_like(p)
+        )
         dy = target * p - path.y - _symmetric(path.y @ d1 @ p) - bend1
         dz = target * q - path.z - _symmetric(path.z @ d2 @ q) - bend2
         da = target / w - path.a * (1.0 + dw / w) - bend_a
@@ -213,15 +282,26 @@ class _System:
         total = np.sum((path.y + dual * move.y) * (self.s1 + primal * move.s1))
         total += (path.a + dual * move.a) @ (path.w + primal * move.w)
         total += (path.b + dual * move.b) @ (spare - primal * move.w)
-        return float(total + (np.sum((path.z + dual * move.z) * (self.s2 + primal * move.s2)) if path.slope else 0.0))
+        return float(
+            total
+            + (
+                np.sum((path.z + dual * move.z) * (self.s2 + primal * move.s2))
+                if path.slope
+                else 0.0
+            )
+        )
 
 
 def _factored(h: Array) -> tuple[Array, bool]:
-    """Cholesky factor of a matrix of unit diagonal, with the least ridge that rounding asks for."""
+    """Cholesky factor of a matrix of unit diagonal, with the least ridge that rounding
+    asks for.
+    """
     ridge = 1e-14
     while True:
         try:
-            factor: tuple[Array, bool] = linalg.cho_factor(h + ridge * np.eye(len(h)), lower=True)
+            factor: tuple[Array, bool] = linalg.cho_factor(
+                h + ridge * np.eye(len(h)), lower=True
+            )
             return factor
         except np.linalg.LinAlgError:
             ridge *= 10.0

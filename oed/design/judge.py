@@ -1,4 +1,6 @@
-"""What exchanges ask of a problem: the value of a plan, and its value after each candidate is added."""
+"""What exchanges ask of a problem: the value of a plan, and its value after each
+candidate is added.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ class Judge(Protocol):
         ...
 
     def added(self, chosen: Index, rung: int, ridge: float | None = None) -> Array:
-        """By a rung, of the plan with each candidate (C,) added; -inf where not worth computing."""
+        """By a rung, of the plan with each candidate (C,) added; -inf where not worth
+        computing.
+        """
         ...
 
     def quick(self, chosen: Index, rung: int) -> Index | None:
@@ -77,12 +81,18 @@ class Single:
 
     def added(self, chosen: Index, rung: int, ridge: float | None = None) -> Array:
         """By a rung, after adding."""
-        return self.criterion.ladder()[rung].added(self._matrix(chosen, ridge), self.blocks)
+        return self.criterion.ladder()[rung].added(
+            self._matrix(chosen, ridge), self.blocks
+        )
 
     def quick(self, chosen: Index, rung: int) -> Index | None:
         """Fedorov's pairs for D of single rows."""
         step = self.criterion.ladder()[rung]
-        if not isinstance(step, Determinant) or step.interest is not None or self.blocks.shape[1] > 1:
+        if (
+            not isinstance(step, Determinant)
+            or step.interest is not None
+            or self.blocks.shape[1] > 1
+        ):
             return None
         base = self._matrix(chosen, None) - information(self.blocks[chosen])
         return fedorov.improve(self.blocks[:, 0], chosen, base)

@@ -1,7 +1,9 @@
-"""What weights on candidates are judged by: one criterion of one information matrix, or several at once.
+"""What weights on candidates are judged by: one criterion of one information matrix, or
+several at once.
 
-An objective is concave in the weights w. `Plain` is log phi(M0 + sum w_i A_i). `oed.design.robust` has those of
-several machines at once. All the relaxation needs is here: values, slopes, curvatures, and the bound that slopes give.
+An objective is concave in the weights w. `Plain` is log phi(M0 + sum w_i A_i).
+`oed.design.robust` has those of several machines at once. All the relaxation needs is
+here: values, slopes, curvatures, and the bound that slopes give.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ from oed.design.criterion.protocol import Criterion, slopes
 
 @dataclasses.dataclass(frozen=True)
 class Line:
-    """A line above the objective: every plan w' has a value of at most bound(sum_i w'_i slopes_i).
+    """A line above the objective: every plan w' has a value of at most bound(sum_i w'_i
+    slopes_i).
 
     value   the objective at the weights where the line was drawn
     slopes  (C,) along each candidate's weight, for all candidates
@@ -38,7 +41,9 @@ class Line:
 
 
 class Objective(Protocol):
-    """A concave function of the candidates' weights. Weights are given for an active set of candidates."""
+    """A concave function of the candidates' weights. Weights are given for an active
+    set of candidates.
+    """
 
     @property
     def count(self) -> int: ...
@@ -51,7 +56,9 @@ class Objective(Protocol):
         ...
 
     def line(self, active: Index, weights: Array) -> Line:
-        """A line above the objective that touches it at the weights (nearly, where it is smoothed)."""
+        """A line above the objective that touches it at the weights (nearly, where it
+        is smoothed).
+        """
         ...
 
     def newton(self, active: Index, weights: Array) -> tuple[Array, Array]:
@@ -108,7 +115,9 @@ class Plain:
         """Slopes and curvature of log phi."""
         m = self.at(active, weights)
         some = self.blocks[active]
-        return slopes(some, self.criterion.support(m).root), self.criterion.curvature(m, some)
+        return slopes(some, self.criterion.support(m).root), self.criterion.curvature(
+            m, some
+        )
 
     def sample(self, chosen: Index) -> Plain:
         """Over some of the candidates only."""
@@ -121,4 +130,6 @@ class Plain:
 
     def ridged(self, ridge: float) -> Plain:
         """With ridge * 1 held."""
-        return dataclasses.replace(self, base=self.base + ridge * np.eye(len(self.base)))
+        return dataclasses.replace(
+            self, base=self.base + ridge * np.eye(len(self.base))
+        )

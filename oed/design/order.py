@@ -1,15 +1,19 @@
-"""In which order chosen poses are read: an open path with little travel that takes no forbidden move.
+"""In which order chosen poses are read: an open path with little travel that takes no
+forbidden move.
 
-Poses, or runs that stay together (a circle), are visited once each. Lengths may differ there and back; inf forbids a
-move. A run in its two directions is two states, of which one is visited. Up to `EXACT` runs the shortest path comes
-from dynamic programming over subsets (Held and Karp 1962, J. SIAM 10, 196-210). Above, a path by nearest neighbours is
-improved by the best reversal of a stretch (2-opt; Croes 1958, Oper. Res. 6, 791-812) or shift of up to three
-neighbours (Or-opt; Or 1976), and again after random double bridges (Martin, Otto and Felten 1991, Complex Syst. 5,
-299-326), half of them turned, that leave it not much longer. Reversals are told by prefix sums in both directions, so
+Poses, or runs that stay together (a circle), are visited once each. Lengths may differ
+there and back; inf forbids a move. A run in its two directions is two states, of which
+one is visited. Up to `EXACT` runs the shortest path comes from dynamic programming over
+subsets (Held and Karp 1962, J. SIAM 10, 196-210). Above, a path by nearest neighbours
+is improved by the best reversal of a stretch (2-opt; Croes 1958, Oper. Res. 6, 791-812)
+or shift of up to three neighbours (Or-opt; Or 1976), and again after random double
+bridges (Martin, Otto and Felten 1991, Complex Syst. 5, 299-326), half of them turned,
+that leave it not much longer. Reversals are told by prefix sums in both directions, so
 that lengths need not be symmetric.
 
-Thermal reference readings are put between: of all places that keep the time between two of them, those that cost least
-travel, by dynamic programming along the path (Prins 2004, Comput. Oper. Res. 31, 1985-2002, section 3).
+Thermal reference readings are put between: of all places that keep the time between two
+of them, those that cost least travel, by dynamic programming along the path (Prins
+2004, Comput. Oper. Res. 31, 1985-2002, section 3).
 """
 
 from __future__ import annotations
@@ -42,7 +46,8 @@ class Path:
     """Poses in the order of reading.
 
     indices  (n,) poses;  run (n,) number of the run that each belongs to
-    steps    (n,) length of the move to each pose, the first from the start (0 without one)
+    steps    (n,) length of the move to each pose, the first from the start (0 without
+             one)
     length   of the whole path, with the way to the finish if there is one
     exact    whether no path is shorter
     """
@@ -73,12 +78,14 @@ class Schedule:
         return np.asarray(self.pose < 0)
 
 
-# -- lengths of moves -------------------------------------------------------------------------------------------------
+# -- lengths of moves ------------------------------------------------------------------
 
 
 def travel_times(before: Array, after: Array, speeds: ArrayLike) -> Array:
-    """Seconds (n, m) from `before` (n, k) to `after` (m, k), joints or commands: the largest move over its speed (k,)
-    or one speed, SI. Joints that move together at full speed take that; a straight move in the command takes longer."""
+    """Seconds (n, m) from `before` (n, k) to `after` (m, k), joints or commands: the
+    largest move over its speed (k,) or one speed, SI. Joints that move together at full
+    speed take that; a straight move in the command takes longer.
+    """
     speed = np.broadcast_to(np.asarray(speeds, dtype=float), before.shape[1:])
     if not (speed > 0.0).all():
         raise ValueError("speeds must be positive")
@@ -86,24 +93,37 @@ def travel_times(before: Array, after: Array, speeds: ArrayLike) -> Array:
 
 
 def travel(measurement: Measurement, series: Series, speeds: ArrayLike) -> Array:
-    """Seconds (n, n) between the poses that the n readings of a series read, by their joints; speeds (nq,) or one."""
+    """Seconds (n, n) between the poses that the n readings of a series read, by their
+    joints; speeds (nq,) or one.
+    """
     joints = series.q[series.index[:, 0]]
     return travel_times(joints, joints, speeds)
 
 
-def travel_from(measurement: Measurement, series: Series, speeds: ArrayLike, command: ArrayLike | None = None) -> Array:
-    """Seconds (n,) from a command (n_dof,), by default home, to the poses that a series reads."""
+def travel_from(
+    measurement: Measurement,
+    series: Series,
+    speeds: ArrayLike,
+    command: ArrayLike | None = None,
+) -> Array:
+    """Seconds (n,) from a command (n_dof,), by default home, to the poses that a series
+    reads.
+    """
     if command is None:  # home is told for the reference tool
         _, q = measurement.kinematics.inverse(measurement.machine.home_command)
     else:
         tool = np.array(measurement.setups[series.setup].tool)
-        _, q = measurement.kinematics.inverse(np.asarray(command, dtype=float)[None], None, tool)
+        _, q = measurement.kinematics.inverse(
+            np.asarray(command, dtype=float)[None], None, tool
+        )
     return np.asarray(travel_times(q, series.q[series.index[:, 0]], speeds)[0])
 
 
 def free_moves(command: Array, clear: Callable[[Array, Array], Mask]) -> Mask:
-    """Which moves (n, n) between commands (n, n_dof) are free; `clear(before, after)` tells it for k moves at once and
-    is taken to hold both ways (`clearance.Clearance.free`)."""
+    """Which moves (n, n) between commands (n, n_dof) are free; `clear(before, after)`
+    tells it for k moves at once and is taken to hold both ways
+    (`clearance.Clearance.free`).
+    """
     i, j = np.triu_indices(len(command), 1)
     free = np.eye(len(command), dtype=bool)
     free[i, j] = free[j, i] = clear(command[i], command[j])
@@ -111,16 +131,17 @@ def free_moves(command: Array, clear: Callable[[Array, Array], Mask]) -> Mask:
 
 
 def around(direct: Array, free: Mask, out: Array, back: Array) -> tuple[Array, Mask]:
-    """Lengths (n, m) of moves, and which of them go by way of a retract pose: those that are not free.
+    """Lengths (n, m) of moves, and which of them go by way of a retract pose: those
+    that are not free.
 
-    out (n,) is the length from each pose to the retract pose, back (m,) from there; inf where that is not free. Moves
-    that are free neither way have length inf.
+    out (n,) is the length from each pose to the retract pose, back (m,) from there; inf
+    where that is not free. Moves that are free neither way have length inf.
     """
     length = np.where(free, direct, out[:, None] + back[None, :])
     return length, np.asarray(~free & np.isfinite(length))
 
 
-# -- the path ---------------------------------------------------------------------------------------------------------
+# -- the path --------------------------------------------------------------------------
 
 
 def order(
@@ -134,11 +155,13 @@ def order(
 ) -> Path:
     """A short path through all poses.
 
-    distance (n, n) of each move, inf where forbidden; start (n,) to each pose from where the machine stands, finish
-    (n,) from each pose to where it is to end (None: anywhere, at no cost). `runs` hold the poses of each run in their
-    own direction, every pose once; `reversible` ones may be taken backwards instead (passes of a protocol in both
-    directions are runs of their own: `Series.passes`). `kicks` random changes are tried where the path is not exact;
-    it is never longer than that of nearest neighbours. Raises ValueError where no path without a forbidden move is
+    distance (n, n) of each move, inf where forbidden; start (n,) to each pose from
+    where the machine stands, finish (n,) from each pose to where it is to end (None:
+    anywhere, at no cost). `runs` hold the poses of each run in their own direction,
+    every pose once; `reversible` ones may be taken backwards instead (passes of a
+    protocol in both directions are runs of their own: `Series.passes`). `kicks` random
+    changes are tried where the path is not exact; it is never longer than that of
+    nearest neighbours. Raises ValueError where no path without a forbidden move is
     found.
     """
     n = len(distance)
@@ -146,7 +169,9 @@ def order(
     _refuse(distance, start, finish, units)
     if n == 0:
         return Path(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), 0.0, True)
-    states = _States.of(np.asarray(distance, dtype=float), start, finish, units, reversible)
+    states = _States.of(
+        np.asarray(distance, dtype=float), start, finish, units, reversible
+    )
     exact = len(units) <= EXACT
     tour = _held_karp(states) if exact else _search(states, rng, kicks)
     length = states.length(tour)
@@ -163,16 +188,22 @@ def order(
     return Path(indices, run, steps, length, exact)
 
 
-def order_setups(costs: Array, rng: np.random.Generator, first: Array | None = None) -> Path:
-    """Order of S set-ups with least re-mounting: costs (S, S) of changing from one to another, first (S,) of mounting
-    each on the bare machine (`remounting`); inf where it cannot be done."""
+def order_setups(
+    costs: Array, rng: np.random.Generator, first: Array | None = None
+) -> Path:
+    """Order of S set-ups with least re-mounting: costs (S, S) of changing from one to
+    another, first (S,) of mounting each on the bare machine (`remounting`); inf where
+    it cannot be done.
+    """
     return order(costs, rng, start=first)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Changes:
-    """Seconds to change the tool, to move the cup (or where else the instrument stands, or is taught), and to change
-    what the settings tell (the bar's length). Another instrument is mounted anew."""
+    """Seconds to change the tool, to move the cup (or where else the instrument stands,
+    or is taught), and to change what the settings tell (the bar's length). Another
+    instrument is mounted anew.
+    """
 
     tool: float
     place: float
@@ -180,7 +211,9 @@ class Changes:
 
 
 def remounting(setups: Sequence[Setup], changes: Changes) -> tuple[Array, Array]:
-    """Seconds (S, S) to change from one set-up to another, and (S,) to mount each first."""
+    """Seconds (S, S) to change from one set-up to another, and (S,) to mount each
+    first.
+    """
     first = np.array([s.instrument.cost.setup for s in setups], dtype=float)
     costs = np.zeros((len(setups), len(setups)))
     for i, a in enumerate(setups):
@@ -212,15 +245,25 @@ class _States:
 
     @classmethod
     def of(
-        cls, distance: Array, start: Array | None, finish: Array | None, units: list[list[int]], reversible: bool
+        cls,
+        distance: Array,
+        start: Array | None,
+        finish: Array | None,
+        units: list[list[int]],
+        reversible: bool,
     ) -> _States:
         members, unit, flip = [np.zeros(0, np.intp)], [-1], [0]
         for number, run in enumerate(units):
             ways = [run, run[::-1]] if reversible and len(run) > 1 else [run]
-            flip += [len(members) + 1, len(members)] if len(ways) == 2 else [len(members)]
+            flip += (
+                [len(members) + 1, len(members)] if len(ways) == 2 else [len(members)]
+            )
             members += [np.array(way, dtype=np.intp) for way in ways]
             unit += [number] * len(ways)
-        entry, leave = np.array([m[0] for m in members[1:]]), np.array([m[-1] for m in members[1:]])
+        entry, leave = (
+            np.array([m[0] for m in members[1:]]),
+            np.array([m[-1] for m in members[1:]]),
+        )
         inner = np.array([distance[m[:-1], m[1:]].sum() for m in members[1:]])
         cost = np.zeros((len(members), len(members)))
         cost[0, 1:] = (0.0 if start is None else start[entry]) + inner
@@ -234,18 +277,28 @@ class _States:
         return float(self.cost[closed[:-1], closed[1:]].sum())
 
 
-def _refuse(distance: Array, start: Array | None, finish: Array | None, units: list[list[int]]) -> None:
+def _refuse(
+    distance: Array, start: Array | None, finish: Array | None, units: list[list[int]]
+) -> None:
     n = len(distance)
     if np.shape(distance) != (n, n):
         raise ValueError(f"distances must be square, not of shape {np.shape(distance)}")
     for name, values in (("start", start), ("finish", finish)):
         if values is not None and np.shape(values) != (n,):
-            raise ValueError(f"{name} must give one length for each of {n} poses, not be of shape {np.shape(values)}")
-    given = [distance[~np.eye(n, dtype=bool)], *(v for v in (start, finish) if v is not None)]
+            raise ValueError(
+                f"{name} must give one length for each of {n} poses, not be of shape"
+                f" {np.shape(values)}"
+            )
+    given = [
+        distance[~np.eye(n, dtype=bool)],
+        *(v for v in (start, finish) if v is not None),
+    ]
     if any(np.isnan(v).any() or (v < 0.0).any() for v in given):
         raise ValueError("lengths must be numbers, not negative; inf forbids a move")
     if sorted(i for run in units for i in run) != list(range(n)) or not all(units):
-        raise ValueError(f"runs must hold each of the poses 0 to {n - 1} once, and none may be empty")
+        raise ValueError(
+            f"runs must hold each of the poses 0 to {n - 1} once, and none may be empty"
+        )
 
 
 def _held_karp(states: _States) -> Index:
@@ -263,7 +316,9 @@ def _held_karp(states: _States) -> Index:
         before[subset | bit[free], free] = last
     total = best[full] + states.cost[1:, 0]
     if not np.isfinite(total.min()):
-        return 1 + np.unique(states.unit[1:], return_index=True)[1]  # none is allowed: any will do to say so
+        return (
+            1 + np.unique(states.unit[1:], return_index=True)[1]
+        )  # none is allowed: any will do to say so
     state, subset, tour = int(total.argmin()), full, []
     while state >= 0:
         tour.append(state + 1)
@@ -284,7 +339,9 @@ def _search(states: _States, rng: np.random.Generator, kicks: int) -> Index:
     for _ in range(kicks):
         a, b, c = np.sort(rng.choice(np.arange(count + 1), 3, replace=False))
         part = here[a:b] if rng.random() < 0.5 else states.flip[here[a:b]][::-1]
-        kicked = _improve(np.concatenate([here[:a], here[b:c], part, here[c:]]), priced, tolerance)
+        kicked = _improve(
+            np.concatenate([here[:a], here[b:c], part, here[c:]]), priced, tolerance
+        )
         if priced.length(kicked) < priced.length(here) * (1.0 + WORSE):
             here = kicked
         if priced.length(here) < priced.length(best) - tolerance:
@@ -293,7 +350,9 @@ def _search(states: _States, rng: np.random.Generator, kicks: int) -> Index:
 
 
 def _nearest(states: _States) -> Index:
-    """The shortest of the paths that always go to the nearest state left, over all first states."""
+    """The shortest of the paths that always go to the nearest state left, over all
+    first states.
+    """
     tours = [_nearest_from(states, first) for first in range(1, len(states.unit))]
     return min(tours, key=states.length)
 
@@ -313,7 +372,10 @@ def _improve(tour: Index, states: _States, tolerance: float) -> Index:
     """The best reversal or shift, until none helps."""
     while True:
         closed = np.concatenate([[0], tour, [0]])
-        shifts = [_shift(closed, states, size) for size in range(1, min(SHIFTED, len(tour) - 1) + 1)]
+        shifts = [
+            _shift(closed, states, size)
+            for size in range(1, min(SHIFTED, len(tour) - 1) + 1)
+        ]
         moves = [_reversal(closed, states), *shifts]
         delta, better = min(moves, key=lambda move: move[0])
         if delta > -tolerance:
@@ -322,7 +384,9 @@ def _improve(tour: Index, states: _States, tolerance: float) -> Index:
 
 
 def _sums(closed: Index, states: _States) -> tuple[Array, Array]:
-    """Length up to each place (n + 2,) of the closed path, forwards and backwards with every run flipped."""
+    """Length up to each place (n + 2,) of the closed path, forwards and backwards with
+    every run flipped.
+    """
     flipped = states.flip[closed]
     forth = np.append(0.0, np.cumsum(states.cost[closed[:-1], closed[1:]]))
     back = np.append(0.0, np.cumsum(states.cost[flipped[1:], flipped[:-1]]))
@@ -335,15 +399,26 @@ def _reversal(closed: Index, states: _States) -> tuple[float, Callable[[], Index
     forth, back = _sums(closed, states)
     into = cost[np.ix_(closed[:-2], flipped[1:-1])]
     out = cost[np.ix_(flipped[1:-1], closed[2:])]
-    delta = into + out + (back[None, 1:-1] - back[1:-1, None]) - (forth[None, 2:] - forth[:-2, None])
+    delta = (
+        into
+        + out
+        + (back[None, 1:-1] - back[1:-1, None])
+        - (forth[None, 2:] - forth[:-2, None])
+    )
     delta[np.tril_indices(len(delta), -1)] = np.inf
     i, j = np.unravel_index(int(delta.argmin()), delta.shape)
     tour = closed[1:-1]
-    return float(delta[i, j]), lambda: np.concatenate([tour[:i], states.flip[tour[i : j + 1]][::-1], tour[j + 1 :]])
+    return float(delta[i, j]), lambda: np.concatenate(
+        [tour[:i], states.flip[tour[i : j + 1]][::-1], tour[j + 1 :]]
+    )
 
 
-def _shift(closed: Index, states: _States, size: int) -> tuple[float, Callable[[], Index]]:
-    """Best change of length by putting `size` neighbours elsewhere, either way round, and the path then."""
+def _shift(
+    closed: Index, states: _States, size: int
+) -> tuple[float, Callable[[], Index]]:
+    """Best change of length by putting `size` neighbours elsewhere, either way round,
+    and the path then.
+    """
     cost, flipped = states.cost, states.flip[closed]
     forth, back = _sums(closed, states)
     i = np.arange(1, len(closed) - size)  # first place of the neighbours
@@ -353,7 +428,11 @@ def _shift(closed: Index, states: _States, size: int) -> tuple[float, Callable[[
     taken = cost[closed[i - 1], closed[j + 1]] - step[i - 1] - step[j]
     turned = (back[j] - back[i]) - (forth[j] - forth[i])
     same = cost[np.ix_(closed[k], closed[i])].T + cost[np.ix_(closed[j], closed[k + 1])]
-    other = cost[np.ix_(closed[k], flipped[j])].T + cost[np.ix_(flipped[i], closed[k + 1])] + turned[:, None]
+    other = (
+        cost[np.ix_(closed[k], flipped[j])].T
+        + cost[np.ix_(flipped[i], closed[k + 1])]
+        + turned[:, None]
+    )
     delta = np.minimum(same, other) + taken[:, None] - step[None, :]
     delta[(k[None, :] >= i[:, None] - 1) & (k[None, :] <= j[:, None])] = np.inf
     a, b = np.unravel_index(int(delta.argmin()), delta.shape)
@@ -368,7 +447,7 @@ def _shift(closed: Index, states: _States, size: int) -> tuple[float, Callable[[
     return float(delta[a, b]), better
 
 
-# -- thermal reference -------------------------------------------------------------------------------------------------
+# -- thermal reference -----------------------------------------------------------------
 
 
 def interleave(
@@ -380,15 +459,22 @@ def interleave(
     reference_reading: float,
     begin: float = 0.0,
 ) -> Schedule:
-    """The path with readings of a thermal reference pose: first, last, and so often that from the end of one to the
-    begin of the next no more than `every` seconds pass.
+    """The path with readings of a thermal reference pose: first, last, and so often
+    that from the end of one to the begin of the next no more than `every` seconds pass.
 
-    reading (n,) or one: seconds a reading, by pose number; path lengths, to_reference (n,) and from_reference (n,) are
-    seconds too. Runs are not broken up. `begin` is when the machine stands at the reference. Raises ValueError where a
-    run alone takes longer than `every`.
+    reading (n,) or one: seconds a reading, by pose number; path lengths, to_reference
+    (n,) and from_reference (n,) are seconds too. Runs are not broken up. `begin` is
+    when the machine stands at the reference. Raises ValueError where a run alone takes
+    longer than `every`.
     """
-    each = np.broadcast_to(np.asarray(reading, dtype=float), path.indices.shape)[path.indices]
-    cuts = np.flatnonzero(np.append(True, path.run[1:] != path.run[:-1])) if len(each) else np.zeros(0, np.intp)
+    each = np.broadcast_to(np.asarray(reading, dtype=float), path.indices.shape)[
+        path.indices
+    ]
+    cuts = (
+        np.flatnonzero(np.append(True, path.run[1:] != path.run[:-1]))
+        if len(each)
+        else np.zeros(0, np.intp)
+    )
     bounds = np.append(cuts, len(each))
     # when each pose's reading ends, from the begin of the first move within the path
     ends = np.cumsum(path.steps + each)
@@ -406,10 +492,14 @@ def interleave(
             seconds = away(bounds[a], bounds[b])
             if seconds > every * (1.0 + 1e-12) and a == b - 1:
                 raise ValueError(
-                    f"the run of pose {path.indices[bounds[a]]} takes {seconds:.6g} s with the way from and to the "
-                    f"reference, longer than {every:.6g} s: read the reference less often, or break the run up"
+                    f"the run of pose {path.indices[bounds[a]]} takes {seconds:.6g} s"
+                    f" with the way from and to the reference, longer than {every:.6g}"
+                    " s: read the reference less often, or break the run up"
                 )
-            if seconds <= every * (1.0 + 1e-12) and least[a] + seconds + reference_reading < least[b]:
+            if (
+                seconds <= every * (1.0 + 1e-12)
+                and least[a] + seconds + reference_reading < least[b]
+            ):
                 least[b], origin[b] = least[a] + seconds + reference_reading, a
     stretches = []
     b = len(bounds) - 1

@@ -1,4 +1,5 @@
-"""Readings polished: poses and set-up variables (cup, bar length, tool) moved together to the next local optimum.
+"""Readings polished: poses and set-up variables (cup, bar length, tool) moved together
+to the next local optimum.
 
 Full space: every pose keeps its pose x, joints q and command c as variables, tied by
 
@@ -6,11 +7,14 @@ Full space: every pose keeps its pose x, joints q and command c as variables, ti
     y - holds(settings) = 0, or within the bar's travel        where the instrument holds its reading,
     sign det phi_x >= clearance |det phi_x at home|            where asked, on either side of a singularity,
 
-within workspace, joint ranges and the ranges of the free set-up variables. Maximised is a smooth criterion of
-M = M0 + H^T H (`oed.design.smooth`), H as `oed.design.reading_slopes` tells. Another tool moves the workspace, and the
-teach pose with it: the variable is c less the tool's shift. IPOPT does the work, with first derivatives by CasADi.
+within workspace, joint ranges and the ranges of the free set-up variables. Maximised is
+a smooth criterion of M = M0 + H^T H (`oed.design.smooth`), H as
+`oed.design.reading_slopes` tells. Another tool moves the workspace, and the teach pose
+with it: the variable is c less the tool's shift. IPOPT does the work, with first
+derivatives by CasADi.
 
-What IPOPT finds counts only after it was computed again by `oed.measurement`: in range, on hold, and better.
+What IPOPT finds counts only after it was computed again by `oed.measurement`: in range,
+on hold, and better.
 """
 
 from __future__ import annotations
@@ -25,7 +29,18 @@ import numpy as np
 from oed import information
 from oed.batch import Array
 from oed.design import reading_slopes, smooth
-from oed.design.reading_plan import HELD, Plan, Ranges, commanded, fault, home_clear, missed, repaired, shift, values
+from oed.design.reading_plan import (
+    HELD,
+    Plan,
+    Ranges,
+    commanded,
+    fault,
+    home_clear,
+    missed,
+    repaired,
+    shift,
+    values,
+)
 from oed.design.smooth import Smooth
 from oed.instrument import Setup
 from oed.kinematics import AssemblyError
@@ -55,7 +70,8 @@ IPOPT: dict[str, Any] = {
     "mu_init": 1e-3,
     "limited_memory_initialization": "constant",
 }
-#: curvature that the quasi-Newton matrix starts from, tried in turn: low ones step far, and may lose the way
+#: curvature that the quasi-Newton matrix starts from, tried in turn: low ones step far,
+#: and may lose the way
 CURVATURE = (30.0, 1000.0)
 
 
@@ -65,7 +81,8 @@ class Polished:
 
     series        as given, with other commands, joints and poses
     measurement   with the set-ups as they are now
-    value_before, value_after   criterion over the directions that the start sees (with a prior: over all)
+    value_before, value_after   criterion over the directions that the start sees (with
+                                a prior: over all)
     words         what was gained, or why the start is kept
     """
 
@@ -93,21 +110,33 @@ def polish_readings(
     clearance: float | None = None,
     iterations: int = 500,
 ) -> Polished:
-    """Readings moved to a local optimum; the start itself, with the reason, where that fails or gains nothing.
+    """Readings moved to a local optimum; the start itself, with the reason, where that
+    fails or gains nothing.
 
-    criterion and prior (n, n) are over the free parameters in the stated scaling. free: set-up -> setting or tool_x,
-    tool_y, tool_z -> range (SI). travel (m): by how much a held reading may differ from its nominal; None: not at
-    all. clearance: least |det phi_x| as a share of that at home. Raises ValueError for unknown names, a start outside
-    the ranges or off hold, recorded joints without commands, and noise that a run shares.
+    criterion and prior (n, n) are over the free parameters in the stated scaling. free:
+    set-up -> setting or tool_x, tool_y, tool_z -> range (SI). travel (m): by how much a
+    held reading may differ from its nominal; None: not at all. clearance: least |det
+    phi_x| as a share of that at home. Raises ValueError for unknown names, a start
+    outside the ranges or off hold, recorded joints without commands, and noise that a
+    run shares.
     """
     start = Plan(measurement, tuple(series))
     variables = _checked(start, free or {}, travel)
-    basis, judge = _judge(start, smooth.determinant() if criterion is None else criterion, scaling, prior)
+    basis, judge = _judge(
+        start, smooth.determinant() if criterion is None else criterion, scaling, prior
+    )
     before = judge(start)
     if not np.isfinite(before):
-        raise ValueError("the start is singular: give readings that see every direction, or a prior")
+        raise ValueError(
+            "the start is singular: give readings that see every direction, or a prior"
+        )
     nlp = _Program(start, variables, travel, clearance)
-    nlp.aim(basis, np.zeros((basis.shape[1],) * 2) if prior is None else prior, judge.criterion, scaling)
+    nlp.aim(
+        basis,
+        np.zeros((basis.shape[1],) * 2) if prior is None else prior,
+        judge.criterion,
+        scaling,
+    )
     words = []
     for curvature in CURVATURE:
         told, z = nlp.solve(curvature, iterations)
@@ -121,33 +150,54 @@ def polish_readings(
             gained = f"polishing gained {after - before:.4g} ({told})"
             return Polished(found.series, found.measurement, before, after, gained)
         words.append(f"{told}: {problem or 'nothing better was found nearby'}")
-    return Polished(start.series, measurement, before, before, f"the start is kept; {'; '.join(words)}")
+    return Polished(
+        start.series,
+        measurement,
+        before,
+        before,
+        f"the start is kept; {'; '.join(words)}",
+    )
 
 
-# -- what is varied, and how it is judged ----------------------------------------------------------------------
+# -- what is varied, and how it is judged ----------------------------------------------
 
 
-def _checked(start: Plan, free: Ranges, travel: float | None) -> dict[str, dict[str, tuple[float, float]]]:
+def _checked(
+    start: Plan, free: Ranges, travel: float | None
+) -> dict[str, dict[str, tuple[float, float]]]:
     """The free set-up variables; raises ValueError for what cannot be a start."""
     setups = start.measurement.setups
     used = {s.setup for s in start.series}
     variables: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in setups}
     for name, ranges in free.items():
         if name not in used:
-            raise ValueError(f"set-up {name!r} reads nothing here; there are {sorted(used)}")
+            raise ValueError(
+                f"set-up {name!r} reads nothing here; there are {sorted(used)}"
+            )
         known = values(setups[name])
         for variable, (lower, upper) in ranges.items():
             if variable not in known:
-                raise ValueError(f"set-up {name}: {variable!r} is none of {sorted(known)}")
+                raise ValueError(
+                    f"set-up {name}: {variable!r} is none of {sorted(known)}"
+                )
             if not lower <= known[variable] <= upper:
-                raise ValueError(f"set-up {name}: {variable} = {known[variable]:g} is outside {lower:g} to {upper:g}")
+                raise ValueError(
+                    f"set-up {name}: {variable} = {known[variable]:g} is outside"
+                    f" {lower:g} to {upper:g}"
+                )
             variables[name][variable] = (float(lower), float(upper))
     for s in start.series:
         if np.isnan(s.command).any():
-            raise ValueError(f"set-up {s.setup}: joints were recorded there, and no commands that could be moved")
+            raise ValueError(
+                f"set-up {s.setup}: joints were recorded there, and no commands that"
+                " could be moved"
+            )
     miss = missed(start, travel)
     if miss > OFF:
-        raise ValueError(f"the start is {miss:.3g} m off what its instrument holds: solve it with Measurement.hold")
+        raise ValueError(
+            f"the start is {miss:.3g} m off what its instrument holds: solve it with"
+            " Measurement.hold"
+        )
     problem = fault(start, variables, None if miss > HELD else travel, None, hold=False)
     if problem is not None:
         raise ValueError(f"not a start: {problem}")
@@ -167,23 +217,34 @@ class _Judge:
         return self.criterion.value(self.prior + rows.T @ rows)
 
 
-def _judge(start: Plan, criterion: Smooth, scaling: information.Scaling, prior: Array | None) -> tuple[Array, _Judge]:
+def _judge(
+    start: Plan, criterion: Smooth, scaling: information.Scaling, prior: Array | None
+) -> tuple[Array, _Judge]:
     """Basis (n, r) of what is judged, and the judge."""
     m = start.measurement
     columns = np.eye(len(m.parameters))[:, m.free]
     if prior is not None:
-        return columns, _Judge(criterion, scaling, columns, np.asarray(prior, dtype=float))
-    _, s, vt = np.linalg.svd(information.scaled(m, start.series, m.nominal, scaling) @ columns, full_matrices=False)
+        return columns, _Judge(
+            criterion, scaling, columns, np.asarray(prior, dtype=float)
+        )
+    _, s, vt = np.linalg.svd(
+        information.scaled(m, start.series, m.nominal, scaling) @ columns,
+        full_matrices=False,
+    )
     seen = vt[s > UNSEEN * s[0]].T
     basis = columns @ seen
-    return basis, _Judge(criterion.within(seen), scaling, basis, np.zeros((seen.shape[1],) * 2))
+    return basis, _Judge(
+        criterion.within(seen), scaling, basis, np.zeros((seen.shape[1],) * 2)
+    )
 
 
-# -- the programme ---------------------------------------------------------------------------------------------
+# -- the programme ---------------------------------------------------------------------
 
 
 class _Program:
-    """The nonlinear programme: variables with bounds and start, constraints, and the way back to readings."""
+    """The nonlinear programme: variables with bounds and start, constraints, and the
+    way back to readings.
+    """
 
     def __init__(
         self,
@@ -201,7 +262,10 @@ class _Program:
         self._g: list[Any] = []
         self._g_lower: list[Array] = []
         self._g_upper: list[Array] = []
-        self._setups = {name: self._setup(start.measurement.setups[name], variables[name]) for name in variables}
+        self._setups = {
+            name: self._setup(start.measurement.setups[name], variables[name])
+            for name in variables
+        }
         self._pose = reading_slopes.pose(self.machine)
         self._shift = shift(start.measurement)
         self._poses = [self._series(s) for s in start.series]
@@ -221,46 +285,76 @@ class _Program:
         self._g_lower.append(np.full(size, lower))
         self._g_upper.append(np.full(size, upper))
 
-    def _setup(self, setup: Setup, ranges: Mapping[str, tuple[float, float]]) -> tuple[Any, Any]:
+    def _setup(
+        self, setup: Setup, ranges: Mapping[str, tuple[float, float]]
+    ) -> tuple[Any, Any]:
         """Settings and tool: numbers, or variables where they are free."""
         made = []
         for name, value in values(setup).items():
             if name in ranges:
                 lower, upper = ranges[name]
-                made.append(self._variable(np.array([[value]]), np.array(lower), np.array(upper)))
+                made.append(
+                    self._variable(
+                        np.array([[value]]), np.array(lower), np.array(upper)
+                    )
+                )
             else:
                 made.append(ca.MX(value))
         split = len(setup.settings)
         order = list(setup.settings)
         settings = [made[order.index(item.name)] for item in setup.instrument.settings]
-        return ca.vertcat(*settings) if settings else ca.MX(0, 1), ca.vertcat(*made[split:])
+        return ca.vertcat(*settings) if settings else ca.MX(0, 1), ca.vertcat(
+            *made[split:]
+        )
 
     def _series(self, s: Series) -> tuple[Any, Any, Any]:
         """Pose, joints, and command less the tool's shift, tied together."""
         setup, (_, tool) = self.start.setup(s), self._setups[s.setup]
         m, joints, command = len(s.q), self.machine.joints, self.machine.command
-        fixed = int(self.start.taught(s))  # the last pose, where taught: fixed but for the tool
+        fixed = int(
+            self.start.taught(s)
+        )  # the last pose, where taught: fixed but for the tool
         still = fixed if tool.is_constant() else 0
         move = m - still
         none = np.full(s.start.shape[1], np.inf)
         x = self._variable(s.start[:move], -none, none)
-        q = self._variable(s.q[:move], np.array([j.lower for j in joints]), np.array([j.upper for j in joints]))
+        q = self._variable(
+            s.q[:move],
+            np.array([j.lower for j in joints]),
+            np.array([j.upper for j in joints]),
+        )
         own = s.command - np.array(setup.tool) @ self._shift.T
-        c = self._variable(own[: m - fixed], np.array([i.lower for i in command]), np.array([i.upper for i in command]))
+        c = self._variable(
+            own[: m - fixed],
+            np.array([i.lower for i in command]),
+            np.array([i.upper for i in command]),
+        )
         all_c = ca.horzcat(c, ca.DM(own[m - fixed :].T))
         moved = all_c[:, :move] + ca.repmat(ca.DM(self._shift) @ tool, 1, move)
-        self._constrain(self._pose.closed.map(move)(x, q, moved, ca.repmat(tool, 1, move)), 0.0, 0.0)
+        self._constrain(
+            self._pose.closed.map(move)(x, q, moved, ca.repmat(tool, 1, move)), 0.0, 0.0
+        )
         if self.clearance is not None and self._pose.clear.numel_out(0):
             home = home_clear(self.start.measurement)
-            self._constrain(self._pose.clear.map(move)(x, q) / home, self.clearance, np.inf)
-        return ca.horzcat(x, ca.DM(s.start[move:].T)), ca.horzcat(q, ca.DM(s.q[move:].T)), all_c
+            self._constrain(
+                self._pose.clear.map(move)(x, q) / home, self.clearance, np.inf
+            )
+        return (
+            ca.horzcat(x, ca.DM(s.start[move:].T)),
+            ca.horzcat(q, ca.DM(s.q[move:].T)),
+            all_c,
+        )
 
     def _seen(self, k: int, index: Index) -> list[Any]:
         """Inputs of the readings that see the poses `index` (n, arity) of series k."""
         x, q, _ = self._poses[k]
         settings, tool = self._setups[self.start.series[k].setup]
         n = len(index)
-        inputs = [v[:, [int(i) for i in index[:, j]]] for j in range(index.shape[1]) for v in (x, q)]
+        inputs = [
+            v[:, [int(i) for i in index[:, j]]]
+            for j in range(index.shape[1])
+            for v in (x, q)
+        ]
         return [*inputs, ca.repmat(settings, 1, n), ca.repmat(tool, 1, n)]
 
     def _hold(self, k: int, value: Any) -> None:
@@ -270,28 +364,48 @@ class _Program:
         if setup.instrument.holds is None:
             return
         settings, _ = self._setups[s.setup]
-        known = {item.name: settings[i] for i, item in enumerate(setup.instrument.settings)}
+        known = {
+            item.name: settings[i] for i, item in enumerate(setup.instrument.settings)
+        }
         index = np.unique(s.index, axis=0)
         y = value.map(len(index))(*self._seen(k, index))
         slack = self.travel or 0.0
         self._constrain(y[0, :] - setup.instrument.holds(known), -slack, slack)
 
-    def aim(self, basis: Array, prior: Array, criterion: Smooth, scaling: information.Scaling) -> None:
+    def aim(
+        self,
+        basis: Array,
+        prior: Array,
+        criterion: Smooth,
+        scaling: information.Scaling,
+    ) -> None:
         """Put up the objective and the held readings."""
         m = ca.MX(ca.DM(prior))
         for k, s in enumerate(self.start.series):
-            one = reading_slopes.reading(self.start.measurement, self.start.setup(s), scaling, basis)
+            one = reading_slopes.reading(
+                self.start.measurement, self.start.setup(s), scaling, basis
+            )
             columns = one.rows.map(len(s))(*self._seen(k, s.index))
             m += columns @ columns.T
             self._hold(k, one.value)
         whole = ca.SX.sym("m", *m.shape)
-        self._judge = ca.Function("judge", [whole], [criterion.expression(whole)], {"cse": True})(m)
+        self._judge = ca.Function(
+            "judge", [whole], [criterion.expression(whole)], {"cse": True}
+        )(m)
 
     def solve(self, curvature: float, iterations: int) -> tuple[str, Array]:
         """IPOPT's words and its last point."""
-        nlp: Any = {"x": ca.vertcat(*self._parts), "f": -self._judge, "g": ca.vertcat(*self._g)}
+        nlp: Any = {
+            "x": ca.vertcat(*self._parts),
+            "f": -self._judge,
+            "g": ca.vertcat(*self._g),
+        }
         ipopt = {**IPOPT, "limited_memory_init_val": curvature, "max_iter": iterations}
-        options: Any = {"ipopt": ipopt, "print_time": False, "show_eval_warnings": False}
+        options: Any = {
+            "ipopt": ipopt,
+            "print_time": False,
+            "show_eval_warnings": False,
+        }
         solver = ca.nlpsol("polish", "ipopt", nlp, options)
         found = solver(
             x0=np.concatenate(self._z),
@@ -301,26 +415,50 @@ class _Program:
             ubg=np.concatenate(self._g_upper),
         )
         told = str(solver.stats()["return_status"]).replace("_", " ").lower()
-        return f"{told} after {solver.stats()['iter_count']} iterations", np.asarray(found["x"], dtype=float).ravel()
+        return (
+            f"{told} after {solver.stats()['iter_count']} iterations",
+            np.asarray(found["x"], dtype=float).ravel(),
+        )
 
     def plan(self, z: Array) -> Plan:
-        """Set-ups and readings at a point, computed anew from its commands and settings alone."""
+        """Set-ups and readings at a point, computed anew from its commands and settings
+        alone.
+        """
         z = np.clip(z, np.concatenate(self._lower), np.concatenate(self._upper))
-        wanted = [v for pair in self._setups.values() for v in pair] + [c.T for _, _, c in self._poses]
+        wanted = [v for pair in self._setups.values() for v in pair] + [
+            c.T for _, _, c in self._poses
+        ]
         read = ca.Function("read", [ca.vertcat(*self._parts)], wanted)
         numbers = [np.asarray(v, dtype=float) for v in read.call([ca.DM(z)])]
         setups, commands = [], numbers[2 * len(self._setups) :]
         for i, name in enumerate(self._setups):
-            setups.append(self._changed(self.start.measurement.setups[name], numbers[2 * i], numbers[2 * i + 1]))
+            setups.append(
+                self._changed(
+                    self.start.measurement.setups[name],
+                    numbers[2 * i],
+                    numbers[2 * i + 1],
+                )
+            )
         measurement = Measurement(self.machine, setups)
         plan = Plan(measurement, self.start.series)
-        shifted = [c + np.array(plan.setup(s).tool) @ self._shift.T for s, c in zip(plan.series, commands, strict=True)]
+        shifted = [
+            c + np.array(plan.setup(s).tool) @ self._shift.T
+            for s, c in zip(plan.series, commands, strict=True)
+        ]
         return commanded(plan, shifted)
 
     def _changed(self, setup: Setup, settings: Array, tool: Array) -> Setup:
-        values = {item.name: float(v) for item, v in zip(setup.instrument.settings, settings.ravel(), strict=True)}
+        values = {
+            item.name: float(v)
+            for item, v in zip(setup.instrument.settings, settings.ravel(), strict=True)
+        }
         own = tuple(float(v) for v in tool.ravel())
         teach = None
         if setup.teach is not None:
-            teach = tuple(np.array(setup.teach) + self._shift @ (np.array(own) - np.array(setup.tool)))
-        return dataclasses.replace(setup, settings=values, tool=(own[0], own[1], own[2]), teach=teach)
+            teach = tuple(
+                np.array(setup.teach)
+                + self._shift @ (np.array(own) - np.array(setup.tool))
+            )
+        return dataclasses.replace(
+            setup, settings=values, tool=(own[0], own[1], own[2]), teach=teach
+        )

@@ -1,6 +1,7 @@
 """tr M^-p after one candidate is added, exactly, for all candidates at once.
 
-With A = M^-1 and one row x added, M + x x^T has the inverse B = A - u u^T, u = A x / sqrt(1 + x^T A x). From
+With A = M^-1 and one row x added, M + x x^T has the inverse B = A - u u^T, u = A x /
+sqrt(1 + x^T A x). From
 
     det(I - t B) = det(I - t A) (1 + s(t)),      s(t) = sum_k a_k t^(k+1),   a_k = u^T A^k u,
 
@@ -8,8 +9,9 @@ and -log det(I - t B) = sum_p tr(B^p) t^p / p follows, coefficient by coefficien
 
     tr B^p = tr A^p - p c_p,      log(1 + s(t)) = sum_p c_p t^p,      c_p = a_(p-1) - sum_(k<p) (k/p) c_k a_(p-k-1).
 
-In the eigenbasis of M the a_k of all candidates are one matrix product. p = 1 is the A-criterion; a large p is led by
-the least eigenvalue, so growing p leads from A to E without its kinks.
+In the eigenbasis of M the a_k of all candidates are one matrix product. p = 1 is the
+A-criterion; a large p is led by the least eigenvalue, so growing p leads from A to E
+without its kinks.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from oed.batch import Array
 
 
 def after_adding(values: Array, vectors: Array, rows: Array, p: int) -> Array:
-    """tr (M + x x^T)^-p (C,) for each row x of (C, n), up to the common factor max(values^-p).
+    """tr (M + x x^T)^-p (C,) for each row x of (C, n), up to the common factor
+    max(values^-p).
 
     values, vectors: eigenvalues (n,) and eigenvectors (n, n) of M, positive definite.
     """

@@ -1,6 +1,8 @@
-"""Readings as a whole plan: at other commands, back on hold, and what is wrong with them, by `oed.measurement` alone.
+"""Readings as a whole plan: at other commands, back on hold, and what is wrong with
+them, by `oed.measurement` alone.
 
-Nothing here knows of the programme that found a plan (`oed.design.polish`): what it says is checked anew.
+Nothing here knows of the programme that found a plan (`oed.design.polish`): what it
+says is checked anew.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ class Plan:
 
 def shift(measurement: Measurement) -> Array:
     """(n_dof, 3): by how much a tool moves each command coordinate."""
-    return np.array([[float(c.name == n) for n in "xyz"] for c in measurement.machine.command])
+    return np.array(
+        [[float(c.name == n) for n in "xyz"] for c in measurement.machine.command]
+    )
 
 
 def values(setup: Setup) -> dict[str, float]:
@@ -49,13 +53,17 @@ def values(setup: Setup) -> dict[str, float]:
 
 
 def commanded(plan: Plan, commands: Sequence[Array]) -> Plan:
-    """The readings at other commands (m, n_dof), teach poses as taught. Raises AssemblyError for some out of reach."""
+    """The readings at other commands (m, n_dof), teach poses as taught. Raises
+    AssemblyError for some out of reach.
+    """
     made = []
     for s, c in zip(plan.series, commands, strict=True):
         c = c.copy()
         if plan.taught(s):
             c[-1] = plan.setup(s).teach
-        x, q = plan.measurement.kinematics.inverse(c, None, np.array(plan.setup(s).tool))
+        x, q = plan.measurement.kinematics.inverse(
+            c, None, np.array(plan.setup(s).tool)
+        )
         made.append(dataclasses.replace(s, q=q, start=x, command=c))
     return Plan(plan.measurement, tuple(made))
 
@@ -68,23 +76,31 @@ def home_clear(measurement: Measurement) -> float:
 
 
 def _off(plan: Plan, s: Series, travel: float | None) -> Array | None:
-    """By how much (n,) the readings of a series are off what they hold or off its travel; None where nothing is."""
+    """By how much (n,) the readings of a series are off what they hold or off its
+    travel; None where nothing is.
+    """
     setup = plan.setup(s)
     if setup.instrument.holds is None:
         return None
-    y = plan.measurement.readings([s], plan.measurement.nominal).reshape(len(s), -1)[:, 0]
+    y = plan.measurement.readings([s], plan.measurement.nominal).reshape(len(s), -1)[
+        :, 0
+    ]
     off = y - setup.instrument.holds(setup.settings)
     return np.asarray(off - np.clip(off, -(travel or 0.0), travel or 0.0))
 
 
 def missed(plan: Plan, travel: float | None) -> float:
-    """By how much (m, rad), at the most, a reading is off what it holds or off its travel."""
+    """By how much (m, rad), at the most, a reading is off what it holds or off its
+    travel.
+    """
     off = [o for s in plan.series if (o := _off(plan, s, travel)) is not None]
     return max((float(np.abs(o).max()) for o in off), default=0.0)
 
 
 def repaired(plan: Plan, travel: float | None) -> Plan:
-    """Rounding of the held readings taken out by Newton steps of the commands, within the workspace."""
+    """Rounding of the held readings taken out by Newton steps of the commands, within
+    the workspace.
+    """
     for _ in range(6):
         if missed(plan, travel) <= HELD / 10:
             break
@@ -106,9 +122,15 @@ def _stepped(plan: Plan, s: Series, travel: float | None) -> Array:
             moved = command.copy()
             moved[rows, j] += step
             side = commanded(Plan(plan.measurement, (s,)), [moved]).series[0]
-            ends.append(plan.measurement.readings([side], plan.measurement.nominal).reshape(len(s), -1)[:, 0])
+            ends.append(
+                plan.measurement.readings([side], plan.measurement.nominal).reshape(
+                    len(s), -1
+                )[:, 0]
+            )
         slope[:, j] = (ends[0] - ends[1]) / 2e-6
-        at_edge = (command[rows, j] <= box[j].lower + 1e-8) | (command[rows, j] >= box[j].upper - 1e-8)
+        at_edge = (command[rows, j] <= box[j].lower + 1e-8) | (
+            command[rows, j] >= box[j].upper - 1e-8
+        )
         slope[at_edge, j] = 0.0
     size = np.maximum(np.sum(slope**2, axis=1, keepdims=True), 1e-12)
     moved = command.copy()
@@ -135,12 +157,17 @@ def fault(
         for _, name, *_ in machine.out_of_range(own, plan.setup(s).tool):
             return f"{name} leaves the workspace"
         for k, joint in enumerate(machine.joints):
-            if s.q[:, k].min() < joint.lower - JOINT or s.q[:, k].max() > joint.upper + JOINT:
+            if (
+                s.q[:, k].min() < joint.lower - JOINT
+                or s.q[:, k].max() > joint.upper + JOINT
+            ):
                 return f"{joint.name} leaves its range"
         if clearance is not None:
             clear = reading_slopes.pose(machine).clear.map(len(s.q))(s.start.T, s.q.T)
             shares = np.asarray(clear, dtype=float).ravel()
-            if shares.size and (shares / home_clear(plan.measurement)).min() < clearance * (1 - 1e-6):
+            if shares.size and (
+                shares / home_clear(plan.measurement)
+            ).min() < clearance * (1 - 1e-6):
                 return "a pose is nearer to a singular one than allowed"
     if hold and (miss := missed(plan, travel)) > HELD:
         return f"a held reading is off by {miss:.2g} m"

@@ -1,14 +1,18 @@
-"""Robust designs: plans that are good for many machines and set-ups, not only for the nominal one.
+"""Robust designs: plans that are good for many machines and set-ups, not only for the
+nominal one.
 
-H depends on the parameters that are to be found, and on where a cup comes to stand. Scenarios s = 1..S are drawn from
-both; each has its own rows for the same candidates. With f_s = log phi(M_s) a plan is judged by
+H depends on the parameters that are to be found, and on where a cup comes to stand.
+Scenarios s = 1..S are drawn from both; each has its own rows for the same candidates.
+With f_s = log phi(M_s) a plan is judged by
 
     "mean"   sum_s f_s / S            (pseudo-Bayesian; Chaloner and Verdinelli 1995)
-    "cvar"   the mean of the worst share `level` of the f_s (Rockafellar and Uryasev 2000)
+    "cvar"   the mean of the worst share `level` of the f_s (Rockafellar and Uryasev
+             2000)
     "worst"  min_s f_s                (minimax)
 
-All three are min over shares l in a simplex-like set of sum_s l_s f_s, so any shares in it and the supporting lines of
-the f_s give a bound (the joint one of `oed.design.criterion.compound`). The relaxation smooths the minimum: shares
+All three are min over shares l in a simplex-like set of sum_s l_s f_s, so any shares in
+it and the supporting lines of the f_s give a bound (the joint one of
+`oed.design.criterion.compound`). The relaxation smooths the minimum: shares
 proportional to exp(-sharp f_s), capped at 1 / (level S), with `sharp` growing.
 """
 
@@ -38,8 +42,10 @@ SHARP = (4.0, 16.0, 64.0, 256.0, 1024.0)
 class RobustChoice:
     """Chosen candidates, ascending, and what they are worth, as log phi.
 
-    value     by the risk asked for;  values (S,) of each scenario;  bound no plan's value exceeds it
-    nominal   value of the plan found for the first scenario alone, by the same risk: what being robust gains
+    value     by the risk asked for;  values (S,) of each scenario;  bound no plan's
+              value exceeds it
+    nominal   value of the plan found for the first scenario alone, by the same risk:
+              what being robust gains
     """
 
     indices: Index
@@ -66,15 +72,22 @@ def choose(
     prior: Array | None = None,
     starts: int = 5,
 ) -> RobustChoice:
-    """Choose candidates that serve all scenarios (S, C, k, n) of rows; `prior` (n, n) is held in each.
+    """Choose candidates that serve all scenarios (S, C, k, n) of rows; `prior` (n, n)
+    is held in each.
 
-    The criterion must be smooth and see all n directions in every scenario (give a prior, or columns that are seen).
-    Raises ValueError otherwise, or for rules other than a number of readings, or a budget.
+    The criterion must be smooth and see all n directions in every scenario (give a
+    prior, or columns that are seen). Raises ValueError otherwise, or for rules other
+    than a number of readings, or a budget.
     """
     if not criterion.smooth:
-        raise ValueError(f"robust designs know smooth criteria (D, Ds, A, c, I, phi_p, O5), not {criterion.name}")
+        raise ValueError(
+            "robust designs know smooth criteria (D, Ds, A, c, I, phi_p, O5), not"
+            f" {criterion.name}"
+        )
     if not 0.0 < level <= 1.0:
-        raise ValueError(f"the share of worst scenarios must lie in (0, 1], not {level}")
+        raise ValueError(
+            f"the share of worst scenarios must lie in (0, 1], not {level}"
+        )
     n = scenarios.shape[3]
     base = np.zeros((n, n)) if prior is None else prior
     parts = tuple(Plain(criterion, as_blocks(s), base) for s in scenarios)
@@ -83,15 +96,30 @@ def choose(
     first = judge.parts[0]
     plans = [greedy(first, rules, first.ridge()), greedy(judge, rules, first.ridge())]
     nominal = search(first, rules, found.weights, found.slopes, plans[:1], rng, starts)
-    best = search(judge, rules, found.weights, found.slopes, [nominal, *plans], rng, starts)
+    best = search(
+        judge, rules, found.weights, found.slopes, [nominal, *plans], rng, starts
+    )
     values = judge.each(best)
     if not np.isfinite(values).all():
-        raise ValueError("some scenario leaves directions unseen: give a prior, or more readings")
-    return RobustChoice(np.sort(best), risk, judge.value(best), values, found.bound, judge.value(nominal))
+        raise ValueError(
+            "some scenario leaves directions unseen: give a prior, or more readings"
+        )
+    return RobustChoice(
+        np.sort(best),
+        risk,
+        judge.value(best),
+        values,
+        found.bound,
+        judge.value(nominal),
+    )
 
 
-def _relaxed(parts: tuple[Plain, ...], rules: Rules, risk: Risk, level: float) -> Relaxed:
-    """The relaxation under the number of readings, or the budget (mounting left out), whichever is tighter."""
+def _relaxed(
+    parts: tuple[Plain, ...], rules: Rules, risk: Risk, level: float
+) -> Relaxed:
+    """The relaxation under the number of readings, or the budget (mounting left out),
+    whichever is tighter.
+    """
     best: Relaxed | None = None
     for total, cost in rules.totals(parts[0].count):
         scaled = parts if cost is None else tuple(_per(p, cost) for p in parts)
@@ -99,11 +127,17 @@ def _relaxed(parts: tuple[Plain, ...], rules: Rules, risk: Risk, level: float) -
         for sharp in SHARP[:1] if risk == "mean" else SHARP:
             objective = _Scenarios(scaled, risk, level, sharp)
             start = None if found is None else found.weights
-            again = relaxation.solve(objective, total, 1.0 if cost is None else cost, 1e-4, start)
+            again = relaxation.solve(
+                objective, total, 1.0 if cost is None else cost, 1e-4, start
+            )
             bound = again.bound if found is None else min(again.bound, found.bound)
             found = dataclasses.replace(again, bound=bound)
         assert found is not None
-        told = found if cost is None else dataclasses.replace(found, weights=found.weights / cost)
+        told = (
+            found
+            if cost is None
+            else dataclasses.replace(found, weights=found.weights / cost)
+        )
         best = told if best is None or told.bound < best.bound else best
     assert best is not None
     return best
@@ -126,7 +160,9 @@ def aggregated(values: Array, risk: Risk, level: float) -> Array:
 
 
 def _worst_shares(count: int, level: float) -> Array:
-    """Shares of the worst scenarios, ascending by value: 1 / (level S) each until they sum to one."""
+    """Shares of the worst scenarios, ascending by value: 1 / (level S) each until they
+    sum to one.
+    """
     most = 1.0 / (level * count)
     whole = np.minimum(most, np.maximum(1.0 - most * np.arange(count), 0.0))
     return np.asarray(whole[whole > 0])
@@ -152,7 +188,13 @@ class _Judge:
         return float(aggregated(self.each(chosen), self.risk, self.level))
 
     def held(self, chosen: Index, rung: int) -> float:
-        return float(aggregated(np.array([p.held(chosen, rung) for p in self.parts]), self.risk, self.level))
+        return float(
+            aggregated(
+                np.array([p.held(chosen, rung) for p in self.parts]),
+                self.risk,
+                self.level,
+            )
+        )
 
     def added(self, chosen: Index, rung: int, ridge: float | None = None) -> Array:
         table = np.array([p.added(chosen, rung, ridge) for p in self.parts])
@@ -189,12 +231,16 @@ class _Scenarios:
         most = 1.0 if self.risk == "worst" else 1.0 / (self.level * len(values))
         shares = np.exp(-self.sharp * (values - values.min()))
         shares /= shares.sum()
-        for _ in range(len(values)):  # what exceeds the cap goes to the others, in proportion
+        for _ in range(
+            len(values)
+        ):  # what exceeds the cap goes to the others, in proportion
             full = shares >= most
             if full.all() or not (shares > most * (1 + 1e-12)).any():
                 break
             rest = shares[~full].sum()
-            shares = np.where(full, most, shares * (1.0 - most * full.sum()) / max(rest, 1e-300))
+            shares = np.where(
+                full, most, shares * (1.0 - most * full.sum()) / max(rest, 1e-300)
+            )
         return np.asarray(np.minimum(shares, most) / np.minimum(shares, most).sum())
 
     def value(self, active: Index, weights: Array) -> float:
@@ -209,17 +255,23 @@ class _Scenarios:
         return float(shares @ values + (held @ np.log(held * len(values))) / self.sharp)
 
     def line(self, active: Index, weights: Array) -> Line:
-        """The parts' lines, joined by Jensen's inequality; the value is the risk itself."""
+        """The parts' lines, joined by Jensen's inequality; the value is the risk
+        itself.
+        """
         values = np.array([p.value(active, weights) for p in self.parts])
         shares = self._shares(values)
         offset, held, slopes = 0.0, 0.0, np.zeros(self.count)
         for part, share in zip(self.parts, shares, strict=True):
             line = part.line(active, weights)
-            size = float(np.exp(line.value - line.offset))  # <S, M> of a line that touches
+            size = float(
+                np.exp(line.value - line.offset)
+            )  # <S, M> of a line that touches
             offset += share * line.value
             held += share * line.held / size
             slopes += share * line.slopes / size
-        return Line(float(aggregated(values, self.risk, self.level)), slopes, held, offset)
+        return Line(
+            float(aggregated(values, self.risk, self.level)), slopes, held, offset
+        )
 
     def newton(self, active: Index, weights: Array) -> tuple[Array, Array]:
         """Slopes, and curvatures with the shares' own response."""
@@ -230,14 +282,20 @@ class _Scenarios:
         curvature = np.tensordot(shares, np.array([t[1] for t in told]), axes=1)
         mean = shares @ g
         if self.risk != "mean":
-            curvature = curvature + self.sharp * ((g.T * shares) @ g - np.outer(mean, mean))
+            curvature = curvature + self.sharp * (
+                (g.T * shares) @ g - np.outer(mean, mean)
+            )
         return mean, np.asarray(curvature)
 
     def sample(self, chosen: Index) -> _Scenarios:
-        return dataclasses.replace(self, parts=tuple(p.sample(chosen) for p in self.parts))
+        return dataclasses.replace(
+            self, parts=tuple(p.sample(chosen) for p in self.parts)
+        )
 
     def typical(self, weights: Array) -> float:
         return self.parts[0].typical(weights)
 
     def ridged(self, ridge: float) -> _Scenarios:
-        return dataclasses.replace(self, parts=tuple(p.ridged(ridge) for p in self.parts))
+        return dataclasses.replace(
+            self, parts=tuple(p.ridged(ridge) for p in self.parts)
+        )

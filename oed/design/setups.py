@@ -1,9 +1,11 @@
 """Which set-ups to mount: the relaxed value of each combination, greedily and by swaps.
 
-A set-up brings unknowns of its own, so that its first readings tell nothing: an exchange reading by reading never opens
-a new one. Here a combination of set-ups is judged by the relaxation over all its readings (their best weights), which
-no plan with these set-ups exceeds; set-ups are added while that helps, then swapped one for another. Columns that none
-of the combination's candidates touch are left out, so that a relaxation stays small however many set-ups there are.
+A set-up brings unknowns of its own, so that its first readings tell nothing: an
+exchange reading by reading never opens a new one. Here a combination of set-ups is
+judged by the relaxation over all its readings (their best weights), which no plan with
+these set-ups exceeds; set-ups are added while that helps, then swapped one for another.
+Columns that none of the combination's candidates touch are left out, so that a
+relaxation stays small however many set-ups there are.
 """
 
 from __future__ import annotations
@@ -21,23 +23,29 @@ from oed.design.blocks import Index
 from oed.design.criterion import Criterion
 from oed.design.rules import SUBSETS, Rules
 
-#: gap in log phi at which combinations are compared; candidates of a set-up that are looked at
+#: gap in log phi at which combinations are compared; candidates of a set-up that are
+#: looked at
 TOLERANCE, THIN = 1e-2, 60
 #: combinations kept for the exchange
 KEPT = 3
 
 
-def combinations(blocks: Array, criterion: Criterion, base: Array, rules: Rules) -> list[tuple[int, ...]]:
+def combinations(
+    blocks: Array, criterion: Criterion, base: Array, rules: Rules
+) -> list[tuple[int, ...]]:
     """Promising combinations of at most `rules.most_setups` set-ups, the best first.
 
-    All of them where they are few (`oed.design.rules.SUBSETS`). Set-ups mounted already belong to each.
+    All of them where they are few (`oed.design.rules.SUBSETS`). Set-ups mounted already
+    belong to each.
     """
     assert rules.setup is not None
     names = np.setdiff1d(rules.setup, np.array(rules.taken, dtype=np.intp))
     most = min(rules.most_setups or len(names), len(names))
     judge = _Judge(blocks, criterion, base, rules)
     if math.comb(len(names), most) <= SUBSETS:
-        every = sorted(itertools.combinations(map(int, names), most), key=judge, reverse=True)
+        every = sorted(
+            itertools.combinations(map(int, names), most), key=judge, reverse=True
+        )
         return every[:KEPT]
     best: tuple[int, ...] = ()
     for _ in range(most):
@@ -45,16 +53,24 @@ def combinations(blocks: Array, criterion: Criterion, base: Array, rules: Rules)
         grown = [g for g in grown if np.isfinite(judge(g))] or grown
         best = max(grown, key=judge)
     best = _swapped(best, [int(s) for s in names], judge)
-    return sorted(judge.known, key=judge, reverse=True)[:KEPT] if judge.known else [best]
+    return (
+        sorted(judge.known, key=judge, reverse=True)[:KEPT] if judge.known else [best]
+    )
 
 
-def _swapped(best: tuple[int, ...], names: list[int], judge: Callable[[tuple[int, ...]], float]) -> tuple[int, ...]:
+def _swapped(
+    best: tuple[int, ...], names: list[int], judge: Callable[[tuple[int, ...]], float]
+) -> tuple[int, ...]:
     """The combination after swaps of one set-up, until none helps."""
     improved = True
     while improved:
         improved = False
         for out in best:
-            ways = [tuple(sorted((*(s for s in best if s != out), new))) for new in names if new not in best]
+            ways = [
+                tuple(sorted((*(s for s in best if s != out), new)))
+                for new in names
+                if new not in best
+            ]
             found = max(ways, key=judge, default=best)
             if judge(found) > judge(best) + TOLERANCE:
                 best, improved = found, True
@@ -80,12 +96,23 @@ class _Judge:
     def _value(self, some: tuple[int, ...]) -> float:
         assert self.rules.setup is not None
         chosen = thinned(self.rules, some)
-        blocks, base, criterion = touched(self.blocks[chosen], self.base, self.criterion)
-        scale = len(chosen) / int(np.isin(self.rules.setup, [*some, *self.rules.taken]).sum())
+        blocks, base, criterion = touched(
+            self.blocks[chosen], self.base, self.criterion
+        )
+        scale = len(chosen) / int(
+            np.isin(self.rules.setup, [*some, *self.rules.taken]).sum()
+        )
         values = []
-        for pool, total, cost in dataclasses.replace(self.rules.take(chosen), most_setups=None).limits(len(chosen)):
-            scaled = blocks[pool] if cost is None else blocks[pool] / np.sqrt(cost)[:, None, None]
-            # a thinned candidate stands for its neighbours: it may be taken as often as there are of them
+        for pool, total, cost in dataclasses.replace(
+            self.rules.take(chosen), most_setups=None
+        ).limits(len(chosen)):
+            scaled = (
+                blocks[pool]
+                if cost is None
+                else blocks[pool] / np.sqrt(cost)[:, None, None]
+            )
+            # a thinned candidate stands for its neighbours: it may be taken as often as
+            # there are of them
             cap = (1.0 if cost is None else cost) / scale
             try:
                 found = relaxation.relax(scaled, total, base, cap, TOLERANCE, criterion)
@@ -96,7 +123,9 @@ class _Judge:
 
 
 def thinned(rules: Rules, some: tuple[int, ...]) -> Index:
-    """Candidates of a combination of set-ups and those mounted, each thinned evenly to about `THIN`."""
+    """Candidates of a combination of set-ups and those mounted, each thinned evenly to
+    about `THIN`.
+    """
     assert rules.setup is not None
     kept = []
     for s in (*some, *rules.taken):
@@ -105,10 +134,18 @@ def thinned(rules: Rules, some: tuple[int, ...]) -> Index:
     return np.sort(np.concatenate(kept)).astype(np.intp)
 
 
-def touched(blocks: Array, base: Array, criterion: Criterion) -> tuple[Array, Array, Criterion]:
-    """The same problem without the columns that no block touches and the information held does not couple."""
+def touched(
+    blocks: Array, base: Array, criterion: Criterion
+) -> tuple[Array, Array, Criterion]:
+    """The same problem without the columns that no block touches and the information
+    held does not couple.
+    """
     alone = ~blocks.any(axis=(0, 1)) & (np.count_nonzero(base, axis=0) <= 1)
     if not alone.any():
         return blocks, base, criterion
     basis = np.eye(base.shape[0])[:, ~alone]
-    return np.ascontiguousarray(blocks[:, :, ~alone]), base[np.ix_(~alone, ~alone)], criterion.within(basis)
+    return (
+        np.ascontiguousarray(blocks[:, :, ~alone]),
+        base[np.ix_(~alone, ~alone)],
+        criterion.within(basis),
+    )

@@ -1,4 +1,6 @@
-"""What a diagnosis says: the verdict, its answers with probabilities, where, how far, and what to do next."""
+"""What a diagnosis says: the verdict, its answers with probabilities, where, how far,
+and what to do next.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +18,11 @@ UNKNOWN = "unknown"
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Answer:
-    """One explanation: effects acting together (none: no gap; `unknown` for a shape no effect has), its probability.
+    """One explanation: effects acting together (none: no gap; `unknown` for a shape no
+    effect has), its probability.
 
-    classes  for each effect the names that these readings cannot tell it from, itself among them
+    classes  for each effect the names that these readings cannot tell it from, itself
+             among them
     """
 
     effects: tuple[str, ...]
@@ -28,7 +32,9 @@ class Answer:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Coefficient:
-    """A coefficient of a selected effect: posterior mean and standard deviation in its own unit."""
+    """A coefficient of a selected effect: posterior mean and standard deviation in its
+    own unit.
+    """
 
     effect: str
     name: str
@@ -39,8 +45,10 @@ class Coefficient:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Size:
-    """How large an effect is in these readings: root mean square, SI, by channel; before and after what the geometry
-    absorbs (in units of the noise: detectability sqrt(lambda))."""
+    """How large an effect is in these readings: root mean square, SI, by channel;
+    before and after what the geometry absorbs (in units of the noise: detectability
+    sqrt(lambda)).
+    """
 
     effect: str
     rms: Mapping[str, float]
@@ -49,7 +57,9 @@ class Size:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Block:
-    """Where a gap lies: `leg K` from 1, `run ID`, `time A-B` in s, `phase A-B` in deg, `direction +1`; corrected p."""
+    """Where a gap lies: `leg K` from 1, `run ID`, `time A-B` in s, `phase A-B` in deg,
+    `direction +1`; corrected p.
+    """
 
     block: str
     p_value: float
@@ -58,9 +68,11 @@ class Block:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Closure:
-    """How far the gap shrinks on held-out readings: C = (S0 - S1) / (S0 - Snoise), 95 % interval, chance of harm.
+    """How far the gap shrinks on held-out readings: C = (S0 - S1) / (S0 - Snoise), 95 %
+    interval, chance of harm.
 
-    S: mean squared residual, standardised by its predictive covariance. `n` readings were held out.
+    S: mean squared residual, standardised by its predictive covariance. `n` readings
+    were held out.
     """
 
     split: Literal["within", "whole"]
@@ -78,19 +90,24 @@ class Closure:
 class Diagnosis:
     """A diagnosis of one set of readings.
 
-    verdict        none, effect, class (which of several cannot be told), mixture (an effect and an unknown remainder,
-                   or several effects), unknown
+    verdict        none, effect, class (which of several cannot be told), mixture (an
+                   effect and an unknown remainder, or several effects), unknown
     answers        by probability, none first only where it is sure, see `answers`
-    set95          the fewest sets of named effects that together have 95 %, see `answers`
+    set95          the fewest sets of named effects that together have 95 %, see
+                   `answers`
     marginal       {effect: probability that it acts}
     law            noise as estimated;  noise_words: the same in words
-    constants      {effect: its constants' values in the form that suits the readings best}
+    constants      {effect: its constants' values in the form that suits the readings
+                   best}
     coefficients, sizes   of the selected effects
     explained      (N,) part of the residual that the selected effects explain, SI
     unexplained    (N,) part that an unknown remainder explains, SI
-    likeness       {what the unknown remainder is like, in words: probability}, the likeliest first; empty without one
-    before, after  (N,) residuals of the calibration without and with the selected effects, SI
-    where, closure, not_testable {effect: why}, confusable (groups of names), next (sentences)
+    likeness       {what the unknown remainder is like, in words: probability}, the
+                   likeliest first; empty without one
+    before, after  (N,) residuals of the calibration without and with the selected
+                   effects, SI
+    where, closure, not_testable {effect: why}, confusable (groups of names), next
+    (sentences)
     """
 
     problem: Problem

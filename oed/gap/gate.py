@@ -1,8 +1,10 @@
 """Whether a gap stands out in one place, where the evidence would have none.
 
-The evidence shares its prior among forms; a gap that none of them has well may stand out in one leg, run or stretch of
-time all the same. The scan over places tests that without any prior. Of its p-value, corrected for all places, this
-much at most can be made against no gap: its odds are divided by B = 1 / (-e p ln p) (Sellke, Bayarri, Berger 2001).
+The evidence shares its prior among forms; a gap that none of them has well may stand
+out in one leg, run or stretch of time all the same. The scan over places tests that
+without any prior. Of its p-value, corrected for all places, this much at most can be
+made against no gap: its odds are divided by B = 1 / (-e p ln p) (Sellke, Bayarri,
+Berger 2001).
 """
 
 from __future__ import annotations
@@ -20,8 +22,15 @@ from oed.gap.which import Hypothesis, Search
 SEEN = 0.05
 
 
-def weighed(made: Sequence[Search], hypotheses: Sequence[Hypothesis], shares: Array, rng: np.random.Generator) -> Array:
-    """Probabilities (hypotheses,) from those by the evidence: changed only where these would have no gap told."""
+def weighed(
+    made: Sequence[Search],
+    hypotheses: Sequence[Hypothesis],
+    shares: Array,
+    rng: np.random.Generator,
+) -> Array:
+    """Probabilities (hypotheses,) from those by the evidence: changed only where these
+    would have no gap told.
+    """
     told, best = answers.told(answers.gathered(made, hypotheses, shares))
     if told[0].effects:
         return shares
@@ -33,7 +42,9 @@ def weighed(made: Sequence[Search], hypotheses: Sequence[Hypothesis], shares: Ar
 
 
 def against_none(p: float) -> float:
-    """The most that a p-value can say against what it tests: a Bayes factor, 1 where the scan has no say."""
+    """The most that a p-value can say against what it tests: a Bayes factor, 1 where
+    the scan has no say.
+    """
     if not 0.0 < p <= 1.0:
         raise ValueError(f"p-value {p}: give one above 0, at most 1")
     return 1.0 / (-math.e * p * math.log(p)) if p < SEEN else 1.0

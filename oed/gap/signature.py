@@ -1,6 +1,8 @@
-"""Signatures: what an effect's coefficients do to the readings, to first order; and exactly, for virtual machines.
+"""Signatures: what an effect's coefficients do to the readings, to first order; and
+exactly, for virtual machines.
 
-The signature of a coefficient is H delta p of its changes, summed over the poses that a reading sees:
+The signature of a coefficient is H delta p of its changes, summed over the poses that a
+reading sees:
 
     G = sum_j y_qj dq_j + y_pj dp_j  +  y_s ds  +  dy.
 """
@@ -18,10 +20,12 @@ from oed.batch import Array
 from oed.effect import Column, Effect, State
 from oed.measurement import Measurement, Response, Series
 
-#: signature below which a coefficient is taken to change nothing, against the noise (both summed over the readings)
+#: signature below which a coefficient is taken to change nothing, against the noise
+#: (both summed over the readings)
 NOTHING = 1e-6
 
-#: how the reason begins for which an effect cannot be tested where a covariate is missing
+#: how the reason begins for which an effect cannot be tested where a covariate is
+#: missing
 LACKS = "the readings do not have "
 
 
@@ -32,7 +36,8 @@ class Signature:
     effect, constants    what it is of
     columns (N, k)       readings per standard deviation of each coefficient, SI
     names, labels (k,)   of the coefficients, and the blocks they belong to
-    scales (k,)          prior standard deviations of the coefficients, in their own units
+    scales (k,)          prior standard deviations of the coefficients, in their own
+                         units
     shape (k,)           which columns only let the form adapt
     textbook             prior share of the form without these
     """
@@ -58,7 +63,8 @@ def signature(
     *,
     textbook: bool = False,
 ) -> Signature:
-    """The effect's signature in the readings of all series, at its `constants`; sigma (N,): their noise, SI.
+    """The effect's signature in the readings of all series, at its `constants`; sigma
+    (N,): their noise, SI.
 
     textbook: without the columns that only let the form adapt
     """
@@ -66,19 +72,27 @@ def signature(
     ends = np.cumsum([0, *sizes])
     found: dict[str, Column] = {}
     values: dict[str, Array] = {}
-    for k, (state, response, s) in enumerate(zip(states, responses, series, strict=True)):
+    for k, (state, response, s) in enumerate(
+        zip(states, responses, series, strict=True)
+    ):
         for column in effect.columns(state, **constants):
             if textbook and column.shape:
                 continue
             if column.name not in values:
                 found[column.name], values[column.name] = column, np.zeros(ends[-1])
-            values[column.name][ends[k] : ends[k + 1]] += column.scale * _read(column, response, measurement, s)
+            values[column.name][ends[k] : ends[k + 1]] += column.scale * _read(
+                column, response, measurement, s
+            )
     sigma = measurement.sigma(series) if sigma is None else sigma
     kept = [n for n, v in values.items() if np.linalg.norm(v / sigma) > NOTHING]
     return Signature(
         effect=effect.name,
         constants=dict(constants),
-        columns=np.column_stack([values[n] for n in kept]) if kept else np.zeros((ends[-1], 0)),
+        columns=(
+            np.column_stack([values[n] for n in kept])
+            if kept
+            else np.zeros((ends[-1], 0))
+        ),
         names=tuple(kept),
         labels=tuple(found[n].label for n in kept),
         scales=np.array([found[n].scale for n in kept]),
@@ -87,12 +101,16 @@ def signature(
     )
 
 
-def _read(column: Column, response: Response, measurement: Measurement, series: Series) -> Array:
+def _read(
+    column: Column, response: Response, measurement: Measurement, series: Series
+) -> Array:
     """Change (n channels,) of a series' readings per unit of a coefficient."""
     setup = measurement.setups[series.setup]
     total = np.zeros(response.nuisances.shape[:2])
     index = measurement.machine.index
-    known = {p.name for p in measurement.machine.parameters} if column.parameters else set()
+    known = (
+        {p.name for p in measurement.machine.parameters} if column.parameters else set()
+    )
     for j, place in enumerate(series.index.T):
         for limb, change in column.joints.items():
             total += response.joints[j][:, :, limb] * change[place, None]
@@ -102,7 +120,10 @@ def _read(column: Column, response: Response, measurement: Measurement, series: 
     read = series.index[:, 0]
     for k, nuisance in enumerate(setup.nuisances):
         if nuisance.name in column.nuisances:
-            total += response.nuisances[:, :, k] * column.nuisances[nuisance.name][read, None]
+            total += (
+                response.nuisances[:, :, k]
+                * column.nuisances[nuisance.name][read, None]
+            )
     for k, channel in enumerate(setup.instrument.channels):
         for name in ("*", channel.name):
             if name in column.reading:
@@ -117,9 +138,11 @@ def exact(
     states: Sequence[State],
     acting: Iterable[tuple[Effect, Mapping[str, float], Mapping[str, float]]],
 ) -> Array:
-    """Noise-free readings (N,) of a machine at theta (n,) with effects, through the exact closure.
+    """Noise-free readings (N,) of a machine at theta (n,) with effects, through the
+    exact closure.
 
-    acting: (effect, its constants, coefficients by name as factors on their prior standard deviations).
+    acting: (effect, its constants, coefficients by name as factors on their prior
+    standard deviations).
     """
     acting = list(acting)
     parts = []
@@ -134,9 +157,17 @@ def exact(
     return np.concatenate(parts)
 
 
-def _exact(measurement: Measurement, series: Series, theta: Array, columns: list[tuple[Column, float]]) -> Array:
+def _exact(
+    measurement: Measurement,
+    series: Series,
+    theta: Array,
+    columns: list[tuple[Column, float]],
+) -> Array:
     setup, machine = measurement.setups[series.setup], measurement.machine
-    joints, parameters = np.zeros(series.q.shape), np.zeros((len(series.q), len(machine.parameters)))
+    joints, parameters = (
+        np.zeros(series.q.shape),
+        np.zeros((len(series.q), len(machine.parameters))),
+    )
     nuisances = np.zeros((len(series), len(setup.nuisances)))
     direct = np.zeros((len(series), len(setup.instrument.channels)))
     known, read = {p.name for p in machine.parameters}, series.index[:, 0]
@@ -154,22 +185,35 @@ def _exact(measurement: Measurement, series: Series, theta: Array, columns: list
             for name in ("*", channel.name):
                 if name in column.reading:
                     direct[:, k] += size * column.reading[name][read]
-    return measurement.moved(series, theta, joints, parameters, nuisances) + direct.ravel()
+    return (
+        measurement.moved(series, theta, joints, parameters, nuisances) + direct.ravel()
+    )
 
 
 def untestable(effect: Effect, states: Sequence[State]) -> str | None:
-    """Why these readings cannot test an effect: what is missing, in words; None where they can."""
+    """Why these readings cannot test an effect: what is missing, in words; None where
+    they can.
+    """
     reason = effect.unfit(states[0].machine)
     if reason is not None:
         return reason
-    missing = [need for need in effect.needs if not any(_there(part.strip(), states) for part in need.split(" or "))]
+    missing = [
+        need
+        for need in effect.needs
+        if not any(_there(part.strip(), states) for part in need.split(" or "))
+    ]
     return LACKS + ", ".join(missing) if missing else None
 
 
 def _there(need: str, states: Sequence[State]) -> bool:
     name, _, wanted = need.partition(":")
     if name.startswith("temp_"):
-        return any(np.isfinite(s.temperature.get(name.removeprefix("temp_"), np.array([np.nan]))).any() for s in states)
+        return any(
+            np.isfinite(
+                s.temperature.get(name.removeprefix("temp_"), np.array([np.nan]))
+            ).any()
+            for s in states
+        )
     values = np.concatenate([getattr(s, name) for s in states])
     values = values[np.isfinite(values)]
     if name == "time":

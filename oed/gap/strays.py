@@ -1,9 +1,11 @@
-"""Readings far off: heavy tails, told from what each reading is predicted to be from all others.
+"""Readings far off: heavy tails, told from what each reading is predicted to be from
+all others.
 
-An error e of density f, with score s(e) = -f'(e) / f(e) and Fisher information I = E s^2, tells of a small change
-what a normal error of s(e) / I and variance 1 / I tells: the log densities agree to second order. With its own error
-replaced so, a reading is one of normal noise; no explanation has outliers of its own, and all compare as they do where
-tails are light (pseudo-values of an M-estimator, Huber 1964).
+An error e of density f, with score s(e) = -f'(e) / f(e) and Fisher information I = E
+s^2, tells of a small change what a normal error of s(e) / I and variance 1 / I tells:
+the log densities agree to second order. With its own error replaced so, a reading is
+one of normal noise; no explanation has outliers of its own, and all compare as they do
+where tails are light (pseudo-values of an M-estimator, Huber 1964).
 """
 
 from __future__ import annotations
@@ -21,11 +23,13 @@ from oed.gap.problem import Problem
 
 #: degrees of freedom of the Student t that are tried
 DEGREES = (3.0, 4.0, 6.0, 10.0)
-#: of normal noise with strays, their share and how many times the ordinary noise they are
+#: of normal noise with strays, their share and how many times the ordinary noise they
+#: are
 SHARES, WILD = (0.005, 0.01, 0.02, 0.05), (5.0, 10.0)
 #: log likelihood over that of normal errors, from which on tails are heavy
 WORTH = 3.0
-#: turns by which strays are told from what others are predicted to be without them; change at which they end
+#: turns by which strays are told from what others are predicted to be without them;
+#: change at which they end
 TURNS, STILL = 12, 1e-3
 #: errors over which the information is integrated
 _GRID = np.linspace(-60.0, 60.0, 12001)
@@ -41,7 +45,11 @@ class Student:
     def log_density(self, e: Array) -> Array:
         """Of errors in units of the scale."""
         n = self.degrees
-        norm = special.gammaln(0.5 * (n + 1.0)) - special.gammaln(0.5 * n) - 0.5 * np.log(n * np.pi)
+        norm = (
+            special.gammaln(0.5 * (n + 1.0))
+            - special.gammaln(0.5 * n)
+            - 0.5 * np.log(n * np.pi)
+        )
         return np.asarray(norm - 0.5 * (n + 1.0) * np.log1p(e**2 / n))
 
     def weight(self, e: Array) -> Array:
@@ -91,9 +99,11 @@ def information(shape: Shape) -> float:
 class Strays:
     """What is told of readings far off.
 
-    residual (N,)     as of normal noise that tells as much, in units of the stated noise
+    residual (N,)     as of normal noise that tells as much, in units of the stated
+                      noise
     shape             density of their errors
-    log_odds          log likelihood of these over that of the residual's own as normal ones
+    log_odds          log likelihood of these over that of the residual's own as normal
+                      ones
     """
 
     residual: Array
@@ -102,7 +112,9 @@ class Strays:
 
     def law(self, law: Law) -> Law:
         """The law of `residual`, with how many of the readings are far off."""
-        return dataclasses.replace(law, tails=self.shape.degrees, strays=self.shape.strays)
+        return dataclasses.replace(
+            law, tails=self.shape.degrees, strays=self.shape.strays
+        )
 
 
 def without(problem: Problem, found: Strays | None) -> Problem:
@@ -111,10 +123,12 @@ def without(problem: Problem, found: Strays | None) -> Problem:
 
 
 def told(problem: Problem, law: Law, columns: Array) -> Strays | None:
-    """Readings far off under a law, beside a model wide enough to hold any gap (columns (N, k) of prior N(0, 1)), so
-    that no gap is taken for one; None where tails are light.
+    """Readings far off under a law, beside a model wide enough to hold any gap (columns
+    (N, k) of prior N(0, 1)), so that no gap is taken for one; None where tails are
+    light.
 
-    By e_i = (C^-1 r)_i / (C^-1)_ii, the error of predicting a reading from all others, these without what is far off.
+    By e_i = (C^-1 r)_i / (C^-1)_ii, the error of predicting a reading from all others,
+    these without what is far off.
     """
     covariance = columns @ columns.T + problem.slopes @ problem.slopes.T
     for k, members in enumerate(problem.blocks):
@@ -136,7 +150,11 @@ def told(problem: Problem, law: Law, columns: Array) -> Strays | None:
         if np.abs(step).max() < STILL:
             break
     least = information(shape)
-    odds = shape.log_density(e) - NORMAL.log_density(normal * np.sqrt(least)) - 0.5 * np.log(least)
+    odds = (
+        shape.log_density(e)
+        - NORMAL.log_density(normal * np.sqrt(least))
+        - 0.5 * np.log(least)
+    )
     return Strays(clean, shape, float(odds.sum()) - np.log(len(SHAPES)))
 
 
@@ -144,8 +162,13 @@ def _fitted(shape: Shape, errors: Array) -> tuple[float, float]:
     """The scale of errors that suits a shape best, and their log likelihood."""
 
     def cost(log_scale: float) -> float:
-        return float(len(errors) * log_scale - shape.log_density(errors * np.exp(-log_scale)).sum())
+        return float(
+            len(errors) * log_scale
+            - shape.log_density(errors * np.exp(-log_scale)).sum()
+        )
 
     middle = np.log(np.median(np.abs(errors)) + 1e-12)
-    found = optimize.minimize_scalar(cost, bounds=(middle - 2.0, middle + 2.0), method="bounded")
+    found = optimize.minimize_scalar(
+        cost, bounds=(middle - 2.0, middle + 2.0), method="bounded"
+    )
     return float(np.exp(found.x)), -float(found.fun)

@@ -1,9 +1,11 @@
-"""What an effect that nobody thought of may look like: smooth processes of low rank over the machine's state.
+"""What an effect that nobody thought of may look like: smooth processes of low rank
+over the machine's state.
 
-Each process is told as an effect, with columns of falling prior size, so that the same machinery serves: over time,
-over the pose, over each joint's travel, over the place along a run and its direction, over the load. In the evidence
-they are made orthogonal to what the parameters and the selected effects explain: an unknown remainder takes nothing
-from them.
+Each process is told as an effect, with columns of falling prior size, so that the same
+machinery serves: over time, over the pose, over each joint's travel, over the place
+along a run and its direction, over the load. In the evidence they are made orthogonal
+to what the parameters and the selected effects explain: an unknown remainder takes
+nothing from them.
 """
 
 from __future__ import annotations
@@ -25,25 +27,35 @@ FEED = 1.0 / 60.0
 #: readings that a run must have for its harmonics to mean something
 WAVES = 8
 #: where bumps are: shares of the session, angles of a run; half a sector's width, rad
-CENTRES, SECTORS, SECTOR = [(k + 0.5) / 12.0 for k in range(12)], [np.pi * k / 6.0 for k in range(12)], 0.35
+CENTRES, SECTORS, SECTOR = (
+    [(k + 0.5) / 12.0 for k in range(12)],
+    [np.pi * k / 6.0 for k in range(12)],
+    0.35,
+)
 #: half-waves over the session of what drifts
 DRIFTS = 12
-#: shares of the session over which a tool's growth hangs together, and modes that it is told by
+#: shares of the session over which a tool's growth hangs together, and modes that it is
+#: told by
 REACHES, GROWING = (0.1, 0.2), 20
-#: share of half a joint's travel over which an error along it hangs together, and modes that it is told by
+#: share of half a joint's travel over which an error along it hangs together, and modes
+#: that it is told by
 BENDS, CURVES = 0.5, 10
-#: share of half the joints' travels over which an error of the workspace hangs together; of its energy that its modes
-#: hold, and the most of them
+#: share of half the joints' travels over which an error of the workspace hangs
+#: together; of its energy that its modes hold, and the most of them
 PATCHES, WHOLE, MODES = (0.3, 0.8), 0.98, 24
 #: what an error of the workspace may come with: the direction, the payload, the feed
 WITH = range(3)
 #: shares of the session within which what settles has done so
 WITHIN = (0.05, 0.15, 0.5)
-#: the same after a set-up's start; temperatures that may be recorded, by the order of their names
+#: the same after a set-up's start; temperatures that may be recorded, by the order of
+#: their names
 MOUNTED, BODIES = (0.03, 0.1), range(8)
 #: shares of a joint's travel within which a reversal is remembered
 SINCE = (0.002, 0.01)
-SOURCE = "Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464, for discrepancies as processes"
+SOURCE = (
+    "Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464, for discrepancies as"
+    " processes"
+)
 
 
 def _share(values: Array, low: float, high: float) -> Array:
@@ -60,7 +72,12 @@ def _cosines(share: Array, count: int) -> list[Array]:
 def _read(state: State, name: str, size: float, wave: Array) -> Iterable[Column]:
     """The same form in each channel of the readings, with a coefficient of its own."""
     for channel in state.channels:
-        yield Column(f"{name} {channel}", size, label=f"channel {channel}", reading={channel: wave})
+        yield Column(
+            f"{name} {channel}",
+            size,
+            label=f"channel {channel}",
+            reading={channel: wave},
+        )
 
 
 def _tool(state: State, name: str, size: float, wave: Array) -> Iterable[Column]:
@@ -91,15 +108,26 @@ def joints_over_time(state: State) -> Iterable[Column]:
     """Drift of each joint."""
     for i in state.limbs:
         for k, wave in enumerate(_cosines(state.progress, DRIFTS), start=1):
-            yield Column(f"leg {i + 1} time {k}", UNIT / k, label=f"leg {i + 1}", joints={i: wave})
+            yield Column(
+                f"leg {i + 1} time {k}",
+                UNIT / k,
+                label=f"leg {i + 1}",
+                joints={i: wave},
+            )
 
 
 def tool_growing(state: State, reach: float) -> Iterable[Column]:
-    """The tool longer and shorter along its axis, as a spindle that warms: a random smooth curve over the session."""
+    """The tool longer and shorter along its axis, as a spindle that warms: a random
+    smooth curve over the session.
+    """
     for k in range(GROWING):
-        grown = smooth.curve(2.0 * state.progress - 1.0, k, reach=2.0 * reach, count=GROWING, straight=1)
+        grown = smooth.curve(
+            2.0 * state.progress - 1.0, k, reach=2.0 * reach, count=GROWING, straight=1
+        )
         change = state.lengthening * grown[:, None]
-        yield Column(f"axis time {k}", UNIT, joints={i: change[:, i] for i in state.limbs})
+        yield Column(
+            f"axis time {k}", UNIT, joints={i: change[:, i] for i in state.limbs}
+        )
 
 
 def settling(state: State, within: float) -> Iterable[Column]:
@@ -115,7 +143,12 @@ def tool_settling(state: State, within: float) -> Iterable[Column]:
 def joints_settling(state: State, within: float) -> Iterable[Column]:
     """The same of each joint."""
     for i in state.limbs:
-        yield Column(f"leg {i + 1} settles", UNIT, label=f"leg {i + 1}", joints={i: np.exp(-state.progress / within)})
+        yield Column(
+            f"leg {i + 1} settles",
+            UNIT,
+            label=f"leg {i + 1}",
+            joints={i: np.exp(-state.progress / within)},
+        )
 
 
 def settling_mounted(state: State, within: float) -> Iterable[Column]:
@@ -129,7 +162,9 @@ def tool_settling_mounted(state: State, within: float) -> Iterable[Column]:
 
 
 def _fading(state: State, within: float) -> Array:
-    """What fades from the start of a set-up (m,); nothing where there is only one, whose start is the session's."""
+    """What fades from the start of a set-up (m,); nothing where there is only one,
+    whose start is the session's.
+    """
     if np.ptp(state.progress) > 1.0 - 1e-9:
         return np.zeros(len(state))
     return np.asarray(np.exp(-(state.progress - state.progress.min()) / within))
@@ -152,11 +187,15 @@ def joints_over_temperature(state: State, body: float) -> Iterable[Column]:
         q = state.joints[:, i]
         at = 2.0 * _share(q, float(q.min()), float(q.max())) - 1.0
         for name, change in (("warm", rise), ("warm travel", rise * at)):
-            yield Column(f"leg {i + 1} {name}", UNIT, label=f"leg {i + 1}", joints={i: change})
+            yield Column(
+                f"leg {i + 1} {name}", UNIT, label=f"leg {i + 1}", joints={i: change}
+            )
 
 
 def _risen(state: State, body: float) -> Array:
-    """How much warmer than at the session's start (m,), K, a body is: zeros where it was not recorded."""
+    """How much warmer than at the session's start (m,), K, a body is: zeros where it
+    was not recorded.
+    """
     names = sorted(state.temperature)
     if body >= len(names):
         return np.zeros(len(state))
@@ -166,22 +205,31 @@ def _risen(state: State, body: float) -> Array:
 
 def windows(state: State, when: float, lasts: float) -> Iterable[Column]:
     """Something for a while: a bump at a share of the session."""
-    yield from _both(state, "while", UNIT, np.exp(-0.5 * ((state.progress - when) / lasts) ** 2))
+    yield from _both(
+        state, "while", UNIT, np.exp(-0.5 * ((state.progress - when) / lasts) ** 2)
+    )
 
 
 def run_start(state: State, readings: float) -> Iterable[Column]:
     """Something that fades after a run's first readings."""
-    yield from _both(state, "start", UNIT, np.exp(-np.maximum(state.order, 0.0) / readings))
+    yield from _both(
+        state, "start", UNIT, np.exp(-np.maximum(state.order, 0.0) / readings)
+    )
 
 
 def over_pose(state: State) -> Iterable[Column]:
-    """A smooth error over the workspace: products of the scaled pose up to the third degree."""
-    yield from _products(state, _coordinates(state), "pose", 3 if len(state.machine.command) <= 3 else 2)
+    """A smooth error over the workspace: products of the scaled pose up to the third
+    degree.
+    """
+    yield from _products(
+        state, _coordinates(state), "pose", 3 if len(state.machine.command) <= 3 else 2
+    )
 
 
 def coming_back(state: State, reach: float) -> Iterable[Column]:
-    """What is the same whenever the machine is there: a random smooth error over all joints' travels of the readings of
-    each set-up."""
+    """What is the same whenever the machine is there: a random smooth error over all
+    joints' travels of the readings of each set-up.
+    """
     yield from _field(state, reach, np.ones(len(state)))
 
 
@@ -195,8 +243,12 @@ def _field(state: State, reach: float, share: Array) -> Iterable[Column]:
     if not share.any():
         return
     low, high = state.stroke
-    at = np.column_stack([2.0 * _share(state.joints[:, i], low[i], high[i]) - 1.0 for i in state.limbs])
-    for k, mode in enumerate(smooth.field(at, reach=reach, share=WHOLE, count=MODES).T, start=1):
+    at = np.column_stack(
+        [2.0 * _share(state.joints[:, i], low[i], high[i]) - 1.0 for i in state.limbs]
+    )
+    for k, mode in enumerate(
+        smooth.field(at, reach=reach, share=WHOLE, count=MODES).T, start=1
+    ):
         yield from _read(state, f"{state.setup} {k}", UNIT, share * mode)
 
 
@@ -207,7 +259,9 @@ def _loaded(state: State) -> Array:
 
 
 def _coordinates(state: State) -> Array:
-    """Tool point and tilt of each pose, about the machine's middle, scaled by its workspace."""
+    """Tool point and tilt of each pose, about the machine's middle, scaled by its
+    workspace.
+    """
     spans = np.array([0.15 if c.unit == "m" else 0.4 for c in state.machine.pose])
     return np.asarray((state.pose - state.home) / spans)
 
@@ -216,7 +270,9 @@ def _products(state: State, values: Array, name: str, degree: int) -> Iterable[C
     for order in range(1, degree + 1):
         for combination in combinations_with_replacement(range(values.shape[1]), order):
             power = np.prod(values[:, combination], axis=1)
-            yield from _read(state, f"{name} {combination}", UNIT / 2.0 ** (order - 1), power)
+            yield from _read(
+                state, f"{name} {combination}", UNIT / 2.0 ** (order - 1), power
+            )
 
 
 def in_a_sector(state: State, centre: float, way: float) -> Iterable[Column]:
@@ -238,35 +294,55 @@ def in_a_run(state: State) -> Iterable[Column]:
         for k, wave in enumerate(waves):
             place = f"run {state.setup} {run}"
             for channel in state.channels:
-                yield Column(f"{place} {k} {channel}", UNIT, label=place, reading={channel: np.where(here, wave, 0.0)})
+                yield Column(
+                    f"{place} {k} {channel}",
+                    UNIT,
+                    label=place,
+                    reading={channel: np.where(here, wave, 0.0)},
+                )
 
 
 def over_travel(state: State) -> Iterable[Column]:
-    """An error of each joint over its travel: a random smooth curve over what the session reads of it."""
+    """An error of each joint over its travel: a random smooth curve over what the
+    session reads of it.
+    """
     low, high = state.stroke
     for i in state.limbs:
         at = 2.0 * _share(state.joints[:, i], low[i], high[i]) - 1.0
         for k in range(CURVES):
             curve = smooth.curve(at, k, reach=BENDS, count=CURVES, straight=1)
-            yield Column(f"leg {i + 1} travel {k + 1}", UNIT, label=f"leg {i + 1}", joints={i: curve})
+            yield Column(
+                f"leg {i + 1} travel {k + 1}",
+                UNIT,
+                label=f"leg {i + 1}",
+                joints={i: curve},
+            )
 
 
 def over_phase(state: State) -> Iterable[Column]:
     """Harmonics along the runs, common to both directions and opposite in them."""
     sign = np.where(np.isfinite(state.direction), state.direction, 0.0)
     for k in range(1, 9):
-        for name, wave in (("c", np.cos(k * state.phase)), ("s", np.sin(k * state.phase))):
+        for name, wave in (
+            ("c", np.cos(k * state.phase)),
+            ("s", np.sin(k * state.phase)),
+        ):
             yield from _read(state, f"phase {name}{k}", UNIT / k, wave)
             yield from _read(state, f"phase {name}{k} direction", UNIT / k, wave * sign)
     yield from _read(state, "direction", UNIT, sign)
 
 
 def tool_over_phase(state: State) -> Iterable[Column]:
-    """The tool displaced by harmonics along the runs, common to both directions and opposite in them."""
+    """The tool displaced by harmonics along the runs, common to both directions and
+    opposite in them.
+    """
     sign = np.where(np.isfinite(state.direction), state.direction, 0.0)
     yield from _tool(state, "direction", UNIT, sign)
     for k in range(1, 4):
-        for name, wave in (("c", np.cos(k * state.phase)), ("s", np.sin(k * state.phase))):
+        for name, wave in (
+            ("c", np.cos(k * state.phase)),
+            ("s", np.sin(k * state.phase)),
+        ):
             yield from _tool(state, f"phase {name}{k}", UNIT / k, wave)
             yield from _tool(state, f"phase {name}{k} direction", UNIT / k, wave * sign)
 
@@ -281,22 +357,40 @@ def of_another(state: State, shift: float) -> Iterable[Column]:
     for i in state.limbs:
         other, q = rate[:, (i + int(shift)) % count], state.joints[:, i]
         at = 2.0 * _share(q, float(q.min()), float(q.max())) - 1.0
-        for name, change in (("rate", other), ("speed", np.abs(other)), ("rate travel", other * at)):
-            yield Column(f"leg {i + 1} {name}", UNIT, label=f"leg {i + 1}", joints={i: change})
+        for name, change in (
+            ("rate", other),
+            ("speed", np.abs(other)),
+            ("rate travel", other * at),
+        ):
+            yield Column(
+                f"leg {i + 1} {name}", UNIT, label=f"leg {i + 1}", joints={i: change}
+            )
 
 
 def over_sense(state: State) -> Iterable[Column]:
-    """An error of each joint with the sign of its motion, over its travel, and since it last turned back."""
+    """An error of each joint with the sign of its motion, over its travel, and since it
+    last turned back.
+    """
     for i in state.limbs:
         q = state.joints[:, i]
         share = _share(q, float(q.min()), float(q.max()))
         gone = state.reversal[:, i] / max(float(np.ptp(q)), 1e-12)
         for k, since in enumerate(SINCE, start=1):
             change = state.sense[:, i] * np.exp(-gone / since)
-            yield Column(f"leg {i + 1} turned {k}", UNIT, label=f"leg {i + 1}", joints={i: change})
+            yield Column(
+                f"leg {i + 1} turned {k}",
+                UNIT,
+                label=f"leg {i + 1}",
+                joints={i: change},
+            )
         for k, wave in enumerate([np.ones(len(state)), *_cosines(share, 3)]):
             change = state.sense[:, i] * wave
-            yield Column(f"leg {i + 1} sense {k}", UNIT / (1.0 + k / 2.0), label=f"leg {i + 1}", joints={i: change})
+            yield Column(
+                f"leg {i + 1} sense {k}",
+                UNIT / (1.0 + k / 2.0),
+                label=f"leg {i + 1}",
+                joints={i: change},
+            )
 
 
 def over_load(state: State) -> Iterable[Column]:
@@ -323,8 +417,9 @@ def parameters_over_load(state: State) -> Iterable[Column]:
 
 
 def together(machine: Machine) -> dict[int, float]:
-    """The machine's uncertain parameters, by number, with their shares of a change of all of them by one unit: each by
-    its tolerance against that of lengths."""
+    """The machine's uncertain parameters, by number, with their shares of a change of
+    all of them by one unit: each by its tolerance against that of lengths.
+    """
     free = {k: p for k, p in enumerate(machine.parameters) if p.tolerance > 0.0}
     usual = np.median([p.tolerance for p in free.values() if p.unit == "m"] or [1.0])
     return {k: float(p.tolerance / usual / np.sqrt(len(free))) for k, p in free.items()}
@@ -339,9 +434,14 @@ def over_feed(state: State) -> Iterable[Column]:
     feed = (feed - FEED) / FEED
     yield from _read(state, "feed", UNIT, feed)
     for k in range(1, 5):
-        for name, wave in (("c", np.cos(k * state.phase)), ("s", np.sin(k * state.phase))):
+        for name, wave in (
+            ("c", np.cos(k * state.phase)),
+            ("s", np.sin(k * state.phase)),
+        ):
             yield from _read(state, f"feed {name}{k}", UNIT / k, feed * wave)
-            yield from _read(state, f"feed {name}{k} direction", UNIT / k, feed * wave * sign)
+            yield from _read(
+                state, f"feed {name}{k} direction", UNIT / k, feed * wave * sign
+            )
 
 
 def tool_over_feed(state: State) -> Iterable[Column]:
@@ -356,7 +456,12 @@ def tool_over_feed(state: State) -> Iterable[Column]:
         yield from _tool(state, f"feed s{k}", UNIT / k, feed * np.sin(k * state.phase))
 
 
-def _process(name: str, about: str, columns: Callable[..., Iterable[Column]], **constants: Sequence[float]) -> Effect:
+def _process(
+    name: str,
+    about: str,
+    columns: Callable[..., Iterable[Column]],
+    **constants: Sequence[float],
+) -> Effect:
     return Effect(
         name=name,
         source=SOURCE,
@@ -367,7 +472,8 @@ def _process(name: str, about: str, columns: Callable[..., Iterable[Column]], **
     )
 
 
-#: processes that act on all readings alike, few enough that each reading is still told by the others
+#: processes that act on all readings alike, few enough that each reading is still told
+#: by the others
 BROAD = (
     "over time",
     "joints over time",
@@ -383,35 +489,119 @@ PROCESSES: Sequence[Effect] = (
     _process("over time", "drift of the readings", over_time),
     _process("tool over time", "drift of the tool's place", tool_over_time),
     _process("joints over time", "drift of the joints", joints_over_time),
-    _process("tool growing", "the tool longer and shorter along its axis", tool_growing, reach=REACHES),
-    _process("settling", "readings that settle as the session goes on", settling, within=WITHIN),
-    _process("tool settling", "the tool's place settles as the session goes on", tool_settling, within=WITHIN),
-    _process("joints settling", "joints that settle as the session goes on", joints_settling, within=WITHIN),
-    _process("settling in set-ups", "readings that settle in each set-up", settling_mounted, within=MOUNTED),
     _process(
-        "tool settling in set-ups", "the tool's place settles in each set-up", tool_settling_mounted, within=MOUNTED
+        "tool growing",
+        "the tool longer and shorter along its axis",
+        tool_growing,
+        reach=REACHES,
     ),
-    _process("with a temperature", "an error of the readings with a temperature", over_temperature, body=BODIES),
-    _process("tool with a temperature", "the tool displaced with a temperature", tool_over_temperature, body=BODIES),
     _process(
-        "joints with a temperature", "joints that change with a temperature", joints_over_temperature, body=BODIES
+        "settling",
+        "readings that settle as the session goes on",
+        settling,
+        within=WITHIN,
     ),
-    _process("for a while", "a disturbance for part of the session", windows, when=CENTRES, lasts=(0.04, 0.1)),
-    _process("at the start of runs", "an error that fades after a run's start", run_start, readings=(1.5, 5.0)),
+    _process(
+        "tool settling",
+        "the tool's place settles as the session goes on",
+        tool_settling,
+        within=WITHIN,
+    ),
+    _process(
+        "joints settling",
+        "joints that settle as the session goes on",
+        joints_settling,
+        within=WITHIN,
+    ),
+    _process(
+        "settling in set-ups",
+        "readings that settle in each set-up",
+        settling_mounted,
+        within=MOUNTED,
+    ),
+    _process(
+        "tool settling in set-ups",
+        "the tool's place settles in each set-up",
+        tool_settling_mounted,
+        within=MOUNTED,
+    ),
+    _process(
+        "with a temperature",
+        "an error of the readings with a temperature",
+        over_temperature,
+        body=BODIES,
+    ),
+    _process(
+        "tool with a temperature",
+        "the tool displaced with a temperature",
+        tool_over_temperature,
+        body=BODIES,
+    ),
+    _process(
+        "joints with a temperature",
+        "joints that change with a temperature",
+        joints_over_temperature,
+        body=BODIES,
+    ),
+    _process(
+        "for a while",
+        "a disturbance for part of the session",
+        windows,
+        when=CENTRES,
+        lasts=(0.04, 0.1),
+    ),
+    _process(
+        "at the start of runs",
+        "an error that fades after a run's start",
+        run_start,
+        readings=(1.5, 5.0),
+    ),
     _process("over the pose", "a smooth error over the workspace", over_pose),
-    _process("coming back", "an error that comes back in the same place", coming_back, reach=PATCHES),
     _process(
-        "coming back with", "an error that comes back with what changes", coming_back_with, reach=PATCHES, what=WITH
+        "coming back",
+        "an error that comes back in the same place",
+        coming_back,
+        reach=PATCHES,
+    ),
+    _process(
+        "coming back with",
+        "an error that comes back with what changes",
+        coming_back_with,
+        reach=PATCHES,
+        what=WITH,
     ),
     _process("in a run", "an error in one run", in_a_run),
-    _process("over the travel", "an error of the joints over their travel", over_travel),
+    _process(
+        "over the travel", "an error of the joints over their travel", over_travel
+    ),
     _process("along the runs", "harmonics along the runs, with direction", over_phase),
-    _process("tool along the runs", "the tool displaced along the runs, with direction", tool_over_phase),
-    _process("in a sector", "an error in a sector, one way", in_a_sector, centre=SECTORS, way=(-1.0, 1.0)),
-    _process("with the motion", "an error with the sign of the joints' motion", over_sense),
-    _process("with another's motion", "an error of a joint with another's motion", of_another, shift=range(1, 6)),
+    _process(
+        "tool along the runs",
+        "the tool displaced along the runs, with direction",
+        tool_over_phase,
+    ),
+    _process(
+        "in a sector",
+        "an error in a sector, one way",
+        in_a_sector,
+        centre=SECTORS,
+        way=(-1.0, 1.0),
+    ),
+    _process(
+        "with the motion", "an error with the sign of the joints' motion", over_sense
+    ),
+    _process(
+        "with another's motion",
+        "an error of a joint with another's motion",
+        of_another,
+        shift=range(1, 6),
+    ),
     _process("with the load", "an error with the payload", over_load),
-    _process("parameters with the load", "parameters that change with the payload", parameters_over_load),
+    _process(
+        "parameters with the load",
+        "parameters that change with the payload",
+        parameters_over_load,
+    ),
     _process("with the feed", "an error with the feed", over_feed),
     _process("tool with the feed", "the tool displaced with the feed", tool_over_feed),
 )

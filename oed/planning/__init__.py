@@ -1,1 +1,3 @@
-"""Which measurement at which stage: options of a catalogue, what a stage tells, the search, and its bound."""
+"""Which measurement at which stage: options of a catalogue, what a stage tells, the
+search, and its bound.
+"""

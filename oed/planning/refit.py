@@ -1,15 +1,18 @@
-"""The most likely parameters after a stage, found fast: for virtual machines by the hundred.
+"""The most likely parameters after a stage, found fast: for virtual machines by the
+hundred.
 
-Minimised is what `oed.identify` minimises, |W (y - f(theta))|^2 + |z|^2, W whitening the noise, over all free
-parameters at once,
+Minimised is what `oed.identify` minimises, |W (y - f(theta))|^2 + |z|^2, W whitening
+the noise, over all free parameters at once,
 
     theta = nominal + T R z,
 
-T the tolerances, R R^T the covariance of what was known before in units of them. Gauss-Newton starts from what was
-believed before the stage, mostly near the end already; a step that does not help is halved. It stops where a further
-step would change the sum by a small share of one, that is, the parameters by a small share of their standard deviation:
-tighter ends cost most of the time and change no interval. Where it fails from the tolerances on, `oed.identify` is
-asked, which takes longer and tells what is wrong.
+T the tolerances, R R^T the covariance of what was known before in units of them.
+Gauss-Newton starts from what was believed before the stage, mostly near the end
+already; a step that does not help is halved. It stops where a further step would change
+the sum by a small share of one, that is, the parameters by a small share of their
+standard deviation: tighter ends cost most of the time and change no interval. Where it
+fails from the tolerances on, `oed.identify` is asked, which takes longer and tells what
+is wrong.
 """
 
 from __future__ import annotations
@@ -27,7 +30,8 @@ from oed.kinematics import AssemblyError
 from oed.measurement import Measurement, Series
 from oed.noise import Noise
 
-#: decrease of the sum of squares that a further step promises, below which it is not worth taking
+#: decrease of the sum of squares that a further step promises, below which it is not
+#: worth taking
 ENOUGH = 1e-5
 #: steps, and times that one is halved, at the most
 STEPS, HALVINGS = 30, 12
@@ -42,9 +46,14 @@ class Refit:
 
 
 def refit(
-    measurement: Measurement, series: Sequence[Series], y: Array, start: Array, root: Array | None = None
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    start: Array,
+    root: Array | None = None,
 ) -> Refit:
-    """Fit all readings y (N,), SI, from theta `start` (n,). `root` is R (free, free), the identity by default.
+    """Fit all readings y (N,), SI, from theta `start` (n,). `root` is R (free, free),
+    the identity by default.
 
     Raises IdentificationError where no fit is found.
     """
@@ -52,12 +61,17 @@ def refit(
     known = np.eye(len(free)) if root is None else root
     scale = measurement.tolerance[free, None] * known
     problem = _Problem(measurement, series, y, free, scale)
-    begin = np.linalg.lstsq(scale, start[free] - measurement.nominal[free], rcond=None)[0]
+    begin = np.linalg.lstsq(scale, start[free] - measurement.nominal[free], rcond=None)[
+        0
+    ]
     found = problem.solved(np.asarray(begin, dtype=float), start)
     if found is not None:
         return found
     if root is not None:
-        raise IdentificationError("the fit of a virtual machine found no end; take a smaller covariance before")
+        raise IdentificationError(
+            "the fit of a virtual machine found no end; take a smaller covariance"
+            " before"
+        )
     slow = identify(measurement, series, y, start=start)
     return Refit(slow.theta, slow.covariance)
 
@@ -73,7 +87,9 @@ class _Problem:
     scale: Array
 
     def solved(self, z: Array, start: Array) -> Refit | None:
-        """Gauss-Newton from z; entries that are held stay as in `start`. None where it finds no end."""
+        """Gauss-Newton from z; entries that are held stay as in `start`. None where it
+        finds no end.
+        """
         noise = self.measurement.noise(self.series)
         theta = self._theta(z, start)
         white, cost = self._misfit(noise, theta, z)
@@ -87,7 +103,9 @@ class _Problem:
             step = np.linalg.solve(h.T @ h + np.eye(len(z)), downhill)
             if downhill @ step < ENOUGH:
                 covariance = np.zeros((len(theta), len(theta)))
-                covariance[np.ix_(self.free, self.free)] = self.scale @ posterior_covariance(h) @ self.scale.T
+                covariance[np.ix_(self.free, self.free)] = (
+                    self.scale @ posterior_covariance(h) @ self.scale.T
+                )
                 return Refit(theta, covariance)
             for halved in range(HALVINGS):
                 trial = z + 0.5**halved * step
@@ -106,7 +124,9 @@ class _Problem:
         return theta
 
     def _misfit(self, noise: Noise, theta: Array, z: Array) -> tuple[Array, float]:
-        """Whitened misfits (N,) and the sum of squares; infinite where a pose cannot be assembled."""
+        """Whitened misfits (N,) and the sum of squares; infinite where a pose cannot be
+        assembled.
+        """
         white = noise.whiten(self.y - self.measurement.try_readings(self.series, theta))
         total = float(white @ white + z @ z)
         return white, total if np.isfinite(total) else np.inf

@@ -1,17 +1,22 @@
-"""What a stage tells: readings chosen, taken as far as the instrument follows, identified, compensated.
+"""What a stage tells: readings chosen, taken as far as the instrument follows,
+identified, compensated.
 
-Before a stage the machine's parameters have covariance S (in tolerance units). Readings that can be taken (`travel`)
-add information; the set-up's own unknowns are profiled out,
+Before a stage the machine's parameters have covariance S (in tolerance units). Readings
+that can be taken (`travel`) add information; the set-up's own unknowns are profiled
+out,
 
     L' = L + M_mm - M_ms (1 + M_ss)^-1 M_sm.
 
-A machine that is far off loses nearly all readings, and will lose those of the next stage as well. So where readings
-may be lost machines are drawn, and each is carried on with its own covariance and its own error (`known`). With d and s
-the errors of machine and set-up before, S_j the joint covariance after, the readings' noise e leaves the error
+A machine that is far off loses nearly all readings, and will lose those of the next
+stage as well. So where readings may be lost machines are drawn, and each is carried on
+with its own covariance and its own error (`known`). With d and s the errors of machine
+and set-up before, S_j the joint covariance after, the readings' noise e leaves the
+error
 
     d' = S_j ( diag(S^-1, 1) (d, s) - H^T e ).
 
-What linearisation cuts off is estimated from the exact model, and profiled out as well (`cut_off`).
+What linearisation cuts off is estimated from the exact model, and profiled out as well
+(`cut_off`).
 """
 
 from __future__ import annotations
@@ -38,7 +43,8 @@ from oed.planning.option import Option
 DRAWS = 48
 #: machines drawn for a first look
 ROUGH = 12
-#: machines drawn to tell what linearisation cuts off, at the most; for each pattern of lost readings, at the least
+#: machines drawn to tell what linearisation cuts off, at the most; for each pattern of
+#: lost readings, at the least
 CUT, CUT_LEAST = 96, 3
 #: chance of being read beyond which no machines are drawn
 CERTAIN = 0.999
@@ -51,7 +57,8 @@ class Stage:
     option      the measurement;  chosen candidates of it
     seconds     time for mounting and reading
     available   (N,) probability that each chosen candidate can be read at all
-    cut_off     (readings,) root mean square, SI, of what linearisation cuts off after the stage
+    cut_off     (readings,) root mean square, SI, of what linearisation cuts off after
+                the stage
     known       of the machine after it
     information (n, n) that it adds
     """
@@ -66,7 +73,9 @@ class Stage:
 
     @property
     def covariance(self) -> Array:
-        """Mean square errors (n, n) of the machine's parameters after it, in tolerance units."""
+        """Mean square errors (n, n) of the machine's parameters after it, in tolerance
+        units.
+        """
         return self.known.square
 
     @property
@@ -84,8 +93,8 @@ def choose(
     climbs: int = 1,
     seconds: float = np.inf,
 ) -> Index:
-    """`count` candidates by greedy choice and exchange, each weighed with its chance of being read; as many as
-    `seconds` pay for where their times differ.
+    """`count` candidates by greedy choice and exchange, each weighed with its chance of
+    being read; as many as `seconds` pay for where their times differ.
 
     held (n, n) is the information about the machine's parameters before.
     """
@@ -95,7 +104,11 @@ def choose(
     worth = np.flatnonzero(chances > 1e-3)
     if len(worth) < count:
         worth = np.argsort(-chances, kind="stable")[:count]
-    judge = Single(option.candidates.blocks[worth] * np.sqrt(chances[worth])[:, None, None], criterion, base)
+    judge = Single(
+        option.candidates.blocks[worth] * np.sqrt(chances[worth])[:, None, None],
+        criterion,
+        base,
+    )
     time = option.seconds[worth]
     if np.ptp(time) == 0.0:  # times that are all alike are paid for by the number
         rules, starts = Rules(size=count), []
@@ -106,7 +119,11 @@ def choose(
     for rung in range(judge.rungs) if climbs else ():
         starts = [climb(judge, rules, s, rung, climbs) for s in starts]
     found = max(starts, key=judge.value)
-    return np.sort(worth[found] if len(found) else np.argsort(option.seconds, kind="stable")[:count])
+    return np.sort(
+        worth[found]
+        if len(found)
+        else np.argsort(option.seconds, kind="stable")[:count]
+    )
 
 
 def _cheapest(time: Array, count: int, seconds: float) -> Index:
@@ -123,10 +140,11 @@ def told(
     exact: bool = True,
     draws: int | None = None,
 ) -> Stage:
-    """The stage that reads the chosen candidates of a machine of which `before` is known, or a covariance (n, n).
+    """The stage that reads the chosen candidates of a machine of which `before` is
+    known, or a covariance (n, n).
 
-    `exact` = False draws few machines, and takes no cut-off; else `draws` where readings may be lost, and half as many
-    to tell what is cut off.
+    `exact` = False draws few machines, and takes no cut-off; else `draws` where
+    readings may be lost, and half as many to tell what is cut off.
     """
     chosen = np.sort(chosen)  # the order of their readings
     state = known(before)
@@ -134,15 +152,22 @@ def told(
     draws = (draws or DRAWS) if exact else ROUGH
     machines = _machines(option, chosen, state, chances, draws, rng)
     blocks, cut = option.candidates.blocks[chosen], np.zeros(0)
-    rows, owner = blocks.reshape(-1, blocks.shape[2]), np.repeat(np.arange(len(chosen)), blocks.shape[1])
+    rows, owner = (
+        blocks.reshape(-1, blocks.shape[2]),
+        np.repeat(np.arange(len(chosen)), blocks.shape[1]),
+    )
     gained = np.array([_gram(rows[p[owner] > 0.0]) for p in machines.patterns])
     if exact:
         left = machines.left(gained)
         each = max(min(draws // 2, CUT) // len(machines.patterns), CUT_LEAST)
-        found = cutting.cut_off(option, chosen, left, machines.patterns, machines.which, each, rng)
+        found = cutting.cut_off(
+            option, chosen, left, machines.patterns, machines.which, each, rng
+        )
         cut = found.rms
         if found.columns is not None:
-            gained = _disturbed(option, chosen, machines.patterns, found.columns, np.isfinite(cut))
+            gained = _disturbed(
+                option, chosen, machines.patterns, found.columns, np.isfinite(cut)
+            )
     after = machines.after(gained, rng)
     seconds = option.mounting + float(option.seconds[chosen].sum())
     added = inverse(after.square) - inverse(state.square)
@@ -151,7 +176,8 @@ def told(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Machines:
-    """Machines before a stage: kinds (P, n, n), errors (P, n) with those of the set-up `own` (P, s), and losses.
+    """Machines before a stage: kinds (P, n, n), errors (P, n) with those of the set-up
+    `own` (P, s), and losses.
 
     patterns (G, N) of candidates taken;  which (P,) of them each machine follows
     """
@@ -171,7 +197,9 @@ class _Machines:
         return made
 
     def left(self, gained: Array) -> Array:
-        """Covariances (P, w, w) of all unknowns after information (G, w, w) of each pattern."""
+        """Covariances (P, w, w) of all unknowns after information (G, w, w) of each
+        pattern.
+        """
         joint = np.linalg.inv(self.prior(gained.shape[1]) + gained[self.which])
         return np.asarray(0.5 * (joint + np.swapaxes(joint, 1, 2)))
 
@@ -183,38 +211,69 @@ class _Machines:
             return Known(kinds, None, self.lost, np.asarray(kinds.mean(axis=0)))
         others = rng.standard_normal((len(kinds), wide - n))
         others[:, : self.own.shape[1]] = self.own
-        before = np.einsum("pnm,pm->pn", self.prior(wide), np.hstack([self.errors, others]))
-        read = np.einsum("pnm,pm->pn", roots(gained)[self.which], rng.standard_normal((len(kinds), wide)))
+        before = np.einsum(
+            "pnm,pm->pn", self.prior(wide), np.hstack([self.errors, others])
+        )
+        read = np.einsum(
+            "pnm,pm->pn",
+            roots(gained)[self.which],
+            rng.standard_normal((len(kinds), wide)),
+        )
         errors = np.einsum("pnm,pm->pn", joint[:, :n], before - read)
-        # the mean over the noise, for a machine that has lost readings; one that has not is as its covariance says
+        # the mean over the noise, for a machine that has lost readings; one that has
+        # not is as its covariance says
         far = np.einsum("pnm,pm->pn", joint[:, :n], before)
         noise = joint[:, :n] @ gained[self.which] @ np.swapaxes(joint[:, :n], 1, 2)
-        square = np.where(self.lost[:, None, None], noise + far[:, :, None] * far[:, None], kinds)
+        square = np.where(
+            self.lost[:, None, None], noise + far[:, :, None] * far[:, None], kinds
+        )
         return Known(kinds, errors, self.lost, np.asarray(square.mean(axis=0)))
 
 
 def _machines(
-    option: Option, chosen: Index, state: Known, chances: Array, draws: int, rng: np.random.Generator
+    option: Option,
+    chosen: Index,
+    state: Known,
+    chances: Array,
+    draws: int,
+    rng: np.random.Generator,
 ) -> _Machines:
     """Those that are known, or, where readings may be lost, so many drawn from them."""
     extra = option.candidates.blocks.shape[2] - state.columns
     if option.travel is None or chances.min() >= CERTAIN:
-        own = rng.standard_normal((len(state.kinds) if state.errors is not None else 0, extra))
+        own = rng.standard_normal(
+            (len(state.kinds) if state.errors is not None else 0, extra)
+        )
         which = np.zeros(len(state.kinds), dtype=np.intp)
-        return _Machines(state.kinds, state.errors, own, state.lost, np.ones((1, len(chosen))), which)
+        return _Machines(
+            state.kinds, state.errors, own, state.lost, np.ones((1, len(chosen))), which
+        )
     kinds, errors, lost = state.drawn(max(draws // len(state.kinds), 1), rng)
     own = rng.standard_normal((len(kinds), extra))
     taken = travel.within(option, chosen, errors, own[:, : travel.own_columns(option)])
     patterns, which = np.unique(taken, axis=0, return_inverse=True)
-    return _Machines(kinds, errors, own, lost | ~taken.all(axis=1), patterns.astype(float), which.ravel())
+    return _Machines(
+        kinds,
+        errors,
+        own,
+        lost | ~taken.all(axis=1),
+        patterns.astype(float),
+        which.ravel(),
+    )
 
 
-def _disturbed(option: Option, chosen: Index, patterns: Array, columns: Array, reached: Array) -> Array:
-    """Information (G, w + m, w + m) of each pattern with columns (G, readings, m) of what is cut off; readings that no
-    machine reaches tell nothing."""
+def _disturbed(
+    option: Option, chosen: Index, patterns: Array, columns: Array, reached: Array
+) -> Array:
+    """Information (G, w + m, w + m) of each pattern with columns (G, readings, m) of
+    what is cut off; readings that no machine reaches tell nothing.
+    """
     rows = cutting.rows(option, chosen)
     owner = np.repeat(np.arange(len(chosen)), cutting.sizes(option, chosen))
-    wide = [np.hstack([rows, c])[(p[owner] > 0.0) & reached] for p, c in zip(patterns, columns, strict=True)]
+    wide = [
+        np.hstack([rows, c])[(p[owner] > 0.0) & reached]
+        for p, c in zip(patterns, columns, strict=True)
+    ]
     return np.array([_gram(w) for w in wide])
 
 
@@ -223,7 +282,9 @@ def _gram(rows: Array) -> Array:
 
 
 def information(blocks: Array, shares: Array, columns: int) -> Array:
-    """Information (n, n) about the machine, n = `columns`, of blocks (N, k, n + s) with shares (N,) of being read."""
+    """Information (n, n) about the machine, n = `columns`, of blocks (N, k, n + s) with
+    shares (N,) of being read.
+    """
     flat = (blocks * np.sqrt(shares)[:, None, None]).reshape(-1, blocks.shape[2])
     m = flat.T @ flat
     if blocks.shape[2] == columns:

@@ -1,7 +1,9 @@
-"""Which readings can be taken at all: an instrument follows a machine no farther than its travel.
+"""Which readings can be taken at all: an instrument follows a machine no farther than
+its travel.
 
-A reading y_i = h_i d + g_i s + e_i of a machine with error d and a set-up with unknowns s ~ N(0, 1) is lost where
-|h_i d + g_i s| is beyond the travel. Readings of one run are lost together.
+A reading y_i = h_i d + g_i s + e_i of a machine with error d and a set-up with unknowns
+s ~ N(0, 1) is lost where |h_i d + g_i s| is beyond the travel. Readings of one run are
+lost together.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ MANY = 1000
 
 
 def available(option: Option, before: Array | Known) -> Array:
-    """Probability (C,) that a machine can be read at each candidate; `before` is known of it, or a covariance (n, n).
+    """Probability (C,) that a machine can be read at each candidate; `before` is known
+    of it, or a covariance (n, n).
 
     Readings of one run are lost together; how often, is told by drawn machines.
     """
@@ -38,11 +41,18 @@ def available(option: Option, before: Array | Known) -> Array:
 
 
 def available_at_most(option: Option, before: Array | Known) -> Array:
-    """A bound (C,) of the same from above: a run is no more likely to be read than the farthest of its readings."""
+    """A bound (C,) of the same from above: a run is no more likely to be read than the
+    farthest of its readings.
+    """
     if option.travel is None:
         return np.ones(len(option.candidates))
     single = _singly(option, known(before))
-    return np.array([single[first : first + count].min() for first, count in option.candidates.members])
+    return np.array(
+        [
+            single[first : first + count].min()
+            for first, count in option.candidates.members
+        ]
+    )
 
 
 def own_columns(option: Option) -> int:
@@ -50,27 +60,41 @@ def own_columns(option: Option) -> int:
     return int(option.measurement.free.sum()) - option.machine_columns
 
 
-def within(option: Option, chosen: Index, errors: Array, own: Array) -> NDArray[np.bool_]:
-    """Which chosen candidates (N,) machines with errors (P, n), and set-ups with unknowns `own` (P, s), can give:
-    (P, N), all readings of a candidate being within the travel."""
+def within(
+    option: Option, chosen: Index, errors: Array, own: Array
+) -> NDArray[np.bool_]:
+    """Which chosen candidates (N,) machines with errors (P, n), and set-ups with
+    unknowns `own` (P, s), can give: (P, N), all readings of a candidate being within
+    the travel.
+    """
     assert option.travel is not None
     off = np.abs(np.hstack([errors, own]) @ option.first_channels.T) <= option.travel
     first, count = option.candidates.members[chosen].T
     # the last column is only an end that `reduceat` may name
     padded = np.hstack([off, np.ones((len(off), 1), dtype=bool)])
-    return np.asarray(np.logical_and.reduceat(padded, np.column_stack([first, first + count]).ravel(), axis=1)[:, ::2])
+    return np.asarray(
+        np.logical_and.reduceat(
+            padded, np.column_stack([first, first + count]).ravel(), axis=1
+        )[:, ::2]
+    )
 
 
 def _singly(option: Option, machines: Known) -> Array:
-    """Probability (readings,) that each reading by itself is within the travel, by machine and set-up."""
+    """Probability (readings,) that each reading by itself is within the travel, by
+    machine and set-up.
+    """
     assert option.travel is not None
     rows, n = option.first_channels, option.machine_columns
     own = np.sum(rows[:, n:] ** 2, axis=1)
     if machines.errors is not None:
         by_setup = np.sqrt(np.maximum(2.0 * own, 1e-300))
         off = machines.errors @ rows[:, :n].T
-        ends = erf((option.travel - off) / by_setup) + erf((option.travel + off) / by_setup)
+        ends = erf((option.travel - off) / by_setup) + erf(
+            (option.travel + off) / by_setup
+        )
         return np.asarray(0.5 * ends.mean(axis=0))
-    by_machine = np.einsum("in,pnm,im->pi", rows[:, :n], machines.kinds, rows[:, :n], optimize=True)
+    by_machine = np.einsum(
+        "in,pnm,im->pi", rows[:, :n], machines.kinds, rows[:, :n], optimize=True
+    )
     deviation = np.sqrt(np.maximum(own + by_machine, 1e-300))
     return np.asarray(erf(option.travel / deviation / np.sqrt(2.0)).mean(axis=0))

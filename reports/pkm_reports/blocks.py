@@ -1,6 +1,8 @@
-"""What a report is made of: sections of paragraphs, lists, tables and pictures, told once for HTML and PDF.
+"""What a report is made of: sections of paragraphs, lists, tables and pictures, told
+once for HTML and PDF.
 
-All text is plain. No block holds markup, so nothing in a study's names can become markup; each writer escapes.
+All text is plain. No block holds markup, so nothing in a study's names can become
+markup; each writer escapes.
 """
 
 from __future__ import annotations
@@ -50,7 +52,9 @@ class Code:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Column:
-    """A column: numbers stand right and never wrap, words stand left; `wide` ones take the room that is left."""
+    """A column: numbers stand right and never wrap, words stand left; `wide` ones take
+    the room that is left.
+    """
 
     title: str
     number: bool = False

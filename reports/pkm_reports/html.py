@@ -1,4 +1,6 @@
-"""One HTML file that needs nothing else: no network, no script, no font, no second file."""
+"""One HTML file that needs nothing else: no network, no script, no font, no second
+file.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +21,10 @@ def render(document: Document) -> bytes:
 def _template() -> jinja2.Template:
     loader = jinja2.PackageLoader("pkm_reports")
     environment = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=loader,
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     return environment.get_template("report.html.j2")

@@ -12,14 +12,20 @@ from pkm_reports import html as to_html
 from pkm_reports import pdf as to_pdf
 
 
-def write_report(result: Mapping[str, Any], out: Path, *, html: bool = True, pdf: bool = True) -> tuple[Path, ...]:
-    """Writes `report.html` and `report.pdf`, or one of them, into the folder `out` (made if it is not there).
+def write_report(
+    result: Mapping[str, Any], out: Path, *, html: bool = True, pdf: bool = True
+) -> tuple[Path, ...]:
+    """Writes `report.html` and `report.pdf`, or one of them, into the folder `out`
+    (made if it is not there).
 
-    `result` is the mapping decoded from result.json. Files are complete or not there: they are written under
-    another name first. Returns their paths, HTML first. Raises OSError where the folder cannot be written.
+    `result` is the mapping decoded from result.json. Files are complete or not there:
+    they are written under another name first. Returns their paths, HTML first. Raises
+    OSError where the folder cannot be written.
     """
     made = document.build(result)
-    wanted = [("report.html", to_html.render)] * html + [("report.pdf", to_pdf.render)] * pdf
+    wanted = [("report.html", to_html.render)] * html + [
+        ("report.pdf", to_pdf.render)
+    ] * pdf
     pages = {name: render(made) for name, render in wanted}
     out.mkdir(parents=True, exist_ok=True)
     return tuple(_whole(out / name, data) for name, data in pages.items())

@@ -1,4 +1,6 @@
-"""One look for all figures: sizes, colours that colour-blind readers can tell apart, plain-text labels."""
+"""One look for all figures: sizes, colours that colour-blind readers can tell apart,
+plain-text labels.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,14 @@ import numpy as np
 from matplotlib import font_manager, ft2font
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, Formatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import (
+    FixedLocator,
+    Formatter,
+    LogLocator,
+    MaxNLocator,
+    NullFormatter,
+    NullLocator,
+)
 
 from pkm_reports import words
 
@@ -23,7 +32,14 @@ from pkm_reports import words
 WIDTH: Final = 6.7
 
 INK, GREY, LIGHT = "#1f2933", "#7b8794", "#cbd2d9"
-BLUE, ORANGE, GREEN, RED, SKY, PINK = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"
+BLUE, ORANGE, GREEN, RED, SKY, PINK = (
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#d55e00",
+    "#56b4e9",
+    "#cc79a7",
+)
 #: categories, in the order in which they are given out (Okabe and Ito)
 CYCLE: Final = (BLUE, ORANGE, GREEN, RED, SKY, PINK, "#8c6d1f", GREY)
 #: colours too light for white letters
@@ -62,7 +78,9 @@ RC: Final[dict[str, Any]] = {
     "patch.linewidth": 0.6,
     "savefig.facecolor": "white",
     "svg.fonttype": "path",  # no font of the reader's machine is needed
-    "svg.hashsalt": "pkm_reports",  # the same identifiers, hence the same bytes, each time
+    "svg.hashsalt": (
+        "pkm_reports"
+    ),  # the same identifiers, hence the same bytes, each time
     "text.color": INK,
     "text.parse_math": False,  # names may hold a dollar sign
     "xtick.color": INK,
@@ -85,7 +103,9 @@ class Image:
 
     @property
     def uri(self) -> str:
-        """The image as a data URI: it needs no second file, and its identifiers clash with no other image."""
+        """The image as a data URI: it needs no second file, and its identifiers clash
+        with no other image.
+        """
         media = {"svg": "image/svg+xml", "png": "image/png"}[self.kind]
         return f"data:{media};base64,{base64.b64encode(self.data).decode('ascii')}"
 
@@ -98,14 +118,18 @@ def applied() -> Iterator[None]:
 
 
 def figure(height: float, width: float = WIDTH) -> Figure:
-    """An empty figure, inches; built without pyplot, so no window system and no global state."""
+    """An empty figure, inches; built without pyplot, so no window system and no global
+    state.
+    """
     return Figure(figsize=(width, height))
 
 
 def empty(message: str) -> Figure:
     """A figure that says why it shows nothing."""
     drawn = figure(1.0)
-    drawn.text(0.5, 0.5, safe(message, 120), ha="center", va="center", color=GREY, fontsize=9)
+    drawn.text(
+        0.5, 0.5, safe(message, 120), ha="center", va="center", color=GREY, fontsize=9
+    )
     return drawn
 
 
@@ -114,7 +138,9 @@ def render(drawn: Figure) -> Image:
     data = _saved(drawn, "svg", {"Date": None, "Creator": None})
     if len(data) <= LARGEST_SVG:
         return Image(data, "svg", *drawn.get_size_inches())
-    return Image(_saved(drawn, "png", {"Software": None}), "png", *drawn.get_size_inches())
+    return Image(
+        _saved(drawn, "png", {"Software": None}), "png", *drawn.get_size_inches()
+    )
 
 
 def _saved(drawn: Figure, kind: str, metadata: dict[str, None]) -> bytes:
@@ -130,14 +156,18 @@ def _glyphs() -> frozenset[int]:
 
 
 def safe(text: str, longest: int = 30) -> str:
-    """A label that can be drawn: one line, cut where too long, `?` for signs that the font lacks."""
+    """A label that can be drawn: one line, cut where too long, `?` for signs that the
+    font lacks.
+    """
     line = " ".join(str(text).split())
     line = line if len(line) <= longest else line[: longest - 1].rstrip() + "…"
     return "".join(sign if ord(sign) in _glyphs() else "?" for sign in line)
 
 
 def marker(k: int) -> str:
-    """The k-th marker; shifted against the colours, so that colour and marker together repeat late."""
+    """The k-th marker; shifted against the colours, so that colour and marker together
+    repeat late.
+    """
     return MARKERS[(k + k // len(CYCLE)) % len(MARKERS)]
 
 
@@ -161,12 +191,16 @@ def legend_columns(labels: Sequence[str]) -> int:
 
 
 def log_axis(axes: Axes, which: str) -> None:
-    """Logarithmic scale with plain labels; a range of under two decades is labelled at 1, 2, 5, a short one evenly."""
+    """Logarithmic scale with plain labels; a range of under two decades is labelled at
+    1, 2, 5, a short one evenly.
+    """
     getattr(axes, f"set_{which}scale")("log")
     axis = getattr(axes, f"{which}axis")
     low, high = sorted(getattr(axes, f"get_{which}lim")())
     narrow = high < 150.0 * low
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,), numticks=12))
+    axis.set_major_locator(
+        LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,), numticks=12)
+    )
     axis.set_major_formatter(PlainLog())
     axis.set_minor_formatter(NullFormatter())
     if narrow:
@@ -175,7 +209,9 @@ def log_axis(axes: Axes, which: str) -> None:
         axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
 
 
-def fixed_ticks(axes: Axes, which: str, places: Sequence[float], labels: Sequence[str]) -> None:
+def fixed_ticks(
+    axes: Axes, which: str, places: Sequence[float], labels: Sequence[str]
+) -> None:
     """Ticks at given places with given (safe) labels."""
     axis = getattr(axes, f"{which}axis")
     axis.set_major_locator(FixedLocator(list(places)))

@@ -19,11 +19,17 @@ PRETTY: Final = {"um": "µm", "urad": "µrad", "deg": "°", "C": "°C", "1": ""}
 
 def number(value: Any) -> float:
     """A float; null, text and absent entries become NaN."""
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan
+    return (
+        float(value)
+        if isinstance(value, (int, float)) and not isinstance(value, bool)
+        else math.nan
+    )
 
 
 def num(value: Any, digits: int = 3) -> str:
-    """A number with `digits` significant digits; very large and very small ones as powers of ten."""
+    """A number with `digits` significant digits; very large and very small ones as
+    powers of ten.
+    """
     x = number(value)
     if not math.isfinite(x):
         return MISSING if math.isnan(x) else ("∞" if x > 0 else f"{MINUS}∞")
@@ -33,8 +39,11 @@ def num(value: Any, digits: int = 3) -> str:
         return _power(x, digits)
     if x == round(x):
         return _signed(f"{x:.0f}")
-    # Decimals follow the rounded number: 9.996 has one more digit before the point than it seems.
-    decimals = max(0, digits - 1 - math.floor(math.log10(abs(float(f"{x:.{digits - 1}e}")))))
+    # Decimals follow the rounded number: 9.996 has one more digit before the point than
+    # it seems.
+    decimals = max(
+        0, digits - 1 - math.floor(math.log10(abs(float(f"{x:.{digits - 1}e}"))))
+    )
     return _signed(f"{x:.{decimals}f}")
 
 
@@ -59,7 +68,11 @@ def _signed(text: str) -> str:
 def decimals_of(sd: Any) -> int:
     """Decimals that show two significant digits of a standard deviation."""
     x = number(sd)
-    return min(9, max(0, 1 - math.floor(math.log10(x)))) if math.isfinite(x) and x > 0.0 else 3
+    return (
+        min(9, max(0, 1 - math.floor(math.log10(x))))
+        if math.isfinite(x) and x > 0.0
+        else 3
+    )
 
 
 def fixed(value: Any, decimals: int) -> str:
@@ -72,10 +85,16 @@ def fixed(value: Any, decimals: int) -> str:
 
 
 def column(values: Sequence[Any], most: int = 4, digits: int = 7) -> list[str]:
-    """Numbers of one column with one number of decimals: as few as show them all to `digits` digits."""
+    """Numbers of one column with one number of decimals: as few as show them all to
+    `digits` digits.
+    """
     known = [abs(number(v)) for v in values if math.isfinite(number(v))]
     largest = max(known, default=0.0)
-    room = max(0, min(most, digits - 1 - math.floor(math.log10(largest)))) if largest > 0 else 0
+    room = (
+        max(0, min(most, digits - 1 - math.floor(math.log10(largest))))
+        if largest > 0
+        else 0
+    )
     texts = [f"{v:.{room}f}".partition(".")[2].rstrip("0") for v in known]
     decimals = max((len(text) for text in texts), default=0)
     return [fixed(v, decimals) for v in values]
@@ -107,9 +126,15 @@ def percent(share: Any) -> str:
 
 
 def certain(share: Any) -> str:
-    """A guaranteed share as percent with one decimal, never rounded up: 99.96 % is not all."""
+    """A guaranteed share as percent with one decimal, never rounded up: 99.96 % is not
+    all.
+    """
     x = number(share)
-    return f"{fixed(math.floor(1000.0 * x * (1.0 + 1e-12)) / 10.0, 1)}{GAP}%" if math.isfinite(x) else MISSING
+    return (
+        f"{fixed(math.floor(1000.0 * x * (1.0 + 1e-12)) / 10.0, 1)}{GAP}%"
+        if math.isfinite(x)
+        else MISSING
+    )
 
 
 def factor(ratio: Any) -> str:
@@ -142,7 +167,10 @@ def labelled(name: str, value: Any, digits: int = 5) -> str:
 
 def numbers(fields: dict[str, Any], digits: int = 5) -> str:
     """Named numbers in one line."""
-    return ", ".join(labelled(name, value, digits) for name, value in fields.items()) or MISSING
+    return (
+        ", ".join(labelled(name, value, digits) for name, value in fields.items())
+        or MISSING
+    )
 
 
 def count(n: int, noun: str) -> str:
@@ -161,10 +189,16 @@ def listing(items: Iterable[str], most: int = 12) -> str:
 
 
 def sentence(text: str) -> str:
-    """The text as a sentence: a capital where it starts with a plain word, and a full stop."""
+    """The text as a sentence: a capital where it starts with a plain word, and a full
+    stop.
+    """
     text = pretty(text).strip()
     first = text.partition(" ")[0]
-    text = text[:1].upper() + text[1:] if first.isalpha() and first.islower() and len(first) > 1 else text
+    text = (
+        text[:1].upper() + text[1:]
+        if first.isalpha() and first.islower() and len(first) > 1
+        else text
+    )
     return text if not text or text[-1] in ".!?:" else f"{text}."
 
 
@@ -184,7 +218,11 @@ def combination(terms: dict[str, Any], most: int = 10) -> str:
     text = ""
     for k, (name, value) in enumerate(ordered[:most]):
         x = number(value)
-        sign = (MINUS if x < 0 else "") if k == 0 else (f" {MINUS} " if x < 0 else " + ")
+        sign = (
+            (MINUS if x < 0 else "") if k == 0 else (f" {MINUS} " if x < 0 else " + ")
+        )
         size = plain(abs(x), 2)
         text += f"{sign}{'' if size == '1' else size + GAP}{name}"
-    return text + (f" + {len(ordered) - most} smaller terms" if len(ordered) > most else "")
+    return text + (
+        f" + {len(ordered) - most} smaller terms" if len(ordered) > most else ""
+    )

@@ -1,7 +1,8 @@
 """What there is to choose from, and how a name in a study becomes an object.
 
-A model is named by its short name (`a3_head`), by `package.module:attribute`, or by `path/to/file.py:attribute`
-relative to the study; in the last two the attribute may be left out where it is `machine`, `instrument` or `effect`.
+A model is named by its short name (`a3_head`), by `package.module:attribute`, or by
+`path/to/file.py:attribute` relative to the study; in the last two the attribute may be
+left out where it is `machine`, `instrument` or `effect`.
 """
 
 from __future__ import annotations
@@ -36,9 +37,15 @@ class Entry:
 def listing(kind: str) -> list[Entry]:
     """The catalogue of one of KINDS, by name."""
     if kind == "criteria":
-        return [Entry(c.name, c.about, c.source, f"oed.criteria:{c.name}") for c in _criteria().values()]
+        return [
+            Entry(c.name, c.about, c.source, f"oed.criteria:{c.name}")
+            for c in _criteria().values()
+        ]
     found = _found(kind)
-    return [Entry(name, item.about, item.source, where) for name, (where, item) in sorted(found.items())]
+    return [
+        Entry(name, item.about, item.source, where)
+        for name, (where, item) in sorted(found.items())
+    ]
 
 
 def machine(reference: str, folder: Path, place: Place) -> Any:
@@ -81,12 +88,18 @@ def _criteria() -> Mapping[str, Any]:
 
 @functools.cache
 def _found(kind: str) -> dict[str, tuple[str, Any]]:
-    """Every machine, instrument or effect of `pkm_models` by its name, with its long name."""
+    """Every machine, instrument or effect of `pkm_models` by its name, with its long
+    name.
+    """
     from oed.effect import Effect
     from oed.instrument import Instrument
     from oed.machine import Machine
 
-    kinds: dict[str, Any] = {"machines": Machine, "instruments": Instrument, "effects": Effect}
+    kinds: dict[str, Any] = {
+        "machines": Machine,
+        "instruments": Instrument,
+        "effects": Effect,
+    }
     wanted = kinds[kind]
     package = importlib.import_module(f"pkm_models.{kind}")
     found: dict[str, tuple[str, Any]] = {}
@@ -109,14 +122,21 @@ def _lookup(reference: str, kind: str, wanted: type, folder: Path, place: Place)
     if isinstance(item, wanted):
         return item
     there = [n for n, v in vars(module).items() if isinstance(v, wanted)]
-    problem = f"{attribute} is no {wanted.__name__}" if item is not None else f"there is no {attribute} in it"
+    problem = (
+        f"{attribute} is no {wanted.__name__}"
+        if item is not None
+        else f"there is no {attribute} in it"
+    )
     raise place.error(problem, suggest(attribute, there, "there is"), reference)
 
 
 def _by_short_name(name: str, kind: str, place: Place) -> Any:
     found = _found(kind)
     if name not in found:
-        remedy = suggest(name, sorted(found), "known") + ", or a file of your own: path/to/file.py:attribute"
+        remedy = (
+            suggest(name, sorted(found), "known")
+            + ", or a file of your own: path/to/file.py:attribute"
+        )
         raise place.error(f"no such {kind.removesuffix('s')}", remedy, name)
     return found[name][1]
 
@@ -124,27 +144,42 @@ def _by_short_name(name: str, kind: str, place: Place) -> Any:
 def _module(name: str, folder: Path, place: Place) -> ModuleType:
     """A module by its dotted name or its file; whatever it raises is told as bad input."""
     try:
-        return _from_file(folder / name, place) if name.endswith(".py") else importlib.import_module(name)
+        return (
+            _from_file(folder / name, place)
+            if name.endswith(".py")
+            else importlib.import_module(name)
+        )
     except InputError:
         raise
     except ModuleNotFoundError as error:
         problem = f"the module {error.name} was not found"
-        raise place.error(problem, "check the name, or name a file: path/to/file.py:attribute", name) from None
+        raise place.error(
+            problem, "check the name, or name a file: path/to/file.py:attribute", name
+        ) from None
     except (Exception, SystemExit) as error:
-        problem = f"importing it failed with {type(error).__name__}: {shorten(str(error), 120)}"
-        raise place.error(problem, "mend the file, or run it alone with Python to see where", name) from error
+        problem = (
+            f"importing it failed with {type(error).__name__}:"
+            f" {shorten(str(error), 120)}"
+        )
+        raise place.error(
+            problem, "mend the file, or run it alone with Python to see where", name
+        ) from error
 
 
 def _from_file(path: Path, place: Place) -> ModuleType:
     if not path.is_file():
-        raise place.error("there is no such file", "paths are relative to the study file", str(path))
+        raise place.error(
+            "there is no such file", "paths are relative to the study file", str(path)
+        )
     # a name of its own, so that two files called machine.py do not meet
     name = f"pkm_user_{path.stem}_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}"
     if name in sys.modules:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise place.error("this is no Python file", "name a file that ends in .py", str(path))
+        raise place.error(
+            "this is no Python file", "name a file that ends in .py", str(path)
+        )
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:

@@ -1,4 +1,6 @@
-"""Check files without running anything: studies against their machine, readings against the study they are for."""
+"""Check files without running anything: studies against their machine, readings against
+the study they are for.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from pkm_studies.study import Study, load
 
 
 def check(paths: Sequence[Path]) -> Iterator[tuple[Path, str | InputError]]:
-    """For each file what was found, or what is wrong. Readings are checked against the studies among the files."""
+    """For each file what was found, or what is wrong. Readings are checked against the
+    studies among the files.
+    """
     known: list[Resolved] = []
     for path in [p for p in paths if p.suffix != ".csv"]:
         yield path, _guarded(partial(_study, path, known))
@@ -32,12 +36,16 @@ def _guarded(work: Callable[[], str]) -> str | InputError:
 def _study(path: Path, known: list[Resolved]) -> str:
     said = load(path)
     try:
-        known.append(resolve(said, readings=()))  # so that its readings can be checked even where others are absent
+        known.append(
+            resolve(said, readings=())
+        )  # so that its readings can be checked even where others are absent
         found = resolve(said)
     except SourceAbsentError as error:
         return f"the study is sound, but its data is missing: {error.problem}"
     except AssemblyError as error:
-        raise InputError(str(error), "check the machine's numbers and the poses", file=str(path)) from error
+        raise InputError(
+            str(error), "check the machine's numbers and the poses", file=str(path)
+        ) from error
     return _told(said, found)
 
 
@@ -56,7 +64,10 @@ def _readings(path: Path, known: Sequence[Resolved]) -> str:
     naming = [r for r in known if r.study.readings and _names(r.study, path)]
     if not (naming or known):
         rows = sources.check_text(path)
-        return f"{rows} rows are sound as text; give the study as well to check set-ups, poses and units"
+        return (
+            f"{rows} rows are sound as text; give the study as well to check set-ups,"
+            " poses and units"
+        )
     told = []
     for one in naming or known:
         found = sources.from_files([path], one.measure(one.setups))

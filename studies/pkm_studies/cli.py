@@ -1,6 +1,8 @@
-"""The command `oed`. Exit 0: done; 1: a claim fails; 2: bad input, told in one paragraph; 130: interrupted.
+"""The command `oed`. Exit 0: done; 1: a claim fails; 2: bad input, told in one
+paragraph; 130: interrupted.
 
-Everything heavy is imported inside the command that needs it, so that `oed --help` answers at once.
+Everything heavy is imported inside the command that needs it, so that `oed --help`
+answers at once.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ if TYPE_CHECKING:
     from pkm_studies.result import Claim, StudyResult
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-#: errors of the kernel that speak of the input, by module: looked for only where the module is loaded
+#: errors of the kernel that speak of the input, by module: looked for only where the
+#: module is loaded
 INPUT_ERRORS = {
     "oed.units": "UnitError",
     "oed.kinematics": "AssemblyError",
@@ -30,15 +33,25 @@ INPUT_ERRORS = {
 
 app = typer.Typer(
     name="oed",
-    help="Optimal experiment design and uncertainty for calibrating parallel kinematic machines.",
+    help=(
+        "Optimal experiment design and uncertainty for calibrating parallel kinematic"
+        " machines."
+    ),
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 
-StudyPath = Annotated[Path, typer.Argument(metavar="STUDY.study.toml", help="The study file.", show_default=False)]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but errors and failing claims.")]
+StudyPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="STUDY.study.toml", help="The study file.", show_default=False
+    ),
+]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", help="Say nothing but errors and failing claims.")
+]
 
 
 class Kind(enum.StrEnum):
@@ -61,8 +74,13 @@ class Schema(enum.StrEnum):
 @app.command()
 def run(
     study: StudyPath,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [out/NAME].")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed instead of the study's.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results [out/NAME]."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed instead of the study's.")
+    ] = None,
     quiet: Quiet = False,
 ) -> int:
     """Run a study: design, identification, accuracy, report."""
@@ -81,7 +99,12 @@ def run(
 
 @app.command()
 def check(
-    paths: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Studies and readings.", show_default=False)],
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", help="Studies and readings.", show_default=False
+        ),
+    ],
 ) -> int:
     """Check studies and readings; run nothing."""
     from pkm_studies import checks
@@ -99,7 +122,12 @@ def check(
 @app.command()
 def simulate(
     study: StudyPath,
-    out: Annotated[Path, typer.Option(metavar="READINGS.csv", help="File for the readings.", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="READINGS.csv", help="File for the readings.", show_default=False
+        ),
+    ],
 ) -> int:
     """Write readings of a virtual machine, and its truth beside them."""
     from pkm_studies import files
@@ -117,9 +145,16 @@ def simulate(
 @app.command()
 def identify(
     study: StudyPath,
-    readings: Annotated[Path, typer.Option(metavar="CSV", help="The readings.", show_default=False)],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.", show_default=False)],
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed instead of the study's.")] = None,
+    readings: Annotated[
+        Path, typer.Option(metavar="CSV", help="The readings.", show_default=False)
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Folder for the results.", show_default=False),
+    ],
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed instead of the study's.")
+    ] = None,
     quiet: Quiet = False,
 ) -> int:
     """Identify the machine from readings."""
@@ -131,21 +166,33 @@ def identify(
     from pkm_studies import pipeline
 
     with display.shown(quiet=quiet) as shown:
-        result = pipeline.identify_readings(said, [readings], out, seed=seed, progress=shown)
+        result = pipeline.identify_readings(
+            said, [readings], out, seed=seed, progress=shown
+        )
     return _tell(result, out, quiet)
 
 
 @app.command()
 def diagnose(
     study: StudyPath,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Folder for the results.", show_default=False),
+    ],
     readings: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="The readings [those of the study].", show_default=False)
+        Path | None,
+        typer.Option(
+            metavar="CSV", help="The readings [those of the study].", show_default=False
+        ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed instead of the study's.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed instead of the study's.")
+    ] = None,
     quiet: Quiet = False,
 ) -> int:
-    """Find what causes the gap between model and machine: which effect, where, how far it shrinks."""
+    """Find what causes the gap between model and machine: which effect, where, how far
+    it shrinks.
+    """
     from pkm_studies import display, files
     from pkm_studies.study import load
 
@@ -162,11 +209,19 @@ def diagnose(
 @app.command()
 def plan(
     study: StudyPath,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [out/NAME-plan].")] = None,
-    after: Annotated[
-        Path | None, typer.Option(metavar="RESULT_DIR", help="Plan the rest, with what was identified there.")
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results [out/NAME-plan]."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed instead of the study's.")] = None,
+    after: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RESULT_DIR", help="Plan the rest, with what was identified there."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed instead of the study's.")
+    ] = None,
     quiet: Quiet = False,
 ) -> int:
     """Plan which measurements to do, in which order; read and fit nothing."""
@@ -179,7 +234,9 @@ def plan(
     from pkm_studies import pipeline
 
     with display.shown(quiet=quiet) as shown:
-        result = pipeline.plan_stages(said, folder, after=after, seed=seed, progress=shown)
+        result = pipeline.plan_stages(
+            said, folder, after=after, seed=seed, progress=shown
+        )
     if not quiet and result.plan is not None:
         display.stages(result.plan)
     return _tell(result, folder, quiet)
@@ -187,7 +244,12 @@ def plan(
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with a result.json.", show_default=False)],
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR", help="Folder with a result.json.", show_default=False
+        ),
+    ],
 ) -> int:
     """Write the HTML and PDF report again from result.json."""
     from pkm_studies import stored
@@ -210,7 +272,11 @@ def list_(
 
     entries = catalogue.listing(kind.value)
     if as_json:
-        print(json.dumps([dataclasses.asdict(e) for e in entries], indent=2, ensure_ascii=False))
+        print(
+            json.dumps(
+                [dataclasses.asdict(e) for e in entries], indent=2, ensure_ascii=False
+            )
+        )
     elif not entries:
         print(f"There are no {kind.value} yet.")
     else:
@@ -221,7 +287,11 @@ def list_(
 
 
 @app.command()
-def schema(of: Annotated[Schema, typer.Argument(metavar="study|result|readings", show_default=False)]) -> int:
+def schema(
+    of: Annotated[
+        Schema, typer.Argument(metavar="study|result|readings", show_default=False)
+    ],
+) -> int:
     """Print a JSON schema, for editors and scripts."""
     import json
 
@@ -234,8 +304,12 @@ def schema(of: Annotated[Schema, typer.Argument(metavar="study|result|readings",
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="Name of the study.", show_default=False)],
-    machine: Annotated[str, typer.Option(help="A machine of `oed list machines`.", show_default=False)],
-    instrument: Annotated[str, typer.Option(help="One of `oed list instruments`.", show_default=False)],
+    machine: Annotated[
+        str, typer.Option(help="A machine of `oed list machines`.", show_default=False)
+    ],
+    instrument: Annotated[
+        str, typer.Option(help="One of `oed list instruments`.", show_default=False)
+    ],
 ) -> int:
     """Write a commented study to start from."""
     from pkm_studies import template
@@ -247,10 +321,15 @@ def new(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    # before NumPy is loaded: the matrices are small, and two BLAS threads on busy cores slow them down tenfold
+    # before NumPy is loaded: the matrices are small, and two BLAS threads on busy cores
+    # slow them down tenfold
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        code = app(args=None if arguments is None else list(arguments), prog_name="oed", standalone_mode=False)
+        code = app(
+            args=None if arguments is None else list(arguments),
+            prog_name="oed",
+            standalone_mode=False,
+        )
         if code == INTERRUPTED:  # typer's word for Ctrl-C
             _say("interrupted: files written so far are whole")
         sys.stdout.flush()
@@ -258,18 +337,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         return _bad(str(error))
     except (BrokenPipeError, SystemExit):
-        # the reader of our output has gone (`oed list machines | head`), which typer tells as SystemExit
+        # the reader of our output has gone (`oed list machines | head`), which typer
+        # tells as SystemExit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except OSError as error:
         told = error.strerror or type(error).__name__
-        return _bad(f"{error.filename or 'a file'}: {told.lower()}; check the name, its folder and its permissions.")
+        return _bad(
+            f"{error.filename or 'a file'}: {told.lower()}; check the name, its folder"
+            " and its permissions."
+        )
     except _kernel_errors() as error:
         return _bad(shorten(str(error), 500))
     except Exception as error:
         if not hasattr(error, "format_message"):
             raise
-        return _bad(f"{error.format_message().rstrip('.')}; see `oed --help`.")  # how the command was called
+        return _bad(
+            f"{error.format_message().rstrip('.')}; see `oed --help`."
+        )  # how the command was called
 
 
 def _kernel_errors() -> tuple[type[BaseException], ...]:
@@ -291,7 +376,11 @@ def _tell(result: StudyResult, folder: Path, quiet: bool) -> int:
     if not quiet:
         for sentence in result.headline:
             print(sentence)
-        written = [folder / n for n in ("report.html", "report.pdf", "result.json") if (folder / n).is_file()]
+        written = [
+            folder / n
+            for n in ("report.html", "report.pdf", "result.json")
+            if (folder / n).is_file()
+        ]
         print(f"Report: {', '.join(str(p) for p in written)}")
         for claim in result.claims:
             print(f"Claim {_told(claim)}")
@@ -304,8 +393,13 @@ def _tell(result: StudyResult, folder: Path, quiet: bool) -> int:
 def _told(claim: Claim) -> str:
     if claim.met and isinstance(claim.measured, str):
         return f"{claim.claim}: met: {claim.wanted}"
-    measured = f"{claim.measured:.6g}" if isinstance(claim.measured, float) else claim.measured
-    return f"{claim.claim}: {'met' if claim.met else 'not met'}: {claim.wanted}, measured {measured}"
+    measured = (
+        f"{claim.measured:.6g}" if isinstance(claim.measured, float) else claim.measured
+    )
+    return (
+        f"{claim.claim}: {'met' if claim.met else 'not met'}: {claim.wanted}, measured"
+        f" {measured}"
+    )
 
 
 if __name__ == "__main__":

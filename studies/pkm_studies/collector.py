@@ -2,8 +2,9 @@
 
     pytest studies/a3_ball_bar.study.toml::rank
 
-A study runs once a session, into a folder of its own that is removed afterwards. Studies that say `slow = true` carry
-the mark `slow`; where the data that a study reads is absent, its claims are skipped, saying where it was looked for.
+A study runs once a session, into a folder of its own that is removed afterwards.
+Studies that say `slow = true` carry the mark `slow`; where the data that a study reads
+is absent, its claims are skipped, saying where it was looked for.
 """
 
 from __future__ import annotations
@@ -28,8 +29,14 @@ class ClaimNotMet(Exception):  # noqa: N818 - what pytest shows is the claim, no
     """A claim of a study that its result does not meet."""
 
     def __init__(self, claim: Claim) -> None:
-        measured = f"{claim.measured:.9g}" if isinstance(claim.measured, float) else claim.measured
-        super().__init__(f"claim {claim.claim}\n  wanted   {claim.wanted}\n  measured {measured}")
+        measured = (
+            f"{claim.measured:.9g}"
+            if isinstance(claim.measured, float)
+            else claim.measured
+        )
+        super().__init__(
+            f"claim {claim.claim}\n  wanted   {claim.wanted}\n  measured {measured}"
+        )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -37,9 +44,15 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: a study that says it takes minutes")
 
 
-def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+def pytest_collect_file(
+    file_path: Path, parent: pytest.Collector
+) -> pytest.Collector | None:
     """Study files, by their suffix."""
-    return StudyFile.from_parent(parent, path=file_path) if file_path.name.endswith(SUFFIX) else None
+    return (
+        StudyFile.from_parent(parent, path=file_path)
+        if file_path.name.endswith(SUFFIX)
+        else None
+    )
 
 
 class StudyFile(pytest.File):
@@ -93,8 +106,12 @@ class ClaimItem(pytest.Item):
         if not claim.met:
             raise ClaimNotMet(claim)
 
-    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """The claim, or the one paragraph of a bad input; a traceback only for what nobody foresaw."""
+    def repr_failure(
+        self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
+    ) -> Any:
+        """The claim, or the one paragraph of a bad input; a traceback only for what
+        nobody foresaw.
+        """
         from pkm_studies.errors import InputError
 
         if isinstance(excinfo.value, ClaimNotMet | InputError):
@@ -103,7 +120,11 @@ class ClaimItem(pytest.Item):
 
     def reportinfo(self) -> tuple[Path, int, str]:
         """Where the claim stands in the file."""
-        return self.path, _line(self.study.text, self.name), f"{self.study.name}: {self.name}"
+        return (
+            self.path,
+            _line(self.study.text, self.name),
+            f"{self.study.name}: {self.name}",
+        )
 
 
 def _run(study: Study) -> dict[str, Claim]:
@@ -112,7 +133,10 @@ def _run(study: Study) -> dict[str, Claim]:
     folder = Path(tempfile.mkdtemp(prefix="oed-"))
     try:
         wanted = any(table.of.startswith("report") for table in study.expect.values())
-        return {claim.claim: claim for claim in pipeline.run(study, folder, report=wanted).claims}
+        return {
+            claim.claim: claim
+            for claim in pipeline.run(study, folder, report=wanted).claims
+        }
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -123,5 +147,7 @@ def _line(text: str, claim: str) -> int:
     if start is None:
         return 0
     name = re.escape(claim)
-    found = re.search(rf"^(\[expect\.{name}\]|{name}\s*[.=])", text[start.start() :], re.MULTILINE)
+    found = re.search(
+        rf"^(\[expect\.{name}\]|{name}\s*[.=])", text[start.start() :], re.MULTILINE
+    )
     return text[: start.start() + (found.start() if found else 0)].count("\n")

@@ -1,7 +1,9 @@
-"""From the plain tables of a TOML file to frozen structs; every refusal names its field.
+"""From the plain tables of a TOML file to frozen structs; every refusal names its
+field.
 
-msgspec does the types; the walk here adds what a person needs: the path of the field, the nearest known name, and
-tables that keep fields of their own (`rest`), such as an instrument's settings.
+msgspec does the types; the walk here adds what a person needs: the path of the field,
+the nearest known name, and tables that keep fields of their own (`rest`), such as an
+instrument's settings.
 """
 
 from __future__ import annotations
@@ -32,9 +34,15 @@ PATTERNS = {"^[A-Za-z0-9][A-Za-z0-9_-]*$": "letters, digits, _ and - only"}
 
 
 def decode(kind: type[T], data: object, place: Place) -> T:
-    """A struct of type `kind` from a table; fields unknown to it go to its field named by `rest`, if it has one."""
+    """A struct of type `kind` from a table; fields unknown to it go to its field named
+    by `rest`, if it has one.
+    """
     if not isinstance(data, Mapping):
-        raise place.error("a table is wanted here", f"write it as [{place.field or 'name'}] with fields below", data)
+        raise place.error(
+            "a table is wanted here",
+            f"write it as [{place.field or 'name'}] with fields below",
+            data,
+        )
     rest: str | None = getattr(kind, "rest", None)
     fields = msgspec.structs.fields(kind)  # type: ignore[arg-type]
     known = {f.encode_name: f for f in fields if f.name != rest}
@@ -57,18 +65,30 @@ def decode(kind: type[T], data: object, place: Place) -> T:
 
 
 def convert(kind: Any, value: object, place: Place) -> Any:
-    """A value of the annotated type `kind`: structs and containers of structs by `decode`, the rest by msgspec."""
-    options = typing.get_args(kind) if typing.get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
+    """A value of the annotated type `kind`: structs and containers of structs by
+    `decode`, the rest by msgspec.
+    """
+    options = (
+        typing.get_args(kind)
+        if typing.get_origin(kind) in (typing.Union, types.UnionType)
+        else (kind,)
+    )
     for option in map(_bare, options):
         origin, inner = typing.get_origin(option), typing.get_args(option)
         if _is_struct(option) and (isinstance(value, Mapping) or len(options) == 1):
             return decode(option, value, place)
         if origin is list and isinstance(value, Mapping) and _is_struct(inner[0]):
-            raise place.error("a list of tables is wanted", f"write [[{place.field}]], with two brackets")
+            raise place.error(
+                "a list of tables is wanted",
+                f"write [[{place.field}]], with two brackets",
+            )
         if origin is list and isinstance(value, list) and _is_struct(inner[0]):
             return [decode(inner[0], v, place.item(i)) for i, v in enumerate(value)]
         if origin is dict and isinstance(value, Mapping):
-            return {_plain(inner[0], k, place.key(k)): convert(inner[1], v, place.key(k)) for k, v in value.items()}
+            return {
+                _plain(inner[0], k, place.key(k)): convert(inner[1], v, place.key(k))
+                for k, v in value.items()
+            }
     return _plain(kind, value, place)
 
 
@@ -97,7 +117,11 @@ def _sound(value: float) -> bool:
 
 def _bare(kind: Any) -> Any:
     """A type without its bounds, for which `_plain` cares."""
-    return typing.get_args(kind)[0] if typing.get_origin(kind) is typing.Annotated else kind
+    return (
+        typing.get_args(kind)[0]
+        if typing.get_origin(kind) is typing.Annotated
+        else kind
+    )
 
 
 def _is_struct(kind: Any) -> bool:
@@ -106,7 +130,9 @@ def _is_struct(kind: Any) -> bool:
 
 def _absent(name: str, place: Place) -> InputError:
     where = f"[{place.field}]" if place.field else "the top of the file"
-    return place.key(name).error("missing", f"add {name} to {where}; see `oed schema study`")
+    return place.key(name).error(
+        "missing", f"add {name} to {where}; see `oed schema study`"
+    )
 
 
 def _plain(kind: Any, value: object, place: Place) -> Any:
@@ -118,8 +144,12 @@ def _plain(kind: Any, value: object, place: Place) -> Any:
         value, place = value[int(index)], place.item(int(index))  # type: ignore[index]
     choices = [] if path.strip("`") else _choices(kind)
     if choices and isinstance(value, str):
-        raise place.error("not one of the allowed values", suggest(value, choices), value)
-    raise place.error(_worded(what), "see `oed schema study` for what is allowed", value)
+        raise place.error(
+            "not one of the allowed values", suggest(value, choices), value
+        )
+    raise place.error(
+        _worded(what), "see `oed schema study` for what is allowed", value
+    )
 
 
 def _choices(kind: Any) -> list[str]:
@@ -131,14 +161,19 @@ def _choices(kind: Any) -> list[str]:
 
 
 def _worded(message: str) -> str:
-    """msgspec's message in words: "Expected `float`, got `str`" -> "a number is wanted, not text"."""
+    """msgspec's message in words: "Expected `float`, got `str`" -> "a number is wanted,
+    not text".
+    """
     pattern = re.search(r"matching regex '(.*)'", message)
     if pattern:
         return f"{PATTERNS.get(pattern.group(1), pattern.group(1))} are wanted"
     if "of length" in message:
         return "a list of another length is wanted: " + message.replace("`", "")
     expected, _, got = message.partition(", got ")
-    wanted = " or ".join(WORDS.get(w, w) for w in re.findall(r"[`|]\s*(\w+)", expected)) or expected
+    wanted = (
+        " or ".join(WORDS.get(w, w) for w in re.findall(r"[`|]\s*(\w+)", expected))
+        or expected
+    )
     bound = re.search(r"([<>]=? ?-?[\d.]+)", expected)
     found = re.search(r"`(\w+)`", got)
     tail = f", not {WORDS.get(found.group(1), found.group(1))}" if found else ""

@@ -1,4 +1,6 @@
-"""Progress as a person sees it: a bar on a terminal, one line a stage elsewhere, nothing where quiet is wanted."""
+"""Progress as a person sees it: a bar on a terminal, one line a stage elsewhere,
+nothing where quiet is wanted.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ class Lines(Silent):
     """One line a stage, on stdout: stderr is for what went wrong."""
 
     def stage(self, name: str) -> None:
-        """A stage begins. Work goes on where nobody reads any more (`oed run ... | head`)."""
+        """A stage begins. Work goes on where nobody reads any more (`oed run ... |
+        head`).
+        """
         with contextlib.suppress(BrokenPipeError):
             print(name, flush=True)
 
@@ -52,9 +56,20 @@ def shown(*, quiet: bool) -> Iterator[Progress]:
 
 def _rich() -> Any:
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+    )
 
-    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+    )
     return Progress(*columns, console=Console(stderr=True), transient=True)
 
 
@@ -63,13 +78,40 @@ def stages(plan: Plan) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"Plan: {plan.cost:.0f} of {plan.budget_min or plan.cost:.0f} min")
-    for name in ("Stage", "Measurement", "Set-ups", "Readings", "Lost", "Min", "Rank", "Accuracy afterwards"):
-        table.add_column(name, justify="left" if name in ("Measurement", "Set-ups", "Accuracy afterwards") else "right")
+    table = Table(
+        title=f"Plan: {plan.cost:.0f} of {plan.budget_min or plan.cost:.0f} min"
+    )
+    for name in (
+        "Stage",
+        "Measurement",
+        "Set-ups",
+        "Readings",
+        "Lost",
+        "Min",
+        "Rank",
+        "Accuracy afterwards",
+    ):
+        table.add_column(
+            name,
+            justify=(
+                "left"
+                if name in ("Measurement", "Set-ups", "Accuracy afterwards")
+                else "right"
+            ),
+        )
     for k, s in enumerate(plan.stages):
-        told = ", ".join(f"{n.rpartition('_')[0]} {v:.3g} {n.rpartition('_')[2]}" for n, v in s.accuracy.items())
+        told = ", ".join(
+            f"{n.rpartition('_')[0]} {v:.3g} {n.rpartition('_')[2]}"
+            for n, v in s.accuracy.items()
+        )
         time = f"{s.begin_min or 0.0:.0f}-{s.end_min or s.cost:.0f}"
-        row = [str(s.readings), f"{s.lost or 0.0:.1f}", time, str(s.rank or s.identifies), told]
+        row = [
+            str(s.readings),
+            f"{s.lost or 0.0:.1f}",
+            time,
+            str(s.rank or s.identifies),
+            told,
+        ]
         table.add_row(str(k + 1), s.measurement, ", ".join(s.setups), *row)
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
     console.print(table)
@@ -77,4 +119,7 @@ def stages(plan: Plan) -> None:
         if text:
             console.print(text, markup=False)
     for one in plan.compared:
-        console.print(f"{one.name}: rank {one.rank}, weakest {one.weakest:.3g}. {one.words}", markup=False)
+        console.print(
+            f"{one.name}: rank {one.rank}, weakest {one.weakest:.3g}. {one.words}",
+            markup=False,
+        )

@@ -1,6 +1,8 @@
-"""Bad input, told in one paragraph: which file, which field, which value, what to do about it.
+"""Bad input, told in one paragraph: which file, which field, which value, what to do
+about it.
 
-Fields are dotted paths as in the file; entries of lists count from 1 (`setup[2].length_mm`).
+Fields are dotted paths as in the file; entries of lists count from 1
+(`setup[2].length_mm`).
 """
 
 from __future__ import annotations
@@ -19,14 +21,33 @@ _MISSING: Final = object()
 class InputError(Exception):
     """An input that cannot be used. `str()` is one paragraph without line breaks."""
 
-    def __init__(self, problem: str, remedy: str, *, file: str = "", field: str = "", value: str = "") -> None:
+    def __init__(
+        self,
+        problem: str,
+        remedy: str,
+        *,
+        file: str = "",
+        field: str = "",
+        value: str = "",
+    ) -> None:
         self.problem, self.remedy = shorten(problem, PROBLEM), shorten(remedy, REMEDY)
-        self.file, self.field, self.value = file, shorten(field, 2 * VALUE), shorten(value, VALUE)
+        self.file, self.field, self.value = (
+            file,
+            shorten(field, 2 * VALUE),
+            shorten(value, VALUE),
+        )
         super().__init__(self._told())
 
     def _told(self) -> str:
-        subject = f"{self.field} = {self.value}" if self.value and self.field else self.field or self.value
-        return ": ".join(part for part in (self.file, subject, self.problem) if part) + f"; {self.remedy}."
+        subject = (
+            f"{self.field} = {self.value}"
+            if self.value and self.field
+            else self.field or self.value
+        )
+        return (
+            ": ".join(part for part in (self.file, subject, self.problem) if part)
+            + f"; {self.remedy}."
+        )
 
 
 class SourceAbsentError(InputError):
@@ -67,7 +88,9 @@ def tell(value: object) -> str:
 
 def shorten(text: str, length: int) -> str:
     """Text on one line, printable, of at most `length` characters."""
-    line = " ".join("".join(c if c.isprintable() else " " for c in text[: 4 * length]).split())
+    line = " ".join(
+        "".join(c if c.isprintable() else " " for c in text[: 4 * length]).split()
+    )
     return line if len(line) <= length else line[: length - 4].rstrip() + " ..."
 
 

@@ -11,15 +11,21 @@ from pkm_studies.errors import InputError
 
 
 def write_whole(path: Path, content: bytes | str) -> Path:
-    """Write a file so that it is there with all its bytes or not at all; makes its folder; returns the path.
+    """Write a file so that it is there with all its bytes or not at all; makes its
+    folder; returns the path.
 
-    Raises InputError where `path` is a folder or its folder cannot be made, OSError where the disk refuses.
+    Raises InputError where `path` is a folder or its folder cannot be made, OSError
+    where the disk refuses.
     """
     data = content.encode("utf-8") if isinstance(content, str) else content
     if path.is_dir():
-        raise InputError("a folder of this name is in the way", "name a file", file=str(path))
+        raise InputError(
+            "a folder of this name is in the way", "name a file", file=str(path)
+        )
     out_folder(path.parent)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    handle, name = tempfile.mkstemp(
+        prefix=f".{path.name}.", suffix=".part", dir=path.parent
+    )
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
@@ -42,32 +48,55 @@ def out_folder(path: Path) -> Path:
 
 
 def free(path: Path) -> None:
-    """Raises InputError where `path` could not be a folder to write into. Makes nothing."""
+    """Raises InputError where `path` could not be a folder to write into. Makes
+    nothing.
+    """
     nearest = next(part for part in (path, *path.absolute().parents) if part.exists())
     if not nearest.is_dir():
-        raise InputError("a file of this name is in the way of a folder", "name another folder", file=str(nearest))
+        raise InputError(
+            "a file of this name is in the way of a folder",
+            "name another folder",
+            file=str(nearest),
+        )
     if not os.access(nearest, os.W_OK | os.X_OK):
-        raise InputError("nothing can be written into this folder", "name another folder", file=str(nearest))
+        raise InputError(
+            "nothing can be written into this folder",
+            "name another folder",
+            file=str(nearest),
+        )
 
 
 def read_text(path: Path, *, limit: int, what: str) -> str:
-    """UTF-8 text of a regular file of at most `limit` bytes. Raises InputError before reading a larger one."""
+    """UTF-8 text of a regular file of at most `limit` bytes. Raises InputError before
+    reading a larger one.
+    """
     if not path.exists():
-        raise InputError(f"there is no such {what}", "check the name and the folder you are in", file=str(path))
+        raise InputError(
+            f"there is no such {what}",
+            "check the name and the folder you are in",
+            file=str(path),
+        )
     if not path.is_file():
-        raise InputError(f"this is no file, but a {what} is wanted", "name the file itself", file=str(path))
+        raise InputError(
+            f"this is no file, but a {what} is wanted",
+            "name the file itself",
+            file=str(path),
+        )
     size = path.stat().st_size
     if size > limit:
         raise InputError(
             f"{size / 1e6:.1f} MB is too large for a {what}",
-            f"a {what} has at most {limit / 1e6:.0f} MB: check that this is the right file",
+            f"a {what} has at most {limit / 1e6:.0f} MB: check that this is the right"
+            " file",
             file=str(path),
         )
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
-            f"the file is no UTF-8 text (byte {error.start + 1})", f"save the {what} as UTF-8", file=str(path)
+            f"the file is no UTF-8 text (byte {error.start + 1})",
+            f"save the {what} as UTF-8",
+            file=str(path),
         ) from None
     if not text.strip():
         raise InputError("the file is empty", f"write a {what} into it", file=str(path))

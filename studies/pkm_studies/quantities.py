@@ -19,7 +19,9 @@ def column(name: str, si: str) -> str:
 
 
 def split(key: str, wanted: Mapping[str, str], place: Place) -> tuple[str, str]:
-    """Name and unit of a key; `wanted` are the known names with their SI units. Raises InputError."""
+    """Name and unit of a key; `wanted` are the known names with their SI units. Raises
+    InputError.
+    """
     stem, _, unit = key.rpartition("_")
     if stem in wanted and unit in allowed(wanted[stem]):
         return stem, unit
@@ -28,22 +30,36 @@ def split(key: str, wanted: Mapping[str, str], place: Place) -> tuple[str, str]:
     raise _refused(key, stem, unit, wanted, place)
 
 
-def _refused(key: str, stem: str, unit: str, wanted: Mapping[str, str], place: Place) -> InputError:
+def _refused(
+    key: str, stem: str, unit: str, wanted: Mapping[str, str], place: Place
+) -> InputError:
     known = [column(name, si) for name, si in wanted.items()]
     name = stem if stem in wanted else key
     if name not in wanted:
         return place.key(key).error("unknown field", suggest(key, known))
-    problem = f'"{unit}" is no unit for {stem}' if name == stem else "the unit is missing in the name"
-    return place.key(key).error(problem, "allowed: " + ", ".join(f"{name}_{u}" for u in allowed(wanted[name])))
+    problem = (
+        f'"{unit}" is no unit for {stem}'
+        if name == stem
+        else "the unit is missing in the name"
+    )
+    return place.key(key).error(
+        problem, "allowed: " + ", ".join(f"{name}_{u}" for u in allowed(wanted[name]))
+    )
 
 
-def read(table: Mapping[str, float], wanted: Mapping[str, str], place: Place) -> dict[str, float]:
-    """SI values by name. `wanted` maps each known name to its SI unit. Raises InputError."""
+def read(
+    table: Mapping[str, float], wanted: Mapping[str, str], place: Place
+) -> dict[str, float]:
+    """SI values by name. `wanted` maps each known name to its SI unit. Raises
+    InputError.
+    """
     values: dict[str, float] = {}
     for key, value in table.items():
         name, unit = split(key, wanted, place)
         if name in values:
-            raise place.key(key).error(f"{name} is given twice", "keep one of the two", value)
+            raise place.key(key).error(
+                f"{name} is given twice", "keep one of the two", value
+            )
         values[name] = float(units.to_si(value, unit))
     return values
 

@@ -1,4 +1,6 @@
-"""[design.limits] applied to candidates: which readings can be taken at all, and why the others can not."""
+"""[design.limits] applied to candidates: which readings can be taken at all, and why
+the others can not.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +20,22 @@ UNLIKELY = "leave the travel of the instrument on too many machines within toler
 
 
 def limited(
-    said: Limits, measurement: Measurement, series: Series, place: Place, *, whole_runs: bool
+    said: Limits,
+    measurement: Measurement,
+    series: Series,
+    place: Place,
+    *,
+    whole_runs: bool,
 ) -> tuple[Series, dict[str, int]]:
-    """Readings of a series within the limits, and {reason: readings refused}; whole runs go as a whole.
+    """Readings of a series within the limits, and {reason: readings refused}; whole
+    runs go as a whole.
 
     Raises InputError where a limit cannot be looked at, or no reading is left.
     """
     try:
-        found = feasible.check(measurement, series, _limits(said, measurement, series.setup, place))
+        found = feasible.check(
+            measurement, series, _limits(said, measurement, series.setup, place)
+        )
         allowed, reasons = found.allowed.copy(), dict(found.reasons)
         if said.travel_chance is not None:
             likely = _likely(said, measurement, series, place)
@@ -38,14 +48,21 @@ def limited(
         allowed = np.array([run not in broken for run in series.run])
     if not allowed.any():
         told = "; ".join(f"{count} {reason}" for reason, count in reasons.items())
-        raise place.error(f"no candidate of {series.setup} is left: {told}", "widen the limits, or move the candidates")
+        raise place.error(
+            f"no candidate of {series.setup} is left: {told}",
+            "widen the limits, or move the candidates",
+        )
     return series.take(np.flatnonzero(allowed)), reasons
 
 
-def _likely(said: Limits, measurement: Measurement, series: Series, place: Place) -> feasible.Mask:
+def _likely(
+    said: Limits, measurement: Measurement, series: Series, place: Place
+) -> feasible.Mask:
     """Which held readings (n,) stay within the travel with the wanted probability."""
     if said.travel_mm is None:
-        raise place.key("travel_chance").error("a chance to stay within which travel?", "give travel_mm as well")
+        raise place.key("travel_chance").error(
+            "a chance to stay within which travel?", "give travel_mm as well"
+        )
     if measurement.setups[series.setup].instrument.holds is None:
         return np.ones(len(series), dtype=bool)
     covariance = np.diag(measurement.tolerance**2)
@@ -53,27 +70,42 @@ def _likely(said: Limits, measurement: Measurement, series: Series, place: Place
     return np.asarray(chance >= (said.travel_chance or 0.0))
 
 
-def _limits(said: Limits, measurement: Measurement, setup: str, place: Place) -> feasible.Limits:
+def _limits(
+    said: Limits, measurement: Measurement, setup: str, place: Place
+) -> feasible.Limits:
     """The limits that go for a set-up."""
     chosen = measurement.setups[setup]
-    has_cup = chosen.teach is not None or {"at_x", "at_y", "at_z"} <= set(chosen.settings)
+    has_cup = chosen.teach is not None or {"at_x", "at_y", "at_z"} <= set(
+        chosen.settings
+    )
     return feasible.Limits(
         joints=_joints(said, measurement, place.key("joints")),
         singularity=said.singularity,
-        travel=_m(said.travel_mm) if said.travel_mm is not None and chosen.instrument.holds is not None else None,
+        travel=(
+            _m(said.travel_mm)
+            if said.travel_mm is not None and chosen.instrument.holds is not None
+            else None
+        ),
         base_cone=_cone(said.cup_cone, place.key("cup_cone")) if has_cup else None,
-        platform_cone=_cone(said.tool_cone, place.key("tool_cone")) if has_cup else None,
+        platform_cone=(
+            _cone(said.tool_cone, place.key("tool_cone")) if has_cup else None
+        ),
         cup=_point(cup_place(measurement, setup)) if has_cup else None,
         surroundings=_surroundings(said, has_cup, place),
     )
 
 
-def _joints(said: Limits, measurement: Measurement, place: Place) -> dict[str, tuple[float, float]]:
+def _joints(
+    said: Limits, measurement: Measurement, place: Place
+) -> dict[str, tuple[float, float]]:
     known = {c.name: c.unit for c in measurement.machine.joints}
     found = {}
     for key, span in said.joints.items():
         name, unit = quantities.split(key, known, place)
-        found[name] = (float(units.to_si(span.from_, unit)), float(units.to_si(span.to, unit)))
+        found[name] = (
+            float(units.to_si(span.from_, unit)),
+            float(units.to_si(span.to, unit)),
+        )
     return found
 
 
@@ -81,17 +113,26 @@ def _cone(said: Cone | None, place: Place) -> feasible.Cone | None:
     if said is None:
         return None
     if not any(said.axis):
-        raise place.key("axis").error("a cone needs an axis that is not zero", "give a direction, as [0, 0, 1]")
+        raise place.key("axis").error(
+            "a cone needs an axis that is not zero", "give a direction, as [0, 0, 1]"
+        )
     return feasible.Cone(said.axis, math.radians(said.half_angle_deg))
 
 
 def _surroundings(said: Limits, has_cup: bool, place: Place) -> Surroundings | None:
-    obstacles = [Capsule(_si(s.at_mm), _si(s.at_mm), _m(s.radius_mm)) for s in said.spheres]
-    obstacles += [Capsule(_si(r.from_mm), _si(r.to_mm), _m(r.radius_mm)) for r in said.rods]
+    obstacles = [
+        Capsule(_si(s.at_mm), _si(s.at_mm), _m(s.radius_mm)) for s in said.spheres
+    ]
+    obstacles += [
+        Capsule(_si(r.from_mm), _si(r.to_mm), _m(r.radius_mm)) for r in said.rods
+    ]
     if not obstacles:
         return None
     if said.links_mm is None and said.bar_mm is None:
-        raise place.error("nothing that moves is looked at beside the obstacles", "give links_mm, bar_mm or both")
+        raise place.error(
+            "nothing that moves is looked at beside the obstacles",
+            "give links_mm, bar_mm or both",
+        )
     bar = said.bar_mm if has_cup else None
     if said.links_mm is None and bar is None:
         return None
@@ -112,5 +153,7 @@ def _si(mm: tuple[float, float, float]) -> tuple[float, float, float]:
     return _m(mm[0]), _m(mm[1]), _m(mm[2])
 
 
-def _point(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[float, float, float]:
+def _point(
+    values: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])

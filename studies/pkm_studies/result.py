@@ -1,6 +1,8 @@
-"""What a study ends in: `result.json`, loss-free, so that a report can be made again from it.
+"""What a study ends in: `result.json`, loss-free, so that a report can be made again
+from it.
 
-Field names are fixed by the contract; values are SI unless a `unit` stands beside them. Arrays are lists.
+Field names are fixed by the contract; values are SI unless a `unit` stands beside them.
+Arrays are lists.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ class Group(Part, frozen=True):
 
 
 class Identifiability(Part, frozen=True):
-    """What the plan's readings can see. Combinations and lost directions are {parameter: coefficient}, SI."""
+    """What the plan's readings can see. Combinations and lost directions are
+    {parameter: coefficient}, SI.
+    """
 
     parameters: list[str]
     n: int
@@ -45,7 +49,9 @@ class Identifiability(Part, frozen=True):
 
 
 class Pose(Part, frozen=True):
-    """One planned reading: where it is taken, in user units (`z_mm`, ...), and what it nominally reads."""
+    """One planned reading: where it is taken, in user units (`z_mm`, ...), and what it
+    nominally reads.
+    """
 
     setup: str
     run: str
@@ -65,9 +71,12 @@ class PlanScore(Part, frozen=True):
     efficiency: float  # phi(plan) / phi(chosen), per reading where no tolerances count
     kappa: float
     observability: dict[str, float]
-    #: predicted rms of each pose component (`z_um`) over the workspace, once all that is known of it is corrected
+    #: predicted rms of each pose component (`z_um`) over the workspace, once all that
+    #: is known of it is corrected
     predicted: dict[str, float] = {}
-    gain: dict[str, float] = {}  # factor by which each is better than that of the first reference plan
+    gain: dict[
+        str, float
+    ] = {}  # factor by which each is better than that of the first reference plan
 
 
 class Compared(Part, frozen=True):
@@ -88,13 +97,17 @@ class Polished(Part, frozen=True):
     before: float
     after: float
     words: str
-    setups: dict[str, dict[str, float]]  # what was free of each set-up, as it is now, in user units
+    setups: dict[
+        str, dict[str, float]
+    ]  # what was free of each set-up, as it is now, in user units
 
 
 class Ordered(Part, frozen=True):
-    """The working order of the chosen readings: joint travel in the order of the candidates and as ordered, s.
+    """The working order of the chosen readings: joint travel in the order of the
+    candidates and as ordered, s.
 
-    Readings kept from an earlier plan come first in their set-up, as they are, and are not counted.
+    Readings kept from an earlier plan come first in their set-up, as they are, and are
+    not counted.
     """
 
     setups: list[str]
@@ -106,7 +119,9 @@ class Ordered(Part, frozen=True):
 
 
 class Robust(Part, frozen=True):
-    """A plan chosen over scenarios: log phi by the risk asked for, and in each scenario (the first is nominal)."""
+    """A plan chosen over scenarios: log phi by the risk asked for, and in each scenario
+    (the first is nominal).
+    """
 
     risk: str
     level: float
@@ -120,9 +135,11 @@ class Robust(Part, frozen=True):
 
 
 class HowMany(Part, frozen=True):
-    """Predicted rms of pose components (`z_um`) against the number of readings, and the bound of each alone.
+    """Predicted rms of pose components (`z_um`) against the number of readings, and the
+    bound of each alone.
 
-    fewest: readings that reach what is wanted, None where none up to `most` do; no plan of fewer than `at_least` can
+    fewest: readings that reach what is wanted, None where none up to `most` do; no plan
+    of fewer than `at_least` can
     """
 
     wanted: dict[str, float]
@@ -138,8 +155,9 @@ class HowMany(Part, frozen=True):
 class Design(Part, frozen=True):
     """The chosen readings.
 
-    value, bound, efficiency are of the chosen readings under the study's rules: nothing is better than the bound (for
-    kappa, the smaller is the better, nothing is below it). Polished readings leave the grid, and have no bound.
+    value, bound, efficiency are of the chosen readings under the study's rules: nothing
+    is better than the bound (for kappa, the smaller is the better, nothing is below
+    it). Polished readings leave the grid, and have no bound.
     """
 
     criterion: str
@@ -156,7 +174,9 @@ class Design(Part, frozen=True):
     words: str = ""  # how good the choice is known to be, as a sentence
     directions: int = 0  # that the candidates see and the criterion is told over, of `columns` unknowns
     columns: int = 0
-    gap: float | None = None  # what is known of the bound's own slack (log of an efficiency)
+    gap: float | None = (
+        None  # what is known of the bound's own slack (log of an efficiency)
+    )
     proven: bool = False
     compound: dict[str, float] = {}  # shares of the criteria
     setups: list[str] = []  # used, in working order
@@ -171,7 +191,9 @@ class Design(Part, frozen=True):
 
 
 class KappaMap(Part, frozen=True):
-    """Condition number over the number of circles and of points on each, for one parametrisation."""
+    """Condition number over the number of circles and of points on each, for one
+    parametrisation.
+    """
 
     title: str
     circles: list[int]
@@ -187,12 +209,16 @@ class Value(Part, frozen=True):
     unit: str
     nominal: float
     prior_sd: float
-    identified: str  # seen | weak | prior  (how much the readings tightened the tolerance)
+    identified: (
+        str  # seen | weak | prior  (how much the readings tightened the tolerance)
+    )
     truth: float | None = None  # of a virtual machine
 
 
 class Estimate(Part, frozen=True):
-    """Least squares with tolerance priors. rms and residuals are in the fine unit of their channel, `units`."""
+    """Least squares with tolerance priors. rms and residuals are in the fine unit of
+    their channel, `units`.
+    """
 
     parameters: dict[str, Value]
     rms_before: dict[str, float]
@@ -229,11 +255,15 @@ class Posterior(Part, frozen=True):
     walkers: int
     autocorrelation: float
     directions: list[str]  # names of the worst-seen directions shown in the corner plot
-    corner: list[list[float]]  # thinned draws [draw][direction], in prior standard deviations
+    corner: list[
+        list[float]
+    ]  # thinned draws [draw][direction], in prior standard deviations
 
 
 class Spread(Part, frozen=True):
-    """Error of one pose component over the workspace: rms, 95th percentile, largest, in `unit`."""
+    """Error of one pose component over the workspace: rms, 95th percentile, largest, in
+    `unit`.
+    """
 
     rms: float
     p95: float
@@ -242,7 +272,9 @@ class Spread(Part, frozen=True):
 
 
 class Component(Part, frozen=True):
-    """Residual accuracy of one pose component. `known` is what remains once a further axis corrects it too."""
+    """Residual accuracy of one pose component. `known` is what remains once a further
+    axis corrects it too.
+    """
 
     compensatable: bool
     before: Spread
@@ -260,7 +292,9 @@ class MapPoint(Part, frozen=True):
 
 
 class Prediction(Part, frozen=True):
-    """Residual accuracy over the workspace, against a stated reference (absolute, home or best_fit)."""
+    """Residual accuracy over the workspace, against a stated reference (absolute, home
+    or best_fit).
+    """
 
     reference: str
     components: dict[str, Component]
@@ -273,7 +307,9 @@ class Prediction(Part, frozen=True):
 
 
 class HeldOut(Part, frozen=True):
-    """Prediction of readings kept out of the fit; the new set-up's own unknowns are adjusted, but not in `rms_raw`."""
+    """Prediction of readings kept out of the fit; the new set-up's own unknowns are
+    adjusted, but not in `rms_raw`.
+    """
 
     name: str
     channel: str
@@ -341,14 +377,18 @@ class StudyResult(Part, frozen=True):
     title: str
     question: str
     seed: int
-    seconds: float  # wall time; the only entry that differs between two runs with one seed
+    seconds: (
+        float  # wall time; the only entry that differs between two runs with one seed
+    )
     machine: MachineInfo
     setups: list[SetupInfo]
     study_text: str
     versions: dict[str, str]
     headline: list[str]  # the five numbers that matter, as sentences
     identifiability: Identifiability | None = None
-    identifiability_of: dict[str, Identifiability] = {}  # variants asked for: one circle, one tool, ...
+    identifiability_of: dict[
+        str, Identifiability
+    ] = {}  # variants asked for: one circle, one tool, ...
     design: Design | None = None
     kappa_maps: list[KappaMap] = []
     plan: Plan | None = None

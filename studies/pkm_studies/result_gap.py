@@ -1,7 +1,8 @@
-"""What a diagnosis of the gap between model and machine ends in: the `gap` section of result.json.
+"""What a diagnosis of the gap between model and machine ends in: the `gap` section of
+result.json.
 
-Names of the first block of fields of `Gap` are fixed by the contract. Sizes and residuals are in the fine unit of their
-channel. A number that is not known is null.
+Names of the first block of fields of `Gap` are fixed by the contract. Sizes and
+residuals are in the fine unit of their channel. A number that is not known is null.
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Answer(Part, frozen=True):
-    """One explanation: effects that act together (none: no gap; `unknown`: a shape that no known effect has).
+    """One explanation: effects that act together (none: no gap; `unknown`: a shape that
+    no known effect has).
 
-    classes: for each effect the names that these readings cannot tell it from, itself among them
+    classes: for each effect the names that these readings cannot tell it from, itself
+    among them
     """
 
     effects: list[str]
@@ -25,7 +28,9 @@ class Answer(Part, frozen=True):
 
 
 class Where(Part, frozen=True):
-    """A place of the gap: `leg 1`, `run ID`, `time A-B` (s), `phase A-B` (deg), `direction +1`; strength: its share."""
+    """A place of the gap: `leg 1`, `run ID`, `time A-B` (s), `phase A-B` (deg),
+    `direction +1`; strength: its share.
+    """
 
     block: str
     p_value: float
@@ -33,7 +38,9 @@ class Where(Part, frozen=True):
 
 
 class Closure(Part, frozen=True):
-    """How far the gap shrinks on readings kept out: (s0 - s1) / (s0 - s_noise), 95 % interval, chance of harm."""
+    """How far the gap shrinks on readings kept out: (s0 - s1) / (s0 - s_noise), 95 %
+    interval, chance of harm.
+    """
 
     split: str  # within | whole
     value: float | None
@@ -47,7 +54,9 @@ class Closure(Part, frozen=True):
 
 
 class About(Part, frozen=True):
-    """An effect in words; `missing`: why these readings cannot test it, `column`: what would have to be recorded."""
+    """An effect in words; `missing`: why these readings cannot test it, `column`: what
+    would have to be recorded.
+    """
 
     about: str
     remedy: str
@@ -58,7 +67,9 @@ class About(Part, frozen=True):
 
 
 class Coefficient(Part, frozen=True):
-    """A coefficient of a selected effect, SI; `prior_sd` is the size that was expected of it."""
+    """A coefficient of a selected effect, SI; `prior_sd` is the size that was expected
+    of it.
+    """
 
     effect: str
     name: str
@@ -70,7 +81,9 @@ class Coefficient(Part, frozen=True):
 
 
 class Size(Part, frozen=True):
-    """Size of a selected effect in the readings, rms by channel in its fine unit; detectability sqrt(lambda)."""
+    """Size of a selected effect in the readings, rms by channel in its fine unit;
+    detectability sqrt(lambda).
+    """
 
     effect: str
     rms: dict[str, float]
@@ -78,10 +91,11 @@ class Size(Part, frozen=True):
 
 
 class Trace(Part, frozen=True):
-    """One channel of one run: residual before and after, and what the effects and a remainder of unknown form explain
-    of it, each as calibration leaves it, in `unit`.
+    """One channel of one run: residual before and after, and what the effects and a
+    remainder of unknown form explain of it, each as calibration leaves it, in `unit`.
 
-    kind   circle: `at` is the angle in degrees; line: the way along it in mm; points: the number of the reading
+    kind   circle: `at` is the angle in degrees; line: the way along it in mm; points:
+           the number of the reading
     base   name of the run without its pass: both directions of a circle share it
     radius of a circle, mm
     """
@@ -104,7 +118,9 @@ class Trace(Part, frozen=True):
 
 
 class Spot(Part, frozen=True):
-    """A place of the tool (base frame, mm) with the rms residual of its readings, before and after."""
+    """A place of the tool (base frame, mm) with the rms residual of its readings,
+    before and after.
+    """
 
     at: list[float]
     before: float
@@ -114,13 +130,16 @@ class Spot(Part, frozen=True):
 class Gap(Part, frozen=True):
     """The diagnosis of one set of readings.
 
-    verdict   none, effect, class (one of several that cannot be told apart), mixture (several, or one and an unknown
-              remainder), unknown
-    set95     the fewest sets of named effects that hold 95 % of the probability together, whatever is beside them
+    verdict   none, effect, class (one of several that cannot be told apart), mixture
+              (several, or one and an unknown remainder), unknown
+    set95     the fewest sets of named effects that hold 95 % of the probability
+              together, whatever is beside them
     constants  of each selected effect, SI
     selected  effects of the best answer, `unknown` aside
-    spots     rms residual by place of the tool, in `spots_unit` ("sigma": in units of the stated noise)
-    unknown   what a remainder of unknown form is like, in words, with probabilities, the likeliest first
+    spots     rms residual by place of the tool, in `spots_unit` ("sigma": in units of
+              the stated noise)
+    unknown   what a remainder of unknown form is like, in words, with probabilities,
+              the likeliest first
     words     one finding a sentence, the most important first
     next      what to do about it
     """

@@ -1,8 +1,9 @@
-"""What planned readings could find, before any is taken: the `gap_before` section of result.json.
+"""What planned readings could find, before any is taken: the `gap_before` section of
+result.json.
 
-Detectability is sqrt(lambda), in units of the noise over all readings after calibration has absorbed what it can.
-Sizes in readings are in the fine unit of their channel (`units`); coefficients' sizes are SI. What is not known is
-null.
+Detectability is sqrt(lambda), in units of the noise over all readings after calibration
+has absorbed what it can. Sizes in readings are in the fine unit of their channel
+(`units`); coefficients' sizes are SI. What is not known is null.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Shared(Part, frozen=True):
-    """A combination of an effect's coefficients that a rival imitates: sqrt(lambda) before and after it is absorbed."""
+    """A combination of an effect's coefficients that a rival imitates: sqrt(lambda)
+    before and after it is absorbed.
+    """
 
     words: str
     combination: dict[str, float]
@@ -25,7 +28,9 @@ class Shared(Part, frozen=True):
 
 
 class Rival(Part, frozen=True):
-    """How well an effect can be told from another: sqrt(lambda_k|j), smallest principal angle."""
+    """How well an effect can be told from another: sqrt(lambda_k|j), smallest principal
+    angle.
+    """
 
     name: str
     apart: float
@@ -36,10 +41,12 @@ class Rival(Part, frozen=True):
 class Detectable(Part, frozen=True):
     """What could be found of one effect.
 
-    detectability  at its expected size, over the values of its constants from `low` to `high`; `power`: chance of
-                   finding it at 1 % false alarm
-    signature      rms of its readings at that size; `absorbed`: share of it that calibration absorbs
-    least, median  smallest rms that is found with 90 % power: in the form seen best, and typically
+    detectability  at its expected size, over the values of its constants from `low` to
+                   `high`; `power`: chance of finding it at 1 % false alarm
+    signature      rms of its readings at that size; `absorbed`: share of it that
+                   calibration absorbs
+    least, median  smallest rms that is found with 90 % power: in the form seen best,
+                   and typically
     sizes          least size of each coefficient by itself
     """
 
@@ -63,8 +70,10 @@ class Detectable(Part, frozen=True):
 class Table(Part, frozen=True):
     """All effects over one plan of `readings` readings.
 
-    names, apart, angles_deg   (K), (K x K): row after column is absorbed; detectability on the diagonal
-    classes    groups of visible effects that can not all be told apart;  absorbed: pairs, the first not from the second
+    names, apart, angles_deg   (K), (K x K): row after column is absorbed; detectability
+                               on the diagonal
+    classes    groups of visible effects that can not all be told apart;  absorbed:
+               pairs, the first not from the second
     exact      pairs of which some combinations are the same to these readings
     """
 
@@ -88,8 +97,10 @@ class ChosenRun(Part, frozen=True):
 
 
 class Told(Part, frozen=True):
-    """A combination of an effect's coefficients against a rival: sqrt(lambda) of the chosen runs, and of the readings
-    planned without [gap.design] (null where they cannot test it)."""
+    """A combination of an effect's coefficients against a rival: sqrt(lambda) of the
+    chosen runs, and of the readings planned without [gap.design] (null where they
+    cannot test it).
+    """
 
     effect: str
     rival: str
@@ -102,9 +113,11 @@ class Told(Part, frozen=True):
 class Chosen(Part, frozen=True):
     """Runs chosen to tell effects apart, `kept` ones among them.
 
-    apart, bound   least sqrt(lambda_k|j) over all pairs; no plan under the rules exceeds the bound
+    apart, bound   least sqrt(lambda_k|j) over all pairs; no plan under the rules
+                   exceeds the bound
     before         the same of the readings planned without [gap.design]
-    efficiency     of the compound with D, against its bound;  proven: all plans were tried
+    efficiency     of the compound with D, against its bound;  proven: all plans were
+                   tried
     volume         log det of the parameters' information, in tolerances
     """
 

@@ -1,4 +1,6 @@
-"""The plan of stages in a result: `result.json`, section `plan`. See `result` for its other sections."""
+"""The plan of stages in a result: `result.json`, section `plan`. See `result` for its
+other sections.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,17 @@ class Sd(Part, frozen=True):
 class Stage(Part, frozen=True):
     """One stage of the plan: measurement, what it identifies, its cost (min).
 
-    The fields with defaults are those of planned stages. Accuracies are root mean squares over the workspace, by
-    component and unit (`z_um`), after all stages up to this one.
+    The fields with defaults are those of planned stages. Accuracies are root mean
+    squares over the workspace, by component and unit (`z_um`), after all stages up to
+    this one.
     """
 
     measurement: str
     setups: list[str]  # in working order
     readings: int
-    identifies: int  # rank of its own readings, over the machine and the stage's set-ups
+    identifies: (
+        int  # rank of its own readings, over the machine and the stage's set-ups
+    )
     cost: float
     kappa: float
     predicted: dict[str, float]
@@ -35,12 +40,18 @@ class Stage(Part, frozen=True):
     end_min: float | None = None
     price: float = 0.0
     operator: str = ""
-    available: dict[str, float] = {}  # least and mean chance that a chosen candidate can be read
+    available: dict[
+        str, float
+    ] = {}  # least and mean chance that a chosen candidate can be read
     lost: float | None = None  # candidates expected out of the instrument's travel
-    cut_off_um: float | None = None  # largest, of what linearisation leaves out of a reading after the stage
+    cut_off_um: float | None = (
+        None  # largest, of what linearisation leaves out of a reading after the stage
+    )
     rank: int | None = None  # of all readings so far, over the machine's parameters
     parameters: dict[str, Sd] = {}  # after the stage
-    held: list[str] = []  # what is still as it was before any reading: no stage frees what it cannot see
+    held: list[
+        str
+    ] = []  # what is still as it was before any reading: no stage frees what it cannot see
     accuracy: dict[str, float] = {}
     realised: dict[str, float] = {}  # of virtual machines, over the predicted one
     realised_lost: float | None = None  # candidates that virtual machines lost
@@ -48,10 +59,12 @@ class Stage(Part, frozen=True):
 
 
 class Way(Part, frozen=True):
-    """A plan in short: measurements in order, readings (or runs) of each, and why it is not the plan, in words.
+    """A plan in short: measurements in order, readings (or runs) of each, and why it is
+    not the plan, in words.
 
-    value is what plans are judged by, the smaller the better: the worst component over what is wanted, or the root mean
-    square of the components over what they are before any reading.
+    value is what plans are judged by, the smaller the better: the worst component over
+    what is wanted, or the root mean square of the components over what they are before
+    any reading.
     """
 
     names: list[str]
@@ -63,11 +76,13 @@ class Way(Part, frozen=True):
 
 
 class Sequence(Part, frozen=True):
-    """A sequence that was asked for, and the best plan found in its time. It takes all readings of each measurement,
-    or, where they take longer than the budget, the best ones within it.
+    """A sequence that was asked for, and the best plan found in its time. It takes all
+    readings of each measurement, or, where they take longer than the budget, the best
+    ones within it.
 
     gain: factor by which each component is more accurate with that plan;  bound: no plan of that time has a smaller
-    value.  weakest: smallest singular value of its readings, in the scaling "length" (mm, angles times the lever)
+    value.  weakest: smallest singular value of its readings, in the scaling "length"
+            (mm, angles times the lever)
     """
 
     name: str
@@ -85,14 +100,17 @@ class Sequence(Part, frozen=True):
 
 
 class Plan(Part, frozen=True):
-    """The plan as stages. The fields with defaults are those of plans that were searched for.
+    """The plan as stages. The fields with defaults are those of plans that were
+    searched for.
 
     goal            wanted accuracy by component;  reached: whether the plan has it
     best_reachable  accuracy of the most accurate plan found
     needs           what would have to change, where that is not enough
-    bound           no plan within the budget has a smaller value;  loss: share by which the plan may miss it at most
+    bound           no plan within the budget has a smaller value;  loss: share by which
+                    the plan may miss it at most
     lines           supporting lines drawn for the bound
-    front           plans of which none is both shorter and more accurate, shortest first
+    front           plans of which none is both shorter and more accurate, shortest
+                    first
     """
 
     stages: list[Stage]

@@ -30,20 +30,29 @@ def result() -> Document:
 
 
 def readings() -> Document:
-    """Schema of one row of `*.readings.csv`, cells as numbers and text, nothing for an empty cell."""
+    """Schema of one row of `*.readings.csv`, cells as numbers and text, nothing for an
+    empty cell.
+    """
     unit = "|".join(units.UNITS)
     number = {"type": ["number", "null"]}
     return {
         "$schema": DIALECT,
         "title": "One row of a readings file",
-        "description": "CSV, UTF-8, commas, a header. The unit ends the column's name. An empty cell is a reading not "
-        "taken; the first row of a relative or calliper run is its reference. Pose columns are the machine's "
-        "command coordinates (z_mm, psi_deg) or its joints (q1_mm), channels those of the set-up's instrument "
-        "(length_mm): see `oed list`.",
+        "description": (
+            "CSV, UTF-8, commas, a header. The unit ends the column's name. An empty"
+            " cell is a reading not taken; the first row of a relative or calliper run"
+            " is its reference. Pose columns are the machine's command coordinates"
+            " (z_mm, psi_deg) or its joints (q1_mm), channels those of the set-up's"
+            " instrument (length_mm): see `oed list`."
+        ),
         "type": "object",
         "required": ["setup", "run", "order"],
         "properties": {
-            "setup": {"type": "string", "minLength": 1, "description": "names a [[setup]] of the study"},
+            "setup": {
+                "type": "string",
+                "minLength": 1,
+                "description": "names a [[setup]] of the study",
+            },
             "run": {"type": ["string", "number"], "description": "a circle, a line"},
             "order": {"type": "integer", "description": "in time within the run"},
             "direction": {"enum": [1, -1, None]},
@@ -55,7 +64,11 @@ def readings() -> Document:
     }
 
 
-SCHEMAS: dict[str, Callable[[], Document]] = {"study": study, "result": result, "readings": readings}
+SCHEMAS: dict[str, Callable[[], Document]] = {
+    "study": study,
+    "result": result,
+    "readings": readings,
+}
 
 
 def _of(kind: type, title: str) -> Document:
@@ -70,6 +83,8 @@ def _parts(base: type[Part]) -> Iterator[type[Part]]:
 
 
 def _open(schema: Document, part: type[Part]) -> None:
-    """Fields of free name stand in the table itself, not in a table named as the struct's field."""
+    """Fields of free name stand in the table itself, not in a table named as the
+    struct's field.
+    """
     collected = schema["properties"].pop(part.rest)
     schema["additionalProperties"] = collected["additionalProperties"]

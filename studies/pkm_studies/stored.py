@@ -1,4 +1,6 @@
-"""A result in its folder: the files written, the result read back, the report made from it."""
+"""A result in its folder: the files written, the result read back, the report made from
+it.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def write(
     *,
     sheet: bool,
 ) -> None:
-    """Write result.json, and what goes with it: planned poses, the plan's stages, its sheet (`sheet`)."""
+    """Write result.json, and what goes with it: planned poses, the plan's stages, its
+    sheet (`sheet`).
+    """
     text = msgspec.json.format(msgspec.json.encode(made), indent=1)
     files.write_whole(out / "result.json", text)
     if made.design is not None or planned:
@@ -44,7 +48,9 @@ def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
     from oed import dataset
 
     count = len(measurement.owners(series))
-    return dataset.to_csv(dataset.from_series(series, np.full(count, np.nan), measurement))
+    return dataset.to_csv(
+        dataset.from_series(series, np.full(count, np.nan), measurement)
+    )
 
 
 def _write_sheet(out: Path, made: StudyResult, poses: bytes | str) -> None:
@@ -55,7 +61,9 @@ def _write_sheet(out: Path, made: StudyResult, poses: bytes | str) -> None:
     write_sheet(msgspec.to_builtins(made), [p for s in stages for p in s["poses"]], out)
 
 
-def write_report(folder: Path, *, html: bool = True, pdf: bool = True) -> tuple[Path, ...]:
+def write_report(
+    folder: Path, *, html: bool = True, pdf: bool = True
+) -> tuple[Path, ...]:
     """HTML and PDF from the result in a folder."""
     from pkm_reports import write_report as write
 
@@ -63,12 +71,16 @@ def write_report(folder: Path, *, html: bool = True, pdf: bool = True) -> tuple[
 
 
 def load_result(folder: Path) -> Mapping[str, Any]:
-    """The stored result of a folder as plain data. Raises InputError where there is none, or it is no result."""
+    """The stored result of a folder as plain data. Raises InputError where there is
+    none, or it is no result.
+    """
     path = folder / "result.json"
     text = files.read_text(path, limit=1 << 28, what="result")
     try:
         checked = msgspec.json.decode(text, type=StudyResult)
     except msgspec.DecodeError as error:
-        raise Place(str(path)).error(f"this is no result: {error}", "make it again with `oed run`") from error
+        raise Place(str(path)).error(
+            f"this is no result: {error}", "make it again with `oed run`"
+        ) from error
     found: Mapping[str, Any] = msgspec.to_builtins(checked)
     return found

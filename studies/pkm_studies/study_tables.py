@@ -1,7 +1,8 @@
-"""Tables of a study file, as frozen structs. See `study` for how a file is read, `resolve` for what it means.
+"""Tables of a study file, as frozen structs. See `study` for how a file is read,
+`resolve` for what it means.
 
-Tables that take fields by the name of a parameter, a setting or a coordinate, with the unit at the end
-(`length_mm`), collect them in the field named by `rest`.
+Tables that take fields by the name of a parameter, a setting or a coordinate, with the
+unit at the end (`length_mm`), collect them in the field named by `rest`.
 """
 
 from __future__ import annotations
@@ -18,19 +19,25 @@ Whole = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Triple = tuple[float, float, float]
-CriterionName = Literal["D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5"]
+CriterionName = Literal[
+    "D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5"
+]
 #: readings chosen where neither a number nor a budget is given
 READINGS = 30
 
 
 class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base: frozen, unknown fields refused. `rest` names the field that collects fields of free name."""
+    """Base: frozen, unknown fields refused. `rest` names the field that collects fields
+    of free name.
+    """
 
     rest: ClassVar[str | None] = None
 
 
 class Span(Part, frozen=True, kw_only=True):
-    """Evenly spaced values, in the unit of the field: `{ from = 0, to = 360, count = 12, endpoint = false }`."""
+    """Evenly spaced values, in the unit of the field: `{ from = 0, to = 360, count =
+    12, endpoint = false }`.
+    """
 
     from_: float = msgspec.field(name="from")
     to: float
@@ -45,12 +52,15 @@ class Range(Part, frozen=True, kw_only=True):
     to: float
 
 
-#: values of one command coordinate: a number, a list, evenly spaced, or held by the instrument
+#: values of one command coordinate: a number, a list, evenly spaced, or held by the
+#: instrument
 Axis = float | list[float] | Span | Literal["hold"]
 
 
 class GridTable(Part, frozen=True, kw_only=True):
-    """[[design.candidates]]: poses of one set-up, all values of each coordinate combined."""
+    """[[design.candidates]]: poses of one set-up, all values of each coordinate
+    combined.
+    """
 
     rest = "coordinates"
     setup: str
@@ -60,7 +70,9 @@ class GridTable(Part, frozen=True, kw_only=True):
 
 
 class MachineTable(Part, frozen=True, kw_only=True):
-    """[machine]: which model, with which numbers. `fixed` replaces the model's list of parameters held."""
+    """[machine]: which model, with which numbers. `fixed` replaces the model's list of
+    parameters held.
+    """
 
     model: str
     nominal: dict[str, float] = {}
@@ -68,9 +80,11 @@ class MachineTable(Part, frozen=True, kw_only=True):
 
 
 class SetupTable(Part, frozen=True, kw_only=True):
-    """[[setup]]: an instrument as mounted. `tolerance` are the standard deviations of its unknowns.
+    """[[setup]]: an instrument as mounted. `tolerance` are the standard deviations of
+    its unknowns.
 
-    Each planned reading is taken `repeats` times, in one direction or both; `average` keeps their mean.
+    Each planned reading is taken `repeats` times, in one direction or both; `average`
+    keeps their mean.
     """
 
     rest = "settings"
@@ -86,7 +100,9 @@ class SetupTable(Part, frozen=True, kw_only=True):
 
 
 class Noise(Part, frozen=True, kw_only=True):
-    """[noise]: standard deviation of each channel, for all set-ups or in a table named as the set-up."""
+    """[noise]: standard deviation of each channel, for all set-ups or in a table named
+    as the set-up.
+    """
 
     rest = "sigma"
     estimate: bool = False
@@ -94,7 +110,9 @@ class Noise(Part, frozen=True, kw_only=True):
 
 
 class ToleranceTable(Part, frozen=True, kw_only=True):
-    """[[prior.tolerance]]: a standard deviation for the parameters whose names match; later tables win."""
+    """[[prior.tolerance]]: a standard deviation for the parameters whose names match;
+    later tables win.
+    """
 
     rest = "sigma"
     parameters: list[str]
@@ -108,7 +126,9 @@ class Prior(Part, frozen=True, kw_only=True):
 
 
 class ReferenceTable(GridTable, frozen=True, kw_only=True):
-    """[[design.reference]]: as candidates, but a given plan; tables of one name make one plan."""
+    """[[design.reference]]: as candidates, but a given plan; tables of one name make
+    one plan.
+    """
 
     rest = "coordinates"
     name: str
@@ -137,20 +157,29 @@ class Rod(Part, frozen=True, kw_only=True):
 
 
 class Limits(Part, frozen=True, kw_only=True):
-    """[design.limits]: candidates that break one are left out, and counted. What is not given is not asked.
+    """[design.limits]: candidates that break one are left out, and counted. What is not
+    given is not asked.
 
-    joints         travel of joints by name and unit, `{ q1_mm = { from = 350, to = 800 } }`, within the machine's own
-    singularity    least reciprocal condition number of the closure's slopes over the pose, between 0 and 1
-    travel_mm      by how much a held reading may differ from what the instrument holds (a ball bar's travel)
-    travel_chance  least probability that it stays within the travel on a machine with errors of the size of its
-                   tolerances; needs `travel_mm`
-    cup_cone       where the line from the cup to the tool point may point, in the base frame
-    tool_cone      where the line from the tool point to the cup may point, in the platform's frame
+    joints         travel of joints by name and unit, `{ q1_mm = { from = 350, to = 800
+                   } }`, within the machine's own
+    singularity    least reciprocal condition number of the closure's slopes over the
+                   pose, between 0 and 1
+    travel_mm      by how much a held reading may differ from what the instrument holds
+                   (a ball bar's travel)
+    travel_chance  least probability that it stays within the travel on a machine with
+                   errors of the size of its tolerances; needs `travel_mm`
+    cup_cone       where the line from the cup to the tool point may point, in the base
+                   frame
+    tool_cone      where the line from the tool point to the cup may point, in the
+                   platform's frame
     spheres, rods  obstacles; they need `links_mm` or `bar_mm`
-    links_mm       radius of the machine's links;  bar_mm of the bar from cup to tool point
-    margin_mm      clearance to keep;  ignore: numbers, from 0, of the skeleton's lines that are not looked at
+    links_mm       radius of the machine's links;  bar_mm of the bar from cup to tool
+                   point
+    margin_mm      clearance to keep;  ignore: numbers, from 0, of the skeleton's lines
+                   that are not looked at
 
-    travel goes for instruments that hold a reading, cones and bar for those whose other end has a place.
+    travel goes for instruments that hold a reading, cones and bar for those whose other
+    end has a place.
     """
 
     joints: dict[str, Range] = {}
@@ -170,8 +199,8 @@ class Limits(Part, frozen=True, kw_only=True):
 class Polish(Part, frozen=True, kw_only=True):
     """[design.polish]: chosen poses moved, off the grid, to a local optimum.
 
-    free       set-up: { setting or tool_x, tool_y, tool_z with its unit: [lowest, highest] }, moved along:
-               `free = { cup = { at_x_mm = [-100, 100] } }`
+    free       set-up: { setting or tool_x, tool_y, tool_z with its unit: [lowest,
+               highest] }, moved along: `free = { cup = { at_x_mm = [-100, 100] } }`
     clearance  least determinant of the closure's slopes, as a share of that at home
     """
 
@@ -182,13 +211,15 @@ class Polish(Part, frozen=True, kw_only=True):
 
 
 class Order(Part, frozen=True, kw_only=True):
-    """[design.order]: the order of reading; without this table, a short way by the joints within each set-up.
+    """[design.order]: the order of reading; without this table, a short way by the
+    joints within each set-up.
 
     start                where each set-up's way begins: at home, or anywhere
     speed_mm_s, speed_deg_s   of the joints
-    reference_every_min  a thermal reference reading at least so often, first and last in each set-up, in runs named
-                         "reference"
-    reference            its command, `{ z_mm = 1146, psi_deg = 0, theta = "hold" }`; by default the set-up's first pose
+    reference_every_min  a thermal reference reading at least so often, first and last
+                         in each set-up, in runs named "reference"
+    reference            its command, `{ z_mm = 1146, psi_deg = 0, theta = "hold" }`; by
+                         default the set-up's first pose
     change_tool_min, change_place_min, change_settings_min   time to change the tool, to move or teach the cup, to
                          change what the settings tell (the bar): they order the set-ups
     """
@@ -206,8 +237,9 @@ class Order(Part, frozen=True, kw_only=True):
 class Robust(Part, frozen=True, kw_only=True):
     """[design.robust]: a plan that serves many machines, not only the nominal one.
 
-    Scenarios of parameters and set-ups are drawn from the tolerances; the plan is judged by their mean, by the mean of
-    the worst share `level` ("cvar"), or by the worst one. Needs a smooth criterion and prior = true.
+    Scenarios of parameters and set-ups are drawn from the tolerances; the plan is
+    judged by their mean, by the mean of the worst share `level` ("cvar"), or by the
+    worst one. Needs a smooth criterion and prior = true.
     """
 
     risk: Literal["mean", "cvar", "worst"] = "mean"
@@ -216,9 +248,11 @@ class Robust(Part, frozen=True, kw_only=True):
 
 
 class HowManyTable(Part, frozen=True, kw_only=True):
-    """[design.how_many]: predicted accuracy against the number of readings, over the workspace of [prediction].
+    """[design.how_many]: predicted accuracy against the number of readings, over the
+    workspace of [prediction].
 
-    readings   numbers to show;  wanted  `{ z_um = 50 }`: the fewest readings that reach it are sought, up to `most`
+    readings   numbers to show;  wanted  `{ z_um = 50 }`: the fewest readings that reach
+               it are sought, up to `most`
     """
 
     readings: Annotated[list[Count], msgspec.Meta(min_length=1)] = msgspec.field(
@@ -229,26 +263,34 @@ class HowManyTable(Part, frozen=True, kw_only=True):
 
 
 class Design(Part, frozen=True, kw_only=True):
-    """[design]: how many readings to choose from the candidates, by which criterion, under which rules.
+    """[design]: how many readings to choose from the candidates, by which criterion,
+    under which rules.
 
-    criterion      D: the volume of the parameters' uncertainty; Ds: of those of `interest`; A: their mean variance;
-                   c: the variance of a `combination`; I, G: the mean and the largest variance of the pose over the
-                   workspace of [prediction]; E: the worst-known direction; kappa: the condition number; O1 to O5: the
-                   observability indices
+    criterion      D: the volume of the parameters' uncertainty; Ds: of those of
+                   `interest`; A: their mean variance; c: the variance of a
+                   `combination`; I, G: the mean and the largest variance of the pose
+                   over the workspace of [prediction]; E: the worst-known direction;
+                   kappa: the condition number; O1 to O5: the observability indices
     compound       instead of a criterion: shares of several, `{ D = 0.5, I = 0.5 }`
     interest       Ds: names or patterns; by default the machine's own parameters
     combination    c: coefficients by parameter, per SI unit (m, rad)
-    accuracy       I, G: wanted accuracy, `{ x_um = 30, theta_arcsec = 5 }`; components not named do not count. By
-                   default all count, angles times the machine's lever
+    accuracy       I, G: wanted accuracy, `{ x_um = 30, theta_arcsec = 5 }`; components
+                   not named do not count. By default all count, angles times the
+                   machine's lever
     compare        criteria to design for besides, and to score each other's plans with
-    readings       how many to choose (30, where there is no budget); with whole_runs, how many runs
-    budget_min     time there is for mounting and reading, min, kept readings too; instead of or beside `readings`
+    readings       how many to choose (30, where there is no budget); with whole_runs,
+                   how many runs
+    budget_min     time there is for mounting and reading, min, kept readings too;
+                   instead of or beside `readings`
     setups_max     set-ups mounted at the most, besides those of kept readings
-    apart          least distance of two readings of a set-up, `{ z_mm = 10, psi_deg = 5 }`
+    apart          least distance of two readings of a set-up, `{ z_mm = 10, psi_deg = 5
+                   }`
     whole_runs     choose whole runs (circles, lines), not single readings
-    keep           name of a reference plan;  keep_readings: a readings file. Their readings are part of the plan, and
-                   new ones are chosen to go with them
-    scaling        "length": angles times the lever, readings alike; "tolerance": in units of tolerances and noise
+    keep           name of a reference plan;  keep_readings: a readings file. Their
+                   readings are part of the plan, and new ones are chosen to go with
+                   them
+    scaling        "length": angles times the lever, readings alike; "tolerance": in
+                   units of tolerances and noise
     prior          count the tolerances as knowledge; needs scaling = "tolerance"
     starts         rounds of the search
     """
@@ -280,7 +322,11 @@ class Design(Part, frozen=True, kw_only=True):
     @property
     def size(self) -> int | None:
         """Readings (or runs) to choose; None where only the budget tells."""
-        return READINGS if self.readings is None and self.budget_min is None else self.readings
+        return (
+            READINGS
+            if self.readings is None and self.budget_min is None
+            else self.readings
+        )
 
     @property
     def criteria(self) -> tuple[str, ...]:
@@ -294,12 +340,17 @@ class Design(Part, frozen=True, kw_only=True):
 
 
 class MeasuredTable(Part, frozen=True, kw_only=True):
-    """[[plan.measurement]]: a measurement as it can be ordered; the grid's fields are those of [[design.candidates]].
+    """[[plan.measurement]]: a measurement as it can be ordered; the grid's fields are
+    those of [[design.candidates]].
 
-    setup, setups  set-ups to mount, each of one measurement; the grid goes for each of them
-    counts         numbers of readings (or whole runs) worth trying; no plan takes more than the highest
-    setup_min      time to mount, all its set-ups together, by default the instruments'; reading_s: of one pass
-    travel_mm      a reading farther from the expected one is lost (a ball bar's travel); by default none is
+    setup, setups  set-ups to mount, each of one measurement; the grid goes for each of
+                   them
+    counts         numbers of readings (or whole runs) worth trying; no plan takes more
+                   than the highest
+    setup_min      time to mount, all its set-ups together, by default the instruments';
+                   reading_s: of one pass
+    travel_mm      a reading farther from the expected one is lost (a ball bar's
+                   travel); by default none is
     price          of doing it, besides the time;  operator: who can do it
     """
 
@@ -325,13 +376,17 @@ class MeasuredTable(Part, frozen=True, kw_only=True):
 
 
 class Plan(Part, frozen=True, kw_only=True):
-    """[plan]: which measurements to do, in which order, over the workspace of [prediction].
+    """[plan]: which measurements to do, in which order, over the workspace of
+    [prediction].
 
     budget_min        time there is;  stages: the most there may be
-    wanted            `{ z_um = 30 }`: least time to reach these; without, most accurate within the budget
-    worth             a last stage that makes the machine more accurate by less than this share is not done
-    compare           sequences of measurements, with all readings of each (or the best ones that the budget pays for),
-                      shown beside the best plan of their time
+    wanted            `{ z_um = 30 }`: least time to reach these; without, most accurate
+                      within the budget
+    worth             a last stage that makes the machine more accurate by less than
+                      this share is not done
+    compare           sequences of measurements, with all readings of each (or the best
+                      ones that the budget pays for), shown beside the best plan of
+                      their time
     virtual_machines  carried through all stages of the plan
     """
 
@@ -345,7 +400,9 @@ class Plan(Part, frozen=True, kw_only=True):
 
 
 class KappaTable(Part, frozen=True, kw_only=True):
-    """[[kappa]]: condition number over m circles of n points. The range, `z_mm = { from, to }`, spaces the circles."""
+    """[[kappa]]: condition number over m circles of n points. The range, `z_mm = {
+    from, to }`, spaces the circles.
+    """
 
     rest = "coordinates"
     title: str = ""
@@ -372,12 +429,16 @@ class Readings(Part, frozen=True, kw_only=True):
 class Identify(Part, frozen=True, kw_only=True):
     """[identify]: parameters freed in turn, by name or pattern."""
 
-    stages: Annotated[list[list[str]], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: [["*"]])
+    stages: Annotated[list[list[str]], msgspec.Meta(min_length=1)] = msgspec.field(
+        default_factory=lambda: [["*"]]
+    )
     max_iterations: Count = 50
 
 
 class Posterior(Part, frozen=True, kw_only=True):
-    """[posterior]: how long to sample. `steps` is the most; sampling stops at `ess` a parameter."""
+    """[posterior]: how long to sample. `steps` is the most; sampling stops at `ess` a
+    parameter.
+    """
 
     enabled: bool = True
     walkers: Annotated[int, msgspec.Meta(ge=4, le=100_000)] | None = None
@@ -387,7 +448,9 @@ class Posterior(Part, frozen=True, kw_only=True):
 
 
 class Prediction(Part, frozen=True, kw_only=True):
-    """[prediction]: residual accuracy over a grid of the workspace, against a reference."""
+    """[prediction]: residual accuracy over a grid of the workspace, against a
+    reference.
+    """
 
     rest = "coordinates"
     reference: Literal["home", "absolute", "best_fit"] = "home"

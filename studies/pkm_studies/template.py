@@ -1,4 +1,6 @@
-"""A commented study to start from, for any machine with any instrument of the catalogue."""
+"""A commented study to start from, for any machine with any instrument of the
+catalogue.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,16 @@ from pkm_studies.errors import InputError, Place
 from pkm_studies.quantities import column
 from pkm_studies.study import SUFFIX
 
-#: values a coordinate of the grid that is offered; fewer where these make more poses than so many
+#: values a coordinate of the grid that is offered; fewer where these make more poses
+#: than so many
 VALUES, FEWER, POSES = 5, 3, 1000
 #: share of the workspace that the grid spans
 SHARE = 0.6
 #: readings of the plan that is offered, where the grid has as many
 READINGS = 30
 TURN = 12
-#: share of the grid's poses to which an instrument must be able to lead the tool for a coordinate to be "hold"
+#: share of the grid's poses to which an instrument must be able to lead the tool for a
+#: coordinate to be "hold"
 LED = 0.3
 SETUP = "setup1"
 GAP = """\
@@ -46,23 +50,38 @@ GAP = """\
 
 
 def write(name: str, machine: str, instrument: str, folder: Path) -> Path:
-    """Write NAME.study.toml; returns its path. Raises InputError for a bad name, or where the file is there."""
+    """Write NAME.study.toml; returns its path. Raises InputError for a bad name, or
+    where the file is there.
+    """
     name = name.removesuffix(SUFFIX)
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
-        raise InputError("this is no name for a study", "use letters, digits, _ and -", field="NAME", value=name)
+        raise InputError(
+            "this is no name for a study",
+            "use letters, digits, _ and -",
+            field="NAME",
+            value=name,
+        )
     path = folder / f"{name}{SUFFIX}"
     if path.exists():
-        raise InputError("there is a study of this name", "choose another name, or remove it", file=str(path))
+        raise InputError(
+            "there is a study of this name",
+            "choose another name, or remove it",
+            file=str(path),
+        )
     place = Place("oed new")
     model = catalogue.machine(machine, folder, place.key("--machine"))
     tool = catalogue.instrument(instrument, folder, place.key("--instrument"))
     reason = tool.unfit(model)
     if reason is not None:
-        raise place.key("--instrument").error(f"it cannot read {model.name}: {reason}", "take another", instrument)
+        raise place.key("--instrument").error(
+            f"it cannot read {model.name}: {reason}", "take another", instrument
+        )
     return files.write_whole(path, text(name, machine, model, instrument, tool))
 
 
-def text(name: str, model: str, machine: Machine, reference: str, instrument: Instrument) -> str:
+def text(
+    name: str, model: str, machine: Machine, reference: str, instrument: Instrument
+) -> str:
     """The text of a study that `oed check` finds sound."""
     blocks = [
         _head(name, machine, instrument),
@@ -111,16 +130,23 @@ def _setup(reference: str, machine: Machine, instrument: Instrument) -> str:
         remark = s.about if s.default is not None else f"{s.about}: measure it"
         lines.append(f"{column(s.name, s.unit)} = {_number(value, s.unit)}  # {remark}")
     if instrument.reference == "teach":
-        lines.append(f"teach = {_pose(machine.command, machine.home_command)}  # the pose at which it was taught")
+        lines.append(
+            f"teach = {_pose(machine.command, machine.home_command)}  # the pose at"
+            " which it was taught"
+        )
     for n in instrument.nuisances:
-        lines.append(f"# tolerance.{column(n.name, n.unit)} = {_number(n.tolerance, n.unit)}  # {n.about}")
+        lines.append(
+            f"# tolerance.{column(n.name, n.unit)} = {_number(n.tolerance, n.unit)}  #"
+            f" {n.about}"
+        )
     return "\n".join(lines) + "\n"
 
 
 def _noise(instrument: Instrument) -> str:
     fine = {c.name: units.FINE[c.unit] for c in instrument.channels}
     lines = [
-        f"{c.name}_{fine[c.name]} = {_in(c.sigma, fine[c.name])}  # standard deviation of one reading"
+        f"{c.name}_{fine[c.name]} = {_in(c.sigma, fine[c.name])}  # standard deviation"
+        " of one reading"
         for c in instrument.channels
     ]
     return "[noise]\n" + "\n".join(lines) + "\n"
@@ -137,7 +163,10 @@ def _prior(machine: Machine) -> str:
 
 
 def _design(machine: Machine, instrument: Instrument) -> str:
-    criteria = 'criterion = "D"  # or Ds, A, c, I, G, E, kappa, O1 to O5: see `oed schema study`'
+    criteria = (
+        'criterion = "D"  # or Ds, A, c, I, G, E, kappa, O1 to O5: see `oed schema'
+        " study`"
+    )
     grid = _grid(machine, instrument)
     counts = [int(n) for n in re.findall(r"count = (\d+)", "\n".join(grid))]
     readings = min(READINGS, math.prod(counts) // 2)  # fewer than there are candidates
@@ -149,7 +178,12 @@ def _design(machine: Machine, instrument: Instrument) -> str:
 def _grid(machine: Machine, instrument: Instrument) -> list[str]:
     hold = _held(machine, instrument)
     return [
-        f'{c.name} = "hold"  # led by the instrument' if c.name == hold else _axis(c, machine) for c in machine.command
+        (
+            f'{c.name} = "hold"  # led by the instrument'
+            if c.name == hold
+            else _axis(c, machine)
+        )
+        for c in machine.command
     ]
 
 
@@ -158,11 +192,16 @@ def _axis(c: Coordinate, machine: Machine) -> str:
     key = column(c.name, c.unit)
     if _turns(c):
         return f"{key} = {{ from = 0.0, to = 360.0, count = {TURN}, endpoint = false }}"
-    return f"{key} = {{ from = {_number(low, c.unit)}, to = {_number(high, c.unit)}, count = {_values(machine)} }}"
+    return (
+        f"{key} = {{ from = {_number(low, c.unit)}, to = {_number(high, c.unit)}, count"
+        f" = {_values(machine)} }}"
+    )
 
 
 def _values(machine: Machine) -> int:
-    """Values a coordinate: with six of them, five each would be 15625 poses, and minutes."""
+    """Values a coordinate: with six of them, five each would be 15625 poses, and
+    minutes.
+    """
     return VALUES if VALUES ** len(machine.command) <= POSES else FEWER
 
 
@@ -192,8 +231,13 @@ reference = "home"  # home, absolute or best_fit
 
 
 def _plan(machine: Machine, instrument: Instrument) -> str:
-    """A plan with one measurement; a pointer where the set-up's place is a placeholder, which tells no noise."""
-    about = "# Which measurement at which stage, within a time: see [plan] in `oed schema study`, and `oed plan`.\n"
+    """A plan with one measurement; a pointer where the set-up's place is a placeholder,
+    which tells no noise.
+    """
+    about = (
+        "# Which measurement at which stage, within a time: see [plan] in `oed schema"
+        " study`, and `oed plan`.\n"
+    )
     if any(s.default is None for s in instrument.settings):
         return about
     grid = "\n".join(f"# {line}" for line in _grid(machine, instrument))
@@ -219,29 +263,45 @@ def _span(c: Coordinate, machine: Machine) -> tuple[float, float]:
 
 
 def _held(machine: Machine, instrument: Instrument) -> str | None:
-    """The coordinate by which the instrument can lead the tool at most poses of the grid, if there is one."""
+    """The coordinate by which the instrument can lead the tool at most poses of the
+    grid, if there is one.
+    """
     if instrument.holds is None:
         return None
-    ends = [(0.0, 2.0 * math.pi) if _turns(c) else _span(c, machine) for c in machine.command]
+    ends = [
+        (0.0, 2.0 * math.pi) if _turns(c) else _span(c, machine)
+        for c in machine.command
+    ]
     axes = [np.linspace(low, high, _values(machine)) for low, high in ends]
     command = np.column_stack([m.ravel() for m in np.meshgrid(*axes, indexing="ij")])
-    shares = {c.name: _share(machine, instrument, command, c.name) for c in machine.command}
+    shares = {
+        c.name: _share(machine, instrument, command, c.name) for c in machine.command
+    }
     best = max(shares, key=lambda name: shares[name])
     return best if shares[best] >= LED else None
 
 
-def _share(machine: Machine, instrument: Instrument, command: Array, coordinate: str) -> float:
-    settings = {s.name: 0.0 if s.default is None else s.default for s in instrument.settings}
+def _share(
+    machine: Machine, instrument: Instrument, command: Array, coordinate: str
+) -> float:
+    settings = {
+        s.name: 0.0 if s.default is None else s.default for s in instrument.settings
+    }
     teach = machine.home_command if instrument.reference == "teach" else None
     setup = mount(instrument, SETUP, teach=teach, **settings)  # type: ignore[arg-type]
     try:
-        return float(Measurement(machine, [setup]).hold(SETUP, command, coordinate)[1].mean())
+        return float(
+            Measurement(machine, [setup]).hold(SETUP, command, coordinate)[1].mean()
+        )
     except (AssemblyError, ValueError):
         return 0.0
 
 
 def _pose(coordinates: tuple[Coordinate, ...], values: Array) -> str:
-    said = [f"{column(c.name, c.unit)} = {_number(v, c.unit)}" for c, v in zip(coordinates, values, strict=True)]
+    said = [
+        f"{column(c.name, c.unit)} = {_number(v, c.unit)}"
+        for c, v in zip(coordinates, values, strict=True)
+    ]
     return "{ " + ", ".join(said) + " }"
 
 

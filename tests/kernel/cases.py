@@ -1,4 +1,6 @@
-"""Every machine and every machine x instrument under test: what is listed here, the conformance suite takes up."""
+"""Every machine and every machine x instrument under test: what is listed here, the
+conformance suite takes up.
+"""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -35,7 +37,9 @@ from pkm_models.machines import (
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A machine, random commands (n, n_dof) over its workspace, commands out of reach, and set-ups that can read it."""
+    """A machine, random commands (n, n_dof) over its workspace, commands out of reach,
+    and set-ups that can read it.
+    """
 
     machine: Machine
     commands: Callable[[np.random.Generator, int], np.ndarray]
@@ -46,7 +50,11 @@ class Case:
 def _a3_commands(rng: np.random.Generator, n: int) -> np.ndarray:
     """Whole stroke, all psi, theta up to 40 deg; among them the upright pose."""
     c = np.column_stack(
-        [rng.uniform(1.066, 1.266, n), rng.uniform(-np.pi, np.pi, n), np.deg2rad(rng.uniform(0, 40, n))]
+        [
+            rng.uniform(1.066, 1.266, n),
+            rng.uniform(-np.pi, np.pi, n),
+            np.deg2rad(rng.uniform(0, 40, n)),
+        ]
     )
     c[0, 1:] = 0.0
     return c
@@ -55,21 +63,31 @@ def _a3_commands(rng: np.random.Generator, n: int) -> np.ndarray:
 def _delta_commands(rng: np.random.Generator, n: int) -> np.ndarray:
     """A cylinder of 140 mm radius."""
     r, angle = 0.140 * np.sqrt(rng.uniform(size=n)), rng.uniform(-np.pi, np.pi, n)
-    return np.column_stack([r * np.cos(angle), r * np.sin(angle), rng.uniform(0.0, 0.400, n)])
+    return np.column_stack(
+        [r * np.cos(angle), r * np.sin(angle), rng.uniform(0.0, 0.400, n)]
+    )
 
 
 def _box_commands(machine: Machine) -> Callable[[np.random.Generator, int], np.ndarray]:
-    """The whole workspace of a machine whose coordinates are independent; the first pose is home."""
+    """The whole workspace of a machine whose coordinates are independent; the first
+    pose is home.
+    """
 
     def commands(rng: np.random.Generator, n: int) -> np.ndarray:
-        c = rng.uniform([c.lower for c in machine.command], [c.upper for c in machine.command], (n, len(machine.home)))
+        c = rng.uniform(
+            [c.lower for c in machine.command],
+            [c.upper for c in machine.command],
+            (n, len(machine.home)),
+        )
         c[0] = machine.home_command
         return c
 
     return commands
 
 
-def _setups(cup: tuple[float, float, float], teach: tuple[float, ...]) -> dict[str, Setup]:
+def _setups(
+    cup: tuple[float, float, float], teach: tuple[float, ...]
+) -> dict[str, Setup]:
     at = dict(zip(("at_x", "at_y", "at_z"), cup, strict=True))
     tool = (0.01, -0.02, 0.05)
     setups = (
@@ -88,13 +106,20 @@ def _setups(cup: tuple[float, float, float], teach: tuple[float, ...]) -> dict[s
 
 def _prs_commands(rng: np.random.Generator, n: int) -> np.ndarray:
     """Whole stroke, tilt up to 35 deg in any direction; among them the upright pose."""
-    tilt, around = np.deg2rad(35) * np.sqrt(rng.uniform(size=n)), rng.uniform(-np.pi, np.pi, n)
-    c = np.column_stack([rng.uniform(0.0, 0.4, n), tilt * np.cos(around), tilt * np.sin(around)])
+    tilt, around = (
+        np.deg2rad(35) * np.sqrt(rng.uniform(size=n)),
+        rng.uniform(-np.pi, np.pi, n),
+    )
+    c = np.column_stack(
+        [rng.uniform(0.0, 0.4, n), tilt * np.cos(around), tilt * np.sin(around)]
+    )
     c[0, 1:] = 0.0
     return c
 
 
-def _with_trackers(setups: Mapping[str, Setup], gimbal: tuple[float, float, float]) -> dict[str, Setup]:
+def _with_trackers(
+    setups: Mapping[str, Setup], gimbal: tuple[float, float, float]
+) -> dict[str, Setup]:
     """Set-ups with those that read the orientation or stand on a gimbal."""
     at = dict(zip(("at_x", "at_y", "at_z"), gimbal, strict=True))
     tool = (0.01, -0.02, 0.05)
@@ -110,7 +135,10 @@ def _with_trackers(setups: Mapping[str, Setup], gimbal: tuple[float, float, floa
 def _lines() -> dict[str, Setup]:
     """RM 1 to 5, with the rulers' tilts freed."""
     kinds = {n: getattr(relative, n) for n in ("rm1", "rm2", "rm3", "rm4", "rm5")}
-    return {n: mount(k, n, tolerances={p.name: 1e-4 for p in k.nuisances}) for n, k in kinds.items()}
+    return {
+        n: mount(k, n, tolerances={p.name: 1e-4 for p in k.nuisances})
+        for n, k in kinds.items()
+    }
 
 
 _A3 = _setups((0.0, 0.0, 1.40), (1.40, 0.0, 0.0))
@@ -138,13 +166,17 @@ CASES = {
     "hexapod": Case(
         machine=hexapod.machine,
         commands=_box_commands(hexapod.machine),
-        out_of_reach=np.array([[*(np.array(hexapod.B[1]) - hexapod.A[1]), 0.0, 0.0, 0.0]]),  # leg 1 of length 0
+        out_of_reach=np.array(
+            [[*(np.array(hexapod.B[1]) - hexapod.A[1]), 0.0, 0.0, 0.0]]
+        ),  # leg 1 of length 0
         setups=_setups((0.02, 0.01, 0.20), (0.0, 0.05, 0.30, 0.05, 0.0, 0.1)),
     ),
     "hexaglide": Case(
         machine=hexaglide.machine,
         commands=_box_commands(hexaglide.machine),
-        out_of_reach=np.array([[0.0, 0.5, -0.4, 0.0, 0.0, 0.0]]),  # 1.3 m from guide 1, whose struts are 0.8 m long
+        out_of_reach=np.array(
+            [[0.0, 0.5, -0.4, 0.0, 0.0, 0.0]]
+        ),  # 1.3 m from guide 1, whose struts are 0.8 m long
         setups=_setups((0.02, 0.01, 0.0), (0.0, 0.05, 0.15, 0.05, 0.0, 0.1)),
     ),
     "cable_robot": Case(
@@ -157,7 +189,9 @@ CASES = {
     "planar_2dof": Case(
         machine=planar_2dof.machine,
         commands=_box_commands(planar_2dof.machine),
-        out_of_reach=np.array([[1.7, 0.5]]),  # 3.49 m from guide 1, whose strut is 3.35 m long
+        out_of_reach=np.array(
+            [[1.7, 0.5]]
+        ),  # 3.49 m from guide 1, whose strut is 3.35 m long
         setups=_lines() | _setups((0.0, 0.2, -0.3), (0.2, -0.3)),
     ),
     "prs_spindle": Case(
@@ -176,10 +210,16 @@ CASES = {
 PAIRS = [(name, setup) for name, case in CASES.items() for setup in case.setups]
 
 
-def reading_series(case: Case, setup: str, rng: np.random.Generator, n: int) -> tuple[Measurement, Series]:
-    """A measurement of one set-up and n readings at random poses; in runs of five where a run has a reference."""
+def reading_series(
+    case: Case, setup: str, rng: np.random.Generator, n: int
+) -> tuple[Measurement, Series]:
+    """A measurement of one set-up and n readings at random poses; in runs of five where
+    a run has a reference.
+    """
     measurement = Measurement(case.machine, [case.setups[setup]])
     per_run = 5
     extra = n // per_run if case.setups[setup].instrument.reference == "run" else 0
     runs = [str(i // (per_run + 1)) for i in range(n + extra)] if extra else None
-    return measurement, measurement.series(setup, case.commands(rng, n + extra), run=runs)
+    return measurement, measurement.series(
+        setup, case.commands(rng, n + extra), run=runs
+    )

@@ -1,4 +1,6 @@
-"""The A3 head with its ball bar, as candidate runs under conditions, and two effects written apart from the library."""
+"""The A3 head with its ball bar, as candidate runs under conditions, and two effects
+written apart from the library.
+"""
 
 from collections.abc import Iterable, Sequence
 
@@ -30,13 +32,17 @@ def _effect(name, columns, **more):
 encoder_scale = _effect("encoder_scale", _scale)
 gravity = _effect("gravity", _gravity)
 #: one bar that all set-ups share
-bar_length = _effect("bar_length", lambda s: [Column("bar", BAR, reading={"length": np.ones(len(s))})])
+bar_length = _effect(
+    "bar_length", lambda s: [Column("bar", BAR, reading={"length": np.ones(len(s))})]
+)
 
 
 def warm(state: State, tau: float) -> Iterable[Column]:
     rise = 1.0 - np.exp(-(state.time - state.span[0]) / tau)
     yield Column("frame", 5e-6, "", {i: rise for i in state.limbs})
-    yield Column("leg 1 more", 2e-6, "leg 1", {0: rise * state.joints[:, 0]}, shape=True)
+    yield Column(
+        "leg 1 more", 2e-6, "leg 1", {0: rise * state.joints[:, 0]}, shape=True
+    )
 
 
 warming = _effect("warming", warm, needs=("time",), constants={"tau": (900.0, 3600.0)})
@@ -50,13 +56,28 @@ def circles(
     *,
     seconds: float = 120.0,
 ) -> list[Run]:
-    """A circle for each set-up, stroke (m) and payload (N), one after the other in time."""
+    """A circle for each set-up, stroke (m) and payload (N), one after the other in
+    time.
+    """
     runs: list[Run] = []
     for setup in m.setups:
         for stroke in strokes:
-            command = a3_plans.held(m, np.full(points, stroke), 2 * np.pi * np.arange(points) / points, setup)
+            command = a3_plans.held(
+                m,
+                np.full(points, stroke),
+                2 * np.pi * np.arange(points) / points,
+                setup,
+            )
             for load in payloads:
                 when = {"payload": load, "direction": 1.0, "time": seconds * len(runs)}
                 name = f"{1e3 * stroke:.0f} mm, {load:.0f} N"
-                runs.append(Run(name=name, setup=setup, command=command, condition=when, seconds=seconds))
+                runs.append(
+                    Run(
+                        name=name,
+                        setup=setup,
+                        command=command,
+                        condition=when,
+                        seconds=seconds,
+                    )
+                )
     return runs

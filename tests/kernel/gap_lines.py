@@ -1,4 +1,6 @@
-"""Small readings for tests of the search: lines of a planar machine, and three effects that are in no library."""
+"""Small readings for tests of the search: lines of a planar machine, and three effects
+that are in no library.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +22,25 @@ from pkm_models.machines import planar_2dof
 LINES, LENGTH = 8, 31
 
 
-def readings(seed: int, uneven: float = 0.0, late: float = 0.0, *, timed: bool = True) -> Problem:
-    """Lines of a planar machine read by RM 5, each both ways, with times and feeds, noise alone.
+def readings(
+    seed: int, uneven: float = 0.0, late: float = 0.0, *, timed: bool = True
+) -> Problem:
+    """Lines of a planar machine read by RM 5, each both ways, with times and feeds,
+    noise alone.
 
-    uneven, late   how far places (m) and times (s) of readings are off even ones, either way;  timed: whether times
-                   are told
+    uneven, late   how far places (m) and times (s) of readings are off even ones,
+                   either way;  timed: whether times are told
     """
     measurement = Measurement(planar_2dof.machine, [mount(relative.rm5, "lines")])
     off = np.random.default_rng(99)
     y = np.linspace(-1.4, 1.4, LENGTH) + off.uniform(-uneven, uneven, LENGTH)
     ways = [1 if k % 2 == 0 else -1 for k in range(LINES)]
-    command = np.vstack([np.column_stack([y[::w], np.full(LENGTH, 0.4 * (k // 2))]) for k, w in enumerate(ways)])
+    command = np.vstack(
+        [
+            np.column_stack([y[::w], np.full(LENGTH, 0.4 * (k // 2))])
+            for k, w in enumerate(ways)
+        ]
+    )
     labels = [f"line {k}" for k in range(LINES) for _ in range(LENGTH)]
     series = measurement.series("lines", command, labels)
     n = LENGTH - 1
@@ -39,25 +49,36 @@ def readings(seed: int, uneven: float = 0.0, late: float = 0.0, *, timed: bool =
             "setup": "lines",
             "run": series.run,
             "order": np.tile(np.arange(2, LENGTH + 1), LINES),
-            "time": 40.0 * np.arange(len(series)) + off.uniform(-late, late, len(series)),
+            "time": (
+                40.0 * np.arange(len(series)) + off.uniform(-late, late, len(series))
+            ),
             "direction": np.repeat(np.array(ways, dtype=float), n),
             "feed": np.repeat([1 / 60.0, 3 / 60.0], LINES * n // 2),
         }
     )
-    made = problems.planned(measurement, (series,), covariates if timed else covariates.drop(columns="time"))
+    made = problems.planned(
+        measurement, (series,), covariates if timed else covariates.drop(columns="time")
+    )
     rng = np.random.default_rng(seed)
     noise = made.slopes @ rng.standard_normal(made.slopes.shape[1])
     for k, members in enumerate(made.blocks):
-        noise[members] += np.linalg.cholesky(plain(made).block(made, k)) @ rng.standard_normal(len(members))
+        noise[members] += np.linalg.cholesky(
+            plain(made).block(made, k)
+        ) @ rng.standard_normal(len(members))
     return made.with_residual(noise)
 
 
 def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> Problem:
-    """A planar machine read along lines by RM 5: two channels, whose reference reading is shared. White residuals."""
+    """A planar machine read along lines by RM 5: two channels, whose reference reading
+    is shared. White residuals.
+    """
     measurement = Measurement(planar_2dof.machine, [mount(relative.rm5, "lines")])
     y = np.linspace(-1.4, 1.4, length)
     command = np.vstack(
-        [np.column_stack([y if k % 2 == 0 else y[::-1], np.full(length, 0.4 * k)]) for k in range(runs)]
+        [
+            np.column_stack([y if k % 2 == 0 else y[::-1], np.full(length, 0.4 * k)])
+            for k in range(runs)
+        ]
     )
     labels = [f"line {k}" for k in range(runs) for _ in range(length)]
     series = measurement.series("lines", command, labels)
@@ -75,29 +96,66 @@ def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> Problem:
 
 def _bow(state: State, turns: float) -> list[Column]:
     return [
-        Column(f"leg {i + 1}", 5e-6, f"leg {i + 1}", {i: np.cos(turns * np.pi * state.joints[:, i])})
+        Column(
+            f"leg {i + 1}",
+            5e-6,
+            f"leg {i + 1}",
+            {i: np.cos(turns * np.pi * state.joints[:, i])},
+        )
         for i in state.limbs
     ]
 
 
 def _slip(state: State) -> list[Column]:
-    return [Column(f"leg {i + 1}", 5e-6, f"leg {i + 1}", {i: state.sense[:, i]}) for i in state.limbs]
+    return [
+        Column(f"leg {i + 1}", 5e-6, f"leg {i + 1}", {i: state.sense[:, i]})
+        for i in state.limbs
+    ]
 
 
 def _drift(state: State) -> list[Column]:
     return [Column("drift", 5e-6, reading={"dy": np.nan_to_num(state.time) / 1e4})]
 
 
-BOW = Effect(name="bow", source="test", about="bow", columns=_bow, constants={"turns": (2.0, 3.0)}, remedy="straighten")
-SLIP = Effect(
-    name="slip", source="test", about="slip", columns=_slip, needs=("direction: both",), exposed_by="both ways"
+BOW = Effect(
+    name="bow",
+    source="test",
+    about="bow",
+    columns=_bow,
+    constants={"turns": (2.0, 3.0)},
+    remedy="straighten",
 )
-DRIFT = Effect(name="drift", source="test", about="drift", columns=_drift, needs=("time",))
+SLIP = Effect(
+    name="slip",
+    source="test",
+    about="slip",
+    columns=_slip,
+    needs=("direction: both",),
+    exposed_by="both ways",
+)
+DRIFT = Effect(
+    name="drift", source="test", about="drift", columns=_drift, needs=("time",)
+)
 EFFECTS = (BOW, SLIP, DRIFT)
 
 
-def planted(problem: Problem, effect: Effect, factors: dict[str, float], **constants: float) -> Problem:
-    """The readings with an effect at these constants, its coefficients at factors of their scales."""
-    made = library.build(problem, [dataclasses.replace(effect, constants={k: (v,) for k, v in constants.items()})])
-    change = sum(factors[n] * made.columns[:, k] for k, n in enumerate(made.names) if n in factors)
+def planted(
+    problem: Problem, effect: Effect, factors: dict[str, float], **constants: float
+) -> Problem:
+    """The readings with an effect at these constants, its coefficients at factors of
+    their scales.
+    """
+    made = library.build(
+        problem,
+        [
+            dataclasses.replace(
+                effect, constants={k: (v,) for k, v in constants.items()}
+            )
+        ],
+    )
+    change = sum(
+        factors[n] * made.columns[:, k]
+        for k, n in enumerate(made.names)
+        if n in factors
+    )
     return problem.with_residual(problem.residual + np.asarray(change))

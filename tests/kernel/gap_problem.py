@@ -1,4 +1,6 @@
-"""Small readings for tests of the diagnosis: an A3 head with a ball bar, circles at several heights, both ways."""
+"""Small readings for tests of the diagnosis: an A3 head with a ball bar, circles at
+several heights, both ways.
+"""
 
 import functools
 
@@ -19,17 +21,32 @@ HEIGHTS = (1.10, 1.16, 1.22)
 
 
 @functools.cache
-def circles(points: int = 24, heights: tuple[float, ...] = HEIGHTS, passes: int = 1) -> Problem:
+def circles(
+    points: int = 24, heights: tuple[float, ...] = HEIGHTS, passes: int = 1
+) -> Problem:
     """Circles, each forward and backward, `passes` times; a reading every 6 s."""
-    measurement = Measurement(a3_head.machine, [mount(ball_bar.instrument, "bar", teach=TEACH)])
+    measurement = Measurement(
+        a3_head.machine, [mount(ball_bar.instrument, "bar", teach=TEACH)]
+    )
     psi = np.linspace(-np.pi, np.pi, points, endpoint=False)
     commands, rows = [], []
     for number in range(passes):
         for height in heights:
             for direction in (1, -1):
                 run = f"z {height:g} way {direction} pass {number + 1}"
-                commands.append(np.column_stack([np.full(points, height), psi[::direction], np.full(points, 0.5)]))
-                rows += [{"setup": "bar", "run": run, "order": k + 1, "direction": direction} for k in range(points)]
+                commands.append(
+                    np.column_stack(
+                        [
+                            np.full(points, height),
+                            psi[::direction],
+                            np.full(points, 0.5),
+                        ]
+                    )
+                )
+                rows += [
+                    {"setup": "bar", "run": run, "order": k + 1, "direction": direction}
+                    for k in range(points)
+                ]
     covariates = pd.DataFrame(rows)
     covariates["time"] = 6.0 * np.arange(len(covariates))
     series = measurement.series("bar", np.vstack(commands), run=list(covariates["run"]))
@@ -37,13 +54,23 @@ def circles(points: int = 24, heights: tuple[float, ...] = HEIGHTS, passes: int 
 
 
 def law(problem: Problem) -> Law:
-    """A law with everything: a run's level and first harmonic, an error carried along, readings of different scatter,
-    a level."""
-    return Law(0.7, 0.9, 5.0, np.random.default_rng(3).uniform(0.6, 1.8, len(problem)), level=1.3, sway=0.6)
+    """A law with everything: a run's level and first harmonic, an error carried along,
+    readings of different scatter, a level.
+    """
+    return Law(
+        0.7,
+        0.9,
+        5.0,
+        np.random.default_rng(3).uniform(0.6, 1.8, len(problem)),
+        level=1.3,
+        sway=0.6,
+    )
 
 
 def dense(problem: Problem, law: Law) -> np.ndarray:
-    """Covariance (N, N) of readings without a gap, reading by reading from the law's formula."""
+    """Covariance (N, N) of readings without a gap, reading by reading from the law's
+    formula.
+    """
     total, phase = np.diag(law.variance), problem.rows["phase"].to_numpy(dtype=float)
     for members in problem.blocks:
         for i in members:
@@ -55,7 +82,9 @@ def dense(problem: Problem, law: Law) -> np.ndarray:
 
 
 def in_joint(problem: Problem, limb: int, change: np.ndarray) -> np.ndarray:
-    """Change (N,) of the readings, in units of the noise, where a joint is off by `change` (m,) at each pose, m."""
+    """Change (N,) of the readings, in units of the noise, where a joint is off by
+    `change` (m,) at each pose, m.
+    """
     (series,), (response,) = problem.series, problem.responses
     total = np.zeros(len(problem))
     for slope, place in zip(response.joints, series.index.T, strict=True):
@@ -76,7 +105,9 @@ class Machines:
         self.covariance = dense(problem, law)
         self.root = np.linalg.cholesky(self.covariance)
 
-    def located(self, change: np.ndarray | None, size: float, rng: np.random.Generator) -> tuple[Block, ...]:
+    def located(
+        self, change: np.ndarray | None, size: float, rng: np.random.Generator
+    ) -> tuple[Block, ...]:
         r = self.root @ rng.standard_normal(len(self.problem))
         if change is not None:
             r += sized(change, self.covariance, size)

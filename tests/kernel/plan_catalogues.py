@@ -26,7 +26,9 @@ class Rows:
 
 
 class Linear:
-    """A measurement with n machine parameters and r unknowns of its own, all of tolerance 1."""
+    """A measurement with n machine parameters and r unknowns of its own, all of
+    tolerance 1.
+    """
 
     def __init__(self, n: int, r: int) -> None:
         self.machine = SimpleNamespace(parameters=range(n))
@@ -69,29 +71,49 @@ def option(
 
 
 def catalogue(
-    rng: np.random.Generator, *, options: int = 3, n: int = 3, size: int = 5, alike: bool = True, wanted: bool = False
+    rng: np.random.Generator,
+    *,
+    options: int = 3,
+    n: int = 3,
+    size: int = 5,
+    alike: bool = True,
+    wanted: bool = False,
 ) -> tuple[list[Option], Goal]:
-    """Options that each see some directions well, with one unknown of their own; a goal of two components."""
+    """Options that each see some directions well, with one unknown of their own; a goal
+    of two components.
+    """
     made = []
     for k in range(options):
         strength = 10.0 ** rng.uniform(0.0, 1.5, n)
-        rows = np.column_stack([rng.standard_normal((size, n)) * strength, 3.0 * rng.standard_normal(size)])
+        rows = np.column_stack(
+            [rng.standard_normal((size, n)) * strength, 3.0 * rng.standard_normal(size)]
+        )
         seconds = np.full(size, 60.0) if alike else rng.uniform(20.0, 120.0, size)
         mounting = float(rng.uniform(100.0, 600.0))
         counts = tuple(range(1, size))
-        made.append(option(f"o{k}", rows, n, counts=counts, mounting=mounting, seconds=seconds))
+        made.append(
+            option(f"o{k}", rows, n, counts=counts, mounting=mounting, seconds=seconds)
+        )
     factors = rng.standard_normal((2, 2, n))
     factors /= np.sqrt(np.sum(factors**2, axis=(1, 2)))[:, None, None]
     return made, Goal(("a", "b"), factors, np.ones(2), wanted)
 
 
-def every_plan(options: list[Option], goal: Goal, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Values and times of every set of readings of at most `most` options, by the joint inverse of all unknowns."""
+def every_plan(
+    options: list[Option], goal: Goal, most: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values and times of every set of readings of at most `most` options, by the joint
+    inverse of all unknowns.
+    """
     n = goal.factors.shape[2]
     gains, times = [], []
     for o in options:
         rows, size = o.candidates.blocks[:, 0], len(o.candidates)
-        subsets = [c for k in range(1, o.counts[-1] + 1) for c in itertools.combinations(range(size), k)]
+        subsets = [
+            c
+            for k in range(1, o.counts[-1] + 1)
+            for c in itertools.combinations(range(size), k)
+        ]
         each, spent = [np.zeros((n, n))], [0.0]
         for chosen in subsets:
             joint = np.eye(rows.shape[1]) + rows[list(chosen)].T @ rows[list(chosen)]
@@ -106,6 +128,12 @@ def every_plan(options: list[Option], goal: Goal, most: int) -> tuple[np.ndarray
         used = (used[:, None] + (spent > 0.0)[None]).ravel()
     kept = used <= most
     covariance = np.linalg.inv(held[kept])
-    accuracy = np.sqrt(np.einsum("krn,pnm,krm->pk", goal.factors, covariance, goal.factors, optimize=True))
-    value = accuracy.max(axis=1) if goal.wanted else np.sqrt(np.mean(accuracy**2, axis=1))
+    accuracy = np.sqrt(
+        np.einsum(
+            "krn,pnm,krm->pk", goal.factors, covariance, goal.factors, optimize=True
+        )
+    )
+    value = (
+        accuracy.max(axis=1) if goal.wanted else np.sqrt(np.mean(accuracy**2, axis=1))
+    )
     return value, time[kept]

@@ -16,15 +16,24 @@ def function() -> Batched:
 
 
 def expected(a: np.ndarray, b: np.ndarray) -> list[np.ndarray]:
-    return [a * b.sum(1)[:, None], a[:, :, None] * b[:, None, :] + 1.0, (a.sum(1) / a[:, 0])[:, None]]
+    return [
+        a * b.sum(1)[:, None],
+        a[:, :, None] * b[:, None, :] + 1.0,
+        (a.sum(1) / a[:, 0])[:, None],
+    ]
 
 
 def same(got: list[np.ndarray], want: list[np.ndarray]) -> bool:
-    return all(g.shape == w.shape and np.allclose(g, w, rtol=1e-14, atol=0) for g, w in zip(got, want, strict=True))
+    return all(
+        g.shape == w.shape and np.allclose(g, w, rtol=1e-14, atol=0)
+        for g, w in zip(got, want, strict=True)
+    )
 
 
 @pytest.mark.parametrize("n", SIZES)
-def test_batches_of_any_size_equal_numpy(function: Batched, rng: np.random.Generator, n: int) -> None:
+def test_batches_of_any_size_equal_numpy(
+    function: Batched, rng: np.random.Generator, n: int
+) -> None:
     a, b = rng.uniform(1, 2, (n, 3)), rng.uniform(1, 2, (n, 2))
     assert same(function(a, b), expected(a, b))
 
@@ -37,7 +46,9 @@ def test_one_row_serves_all(function: Batched, rng: np.random.Generator) -> None
     assert same(function(a[0], b), expected(a[:1], wide[:1]))
 
 
-def test_results_are_not_overwritten_by_the_next_call(function: Batched, rng: np.random.Generator) -> None:
+def test_results_are_not_overwritten_by_the_next_call(
+    function: Batched, rng: np.random.Generator
+) -> None:
     a, b = rng.uniform(1, 2, (10, 3)), rng.uniform(1, 2, (10, 2))
     first = function(a, b)
     kept = [r.copy() for r in first]
@@ -45,7 +56,9 @@ def test_results_are_not_overwritten_by_the_next_call(function: Batched, rng: np
     assert all((r == k).all() for r, k in zip(first, kept, strict=True))
 
 
-def test_inputs_may_be_views_and_are_left_alone(function: Batched, rng: np.random.Generator) -> None:
+def test_inputs_may_be_views_and_are_left_alone(
+    function: Batched, rng: np.random.Generator
+) -> None:
     a, b = rng.uniform(1, 2, (3, 12)).T[::2], rng.uniform(1, 2, (6, 4))[:, ::2]
     before = a.copy(), b.copy()
     assert same(function(a, b), expected(*before))

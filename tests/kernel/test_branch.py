@@ -11,11 +11,14 @@ from oed.design import branch, exchange
 from oed.design.criterion import named
 
 
-def best_subset(rows: np.ndarray, size: int, criterion: str, prior: np.ndarray | None) -> float:
+def best_subset(
+    rows: np.ndarray, size: int, criterion: str, prior: np.ndarray | None
+) -> float:
     judge = named(criterion, rows.shape[1])
     held = np.zeros((rows.shape[1],) * 2) if prior is None else prior
     return max(
-        judge.value(rows[list(s)].T @ rows[list(s)] + held) for s in itertools.combinations(range(len(rows)), size)
+        judge.value(rows[list(s)].T @ rows[list(s)] + held)
+        for s in itertools.combinations(range(len(rows)), size)
     )
 
 
@@ -28,7 +31,9 @@ def test_the_best_of_all_subsets_is_proven(seed: int, criterion: str) -> None:
     poor = np.arange(5)  # a start far from the best one
     found = branch.solve(rows, 5, rng, criterion, prior, start=poor)
     assert found.optimal
-    assert found.value == pytest.approx(best_subset(rows, 5, criterion, prior), abs=1e-9)
+    assert found.value == pytest.approx(
+        best_subset(rows, 5, criterion, prior), abs=1e-9
+    )
     assert found.bound == pytest.approx(found.value, abs=1e-8)
 
 

@@ -1,4 +1,6 @@
-"""Compensation: Eqs. (19)-(25) through the oracle, and the exact version on machines the oracle builds."""
+"""Compensation: Eqs. (19)-(25) through the oracle, and the exact version on machines
+the oracle builds.
+"""
 
 import numpy as np
 import pytest
@@ -20,13 +22,17 @@ def commands(rng: np.random.Generator, n: int) -> np.ndarray:
     return np.column_stack([c[:, :2], np.maximum(c[:, 2], np.deg2rad(1))])
 
 
-def test_joint_corrections_are_eq_24_and_what_remains_is_eq_25(rng: np.random.Generator) -> None:
+def test_joint_corrections_are_eq_24_and_what_remains_is_eq_25(
+    rng: np.random.Generator,
+) -> None:
     command = commands(rng, 200)
     model = compensate.error_model(A3, command)
     oracle = a3.compensator(*command.T)
     assert np.abs(model.joints - oracle.dq).max() < 1e-11 * np.abs(oracle.dq).max()
     left = A3.components_slope(command) @ model.remaining
-    assert np.abs(left[:, [0, 1, 5]] - oracle.dc).max() < 1e-11 * np.abs(oracle.dc).max()
+    assert (
+        np.abs(left[:, [0, 1, 5]] - oracle.dc).max() < 1e-11 * np.abs(oracle.dc).max()
+    )
     assert np.abs(left[:, [2, 3, 4]]).max() < 1e-11 * np.abs(oracle.dc).max()
     assert np.abs(model.raw - a3.linear_model(*command.T)).max() < 1e-12
     tip, rotation = a3.nominal_pose(*command.T)
@@ -49,13 +55,17 @@ def test_a_longer_tool_holds_its_own_point(rng: np.random.Generator) -> None:
     left = A3.components_slope(command) @ model.remaining
     assert np.abs(left[:, 2:5]).max() < 1e-11
     q = a3.inverse_nominal(*command.T, 0.1)
-    by_joint = a3.forward(np.zeros(24), q[:, None] + 1e-30j * np.eye(3), 0.1).tip.imag / 1e-30
+    by_joint = (
+        a3.forward(np.zeros(24), q[:, None] + 1e-30j * np.eye(3), 0.1).tip.imag / 1e-30
+    )
     z = model.raw[:, 2] + np.einsum("njk,njp->nkp", by_joint, model.joints)[:, 2]
     assert np.abs(z).max() < 1e-11
 
 
 def test_a_known_machine_reaches_its_commands_exactly(rng: np.random.Generator) -> None:
-    """Joints from the true parameters, sent to the oracle's machine: z, psi, theta as commanded."""
+    """Joints from the true parameters, sent to the oracle's machine: z, psi, theta as
+    commanded.
+    """
     command = commands(rng, 60)
     for p in SPREAD * rng.standard_normal((5, 24)):
         reached = a3.forward(p, compensate.joints(A3, command, p))
@@ -66,7 +76,12 @@ def test_a_known_machine_reaches_its_commands_exactly(rng: np.random.Generator) 
     machine = linear_delta.machine.nominal + 2e-3 * rng.standard_normal(10)
     point = CASES["linear_delta"].commands(rng, 60)
     q = compensate.joints(DELTA, point, machine)
-    assert np.abs(delta.nozzle(q, machine[0], machine[1:4], machine[4:7], machine[7:]) - point).max() < 1e-13
+    assert (
+        np.abs(
+            delta.nozzle(q, machine[0], machine[1:4], machine[4:7], machine[7:]) - point
+        ).max()
+        < 1e-13
+    )
 
 
 def test_pose_errors_are_the_oracles(rng: np.random.Generator) -> None:
@@ -75,20 +90,40 @@ def test_pose_errors_are_the_oracles(rng: np.random.Generator) -> None:
     tip, rotation = a3.nominal_pose(*command.T)
     real = a3.forward(p, q)
     turn = Rotation.from_matrix(real.R @ np.swapaxes(rotation, 1, 2)).as_rotvec()
-    assert np.abs(compensate.pose_error(A3, command, q, p) - np.hstack([real.tip - tip, turn])).max() < 1e-12
+    assert (
+        np.abs(
+            compensate.pose_error(A3, command, q, p) - np.hstack([real.tip - tip, turn])
+        ).max()
+        < 1e-12
+    )
 
 
 def test_small_errors_are_linear(rng: np.random.Generator) -> None:
     command, p = commands(rng, 30), 1e-4 * SPREAD * rng.standard_normal(24)
     error = compensate.pose_error(A3, command, a3.inverse_nominal(*command.T), p)
-    assert np.abs(error - compensate.error_model(A3, command).raw @ p).max() < 1e-3 * np.abs(error).max()
+    assert (
+        np.abs(error - compensate.error_model(A3, command).raw @ p).max()
+        < 1e-3 * np.abs(error).max()
+    )
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-15, 1e-9, 1e-3, 0.1, 1.0, 3.0, np.pi - 1e-6])
-def test_twists_of_finite_turns_are_scipys(rng: np.random.Generator, angle: float) -> None:
+def test_twists_of_finite_turns_are_scipys(
+    rng: np.random.Generator, angle: float
+) -> None:
     axis = rng.standard_normal((20, 3))
-    turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis, axis=1, keepdims=True))
-    start, point, other = Rotation.random(20, rng=rng), rng.standard_normal((20, 3)), rng.standard_normal((20, 3))
-    twist = compensate.twist_between(start.as_matrix(), point, (turn * start).as_matrix(), other)
+    turn = Rotation.from_rotvec(
+        angle * axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    )
+    start, point, other = (
+        Rotation.random(20, rng=rng),
+        rng.standard_normal((20, 3)),
+        rng.standard_normal((20, 3)),
+    )
+    twist = compensate.twist_between(
+        start.as_matrix(), point, (turn * start).as_matrix(), other
+    )
     assert twist[:, :3] == pytest.approx(other - point)
-    assert np.abs(twist[:, 3:] - turn.as_rotvec()).max() < (1e-14 if angle < 3 else 1e-8)
+    assert np.abs(twist[:, 3:] - turn.as_rotvec()).max() < (
+        1e-14 if angle < 3 else 1e-8
+    )

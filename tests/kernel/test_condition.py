@@ -1,4 +1,6 @@
-"""Condition number, E and O4: bounds hold for every plan, weights reach them, a conic solver agrees."""
+"""Condition number, E and O4: bounds hold for every plan, weights reach them, a conic
+solver agrees.
+"""
 
 from __future__ import annotations
 
@@ -14,22 +16,32 @@ METHODS = (condition.relax, condition.e_optimal, condition.o4)
 TOLERANCES = (1e-4, 1e-4, 1e-3)
 
 
-def told(rows: np.ndarray, base: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
+def told(
+    rows: np.ndarray, base: np.ndarray, weights: np.ndarray
+) -> tuple[float, float, float]:
     """kappa, l_min and O4 from singular values, without forming M."""
     flat = (np.sqrt(weights)[:, None, None] * rows).reshape(-1, rows.shape[2])
-    s = np.linalg.svd(np.vstack([flat, np.sqrt(base)]), compute_uv=False)[: rows.shape[2]]
+    s = np.linalg.svd(np.vstack([flat, np.sqrt(base)]), compute_uv=False)[
+        : rows.shape[2]
+    ]
     with np.errstate(divide="ignore"):
         return float(s[0] / s[-1]), float(s[-1] ** 2), float(s[-1] ** 2 / s[0])
 
 
 def problem(seed: int) -> tuple[np.ndarray, int, np.ndarray]:
-    """Random blocks (C, k, n) with columns of scales that differ, a size, and prior information in every second one."""
+    """Random blocks (C, k, n) with columns of scales that differ, a size, and prior
+    information in every second one.
+    """
     rng = np.random.default_rng(seed)
     k, count = int(rng.integers(1, 4)), int(rng.integers(7, 12))
     n = int(rng.integers(1, min(3 * k, 6) + 1))
     size = int(rng.integers(-(-n // k), 6))
     rows = rng.standard_normal((count, k, n)) @ np.diag(10.0 ** rng.uniform(-2, 2, n))
-    return rows, size, np.diag(10.0 ** rng.uniform(-3, 1, n)) if seed % 2 else np.zeros((n, n))
+    return (
+        rows,
+        size,
+        np.diag(10.0 ** rng.uniform(-3, 1, n)) if seed % 2 else np.zeros((n, n)),
+    )
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -63,14 +75,19 @@ def test_agrees_with_a_conic_solver(cap: float) -> None:
         (condition.relax, Spectrum(0.5, 0.5, name="kappa"), -1.0),
         (condition.e_optimal, Spectrum(), 1.0),
     ):
-        found, other = method(rows, 9.0, prior, cap, 1e-6), cone.relax(rows, 9.0, criterion, prior, cap)
+        found, other = (
+            method(rows, 9.0, prior, cap, 1e-6),
+            cone.relax(rows, 9.0, criterion, prior, cap),
+        )
         assert sign * np.log(found.value) == pytest.approx(other.value, abs=3e-6)
         assert sign * np.log(found.bound) >= other.value - 1e-9
         assert sign * np.log(found.value) <= other.bound + 1e-9
 
 
 def test_o4_is_the_best_along_the_frontier() -> None:
-    """The largest O4 over many levels of l_max, each by a conic solver, lies near the value and below the bound."""
+    """The largest O4 over many levels of l_max, each by a conic solver, lies near the
+    value and below the bound.
+    """
     rng = np.random.default_rng(8)
     rows = rng.standard_normal((25, 1, 3)) * np.array([0.3, 1.0, 5.0])
     found = condition.o4(rows, 6.0, tolerance=1e-4)
@@ -83,18 +100,29 @@ def test_o4_is_the_best_along_the_frontier() -> None:
 
 
 def _at_most(rows: np.ndarray, size: float, largest: float) -> float:
-    """O4 where l_min is largest with l_max at most at a level, by an independent program."""
+    """O4 where l_min is largest with l_max at most at a level, by an independent
+    program.
+    """
     import cvxpy as cp
 
     w, t = cp.Variable(len(rows), nonneg=True), cp.Variable()
     m = sum(w[i] * (b.T @ b) for i, b in enumerate(rows))
-    problem = cp.Problem(cp.Maximize(t), [m >> t * np.eye(3), m << largest * np.eye(3), cp.sum(w) == size, w <= 1])
+    problem = cp.Problem(
+        cp.Maximize(t),
+        [m >> t * np.eye(3), m << largest * np.eye(3), cp.sum(w) == size, w <= 1],
+    )
     problem.solve(solver=cp.CLARABEL)
-    return told(rows, np.zeros((3, 3)), np.clip(w.value, 0, 1))[2] if w.value is not None else 0.0
+    return (
+        told(rows, np.zeros((3, 3)), np.clip(w.value, 0, 1))[2]
+        if w.value is not None
+        else 0.0
+    )
 
 
 def test_many_candidates_are_joined_as_they_are_wanted() -> None:
-    """2000 x 21 of Problem A: gap closed; the slopes are the multipliers: no candidate outside beats those inside."""
+    """2000 x 21 of Problem A: gap closed; the slopes are the multipliers: no candidate
+    outside beats those inside.
+    """
     rows = np.random.default_rng(0).standard_normal((2000, 21))
     found = condition.e_optimal(rows, 30.0)
     assert found.gap < 1e-4
@@ -104,7 +132,9 @@ def test_many_candidates_are_joined_as_they_are_wanted() -> None:
 
 
 def test_widely_spread_singular_values() -> None:
-    """Columns that spread over five decades, as lengths and angles do: certified to 1e-4 all the same."""
+    """Columns that spread over five decades, as lengths and angles do: certified to
+    1e-4 all the same.
+    """
     rng = np.random.default_rng(2)
     rows = rng.standard_normal((800, 1, 12)) @ np.diag(np.geomspace(1e-4, 10.0, 12))
     for method, tolerance in zip(METHODS, TOLERANCES, strict=True):
@@ -115,12 +145,20 @@ def test_widely_spread_singular_values() -> None:
 
 def test_slopes_are_derivatives() -> None:
     """Where both ends of the spectrum are single, they equal differences of -log kappa."""
-    rows = np.diag([1.0, 2.0, 5.0])[:, None, :] @ np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    rows = (
+        np.diag([1.0, 2.0, 5.0])[:, None, :]
+        @ np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    )
     base, weights = np.zeros((3, 3)), np.ones(3)
     found = condition.relax(rows, 3.0)
     for i, step in enumerate(1e-6 * np.eye(3)):
-        low, high = told(rows, base, weights - step)[0], told(rows, base, weights + step)[0]
-        assert found.slopes[i] == pytest.approx((np.log(low) - np.log(high)) / 2e-6, abs=1e-6)
+        low, high = (
+            told(rows, base, weights - step)[0],
+            told(rows, base, weights + step)[0],
+        )
+        assert found.slopes[i] == pytest.approx(
+            (np.log(low) - np.log(high)) / 2e-6, abs=1e-6
+        )
 
 
 def test_what_can_not_be_is_refused() -> None:

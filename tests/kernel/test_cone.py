@@ -1,4 +1,6 @@
-"""The conic relaxation: against all subsets, against the Newton relaxation, with limits, for every criterion."""
+"""The conic relaxation: against all subsets, against the Newton relaxation, with
+limits, for every criterion.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,15 @@ import pytest
 
 from oed.design import cone, relaxation
 from oed.design.blocks import information
-from oed.design.criterion import Compound, Criterion, Determinant, Power, Spectrum, Variance, Worst
+from oed.design.criterion import (
+    Compound,
+    Criterion,
+    Determinant,
+    Power,
+    Spectrum,
+    Variance,
+    Worst,
+)
 from oed.design.polytope import Polytope
 
 
@@ -37,9 +47,15 @@ def criteria(n: int, rng: np.random.Generator) -> list[Criterion]:
 
 @pytest.mark.parametrize("seed", range(40))
 def test_no_plan_exceeds_the_bound(seed: int) -> None:
-    """Random sizes, ranks, blocks and priors, with limits in every third: all plans lie below a bound that is tight."""
+    """Random sizes, ranks, blocks and priors, with limits in every third: all plans lie
+    below a bound that is tight.
+    """
     rng = np.random.default_rng(seed)
-    k, count, n = int(rng.integers(1, 4)), int(rng.integers(7, 10)), int(rng.integers(2, 5))
+    k, count, n = (
+        int(rng.integers(1, 4)),
+        int(rng.integers(7, 10)),
+        int(rng.integers(2, 5)),
+    )
     size = int(rng.integers(-(-n // k), 6))
     rows = rng.standard_normal((count, k, n)) @ np.diag(10.0 ** rng.uniform(-1, 1, n))
     base = np.diag(10.0 ** rng.uniform(-2, 1, n)) if seed % 2 else np.zeros((n, n))
@@ -51,8 +67,13 @@ def test_no_plan_exceeds_the_bound(seed: int) -> None:
     every = criteria(n, rng)
     for criterion in (every[seed % len(every)], every[(seed + 7) % len(every)]):
         found = cone.relax(rows, size, criterion, base, 1.0, limits)
-        assert max(criterion.value(base + information(rows[c])) for c in subsets) <= found.bound
-        assert found.value == pytest.approx(criterion.value(base + information(rows, found.weights)))
+        assert (
+            max(criterion.value(base + information(rows[c])) for c in subsets)
+            <= found.bound
+        )
+        assert found.value == pytest.approx(
+            criterion.value(base + information(rows, found.weights))
+        )
         assert found.weights.sum() == pytest.approx(size, rel=1e-7)
         assert found.weights.min() >= 0.0
         assert found.weights.max() <= 1.0
@@ -63,9 +84,14 @@ def test_no_plan_exceeds_the_bound(seed: int) -> None:
 @pytest.mark.parametrize("which", [0, 2, 4, 5, 10, 11])
 @pytest.mark.parametrize("cap", [0.4, np.inf])
 def test_agrees_with_newton_steps(which: int, cap: float) -> None:
-    """D, A, I, G, phi_1 and phi_2: the relaxation of this package that knows no conic solver finds the same."""
+    """D, A, I, G, phi_1 and phi_2: the relaxation of this package that knows no conic
+    solver finds the same.
+    """
     rng = np.random.default_rng(3)
-    rows, prior = rng.standard_normal((40, 2, 4)) * np.array([0.2, 1.0, 2.0, 9.0]), np.diag(rng.uniform(0.1, 1.0, 4))
+    rows, prior = (
+        rng.standard_normal((40, 2, 4)) * np.array([0.2, 1.0, 2.0, 9.0]),
+        np.diag(rng.uniform(0.1, 1.0, 4)),
+    )
     criterion = criteria(4, rng)[which]
     found = cone.relax(rows, 8.0, criterion, prior, cap)
     newton = relaxation.relax(rows, 8.0, prior, cap, 1e-8, criterion)
@@ -78,10 +104,16 @@ def test_agrees_with_newton_steps(which: int, cap: float) -> None:
 @pytest.mark.parametrize("which", range(15))
 def test_two_solvers_agree(which: int) -> None:
     rng = np.random.default_rng(5)
-    rows, group = rng.standard_normal((20, 1, 3)), (np.arange(20) < 10).astype(float)[None]
+    rows, group = (
+        rng.standard_normal((20, 1, 3)),
+        (np.arange(20) < 10).astype(float)[None],
+    )
     criterion = criteria(3, rng)[which]
     limits = (group, np.array([1.5]))
-    found = [cone.relax(rows, 5.0, criterion, limits=limits, solver=s) for s in ("CLARABEL", "SCS")]
+    found = [
+        cone.relax(rows, 5.0, criterion, limits=limits, solver=s)
+        for s in ("CLARABEL", "SCS")
+    ]
     assert found[0].value == pytest.approx(found[1].value, abs=1e-3)
     assert found[0].bound >= found[1].value - 1e-9
     assert found[1].bound >= found[0].value - 1e-9
@@ -89,10 +121,15 @@ def test_two_solvers_agree(which: int) -> None:
 
 
 def test_the_bound_under_limits_holds_at_random_weights() -> None:
-    """What slopes can carry: no feasible weights carry more, and the weights told carry as much."""
+    """What slopes can carry: no feasible weights carry more, and the weights told carry
+    as much.
+    """
     rng = np.random.default_rng(6)
     rows, most = rng.uniform(0.0, 1.0, (3, 30)), np.array([2.0, 2.5, 3.0])
-    plans, gains = Polytope(6.0, np.full(30, 1.0), (rows, most)), rng.standard_normal(30)
+    plans, gains = (
+        Polytope(6.0, np.full(30, 1.0), (rows, most)),
+        rng.standard_normal(30),
+    )
     bound, weights = plans.most(gains)
     assert gains @ weights == pytest.approx(bound, abs=1e-8)
     for _ in range(200):

@@ -1,11 +1,22 @@
-"""Criteria: slopes and curvatures by finite differences, exact values after adding, lines that are never crossed."""
+"""Criteria: slopes and curvatures by finite differences, exact values after adding,
+lines that are never crossed.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from oed.design.criterion import Compound, Criterion, Determinant, Power, Spectrum, Variance, Worst, named
+from oed.design.criterion import (
+    Compound,
+    Criterion,
+    Determinant,
+    Power,
+    Spectrum,
+    Variance,
+    Worst,
+    named,
+)
 from oed.design.criterion.protocol import slopes
 
 N = 5
@@ -37,7 +48,9 @@ def matrix(rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", SMOOTH)
-def test_slopes_and_curvatures_by_differences(name: str, rng: np.random.Generator) -> None:
+def test_slopes_and_curvatures_by_differences(
+    name: str, rng: np.random.Generator
+) -> None:
     """Along the weights of random blocks, by central differences of the value."""
     criterion, m = SMOOTH[name], matrix(rng)
     blocks = 0.1 * rng.standard_normal((6, 2, N))
@@ -49,19 +62,34 @@ def test_slopes_and_curvatures_by_differences(name: str, rng: np.random.Generato
 
     eye = step * np.eye(6)
     first = np.array([(value(e) - value(-e)) / (2 * step) for e in eye])
-    assert slopes(blocks, criterion.support(m).root) == pytest.approx(first, rel=1e-5, abs=1e-6)
+    assert slopes(blocks, criterion.support(m).root) == pytest.approx(
+        first, rel=1e-5, abs=1e-6
+    )
     second = np.array(
-        [[(value(e + f) - value(e - f) - value(f - e) + value(-e - f)) / (4 * step**2) for f in eye] for e in eye]
+        [
+            [
+                (value(e + f) - value(e - f) - value(f - e) + value(-e - f))
+                / (4 * step**2)
+                for f in eye
+            ]
+            for e in eye
+        ]
     )
     scale = np.abs(second).max()
-    assert criterion.curvature(m, blocks) == pytest.approx(-second, rel=2e-3, abs=2e-3 * scale)
+    assert criterion.curvature(m, blocks) == pytest.approx(
+        -second, rel=2e-3, abs=2e-3 * scale
+    )
     assert np.linalg.eigvalsh(criterion.curvature(m, blocks))[0] >= -1e-9 * scale
 
 
 @pytest.mark.parametrize("name", [*SMOOTH, *ROUGH])
 @pytest.mark.parametrize("k", [1, 3])
-def test_values_after_adding_are_exact(name: str, k: int, rng: np.random.Generator) -> None:
-    """Against the value of the sum itself; a shortlist may leave candidates out, never the best one by far."""
+def test_values_after_adding_are_exact(
+    name: str, k: int, rng: np.random.Generator
+) -> None:
+    """Against the value of the sum itself; a shortlist may leave candidates out, never
+    the best one by far.
+    """
     criterion, m = (SMOOTH | ROUGH)[name], matrix(rng)
     blocks = rng.standard_normal((40, k, N))
     told = criterion.added(m, blocks)
@@ -73,7 +101,9 @@ def test_values_after_adding_are_exact(name: str, k: int, rng: np.random.Generat
 
 
 @pytest.mark.parametrize("name", [n for n, c in (SMOOTH | ROUGH).items() if c.concave])
-def test_no_matrix_crosses_a_supporting_line(name: str, rng: np.random.Generator) -> None:
+def test_no_matrix_crosses_a_supporting_line(
+    name: str, rng: np.random.Generator
+) -> None:
     criterion = (SMOOTH | ROUGH)[name]
     for _ in range(30):
         m = matrix(rng)
@@ -84,13 +114,22 @@ def test_no_matrix_crosses_a_supporting_line(name: str, rng: np.random.Generator
             assert touch == pytest.approx(criterion.value(m), abs=1e-8)
         for _ in range(10):
             other = matrix(rng)
-            assert criterion.value(other) <= value + np.log(np.sum((other @ root) * root)) + 1e-9
+            assert (
+                criterion.value(other)
+                <= value + np.log(np.sum((other @ root) * root)) + 1e-9
+            )
 
 
-@pytest.mark.parametrize("name", [n for n in SMOOTH | ROUGH if n not in ("kappa", "O4")])
-def test_twice_the_readings_are_twice_the_information(name: str, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize(
+    "name", [n for n in SMOOTH | ROUGH if n not in ("kappa", "O4")]
+)
+def test_twice_the_readings_are_twice_the_information(
+    name: str, rng: np.random.Generator
+) -> None:
     criterion, m = (SMOOTH | ROUGH)[name], matrix(rng)
-    assert criterion.value(2.0 * m) == pytest.approx(criterion.value(m) + np.log(2.0), abs=1e-9)
+    assert criterion.value(2.0 * m) == pytest.approx(
+        criterion.value(m) + np.log(2.0), abs=1e-9
+    )
 
 
 def test_numbers_users_know(rng: np.random.Generator) -> None:
@@ -113,7 +152,9 @@ def test_numbers_users_know(rng: np.random.Generator) -> None:
         criterion = named(name, N)
         assert criterion.told(criterion.value(m), 7) == pytest.approx(number, rel=1e-9)
     worst = max(float(np.trace(f @ inverse @ f.T)) for f in FACTORS)
-    assert named("G", N, factors=FACTORS).told(named("G", N, factors=FACTORS).value(m), 7) == pytest.approx(-worst)
+    assert named("G", N, factors=FACTORS).told(
+        named("G", N, factors=FACTORS).value(m), 7
+    ) == pytest.approx(-worst)
     covariance = INTEREST.T @ inverse @ INTEREST
     ds = named("Ds", N, interest=INTEREST)
     assert ds.told(ds.value(m), 7) == pytest.approx(-np.linalg.slogdet(covariance)[1])
@@ -129,7 +170,10 @@ def test_profiling_out_is_the_schur_complement(rng: np.random.Generator) -> None
 
 def test_what_is_not_seen_is_said() -> None:
     basis = np.eye(N)[:, :3]
-    assert named("Ds", N, interest=np.eye(N)[:, 2:4]).within(basis).interest.shape == (3, 1)
+    assert named("Ds", N, interest=np.eye(N)[:, 2:4]).within(basis).interest.shape == (
+        3,
+        1,
+    )
     with pytest.raises(ValueError, match="no reading sees the directions of interest"):
         named("Ds", N, interest=np.eye(N)[:, 4:]).within(basis)
     with pytest.raises(ValueError, match="no reading sees the combination"):

@@ -1,7 +1,8 @@
-"""No design is ever below the greedy one, nor above its bound: 500 random problems, half of them by `make slow`.
+"""No design is ever below the greedy one, nor above its bound: 500 random problems,
+half of them by `make slow`.
 
-Sizes, ranks, blocks, priors, costs, set-ups and criteria vary. The greedy plan is written again here, and the values
-are computed from the chosen blocks with NumPy alone.
+Sizes, ranks, blocks, priors, costs, set-ups and criteria vary. The greedy plan is
+written again here, and the values are computed from the chosen blocks with NumPy alone.
 """
 
 from __future__ import annotations
@@ -30,7 +31,11 @@ class Problem:
 
 def problem(seed: int) -> Problem:
     rng = np.random.default_rng(seed)
-    n, k, count = int(rng.integers(2, 7)), int(rng.integers(1, 4)), int(rng.integers(15, 50))
+    n, k, count = (
+        int(rng.integers(2, 7)),
+        int(rng.integers(1, 4)),
+        int(rng.integers(15, 50)),
+    )
     rank = n if seed % 3 else max(1, n - int(rng.integers(1, 3)))
     blocks = rng.standard_normal((count, k, rank)) @ rng.standard_normal((rank, n))
     blocks = blocks @ np.diag(10.0 ** rng.uniform(-1, 1, n))
@@ -39,7 +44,11 @@ def problem(seed: int) -> Problem:
     rules = Rules(size=size)
     if seed % 5 == 0:
         cost = rng.uniform(0.5, 2.0, count)
-        rules = Rules(budget=float(rng.uniform(n + 2, n + 6)) * 2.0, cost=cost, size=None if seed % 2 else 12)
+        rules = Rules(
+            budget=float(rng.uniform(n + 2, n + 6)) * 2.0,
+            cost=cost,
+            size=None if seed % 2 else 12,
+        )
     elif seed % 5 == 1:
         rules = Rules(size=size, setup=rng.integers(0, 4, count), most_setups=2)
     return Problem(blocks, prior, rules, CRITERIA[seed % 8], rank)
@@ -50,14 +59,20 @@ def value(p: Problem, chosen: np.ndarray, ridge: float = 0.0) -> float:
     flat = p.blocks[chosen].reshape(-1, p.blocks.shape[2])
     m = flat.T @ flat + (0.0 if p.prior is None else p.prior)
     if p.prior is None:
-        basis = np.linalg.svd(p.blocks.reshape(-1, p.blocks.shape[2]), full_matrices=False)[2][: p.rank].T
+        basis = np.linalg.svd(
+            p.blocks.reshape(-1, p.blocks.shape[2]), full_matrices=False
+        )[2][: p.rank].T
         m = basis.T @ m @ basis
     w = np.maximum(np.linalg.eigvalsh(m + ridge * np.eye(len(m))), 1e-300)
     if p.criterion == "D":
         return float(np.log(w).mean())
     if p.criterion == "A":
         return -float(np.log(np.sum(1.0 / w)))
-    return float(np.log(w[0])) if p.criterion == "E" else -2.0 * float(np.log(np.mean(w**-0.5)))
+    return (
+        float(np.log(w[0]))
+        if p.criterion == "E"
+        else -2.0 * float(np.log(np.mean(w**-0.5)))
+    )
 
 
 def greedy(p: Problem) -> np.ndarray:
@@ -65,22 +80,39 @@ def greedy(p: Problem) -> np.ndarray:
     chosen: list[int] = []
     by_d = dataclasses.replace(p, criterion="D")
     ridge = 1e-9 * float(np.mean(np.sum(p.blocks**2, axis=(1, 2))))
-    while (free := np.flatnonzero(p.rules.allowed(np.array(chosen, dtype=int), len(p.blocks)))).size:
-        chosen.append(max(free, key=lambda j: value(by_d, np.array([*chosen, j]), ridge)))
+    while (
+        free := np.flatnonzero(
+            p.rules.allowed(np.array(chosen, dtype=int), len(p.blocks))
+        )
+    ).size:
+        chosen.append(
+            max(free, key=lambda j: value(by_d, np.array([*chosen, j]), ridge))
+        )
     return np.array(chosen)
 
 
-@pytest.mark.parametrize("batch", [*range(10), *(pytest.param(b, marks=pytest.mark.slow) for b in range(10, 20))])
+@pytest.mark.parametrize(
+    "batch",
+    [*range(10), *(pytest.param(b, marks=pytest.mark.slow) for b in range(10, 20))],
+)
 def test_greedy_is_never_better_and_the_bound_never_crossed(batch: int) -> None:
     for seed in range(25 * batch, 25 * batch + 25):
         p = problem(seed)
         found = exchange.choose(
-            p.blocks, None, np.random.default_rng(seed), p.criterion, p.prior, starts=2, rules=p.rules
+            p.blocks,
+            None,
+            np.random.default_rng(seed),
+            p.criterion,
+            p.prior,
+            starts=2,
+            rules=p.rules,
         )
         chosen = found.indices
         reached = value(p, chosen)
         assert len(set(chosen)) == len(chosen), seed
-        assert found.directions == (p.rank if p.prior is None else p.blocks.shape[2]), seed
+        assert found.directions == (p.rank if p.prior is None else p.blocks.shape[2]), (
+            seed
+        )
         for k in range(len(chosen)):
             assert p.rules.allowed(np.delete(chosen, k), len(p.blocks))[chosen[k]], seed
         assert reached >= value(p, greedy(p)) - 1e-7, seed
@@ -96,4 +128,8 @@ def above(p: Problem, found: exchange.Choice) -> float:
         return found.bound / found.directions
     if p.criterion == "A":
         return -float(np.log(-found.bound))
-    return float(np.log(found.bound) if p.criterion == "E" else 2.0 * np.log(found.bound * found.directions))
+    return float(
+        np.log(found.bound)
+        if p.criterion == "E"
+        else 2.0 * np.log(found.bound * found.directions)
+    )

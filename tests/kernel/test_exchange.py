@@ -1,4 +1,6 @@
-"""Exchange against every subset of tiny problems, greedy selection, and its own invariances."""
+"""Exchange against every subset of tiny problems, greedy selection, and its own
+invariances.
+"""
 
 from itertools import combinations
 
@@ -11,14 +13,26 @@ from oed.design import blocks, exchange
 CANDIDATES, SIZE, DIRECTIONS, PROBLEMS = 9, 4, 3, 50
 
 
-def value(rows: np.ndarray, chosen: np.ndarray | tuple, criterion: str, prior: np.ndarray | float = 0.0) -> float:
+def value(
+    rows: np.ndarray,
+    chosen: np.ndarray | tuple,
+    criterion: str,
+    prior: np.ndarray | float = 0.0,
+) -> float:
     eigenvalues = np.linalg.eigvalsh(rows[list(chosen)].T @ rows[list(chosen)] + prior)
     return float(np.log(eigenvalues).sum() if criterion == "D" else eigenvalues[0])
 
 
-def best_subset(rows: np.ndarray, size: int, criterion: str, prior: np.ndarray | float = 0.0) -> float:
+def best_subset(
+    rows: np.ndarray, size: int, criterion: str, prior: np.ndarray | float = 0.0
+) -> float:
     with np.errstate(all="ignore"):
-        return np.nanmax([value(rows, c, criterion, prior) for c in combinations(range(len(rows)), size)])
+        return np.nanmax(
+            [
+                value(rows, c, criterion, prior)
+                for c in combinations(range(len(rows)), size)
+            ]
+        )
 
 
 def greedy(rows: np.ndarray, size: int) -> float:
@@ -38,13 +52,17 @@ def problem(seed: int) -> tuple[np.ndarray, np.random.Generator]:
 
 @pytest.mark.parametrize("criterion", ["D", "E"])
 def test_tiny_problems_are_solved_almost_always(criterion: str) -> None:
-    """4 of 9 readings for 3 directions: the best of all 126 subsets in 90 % of 50 problems, and never far from it."""
+    """4 of 9 readings for 3 directions: the best of all 126 subsets in 90 % of 50
+    problems, and never far from it.
+    """
     shortfall = []
     for seed in range(PROBLEMS):
         rows, rng = problem(seed)
         choice = exchange.choose(rows, SIZE, rng, criterion)
         assert len(set(choice.indices)) == SIZE
-        assert choice.value == pytest.approx(value(rows, choice.indices, criterion), rel=1e-9)
+        assert choice.value == pytest.approx(
+            value(rows, choice.indices, criterion), rel=1e-9
+        )
         shortfall.append(best_subset(rows, SIZE, criterion) - choice.value)
     missed = np.array(shortfall) > 1e-9
     assert missed.mean() <= 0.10
@@ -58,21 +76,29 @@ def test_with_a_prior_fewer_readings_than_directions_will_do() -> None:
         prior = np.diag([0.5, 1.0, 2.0])
         choice = exchange.choose(rows, 2, rng, prior=prior)
         assert choice.directions == DIRECTIONS
-        assert choice.value == pytest.approx(value(rows, choice.indices, "D", prior), rel=1e-12)
+        assert choice.value == pytest.approx(
+            value(rows, choice.indices, "D", prior), rel=1e-12
+        )
         assert choice.value == pytest.approx(best_subset(rows, 2, "D", prior), abs=1e-9)
 
 
 @pytest.mark.parametrize("prior", [False, True])
 @pytest.mark.parametrize("criterion", ["D", "E"])
-@pytest.mark.parametrize(("size", "candidates"), [(3, 3), (9, 9), (10, 16), (12, 14), (20, 40)])
-def test_any_size_gives_different_readings(size: int, candidates: int, criterion: str, prior: bool) -> None:
+@pytest.mark.parametrize(
+    ("size", "candidates"), [(3, 3), (9, 9), (10, 16), (12, 14), (20, 40)]
+)
+def test_any_size_gives_different_readings(
+    size: int, candidates: int, criterion: str, prior: bool
+) -> None:
     rng = np.random.default_rng(5)
     rows = rng.standard_normal((candidates, 3))
     held = np.eye(3) if prior else None
     choice = exchange.choose(rows, size, rng, criterion, prior=held)
     assert choice.indices.tolist() == sorted(set(choice.indices.tolist()))
     assert len(choice.indices) == size
-    assert choice.value == pytest.approx(value(rows, choice.indices, criterion, 0.0 if held is None else held))
+    assert choice.value == pytest.approx(
+        value(rows, choice.indices, criterion, 0.0 if held is None else held)
+    )
     assert choice.criterion == criterion
 
 
@@ -85,7 +111,9 @@ def test_never_below_greedy() -> None:
 
 def test_the_e_exchange_never_ends_below_the_d_design_it_starts_from() -> None:
     for seed in range(20):
-        rows = np.random.default_rng(seed).standard_normal((60, 6)) * np.logspace(0, -2, 6)
+        rows = np.random.default_rng(seed).standard_normal((60, 6)) * np.logspace(
+            0, -2, 6
+        )
         by_d = exchange.choose(rows, 12, np.random.default_rng(seed), "D", starts=3)
         by_e = exchange.choose(rows, 12, np.random.default_rng(seed), "E", starts=3)
         assert by_e.value >= value(rows, by_d.indices, "E") * (1 - 1e-9)
@@ -101,15 +129,21 @@ def test_turning_the_columns_changes_nothing(rng: np.random.Generator) -> None:
     assert (turned.indices == plain.indices).all()
 
 
-def test_units_of_the_columns_change_the_value_not_the_choice(rng: np.random.Generator) -> None:
+def test_units_of_the_columns_change_the_value_not_the_choice(
+    rng: np.random.Generator,
+) -> None:
     rows, scale = rng.standard_normal((80, 5)), np.array([1.0, 2.0, 0.5, 3.0, 0.1])
     plain = exchange.choose(rows, 9, np.random.default_rng(3), starts=40)
     scaled = exchange.choose(rows * scale, 9, np.random.default_rng(3), starts=40)
-    assert scaled.value == pytest.approx(plain.value + 2 * np.log(scale).sum(), abs=1e-6)
+    assert scaled.value == pytest.approx(
+        plain.value + 2 * np.log(scale).sum(), abs=1e-6
+    )
 
 
 def test_blind_directions_are_left_out(rng: np.random.Generator) -> None:
-    """Seven columns of rank four: the value is that of the product of the four non-zero eigenvalues."""
+    """Seven columns of rank four: the value is that of the product of the four non-zero
+    eigenvalues.
+    """
     rows = rng.standard_normal((50, 4)) @ rng.standard_normal((4, 7))
     choice = exchange.choose(rows, 8, rng)
     assert choice.directions == 4
@@ -127,9 +161,14 @@ def test_equal_candidates_do_no_harm(rng: np.random.Generator) -> None:
     assert choice.value == pytest.approx(value(rows, choice.indices, "D"))
 
 
-def test_same_seed_same_design_and_more_starts_are_no_worse(rng: np.random.Generator) -> None:
+def test_same_seed_same_design_and_more_starts_are_no_worse(
+    rng: np.random.Generator,
+) -> None:
     rows = rng.standard_normal((100, 8))
-    few, again, many = (exchange.choose(rows, 12, np.random.default_rng(1), starts=n) for n in (2, 2, 12))
+    few, again, many = (
+        exchange.choose(rows, 12, np.random.default_rng(1), starts=n)
+        for n in (2, 2, 12)
+    )
     assert (few.indices == again.indices).all()
     assert few.value == again.value
     assert many.value >= few.value
@@ -154,4 +193,6 @@ def test_impossible_requests_are_refused(size: int, options: dict, told: str) ->
 def test_the_value_is_the_criterions() -> None:
     rows, rng = problem(7)
     choice = exchange.choose(rows, 6, rng)
-    assert choice.value == pytest.approx(criteria.d(rows[choice.indices].T @ rows[choice.indices]), abs=1e-10)
+    assert choice.value == pytest.approx(
+        criteria.d(rows[choice.indices].T @ rows[choice.indices]), abs=1e-10
+    )

@@ -1,4 +1,6 @@
-"""Which candidates can be taken, against the oracles' geometry, dense sampling and virtual machines."""
+"""Which candidates can be taken, against the oracles' geometry, dense sampling and
+virtual machines.
+"""
 
 import dataclasses
 from functools import partial
@@ -12,7 +14,14 @@ from scipy.optimize import minimize
 from kernel import a3_plans
 from kernel.cases import CASES
 from oed.design import feasible
-from oed.design.clearance import Capsule, Clearance, Surroundings, point_distance, segment_distance, sphere
+from oed.design.clearance import (
+    Capsule,
+    Clearance,
+    Surroundings,
+    point_distance,
+    segment_distance,
+    sphere,
+)
 from oed.design.feasible import Cone, Limits
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
@@ -26,7 +35,9 @@ LENGTH = 0.9
 def bar(length: float = LENGTH) -> Measurement:
     """A bar from a cup set by hand to the platform of the planar machine."""
     at = dict(zip(("at_x", "at_y", "at_z"), CUP, strict=True))
-    return Measurement(planar_2dof.machine, [mount(ball_bar.free_cup, "bar", length=length, **at)])
+    return Measurement(
+        planar_2dof.machine, [mount(ball_bar.free_cup, "bar", length=length, **at)]
+    )
 
 
 def places(rng: np.random.Generator, n: int = 200) -> np.ndarray:
@@ -38,19 +49,25 @@ def tips(command: np.ndarray) -> np.ndarray:
     return np.column_stack([np.zeros(len(command)), command])
 
 
-def planar_series(rng: np.random.Generator, n: int = 200) -> tuple[Measurement, np.ndarray, Series]:
+def planar_series(
+    rng: np.random.Generator, n: int = 200
+) -> tuple[Measurement, np.ndarray, Series]:
     m, command = bar(), places(rng, n)
     return m, command, m.series("bar", command)
 
 
-# -- joints, singular poses, travel ----------------------------------------------------------------------------------
+# -- joints, singular poses, travel ----------------------------------------------------
 
 
 def test_joint_travel_is_told_joint_by_joint(rng: np.random.Generator) -> None:
     m = a3_plans.measurement(taught=False)
     command = CASES["a3_head"].commands(rng, 300)
     q = a3.inverse_nominal(*command.T)
-    found = feasible.check(m, m.series("cup", command), Limits(joints={"q2": (0.45, 0.70), "q3": (0.0, 0.75)}))
+    found = feasible.check(
+        m,
+        m.series("cup", command),
+        Limits(joints={"q2": (0.45, 0.70), "q3": (0.0, 0.75)}),
+    )
     out2, out3 = (q[:, 1] < 0.45) | (q[:, 1] > 0.70), q[:, 2] > 0.75
     assert 0 < out3.sum() < out2.sum()
     assert (found.allowed == ~(out2 | out3)).all()
@@ -64,7 +81,9 @@ def test_joint_travel_is_told_joint_by_joint(rng: np.random.Generator) -> None:
 
 
 def test_the_machines_own_joint_range_holds_without_being_asked() -> None:
-    """The A3 reaches struts of 0.2 to 1.2 m; a series from joints beyond that is refused."""
+    """The A3 reaches struts of 0.2 to 1.2 m; a series from joints beyond that is
+    refused.
+    """
     m = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe")])
     q = np.array([[0.3, 0.3, 0.3], [0.19, 0.19, 0.19], [1.2, 1.2, 1.2]])
     found = feasible.check(m, m.series_from_joints("probe", q), Limits())
@@ -72,8 +91,12 @@ def test_the_machines_own_joint_range_holds_without_being_asked() -> None:
     assert found.reasons == {f"leave the travel of joint q{i}": 1 for i in (1, 2, 3)}
 
 
-def test_nearness_to_a_singular_pose_is_the_angle_between_the_struts(rng: np.random.Generator) -> None:
-    """phi_x of the planar machine holds the struts' directions: its condition number is cot of half their angle."""
+def test_nearness_to_a_singular_pose_is_the_angle_between_the_struts(
+    rng: np.random.Generator,
+) -> None:
+    """phi_x of the planar machine holds the struts' directions: its condition number is
+    cot of half their angle.
+    """
     m, command, series = planar_series(rng)
     along = command[:, None] - planar.sliders(planar.inverse(command), planar.NOMINAL)
     half = np.arccos((along[:, 0] * along[:, 1]).sum(-1) / planar.L**2) / 2
@@ -93,22 +116,31 @@ def test_travel_of_the_bar_about_its_length(rng: np.random.Generator) -> None:
     assert (found.allowed == (off <= 0.2)).all()
     assert 0 < found.allowed.sum() < 200
     other = feasible.check(m, series, Limits(travel=0.2, held=0.5))
-    assert (other.allowed == (np.abs(np.linalg.norm(tips(command) - CUP, axis=1) - 0.5) <= 0.2)).all()
+    assert (
+        other.allowed
+        == (np.abs(np.linalg.norm(tips(command) - CUP, axis=1) - 0.5) <= 0.2)
+    ).all()
     probe = Measurement(planar_2dof.machine, [mount(height_probe.instrument, "probe")])
     with pytest.raises(ValueError, match="height_probe holds no reading by design"):
         feasible.check(probe, probe.series("probe", command), Limits(travel=0.1))
 
 
-def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(rng: np.random.Generator) -> None:
-    """20000 machines of the oracle, with correlated errors: bar lengths near the ends of the travel."""
+def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(
+    rng: np.random.Generator,
+) -> None:
+    """20000 machines of the oracle, with correlated errors: bar lengths near the ends
+    of the travel.
+    """
     draws, travel = 20000, 1.5e-3
     m = bar()
     command = places(rng, 30)
     reach = np.linalg.norm(tips(command) - CUP, axis=1)
     within = LENGTH + rng.uniform(-1.5 * travel, 1.5 * travel, 30)
-    command = (CUP[1:] + (command - CUP[1:]) * np.sqrt((within**2 - CUP[0] ** 2) / (reach**2 - CUP[0] ** 2))[:, None])[
-        (reach > 0.3)
-    ]
+    command = (
+        CUP[1:]
+        + (command - CUP[1:])
+        * np.sqrt((within**2 - CUP[0] ** 2) / (reach**2 - CUP[0] ** 2))[:, None]
+    )[(reach > 0.3)]
     root = m.tolerance[:, None] * rng.standard_normal((10, 10)) / np.sqrt(10)
     theta = m.nominal + rng.standard_normal((draws, 10)) @ root.T
     pose = planar.forward(planar.inverse(command), theta[:, None, :7])
@@ -121,7 +153,9 @@ def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(rng: np.
     assert np.abs(told - counted).mean() < 0.004
 
 
-def test_a_known_machine_stays_within_the_travel_or_not(rng: np.random.Generator) -> None:
+def test_a_known_machine_stays_within_the_travel_or_not(
+    rng: np.random.Generator,
+) -> None:
     m, _, series = planar_series(rng)
     sure = feasible.within_travel(m, series, np.zeros((10, 10)), 0.2)
     assert (sure == feasible.check(m, series, Limits(travel=0.2)).allowed).all()
@@ -139,7 +173,9 @@ def test_several_channels_are_judged_by_the_first(rng: np.random.Generator) -> N
     first = m.readings([series], m.nominal).reshape(-1, 2)[:, 0]
     found = feasible.check(m, series, Limits(travel=0.5, held=0.0))
     assert found.details["travel"] == pytest.approx(np.abs(first))
-    chance = feasible.within_travel(m, series, np.zeros((len(m.names),) * 2), 0.5, held=0.0)
+    chance = feasible.within_travel(
+        m, series, np.zeros((len(m.names),) * 2), 0.5, held=0.0
+    )
     assert (chance == found.allowed).all()
 
 
@@ -148,19 +184,25 @@ def test_a_reading_falls_with_its_reference_pose() -> None:
     command = np.array([[0.0, 1.4], [0.1, 0.2], [0.2, 0.2], [0.0, 0.1], [0.1, 0.3]])
     series = m.series("calliper", command, run=["high", "high", "high", "low", "low"])
     highest = float(planar.inverse(command)[1:].max())
-    found = feasible.check(m, series, Limits(joints={"q1": (0.0, highest), "q2": (0.0, highest)}))
+    found = feasible.check(
+        m, series, Limits(joints={"q1": (0.0, highest), "q2": (0.0, highest)})
+    )
     assert found.allowed.tolist() == [False, False, True]
 
 
-# -- solid angles ----------------------------------------------------------------------------------------------------
+# -- solid angles ----------------------------------------------------------------------
 
 
 def angle(direction: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    return np.arccos(direction @ axis / np.linalg.norm(direction, axis=-1) / np.linalg.norm(axis))
+    return np.arccos(
+        direction @ axis / np.linalg.norm(direction, axis=-1) / np.linalg.norm(axis)
+    )
 
 
 def test_solid_angles_at_cup_and_tool_are_the_oracles(rng: np.random.Generator) -> None:
-    """The oracle gives tool point and orientation from the joints; the cup is at the teach pose's tool point."""
+    """The oracle gives tool point and orientation from the joints; the cup is at the
+    teach pose's tool point.
+    """
     command = CASES["a3_head"].commands(rng, 300)
     m = a3_plans.measurement()
     real = a3.forward(np.zeros((1, 24)), a3.inverse_nominal(*command.T))
@@ -168,20 +210,27 @@ def test_solid_angles_at_cup_and_tool_are_the_oracles(rng: np.random.Generator) 
     down, out = np.array([0.1, 0.0, -2.0]), np.array([0.0, 0.3, 1.0])
     at_cup = angle(real.tip - cup, down)
     at_tool = angle(np.einsum("nji,nj->ni", real.R, cup - real.tip), out)
-    limits = Limits(base_cone=Cone(tuple(down), 0.5), platform_cone=Cone(tuple(out), 0.6))
+    limits = Limits(
+        base_cone=Cone(tuple(down), 0.5), platform_cone=Cone(tuple(out), 0.6)
+    )
     found = feasible.check(m, m.series("cup", command), limits)
     assert found.details["base_cone"] == pytest.approx(at_cup, abs=1e-7)
     assert found.details["platform_cone"] == pytest.approx(at_tool, abs=1e-7)
     assert (found.allowed == ((at_cup <= 0.5) & (at_tool <= 0.6))).all()
     assert 0 < found.allowed.sum() < 300
-    assert set(found.reasons) == {"leave the cone at the cup", "leave the cone at the tool"}
+    assert set(found.reasons) == {
+        "leave the cone at the cup",
+        "leave the cone at the tool",
+    }
 
 
 @pytest.mark.parametrize("given", [True, False])
 def test_a_cup_that_is_given_wins(rng: np.random.Generator, given: bool) -> None:
     m, command, series = planar_series(rng)
     cup = np.array([0.0, -1.0, -1.0]) if given else CUP
-    limits = Limits(base_cone=Cone((0.0, 0.0, 1.0), 0.7), cup=tuple(cup) if given else None)
+    limits = Limits(
+        base_cone=Cone((0.0, 0.0, 1.0), 0.7), cup=tuple(cup) if given else None
+    )
     expected = angle(tips(command) - cup, np.array([0.0, 0.0, 1.0]))
     found = feasible.check(m, series, limits)
     assert found.details["base_cone"] == pytest.approx(expected, abs=1e-7)
@@ -193,11 +242,15 @@ def test_a_cup_that_is_given_wins(rng: np.random.Generator, given: bool) -> None
         Cone((0.0, 0.0, 0.0), 1.0)
 
 
-# -- collisions ------------------------------------------------------------------------------------------------------
+# -- collisions ------------------------------------------------------------------------
 
 
-def test_distances_of_segments_are_the_least_found_by_search(rng: np.random.Generator) -> None:
-    """Random, touching, parallel, collinear and shrunken segments, against bounded minimisation of the square."""
+def test_distances_of_segments_are_the_least_found_by_search(
+    rng: np.random.Generator,
+) -> None:
+    """Random, touching, parallel, collinear and shrunken segments, against bounded
+    minimisation of the square.
+    """
     a0, a1, b0, b1 = rng.standard_normal((4, 60, 3))
     a1[0], b1[1] = a0[0], b0[1]  # one is a point
     a1[2], b1[2] = a0[2], b0[2]  # both are
@@ -208,10 +261,22 @@ def test_distances_of_segments_are_the_least_found_by_search(rng: np.random.Gene
 
     def searched(i: int) -> float:
         def square(st: np.ndarray) -> float:
-            return float(((a0[i] + st[0] * (a1[i] - a0[i]) - b0[i] - st[1] * (b1[i] - b0[i])) ** 2).sum())
+            return float(
+                (
+                    (a0[i] + st[0] * (a1[i] - a0[i]) - b0[i] - st[1] * (b1[i] - b0[i]))
+                    ** 2
+                ).sum()
+            )
 
         starts = [(0.1, 0.1), (0.9, 0.1), (0.1, 0.9), (0.9, 0.9)]
-        return float(np.sqrt(min(minimize(square, s, bounds=[(0, 1), (0, 1)], tol=1e-14).fun for s in starts)))
+        return float(
+            np.sqrt(
+                min(
+                    minimize(square, s, bounds=[(0, 1), (0, 1)], tol=1e-14).fun
+                    for s in starts
+                )
+            )
+        )
 
     assert found == pytest.approx([searched(i) for i in range(60)], abs=2e-6)
     assert found == pytest.approx(segment_distance(b1, b0, a1, a0), abs=1e-14)
@@ -238,38 +303,65 @@ def struts(command: np.ndarray) -> np.ndarray:
 def sampled(ends: np.ndarray, centre: np.ndarray, n: int = 2001) -> np.ndarray:
     """Least distance (...) of points along segments (..., 2, 3) to a centre."""
     t = np.linspace(0, 1, n)[:, None]
-    points = ends[..., None, 0, :] + t * (ends[..., 1, :] - ends[..., 0, :])[..., None, :]
+    points = (
+        ends[..., None, 0, :] + t * (ends[..., 1, :] - ends[..., 0, :])[..., None, :]
+    )
     return np.asarray(np.linalg.norm(points - centre, axis=-1).min(axis=-1))
 
 
-def test_clearance_of_struts_and_bar_is_that_of_sampled_points(rng: np.random.Generator) -> None:
-    """Lines 0 and 2 of the skeleton are the guides, which are left out; of the A3 all lines, with a longer tool."""
+def test_clearance_of_struts_and_bar_is_that_of_sampled_points(
+    rng: np.random.Generator,
+) -> None:
+    """Lines 0 and 2 of the skeleton are the guides, which are left out; of the A3 all
+    lines, with a longer tool.
+    """
     m, command, series = planar_series(rng)
     centre = np.array([0.05, 0.3, 1.0])
     at_guide = sphere((0.0, -2.2, 0.2), 0.45)
     around = (sphere(tuple(centre), 0.2), at_guide)
-    about = Surroundings(obstacles=around, links=0.03, bar=0.01, margin=0.05, ignore=(0, 2))
+    about = Surroundings(
+        obstacles=around, links=0.03, bar=0.01, margin=0.05, ignore=(0, 2)
+    )
     found = feasible.check(m, series, Limits(surroundings=about))
     link = sampled(struts(command), centre).min(axis=1) - 0.2 - 0.03
-    rod = sampled(np.stack([np.broadcast_to(CUP, (200, 3)), tips(command)], axis=1), centre) - 0.2 - 0.01
+    rod = (
+        sampled(
+            np.stack([np.broadcast_to(CUP, (200, 3)), tips(command)], axis=1), centre
+        )
+        - 0.2
+        - 0.01
+    )
     assert found.details["clearance"] == pytest.approx(np.minimum(link, rod), abs=1e-4)
     assert (rod < link).any()
     assert (link < rod).any()
     assert (found.allowed == (np.minimum(link, rod) >= 0.05)).all()
     assert 0 < found.reasons["come too near an obstacle"] < 200
     with_guides = Clearance(m, "bar", dataclasses.replace(about, ignore=()))
-    assert (with_guides.series(series, series.start) <= 2.2 - 1.792 - 0.45 - 0.03 + 1e-12).all()
+    assert (
+        with_guides.series(series, series.start) <= 2.2 - 1.792 - 0.45 - 0.03 + 1e-12
+    ).all()
 
 
-def test_clearance_of_a_whole_skeleton_with_a_longer_tool(rng: np.random.Generator) -> None:
+def test_clearance_of_a_whole_skeleton_with_a_longer_tool(
+    rng: np.random.Generator,
+) -> None:
     m = a3_plans.measurement(tools=[0.25])
-    series = m.series("cup250", CASES["a3_head"].commands(rng, 20) + np.array([0.25, 0, 0]))
+    series = m.series(
+        "cup250", CASES["a3_head"].commands(rng, 20) + np.array([0.25, 0, 0])
+    )
     wall = Capsule((0.4, -0.5, 1.3), (0.4, 0.5, 1.5), 0.02)
-    found = Clearance(m, "cup250", Surroundings(obstacles=(wall,), links=0.03)).at(series.start, series.q)
+    found = Clearance(m, "cup250", Surroundings(obstacles=(wall,), links=0.03)).at(
+        series.start, series.q
+    )
     points = np.linspace(wall.start, wall.end, 401)
     for k in (0, 5, 19):
         tip = m.kinematics.frames(series.start[k : k + 1], np.array([0, 0, 0.25]))[1][0]
-        lines = [np.array(v) for v in m.kinematics.skeleton(series.start[k], series.q[k], m.machine.nominal)]
+        lines = [
+            np.array(v)
+            for v in m.kinematics.skeleton(
+                series.start[k], series.q[k], m.machine.nominal
+            )
+        ]
         lines.append(np.stack([lines[-1][-1], tip]))
         ends = np.concatenate([np.stack([v[:-1], v[1:]], axis=1) for v in lines])
         expected = min(sampled(ends, point, 801).min() for point in points) - 0.05
@@ -281,26 +373,51 @@ def test_surroundings_that_say_nothing_are_refused() -> None:
         Surroundings(obstacles=(), bar=0.01)
     with pytest.raises(ValueError, match="nothing that moves"):
         Surroundings(obstacles=(sphere((0.0, 0.0, 0.0), 0.1),))
-    bare = Measurement(dataclasses.replace(planar_2dof.machine, skeleton=None), list(bar().setups.values()))
+    bare = Measurement(
+        dataclasses.replace(planar_2dof.machine, skeleton=None),
+        list(bar().setups.values()),
+    )
     with pytest.raises(ValueError, match="has no skeleton"):
-        Clearance(bare, "bar", Surroundings(obstacles=(sphere((0.0, 0.0, 0.0), 0.1),), links=0.01))
+        Clearance(
+            bare,
+            "bar",
+            Surroundings(obstacles=(sphere((0.0, 0.0, 0.0), 0.1),), links=0.01),
+        )
     with pytest.raises(ValueError, match="lines 0 to 3"):
-        Clearance(bar(), "bar", Surroundings(obstacles=(sphere((0.0, 0.0, 0.0), 0.1),), links=0.01, ignore=(4,)))
+        Clearance(
+            bar(),
+            "bar",
+            Surroundings(
+                obstacles=(sphere((0.0, 0.0, 0.0), 0.1),), links=0.01, ignore=(4,)
+            ),
+        )
 
 
-# -- moves -----------------------------------------------------------------------------------------------------------
+# -- moves -----------------------------------------------------------------------------
 
 
 def test_free_moves_are_those_of_dense_sampling(rng: np.random.Generator) -> None:
-    """Straight moves of the planar platform past a sphere, struts by the oracle at 1001 places of each."""
+    """Straight moves of the planar platform past a sphere, struts by the oracle at 1001
+    places of each.
+    """
     m = bar()
     centre, margin = np.array([0.05, 0.3, 0.7]), 0.01
-    about = Surroundings(obstacles=(sphere(tuple(centre), 0.15),), links=0.02, margin=margin, ignore=(0, 2))
+    about = Surroundings(
+        obstacles=(sphere(tuple(centre), 0.15),),
+        links=0.02,
+        margin=margin,
+        ignore=(0, 2),
+    )
     before, after = places(rng, 60), places(rng, 60)
     t = np.linspace(0, 1, 1001)[:, None]
     way = before[:, None] + t * (after - before)[:, None]
     ends = struts(way.reshape(-1, 2))
-    along = point_distance(centre, ends[..., 0, :], ends[..., 1, :]).min(axis=1).reshape(60, -1).min(axis=1)
+    along = (
+        point_distance(centre, ends[..., 0, :], ends[..., 1, :])
+        .min(axis=1)
+        .reshape(60, -1)
+        .min(axis=1)
+    )
     least = along - 0.15 - 0.02
     assert (np.abs(least - margin) > 5e-4).all()
     free = Clearance(m, "bar", about).free(before, after)
@@ -310,20 +427,38 @@ def test_free_moves_are_those_of_dense_sampling(rng: np.random.Generator) -> Non
 
 
 def test_a_move_that_an_instrument_leads_follows_it() -> None:
-    """From stroke 0 to 200 mm the bar bends the way outwards: its ball is halfway where a straight move is not."""
+    """From stroke 0 to 200 mm the bar bends the way outwards: its ball is halfway where
+    a straight move is not.
+    """
     m = a3_plans.measurement()
     ends = a3_plans.held(m, np.array([0.0, 0.2]), np.zeros(2))
     middle = ends.mean(axis=0, keepdims=True)
     lead = partial(m.hold, "cup", coordinate="theta")
     cup = np.array([0.0, 0.0, a3.Z_TEACH])
-    straight, led = (a3.forward(np.zeros(24), a3.inverse_nominal(*c[0])).tip for c in (middle, lead(middle)[0]))
+    straight, led = (
+        a3.forward(np.zeros(24), a3.inverse_nominal(*c[0])).tip
+        for c in (middle, lead(middle)[0])
+    )
     assert np.linalg.norm(straight - cup) < 0.299
     assert np.linalg.norm(led - cup) == pytest.approx(0.3)
-    for where, expected in ((led, [True, False]), (straight, [False, False]), (cup * 0.9, [True, True])):
-        clearance = Clearance(m, "cup", Surroundings(obstacles=(sphere(tuple(where), 2e-4),), bar=1e-6))
-        assert [bool(clearance.free(ends[:1], ends[1:], lead=way)[0]) for way in (None, lead)] == expected
-    short = Measurement(m.machine, [mount(ball_bar.instrument, "cup", teach=(1.286, 0, 0), length=0.05)])
-    assert not clearance.free(ends[:1], ends[1:], lead=partial(short.hold, "cup", coordinate="theta")).any()
+    for where, expected in (
+        (led, [True, False]),
+        (straight, [False, False]),
+        (cup * 0.9, [True, True]),
+    ):
+        clearance = Clearance(
+            m, "cup", Surroundings(obstacles=(sphere(tuple(where), 2e-4),), bar=1e-6)
+        )
+        assert [
+            bool(clearance.free(ends[:1], ends[1:], lead=way)[0])
+            for way in (None, lead)
+        ] == expected
+    short = Measurement(
+        m.machine, [mount(ball_bar.instrument, "cup", teach=(1.286, 0, 0), length=0.05)]
+    )
+    assert not clearance.free(
+        ends[:1], ends[1:], lead=partial(short.hold, "cup", coordinate="theta")
+    ).any()
 
 
 def test_moves_out_of_reach_are_blocked() -> None:

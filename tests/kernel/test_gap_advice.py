@@ -14,7 +14,9 @@ def _answer(probability: float, *effects: str) -> Answer:
 
 
 def test_a_sure_cause_is_answered_with_its_remedy() -> None:
-    assert advise([_answer(0.95, "bow"), _answer(0.05)], EFFECTS, {}) == ("bow: straighten.",)
+    assert advise([_answer(0.95, "bow"), _answer(0.05)], EFFECTS, {}) == (
+        "bow: straighten.",
+    )
 
 
 def test_an_unsure_cause_is_answered_with_the_reading_that_tells_its_rival() -> None:
@@ -26,11 +28,17 @@ def test_a_gap_that_noise_may_be_is_to_be_read_again() -> None:
     told = advise([_answer(0.3, "slip"), _answer(0.66)], EFFECTS, {})
     assert "Noise alone has a probability of 66 %" in told[-1]
     assert "both ways" in told[-1]
-    assert "Noise alone" in advise([_answer(0.5, UNKNOWN), _answer(0.5)], EFFECTS, {})[-1]
+    assert (
+        "Noise alone" in advise([_answer(0.5, UNKNOWN), _answer(0.5)], EFFECTS, {})[-1]
+    )
 
 
 def test_no_gap_asks_for_what_was_not_recorded() -> None:
-    told = advise([_answer(0.9), _answer(0.1, "bow")], EFFECTS, {"drift": "the readings do not have time"})
+    told = advise(
+        [_answer(0.9), _answer(0.1, "bow")],
+        EFFECTS,
+        {"drift": "the readings do not have time"},
+    )
     assert told[-1] == "Record more with the readings, and more can be tested: time."
 
 
@@ -42,5 +50,12 @@ def test_what_is_unknown_may_be_what_could_not_be_tested() -> None:
         "slip": "it changes none of these readings",
     }
     told = advise([_answer(0.95, UNKNOWN), _answer(0.05)], EFFECTS, lost)
-    assert told[-1] == "What acts may be what these readings cannot test: record direction and time with them."
-    assert not any("ecord" in t for t in advise([_answer(0.95, "bow"), _answer(0.05)], EFFECTS, lost))
+    assert (
+        told[-1]
+        == "What acts may be what these readings cannot test: record direction and time"
+        " with them."
+    )
+    assert not any(
+        "ecord" in t
+        for t in advise([_answer(0.95, "bow"), _answer(0.05)], EFFECTS, lost)
+    )

@@ -21,7 +21,15 @@ TWINS = dataclasses.replace(LOOSE, name="twins", alike=True)
 
 def _more(state: State, turns: float) -> list[Column]:
     made = list(BOW.columns(state, turns=turns))
-    return [*made, *(dataclasses.replace(c, name=f"{c.name} more", shape=True, joints=_along(state, c)) for c in made)]
+    return [
+        *made,
+        *(
+            dataclasses.replace(
+                c, name=f"{c.name} more", shape=True, joints=_along(state, c)
+            )
+            for c in made
+        ),
+    ]
 
 
 def _along(state: State, column: Column) -> dict[int, np.ndarray]:
@@ -36,12 +44,18 @@ def _covariance(made: Library, atom: library.Atom) -> np.ndarray:
 
 
 def test_prior_of_limbs_that_are_alike() -> None:
-    """Coefficients of N(0, s^2 (1 1^T + DIFFER^2 I)), whatever columns they are told in."""
+    """Coefficients of N(0, s^2 (1 1^T + DIFFER^2 I)), whatever columns they are told
+    in.
+    """
     problem = readings(1)
     free, made = library.build(problem, [LOOSE]), library.build(problem, [TWINS])
-    (joined,) = [a for a in made.atoms if any("all legs" in made.names[c] for c in a.columns)]
+    (joined,) = [
+        a for a in made.atoms if any("all legs" in made.names[c] for c in a.columns)
+    ]
     prior = np.ones((2, 2)) + DIFFER**2 * np.eye(2)
-    np.testing.assert_allclose(_covariance(made, joined), free.columns @ prior @ free.columns.T, atol=1e-9)
+    np.testing.assert_allclose(
+        _covariance(made, joined), free.columns @ prior @ free.columns.T, atol=1e-9
+    )
     assert [made.labels[c] for c in joined.columns] == ["", "leg 1", "leg 2"]
 
 
@@ -62,25 +76,39 @@ def test_what_adapts_is_alike_too() -> None:
 @pytest.mark.parametrize("share", [0.1, 0.5])
 def test_an_effect_says_how_likely_its_textbook_form_is(share: float) -> None:
     made = library.build(readings(1), [dataclasses.replace(ADAPTING, textbook=share)])
-    plain_forms = [a for a in made.atoms if not any("more" in made.names[c] for c in a.columns)]
+    plain_forms = [
+        a for a in made.atoms if not any("more" in made.names[c] for c in a.columns)
+    ]
     assert np.exp([a.log_weight for a in plain_forms]).sum() == pytest.approx(share)
 
 
 def test_limbs_of_unequal_kinds_are_not_alike() -> None:
-    lame = dataclasses.replace(TWINS, columns=lambda state, turns: list(_more(state, turns))[:3])
+    lame = dataclasses.replace(
+        TWINS, columns=lambda state, turns: list(_more(state, turns))[:3]
+    )
     made = library.build(readings(1), [lame])
     assert not [n for n in made.names if "all legs" in n]
 
 
-@pytest.mark.parametrize(("sizes", "alike"), [((1.0, 1.1), True), ((1.0, -1.0), False), ((1.0, 0.0), False)])
-def test_evidence_is_for_what_limbs_are(sizes: tuple[float, float], alike: bool) -> None:
-    """Limbs that are alike are likelier so; where they are not, the even chance of it is all that is lost."""
-    problem = planted(readings(3), LOOSE, {"leg 1": sizes[0], "leg 2": sizes[1]}, turns=2.0)
+@pytest.mark.parametrize(
+    ("sizes", "alike"), [((1.0, 1.1), True), ((1.0, -1.0), False), ((1.0, 0.0), False)]
+)
+def test_evidence_is_for_what_limbs_are(
+    sizes: tuple[float, float], alike: bool
+) -> None:
+    """Limbs that are alike are likelier so; where they are not, the even chance of it
+    is all that is lost.
+    """
+    problem = planted(
+        readings(3), LOOSE, {"leg 1": sizes[0], "leg 2": sizes[1]}, turns=2.0
+    )
     gain = _evidence(problem, TWINS) - _evidence(problem, LOOSE)
     assert gain > 0.2 if alike else -np.log(2.0) - 0.01 < gain < 0.1
 
 
 def _evidence(problem: Problem, effect: Effect) -> float:
     none = library.build(problem, ())
-    search = Search(problem, library.build(problem, [effect]), none, plain(problem), 0.0)
+    search = Search(
+        problem, library.build(problem, [effect]), none, plain(problem), 0.0
+    )
     return next(h for h in search.run() if h.effects).log_evidence

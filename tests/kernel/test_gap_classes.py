@@ -1,4 +1,6 @@
-"""Equivalence classes against dense matrices, and what tells a common encoder scale from the bar's length on an A3."""
+"""Equivalence classes against dense matrices, and what tells a common encoder scale
+from the bar's length on an A3.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,13 @@ BARS: tuple[Bar, ...] = (*ONE, ("b", 0.15, 0.0))
 
 
 def mounted(name: str, length: float, tool: float) -> Setup:
-    return mount(ball_bar.instrument, name, teach=(1.286 + tool, 0.0, 0.0), length=length, tool=(0.0, 0.0, tool))
+    return mount(
+        ball_bar.instrument,
+        name,
+        teach=(1.286 + tool, 0.0, 0.0),
+        length=length,
+        tool=(0.0, 0.0, tool),
+    )
 
 
 @functools.cache
@@ -44,18 +52,28 @@ def readings(bars: tuple[Bar, ...]) -> Problem:
     for name, setup in m.setups.items():
         commands, runs = [], []
         for stroke in STROKES:
-            z, psi = a3_plans.HOME_Z + setup.tool[2] + stroke, 2 * np.pi * np.arange(POINTS) / POINTS
-            command, possible = m.hold(name, np.column_stack([0 * psi + z, psi, 0 * psi]), "theta")
+            z, psi = (
+                a3_plans.HOME_Z + setup.tool[2] + stroke,
+                2 * np.pi * np.arange(POINTS) / POINTS,
+            )
+            command, possible = m.hold(
+                name, np.column_stack([0 * psi + z, psi, 0 * psi]), "theta"
+            )
             if possible.all():
                 commands.append(command)
                 runs += [f"{name} {stroke:.3f} m"] * POINTS
         series.append(m.series(name, np.vstack(commands), run=runs))
-        rows += [{"setup": name, "run": r, "order": 1 + k % POINTS, "direction": 1} for k, r in enumerate(runs)]
+        rows += [
+            {"setup": name, "run": r, "order": 1 + k % POINTS, "direction": 1}
+            for k, r in enumerate(runs)
+        ]
     return planned(m, series, pd.DataFrame(rows))
 
 
 def columns(p: Problem, effect) -> np.ndarray:
-    made = signature(effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma)
+    made = signature(
+        effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma
+    )
     return p.of(made.columns)
 
 
@@ -65,22 +83,29 @@ def metric(p: Problem) -> np.ndarray:
 
 
 def left(p: Problem, known: Collection[str] = ()) -> tuple[float, float]:
-    """sqrt(lambda) of a common scale of 50 ppm, and what of it the bars' lengths leave, however wrong they may be.
+    """sqrt(lambda) of a common scale of 50 ppm, and what of it the bars' lengths leave,
+    however wrong they may be.
 
     `known`: bars whose length is certain.
     """
     change = columns(p, encoder_scale.effect).sum(axis=1)
-    made = signature(bar_length.effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma)
+    made = signature(
+        bar_length.effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma
+    )
     wrong = p.of(made.columns)[:, [n not in known for n in made.names]]
     m = metric(p)
     inner, cross = wrong.T @ m @ wrong, wrong.T @ m @ change
     whole = float(change @ m @ change)
-    return np.sqrt(whole), np.sqrt(max(whole - float(cross @ np.linalg.solve(inner, cross)), 0.0))
+    return np.sqrt(whole), np.sqrt(
+        max(whole - float(cross @ np.linalg.solve(inner, cross)), 0.0)
+    )
 
 
 def test_what_tells_a_common_scale_from_the_bars_length() -> None:
-    """A second known tool does, at 12 deg. A second bar does not, while its length is as doubtful as the first's:
-    a head that is too large in proportion reads each bar wrong in proportion. A bar whose length is certain does."""
+    """A second known tool does, at 12 deg. A second bar does not, while its length is
+    as doubtful as the first's: a head that is too large in proportion reads each bar
+    wrong in proportion. A bar whose length is certain does.
+    """
     one = left(readings(ONE))
     assert one[0] > 5.0
     assert one[1] < 0.02 * one[0]
@@ -93,13 +118,17 @@ def test_what_tells_a_common_scale_from_the_bars_length() -> None:
     assert certain[1] > 0.2 * certain[0]
 
 
-# -- which rivals belong to an answer ----------------------------------------------------------------------
+# -- which rivals belong to an answer --------------------------------------------------
 
 EFFECTS = (gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity)
 
 
-def searched(p: Problem, effect: str, size: float, seed: int = 4) -> tuple[Search, Hypothesis]:
-    """The search of readings in which a bar or a common scale acts with sqrt(lambda) = size; the right hypothesis."""
+def searched(
+    p: Problem, effect: str, size: float, seed: int = 4
+) -> tuple[Search, Hypothesis]:
+    """The search of readings in which a bar or a common scale acts with sqrt(lambda) =
+    size; the right hypothesis.
+    """
     change = columns(p, next(e for e in EFFECTS if e.name == effect)).sum(axis=1)
     change = change * size / np.sqrt(change @ metric(p) @ change)
     noise = np.random.default_rng(seed).standard_normal(len(p))
@@ -111,8 +140,13 @@ def searched(p: Problem, effect: str, size: float, seed: int = 4) -> tuple[Searc
 
 
 def dense(p: Problem, search: Search, h: Hypothesis, rival: str) -> tuple[float, float]:
-    """lambda_k|j and lambda_k of the effect's posterior mean, for the rival's form that absorbs most."""
-    m, mine = metric(p), search.library.columns[:, search.library.atoms[h.atoms[0]].columns]
+    """lambda_k|j and lambda_k of the effect's posterior mean, for the rival's form that
+    absorbs most.
+    """
+    m, mine = (
+        metric(p),
+        search.library.columns[:, search.library.atoms[h.atoms[0]].columns],
+    )
     inner = mine.T @ m @ mine + np.eye(mine.shape[1]) / h.sizes[0] ** 2
     y = mine @ np.linalg.solve(inner, mine.T @ m @ search.problem.residual)
     kept = [y @ m @ y]
@@ -127,14 +161,18 @@ def dense(p: Problem, search: Search, h: Hypothesis, rival: str) -> tuple[float,
 @pytest.mark.parametrize("size", [4.0, 12.0, 25.0, 60.0])
 @pytest.mark.parametrize("effect", ["encoder_scale", "bar_length"])
 @pytest.mark.parametrize("tools", [1, 2])
-def test_a_class_is_what_the_dense_formula_says(tools: int, effect: str, size: float) -> None:
+def test_a_class_is_what_the_dense_formula_says(
+    tools: int, effect: str, size: float
+) -> None:
     """With every rival's evidence near, and with none near."""
     p = readings(TOOLS if tools == 2 else ONE)
     search, h = searched(p, effect, size)
     rivals = [e.name for e in EFFECTS if e.name != effect]
     kept = {r: dense(p, search, h, r) for r in rivals}
     for near in (True, False):
-        scores = {(frozenset({r}), False): h.score - (1.0 if near else 100.0) for r in rivals}
+        scores = {
+            (frozenset({r}), False): h.score - (1.0 if near else 100.0) for r in rivals
+        }
         ((first, *others),) = classes.of(search, h, scores, 3.0)
         assert first == effect
         for r in rivals:
@@ -146,10 +184,17 @@ def test_a_class_is_what_the_dense_formula_says(tools: int, effect: str, size: f
 @pytest.mark.parametrize("truth", ["encoder_scale", "bar_length"])
 @pytest.mark.parametrize("size", [8.0, 60.0])
 def test_one_tool_keeps_both_whichever_is_likelier(truth: str, size: float) -> None:
-    """Scores as the search gives them. With one tool only the odds beforehand speak for one of the two."""
+    """Scores as the search gives them. With one tool only the odds beforehand speak for
+    one of the two.
+    """
     search, _ = searched(readings(ONE), truth, size)
-    found = {n: search.settle((n,), (search.library.atoms_of(n)[0],), (1.0,)) for n in (e.name for e in EFFECTS)}
-    best = max((found[n] for n in ("encoder_scale", "bar_length")), key=lambda h: h.score)
+    found = {
+        n: search.settle((n,), (search.library.atoms_of(n)[0],), (1.0,))
+        for n in (e.name for e in EFFECTS)
+    }
+    best = max(
+        (found[n] for n in ("encoder_scale", "bar_length")), key=lambda h: h.score
+    )
     (members,) = classes.of(search, best, {h.key: h.score for h in found.values()}, 3.0)
     assert {"encoder_scale", "bar_length"} <= set(members)
 
@@ -159,7 +204,9 @@ def test_two_tools_tell_what_is_large(truth: str) -> None:
     """However near the rival is by its odds."""
     (rival,) = {"encoder_scale", "bar_length"} - {truth}
     search, h = searched(readings(TOOLS), truth, 60.0)
-    (members,) = classes.of(search, h, {(frozenset({e.name}), False): h.score for e in EFFECTS}, 3.0)
+    (members,) = classes.of(
+        search, h, {(frozenset({e.name}), False): h.score for e in EFFECTS}, 3.0
+    )
     assert rival not in members
 
 
@@ -168,5 +215,9 @@ def test_the_posterior_mean_is_the_ridge_estimate() -> None:
     search, h = searched(p, "encoder_scale", 20.0)
     rows = search.columns_of(h.atoms[0])
     g, m = search.library.columns[:, rows], metric(p)
-    wanted = np.linalg.solve(g.T @ m @ g + np.eye(g.shape[1]) / 0.25, g.T @ m @ search.problem.residual)
-    assert classes.posterior_mean(search.grams, rows, 0.5) == pytest.approx(wanted, rel=1e-6)
+    wanted = np.linalg.solve(
+        g.T @ m @ g + np.eye(g.shape[1]) / 0.25, g.T @ m @ search.problem.residual
+    )
+    assert classes.posterior_mean(search.grams, rows, 0.5) == pytest.approx(
+        wanted, rel=1e-6
+    )

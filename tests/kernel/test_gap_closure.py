@@ -1,4 +1,6 @@
-"""Closure on held-out readings: against textbook conditioning with dense matrices, and what it must mean."""
+"""Closure on held-out readings: against textbook conditioning with dense matrices, and
+what it must mean.
+"""
 
 import dataclasses
 
@@ -20,7 +22,9 @@ SPLITS = ("within", "whole")
 
 
 def held_out(problem: Problem, split: str) -> list[np.ndarray]:
-    """Masks of the folds of `case.circles`, from how its runs were made: heights, or fifths by the angle commanded."""
+    """Masks of the folds of `case.circles`, from how its runs were made: heights, or
+    fifths by the angle commanded.
+    """
     height, psi = problem.series[0].commands()[:, :2].T
     if split == "whole":
         return [height == h for h in np.unique(height)]
@@ -29,9 +33,14 @@ def held_out(problem: Problem, split: str) -> list[np.ndarray]:
 
 
 def textbook(
-    r: np.ndarray, models: list[list[np.ndarray]], weigh: list[np.ndarray], folds: list[np.ndarray]
+    r: np.ndarray,
+    models: list[list[np.ndarray]],
+    weigh: list[np.ndarray],
+    folds: list[np.ndarray],
 ) -> tuple[float, float]:
-    """S0 and S1 by conditioning dense covariances; models: [[without], [with, at each constant]]."""
+    """S0 and S1 by conditioning dense covariances; models: [[without], [with, at each
+    constant]].
+    """
     sums = np.zeros(2)
     for held in folds:
         kept = ~held
@@ -40,13 +49,20 @@ def textbook(
             means, evidence = [], []
             for cov, shift in zip(alternatives, weigh, strict=False):
                 a, d = cov[np.ix_(kept, kept)], r - shift
-                means.append(shift[held] + cov[np.ix_(held, kept)] @ np.linalg.solve(a, d[kept]))
-                evidence.append(-0.5 * np.linalg.slogdet(a)[1] - 0.5 * d[kept] @ np.linalg.solve(a, d[kept]))
+                means.append(
+                    shift[held] + cov[np.ix_(held, kept)] @ np.linalg.solve(a, d[kept])
+                )
+                evidence.append(
+                    -0.5 * np.linalg.slogdet(a)[1]
+                    - 0.5 * d[kept] @ np.linalg.solve(a, d[kept])
+                )
             w = np.exp(np.array(evidence) - max(evidence))
             errors.append(r[held] - (w / w.sum()) @ np.array(means))
         (first,) = models[0]
         cross = first[np.ix_(held, kept)]
-        spread = first[np.ix_(held, held)] - cross @ np.linalg.solve(first[np.ix_(kept, kept)], cross.T)
+        spread = first[np.ix_(held, held)] - cross @ np.linalg.solve(
+            first[np.ix_(kept, kept)], cross.T
+        )
         sums += [e @ np.linalg.solve(spread, e) for e in errors]
     return tuple(sums / len(r))
 
@@ -56,20 +72,31 @@ def readings() -> Problem:
     problem = case.circles()
     rng = np.random.default_rng(7)
     return problem.with_residual(
-        rng.multivariate_normal(np.zeros(len(problem)), case.dense(problem, case.law(problem)))
+        rng.multivariate_normal(
+            np.zeros(len(problem)), case.dense(problem, case.law(problem))
+        )
     )
 
 
 @pytest.mark.parametrize("split", SPLITS)
-def test_scores_are_those_of_dense_conditioning(readings: Problem, split: str, rng: np.random.Generator) -> None:
+def test_scores_are_those_of_dense_conditioning(
+    readings: Problem, split: str, rng: np.random.Generator
+) -> None:
     law, zero = case.law(readings), np.zeros(len(readings))
     G, scale = rng.standard_normal((len(readings), 3)), np.array([0.5, 2.0, 1.0])
     r = readings.with_residual(readings.residual + G @ [1.0, 3.0, -1.0])
     without = case.dense(readings, law)
-    expected = textbook(r.residual, [[without], [without + (G * scale**2) @ G.T]], [zero], held_out(r, split))
+    expected = textbook(
+        r.residual,
+        [[without], [without + (G * scale**2) @ G.T]],
+        [zero],
+        held_out(r, split),
+    )
     found = closure(r, law, G, rng, split=split, scale=scale)
     assert_allclose((found.s0, found.s1), expected, rtol=1e-5)
-    assert_allclose(found.value, (expected[0] - expected[1]) / (expected[0] - 1.0), rtol=1e-5)
+    assert_allclose(
+        found.value, (expected[0] - expected[1]) / (expected[0] - 1.0), rtol=1e-5
+    )
     assert (found.n, found.split, found.s_noise) == (len(r), split, 1.0)
     assert found.low < found.value < found.high
 
@@ -80,24 +107,43 @@ def test_constants_are_weighed_by_training_readings_alone(
 ) -> None:
     law, zero = case.law(readings), np.zeros(len(readings))
     several = [rng.standard_normal((len(readings), k)) for k in (2, 1, 2)]
-    r = readings.with_residual(readings.residual + several[1] @ [0.2] + several[0] @ [0.2, -0.1])
+    r = readings.with_residual(
+        readings.residual + several[1] @ [0.2] + several[0] @ [0.2, -0.1]
+    )
     without = case.dense(readings, law)
-    expected = textbook(r.residual, [[without], [without + g @ g.T for g in several]], [zero] * 3, held_out(r, split))
+    expected = textbook(
+        r.residual,
+        [[without], [without + g @ g.T for g in several]],
+        [zero] * 3,
+        held_out(r, split),
+    )
     found = closure(r, law, several, rng, split=split)
     assert_allclose((found.s0, found.s1), expected, rtol=1e-5)
     alone = [closure(r, law, g, rng, split=split).s1 for g in several]
-    assert np.abs(np.array(alone) - found.s1).min() > 1e-3  # no single constant gives that
+    assert (
+        np.abs(np.array(alone) - found.s1).min() > 1e-3
+    )  # no single constant gives that
 
 
 @pytest.mark.parametrize("split", SPLITS)
-def test_oracle_takes_the_true_change_out(readings: Problem, split: str, rng: np.random.Generator) -> None:
+def test_oracle_takes_the_true_change_out(
+    readings: Problem, split: str, rng: np.random.Generator
+) -> None:
     law, change = case.law(readings), 3.0 * rng.standard_normal(len(readings))
     r = readings.with_residual(readings.residual + change)
     without = case.dense(readings, law)
     folds = held_out(r, split)
     found = oracle_closure(r, law, change, rng, split=split)
-    assert_allclose(found.s0, textbook(r.residual, [[without]] * 2, [0 * change], folds)[0], rtol=1e-5)
-    assert_allclose(found.s1, textbook(readings.residual, [[without]] * 2, [0 * change], folds)[0], rtol=1e-5)
+    assert_allclose(
+        found.s0,
+        textbook(r.residual, [[without]] * 2, [0 * change], folds)[0],
+        rtol=1e-5,
+    )
+    assert_allclose(
+        found.s1,
+        textbook(readings.residual, [[without]] * 2, [0 * change], folds)[0],
+        rtol=1e-5,
+    )
 
 
 @pytest.mark.parametrize("split", SPLITS)
@@ -110,13 +156,21 @@ def test_without_a_gap_the_scores_are_those_of_noise_though_circles_are_far_off(
     root = np.linalg.cholesky(covariance)
     none = np.zeros((len(problem), 0))
     found = [
-        closure(problem.with_residual(root @ rng.standard_normal(len(problem))), law, none, rng, split=split, draws=50)
+        closure(
+            problem.with_residual(root @ rng.standard_normal(len(problem))),
+            law,
+            none,
+            rng,
+            split=split,
+            draws=50,
+        )
         for _ in range(60)
     ]
     s0 = np.array([f.s0 for f in found])
     assert abs(s0.mean() - 1.0) < 4.0 * np.sqrt(2.0 / (len(problem) * len(found)))
     assert all(f.s1 == pytest.approx(f.s0) and f.p_worse < 1.0 for f in found)
-    # raw, an unseen circle is many times the noise off: the whitening is what lets an effect show
+    # raw, an unseen circle is many times the noise off: the whitening is what lets an
+    # effect show
     held = held_out(problem, "whole")[0]
     cross, kept = covariance[np.ix_(held, ~held)], covariance[np.ix_(~held, ~held)]
     spread = covariance[np.ix_(held, held)] - cross @ np.linalg.solve(kept, cross.T)
@@ -124,18 +178,28 @@ def test_without_a_gap_the_scores_are_those_of_noise_though_circles_are_far_off(
 
 
 @pytest.mark.parametrize("split", SPLITS)
-def test_right_effect_closes_what_the_oracle_closes_and_a_wrong_one_harms(split: str, rng: np.random.Generator) -> None:
+def test_right_effect_closes_what_the_oracle_closes_and_a_wrong_one_harms(
+    split: str, rng: np.random.Generator
+) -> None:
     problem = case.circles()
     law = case.law(problem)
     covariance = case.dense(problem, law)
     root = np.linalg.cholesky(covariance)
-    G = np.column_stack([case.in_joint(problem, k, 1e-6 * problem.states[0].sense[:, k]) for k in range(3)])
+    G = np.column_stack(
+        [
+            case.in_joint(problem, k, 1e-6 * problem.states[0].sense[:, k])
+            for k in range(3)
+        ]
+    )
     change = case.sized(G @ [1.0, -0.5, 0.7], covariance, 10.0)
     wrong = rng.standard_normal((len(problem), 12))
     gains, oracle, worse, harmed = [], [], [], []
     for _ in range(30):
         r = problem.with_residual(change + root @ rng.standard_normal(len(problem)))
-        own, true = closure(r, law, G, rng, split=split), oracle_closure(r, law, change, rng, split=split)
+        own, true = (
+            closure(r, law, G, rng, split=split),
+            oracle_closure(r, law, change, rng, split=split),
+        )
         gains.append(own.n * (own.s0 - own.s1))
         oracle.append(true.n * (true.s0 - true.s1))
         worse.append(own.p_worse)
@@ -156,7 +220,11 @@ def test_interval_covers_the_oracles_closure(rng: np.random.Generator) -> None:
     law = plain(problem)
     covariance = case.dense(problem, law)
     root = np.linalg.cholesky(covariance)
-    change = case.sized(case.in_joint(problem, 0, 1e-6 * problem.states[0].sense[:, 0]), covariance, 10.0)
+    change = case.sized(
+        case.in_joint(problem, 0, 1e-6 * problem.states[0].sense[:, 0]),
+        covariance,
+        10.0,
+    )
     inside = 0
     for _ in range(60):
         r = problem.with_residual(change + root @ rng.standard_normal(len(problem)))
@@ -168,17 +236,30 @@ def test_interval_covers_the_oracles_closure(rng: np.random.Generator) -> None:
 def test_repeats_are_held_out_together() -> None:
     problem = case.circles(12, (1.10, 1.22), 3)
     height = problem.series[0].commands()[:, 0]
-    # what only one height has can not be learned from the other: no gain on whole runs, though five repeats have it
-    change = np.where(height < 1.15, 1.0, 0.0) * np.cos(3.0 * problem.rows["phase"].to_numpy())
+    # what only one height has can not be learned from the other: no gain on whole runs,
+    # though five repeats have it
+    change = np.where(height < 1.15, 1.0, 0.0) * np.cos(
+        3.0 * problem.rows["phase"].to_numpy()
+    )
     r = problem.with_residual(20.0 * change)
-    G = np.column_stack([change, np.where(height > 1.15, 1.0, 0.0) * np.cos(3.0 * problem.rows["phase"].to_numpy())])
+    G = np.column_stack(
+        [
+            change,
+            np.where(height > 1.15, 1.0, 0.0)
+            * np.cos(3.0 * problem.rows["phase"].to_numpy()),
+        ]
+    )
     whole = closure(r, plain(r), G, np.random.default_rng(0), split="whole", scale=20.0)
-    within = closure(r, plain(r), G, np.random.default_rng(0), split="within", scale=20.0)
+    within = closure(
+        r, plain(r), G, np.random.default_rng(0), split="within", scale=20.0
+    )
     assert abs(whole.value) < 0.05
     assert within.value > 0.9
 
 
-def test_where_all_runs_repeat_one_path_each_is_held_out(rng: np.random.Generator) -> None:
+def test_where_all_runs_repeat_one_path_each_is_held_out(
+    rng: np.random.Generator,
+) -> None:
     problem = case.circles(12, (1.16,), 2)
     way = problem.rows["direction"].to_numpy(dtype=float)
     r = problem.with_residual(10.0 * way + rng.standard_normal(len(way)))
@@ -189,16 +270,26 @@ def test_where_all_runs_repeat_one_path_each_is_held_out(rng: np.random.Generato
 def test_one_run_cannot_be_held_out_whole(rng: np.random.Generator) -> None:
     full = case.circles(12, (1.16,))
     (series,) = full.series
-    problem = planned(full.measurement, [series.take(np.arange(12))], full.rows.iloc[:12][["setup", "run", "order"]])
+    problem = planned(
+        full.measurement,
+        [series.take(np.arange(12))],
+        full.rows.iloc[:12][["setup", "run", "order"]],
+    )
     found = closure(problem, plain(problem), np.ones((12, 1)), rng, split="whole")
     assert found.n == 0
     assert np.isnan(found.value)
-    assert closure(problem, plain(problem), np.ones((12, 1)), rng, split="within").n == 12
+    assert (
+        closure(problem, plain(problem), np.ones((12, 1)), rng, split="within").n == 12
+    )
 
 
 def test_short_runs_make_five_folds(rng: np.random.Generator) -> None:
-    measurement = Measurement(linear_delta.machine, [mount(calliper.instrument, "calliper")])
-    commands = np.column_stack([rng.uniform(-0.1, 0.1, (40, 2)), rng.uniform(0.05, 0.3, 40)])
+    measurement = Measurement(
+        linear_delta.machine, [mount(calliper.instrument, "calliper")]
+    )
+    commands = np.column_stack(
+        [rng.uniform(-0.1, 0.1, (40, 2)), rng.uniform(0.05, 0.3, 40)]
+    )
     labels = [f"d{k // 2}" for k in range(40)]
     series = measurement.series("calliper", commands, run=labels)
     table = pd.DataFrame({"setup": "calliper", "run": series.run, "order": 2})
@@ -210,25 +301,39 @@ def test_short_runs_make_five_folds(rng: np.random.Generator) -> None:
         assert found.s0 < 4.0
 
 
-def test_no_gap_left_to_close_is_nan_with_a_wide_interval(readings: Problem, rng: np.random.Generator) -> None:
+def test_no_gap_left_to_close_is_nan_with_a_wide_interval(
+    readings: Problem, rng: np.random.Generator
+) -> None:
     quiet = readings.with_residual(0.3 * readings.residual)
-    found = closure(quiet, case.law(quiet), rng.standard_normal((len(quiet), 2)), rng, split="within")
+    found = closure(
+        quiet,
+        case.law(quiet),
+        rng.standard_normal((len(quiet), 2)),
+        rng,
+        split="within",
+    )
     assert found.s0 < 1.0
     assert np.isnan(found.value)
     assert np.isinf([found.low, found.high]).any()
 
 
-def test_same_seed_same_closure_and_folds_do_not_depend_on_it(readings: Problem) -> None:
+def test_same_seed_same_closure_and_folds_do_not_depend_on_it(
+    readings: Problem,
+) -> None:
     G = np.random.default_rng(2).standard_normal((len(readings), 2))
     law = case.law(readings)
     r = readings.with_residual(readings.residual + 2.0 * G[:, 0])
-    a, b, c = (closure(r, law, G, np.random.default_rng(s), split="whole") for s in (1, 1, 2))
+    a, b, c = (
+        closure(r, law, G, np.random.default_rng(s), split="whole") for s in (1, 1, 2)
+    )
     assert a == b
     assert (a.s0, a.s1) == (c.s0, c.s1)
     assert (a.low, a.high) != (c.low, c.high)
 
 
-def test_columns_that_do_not_fit_are_refused(readings: Problem, rng: np.random.Generator) -> None:
+def test_columns_that_do_not_fit_are_refused(
+    readings: Problem, rng: np.random.Generator
+) -> None:
     law = plain(readings)
     with pytest.raises(ValueError, match=r"143, 1.*144 readings need \(144, k\)"):
         closure(readings, law, np.ones((143, 1)), rng, split="whole")
@@ -240,10 +345,18 @@ def test_columns_that_do_not_fit_are_refused(readings: Problem, rng: np.random.G
         closure(readings, law, [], rng, split="whole")
 
 
-def test_a_law_too_quiet_shows_in_the_scores(readings: Problem, rng: np.random.Generator) -> None:
+def test_a_law_too_quiet_shows_in_the_scores(
+    readings: Problem, rng: np.random.Generator
+) -> None:
     """Snoise is 1 by the law: half the level makes S0 four times as large."""
     law = case.law(readings)
     none = np.zeros((len(readings), 0))
     right = closure(readings, law, none, rng, split="within")
-    quiet = closure(readings, dataclasses.replace(law, level=law.level / 2), none, rng, split="within")
+    quiet = closure(
+        readings,
+        dataclasses.replace(law, level=law.level / 2),
+        none,
+        rng,
+        split="within",
+    )
     assert quiet.s0 / right.s0 == pytest.approx(4.0, rel=0.15)

@@ -1,4 +1,6 @@
-"""Detectability and confusability of effects before measuring, against dense textbook formulas and simulation."""
+"""Detectability and confusability of effects before measuring, against dense textbook
+formulas and simulation.
+"""
 
 import dataclasses
 import functools
@@ -48,32 +50,54 @@ def test_size_needed_is_that_of_simulated_tests():
 
 
 def test_ideal_power_at_six_drops_when_the_best_of_a_hundred_is_taken():
-    # about 0.96 for one test, 0.79 for the best of a hundred, whatever the few columns more or less
+    # about 0.96 for one test, 0.79 for the best of a hundred, whatever the few columns
+    # more or less
     assert detect.ideal_power(36.0, 12) == pytest.approx(0.96, abs=0.015)
-    assert detect.ideal_power(36.0, 10, alternatives=100) == pytest.approx(0.79, abs=0.02)
-    assert detect.ideal_power(0.0, 3, alternatives=7) == pytest.approx(1 - 0.99 ** (1 / 7))
+    assert detect.ideal_power(36.0, 10, alternatives=100) == pytest.approx(
+        0.79, abs=0.02
+    )
+    assert detect.ideal_power(0.0, 3, alternatives=7) == pytest.approx(
+        1 - 0.99 ** (1 / 7)
+    )
 
 
 @pytest.mark.parametrize("tools", [(0.0,), (0.0, 0.1)])
 def test_lambdas_are_those_of_the_dense_covariance(tools):
     p = problem(tools, strokes=(0.0, 0.1, 0.2))
-    law = Law(0.4, 0.7, 3.0, np.random.default_rng(3).uniform(0.5, 2.0, len(p)), level=1.3)
+    law = Law(
+        0.4, 0.7, 3.0, np.random.default_rng(3).uniform(0.5, 2.0, len(p)), level=1.3
+    )
     told = detect.detect(p, law, [*ALL, gap_a3.warming], np.random.default_rng(0))
     c = dense(p, law)
-    for name, effect, constants in (("gravity", gap_a3.gravity, {}), ("encoder_scale", gap_a3.encoder_scale, {})):
+    for name, effect, constants in (
+        ("gravity", gap_a3.gravity, {}),
+        ("encoder_scale", gap_a3.encoder_scale, {}),
+    ):
         g, _ = columns(p, effect, **constants)
-        assert told.of(name).detectability == pytest.approx(np.sqrt(np.trace(g.T @ np.linalg.solve(c, g))), rel=1e-6)
-        # a rival that is as good as free has a very wide covariance of its own; a shape column keeps its prior
+        assert told.of(name).detectability == pytest.approx(
+            np.sqrt(np.trace(g.T @ np.linalg.solve(c, g))), rel=1e-6
+        )
+        # a rival that is as good as free has a very wide covariance of its own; a shape
+        # column keeps its prior
         for tau in (900.0, 3600.0):
             r, made = columns(p, gap_a3.warming, tau=tau)
             wide = c + (r * np.where(made.shape, 1.0, detect.ROOM**2)) @ r.T
             left = np.sqrt(np.trace(g.T @ np.linalg.solve(wide, g)))
-            assert told.apart[told.names.index(name), told.names.index("warming")] <= left * (1 + 1e-6)
+            assert told.apart[
+                told.names.index(name), told.names.index("warming")
+            ] <= left * (1 + 1e-6)
         worst = min(
-            np.trace(g.T @ np.linalg.solve(c + (r * np.where(s.shape, 1.0, detect.ROOM**2)) @ r.T, g))
+            np.trace(
+                g.T
+                @ np.linalg.solve(
+                    c + (r * np.where(s.shape, 1.0, detect.ROOM**2)) @ r.T, g
+                )
+            )
             for r, s in (columns(p, gap_a3.warming, tau=t) for t in (900.0, 3600.0))
         )
-        assert told.apart[told.names.index(name), told.names.index("warming")] == pytest.approx(worst**0.5, rel=1e-5)
+        assert told.apart[
+            told.names.index(name), told.names.index("warming")
+        ] == pytest.approx(worst**0.5, rel=1e-5)
 
 
 def test_least_size_is_found_nine_times_in_ten():
@@ -83,14 +107,20 @@ def test_least_size_is_found_nine_times_in_ten():
     c = dense(p, plain(p))
     root = np.linalg.cholesky(c)
     inner = np.linalg.solve(root, g)
-    change = inner[:, 1] * row.sizes["leg 2"] / made.scales[1]  # leg 2 alone at its least size
+    change = (
+        inner[:, 1] * row.sizes["leg 2"] / made.scales[1]
+    )  # leg 2 alone at its least size
     noise = rng.standard_normal((4000, len(p)))
     basis = np.linalg.qr(inner)[0]
-    found = np.mean(np.sum(((noise + change) @ basis) ** 2, axis=1) > stats.chi2.ppf(0.99, 3))
+    found = np.mean(
+        np.sum(((noise + change) @ basis) ** 2, axis=1) > stats.chi2.ppf(0.99, 3)
+    )
     assert found == pytest.approx(0.90, abs=0.02)
     assert row.least["length"] <= row.median["length"]
     # the most visible combination needs no more than leg 2 alone does
-    alone = row.sizes["leg 2"] / made.scales[1] * np.sqrt(np.mean((p.sigma * g[:, 1]) ** 2))
+    alone = (
+        row.sizes["leg 2"] / made.scales[1] * np.sqrt(np.mean((p.sigma * g[:, 1]) ** 2))
+    )
     assert row.least["length"] <= alone * (1 + 1e-9)
 
 
@@ -121,12 +151,15 @@ def test_two_tool_lengths_tell_scale_from_bar():
     p = free(problem((0.0, 0.1)))
     told = detect.detect(p, plain(p), ALL, np.random.default_rng(0))
     assert not told.exact
-    angle = told.angles[told.names.index("encoder_scale"), told.names.index("bar_length")]
+    angle = told.angles[
+        told.names.index("encoder_scale"), told.names.index("bar_length")
+    ]
     assert 3.5 <= angle <= 13.6
 
 
 def test_classes_name_who_is_absorbed_by_whom():
-    # joints measured to 20 um before: both are visible, and the bar is imitated by the scale, not the other way
+    # joints measured to 20 um before: both are visible, and the bar is imitated by the
+    # scale, not the other way
     p = problem()
     p = dataclasses.replace(p, slopes=p.slopes * 0.02)
     told = detect.detect(p, plain(p), ALL, np.random.default_rng(0))
@@ -140,16 +173,24 @@ def test_calibration_absorbs_most_of_static_gravity():
     p = problem(strokes=FIVE, points=24)
     row = detect.detect(p, plain(p), ALL, np.random.default_rng(0)).of("gravity")
     g, _ = columns(p, gap_a3.gravity)
-    kept = np.sqrt(np.trace(g.T @ np.linalg.solve(dense(p, plain(p)), g)) / np.sum(g**2))
+    kept = np.sqrt(
+        np.trace(g.T @ np.linalg.solve(dense(p, plain(p)), g)) / np.sum(g**2)
+    )
     assert 1.0 - row.absorbed == pytest.approx(kept, rel=1e-6)
     assert kept < 0.12
 
 
 def test_what_is_missing_is_told_and_nothing_is_claimed():
     p = problem(strokes=(0.0, 0.2))
-    both = dataclasses.replace(gap_a3.gravity, name="both_ways", needs=("direction: both",))
-    told = detect.detect(p, plain(p), [both, gap_a3.encoder_scale], np.random.default_rng(0))
-    assert told.not_testable == {"both_ways": "the readings do not have direction: both"}
+    both = dataclasses.replace(
+        gap_a3.gravity, name="both_ways", needs=("direction: both",)
+    )
+    told = detect.detect(
+        p, plain(p), [both, gap_a3.encoder_scale], np.random.default_rng(0)
+    )
+    assert told.not_testable == {
+        "both_ways": "the readings do not have direction: both"
+    }
     assert told.names == ("encoder_scale",)
     assert not told.of("both_ways").visible
     unseen = dataclasses.replace(gap_a3.bar_length, columns=lambda s: [])
@@ -159,16 +200,25 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
 
 
 def test_combinations_in_words():
-    assert detect.in_words({"leg 1": 1.0, "leg 2": 0.98, "leg 3": 0.99}).startswith("common to leg 1, leg 2")
-    assert detect.in_words({"leg 1": 1.0, "leg 2": -0.9, "leg 3": 0.05}) == "leg 1 - 0.9 leg 2"
+    assert detect.in_words({"leg 1": 1.0, "leg 2": 0.98, "leg 3": 0.99}).startswith(
+        "common to leg 1, leg 2"
+    )
+    assert (
+        detect.in_words({"leg 1": 1.0, "leg 2": -0.9, "leg 3": 0.05})
+        == "leg 1 - 0.9 leg 2"
+    )
     assert detect.in_words({"bar": 1.0}) == "bar"
 
 
 def test_same_seed_same_figures_and_bad_input():
     p = problem(strokes=(0.0, 0.2))
-    one, two = (detect.detect(p, plain(p), ALL, np.random.default_rng(4)) for _ in range(2))
+    one, two = (
+        detect.detect(p, plain(p), ALL, np.random.default_rng(4)) for _ in range(2)
+    )
     assert one.effects == two.effects
     with pytest.raises(ValueError, match="each once"):
-        detect.detect(p, plain(p), [gap_a3.gravity, gap_a3.gravity], np.random.default_rng(0))
+        detect.detect(
+            p, plain(p), [gap_a3.gravity, gap_a3.gravity], np.random.default_rng(0)
+        )
     with pytest.raises(KeyError, match="no effect"):
         one.of("rust")

@@ -1,4 +1,6 @@
-"""The gate: the scan over places has a say where the evidence would have no gap, and nowhere else."""
+"""The gate: the scan over places has a say where the evidence would have no gap, and
+nowhere else.
+"""
 
 import dataclasses
 
@@ -17,7 +19,13 @@ from oed.gap.problem import Problem
 from oed.gap.unknown import PROCESSES
 from oed.gap.which import Hypothesis, Search
 
-BLANK = {"atoms": (), "sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0}
+BLANK = {
+    "atoms": (),
+    "sizes": (),
+    "process": None,
+    "process_size": 0.0,
+    "log_prior": 0.0,
+}
 
 
 @pytest.fixture(scope="module")
@@ -27,17 +35,23 @@ def machines() -> Machines:
 
 
 def test_a_p_value_says_no_more_than_its_bound() -> None:
-    """The bound is the largest of all Bayes factors of densities a p^(a - 1) against the uniform."""
+    """The bound is the largest of all Bayes factors of densities a p^(a - 1) against
+    the uniform.
+    """
     a = np.linspace(1e-4, 1.0, 200_001)
     for p in (1e-4, 1e-3, 0.01, 0.04):
-        assert gate.against_none(p) == pytest.approx(float((a * p ** (a - 1.0)).max()), rel=1e-6)
+        assert gate.against_none(p) == pytest.approx(
+            float((a * p ** (a - 1.0)).max()), rel=1e-6
+        )
     assert gate.against_none(gate.SEEN) == gate.against_none(1.0) == 1.0
     for p in (0.0, -0.1, 1.1, float("nan")):
         with pytest.raises(ValueError, match="p-value"):
             gate.against_none(p)
 
 
-def test_the_least_p_value_is_uniform_without_a_gap_and_small_where_one_leg_is_off(machines: Machines) -> None:
+def test_the_least_p_value_is_uniform_without_a_gap_and_small_where_one_leg_is_off(
+    machines: Machines,
+) -> None:
     problem, law, rng = machines.problem, machines.law, np.random.default_rng(8)
     one = case.in_joint(problem, 1, _along(problem))
 
@@ -53,8 +67,12 @@ def test_the_least_p_value_is_uniform_without_a_gap_and_small_where_one_leg_is_o
 
 def test_the_least_p_value_is_that_of_the_places_told(machines: Machines) -> None:
     problem, rng = machines.problem, np.random.default_rng(4)
-    shifted = case.sized(case.in_joint(problem, 1, _along(problem)), machines.covariance, 5.5)
-    problem = problem.with_residual(machines.root @ rng.standard_normal(len(problem)) + shifted)
+    shifted = case.sized(
+        case.in_joint(problem, 1, _along(problem)), machines.covariance, 5.5
+    )
+    problem = problem.with_residual(
+        machines.root @ rng.standard_normal(len(problem)) + shifted
+    )
     told = where.where(problem, machines.law, np.random.default_rng(1), draws=100)
     least = where.least(problem, machines.law, np.random.default_rng(1), draws=100)
     assert told[0].block == "leg 2"
@@ -71,7 +89,12 @@ def _along(problem: Problem) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("none", "p", "asked", "told"),
-    [(0.8, 0.01, True, True), (0.8, 0.2, True, False), (0.8, 0.049, True, False), (0.3, 0.001, False, True)],
+    [
+        (0.8, 0.01, True, True),
+        (0.8, 0.2, True, False),
+        (0.8, 0.049, True, False),
+        (0.3, 0.001, False, True),
+    ],
 )
 def test_only_where_none_would_be_told_its_odds_are_divided(
     monkeypatch: pytest.MonkeyPatch, none: float, p: float, asked: bool, told: bool
@@ -85,10 +108,17 @@ def test_only_where_none_would_be_told_its_odds_are_divided(
     monkeypatch.setattr(where, "least", least)
     monkeypatch.setattr(which.Search, "level", lambda search, h: 1.7)
     before = np.array([none, 0.75 * (1.0 - none), 0.25 * (1.0 - none)])
-    made = [Hypothesis(effects=(), unknown=k > 0, log_evidence=float(np.log(s)), **BLANK) for k, s in enumerate(before)]
+    made = [
+        Hypothesis(effects=(), unknown=k > 0, log_evidence=float(np.log(s)), **BLANK)
+        for k, s in enumerate(before)
+    ]
     made[2] = dataclasses.replace(made[2], effects=("slip",), atoms=(0,), sizes=(1.0,))
     search = Search(
-        problem, library.build(problem, EFFECTS), library.build(problem, PROCESSES[:1]), plain(problem), 0.0
+        problem,
+        library.build(problem, EFFECTS),
+        library.build(problem, PROCESSES[:1]),
+        plain(problem),
+        0.0,
     )
     after = gate.weighed([search], made, before, np.random.default_rng(1))
     factor = gate.against_none(p) if asked else 1.0
@@ -97,22 +127,32 @@ def test_only_where_none_would_be_told_its_odds_are_divided(
     assert after.sum() == pytest.approx(1.0)
     assert after[0] / (1.0 - after[0]) == pytest.approx(none / (1.0 - none) / factor)
     assert after[1] / after[2] == pytest.approx(before[1] / before[2])
-    first = diagnosing.conclude(problem, [search], made, EFFECTS, shares=after)[0].answers[0]
+    first = diagnosing.conclude(problem, [search], made, EFFECTS, shares=after)[
+        0
+    ].answers[0]
     assert (first.effects == (UNKNOWN,)) == told
 
 
-def test_the_gate_leaves_the_draws_of_what_comes_after_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_gate_leaves_the_draws_of_what_comes_after_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     rng = np.random.default_rng(3)
     problem = readings(8)
     problem = problem.with_residual(rng.standard_normal(len(problem)))
     monkeypatch.setattr(diagnosing, "PROCESSES", PROCESSES[:2])
-    monkeypatch.setattr(diagnosing, "_looked_for", lambda processes, problem, law: processes)
+    monkeypatch.setattr(
+        diagnosing, "_looked_for", lambda processes, problem, law: processes
+    )
     found = {}
     for p in (0.9, 1e-12):
         monkeypatch.setattr(where, "least", lambda *given, p=p: p)
-        found[p] = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0), law=plain(problem))
+        found[p] = diagnosing.diagnose(
+            problem, EFFECTS, np.random.default_rng(0), law=plain(problem)
+        )
     assert found[0.9].verdict == "none"
     assert found[0.9].where == ()
     assert found[1e-12].verdict != "none"
     assert found[1e-12].marginal.keys() == found[0.9].marginal.keys()
-    assert sum(a.probability for a in found[1e-12].answers) == pytest.approx(1.0, abs=0.02)
+    assert sum(a.probability for a in found[1e-12].answers) == pytest.approx(
+        1.0, abs=0.02
+    )

@@ -1,4 +1,6 @@
-"""The noise's covariance by its parts: runs of one length at once, their channels apart where these are independent."""
+"""The noise's covariance by its parts: runs of one length at once, their channels apart
+where these are independent.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,13 @@ LAW = Law(0.7, 0.9, 6.0, np.ones(1), level=1.3, ratio=np.ones(1), sway=0.4)
 def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     problem, rng = readings(3), np.random.default_rng(3)
     size = len(problem)
-    wide = [0.4 * np.ones((len(b), len(b))) + 0.6 * np.eye(len(b)) for b in problem.blocks]
+    wide = [
+        0.4 * np.ones((len(b), len(b))) + 0.6 * np.eye(len(b)) for b in problem.blocks
+    ]
     # a stated correlation of a run's readings keeps its channels together
-    problem = dataclasses.replace(problem, base=tuple(wide) if related else (None,) * len(wide))
+    problem = dataclasses.replace(
+        problem, base=tuple(wide) if related else (None,) * len(wide)
+    )
     variance = rng.uniform(1.0, 3.0, size)
     law = dataclasses.replace(LAW, variance=variance, ratio=1.0 + 0.5 * problem.group)
     dense = np.zeros((size, size))
@@ -28,9 +34,13 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     whitener, values = Whitener(problem, law), rng.standard_normal((size, 3))
     assert whitener.log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-9)
     white = whitener.white(values)
-    assert white.T @ white == pytest.approx(values.T @ np.linalg.solve(dense, values), rel=1e-9)
+    assert white.T @ white == pytest.approx(
+        values.T @ np.linalg.solve(dense, values), rel=1e-9
+    )
     geometry = dense + problem.slopes @ problem.slopes.T
     assert Metric(problem, law).gram(values, values) == pytest.approx(
         values.T @ np.linalg.solve(geometry, values), rel=1e-6, abs=1e-6
     )
-    assert {len(m) for pack in problem.packs for m in pack.members} == {len(problem.blocks[0]) // (1 if related else 2)}
+    assert {len(m) for pack in problem.packs for m in pack.members} == {
+        len(problem.blocks[0]) // (1 if related else 2)
+    }

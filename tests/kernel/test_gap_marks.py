@@ -1,4 +1,6 @@
-"""Fine waves along joints, as of a scale's marks: found among thousands of periods, and not where there are none."""
+"""Fine waves along joints, as of a scale's marks: found among thousands of periods, and
+not where there are none.
+"""
 
 from __future__ import annotations
 
@@ -19,19 +21,29 @@ def _noisy(seed: int) -> Problem:
     problem = gap_problem.circles(points=36, heights=HEIGHTS)
     rng = np.random.default_rng(seed)
     return problem.with_residual(
-        np.linalg.cholesky(gap_problem.dense(problem, plain(problem))) @ rng.normal(size=len(problem))
+        np.linalg.cholesky(gap_problem.dense(problem, plain(problem)))
+        @ rng.normal(size=len(problem))
     )
 
 
 def _marked(problem: Problem, periods: dict[int, float], size: float) -> Problem:
-    """With a wave of each joint along its travel, m of either way; in all `size` large against the noise."""
+    """With a wave of each joint along its travel, m of either way; in all `size` large
+    against the noise.
+    """
     (state,) = problem.states
     change = sum(
-        gap_problem.in_joint(problem, leg, 1e-6 * np.cos(2.0 * np.pi * state.joints[:, leg] / period + 0.7 * leg))
+        gap_problem.in_joint(
+            problem,
+            leg,
+            1e-6 * np.cos(2.0 * np.pi * state.joints[:, leg] / period + 0.7 * leg),
+        )
         for leg, period in periods.items()
     )
     return problem.with_residual(
-        problem.residual + gap_problem.sized(np.asarray(change), gap_problem.dense(problem, plain(problem)), size)
+        problem.residual
+        + gap_problem.sized(
+            np.asarray(change), gap_problem.dense(problem, plain(problem)), size
+        )
     )
 
 
@@ -46,7 +58,10 @@ def _found(problem: Problem) -> tuple[Library, which.Hypothesis]:
     [
         ({1: 20e-6}, "leg 2 in a wave every 0.02 mm of travel"),
         ({2: 173e-6}, "leg 3 in a wave every 0.173 mm of travel"),
-        ({0: 40e-6, 1: 40e-6, 2: 40e-6}, "all legs, each in a wave every 0.04 mm of travel"),
+        (
+            {0: 40e-6, 1: 40e-6, 2: 40e-6},
+            "all legs, each in a wave every 0.04 mm of travel",
+        ),
     ],
 )
 def test_marks_are_found_at_their_period(periods: dict[int, float], told: str) -> None:
@@ -57,8 +72,12 @@ def test_marks_are_found_at_their_period(periods: dict[int, float], told: str) -
 
 
 def test_marks_are_told_and_placed() -> None:
-    """In the whole diagnosis, noise told and all: the leg is that of the marks, whose looks know no fine wave."""
-    found = diagnose.diagnose(_marked(_noisy(1), {1: 20e-6}, 10.0), (), np.random.default_rng(0))
+    """In the whole diagnosis, noise told and all: the leg is that of the marks, whose
+    looks know no fine wave.
+    """
+    found = diagnose.diagnose(
+        _marked(_noisy(1), {1: 20e-6}, 10.0), (), np.random.default_rng(0)
+    )
     assert found.verdict == "unknown"
     assert next(iter(found.likeness)) == "leg 2 in a wave every 0.02 mm of travel"
     assert gap_problem.first(found.where, "leg") == "leg 2"
@@ -73,16 +92,31 @@ def test_there_are_none_in_noise(seed: int) -> None:
 
 
 def test_what_a_fine_wave_explains_is_what_the_metric_says() -> None:
-    """One transform for all frequencies, against dense matrices for some, where readings are that many."""
+    """One transform for all frequencies, against dense matrices for some, where
+    readings are that many.
+    """
     problem = _marked(_noisy(5), {0: 31e-6}, 12.0)
     legs, (long, place, _) = carriers.joints(problem), waves.travels(problem)
     size, bin_size = marks._division(float(place[:, :, long].max()))
     energy = marks._energies(
-        problem, Metric(problem, plain(problem)), legs[:, long], place[:, :, long] / bin_size, size
+        problem,
+        Metric(problem, plain(problem)),
+        legs[:, long],
+        place[:, :, long] / bin_size,
+        size,
     )
-    inverse, quick, exact = np.linalg.inv(gap_problem.dense(problem, plain(problem))), [], []
+    inverse, quick, exact = (
+        np.linalg.inv(gap_problem.dense(problem, plain(problem))),
+        [],
+        [],
+    )
     at = round(size * bin_size / 31e-6)
-    for k in (at - 1, at, at + 1, *range(int(1e3 * size * bin_size), int(9e4 * size * bin_size), 997)):
+    for k in (
+        at - 1,
+        at,
+        at + 1,
+        *range(int(1e3 * size * bin_size), int(9e4 * size * bin_size), 997),
+    ):
         angle = 2.0 * np.pi * k / (size * bin_size) * place[:, 0, 0]
         both = legs[:, 0, :1] * np.column_stack([np.cos(angle), np.sin(angle)])
         told = both.T @ inverse @ problem.residual

@@ -1,4 +1,6 @@
-"""Rate, acceleration, sense and the way since a joint turned back, against motions in closed form."""
+"""Rate, acceleration, sense and the way since a joint turned back, against motions in
+closed form.
+"""
 
 import numpy as np
 import pytest
@@ -14,7 +16,14 @@ LATE = np.array([0.7, 2.9])  # rad, where the joints are farthest out
 
 def _moved(q: Array, tip: Array, *, feed: float = FEED, still: int = 0) -> Motion:
     n = len(q)
-    return motion(q, tip, np.full(n, "a"), np.arange(n, dtype=float), np.full(n, feed), np.arange(still))
+    return motion(
+        q,
+        tip,
+        np.full(n, "a"),
+        np.arange(n, dtype=float),
+        np.full(n, feed),
+        np.arange(still),
+    )
 
 
 def _circle(at: Array) -> tuple[Array, Array]:
@@ -24,48 +33,70 @@ def _circle(at: Array) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize(("count", "begin"), [(24, 0.0), (36, 1.3)])
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_closed_circle_is_entered_rolling(count: int, begin: float, way: float) -> None:
-    """q = a cos(t - t0) on a circle of radius r: q' = -a sin(t - t0) v / r, q'' = -a cos(t - t0) (v / r)^2, and a
-    (1 - |cos|-like rest) gone since the last extremum, at the first pose as at any."""
+def test_a_closed_circle_is_entered_rolling(
+    count: int, begin: float, way: float
+) -> None:
+    """q = a cos(t - t0) on a circle of radius r: q' = -a sin(t - t0) v / r, q'' = -a
+    cos(t - t0) (v / r)^2, and a (1 - |cos|-like rest) gone since the last extremum, at
+    the first pose as at any.
+    """
     at = begin + way * 2.0 * np.pi * np.arange(count) / count
     found = _moved(*_circle(at))
     angle, turn = at[:, None] - LATE, FEED / RADIUS
-    assert found.rate == pytest.approx(-way * SWING * np.sin(angle) * turn, abs=4e-3 * SWING.max() * turn)
-    assert found.acceleration == pytest.approx(-SWING * np.cos(angle) * turn**2, abs=2e-2 * SWING.max() * turn**2)
+    assert found.rate == pytest.approx(
+        -way * SWING * np.sin(angle) * turn, abs=4e-3 * SWING.max() * turn
+    )
+    assert found.acceleration == pytest.approx(
+        -SWING * np.cos(angle) * turn**2, abs=2e-2 * SWING.max() * turn**2
+    )
     assert (found.sense == -way * np.sign(np.sin(angle))).all()
     since = np.mod(way * angle, np.pi)
-    assert found.reversal == pytest.approx(SWING * (1.0 - np.cos(since)), abs=2e-3 * SWING.max())
+    assert found.reversal == pytest.approx(
+        SWING * (1.0 - np.cos(since)), abs=2e-3 * SWING.max()
+    )
 
 
 def test_an_open_run_has_no_turn_before_its_first() -> None:
-    """A line past one extremum: far away before it, from the extremum, not from the last reading, after it."""
+    """A line past one extremum: far away before it, from the extremum, not from the
+    last reading, after it.
+    """
     along = np.linspace(0.0, 1.0, 12)
     tip = np.column_stack([0.3 * along, np.zeros(12), np.zeros(12)])
     q = np.column_stack([-((along - 0.43) ** 2), along])
     found = _moved(q, tip)
     before = along < 0.43
     assert np.isinf(found.reversal[before, 0]).all()
-    assert found.reversal[~before, 0] == pytest.approx((along[~before] - 0.43) ** 2, abs=1e-6)
+    assert found.reversal[~before, 0] == pytest.approx(
+        (along[~before] - 0.43) ** 2, abs=1e-6
+    )
     assert np.isinf(found.reversal[:, 1]).all()
     assert (found.sense[:, 1] == 1.0).all()
     assert found.rate[:, 1] == pytest.approx(np.full(12, FEED / 0.3))
-    assert found.acceleration[:, 0] == pytest.approx(np.full(12, -2.0 * (FEED / 0.3) ** 2), rel=1e-6)
+    assert found.acceleration[:, 0] == pytest.approx(
+        np.full(12, -2.0 * (FEED / 0.3) ** 2), rel=1e-6
+    )
 
 
 def test_points_in_any_order_are_no_path(rng: np.random.Generator) -> None:
-    """Between scattered points the way turns sharply: distances are told by the steps alone."""
+    """Between scattered points the way turns sharply: distances are told by the steps
+    alone.
+    """
     tip = rng.uniform(-0.1, 0.1, (30, 3))
     q = tip[:, :2].copy()
     found = _moved(q, tip)
     for k in range(1, 30):
         step = np.abs(q[k] - q[k - 1])
         same = found.sense[k] == found.sense[k - 1]
-        assert found.reversal[k] == pytest.approx(np.where(same, found.reversal[k - 1] + step, step))
+        assert found.reversal[k] == pytest.approx(
+            np.where(same, found.reversal[k - 1] + step, step)
+        )
     assert np.isinf(found.reversal[0]).all()
 
 
 def test_what_stands_still_does_not_move() -> None:
-    """Poses stood at have no sense and no rate; without a feed rates are not known; one pose is no motion."""
+    """Poses stood at have no sense and no rate; without a feed rates are not known; one
+    pose is no motion.
+    """
     q, tip = _circle(2.0 * np.pi * np.arange(24) / 24)
     found = _moved(q, tip, feed=np.nan, still=3)
     assert not found.sense[:3].any()

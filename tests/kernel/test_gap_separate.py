@@ -1,4 +1,6 @@
-"""Runs chosen to tell effects apart, against dense formulas, all plans tried one by one, and another method for D."""
+"""Runs chosen to tell effects apart, against dense formulas, all plans tried one by
+one, and another method for D.
+"""
 
 import functools
 import itertools
@@ -17,24 +19,38 @@ WANTED = [gap_a3.gravity, gap_a3.encoder_scale]
 
 
 @functools.cache
-def laid_out(tools=(0.0, 0.1), strokes=(0.0, 0.05, 0.1, 0.15, 0.2), payloads=(0.0, 50.0), points=12):
+def laid_out(
+    tools=(0.0, 0.1),
+    strokes=(0.0, 0.05, 0.1, 0.15, 0.2),
+    payloads=(0.0, 50.0),
+    points=12,
+):
     m = a3_plans.measurement(tools=tools)
     candidates = gap_a3.circles(m, strokes, points, payloads)
     return candidates, *runs.prepared(m, candidates)
 
 
 @functools.cache
-def pool(tools=(0.0, 0.1), strokes=(0.0, 0.05, 0.1, 0.15, 0.2), payloads=(0.0, 50.0), points=12):
+def pool(
+    tools=(0.0, 0.1),
+    strokes=(0.0, 0.05, 0.1, 0.15, 0.2),
+    payloads=(0.0, 50.0),
+    points=12,
+):
     _, p, rows = laid_out(tools, strokes, payloads, points)
     return separate.Pool(p, plain(p), rows, WANTED)
 
 
 def columns(p, effect):
-    return p.of(signature(effect, {}, p.states, p.responses, p.measurement, p.series).columns)
+    return p.of(
+        signature(effect, {}, p.states, p.responses, p.measurement, p.series).columns
+    )
 
 
 def dense(p, law, rows, target, rival):
-    """lambda of a target (N,), the rival's columns (N, k) given a very wide prior, from the readings' covariance."""
+    """lambda of a target (N,), the rival's columns (N, k) given a very wide prior, from
+    the readings' covariance.
+    """
     c = p.slopes @ p.slopes.T + detect.ROOM**2 * rival @ rival.T
     for k, block in enumerate(p.blocks):
         c[np.ix_(block, block)] += law.block(p, k)
@@ -49,9 +65,17 @@ def test_lambdas_of_a_plan_are_those_of_its_readings_covariance():
     at = np.concatenate([rows[k] for k in plan])
     g, s = columns(p, gap_a3.gravity), columns(p, gap_a3.encoder_scale)
     told = {(t.effect, t.words): t.apart for t in made.told(plan)}
-    assert told["gravity", "legs"] ** 2 == pytest.approx(dense(p, law, at, g[:, 0], s), rel=1e-5)
-    assert told["encoder_scale", "leg 2"] ** 2 == pytest.approx(dense(p, law, at, s[:, 1], g), rel=1e-5)
-    alike = next(v for (e, w), v in told.items() if e == "encoder_scale" and w.startswith("common"))
+    assert told["gravity", "legs"] ** 2 == pytest.approx(
+        dense(p, law, at, g[:, 0], s), rel=1e-5
+    )
+    assert told["encoder_scale", "leg 2"] ** 2 == pytest.approx(
+        dense(p, law, at, s[:, 1], g), rel=1e-5
+    )
+    alike = next(
+        v
+        for (e, w), v in told.items()
+        if e == "encoder_scale" and w.startswith("common")
+    )
     assert alike**2 == pytest.approx(dense(p, law, at, s.sum(axis=1), g), rel=1e-5)
 
 
@@ -59,7 +83,9 @@ def test_volume_is_the_log_determinant_of_the_parameters_information():
     _, p, rows = laid_out()
     plan = np.array([0, 3, 11])
     h = p.slopes[np.concatenate([rows[k] for k in plan])]
-    assert pool().volume(plan) == pytest.approx(np.linalg.slogdet(np.eye(h.shape[1]) + h.T @ h)[1], abs=1e-6)
+    assert pool().volume(plan) == pytest.approx(
+        np.linalg.slogdet(np.eye(h.shape[1]) + h.T @ h)[1], abs=1e-6
+    )
 
 
 def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above():
@@ -73,23 +99,42 @@ def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above()
         step = 1e-5 * np.eye(made.count)[k]
         up, down = smooth.value(active, w + step), smooth.value(active, w - step)
         assert slopes[k] == pytest.approx((up - down) / 2e-5, rel=1e-5)
-        bent = (smooth.newton(active, w + step)[0] - smooth.newton(active, w - step)[0]) / 2e-5
-        np.testing.assert_allclose(-bent, curvature[k], rtol=1e-4, atol=1e-6 * np.abs(curvature).max())
+        bent = (
+            smooth.newton(active, w + step)[0] - smooth.newton(active, w - step)[0]
+        ) / 2e-5
+        np.testing.assert_allclose(
+            -bent, curvature[k], rtol=1e-4, atol=1e-6 * np.abs(curvature).max()
+        )
     line = made.line(active, w)
     for _ in range(50):
         other = rng.uniform(0.0, 1.0, made.count)
-        assert float(made.worth(made.at(active, other))) <= line.bound(float(other @ line.slopes)) + 1e-9
+        assert (
+            float(made.worth(made.at(active, other)))
+            <= line.bound(float(other @ line.slopes)) + 1e-9
+        )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
-def test_bounds_hold_for_every_plan_and_the_search_ends_near_the_best(share, monkeypatch):
+def test_bounds_hold_for_every_plan_and_the_search_ends_near_the_best(
+    share, monkeypatch
+):
     monkeypatch.setattr(separate, "ENUMERATED", 0)
     made, size = pool(), 4
-    found = separate.choose(made, Rules(size=size), np.random.default_rng(0), share=share)
-    everything = made.separation(range(len(made.aims)), share, np.empty(0, dtype=np.intp))
+    found = separate.choose(
+        made, Rules(size=size), np.random.default_rng(0), share=share
+    )
+    everything = made.separation(
+        range(len(made.aims)), share, np.empty(0, dtype=np.intp)
+    )
     plans = np.array(list(itertools.combinations(range(everything.count), size)))
-    m = [everything.base + everything.grams[p].sum(axis=1) for p in np.array_split(plans, 60)]
-    values = np.concatenate([everything.worth(x) for x in m]) + share * made.scale / everything.size
+    m = [
+        everything.base + everything.grams[p].sum(axis=1)
+        for p in np.array_split(plans, 60)
+    ]
+    values = (
+        np.concatenate([everything.worth(x) for x in m])
+        + share * made.scale / everything.size
+    )
     least = np.concatenate([everything.lambdas(x).min(axis=0) for x in m]) ** 0.5
     assert found.above >= values.max() - 1e-9
     assert found.bound >= least.max() * (1 - 1e-9)
@@ -99,42 +144,70 @@ def test_bounds_hold_for_every_plan_and_the_search_ends_near_the_best(share, mon
 
 def test_few_plans_are_all_tried():
     found = separate.choose(pool(), Rules(size=3), np.random.default_rng(0), share=0.0)
-    every = [pool().lambdas(np.array(c)).min() for c in itertools.combinations(range(20), 3)]
+    every = [
+        pool().lambdas(np.array(c)).min() for c in itertools.combinations(range(20), 3)
+    ]
     assert found.apart == pytest.approx(max(every) ** 0.5) == pytest.approx(found.bound)
     assert found.efficiency == pytest.approx(1.0)
 
 
 def test_payload_and_second_tool_tell_gravity_from_scale():
-    """The published circles leave sqrt(lambda) of 1.2; four chosen ones, a load of 100 N their factor, 29 and more."""
-    candidates, p, rows = laid_out(strokes=(0.0, 0.08, 0.14, 0.2), payloads=(0.0, 100.0), points=15)
-    made = separate.Pool(p, plain(p), rows, WANTED, pairs=[("gravity", "encoder_scale")])
+    """The published circles leave sqrt(lambda) of 1.2; four chosen ones, a load of 100
+    N their factor, 29 and more.
+    """
+    candidates, p, rows = laid_out(
+        strokes=(0.0, 0.08, 0.14, 0.2), payloads=(0.0, 100.0), points=15
+    )
+    made = separate.Pool(
+        p, plain(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
+    )
     names = [(r.setup, r.name) for r in candidates]
-    paper = np.array([names.index(("cup", "80 mm, 0 N")), names.index(("cup", "200 mm, 0 N"))])
+    paper = np.array(
+        [names.index(("cup", "80 mm, 0 N")), names.index(("cup", "200 mm, 0 N"))]
+    )
     assert made.told(paper)[0].apart < 2.0
     found = separate.choose(made, Rules(size=4), np.random.default_rng(0))
     assert found.told[0].apart > 29.0
     assert len({candidates[k].condition["payload"] for k in found.runs}) == 2
     # without the load as a factor four circles and a second tool do not
-    plain_pool = separate.Pool(p, plain(p), rows, WANTED, pairs=[("gravity", "encoder_scale")])
+    plain_pool = separate.Pool(
+        p, plain(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
+    )
     idle = [k for k, r in enumerate(candidates) if not r.condition["payload"]]
-    assert max(plain_pool.lambdas(np.array(c)).min() for c in itertools.combinations(idle, 4)) ** 0.5 < 5.0
+    assert (
+        max(
+            plain_pool.lambdas(np.array(c)).min()
+            for c in itertools.combinations(idle, 4)
+        )
+        ** 0.5
+        < 5.0
+    )
 
 
 def test_share_one_is_the_d_optimal_choice_of_runs():
     _, p, rows = laid_out()
     blocks = np.array([p.slopes[r] for r in rows])
-    d = exchange.choose(blocks, 4, np.random.default_rng(0), "D", prior=np.eye(blocks.shape[2]))
+    d = exchange.choose(
+        blocks, 4, np.random.default_rng(0), "D", prior=np.eye(blocks.shape[2])
+    )
     found = separate.choose(pool(), Rules(size=4), np.random.default_rng(0), share=1.0)
     assert found.volume == pytest.approx(d.value, abs=1e-6)
     # and telling effects apart costs volume
-    assert separate.choose(pool(), Rules(size=4), np.random.default_rng(0), share=0.0).volume <= d.value + 1e-9
+    assert (
+        separate.choose(
+            pool(), Rules(size=4), np.random.default_rng(0), share=0.0
+        ).volume
+        <= d.value + 1e-9
+    )
 
 
 def test_budget_pays_runs_and_mounting():
     candidates = laid_out()[0]
     tool = np.array([0 if r.setup == "cup" else 1 for r in candidates])
     cost = np.array([r.seconds for r in candidates])
-    rules = Rules(budget=1900.0, cost=cost, setup=tool, setup_cost=np.array([900.0, 900.0]))
+    rules = Rules(
+        budget=1900.0, cost=cost, setup=tool, setup_cost=np.array([900.0, 900.0])
+    )
     found = separate.choose(pool(), rules, np.random.default_rng(0), rounds=3)
     # 1900 s do not pay for two set-ups and a run, but for one and eight runs
     assert len({candidates[k].setup for k in found.runs}) == 1
@@ -149,7 +222,8 @@ def test_runs_kept_are_part_of_every_plan():
     assert set(kept) <= set(found.runs)
     assert len(found.runs) == 4
     every = [
-        pool().lambdas(np.append(kept, c)).min() for c in itertools.combinations(sorted(set(range(20)) - {0, 10}), 2)
+        pool().lambdas(np.append(kept, c)).min()
+        for c in itertools.combinations(sorted(set(range(20)) - {0, 10}), 2)
     ]
     assert found.bound == pytest.approx(max(every) ** 0.5)
 
@@ -168,8 +242,19 @@ def test_the_told_plan_agrees_with_the_table_before_measuring():
 def test_runs_are_laid_out_in_order_and_direction():
     m = laid_out()[1].measurement
     command = a3_plans.held(m, np.full(4, 0.1), np.arange(4) * 1.0, "cup")
-    there = runs.Run(name="a", setup="cup", command=command, condition={"direction": 1.0, "time": 10.0}, seconds=40.0)
-    back = runs.Run(name="b", setup="cup", command=command, condition={"direction": -1.0, "temp_leg": 293.0})
+    there = runs.Run(
+        name="a",
+        setup="cup",
+        command=command,
+        condition={"direction": 1.0, "time": 10.0},
+        seconds=40.0,
+    )
+    back = runs.Run(
+        name="b",
+        setup="cup",
+        command=command,
+        condition={"direction": -1.0, "temp_leg": 293.0},
+    )
     series, covariates = runs.lay_out(m, [there, back])
     np.testing.assert_allclose(series[0].commands()[4:], command[::-1])
     assert covariates["time"].tolist()[:4] == [10.0, 20.0, 30.0, 40.0]
@@ -186,13 +271,17 @@ def test_bad_input_is_refused_with_a_remedy():
     with pytest.raises(ValueError, match="direction is \\+1 or -1, not 2"):
         runs.Run(name="a", setup="cup", command=command, condition={"direction": 2.0})
     with pytest.raises(ValueError, match="used twice"):
-        runs.lay_out(p.measurement, [runs.Run(name="a", setup="cup", command=command)] * 2)
+        runs.lay_out(
+            p.measurement, [runs.Run(name="a", setup="cup", command=command)] * 2
+        )
     with pytest.raises(ValueError, match="nothing to tell apart"):
         separate.Pool(p, plain(p), rows, [gap_a3.gravity])
     with pytest.raises(ValueError, match="'rust'"):
         separate.Pool(p, plain(p), rows, WANTED, pairs=[("gravity", "rust")])
     with pytest.raises(ValueError, match="no coefficient among"):
-        separate.Pool(p, plain(p), rows, WANTED, combinations={"gravity": [{"leg 9": 1.0}]})
+        separate.Pool(
+            p, plain(p), rows, WANTED, combinations={"gravity": [{"leg 9": 1.0}]}
+        )
     with pytest.raises(ValueError, match="cannot choose 40 different runs out of 20"):
         separate.choose(pool(), Rules(size=40), np.random.default_rng(0))
     with pytest.raises(ValueError, match="share of D"):

@@ -1,4 +1,6 @@
-"""Readings far off: densities, scores and information by other means; what is left tells as much as theory allows."""
+"""Readings far off: densities, scores and information by other means; what is left
+tells as much as theory allows.
+"""
 
 from __future__ import annotations
 
@@ -38,26 +40,39 @@ def test_a_student_is_scipy_s_and_its_information_is_known() -> None:
     e = np.linspace(-20.0, 20.0, 41)
     for n in strays.DEGREES:
         assert strays.Student(n).log_density(e) == pytest.approx(stats.t(n).logpdf(e))
-        assert strays.information(strays.Student(n)) == pytest.approx((n + 1.0) / (n + 3.0), abs=1e-4)
+        assert strays.information(strays.Student(n)) == pytest.approx(
+            (n + 1.0) / (n + 3.0), abs=1e-4
+        )
 
 
 def test_few_strays_cost_next_to_no_information() -> None:
-    """At most that of as many readings lost, and less than if the noise were as large as its variance says."""
+    """At most that of as many readings lost, and less than if the noise were as large
+    as its variance says.
+    """
     for share, wild in itertools.product(strays.SHARES, strays.WILD):
         kept = strays.information(strays.Mixed(share, wild))
         assert 1.0 / (1.0 - share + share * wild**2) < kept < 1.0
         assert kept > 1.0 - 4.0 * share
 
 
-@pytest.mark.parametrize("shape", [strays.Student(3.0), strays.Student(6.0), strays.Mixed(0.02, 10.0)], ids=str)
-def test_a_pseudo_error_tells_of_a_small_change_what_the_error_does(shape: strays.Shape) -> None:
-    """Log likelihood ratios of a shift by a tenth, one reading in ten thousand; a normal law of the same variance in
-    place of the score's would tell far less."""
+@pytest.mark.parametrize(
+    "shape",
+    [strays.Student(3.0), strays.Student(6.0), strays.Mixed(0.02, 10.0)],
+    ids=str,
+)
+def test_a_pseudo_error_tells_of_a_small_change_what_the_error_does(
+    shape: strays.Shape,
+) -> None:
+    """Log likelihood ratios of a shift by a tenth, one reading in ten thousand; a
+    normal law of the same variance in place of the score's would tell far less.
+    """
     rng = np.random.default_rng(5)
     if isinstance(shape, strays.Student):
         e = rng.standard_t(shape.degrees, 10_000)
     else:
-        e = rng.standard_normal(10_000) * np.where(rng.random(10_000) < shape.strays, shape.wild, 1.0)
+        e = rng.standard_normal(10_000) * np.where(
+            rng.random(10_000) < shape.strays, shape.wild, 1.0
+        )
     told = strays.information(shape)
     normal = shape.weight(e) * e / told
     for shift in (-0.06, 0.03, 0.06):
@@ -67,8 +82,13 @@ def test_a_pseudo_error_tells_of_a_small_change_what_the_error_does(shape: stray
 
 
 def test_normal_readings_have_no_strays() -> None:
-    """In at most one set of twelve: the likeliest shape must be worth a factor of twenty."""
-    found = [strays.told(p, plain(p), np.zeros((len(p), 0))) for p in (white_lines(k, 5, 31) for k in range(12))]
+    """In at most one set of twelve: the likeliest shape must be worth a factor of
+    twenty.
+    """
+    found = [
+        strays.told(p, plain(p), np.zeros((len(p), 0)))
+        for p in (white_lines(k, 5, 31) for k in range(12))
+    ]
     assert sum(f is not None for f in found) <= 1
 
 
@@ -78,7 +98,9 @@ def test_strays_are_told_and_no_others() -> None:
     far = rng.choice(len(problem), 12, replace=False)
     y = problem.residual.copy()
     y[far] += 12.0 * rng.choice([-1.0, 1.0], 12)
-    found = strays.told(problem.with_residual(y), plain(problem), np.zeros((len(problem), 0)))
+    found = strays.told(
+        problem.with_residual(y), plain(problem), np.zeros((len(problem), 0))
+    )
     assert found is not None
     ordinary = np.delete(np.arange(len(problem)), far)
     assert np.abs(found.residual - y)[far].min() > 5.0
@@ -86,14 +108,19 @@ def test_strays_are_told_and_no_others() -> None:
 
 
 @pytest.mark.parametrize(("degrees", "seed"), [(3.0, 1), (4.0, 2)])
-def test_what_is_left_tells_as_much_as_heavy_tails_allow(degrees: float, seed: int) -> None:
-    """The mean of N pseudo-errors scatters by 1 / (N I), as no other estimate can better; that of the readings scatters
-    by their variance."""
+def test_what_is_left_tells_as_much_as_heavy_tails_allow(
+    degrees: float, seed: int
+) -> None:
+    """The mean of N pseudo-errors scatters by 1 / (N I), as no other estimate can
+    better; that of the readings scatters by their variance.
+    """
     problem = alone(white_lines(0, runs=6, length=35))
     rng, means, plain_means = np.random.default_rng(seed), [], []
     for _ in range(150):
         y = rng.standard_t(degrees, len(problem))
-        found = strays.told(problem.with_residual(y), plain(problem), np.zeros((len(problem), 0)))
+        found = strays.told(
+            problem.with_residual(y), plain(problem), np.zeros((len(problem), 0))
+        )
         means.append(np.mean(y if found is None else found.residual))
         plain_means.append(np.mean(y))
     least = (degrees + 3.0) / (degrees + 1.0)
@@ -106,7 +133,9 @@ def test_strays_are_told_beside_a_model_of_many_columns() -> None:
     problem = white_lines(13, runs=5, length=31)
     columns, rng = _bumpy(problem, 18), np.random.default_rng(14)
     assert columns.shape[1] == 0.6 * len(problem)
-    y = columns @ rng.standard_normal(columns.shape[1]) + rng.standard_normal(len(problem))
+    y = columns @ rng.standard_normal(columns.shape[1]) + rng.standard_normal(
+        len(problem)
+    )
     assert strays.told(problem.with_residual(y), plain(problem), columns) is None
     far = rng.choice(len(problem), 9, replace=False)
     y[far] += 15.0 * rng.choice([-1.0, 1.0], len(far))
@@ -118,13 +147,17 @@ def test_strays_are_told_beside_a_model_of_many_columns() -> None:
 
 
 def test_a_stray_does_not_spoil_its_neighbours() -> None:
-    """In an error that is carried along, a reading is predicted from those beside it, be they far off."""
+    """In an error that is carried along, a reading is predicted from those beside it,
+    be they far off.
+    """
     problem = readings(3)
     law = dataclasses.replace(plain(problem), wander=2.0, reach=8.0)
     rng = np.random.default_rng(4)
     y = np.zeros(len(problem))
     for k, members in enumerate(problem.blocks):
-        y[members] = np.linalg.cholesky(law.block(problem, k)) @ rng.standard_normal(len(members))
+        y[members] = np.linalg.cholesky(law.block(problem, k)) @ rng.standard_normal(
+            len(members)
+        )
     far = np.arange(20, len(problem), 60)
     spoilt = y.copy()
     spoilt[far] += 20.0
@@ -139,7 +172,9 @@ def test_an_effect_is_found_in_heavy_tails_and_none_without_it() -> None:
     """With 2 % of the readings ten times as far off; the law tells of them."""
     rng = np.random.default_rng(21)
     calm = readings(21)
-    wild = np.where(rng.random(len(calm)) < 0.02, 10.0 * rng.standard_normal(len(calm)), 0.0)
+    wild = np.where(
+        rng.random(len(calm)) < 0.02, 10.0 * rng.standard_normal(len(calm)), 0.0
+    )
     healthy = calm.with_residual(calm.residual + wild)
     found = diagnosing.diagnose(healthy, EFFECTS, np.random.default_rng(0))
     assert found.verdict == "none"
@@ -158,11 +193,16 @@ def test_a_law_in_words_tells_how_many_are_far_off() -> None:
     assert not any("far off" in words for words in scatter.words(problem, law))
     few = scatter.words(problem, dataclasses.replace(law, strays=0.02))
     assert few[-1] == "about 2 % of the readings are far off"
-    assert "Student t with 4 degrees" in scatter.words(problem, dataclasses.replace(law, tails=4.0))[-1]
+    assert (
+        "Student t with 4 degrees"
+        in scatter.words(problem, dataclasses.replace(law, tails=4.0))[-1]
+    )
 
 
 def _bumpy(problem: Problem, count: int) -> np.ndarray:
-    """Columns (N, runs * channels * count), each `count` cosines of falling size in one channel of one run."""
+    """Columns (N, runs * channels * count), each `count` cosines of falling size in one
+    channel of one run.
+    """
     made = []
     for members in problem.blocks:
         for group in np.unique(problem.group):

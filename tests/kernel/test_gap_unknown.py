@@ -17,7 +17,11 @@ from oed.gap.problem import Problem
 from oed.gap.unknown import PROCESSES
 from oed.gap.which import Search
 
-SMOOTH = [p for p in PROCESSES if p.name in ("over time", "over the pose", "over the travel", "along the runs")]
+SMOOTH = [
+    p
+    for p in PROCESSES
+    if p.name in ("over time", "over the pose", "over the travel", "along the runs")
+]
 #: root of the energy that is planted
 SIZE = 40.0
 
@@ -28,8 +32,12 @@ def _some(made: Library, name: str, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(chosen @ rng.standard_normal(chosen.shape[1]))
 
 
-def _apart(problem: Problem, parts: list[np.ndarray], energies: list[float]) -> np.ndarray:
-    """The sum (N,) of parts, each without what those before it hold, at energies r^T M r (dense)."""
+def _apart(
+    problem: Problem, parts: list[np.ndarray], energies: list[float]
+) -> np.ndarray:
+    """The sum (N,) of parts, each without what those before it hold, at energies r^T M
+    r (dense).
+    """
     noise = problem.slopes @ problem.slopes.T
     for k, members in enumerate(problem.blocks):
         noise[np.ix_(members, members)] += plain(problem).block(problem, k)
@@ -46,7 +54,10 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
     problem, rng = readings(seed), np.random.default_rng(seed)
     known, processes = library.build(problem, EFFECTS), library.build(problem, SMOOTH)
     whole = max((known.atoms[k].columns for k in known.atoms_of("bow")), key=len)
-    book, own = known.columns[:, whole] @ np.array([1.0, -0.6]), _some(processes, "over the travel", rng)
+    book, own = (
+        known.columns[:, whole] @ np.array([1.0, -0.6]),
+        _some(processes, "over the travel", rng),
+    )
     change = _apart(problem, [book, own], [0.75 * SIZE**2, 0.25 * SIZE**2])
     acting = problem.with_residual(problem.residual + change)
     best = which.compare([Search(acting, known, processes, plain(problem), 0.0)])[0]
@@ -60,7 +71,9 @@ def test_a_process_that_is_like_no_effect_is_unknown_alone(seed: int) -> None:
     known, processes = library.build(problem, EFFECTS), library.build(problem, SMOOTH)
     change = _apart(problem, [_some(processes, "over the pose", rng)], [SIZE**2])
     acting = problem.with_residual(problem.residual + change)
-    best, *others = which.compare([Search(acting, known, processes, plain(problem), 0.0)])
+    best, *others = which.compare(
+        [Search(acting, known, processes, plain(problem), 0.0)]
+    )
     assert best.key == (frozenset(), True)
     shares = [h.share for h in others if h.unknown]
     assert shares
@@ -85,48 +98,80 @@ class _Told:
         return list(self._hypotheses)
 
 
-def _says(effects: tuple[str, ...], unknown: bool, score: float, share: float = 1.0) -> which.Hypothesis:
-    return which.Hypothesis(effects, unknown, (), (), None, 0.0, score, 0.0, share=share)
+def _says(
+    effects: tuple[str, ...], unknown: bool, score: float, share: float = 1.0
+) -> which.Hypothesis:
+    return which.Hypothesis(
+        effects, unknown, (), (), None, 0.0, score, 0.0, share=share
+    )
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.7, 0.99])
-def test_an_unknown_alone_is_held_against_the_best_effect_by_its_share(share: float) -> None:
-    """Odds in the effect's favour cost the unknown alone, odds against it the effect; nothing else moves."""
-    odds, first = 8.0 * (share - 0.4), [_says((), False, -9.0), _says((), True, 0.0), _says(("a",), False, -1.0)]
+def test_an_unknown_alone_is_held_against_the_best_effect_by_its_share(
+    share: float,
+) -> None:
+    """Odds in the effect's favour cost the unknown alone, odds against it the effect;
+    nothing else moves.
+    """
+    odds, first = (
+        8.0 * (share - 0.4),
+        [_says((), False, -9.0), _says((), True, 0.0), _says(("a",), False, -1.0)],
+    )
     first += [_says(("a",), True, 0.0, share), _says(("b",), True, -30.0, 0.9)]
     second = [_says(("a",), False, -0.5), _says((), True, -2.0)]
     told = {h.key: h for h in which.compare([_Told(*first), _Told(*second)])}  # type: ignore[list-item]
     assert told[frozenset(), True].score == pytest.approx(-max(odds, 0.0))
     assert told[frozenset({"a"}), True].score == pytest.approx(min(odds, 0.0))
     assert told[frozenset({"b"}), True].score == -30.0
-    assert (told[frozenset({"a"}), False].score, told[frozenset({"a"}), False].law) == (-0.5, 1)
+    assert (told[frozenset({"a"}), False].score, told[frozenset({"a"}), False].law) == (
+        -0.5,
+        1,
+    )
     assert told[frozenset(), False].score == -9.0
     assert len(told) == 5
 
 
-@pytest.mark.parametrize(("least", "worth"), [(1.0, 0.0), (0.1, 0.0), (0.05, -1.0), (0.0, -2.0)])
-def test_an_effect_that_explains_next_to_nothing_is_less_likely(least: float, worth: float) -> None:
+@pytest.mark.parametrize(
+    ("least", "worth"), [(1.0, 0.0), (0.1, 0.0), (0.05, -1.0), (0.0, -2.0)]
+)
+def test_an_effect_that_explains_next_to_nothing_is_less_likely(
+    least: float, worth: float
+) -> None:
     pair = dataclasses.replace(_says(("a", "b"), False, 0.0), least=least)
-    told = {h.key: h for h in which.compare([_Told(_says((), False, -9.0), _says(("a",), False, -1.0), pair)])}  # type: ignore[list-item]
+    told = {
+        h.key: h
+        for h in which.compare(
+            [_Told(_says((), False, -9.0), _says(("a",), False, -1.0), pair)]
+        )
+    }  # type: ignore[list-item]
     assert told[frozenset({"a", "b"}), False].score == pytest.approx(worth)
     assert told[frozenset({"a"}), False].score == -1.0
 
 
 @pytest.mark.parametrize(("small", "wanted"), [(0.2, 0.04 / 1.04), (1.0, 0.5)])
-def test_the_least_share_is_what_is_lost_without_it(small: float, wanted: float) -> None:
+def test_the_least_share_is_what_is_lost_without_it(
+    small: float, wanted: float
+) -> None:
     """Of two effects whose parts of the residual do not overlap, by their energies."""
     problem, law = readings(5), plain(readings(5))
     known = library.build(problem, EFFECTS)
-    one, two = (max((known.atoms[k].columns for k in known.atoms_of(n)), key=len) for n in ("bow", "slip"))
+    one, two = (
+        max((known.atoms[k].columns for k in known.atoms_of(n)), key=len)
+        for n in ("bow", "slip")
+    )
     parts = [known.columns[:, c] @ np.array([1.0, -0.6]) for c in (one, two)]
-    whole = problem.with_residual(_apart(problem, parts, [SIZE**2, (small * SIZE) ** 2]))
+    whole = problem.with_residual(
+        _apart(problem, parts, [SIZE**2, (small * SIZE) ** 2])
+    )
     search = Search(whole, known, library.build(problem, SMOOTH), law, 0.0)
-    found = next(h for h in search.run() if h.key == (frozenset({"bow", "slip"}), False))
+    found = next(
+        h for h in search.run() if h.key == (frozenset({"bow", "slip"}), False)
+    )
     assert found.least == pytest.approx(wanted, rel=0.1)
     assert all(h.least == 1.0 for h in search.run() if len(h.effects) < 2)
 
 
-# -- waves -------------------------------------------------------------------------------------------------
+# -- waves -----------------------------------------------------------------------------
 
 
 def test_a_steady_wave_is_found_at_its_period() -> None:
@@ -135,12 +180,18 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     dy = (problem.rows["channel"] == "dy").to_numpy()
     hum = np.where(dy, 2.0 * np.sin(2.0 * np.pi * time / 173.0 + 1.0), 0.0)
     none = library.build(problem, ())
-    made = waves.added(none, problem.with_residual(problem.residual + hum), plain(problem))
+    made = waves.added(
+        none, problem.with_residual(problem.residual + hum), plain(problem)
+    )
     assert made.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
-    search = Search(problem.with_residual(problem.residual + hum), none, made, plain(problem), 0.0)
+    search = Search(
+        problem.with_residual(problem.residual + hum), none, made, plain(problem), 0.0
+    )
     best = which.compare([search])[0]
     assert best.key == (frozenset(), True)
-    quiet = Search(problem, none, waves.added(none, problem, plain(problem)), plain(problem), 0.0)
+    quiet = Search(
+        problem, none, waves.added(none, problem, plain(problem)), plain(problem), 0.0
+    )
     assert which.compare([quiet])[0].key == (frozenset(), False)
 
 
@@ -155,8 +206,12 @@ def test_a_wave_in_words(unit: str, period: float, told: str) -> None:
 
 def test_what_is_unknown_is_told_by_its_likeliest_form() -> None:
     problem = readings(5)
-    wave = 2.0 * np.sin(2.0 * np.pi * problem.rows["time"].to_numpy(dtype=float) / 173.0 + 1.0)
-    acting = problem.with_residual(problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0))
+    wave = 2.0 * np.sin(
+        2.0 * np.pi * problem.rows["time"].to_numpy(dtype=float) / 173.0 + 1.0
+    )
+    acting = problem.with_residual(
+        problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0)
+    )
     diagnosis, best = _concluded(acting)
     first, share = next(iter(diagnosis.likeness.items()))
     assert first == "the readings of dy in a wave of 2.88 min"
@@ -171,31 +226,49 @@ def _concluded(problem: Problem) -> tuple[Diagnosis, which.Hypothesis]:
 
 
 def _waved(problem: Problem, wave: np.ndarray) -> tuple[Library, which.Hypothesis]:
-    """The waves found, and what a search beside them says, of a wave on the readings dy."""
-    acting = problem.with_residual(problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0))
+    """The waves found, and what a search beside them says, of a wave on the readings
+    dy.
+    """
+    acting = problem.with_residual(
+        problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0)
+    )
     none = library.build(problem, ())
     made = waves.added(none, acting, plain(problem))
     return made, which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
 
 
 def _periods(made: Library, unit: str) -> list[float]:
-    return [a.constants[f"period_{unit}"] for a in made.atoms if f"period_{unit}" in a.constants]
+    return [
+        a.constants[f"period_{unit}"]
+        for a in made.atoms
+        if f"period_{unit}" in a.constants
+    ]
 
 
 def _on_the_way(problem: Problem) -> np.ndarray:
-    """Way (N,) of the tool since the first reading of its line, m, on the lines of the usual feed; NaN on others."""
+    """Way (N,) of the tool since the first reading of its line, m, on the lines of the
+    usual feed; NaN on others.
+    """
     state = problem.states[0]
     y = state.tool[problem.series[0].index[:, 0], 1]
     way = np.concatenate([np.abs(part - part[0]) for part in np.split(y, LINES)])
     return np.where(problem.rows["feed"] < 2 / 60.0, np.repeat(way, 2), np.nan)
 
 
-@pytest.mark.parametrize(("uneven", "period"), [(0.03, 0.061), (0.0, 0.061), (0.03, 0.4)])
-def test_a_wave_along_the_path_is_found_at_its_period(uneven: float, period: float) -> None:
-    """A resonance at one feed, with readings every 93 mm. From even places any of its aliases is as good."""
+@pytest.mark.parametrize(
+    ("uneven", "period"), [(0.03, 0.061), (0.0, 0.061), (0.03, 0.4)]
+)
+def test_a_wave_along_the_path_is_found_at_its_period(
+    uneven: float, period: float
+) -> None:
+    """A resonance at one feed, with readings every 93 mm. From even places any of its
+    aliases is as good.
+    """
     problem = readings(31, uneven)
     way = _on_the_way(problem)
-    made, best = _waved(problem, np.nan_to_num(2.5 * np.sin(2.0 * np.pi * way / period + 0.5)))
+    made, best = _waved(
+        problem, np.nan_to_num(2.5 * np.sin(2.0 * np.pi * way / period + 0.5))
+    )
     found = _periods(made, "m")[0]
     if uneven:
         assert found == pytest.approx(period, rel=0.01)
@@ -210,47 +283,70 @@ def test_a_wave_along_the_path_is_found_at_its_period(uneven: float, period: flo
     assert len(set(_periods(quiet, "m"))) == waves.KEPT
 
 
-@pytest.mark.parametrize(("late", "wanted"), [(0.0, 1.0 / (1.0 / 27.0 - 1.0 / 40.0)), (15.0, 27.0)])
-def test_irregular_times_tell_a_wave_faster_than_the_readings(late: float, wanted: float) -> None:
-    """From every 40 s on the dot, a wave of 27 s looks like one of 83 s; from times that are off, it does not."""
+@pytest.mark.parametrize(
+    ("late", "wanted"), [(0.0, 1.0 / (1.0 / 27.0 - 1.0 / 40.0)), (15.0, 27.0)]
+)
+def test_irregular_times_tell_a_wave_faster_than_the_readings(
+    late: float, wanted: float
+) -> None:
+    """From every 40 s on the dot, a wave of 27 s looks like one of 83 s; from times
+    that are off, it does not.
+    """
     problem = readings(32, late=late)
     clock = problem.rows["time"].to_numpy(dtype=float)
     made, best = _waved(problem, 2.5 * np.sin(2.0 * np.pi * clock / 27.0 + 0.5))
     assert best.key == (frozenset(), True)
-    assert made.atoms[best.process].constants["period_s"] == pytest.approx(wanted, rel=0.01)
+    assert made.atoms[best.process].constants["period_s"] == pytest.approx(
+        wanted, rel=0.01
+    )
 
 
 def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
-    """Of one of the two joints; the line's first pose, which all others are read against, has its part of it."""
+    """Of one of the two joints; the line's first pose, which all others are read
+    against, has its part of it.
+    """
     problem = readings(33, uneven=0.03)
     place = carriers.at_poses(problem, [s.joints for s in problem.states])[:, :, 0]
     wave = 2.5 * np.sin(2.0 * np.pi * place / 0.037 + 0.4)[..., None]
     change = carriers.acting(carriers.joints(problem)[:, 0, None], wave)[:, 0, 0]
     change *= 2.0 / np.sqrt(np.mean(change**2))
-    none, acting = library.build(problem, ()), problem.with_residual(problem.residual + change)
+    none, acting = (
+        library.build(problem, ()),
+        problem.with_residual(problem.residual + change),
+    )
     made = waves.added(none, acting, plain(problem))
     assert _periods(made, "travel_m")[0] == pytest.approx(0.037, rel=0.002)
     best = which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
-    assert made.atoms[best.process].constants["period_travel_m"] == pytest.approx(0.037, rel=0.002)
+    assert made.atoms[best.process].constants["period_travel_m"] == pytest.approx(
+        0.037, rel=0.002
+    )
 
 
 @pytest.mark.parametrize("found", ["wave", "overtone"])
 def test_a_wave_with_an_overtone_is_one_form(found: str) -> None:
-    """Whichever of the two is found first, both are held together, at the weight of one wave among all."""
+    """Whichever of the two is found first, both are held together, at the weight of one
+    wave among all.
+    """
     problem, size = readings(5), {"wave": (2.0, 1.2), "overtone": (1.2, 2.0)}[found]
     angle = 2.0 * np.pi * problem.rows["time"].to_numpy(dtype=float) / 391.0
-    made, best = _waved(problem, size[0] * np.sin(angle + 1.0) + size[1] * np.sin(2.0 * angle))
+    made, best = _waved(
+        problem, size[0] * np.sin(angle + 1.0) + size[1] * np.sin(2.0 * angle)
+    )
     assert best.key == (frozenset(), True)
     assert best.process is not None
     chosen = made.atoms[best.process]
     assert len(chosen.columns) == 4
-    assert chosen.constants["period_s"] == pytest.approx({"wave": 391.0, "overtone": 195.5}[found], rel=0.01)
+    assert chosen.constants["period_s"] == pytest.approx(
+        {"wave": 391.0, "overtone": 195.5}[found], rel=0.01
+    )
 
 
 def test_a_wave_of_all_joints_along_their_travels_is_one_form() -> None:
-    """At one period, each joint with a phase of its own, too small to be seen in either alone."""
+    """At one period, each joint with a phase of its own, too small to be seen in either
+    alone.
+    """
     problem = readings(33, uneven=0.03)
     place = carriers.at_poses(problem, [s.joints for s in problem.states])
     waves_of = np.sin(2.0 * np.pi * place / 0.037 + np.array([0.4, 2.1]))
@@ -265,15 +361,20 @@ def test_a_wave_of_all_joints_along_their_travels_is_one_form() -> None:
     assert len(chosen.columns) == 2 * 2
 
 
-# -- where no time is told -----------------------------------------------------------------------------------
+# -- where no time is told -------------------------------------------------------------
 
 
 @pytest.mark.parametrize("timed", [True, False])
-def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_told(timed: bool) -> None:
+def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_told(
+    timed: bool,
+) -> None:
     problem = readings(12, timed=timed)
     gone = np.arange(len(problem)) / len(problem)
     fade = np.where(problem.rows["channel"] == "dz", 5.0 * np.exp(-gone / 0.15), 0.0)
-    acting, none = problem.with_residual(problem.residual + fade), library.build(problem, ())
+    acting, none = (
+        problem.with_residual(problem.residual + fade),
+        library.build(problem, ()),
+    )
     made = library.build(problem, PROCESSES)
     best = which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
@@ -284,28 +385,42 @@ def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_tol
     assert still.key == (frozenset(), False)
 
 
-def test_all_parameters_swing_by_the_order_of_the_readings_where_no_time_is_told() -> None:
+def test_all_parameters_swing_by_the_order_of_the_readings_where_no_time_is_told() -> (
+    None
+):
     problem, rng = readings(9, timed=False), np.random.default_rng(9)
-    slopes, gone = carriers.parameters(problem)[:, :, 0], np.arange(len(problem)) / len(problem)
+    slopes, gone = (
+        carriers.parameters(problem)[:, :, 0],
+        np.arange(len(problem)) / len(problem),
+    )
     wave = np.sin(2.0 * np.pi * gone / 0.55 + 0.7)
-    change = _apart(problem, [(slopes @ rng.standard_normal(slopes.shape[1])) * wave], [14.0**2])
+    change = _apart(
+        problem, [(slopes @ rng.standard_normal(slopes.shape[1])) * wave], [14.0**2]
+    )
     made, best = _waved(problem, change)
     assert best.process is not None
     chosen = made.atoms[best.process]
     assert len(chosen.columns) == 2 * slopes.shape[1]
-    assert chosen.constants["period_readings"] == pytest.approx(0.55 * len(problem.series[0]), rel=0.25)
+    assert chosen.constants["period_readings"] == pytest.approx(
+        0.55 * len(problem.series[0]), rel=0.25
+    )
 
 
-# -- what comes back -----------------------------------------------------------------------------------------
+# -- what comes back -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("back", [True, False])
-def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not_is_noise(back: bool) -> None:
-    """An error of each circle, read both ways, twice; or as large a one that is another in each run. Beside both a law
-    with an error that is carried along is held."""
+def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not_is_noise(
+    back: bool,
+) -> None:
+    """An error of each circle, read both ways, twice; or as large a one that is another
+    in each run. Beside both a law with an error that is carried along is held.
+    """
     rng, one = np.random.default_rng(8), gap_problem.circles(passes=2)
     state, read = one.states[0], one.series[0].index[:, 0]
-    place = np.column_stack([np.cos(3.0 * state.phase), np.sin(5.0 * state.phase)])[read]
+    place = np.column_stack([np.cos(3.0 * state.phase), np.sin(5.0 * state.phase)])[
+        read
+    ]
     sizes = rng.standard_normal((3 if back else len(one.blocks), 2))
     change = np.zeros(len(one))
     for number, members in enumerate(one.blocks):
@@ -314,28 +429,41 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
     none = library.build(acting, ())
     made = library.build(acting, [p for p in PROCESSES if p.name == "coming back"])
     carried, prior = scatter.fit(acting, np.zeros((len(acting), 0)))
-    told = which.compare([Search(acting, none, made, *pair) for pair in ((carried, prior), scatter.quiet(carried))])
+    told = which.compare(
+        [
+            Search(acting, none, made, *pair)
+            for pair in ((carried, prior), scatter.quiet(carried))
+        ]
+    )
     assert carried.wander + carried.sway > 0.5
     assert told[0].unknown == back
 
 
 def test_what_comes_back_with_nothing_that_is_known_is_no_process() -> None:
     problem = readings(9)
-    state = dataclasses.replace(problem.states[0], payload=np.full(len(problem.states[0]), np.nan), heaviest=0.0)
+    state = dataclasses.replace(
+        problem.states[0], payload=np.full(len(problem.states[0]), np.nan), heaviest=0.0
+    )
     (process,) = (p for p in PROCESSES if p.name == "coming back with")
     assert not list(process.columns(state, reach=0.3, what=1))
     for what, sign in ((0, state.direction), (2, state.feed - 1 / 60.0)):
         made = list(process.columns(state, reach=0.3, what=what))
         assert made
         still = np.isclose(np.nan_to_num(sign), 0.0)
-        assert all(np.abs(v[still]).max(initial=0.0) < 1e-12 for c in made for v in c.reading.values())
+        assert all(
+            np.abs(v[still]).max(initial=0.0) < 1e-12
+            for c in made
+            for v in c.reading.values()
+        )
 
 
-# -- several processes together ------------------------------------------------------------------------------
+# -- several processes together --------------------------------------------------------
 
 
 def test_noise_told_beside_a_wave_does_not_hold_it() -> None:
-    """Carried noise takes the place of a wave where it is told first; beside the wave that was found it is gone."""
+    """Carried noise takes the place of a wave where it is told first; beside the wave
+    that was found it is gone.
+    """
     problem = readings(5)
     angle = 2.0 * np.pi * problem.rows["time"].to_numpy(dtype=float) / 391.0
     wave = np.where(problem.rows["channel"] == "dy", 1.6 * np.sin(angle + 1.0), 0.0)
@@ -356,10 +484,16 @@ def test_noise_told_beside_a_wave_does_not_hold_it() -> None:
 
 
 def test_what_shifts_whole_runs_is_looked_for_where_runs_repeat() -> None:
-    """Under a law of runs that do not repeat, a drift from run to run is noise, and begun there it stays noise."""
+    """Under a law of runs that do not repeat, a drift from run to run is noise, and
+    begun there it stays noise.
+    """
     problem = readings(8)
-    runs = np.concatenate([np.full(len(members), k) for k, members in enumerate(problem.blocks)])
-    shift = 4.0 * np.cos(np.pi * runs[np.argsort(np.concatenate(problem.blocks))] / len(problem.blocks))
+    runs = np.concatenate(
+        [np.full(len(members), k) for k, members in enumerate(problem.blocks)]
+    )
+    shift = 4.0 * np.cos(
+        np.pi * runs[np.argsort(np.concatenate(problem.blocks))] / len(problem.blocks)
+    )
     acting = problem.with_residual(problem.residual + shift)
     loose, _ = scatter.fit(acting, np.zeros((len(acting), 0)))
     made = library.build(acting, SMOOTH)
@@ -370,16 +504,22 @@ def test_what_shifts_whole_runs_is_looked_for_where_runs_repeat() -> None:
 
 @pytest.mark.parametrize("suits", [True, False])
 def test_no_gap_is_given_a_law_of_its_own(suits: bool) -> None:
-    """Begun at the law of a gap, and taken where it suits no gap better than the laws that there are: white noise is
-    no large carried error."""
+    """Begun at the law of a gap, and taken where it suits no gap better than the laws
+    that there are: white noise is no large carried error.
+    """
     problem = readings(7)
-    none, law = library.build(problem, ()), dataclasses.replace(plain(problem), wander=3.0, reach=8.0)
+    none, law = (
+        library.build(problem, ()),
+        dataclasses.replace(plain(problem), wander=3.0, reach=8.0),
+    )
     best = scatter.fit(problem, np.zeros((len(problem), 0)))
     made = [Search(problem, none, none, *(best if suits else (law, 0.0)))]
     diagnose._alone(made, law)
 
     def worth(search: Search) -> float:
-        return next(h.log_evidence for h in search.run() if not h.effects and not h.unknown)
+        return next(
+            h.log_evidence for h in search.run() if not h.effects and not h.unknown
+        )
 
     assert len(made) == (1 if suits else 2)
     assert suits or worth(made[1]) > worth(made[0]) + 20.0
@@ -394,23 +534,35 @@ def test_two_waves_are_told_together() -> None:
     both += np.where(dz, 2.0 * np.sin(2.0 * np.pi * time / 611.0), 0.0)
     acting = problem.with_residual(problem.residual + both)
     none = library.build(acting, ())
-    made, _ = pursuit.pursued(waves.added(none, acting, plain(acting)), acting, [plain(acting)])
+    made, _ = pursuit.pursued(
+        waves.added(none, acting, plain(acting)), acting, [plain(acting)]
+    )
     best = which.compare([Search(acting, none, made, plain(acting), 0.0)])[0]
     assert best.process is not None
     assert made.atoms[best.process].effect == pursuit.NAME
     assert made.atoms[best.process].constants["processes"] >= 2.0
     kept = waves.added(none, problem, plain(problem))
-    quiet = Search(problem, none, pursuit.pursued(kept, problem, [plain(problem)])[0], plain(problem), 0.0)
+    quiet = Search(
+        problem,
+        none,
+        pursuit.pursued(kept, problem, [plain(problem)])[0],
+        plain(problem),
+        0.0,
+    )
     assert which.compare([quiet])[0].key == (frozenset(), False)
 
 
 def test_all_parameters_swing_together() -> None:
-    """Every parameter with a weight of its own, none of which could be seen alone; told by the evidence of all."""
+    """Every parameter with a weight of its own, none of which could be seen alone; told
+    by the evidence of all.
+    """
     problem, rng = readings(9), np.random.default_rng(9)
     time = problem.rows["time"].to_numpy(dtype=float)
     slopes = carriers.parameters(problem)[:, :, 0]
     wave = np.sin(2.0 * np.pi * time / (0.55 * np.ptp(time)) + 0.7)
-    change = _apart(problem, [(slopes @ rng.standard_normal(slopes.shape[1])) * wave], [14.0**2])
+    change = _apart(
+        problem, [(slopes @ rng.standard_normal(slopes.shape[1])) * wave], [14.0**2]
+    )
     acting = problem.with_residual(problem.residual + change)
     none = library.build(problem, ())
     made = waves.added(none, acting, plain(problem))
@@ -422,7 +574,9 @@ def test_all_parameters_swing_together() -> None:
 
 
 def test_a_wave_is_found_in_runs_without_a_clock() -> None:
-    """Where no time is told its phase is new in each run, its period along the way the same in all."""
+    """Where no time is told its phase is new in each run, its period along the way the
+    same in all.
+    """
     problem = readings(31, uneven=0.03)
     way = _on_the_way(problem)
     timeless = dataclasses.replace(problem, rows=problem.rows.drop(columns="time"))
@@ -430,7 +584,9 @@ def test_a_wave_is_found_in_runs_without_a_clock() -> None:
     phase = np.zeros(len(problem))
     for members in problem.blocks:
         phase[members] = rng.uniform(0.0, 2.0 * np.pi)
-    made, best = _waved(timeless, np.nan_to_num(2.5 * np.sin(2.0 * np.pi * way / 0.61 + phase)))
+    made, best = _waved(
+        timeless, np.nan_to_num(2.5 * np.sin(2.0 * np.pi * way / 0.61 + phase))
+    )
     assert best.key == (frozenset(), True)
     assert best.process is not None
     chosen = made.atoms[best.process]

@@ -1,4 +1,6 @@
-"""What nobody's library has, but goes with a temperature, fades after a set-up's start, or lets the tool grow."""
+"""What nobody's library has, but goes with a temperature, fades after a set-up's start,
+or lets the tool grow.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +22,28 @@ from oed.gap.which import Hypothesis, Search
 
 def _with(problem: Problem, **changes: object) -> Problem:
     """The problem with its states changed."""
-    return dataclasses.replace(problem, states=tuple(dataclasses.replace(s, **changes) for s in problem.states))  # type: ignore[arg-type]
+    return dataclasses.replace(
+        problem, states=tuple(dataclasses.replace(s, **changes) for s in problem.states)
+    )  # type: ignore[arg-type]
 
 
 def _best(problem: Problem, change: np.ndarray) -> tuple[library.Library, Hypothesis]:
-    acting, made = problem.with_residual(problem.residual + change), library.build(problem, PROCESSES)
-    return made, which.compare([Search(acting, library.build(problem, ()), made, plain(problem), 0.0)])[0]
+    acting, made = (
+        problem.with_residual(problem.residual + change),
+        library.build(problem, PROCESSES),
+    )
+    return (
+        made,
+        which.compare(
+            [Search(acting, library.build(problem, ()), made, plain(problem), 0.0)]
+        )[0],
+    )
 
 
 def _read(problem: Problem, channel: str, wave: np.ndarray) -> np.ndarray:
-    """A wave (m,) over the poses of the only series, added to a channel's readings (N,) in units of the noise."""
+    """A wave (m,) over the poses of the only series, added to a channel's readings (N,)
+    in units of the noise.
+    """
     at = wave[problem.series[0].index[:, 0]]
     kinds = len(np.unique(problem.group))
     return np.where(problem.rows["channel"] == channel, np.repeat(at, kinds), 0.0)
@@ -37,16 +51,24 @@ def _read(problem: Problem, channel: str, wave: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("recorded", [True, False])
 def test_what_goes_with_a_temperature_is_told_by_it(recorded: bool) -> None:
-    """A temperature that jumps about as no smooth curve over time does, recorded as kelvin that are not from zero."""
+    """A temperature that jumps about as no smooth curve over time does, recorded as
+    kelvin that are not from zero.
+    """
     problem = readings(14)
     poses = len(problem.states[0])
     warm = 293.15 + np.random.default_rng(3).normal(size=poses).repeat(8)[:poses]
     if recorded:
         problem = _with(
-            problem, temperature={"arm": warm, "shop": np.full(poses, 293.15)}, start={"arm": 293.15, "shop": 293.15}
+            problem,
+            temperature={"arm": warm, "shop": np.full(poses, 293.15)},
+            start={"arm": 293.15, "shop": 293.15},
         )
     made, best = _best(problem, _read(problem, "dz", 1.5 * (warm - 293.15)))
-    told = None if best.process is None else (made.atoms[best.process].effect, dict(made.atoms[best.process].constants))
+    told = (
+        None
+        if best.process is None
+        else (made.atoms[best.process].effect, dict(made.atoms[best.process].constants))
+    )
     assert (told == ("with a temperature", {"body": 0.0})) is recorded
 
 
@@ -56,7 +78,9 @@ def test_no_temperature_recorded_is_no_process() -> None:
 
 
 @pytest.mark.parametrize("within", MOUNTED)
-def test_what_fades_after_a_set_ups_start_is_found_in_the_middle_of_a_session(within: float) -> None:
+def test_what_fades_after_a_set_ups_start_is_found_in_the_middle_of_a_session(
+    within: float,
+) -> None:
     problem = _later(readings(12))
     gone = problem.states[0].progress - 0.5
     made, best = _best(problem, _read(problem, "dz", 6.0 * np.exp(-gone / within)))
@@ -67,25 +91,40 @@ def test_what_fades_after_a_set_ups_start_is_found_in_the_middle_of_a_session(wi
 
 def test_a_single_set_up_settles_as_the_session_does() -> None:
     state = readings(12).states[0]
-    assert not any(np.any(column.reading[c]) for column in settling_mounted(state, 0.1) for c in column.reading)
+    assert not any(
+        np.any(column.reading[c])
+        for column in settling_mounted(state, 0.1)
+        for c in column.reading
+    )
     later = _later(readings(12)).states[0]
-    faded = [column.reading["dz"] for column in settling_mounted(later, 0.1) if "dz" in column.reading]
+    faded = [
+        column.reading["dz"]
+        for column in settling_mounted(later, 0.1)
+        if "dz" in column.reading
+    ]
     assert faded[0][np.argmin(later.progress)] == pytest.approx(1.0)
     assert faded[0][np.argmax(later.progress)] == pytest.approx(np.exp(-5.0))
 
 
 def test_a_growing_tool_moves_along_its_axis() -> None:
-    """Joints that displace the tool point along the platform's z and do not turn it, by a curve over the session."""
+    """Joints that displace the tool point along the platform's z and do not turn it, by
+    a curve over the session.
+    """
     made = session("hexapod")
     for s in made.states:
         none, tool = np.zeros(3), np.array([0.0, 0.0, 0.1])
         longer = (
-            made.measurement.kinematics.frames(s.pose, tool)[1] - made.measurement.kinematics.frames(s.pose, none)[1]
+            made.measurement.kinematics.frames(s.pose, tool)[1]
+            - made.measurement.kinematics.frames(s.pose, none)[1]
         )
         assert s.axis == pytest.approx(longer / 0.1)
         for k, column in enumerate(tool_growing(s, 0.1)):
-            moved = np.einsum("mki,im->mk", s.twist, np.array([column.joints[i] for i in s.limbs]))
-            grown = smooth.curve(2.0 * s.progress - 1.0, k, reach=0.2, count=20, straight=1)
+            moved = np.einsum(
+                "mki,im->mk", s.twist, np.array([column.joints[i] for i in s.limbs])
+            )
+            grown = smooth.curve(
+                2.0 * s.progress - 1.0, k, reach=0.2, count=20, straight=1
+            )
             assert moved[:, :3] == pytest.approx(grown[:, None] * s.axis, abs=1e-9)
             assert moved[:, 3:] == pytest.approx(np.zeros_like(s.axis), abs=1e-9)
 
@@ -96,4 +135,7 @@ def _later(problem: Problem) -> Problem:
     def half(state: State) -> np.ndarray:
         return np.asarray(0.5 + 0.5 * state.progress)
 
-    return dataclasses.replace(problem, states=tuple(dataclasses.replace(s, progress=half(s)) for s in problem.states))
+    return dataclasses.replace(
+        problem,
+        states=tuple(dataclasses.replace(s, progress=half(s)) for s in problem.states),
+    )

@@ -1,4 +1,6 @@
-"""When a tool was warmed: lengths against an integrated heat balance, stretches against those that were planted."""
+"""When a tool was warmed: lengths against an integrated heat balance, stretches against
+those that were planted.
+"""
 
 import dataclasses
 import itertools
@@ -25,35 +27,64 @@ def machines() -> Machines:
     problem = case.circles()
     rows = problem.rows.assign(time=SLOWLY * problem.rows["time"])
     states = tuple(
-        dataclasses.replace(s, time=SLOWLY * s.time, span=tuple(SLOWLY * v for v in s.span)) for s in problem.states
+        dataclasses.replace(
+            s, time=SLOWLY * s.time, span=tuple(SLOWLY * v for v in s.span)
+        )
+        for s in problem.states
     )
     slow = dataclasses.replace(problem, rows=rows, states=states)
     return Machines(slow, case.law(slow))
 
 
-def length(time: np.ndarray, stretches: list[tuple[float, float]], tau: float = TAU) -> np.ndarray:
-    """Length of a tool that is warmed in some stretches, from its heat balance tau dL/dt = q - L, step by step."""
-    found, ends = np.zeros(len(time)), sorted({0.0, float(time.max()) + 1.0, *np.ravel(stretches)})
+def length(
+    time: np.ndarray, stretches: list[tuple[float, float]], tau: float = TAU
+) -> np.ndarray:
+    """Length of a tool that is warmed in some stretches, from its heat balance tau
+    dL/dt = q - L, step by step.
+    """
+    found, ends = (
+        np.zeros(len(time)),
+        sorted({0.0, float(time.max()) + 1.0, *np.ravel(stretches)}),
+    )
     last = 0.0
     for a, b in itertools.pairwise(ends):
         on = float(any(p <= a < q for p, q in stretches))
         inside = (time >= a) & (time < b)
         at, places = np.unique(np.append(time[inside], b), return_inverse=True)
-        made = integrate.solve_ivp(lambda _, x, q=on: (q - x) / tau, (a, b), [last], t_eval=at, rtol=1e-8, atol=1e-10)
+        made = integrate.solve_ivp(
+            lambda _, x, q=on: (q - x) / tau,
+            (a, b),
+            [last],
+            t_eval=at,
+            rtol=1e-8,
+            atol=1e-10,
+        )
         found[inside], last = made.y[0][places[:-1]], float(made.y[0][-1])
     return found
 
 
 def grown(problem: Problem, share: np.ndarray) -> np.ndarray:
-    """Change (N,) of the readings where the tool is longer by a share (m,) of a micrometre."""
+    """Change (N,) of the readings where the tool is longer by a share (m,) of a
+    micrometre.
+    """
     state = problem.states[0]
-    return np.sum([case.in_joint(problem, i, 1e-6 * share * state.lengthening[:, i]) for i in state.limbs], axis=0)
+    return np.sum(
+        [
+            case.in_joint(problem, i, 1e-6 * share * state.lengthening[:, i])
+            for i in state.limbs
+        ],
+        axis=0,
+    )
 
 
-def told(problem: Problem, law, seed: int, *, known: bool = False) -> list[tuple[float, float]]:
+def told(
+    problem: Problem, law, seed: int, *, known: bool = False
+) -> list[tuple[float, float]]:
     found = where(problem, law, np.random.default_rng(seed), draws=100, known=known)
     return [
-        tuple(float(v) for v in b.block.removeprefix("time ").split("-")) for b in found if b.block.startswith("time")
+        tuple(float(v) for v in b.block.removeprefix("time ").split("-"))
+        for b in found
+        if b.block.startswith("time")
     ]
 
 
@@ -68,10 +99,14 @@ def test_length_is_that_of_the_heat_balance(rng: np.random.Generator) -> None:
     made = warmed.response(time, *np.array(stretches).T, TAU)
     for column, stretch in zip(made.T, stretches, strict=True):
         np.testing.assert_allclose(column, length(time, [stretch]), atol=1e-6)
-    assert np.all(warmed.response(np.array([np.nan]), np.zeros(1), np.ones(1), TAU) == 0.0)
+    assert np.all(
+        warmed.response(np.array([np.nan]), np.zeros(1), np.ones(1), TAU) == 0.0
+    )
 
 
-def test_readings_of_a_longer_tool_are_those_of_its_joints(machines: Machines, rng: np.random.Generator) -> None:
+def test_readings_of_a_longer_tool_are_those_of_its_joints(
+    machines: Machines, rng: np.random.Generator
+) -> None:
     problem = machines.problem
     share = rng.uniform(size=(len(problem.states[0]), 2))
     made = looking.lengthened(problem, [share])
@@ -80,27 +115,50 @@ def test_readings_of_a_longer_tool_are_those_of_its_joints(machines: Machines, r
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_stretches_of_heat_are_found_where_the_tool_is_long_for_longer(machines: Machines, sign: float) -> None:
+def test_stretches_of_heat_are_found_where_the_tool_is_long_for_longer(
+    machines: Machines, sign: float
+) -> None:
     stretches = [(3e3, 6e3), (14e3, 17e3)]
-    change = sign * grown(machines.problem, length(machines.problem.states[0].time, stretches))
+    change = sign * grown(
+        machines.problem, length(machines.problem.states[0].time, stretches)
+    )
     right, plainly = 0, 0
     for seed in range(8):
-        noise = machines.root @ np.random.default_rng(seed).standard_normal(len(machines.problem))
-        problem = machines.problem.with_residual(noise + case.sized(change, machines.covariance, 15.0))
-        right += max(overlap(told(problem, machines.law, seed)[0], s) for s in stretches) > 0.4
-        plainly += max(overlap(told(problem, machines.law, seed, known=True)[0], s) for s in stretches) > 0.4
+        noise = machines.root @ np.random.default_rng(seed).standard_normal(
+            len(machines.problem)
+        )
+        problem = machines.problem.with_residual(
+            noise + case.sized(change, machines.covariance, 15.0)
+        )
+        right += (
+            max(overlap(told(problem, machines.law, seed)[0], s) for s in stretches)
+            > 0.4
+        )
+        plainly += (
+            max(
+                overlap(told(problem, machines.law, seed, known=True)[0], s)
+                for s in stretches
+            )
+            > 0.4
+        )
     assert right >= 6
     assert right > plainly
 
 
 def test_what_shifts_at_once_is_no_heat(machines: Machines) -> None:
-    """A tool that is longer from one reading to another: heat explains no more than the window."""
+    """A tool that is longer from one reading to another: heat explains no more than the
+    window.
+    """
     time = machines.problem.states[0].time
     change = grown(machines.problem, ((time >= 8e3) & (time < 16e3)).astype(float))
     ends = []
     for seed in range(4):
-        noise = machines.root @ np.random.default_rng(seed).standard_normal(len(machines.problem))
-        problem = machines.problem.with_residual(noise + case.sized(change, machines.covariance, 15.0))
+        noise = machines.root @ np.random.default_rng(seed).standard_normal(
+            len(machines.problem)
+        )
+        problem = machines.problem.with_residual(
+            noise + case.sized(change, machines.covariance, 15.0)
+        )
         ends.append(told(problem, machines.law, seed)[0])
     assert np.median([overlap(e, (8e3, 16e3)) for e in ends]) > 0.9
 

@@ -1,4 +1,6 @@
-"""Where a gap lies: the scan's numbers against dense textbook formulae, its places against virtual machines."""
+"""Where a gap lies: the scan's numbers against dense textbook formulae, its places
+against virtual machines.
+"""
 
 import dataclasses
 
@@ -27,27 +29,37 @@ def machines() -> Machines:
     return Machines(problem, case.law(problem))
 
 
-# -- the numbers -------------------------------------------------------------------------------------------
+# -- the numbers -----------------------------------------------------------------------
 
 
-def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(rng: np.random.Generator) -> None:
+def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(
+    rng: np.random.Generator,
+) -> None:
     problem = case.circles()
     law = case.law(problem)
     covariance = case.dense(problem, law)
     r = 3.0 * rng.standard_normal(len(problem))
-    bases = [rng.standard_normal((len(problem), k)) * 10.0 ** rng.uniform(-3, 3) for k in (1, 4, 4)]
+    bases = [
+        rng.standard_normal((len(problem), k)) * 10.0 ** rng.uniform(-3, 3)
+        for k in (1, 4, 4)
+    ]
     looks = [looking.Look("x", "", basis) for basis in bases]
     root = scan._Root(problem, law)
     found = scan._Scan(root, looks)
     energy = found.energy(root.scores(r)[:, None])[:, 0]
     own = log_tail(energy, found.rank)
-    assert_allclose(found.least(found.energy(root.scores(r)[:, None]), np.ones(3, dtype=bool)), own.min())
+    assert_allclose(
+        found.least(found.energy(root.scores(r)[:, None]), np.ones(3, dtype=bool)),
+        own.min(),
+    )
     for look, e, p in zip(looks, energy, own, strict=True):
         B, MB = look.basis, np.linalg.solve(covariance, look.basis)
         expected = r @ MB @ np.linalg.solve(B.T @ MB, MB.T @ r)
         assert_allclose(e, expected, rtol=1e-6)
         assert_allclose(p, stats.chi2.logsf(expected, B.shape[1]), rtol=1e-6)
-    assert_allclose(root.scores(r) @ root.scores(r), r @ np.linalg.solve(covariance, r), rtol=1e-6)
+    assert_allclose(
+        root.scores(r) @ root.scores(r), r @ np.linalg.solve(covariance, r), rtol=1e-6
+    )
 
 
 def test_what_the_parameters_can_absorb_is_no_column(rng: np.random.Generator) -> None:
@@ -56,15 +68,20 @@ def test_what_the_parameters_can_absorb_is_no_column(rng: np.random.Generator) -
     k = problem.names.index("dq1")
     assert np.linalg.norm(problem.slopes[:, k]) > 1000.0
     other = rng.standard_normal(len(problem))
-    basis = np.column_stack([problem.slopes[:, k], other, problem.slopes[:, k] + 1e-6 * other])
+    basis = np.column_stack(
+        [problem.slopes[:, k], other, problem.slopes[:, k] + 1e-6 * other]
+    )
     assert scan._Scan(root, [looking.Look("x", "", basis)]).rank[0] == 1
 
 
 @pytest.mark.parametrize("rank", [1.0, 2.0, 5.0, 14.0])
 def test_far_tails_do_not_underflow(rank: float) -> None:
     near = np.array([0.0, 1.0, 30.0, 500.0])
-    assert_allclose(log_tail(near, rank), stats.chi2.logsf(near, rank), rtol=1e-9, atol=1e-12)
-    # beyond, the tail's recurrence Q(a + 1, x) = Q(a, x) + x^a e^-x / Gamma(a + 1), whose second term dominates
+    assert_allclose(
+        log_tail(near, rank), stats.chi2.logsf(near, rank), rtol=1e-9, atol=1e-12
+    )
+    # beyond, the tail's recurrence Q(a + 1, x) = Q(a, x) + x^a e^-x / Gamma(a + 1),
+    # whose second term dominates
     x = 2000.0
     a, b = log_tail(np.array(2 * x), rank), log_tail(np.array(2 * x), rank + 2.0)
     added = rank / 2.0 * np.log(x) - x - float(special.gammaln(rank / 2.0 + 1.0))
@@ -73,17 +90,26 @@ def test_far_tails_do_not_underflow(rank: float) -> None:
 
 
 def test_corrected_p_values_are_those_of_a_bootstrap_that_fits_again() -> None:
-    """Reading by reading: draw machines and noise, look everywhere, take the least p-value."""
+    """Reading by reading: draw machines and noise, look everywhere, take the least
+    p-value.
+    """
     problem = case.circles(12, (1.10, 1.22))
     law = case.law(problem)
     covariance = case.dense(problem, law)
     rng = np.random.default_rng(5)
     r = np.linalg.cholesky(covariance) @ rng.standard_normal(len(problem))
-    r += case.sized(case.in_joint(problem, 1, 1e-6 * problem.states[0].sense[:, 1]), covariance, 4.5)
-    found = {b.block: b.p_value for b in where(problem.with_residual(r), law, rng, draws=2000)}
+    r += case.sized(
+        case.in_joint(problem, 1, 1e-6 * problem.states[0].sense[:, 1]), covariance, 4.5
+    )
+    found = {
+        b.block: b.p_value
+        for b in where(problem.with_residual(r), law, rng, draws=2000)
+    }
     looks = list(looking.looks(problem))
     inverse = np.linalg.inv(covariance)
-    drawn = rng.multivariate_normal(np.zeros(len(problem)), covariance, size=400, method="eigh")
+    drawn = rng.multivariate_normal(
+        np.zeros(len(problem)), covariance, size=400, method="eigh"
+    )
     values = np.vstack([r, drawn])
     own = np.empty((len(looks), len(values)))
     quiet = np.linalg.inv(covariance - problem.slopes @ problem.slopes.T)
@@ -95,31 +121,48 @@ def test_corrected_p_values_are_those_of_a_bootstrap_that_fits_again() -> None:
         explained = np.square(kept.T @ (B.T @ (inverse @ values.T))).sum(axis=0)
         own[k] = stats.chi2.sf(explained, kept.shape[1]) if kept.size else 1.0
     least = own[:, 1:].min(axis=0)
-    place = {name: min(own[k, 0] for k, look in enumerate(looks) if look.place == name) for name in ("leg 1", "leg 2")}
+    place = {
+        name: min(own[k, 0] for k, look in enumerate(looks) if look.place == name)
+        for name in ("leg 1", "leg 2")
+    }
     for name, p in place.items():
         expected = np.mean(least <= p)
-        assert abs(found[name] - expected) < 4.0 * np.sqrt(max(expected * (1 - expected), 0.01) / 400)
+        assert abs(found[name] - expected) < 4.0 * np.sqrt(
+            max(expected * (1 - expected), 0.01) / 400
+        )
 
 
 def test_false_alarms_are_as_stated(machines: Machines) -> None:
-    """400 sets without a gap, drawn with dense matrices, against one bootstrap: the least p-value is uniform."""
+    """400 sets without a gap, drawn with dense matrices, against one bootstrap: the
+    least p-value is uniform.
+    """
     rng, problem = np.random.default_rng(11), machines.problem
     root = scan._Root(problem, machines.law)
     family = scan._Scan(root, list(looking.looks(problem)))
     drawn = family.energy(rng.standard_normal((len(problem), 500)))
     least = family.least(drawn, np.ones(len(drawn), dtype=bool))
-    quiet = family.energy(root.scores(machines.root @ rng.standard_normal((len(problem), 400))))
+    quiet = family.energy(
+        root.scores(machines.root @ rng.standard_normal((len(problem), 400)))
+    )
     told = [scan._against(log_tail(e, family.rank), least).min() for e in quiet.T]
-    assert 6 <= np.sum(np.array(told) <= 0.05) <= 36  # 20 expected, both samplings' spread three times over
+    assert (
+        6 <= np.sum(np.array(told) <= 0.05) <= 36
+    )  # 20 expected, both samplings' spread three times over
     assert stats.kstest(told, "uniform").pvalue > 0.002
 
 
 def test_false_alarms_of_the_whole_call(machines: Machines) -> None:
     rng = np.random.default_rng(12)
-    assert sum(min(b.p_value for b in machines.located(None, 0.0, rng)) <= 0.05 for _ in range(30)) <= 6
+    assert (
+        sum(
+            min(b.p_value for b in machines.located(None, 0.0, rng)) <= 0.05
+            for _ in range(30)
+        )
+        <= 6
+    )
 
 
-# -- the places --------------------------------------------------------------------------------------------
+# -- the places ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", ["sense", "wave", "bend", "warm"])
@@ -132,23 +175,33 @@ def test_effect_in_one_leg_is_found_there(machines: Machines, form: str) -> None
         u = (q - q.min()) / np.ptp(q)
         change = {
             "sense": state.sense[:, limb],
-            "wave": np.cos(2.0 * np.pi * u * rng.uniform(3.0, 12.0) + rng.uniform(0.0, 6.0)),
+            "wave": np.cos(
+                2.0 * np.pi * u * rng.uniform(3.0, 12.0) + rng.uniform(0.0, 6.0)
+            ),
             "bend": np.sign(u - 0.5) * np.abs(u - 0.5) ** 1.5,
             "warm": np.exp(-state.time / 300.0),
         }[form]
-        found = machines.located(case.in_joint(machines.problem, limb, 1e-6 * change), 8.0, rng)
+        found = machines.located(
+            case.in_joint(machines.problem, limb, 1e-6 * change), 8.0, rng
+        )
         right.append(first(found, "leg") == f"leg {limb + 1}")
         assert found[0].p_value < 0.05
     assert np.mean(right) >= 11 / 12
 
 
-def test_the_same_change_in_all_legs_is_told_as_that(machines: Machines, rng: np.random.Generator) -> None:
+def test_the_same_change_in_all_legs_is_told_as_that(
+    machines: Machines, rng: np.random.Generator
+) -> None:
     state = machines.problem.states[0]
-    change = sum(case.in_joint(machines.problem, k, 1e-6 * state.sense[:, k]) for k in range(3))
+    change = sum(
+        case.in_joint(machines.problem, k, 1e-6 * state.sense[:, k]) for k in range(3)
+    )
     found = machines.located(change, 12.0, rng)
     assert found[0].block == looking.ALL
     assert {b.block for b in found} >= {"leg 1", "leg 2", "leg 3"}
-    one = machines.located(case.in_joint(machines.problem, 1, 1e-6 * state.sense[:, 1]), 12.0, rng)
+    one = machines.located(
+        case.in_joint(machines.problem, 1, 1e-6 * state.sense[:, 1]), 12.0, rng
+    )
     assert looking.ALL not in {b.block for b in one}
 
 
@@ -158,7 +211,9 @@ def test_fault_in_one_run_is_found_there(machines: Machines) -> None:
     for k in range(12):
         members = problem.blocks[k % 6]
         change = np.zeros(len(problem))
-        change[members] = np.cos(problem.rows["phase"].to_numpy()[members] + rng.uniform(0.0, 6.0))
+        change[members] = np.cos(
+            problem.rows["phase"].to_numpy()[members] + rng.uniform(0.0, 6.0)
+        )
         found = machines.located(change, 8.0, rng)
         right += first(found, "run") == f"run {problem.rows['run'][members[0]]}"
     assert right >= 11
@@ -174,37 +229,56 @@ def test_step_is_found_at_its_time(machines: Machines, limb: int | None) -> None
         if limb is not None:
             change = case.in_joint(problem, limb, 1e-6 * (state.time >= start))
         found = machines.located(change, 14.0, rng)
-        begin, end = (float(v) for v in first(found, "time").removeprefix("time ").split("-"))
+        begin, end = (
+            float(v) for v in first(found, "time").removeprefix("time ").split("-")
+        )
         missed.append(abs(begin - start))
         assert end == problem.rows["time"].max()
     assert np.median(missed) <= 6.0  # one reading: 6 s
     assert np.max(missed) <= 60.0
 
 
-def test_shift_for_a_while_is_told_with_both_ends(machines: Machines, rng: np.random.Generator) -> None:
+def test_shift_for_a_while_is_told_with_both_ends(
+    machines: Machines, rng: np.random.Generator
+) -> None:
     time = machines.problem.rows["time"].to_numpy()
-    found = machines.located(((time >= 348.0) & (time <= 510.0)).astype(float), 14.0, rng)
-    begin, end = (float(v) for v in first(found, "time").removeprefix("time ").split("-"))
+    found = machines.located(
+        ((time >= 348.0) & (time <= 510.0)).astype(float), 14.0, rng
+    )
+    begin, end = (
+        float(v) for v in first(found, "time").removeprefix("time ").split("-")
+    )
     assert abs(begin - 348.0) <= 18.0
     assert abs(end - 510.0) <= 18.0
 
 
 def test_a_stretch_ends_halfway_to_the_readings_beside_it(machines: Machines) -> None:
-    """When a fault came and went nobody saw, but it was between two readings; the session's ends are its own."""
+    """When a fault came and went nobody saw, but it was between two readings; the
+    session's ends are its own.
+    """
     rows = machines.problem.rows
     late = rows["time"] + 600.0 * rows["run"].ne(rows["run"].shift()).cumsum()
     problem = dataclasses.replace(machines.problem, rows=rows.assign(time=late))
     inside, time = problem.blocks[3], late.to_numpy(dtype=float)
-    told = {w.place for w in looking.window(problem, time[inside].min(), time[inside].max(), frozenset({1}))}
+    told = {
+        w.place
+        for w in looking.window(
+            problem, time[inside].min(), time[inside].max(), frozenset({1})
+        )
+    }
     before, after = time[problem.blocks[2]].max(), time[problem.blocks[4]].min()
     begin, end = 0.5 * (before + time[inside].min()), 0.5 * (time[inside].max() + after)
     assert after - end > 290.0
     assert told == {f"time {begin:.0f}-{end:.0f}"}
-    whole = {w.place for w in looking.window(problem, time.min(), time.max(), frozenset({1}))}
+    whole = {
+        w.place for w in looking.window(problem, time.min(), time.max(), frozenset({1}))
+    }
     assert whole == {f"time {time.min():.0f}-{time.max():.0f}"}
 
 
-def test_bump_in_the_phase_is_found_there_over_the_start_too(machines: Machines, rng: np.random.Generator) -> None:
+def test_bump_in_the_phase_is_found_there_over_the_start_too(
+    machines: Machines, rng: np.random.Generator
+) -> None:
     phase = np.rad2deg(machines.problem.rows["phase"].to_numpy())
     bump = ((phase >= 330.0) | (phase < 30.0)).astype(float)
     assert first(machines.located(bump, 14.0, rng), "phase") == "phase 330-30"
@@ -214,21 +288,30 @@ def test_bump_in_the_phase_is_found_there_over_the_start_too(machines: Machines,
 def test_a_leg_disturbed_by_anothers_motion_is_that_leg(
     machines: Machines, rng: np.random.Generator, limb: int, other: int
 ) -> None:
-    change = case.in_joint(machines.problem, limb, 1e-6 * machines.problem.states[0].sense[:, other])
+    change = case.in_joint(
+        machines.problem, limb, 1e-6 * machines.problem.states[0].sense[:, other]
+    )
     found = [first(machines.located(change, 10.0, rng), "leg") for _ in range(5)]
     assert found.count(f"leg {limb + 1}") >= 4
 
 
-def test_fault_in_one_direction_is_found(machines: Machines, rng: np.random.Generator) -> None:
+def test_fault_in_one_direction_is_found(
+    machines: Machines, rng: np.random.Generator
+) -> None:
     rows = machines.problem.rows
     change = (rows["direction"] == -1) * np.cos(2.0 * rows["phase"] + 1.0)
     found = {b.block: b.p_value for b in machines.located(change.to_numpy(), 14.0, rng)}
     assert min(found["direction +1"], found["direction -1"]) < 1e-6
 
 
-def test_what_the_calibration_absorbs_is_nowhere(machines: Machines, rng: np.random.Generator) -> None:
+def test_what_the_calibration_absorbs_is_nowhere(
+    machines: Machines, rng: np.random.Generator
+) -> None:
     problem = machines.problem
-    r = machines.root @ rng.standard_normal(len(problem)) + 3.0 * problem.slopes[:, problem.names.index("dq2")]
+    r = (
+        machines.root @ rng.standard_normal(len(problem))
+        + 3.0 * problem.slopes[:, problem.names.index("dq2")]
+    )
     assert np.abs(r).max() > 1000.0
     assert where(problem.with_residual(r), machines.law, rng)[0].p_value > 0.05
 
@@ -239,12 +322,19 @@ def test_same_seed_same_places_sorted_and_told_once(machines: Machines) -> None:
     assert [x.p_value for x in a] == sorted(x.p_value for x in a)
     assert len({x.block for x in a}) == len(a)
     assert all(0.0 <= x.strength <= 1.0 and 0.0 < x.p_value <= 1.0 for x in a)
-    assert {kind for kind in KINDS if any(x.block.startswith(kind) for x in a)} == set(KINDS)
+    assert {kind for kind in KINDS if any(x.block.startswith(kind) for x in a)} == set(
+        KINDS
+    )
 
 
 @pytest.mark.parametrize(
     ("machine", "setup"),
-    [("hexapod", "camera"), ("prs_spindle", "pose_tracker"), ("planar_2dof", "rm3"), ("cable_robot", "redundancy")],
+    [
+        ("hexapod", "camera"),
+        ("prs_spindle", "pose_tracker"),
+        ("planar_2dof", "rm3"),
+        ("cable_robot", "redundancy"),
+    ],
 )
 def test_readings_without_covariates_and_with_several_channels(
     machine: str, setup: str, rng: np.random.Generator

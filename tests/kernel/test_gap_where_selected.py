@@ -1,4 +1,6 @@
-"""Where an effect that was selected acts: its own columns as looks, and legs told by their coefficients."""
+"""Where an effect that was selected acts: its own columns as looks, and legs told by
+their coefficients.
+"""
 
 import numpy as np
 import pytest
@@ -26,37 +28,69 @@ def test_where_a_known_effect_acts_is_a_question_of_its_own(machines: Machines) 
     rng, problem = np.random.default_rng(26), machines.problem
     odd = rng.standard_normal(len(problem.states[0].time))
     columns = np.column_stack([case.in_joint(problem, k, 1e-6 * odd) for k in range(3)])
-    r = machines.root @ rng.standard_normal(len(problem)) + case.sized(columns[:, 1], machines.covariance, 3.5)
+    r = machines.root @ rng.standard_normal(len(problem)) + case.sized(
+        columns[:, 1], machines.covariance, 3.5
+    )
     here, told = problem.with_residual(r), {}
     for known in (True, False):
-        blocks = where(here, machines.law, np.random.default_rng(27), columns=columns, labels=LEGS, known=known)
+        blocks = where(
+            here,
+            machines.law,
+            np.random.default_rng(27),
+            columns=columns,
+            labels=LEGS,
+            known=known,
+        )
         told[known] = next(b.p_value for b in blocks if b.block == "leg 2")
     assert told[True] < 0.01
     assert told[False] > 5.0 * told[True]
 
 
-def test_legs_of_a_known_effect_that_does_not_act_are_rarely_told(machines: Machines) -> None:
+def test_legs_of_a_known_effect_that_does_not_act_are_rarely_told(
+    machines: Machines,
+) -> None:
     rng, problem = np.random.default_rng(28), machines.problem
     columns = np.column_stack(
-        [case.in_joint(problem, k, 1e-6 * rng.standard_normal(len(problem.states[0].time))) for k in range(3)]
+        [
+            case.in_joint(
+                problem, k, 1e-6 * rng.standard_normal(len(problem.states[0].time))
+            )
+            for k in range(3)
+        ]
     )
     root = scan._Root(problem, machines.law)
     looks = list(looking.looks(problem, columns, LEGS, known=True))
     family, own = scan._Scan(root, looks), np.array([look.own for look in looks])
-    assert {look.place for look in looks if look.own and look.kind == "leg"} == set(LEGS)
+    assert {look.place for look in looks if look.own and look.kind == "leg"} == set(
+        LEGS
+    )
     least = family.least(family.energy(rng.standard_normal((len(problem), 500))), own)
-    quiet = family.energy(root.scores(machines.root @ rng.standard_normal((len(problem), 400))))
-    told = [scan._against(log_tail(e[own], family.rank[own]), least).min() for e in quiet.T]
-    assert 6 <= np.sum(np.array(told) <= 0.05) <= 36  # 20 expected, both samplings' spread three times over
+    quiet = family.energy(
+        root.scores(machines.root @ rng.standard_normal((len(problem), 400)))
+    )
+    told = [
+        scan._against(log_tail(e[own], family.rank[own]), least).min() for e in quiet.T
+    ]
+    assert (
+        6 <= np.sum(np.array(told) <= 0.05) <= 36
+    )  # 20 expected, both samplings' spread three times over
 
 
-def test_selected_effects_own_columns_are_one_more_look(machines: Machines, rng: np.random.Generator) -> None:
+def test_selected_effects_own_columns_are_one_more_look(
+    machines: Machines, rng: np.random.Generator
+) -> None:
     problem = machines.problem
-    odd = rng.standard_normal(len(problem.states[0].time))  # a form that no general basis has
+    odd = rng.standard_normal(
+        len(problem.states[0].time)
+    )  # a form that no general basis has
     columns = np.column_stack([case.in_joint(problem, k, 1e-6 * odd) for k in range(3)])
-    r = machines.root @ rng.standard_normal(len(problem)) + case.sized(columns[:, 1], machines.covariance, 7.0)
+    r = machines.root @ rng.standard_normal(len(problem)) + case.sized(
+        columns[:, 1], machines.covariance, 7.0
+    )
     labels = ["leg 1", "leg 2", "leg 3"]
-    told = where(problem.with_residual(r), machines.law, rng, columns=columns, labels=labels)
+    told = where(
+        problem.with_residual(r), machines.law, rng, columns=columns, labels=labels
+    )
     assert (told[0].block, told[0].p_value < 1e-3) == ("leg 2", True)
     blind = where(problem.with_residual(r), machines.law, rng)
     assert min(b.p_value for b in blind) > told[0].p_value
@@ -64,16 +98,29 @@ def test_selected_effects_own_columns_are_one_more_look(machines: Machines, rng:
         where(problem, machines.law, rng, columns=columns, labels=labels[:2])
 
 
-def test_legs_of_a_known_effect_are_told_by_its_own_columns_alone(machines: Machines) -> None:
-    """A leg without a column of the effect is not told, nor are all; where more acts than the effect, they are."""
+def test_legs_of_a_known_effect_are_told_by_its_own_columns_alone(
+    machines: Machines,
+) -> None:
+    """A leg without a column of the effect is not told, nor are all; where more acts
+    than the effect, they are.
+    """
     rng, problem = np.random.default_rng(21), machines.problem
     odd = rng.standard_normal(len(problem.states[0].time))
     columns = np.column_stack([case.in_joint(problem, k, 1e-6 * odd) for k in (1, 2)])
-    r = machines.root @ rng.standard_normal(len(problem)) + case.sized(columns[:, 0], machines.covariance, 7.0)
+    r = machines.root @ rng.standard_normal(len(problem)) + case.sized(
+        columns[:, 0], machines.covariance, 7.0
+    )
     here = problem.with_residual(r)
 
     def legs(labels: list[str], known: bool) -> list[str]:
-        told = where(here, machines.law, np.random.default_rng(22), columns=columns, labels=labels, known=known)
+        told = where(
+            here,
+            machines.law,
+            np.random.default_rng(22),
+            columns=columns,
+            labels=labels,
+            known=known,
+        )
         return [b.block for b in told if "leg" in b.block]
 
     assert legs(["leg 2", "leg 3"], True) == ["leg 2", "leg 3"]
@@ -81,8 +128,12 @@ def test_legs_of_a_known_effect_are_told_by_its_own_columns_alone(machines: Mach
     assert set(legs(["leg 2", ""], True)) >= {"leg 1", "leg 2", "leg 3"}
 
 
-def test_an_effects_own_columns_tell_its_leg_where_general_looks_mistake_it(machines: Machines) -> None:
-    """Another leg's smooth error beside the effect's: what else acts is not told where the effect is all there is."""
+def test_an_effects_own_columns_tell_its_leg_where_general_looks_mistake_it(
+    machines: Machines,
+) -> None:
+    """Another leg's smooth error beside the effect's: what else acts is not told where
+    the effect is all there is.
+    """
     rng, problem = np.random.default_rng(23), machines.problem
     state, right = problem.states[0], {True: 0, False: 0}
     odd = rng.standard_normal(len(state.time))
@@ -90,10 +141,20 @@ def test_an_effects_own_columns_tell_its_leg_where_general_looks_mistake_it(mach
     for k in range(9):
         change = case.sized(columns[:, k % 3], machines.covariance, 6.0)
         other = case.in_joint(problem, (k + 1) % 3, 1e-6 * state.sense[:, (k + 1) % 3])
-        r = change + case.sized(other, machines.covariance, 7.0) + machines.root @ rng.standard_normal(len(problem))
+        r = (
+            change
+            + case.sized(other, machines.covariance, 7.0)
+            + machines.root @ rng.standard_normal(len(problem))
+        )
         for known in right:
             told = where(
-                problem.with_residual(r), machines.law, rng, columns=columns, labels=LEGS, known=known, draws=50
+                problem.with_residual(r),
+                machines.law,
+                rng,
+                columns=columns,
+                labels=LEGS,
+                known=known,
+                draws=50,
             )
             right[known] += first(told, "leg") == LEGS[k % 3]
     assert right[True] >= 8
@@ -105,14 +166,28 @@ def test_a_selected_wave_is_told_in_a_run_that_has_it(machines: Machines) -> Non
     rng, problem = np.random.default_rng(24), machines.problem
     clock = problem.rows["time"].to_numpy(dtype=float)
     columns = np.column_stack([np.cos(clock / 4.7), np.sin(clock / 4.7)])
-    names, right, blind = [f"run {problem.rows['run'][b[0]]}" for b in problem.blocks], 0, 0
+    names, right, blind = (
+        [f"run {problem.rows['run'][b[0]]}" for b in problem.blocks],
+        0,
+        0,
+    )
     for k in range(6):
         acting, change = (k, (k + 2) % 6), np.zeros(len(problem))
         for run in acting:
             change[problem.blocks[run]] = columns[problem.blocks[run]] @ [0.6, 0.8]
-        r = case.sized(change, machines.covariance, 9.0) + machines.root @ rng.standard_normal(len(problem))
+        r = case.sized(
+            change, machines.covariance, 9.0
+        ) + machines.root @ rng.standard_normal(len(problem))
         here = problem.with_residual(r)
-        told = where(here, machines.law, rng, columns=columns, labels=["", ""], known=True, draws=100)
+        told = where(
+            here,
+            machines.law,
+            rng,
+            columns=columns,
+            labels=["", ""],
+            known=True,
+            draws=100,
+        )
         best = next(b for b in told if b.block.startswith("run"))
         right += best.block in [names[run] for run in acting] and best.p_value < 0.02
         without = where(here, machines.law, rng, draws=100)
@@ -121,31 +196,56 @@ def test_a_selected_wave_is_told_in_a_run_that_has_it(machines: Machines) -> Non
     assert blind <= 2
 
 
-def test_what_acts_in_some_runs_is_told_in_each_by_all_of_them(machines: Machines) -> None:
-    """A resonance at one feed: too weak in any of its runs, plain in all of them; none is told of what acts in all."""
+def test_what_acts_in_some_runs_is_told_in_each_by_all_of_them(
+    machines: Machines,
+) -> None:
+    """A resonance at one feed: too weak in any of its runs, plain in all of them; none
+    is told of what acts in all.
+    """
     rng, problem = np.random.default_rng(26), machines.problem
     names = [f"run {problem.rows['run'][b[0]]}" for b in problem.blocks]
-    acting = np.isin(np.arange(len(problem)), np.concatenate([problem.blocks[k] for k in (1, 3, 4)]))
+    acting = np.isin(
+        np.arange(len(problem)), np.concatenate([problem.blocks[k] for k in (1, 3, 4)])
+    )
     odd = rng.standard_normal(len(problem))
     change = np.where(acting, odd, 0.0)
-    r = case.sized(change, machines.covariance, 6.0) + machines.root @ rng.standard_normal(len(problem))
+    r = case.sized(
+        change, machines.covariance, 6.0
+    ) + machines.root @ rng.standard_normal(len(problem))
     here = problem.with_residual(r)
 
     def told(columns: np.ndarray) -> dict[str, float]:
-        found = where(here, machines.law, np.random.default_rng(1), columns=columns, labels=[""], draws=100)
-        return {b.block: b.p_value for b in found if b.block.startswith("run") and b.p_value < 0.02}
+        found = where(
+            here,
+            machines.law,
+            np.random.default_rng(1),
+            columns=columns,
+            labels=[""],
+            draws=100,
+        )
+        return {
+            b.block: b.p_value
+            for b in found
+            if b.block.startswith("run") and b.p_value < 0.02
+        }
 
     some = told(change[:, None])
     assert set(some) == {names[k] for k in (1, 3, 4)}
     assert len(set(some.values())) == 1
-    assert len(told(np.where(acting, odd, rng.standard_normal(len(problem)))[:, None])) < 3
+    assert (
+        len(told(np.where(acting, odd, rng.standard_normal(len(problem)))[:, None])) < 3
+    )
 
 
 @pytest.mark.parametrize(("low", "high", "told"), [
     (0.30, 0.55, (0.30, 0.55)), (0.62, 1.0, (0.62, 1.0)), (0.0, 0.62, (0.62, 1.0)),
 ])  # fmt: skip
-def test_a_selected_step_tells_its_own_time(machines: Machines, low: float, high: float, told: tuple) -> None:
-    """To the reading, where cells of the session tell it to a sixteenth; what ends is told from its end on."""
+def test_a_selected_step_tells_its_own_time(
+    machines: Machines, low: float, high: float, told: tuple
+) -> None:
+    """To the reading, where cells of the session tell it to a sixteenth; what ends is
+    told from its end on.
+    """
     p, rng = machines.problem, np.random.default_rng(31)
     time = p.rows["time"].to_numpy()
     share = (time - time.min()) / np.ptp(time)
@@ -153,8 +253,17 @@ def test_a_selected_step_tells_its_own_time(machines: Machines, low: float, high
     at = (state.time - time.min()) / np.ptp(time)
     change = case.in_joint(p, 1, ((at >= low) & (at <= high)).astype(float))
     column = change[:, None] / np.abs(change).max()
-    r = machines.root @ rng.standard_normal(len(p)) + case.sized(change, machines.covariance, 12.0)
-    found = where(p.with_residual(r), machines.law, rng, columns=column, labels=["leg 2"], known=True)
+    r = machines.root @ rng.standard_normal(len(p)) + case.sized(
+        change, machines.covariance, 12.0
+    )
+    found = where(
+        p.with_residual(r),
+        machines.law,
+        rng,
+        columns=column,
+        labels=["leg 2"],
+        known=True,
+    )
     inside = time[(share >= told[0]) & (share <= told[1])]
     begin = 0.5 * (inside.min() + time[time < inside.min()].max())
     after = time[time > inside.max()]
@@ -163,28 +272,46 @@ def test_a_selected_step_tells_its_own_time(machines: Machines, low: float, high
     assert first(found, "leg") == "leg 2"
 
 
-# -- legs by their coefficients ----------------------------------------------------------------------------
+# -- legs by their coefficients --------------------------------------------------------
 
 
-def posterior(G: np.ndarray, covariance: np.ndarray, r: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def posterior(
+    G: np.ndarray, covariance: np.ndarray, r: np.ndarray, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the coefficients, by the textbook."""
     precision = G.T @ np.linalg.solve(covariance, G) + np.diag(scale**-2.0)
-    return np.linalg.solve(precision, G.T @ np.linalg.solve(covariance, r)), np.linalg.inv(precision)
+    return np.linalg.solve(
+        precision, G.T @ np.linalg.solve(covariance, r)
+    ), np.linalg.inv(precision)
 
 
-def test_legs_of_is_the_test_of_a_block_beside_the_others(machines: Machines, rng: np.random.Generator) -> None:
-    labels, scale = ["leg 1", "leg 1", "leg 2", "", "leg 3"], np.array([1.0, 0.3, 2.0, 1.0, 0.5])
+def test_legs_of_is_the_test_of_a_block_beside_the_others(
+    machines: Machines, rng: np.random.Generator
+) -> None:
+    labels, scale = (
+        ["leg 1", "leg 1", "leg 2", "", "leg 3"],
+        np.array([1.0, 0.3, 2.0, 1.0, 0.5]),
+    )
     G = rng.standard_normal((len(machines.problem), 5))
     r = machines.root @ rng.standard_normal(len(G)) + G @ [0.1, 0.2, -0.6, 1.0, 0.0]
-    found = {b.block: b for b in legs_of(labels, *posterior(G, machines.covariance, r, scale), scale=scale)}
+    found = {
+        b.block: b
+        for b in legs_of(
+            labels, *posterior(G, machines.covariance, r, scale), scale=scale
+        )
+    }
     own = {}
     for name in ("leg 1", "leg 2", "leg 3"):
         mine = np.array([label == name for label in labels])
         rest = machines.covariance + (G[:, ~mine] * scale[~mine] ** 2) @ G[:, ~mine].T
         B, MB = G[:, mine], np.linalg.solve(rest, G[:, mine])
-        own[name] = stats.chi2.sf(r @ MB @ np.linalg.solve(B.T @ MB, MB.T @ r), mine.sum())
+        own[name] = stats.chi2.sf(
+            r @ MB @ np.linalg.solve(B.T @ MB, MB.T @ r), mine.sum()
+        )
     ranked = sorted(own, key=own.__getitem__)
-    holm = np.maximum.accumulate([min(own[n] * (3 - k), 1.0) for k, n in enumerate(ranked)])
+    holm = np.maximum.accumulate(
+        [min(own[n] * (3 - k), 1.0) for k, n in enumerate(ranked)]
+    )
     assert_allclose([found[n].p_value for n in ranked], holm, rtol=1e-5)
     assert sum(b.strength for b in found.values()) == pytest.approx(1.0)
     assert list(found) == ranked
@@ -193,11 +320,16 @@ def test_legs_of_is_the_test_of_a_block_beside_the_others(machines: Machines, rn
 def test_legs_of_tells_the_leg_and_is_quiet_without_one(machines: Machines) -> None:
     rng = np.random.default_rng(8)
     state, scale = machines.problem.states[0], np.ones(3)
-    G = np.column_stack([case.in_joint(machines.problem, k, 3e-6 * state.sense[:, k]) for k in range(3)])
+    G = np.column_stack(
+        [case.in_joint(machines.problem, k, 3e-6 * state.sense[:, k]) for k in range(3)]
+    )
     labels, alarms, right = ["leg 1", "leg 2", "leg 3"], 0, 0
     for k in range(200):
         quiet = machines.root @ rng.standard_normal(len(G))
-        alarms += legs_of(labels, *posterior(G, machines.covariance, quiet, scale))[0].p_value <= 0.05
+        alarms += (
+            legs_of(labels, *posterior(G, machines.covariance, quiet, scale))[0].p_value
+            <= 0.05
+        )
         loud = quiet + case.sized(G[:, k % 3], machines.covariance, 6.0)
         best = legs_of(labels, *posterior(G, machines.covariance, loud, scale))[0]
         right += best.block == labels[k % 3] and best.p_value < 0.05

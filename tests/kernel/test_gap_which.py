@@ -1,4 +1,6 @@
-"""The search over sets of effects against sums over every form, and what it says of planted effects."""
+"""The search over sets of effects against sums over every form, and what it says of
+planted effects.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from oed.gap.which import SIZES, Hypothesis, Search
 from pkm_models.effects import step
 
 
-def _search(problem: Problem, effects: tuple[Effect, ...] = EFFECTS, law: Law | None = None) -> Search:
+def _search(
+    problem: Problem, effects: tuple[Effect, ...] = EFFECTS, law: Law | None = None
+) -> Search:
     made = library.build(problem, effects)
     none = library.build(problem, ())
     return Search(problem, made, none, plain(problem) if law is None else law, 0.0)
@@ -32,31 +36,48 @@ def _brute(search: Search, effects: tuple[str, ...]) -> float:
     told = []
     for atoms in itertools.product(*[search.library.atoms_of(e) for e in effects]):
         for sizes in itertools.product(range(len(SIZES)), repeat=len(effects)):
-            weight = sum(search._shares[a, s] for a, s in zip(atoms, sizes, strict=True))
+            weight = sum(
+                search._shares[a, s] for a, s in zip(atoms, sizes, strict=True)
+            )
             if np.isfinite(weight):
-                told.append(weight + search.given(atoms, [float(SIZES[s]) for s in sizes]).base)
+                told.append(
+                    weight + search.given(atoms, [float(SIZES[s]) for s in sizes]).base
+                )
     return float(special.logsumexp(told))
 
 
 @pytest.mark.parametrize("strength", [0.0, 1.0])
 def test_evidence_is_the_sum_over_all_forms(strength: float) -> None:
-    problem = planted(planted(readings(1), BOW, {"leg 1": strength}, turns=3.0), SLIP, {"leg 2": strength})
+    problem = planted(
+        planted(readings(1), BOW, {"leg 1": strength}, turns=3.0),
+        SLIP,
+        {"leg 2": strength},
+    )
     search = _search(problem)
     found = {h.key: h for h in search.run()}
     for names in ((), ("bow",), ("slip",)):
-        assert found[frozenset(names), False].log_evidence == pytest.approx(_brute(search, names), abs=1e-6)
-    # of pairs the sum is taken about the best forms: exact where they are clear, near where nothing acts
+        assert found[frozenset(names), False].log_evidence == pytest.approx(
+            _brute(search, names), abs=1e-6
+        )
+    # of pairs the sum is taken about the best forms: exact where they are clear, near
+    # where nothing acts
     pair = found[frozenset({"bow", "slip"}), False]
-    assert pair.log_evidence == pytest.approx(_brute(search, ("bow", "slip")), abs=0.02 if strength else 0.6)
+    assert pair.log_evidence == pytest.approx(
+        _brute(search, ("bow", "slip")), abs=0.02 if strength else 0.6
+    )
 
 
 def test_constants_that_make_no_difference_are_one_form() -> None:
-    """As the weight of what moves where no payload changes: the same columns, the same evidence, once."""
+    """As the weight of what moves where no payload changes: the same columns, the same
+    evidence, once.
+    """
 
     def columns(state: State, turns: float, idle: float) -> list[Column]:
         return list(BOW.columns(state, turns))
 
-    idle = dataclasses.replace(BOW, columns=columns, constants={**BOW.constants, "idle": (1.0, 2.0, 3.0)})
+    idle = dataclasses.replace(
+        BOW, columns=columns, constants={**BOW.constants, "idle": (1.0, 2.0, 3.0)}
+    )
     problem = planted(readings(1), BOW, {"leg 1": 1.0}, turns=3.0)
     plainly, twice = _search(problem, (BOW,)), _search(problem, (idle,))
     assert len(twice.library.atoms) == len(plainly.library.atoms)
@@ -73,7 +94,9 @@ def test_prior_shares_add_up() -> None:
 
 
 def test_planted_effects_are_named_and_no_others() -> None:
-    problem = planted(planted(readings(3), BOW, {"leg 1": 2.0}, turns=2.0), SLIP, {"leg 2": 2.0})
+    problem = planted(
+        planted(readings(3), BOW, {"leg 1": 2.0}, turns=2.0), SLIP, {"leg 2": 2.0}
+    )
     best = which.compare([_search(problem)])[0]
     assert set(best.effects) == {"bow", "slip"}
     atom = _search(problem).library.atoms[best.atoms[best.effects.index("bow")]]
@@ -85,20 +108,29 @@ def test_an_unknown_takes_nothing_from_a_selected_effect() -> None:
     """A process that lies in the span of what is selected explains nothing more."""
     problem = planted(readings(4), BOW, {"leg 1": 2.0, "leg 2": -1.0}, turns=2.0)
     same = dataclasses.replace(BOW, name="process", constants={"turns": (2.0,)})
-    search = Search(problem, library.build(problem, [BOW]), library.build(problem, [same]), plain(problem), 0.0)
+    search = Search(
+        problem,
+        library.build(problem, [BOW]),
+        library.build(problem, [same]),
+        plain(problem),
+        0.0,
+    )
     known = next(h for h in search.run() if h.key == (frozenset({"bow"}), False))
     full = [k for k in search.library.atoms_of("bow") if len(search.columns_of(k)) == 2]
     known = dataclasses.replace(known, atoms=(full[0],))
     mixed = search.with_unknown(known)
     assert mixed.log_evidence == pytest.approx(known.log_evidence, abs=1e-6)
-    alone = search.with_unknown(next(h for h in search.run() if h.key == (frozenset(), False)))
+    alone = search.with_unknown(
+        next(h for h in search.run() if h.key == (frozenset(), False))
+    )
     assert alone.log_evidence > known.log_evidence - 12.0
 
 
 def test_untestable_without_its_covariates() -> None:
     problem = readings(6)
     states = tuple(
-        dataclasses.replace(s, time=np.full(len(s), np.nan), direction=np.ones(len(s))) for s in problem.states
+        dataclasses.replace(s, time=np.full(len(s), np.nan), direction=np.ones(len(s)))
+        for s in problem.states
     )
     made = library.build(dataclasses.replace(problem, states=states), EFFECTS)
     assert made.effects == ("bow",)
@@ -107,7 +139,9 @@ def test_untestable_without_its_covariates() -> None:
 
 
 def test_many_constants_keep_the_few_that_explain() -> None:
-    dense = dataclasses.replace(BOW, constants={"turns": tuple(np.linspace(1.0, 8.0, 57))})
+    dense = dataclasses.replace(
+        BOW, constants={"turns": tuple(np.linspace(1.0, 8.0, 57))}
+    )
     problem = planted(readings(7), BOW, {"leg 1": 2.0}, turns=5.0)
     law = plain(problem)
     made = library.build(problem, [dense], Metric(problem, law))
@@ -120,24 +154,39 @@ def test_many_constants_keep_the_few_that_explain() -> None:
 def _curl(state: State, turns: float, bend: float) -> list[Column]:
     """A bow that grows along the travel, from nothing to `bend` times itself."""
     return [
-        Column(f"leg {i + 1}", 5e-6, f"leg {i + 1}", {i: np.cos(turns * np.pi * q) * (1.0 + bend * q)})
+        Column(
+            f"leg {i + 1}",
+            5e-6,
+            f"leg {i + 1}",
+            {i: np.cos(turns * np.pi * q) * (1.0 + bend * q)},
+        )
         for i, q in enumerate(state.joints.T)
     ]
 
 
 TURNS, BENDS = tuple(np.linspace(1.0, 8.0, 57)), (0.0, -0.1, 0.3, 1.0, 3.0)
-CURL = Effect(name="curl", source="test", about="curl", columns=_curl, constants={"turns": TURNS, "bend": BENDS})
+CURL = Effect(
+    name="curl",
+    source="test",
+    about="curl",
+    columns=_curl,
+    constants={"turns": TURNS, "bend": BENDS},
+)
 
 
 def test_a_large_grid_is_looked_through_whole() -> None:
     assert len(CURL.grid()) > library.LARGE
-    problem = planted(readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1)
+    problem = planted(
+        readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1
+    )
     metric = Metric(problem, plain(problem))
     made = library.build(problem, [CURL], metric)
     kept = {(a.constants["turns"], a.constants["bend"]) for a in made.atoms}
     assert (TURNS[31], -0.1) in kept
     assert len(kept) == library.KEPT
-    best = which.compare([Search(problem, made, library.build(problem, ()), plain(problem), 0.0)])[0]
+    best = which.compare(
+        [Search(problem, made, library.build(problem, ()), plain(problem), 0.0)]
+    )[0]
     assert made.atoms[best.atoms[0]].constants == {"turns": TURNS[31], "bend": -0.1}
     blind = library.build(problem, [CURL])
     assert {a.constants["bend"] for a in blind.atoms} == {0.0}
@@ -173,19 +222,40 @@ def test_forms_have_the_prior_of_one_effect_before_any_is_dropped(
 
 
 def test_a_form_of_a_large_grid_adapts_once_it_is_chosen() -> None:
-    """The grid is looked through without columns that adapt; what is kept of it has them."""
+    """The grid is looked through without columns that adapt; what is kept of it has
+    them.
+    """
 
     def bent(state: State, turns: float, bend: float) -> list[Column]:
         made = _curl(state, turns, bend)
-        return [*made, *(dataclasses.replace(c, name=f"{c.name} more", shape=True, joints=_cubed(c)) for c in made)]
+        return [
+            *made,
+            *(
+                dataclasses.replace(
+                    c, name=f"{c.name} more", shape=True, joints=_cubed(c)
+                )
+                for c in made
+            ),
+        ]
 
-    problem = planted(readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1)
-    made = library.build(problem, [dataclasses.replace(CURL, columns=bent)], Metric(problem, plain(problem)))
+    problem = planted(
+        readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1
+    )
+    made = library.build(
+        problem,
+        [dataclasses.replace(CURL, columns=bent)],
+        Metric(problem, plain(problem)),
+    )
     kept = {(a.constants["turns"], a.constants["bend"]): [] for a in made.atoms}
     for a in made.atoms:
-        kept[a.constants["turns"], a.constants["bend"]] += [made.names[k] for k in a.columns]
+        kept[a.constants["turns"], a.constants["bend"]] += [
+            made.names[k] for k in a.columns
+        ]
     assert (TURNS[31], -0.1) in kept
-    assert all(set(names) == {"leg 1", "leg 2", "leg 1 more", "leg 2 more"} for names in kept.values())
+    assert all(
+        set(names) == {"leg 1", "leg 2", "leg 1 more", "leg 2 more"}
+        for names in kept.values()
+    )
 
 
 def _cubed(column: Column) -> dict[int, np.ndarray]:
@@ -196,11 +266,16 @@ def test_a_step_within_a_run_is_neither_missed_nor_taken_for_outliers() -> None:
     """A joint's zero lost for ten readings, by 3 and by 12 times the noise."""
     effects = (*EFFECTS, step.effect)
     for size in (0.5, 2.0):
-        problem = planted(readings(1), step.effect, {"leg 2": size}, when=0.5, lasts=0.04)
+        problem = planted(
+            readings(1), step.effect, {"leg 2": size}, when=0.5, lasts=0.04
+        )
         made = diagnosing.searches(problem, effects)
         found, best = diagnosing.conclude(problem, made, which.compare(made), effects)
         assert found.answers[0].effects == ("step",)
-        assert made[best.law].library.atoms[best.atoms[0]].constants == {"when": 0.5, "lasts": 0.04}
+        assert made[best.law].library.atoms[best.atoms[0]].constants == {
+            "when": 0.5,
+            "lasts": 0.04,
+        }
 
 
 def test_diagnosis_from_end_to_end() -> None:
@@ -210,7 +285,9 @@ def test_diagnosis_from_end_to_end() -> None:
     assert found.answers[0].effects == ("slip",)
     assert found.answers[0].probability > 0.8
     assert sum(a.probability for a in found.answers) == pytest.approx(1.0, abs=0.02)
-    assert found.where[0].block.endswith(("leg 1", "leg 2"))  # on lines both legs turn back at once
+    assert found.where[0].block.endswith(
+        ("leg 1", "leg 2")
+    )  # on lines both legs turn back at once
     told = {c.label: c for c in found.coefficients}["leg 1"]
     assert told.mean == pytest.approx(10e-6, abs=4.0 * told.sd)
     assert np.sqrt(np.mean(found.after**2)) < 0.6 * np.sqrt(np.mean(found.before**2))
@@ -228,7 +305,9 @@ def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
     assert dataclasses.replace(found.law, level=1.0) == law
     (alone,) = diagnosing._under(problem, EFFECTS, law)
     nothing = evidence.compressed(problem, np.zeros((len(problem), 0)))
-    assert alone.grams.base == pytest.approx(evidence.log_evidence(problem, law, nothing))
+    assert alone.grams.base == pytest.approx(
+        evidence.log_evidence(problem, law, nothing)
+    )
 
 
 def test_verdicts() -> None:
@@ -254,36 +333,60 @@ def _said(*parts: tuple[list[tuple[str, ...]], bool, float]) -> list[Answer]:
 
 
 def test_a_name_drawn_from_many_beside_a_named_effect_is_told_as_unknown() -> None:
-    assert _said(([("a", "b"), MANY], False, 0.4)) == [Answer(("a", UNKNOWN), 0.4, (("a", "b"),))]
-    assert _said(([MANY, ("a",)], False, 0.4)) == [Answer(("a", UNKNOWN), 0.4, (("a",),))]
+    assert _said(([("a", "b"), MANY], False, 0.4)) == [
+        Answer(("a", UNKNOWN), 0.4, (("a", "b"),))
+    ]
+    assert _said(([MANY, ("a",)], False, 0.4)) == [
+        Answer(("a", UNKNOWN), 0.4, (("a",),))
+    ]
     few = MANY[:-1]
-    assert _said(([("a",), few], False, 0.4)) == [Answer(("a", few[0]), 0.4, (("a",), few))]
-    assert _said(([("a",), few], True, 0.4)) == [Answer(("a", few[0], UNKNOWN), 0.4, (("a",), few))]
+    assert _said(([("a",), few], False, 0.4)) == [
+        Answer(("a", few[0]), 0.4, (("a",), few))
+    ]
+    assert _said(([("a",), few], True, 0.4)) == [
+        Answer(("a", few[0], UNKNOWN), 0.4, (("a",), few))
+    ]
 
 
 def test_of_two_vague_classes_the_smaller_stays_and_a_lone_one_as_it_is() -> None:
     more = tuple(f"n{k}" for k in range(answering.VAGUE + 1))
     for members in ([more, MANY], [MANY, more]):
-        assert _said((members, False, 0.4)) == [Answer((MANY[0], UNKNOWN), 0.4, (MANY,))]
+        assert _said((members, False, 0.4)) == [
+            Answer((MANY[0], UNKNOWN), 0.4, (MANY,))
+        ]
     assert _said(([more], False, 0.4)) == [Answer((more[0],), 0.4, (more,))]
     assert _said(([more], True, 0.4)) == [Answer((more[0], UNKNOWN), 0.4, (more,))]
 
 
 def test_probabilities_of_answers_that_say_the_same_are_added() -> None:
-    same = _said(([("a", "b")], True, 0.3), ([("b",), MANY], False, 0.2), ([("a",), MANY], True, 0.1))
+    same = _said(
+        ([("a", "b")], True, 0.3),
+        ([("b",), MANY], False, 0.2),
+        ([("a",), MANY], True, 0.1),
+    )
     assert [(a.effects, a.classes) for a in same] == [(("a", UNKNOWN), (("a", "b"),))]
     assert same[0].probability == pytest.approx(0.6)
-    others = _said(([], False, 0.3), ([], True, 0.3), ([("a",)], False, 0.2), ([("a",)], True, 0.1), ([], True, 0.1))
+    others = _said(
+        ([], False, 0.3),
+        ([], True, 0.3),
+        ([("a",)], False, 0.2),
+        ([("a",)], True, 0.1),
+        ([], True, 0.1),
+    )
     assert [a.effects for a in others] == [(), (UNKNOWN,), ("a",), ("a", UNKNOWN)]
     assert [a.probability for a in others] == pytest.approx([0.3, 0.4, 0.2, 0.1])
 
 
-def _group(members: list[tuple[str, ...]], unknown: bool, probability: float) -> answering.Group:
+def _group(
+    members: list[tuple[str, ...]], unknown: bool, probability: float
+) -> answering.Group:
     return answering.Group(None, tuple(members), unknown, probability)
 
 
 def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
-    """A named effect with and without a remainder is one; a second that could be any of many is not folded away."""
+    """A named effect with and without a remainder is one; a second that could be any of
+    many is not folded away.
+    """
     groups = [
         _group([("a", "b")], False, 0.35),
         _group([("a", "b")], True, 0.1),
@@ -304,7 +407,9 @@ def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
 
 
 def test_a_remainder_is_told_in_the_set_where_it_is_likelier_than_not() -> None:
-    (found,) = answering.held([_group([("a",)], False, 0.4), _group([("a",)], True, 0.6)])
+    (found,) = answering.held(
+        [_group([("a",)], False, 0.4), _group([("a",)], True, 0.6)]
+    )
     assert found == Answer(("a", UNKNOWN), 1.0, (("a",),))
 
 
@@ -315,39 +420,70 @@ def test_level_is_that_of_what_is_left() -> None:
     assert evidence.level(search.grams) == pytest.approx(3.0, rel=0.1)
 
 
-def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two that say the same, b beside something unknown, are together likelier than a, the likeliest single one."""
+def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two that say the same, b beside something unknown, are together likelier than a,
+    the likeliest single one.
+    """
     blank = {"sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0}
     vague = tuple("cdefgh")
     sets = [(("a",), False, 0.4), (("b", "c"), False, 0.3), (("b",), True, 0.3)]
     made = [
-        Hypothesis(effects=e, unknown=u, atoms=tuple(0 for _ in e), log_evidence=float(np.log(p)), **blank)
+        Hypothesis(
+            effects=e,
+            unknown=u,
+            atoms=tuple(0 for _ in e),
+            log_evidence=float(np.log(p)),
+            **blank,
+        )
         for e, u, p in sets
     ]
     monkeypatch.setattr(
-        answering.classes, "of", lambda search, h, scores, alive: [vague if e == "c" else (e,) for e in h.effects]
+        answering.classes,
+        "of",
+        lambda search, h, scores, alive: [
+            vague if e == "c" else (e,) for e in h.effects
+        ],
     )
-    answers, best = answering.told(answering.gathered([None], made, np.array([0.4, 0.3, 0.3])))
+    answers, best = answering.told(
+        answering.gathered([None], made, np.array([0.4, 0.3, 0.3]))
+    )
     assert answers[0].effects == ("b", UNKNOWN)
     assert answers[0].probability == pytest.approx(0.6)
     assert best.effects == ("b", "c")
 
 
 def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -> None:
-    blank = {"sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0, "unknown": False}
+    blank = {
+        "sizes": (),
+        "process": None,
+        "process_size": 0.0,
+        "log_prior": 0.0,
+        "unknown": False,
+    }
 
     def first(none: float, members: int = 1) -> tuple[str, ...]:
-        def of(search: Search, h: Hypothesis, scores: object, alive: float) -> list[tuple[str, ...]]:
+        def of(
+            search: Search, h: Hypothesis, scores: object, alive: float
+        ) -> list[tuple[str, ...]]:
             return [(e, *(f"{e}{k}" for k in range(1, members))) for e in h.effects]
 
         monkeypatch.setattr(answering.classes, "of", of)
 
         shares = {(): none, ("a",): 0.6 * (1.0 - none), ("b",): 0.4 * (1.0 - none)}
         made = [
-            Hypothesis(effects=e, atoms=tuple(0 for _ in e), log_evidence=float(np.log(p)), **blank)
+            Hypothesis(
+                effects=e,
+                atoms=tuple(0 for _ in e),
+                log_evidence=float(np.log(p)),
+                **blank,
+            )
             for e, p in shares.items()
         ]
-        answers, best = answering.told(answering.gathered([None], made, np.array(list(shares.values()))))
+        answers, best = answering.told(
+            answering.gathered([None], made, np.array(list(shares.values())))
+        )
         assert best.effects == answers[0].effects
         assert sum(a.probability for a in answers) == pytest.approx(1.0)
         return answers[0].effects
@@ -355,16 +491,33 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
     assert answering.EVEN < answering.SURE
     assert first(answering.SURE + 0.01) == ()
     assert first(answering.SURE - 0.01) == ("a",)
-    assert first(answering.EVEN + 0.01, answering.VAGUE) == ()  # what could be looked for is any of many
+    assert (
+        first(answering.EVEN + 0.01, answering.VAGUE) == ()
+    )  # what could be looked for is any of many
     assert first(answering.EVEN - 0.01, answering.VAGUE) == ("a",)
     assert first(0.45) == first(0.45, answering.VAGUE) == ("a",)
 
 
 def test_explanations_are_weighed_a_little_flatter_than_their_evidence() -> None:
-    """With evidences e^a and powers of 0.9 among gaps, as summed by hand; whether there is one is left alone."""
-    blank = {"atoms": (), "sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0}
-    told = [((), False, 1.0), (("a",), False, 3.0), (("b",), False, -2.0), ((), True, 0.5)]
-    made = [Hypothesis(effects=e, unknown=u, log_evidence=s, **blank) for e, u, s in told]
+    """With evidences e^a and powers of 0.9 among gaps, as summed by hand; whether there
+    is one is left alone.
+    """
+    blank = {
+        "atoms": (),
+        "sizes": (),
+        "process": None,
+        "process_size": 0.0,
+        "log_prior": 0.0,
+    }
+    told = [
+        ((), False, 1.0),
+        (("a",), False, 3.0),
+        (("b",), False, -2.0),
+        ((), True, 0.5),
+    ]
+    made = [
+        Hypothesis(effects=e, unknown=u, log_evidence=s, **blank) for e, u, s in told
+    ]
     found = which.probabilities(made)
     evidences = np.exp([s for _, _, s in told])
     assert found[0] == pytest.approx(evidences[0] / evidences.sum())

@@ -1,4 +1,6 @@
-"""The curve of accuracy against readings and the fewest readings, against closed forms and every subset."""
+"""The curve of accuracy against readings and the fewest readings, against closed forms
+and every subset.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from oed.design.how_many import Goal, HowMany
 
 
 def test_equal_readings_follow_the_square_root_law() -> None:
-    """Many copies of orthogonal unit rows: N readings leave 1 / sqrt(1 + N / 2) of each of two unit directions."""
+    """Many copies of orthogonal unit rows: N readings leave 1 / sqrt(1 + N / 2) of each
+    of two unit directions.
+    """
     rows = np.tile(np.eye(2), (40, 1))[:, None, :]
     goal = Goal(("a", "b"), np.eye(2)[:, None, :] / 0.35)
     problem = HowMany(rows, np.eye(2), goal)
@@ -19,9 +23,13 @@ def test_equal_readings_follow_the_square_root_law() -> None:
         exact = 1.0 / np.sqrt(1.0 + point.size / 2) / 0.35
         assert point.accuracy == pytest.approx([exact, exact], rel=1e-9)
         # alone, a direction gets all readings
-        assert point.bound == pytest.approx(np.full(2, 1.0 / np.sqrt(1.0 + point.size) / 0.35), rel=1e-3)
+        assert point.bound == pytest.approx(
+            np.full(2, 1.0 / np.sqrt(1.0 + point.size) / 0.35), rel=1e-3
+        )
     found = problem.fewest(most=40)
-    assert found.size == 2 * int(np.ceil(1.0 / 0.35**2 - 1.0)) == 16  # 1 + N / 2 >= 1 / 0.35^2
+    assert (
+        found.size == 2 * int(np.ceil(1.0 / 0.35**2 - 1.0)) == 16
+    )  # 1 + N / 2 >= 1 / 0.35^2
     assert found.at_least == 15  # half a reading of each more would do
 
 
@@ -31,7 +39,9 @@ def test_no_subset_beats_the_bounds_nor_the_fewest(seed: int) -> None:
     rows, prior = rng.standard_normal((10, 1, 3)), np.eye(3)
     factors = rng.standard_normal((2, 2, 3))
     half = Goal(("a", "b"), factors)
-    scale = half.accuracy(prior + 0.4 * np.einsum("ckn,ckm->nm", rows, rows))  # reachable with some of the ten
+    scale = half.accuracy(
+        prior + 0.4 * np.einsum("ckn,ckm->nm", rows, rows)
+    )  # reachable with some of the ten
     goal = Goal(("a", "b"), factors / scale[:, None, None])
     problem = HowMany(rows, prior, goal, starts=6)
 
@@ -51,7 +61,9 @@ def test_no_subset_beats_the_bounds_nor_the_fewest(seed: int) -> None:
 
 def test_what_cannot_be_reached_is_said() -> None:
     rows = np.tile(np.eye(2), (3, 1))[:, None, :]
-    found = HowMany(rows, np.eye(2), Goal(("a", "b"), np.eye(2)[:, None, :] / 0.01)).fewest(most=6)
+    found = HowMany(
+        rows, np.eye(2), Goal(("a", "b"), np.eye(2)[:, None, :] / 0.01)
+    ).fewest(most=6)
     assert found.size is None
     assert not found.proven
     assert found.best.size == 6

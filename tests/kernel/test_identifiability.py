@@ -1,4 +1,6 @@
-"""What readings can tell apart: closed forms, and properties of random matrices of known rank."""
+"""What readings can tell apart: closed forms, and properties of random matrices of
+known rank.
+"""
 
 import numpy as np
 import pytest
@@ -9,10 +11,14 @@ from oed import identifiability
 from pkm_models.machines import a3_head, linear_delta
 
 
-def analyse(h: list | np.ndarray, scale: list | np.ndarray | None = None) -> identifiability.Identifiability:
+def analyse(
+    h: list | np.ndarray, scale: list | np.ndarray | None = None
+) -> identifiability.Identifiability:
     h = np.array(h, dtype=float)
     names = [f"p{k}" for k in range(h.shape[1])]
-    return identifiability.analyse(h, names, np.ones(h.shape[1]) if scale is None else np.array(scale, dtype=float))
+    return identifiability.analyse(
+        h, names, np.ones(h.shape[1]) if scale is None else np.array(scale, dtype=float)
+    )
 
 
 def test_a_sum_that_cannot_be_taken_apart() -> None:
@@ -28,7 +34,9 @@ def test_a_sum_that_cannot_be_taken_apart() -> None:
 
 def test_a_difference_is_told_with_a_leading_plus() -> None:
     v = analyse([[1, -1]])
-    assert v.named(v.combinations) == [{"p0": pytest.approx(1.0), "p1": pytest.approx(-1.0)}]
+    assert v.named(v.combinations) == [
+        {"p0": pytest.approx(1.0), "p1": pytest.approx(-1.0)}
+    ]
     assert np.abs(v.lost) == pytest.approx(np.ones((1, 2)))
 
 
@@ -60,7 +68,9 @@ def test_rank_is_a_share_of_the_largest_singular_value() -> None:
 
 
 def test_combinations_are_told_in_si_whatever_the_scaling() -> None:
-    """p0 (m) + 0.5 p1 (rad): the same words from columns as they come, as lengths and by tolerances."""
+    """p0 (m) + 0.5 p1 (rad): the same words from columns as they come, as lengths and
+    by tolerances.
+    """
     for scale in ([1, 1], [1, 2], [1e-3, 1e-2]):
         v = analyse(np.array([[2.0, 1.0]]) * scale, scale)
         assert v.combinations == pytest.approx(np.array([[2.0, 1.0]]))
@@ -68,13 +78,22 @@ def test_combinations_are_told_in_si_whatever_the_scaling() -> None:
 
 
 def test_the_published_relative_measurement() -> None:
-    """Chang, Li and Li (2011), section 2.3, two struts on vertical guides: moving horizontally at one height, a
-    difference of heights sees the two struts' guide tilts only as what they do to the distance: of (z1, z2, beta) with
-    readings (z1 - z2) / D + beta there is one combination, and z1 + z2 is lost together with a tilt against z1 - z2."""
+    """Chang, Li and Li (2011), section 2.3, two struts on vertical guides: moving
+    horizontally at one height, a difference of heights sees the two struts' guide tilts
+    only as what they do to the distance: of (z1, z2, beta) with readings (z1 - z2) / D
+    + beta there is one combination, and z1 + z2 is lost together with a tilt against z1
+    - z2.
+    """
     D = 3.584
-    v = identifiability.analyse(np.array([[1 / D, -1 / D, 1.0]] * 5), ["z1", "z2", "beta"], np.ones(3))
+    v = identifiability.analyse(
+        np.array([[1 / D, -1 / D, 1.0]] * 5), ["z1", "z2", "beta"], np.ones(3)
+    )
     assert v.named(v.combinations) == [
-        {"z1": pytest.approx(1 / D), "z2": pytest.approx(-1 / D), "beta": pytest.approx(1.0)}
+        {
+            "z1": pytest.approx(1 / D),
+            "z2": pytest.approx(-1 / D),
+            "beta": pytest.approx(1.0),
+        }
     ]
     seen = np.array([1 / D, -1 / D, 1.0])
     assert v.lost @ seen == pytest.approx(np.zeros(2), abs=1e-12)
@@ -82,20 +101,32 @@ def test_the_published_relative_measurement() -> None:
 
 @st.composite
 def low_rank(draw: st.DrawFn) -> tuple[np.ndarray, int, np.ndarray]:
-    """H (N, n) of known rank, well conditioned on its row space, with sparse combinations; scales of the columns."""
+    """H (N, n) of known rank, well conditioned on its row space, with sparse
+    combinations; scales of the columns.
+    """
     n = draw(st.integers(2, 9))
     rank = draw(st.integers(1, n))
     rng = np.random.default_rng(draw(st.integers(0, 10**6)))
-    space = np.where(rng.uniform(size=(rank, n)) < 0.6, rng.integers(-3, 4, (rank, n)), 0).astype(float)
+    space = np.where(
+        rng.uniform(size=(rank, n)) < 0.6, rng.integers(-3, 4, (rank, n)), 0
+    ).astype(float)
     left = np.linalg.qr(rng.standard_normal((rank + draw(st.integers(0, 8)), rank)))[0]
-    return left @ space, int(np.linalg.matrix_rank(space)), 10.0 ** rng.uniform(-3, 0, n)
+    return (
+        left @ space,
+        int(np.linalg.matrix_rank(space)),
+        10.0 ** rng.uniform(-3, 0, n),
+    )
 
 
 @settings(max_examples=150, deadline=None)
 @given(low_rank())
-def test_combinations_and_lost_directions_split_the_space(problem: tuple[np.ndarray, int, np.ndarray]) -> None:
+def test_combinations_and_lost_directions_split_the_space(
+    problem: tuple[np.ndarray, int, np.ndarray],
+) -> None:
     h, rank, scale = problem
-    v = identifiability.analyse(h, [f"p{k}" for k in range(h.shape[1])], np.ones(h.shape[1]))
+    v = identifiability.analyse(
+        h, [f"p{k}" for k in range(h.shape[1])], np.ones(h.shape[1])
+    )
     assert v.rank == rank
     assert np.abs(h @ v.lost.T).max(initial=0) < 1e-6
     assert np.abs(v.combinations @ v.lost.T).max(initial=0) < 1e-6
@@ -105,19 +136,25 @@ def test_combinations_and_lost_directions_split_the_space(problem: tuple[np.ndar
     assert np.abs(h @ np.linalg.pinv(v.combinations) @ v.combinations - h).max() < 1e-6
     si = identifiability.analyse(h * scale, v.names, scale, tolerance=1e-12)
     if si.rank == rank:
-        assert np.abs(si.combinations @ v.lost.T).max(initial=0) < 1e-4 * np.abs(si.combinations).max(initial=1)
+        assert np.abs(si.combinations @ v.lost.T).max(initial=0) < 1e-4 * np.abs(
+            si.combinations
+        ).max(initial=1)
 
 
 @settings(max_examples=50, deadline=None)
 @given(low_rank(), st.randoms(use_true_random=False))
-def test_the_order_and_repetition_of_readings_does_not_matter(problem: tuple, random: object) -> None:
+def test_the_order_and_repetition_of_readings_does_not_matter(
+    problem: tuple, random: object
+) -> None:
     h, rank, _ = problem
     order = list(range(len(h)))
     random.shuffle(order)
     again = analyse(np.vstack([h[order], h]))
     assert again.rank == rank
     assert again.combinations == pytest.approx(analyse(h).combinations, abs=1e-6)
-    assert again.identifiable == pytest.approx(np.sqrt(2) * analyse(h).identifiable, rel=1e-9)
+    assert again.identifiable == pytest.approx(
+        np.sqrt(2) * analyse(h).identifiable, rel=1e-9
+    )
 
 
 def test_names_and_scales_must_fit() -> None:
@@ -127,7 +164,10 @@ def test_names_and_scales_must_fit() -> None:
 
 def test_rigid_motions_of_the_platforms_joints_move_them_as_one_body() -> None:
     names = [p.name for p in a3_head.machine.parameters]
-    motions = {m.text: m.direction for m in identifiability.rigid_motions(a3_head.machine, names)}
+    motions = {
+        m.text: m.direction
+        for m in identifiability.rigid_motions(a3_head.machine, names)
+    }
     assert len(motions) == 12
     spin = motions["rotation of the platform joints about the TCP, z axis"]
     centres = np.array([a3_head._platform(i) for i in a3_head.LIMBS])
@@ -135,7 +175,11 @@ def test_rigid_motions_of_the_platforms_joints_move_them_as_one_body() -> None:
     assert moved == pytest.approx(np.cross([0, 0, 1], centres))
     assert np.count_nonzero(spin) == np.count_nonzero(moved)
     lift = motions["translation of the base joints along z"]
-    assert [n for n, v in zip(names, lift, strict=True) if v] == ["db1z", "db2z", "db3z"]
+    assert [n for n, v in zip(names, lift, strict=True) if v] == [
+        "db1z",
+        "db2z",
+        "db3z",
+    ]
     free = [n for n in names if n not in a3_head.machine.frame]
     kept = {m.text for m in identifiability.rigid_motions(a3_head.machine, free)}
     assert kept == {t for t in motions if "platform" in t}
@@ -143,10 +187,16 @@ def test_rigid_motions_of_the_platforms_joints_move_them_as_one_body() -> None:
 
 
 def test_lost_motions_are_named_and_the_rest_is_left() -> None:
-    """An H that sees everything but the spin of the platform's joints and the mean of the home errors."""
+    """An H that sees everything but the spin of the platform's joints and the mean of
+    the home errors.
+    """
     machine = a3_head.machine
     names, scale = [p.name for p in machine.parameters], np.full(24, 1e-3)
-    spin = next(m for m in identifiability.rigid_motions(machine, names) if m.text.endswith("TCP, z axis")).direction
+    spin = next(
+        m
+        for m in identifiability.rigid_motions(machine, names)
+        if m.text.endswith("TCP, z axis")
+    ).direction
     mean = np.r_[1.0, 1.0, 1.0, np.zeros(21)]
     blind = np.linalg.svd(np.array([spin, mean]))[2][:2]
     h = np.eye(24) - blind.T @ blind

@@ -1,4 +1,6 @@
-"""Identification: against the linear closed form, the oracle's objective, and machines the oracle builds."""
+"""Identification: against the linear closed form, the oracle's objective, and machines
+the oracle builds.
+"""
 
 import re
 
@@ -28,7 +30,11 @@ def bar() -> tuple[Measurement, Series]:
 def printer() -> tuple[Measurement, list[Series]]:
     """Heights and calliper distances on a delta."""
     m = Measurement(
-        linear_delta.machine, [mount(height_probe.instrument, "probe"), mount(calliper.instrument, "calliper")]
+        linear_delta.machine,
+        [
+            mount(height_probe.instrument, "probe"),
+            mount(calliper.instrument, "calliper"),
+        ],
     )
     rng = np.random.default_rng(9)
     flat = CASES["linear_delta"].commands(rng, 34) * [1, 1, 0] + [0, 0, 0.02]
@@ -36,17 +42,27 @@ def printer() -> tuple[Measurement, list[Series]]:
 
 
 def oracle_readings(series: Series, theta: np.ndarray) -> np.ndarray:
-    """Readings of the taught bar by the oracle, for theta (..., 27); complex theta passes through."""
+    """Readings of the taught bar by the oracle, for theta (..., 27); complex theta
+    passes through.
+    """
     cup = a3.taught_cup(theta[..., :24], theta[..., 24:])
-    return a3.ball_bar_reading(theta[..., None, :24], series.q[series.index[:, 0]], cup[..., None, :])
+    return a3.ball_bar_reading(
+        theta[..., None, :24], series.q[series.index[:, 0]], cup[..., None, :]
+    )
 
 
 def noisy(series: Series, theta: np.ndarray, seed: int) -> np.ndarray:
-    return oracle_readings(series, theta) + NOISE * np.random.default_rng(seed).standard_normal(len(series))
+    return oracle_readings(series, theta) + NOISE * np.random.default_rng(
+        seed
+    ).standard_normal(len(series))
 
 
-def test_small_errors_give_the_linear_closed_form(bar: tuple[Measurement, Series]) -> None:
-    """theta = T (I + Q^T Q)^-1 Q^T (y - y0) / sigma, Q from the oracle's rows; covariance T (I + Q^T Q)^-1 T."""
+def test_small_errors_give_the_linear_closed_form(
+    bar: tuple[Measurement, Series],
+) -> None:
+    """theta = T (I + Q^T Q)^-1 Q^T (y - y0) / sigma, Q from the oracle's rows;
+    covariance T (I + Q^T Q)^-1 T.
+    """
     m, series = bar
     truth = 1e-4 * m.tolerance * np.random.default_rng(1).standard_normal(27)
     y = noisy(series, truth, 2)
@@ -57,17 +73,25 @@ def test_small_errors_give_the_linear_closed_form(bar: tuple[Measurement, Series
     posterior = gain * np.outer(m.tolerance, m.tolerance)
     miss = found.theta - m.tolerance * (gain @ q.T @ ((y - a3.BAR) / NOISE))
     assert np.abs(miss[m.free] / np.sqrt(np.diag(posterior))[m.free]).max() < 0.01
-    assert found.covariance == pytest.approx(posterior, rel=1e-2, abs=1e-3 * posterior.max())
+    assert found.covariance == pytest.approx(
+        posterior, rel=1e-2, abs=1e-3 * posterior.max()
+    )
     assert found.sd == pytest.approx(np.sqrt(np.diag(posterior)), rel=1e-2, abs=1e-9)
     assert found.dof == pytest.approx(30 - np.trace(q @ gain @ q.T), abs=1e-3)
-    assert found.shrinkage[m.free] == pytest.approx(np.sqrt(np.diag(gain))[m.free], rel=1e-2)
+    assert found.shrinkage[m.free] == pytest.approx(
+        np.sqrt(np.diag(gain))[m.free], rel=1e-2
+    )
     assert (found.shrinkage[~m.free] == 0).all()
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_large_errors_end_at_the_minimum_of_the_oracles_objective(bar: tuple[Measurement, Series], seed: int) -> None:
-    """Gradient of |(y - f) / sigma|^2 + |theta / tolerance|^2 by the oracle's complex step, in units of tolerances:
-    nought in 21 directions against thousands at the start."""
+def test_large_errors_end_at_the_minimum_of_the_oracles_objective(
+    bar: tuple[Measurement, Series], seed: int
+) -> None:
+    """Gradient of |(y - f) / sigma|^2 + |theta / tolerance|^2 by the oracle's complex
+    step, in units of tolerances: nought in 21 directions against thousands at the
+    start.
+    """
     m, series = bar
     truth = m.tolerance * np.random.default_rng(seed).standard_normal(27)
     y = noisy(series, truth, seed)
@@ -76,53 +100,88 @@ def test_large_errors_end_at_the_minimum_of_the_oracles_objective(bar: tuple[Mea
         moved = oracle_readings(series, theta + 1e-30j * np.eye(27))
         white = (moved[0].real - y) / NOISE
         slope = moved.imag / 1e-30 / NOISE * m.tolerance[:, None]
-        return 2 * (slope @ white + np.divide(theta, m.tolerance, out=np.zeros(27), where=m.free))[m.free]
+        return (
+            2
+            * (
+                slope @ white
+                + np.divide(theta, m.tolerance, out=np.zeros(27), where=m.free)
+            )[m.free]
+        )
 
     found = identify(m, [series], y)
     assert np.abs(gradient(m.nominal)).max() > 1e4
     assert np.abs(gradient(found.theta)).max() < 0.05
     assert (found.theta[~m.free] == 0).all()
-    assert found.residuals == pytest.approx(y - oracle_readings(series, found.theta), abs=1e-12)
+    assert found.residuals == pytest.approx(
+        y - oracle_readings(series, found.theta), abs=1e-12
+    )
     assert found.before == pytest.approx(y - a3.BAR, abs=1e-12)
     assert found.chi2 == pytest.approx(np.sum((found.residuals / NOISE) ** 2))
     assert found.rounds[-1].rms_after == pytest.approx(np.sqrt(found.chi2 / 30))
     assert found.rounds[0].rms_before > 100
 
 
-def test_without_noise_what_is_seen_is_recovered(bar: tuple[Measurement, Series]) -> None:
+def test_without_noise_what_is_seen_is_recovered(
+    bar: tuple[Measurement, Series],
+) -> None:
     """The seen directions of a small error come back, the lost ones stay at nominal."""
     m, series = bar
     local = coordinates(m, [series], m.nominal, m.sigma([series]))
     rng = np.random.default_rng(4)
     z, w = rng.standard_normal(18), rng.standard_normal(3)
     truth = m.nominal + 1e-3 * (local.basis @ z + local.unseen @ w)
-    found = identify(m, [series], oracle_readings(series, truth), noise=np.full(30, 1e-12))
+    found = identify(
+        m, [series], oracle_readings(series, truth), noise=np.full(30, 1e-12)
+    )
     assert local.at(found.theta) == pytest.approx(1e-3 * z, abs=1e-5)
 
 
-def test_coordinates_split_theta_into_seen_and_unseen(bar: tuple, printer: tuple) -> None:
-    """at() undoes theta() and drops unseen moves; both parts are orthonormal in units of the tolerances."""
+def test_coordinates_split_theta_into_seen_and_unseen(
+    bar: tuple, printer: tuple
+) -> None:
+    """at() undoes theta() and drops unseen moves; both parts are orthonormal in units
+    of the tolerances.
+    """
     probe = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
-    flat = CASES["linear_delta"].commands(np.random.default_rng(9), 20) * [1, 1, 0] + [0, 0, 0.02]
+    flat = CASES["linear_delta"].commands(np.random.default_rng(9), 20) * [1, 1, 0] + [
+        0,
+        0,
+        0.02,
+    ]
     rng = np.random.default_rng(5)
-    for m, series, unseen in ((bar[0], [bar[1]], 3), (*printer, 1), (probe, [probe.series("probe", flat)], 1)):
+    for m, series, unseen in (
+        (bar[0], [bar[1]], 3),
+        (*printer, 1),
+        (probe, [probe.series("probe", flat)], 1),
+    ):
         local = coordinates(m, series, m.nominal, m.sigma(series))
         assert local.unseen.shape[1] == unseen
         n, r = local.basis.shape
         assert r + unseen == m.free.sum()
-        both = np.hstack([local.basis, local.unseen])[m.free] / m.tolerance[m.free, None]
+        both = (
+            np.hstack([local.basis, local.unseen])[m.free] / m.tolerance[m.free, None]
+        )
         assert both.T @ both == pytest.approx(np.eye(r + unseen), abs=1e-9)
-        assert np.abs(m.jacobian(series, m.nominal) @ local.unseen / m.sigma(series)[:, None]).max() < 1e-4
+        assert (
+            np.abs(
+                m.jacobian(series, m.nominal) @ local.unseen / m.sigma(series)[:, None]
+            ).max()
+            < 1e-4
+        )
         z, w = rng.standard_normal((4, r)), rng.standard_normal(unseen)
         theta = local.theta(z)
         assert theta.shape == (4, n)
         for k in range(4):
             assert local.at(theta[k]) == pytest.approx(z[k], abs=1e-9)
-            assert local.at(theta[k] + local.unseen @ w) == pytest.approx(z[k], abs=1e-9)
+            assert local.at(theta[k] + local.unseen @ w) == pytest.approx(
+                z[k], abs=1e-9
+            )
 
 
 def test_estimates_scatter_as_their_covariance_says(printer: tuple) -> None:
-    """200 machines from the tolerances: (found - true) in units of the posterior; each spread is known to 5 %."""
+    """200 machines from the tolerances: (found - true) in units of the posterior; each
+    spread is known to 5 %.
+    """
     m, series = printer
     rng = np.random.default_rng(6)
     misses = []
@@ -137,13 +196,20 @@ def test_rough_before_fine(bar: tuple[Measurement, Series]) -> None:
     m, series = bar
     truth = a3_plans.table_3(m)
     y = noisy(series, truth, 7)
-    once, staged = identify(m, [series], y), identify(m, [series], y, stages=[["dq*"], ["*"]])
+    once, staged = (
+        identify(m, [series], y),
+        identify(m, [series], y, stages=[["dq*"], ["*"]]),
+    )
     assert [r.freed for r in staged.rounds] == [("dq*",), ("*",)]
     assert staged.rounds[0].rms_after < staged.rounds[0].rms_before
-    assert staged.rounds[1].rms_before == pytest.approx(staged.rounds[0].rms_after, rel=1e-9)
+    assert staged.rounds[1].rms_before == pytest.approx(
+        staged.rounds[0].rms_after, rel=1e-9
+    )
     assert staged.rounds[1].rms_after < staged.rounds[1].rms_before
     # the same minimum, up to where the lost directions were frozen
-    assert m.readings([series], staged.theta) == pytest.approx(m.readings([series], once.theta), abs=NOISE)
+    assert m.readings([series], staged.theta) == pytest.approx(
+        m.readings([series], once.theta), abs=NOISE
+    )
     seen = once.coordinates
     assert seen.at(staged.theta) == pytest.approx(seen.at(once.theta), abs=0.05)
 
@@ -151,14 +217,22 @@ def test_rough_before_fine(bar: tuple[Measurement, Series]) -> None:
 def test_only_what_is_freed_moves(bar: tuple[Measurement, Series]) -> None:
     m, series = bar
     start = m.nominal + 1e-5
-    found = identify(m, [series], noisy(series, a3_plans.table_3(m), 8), stages=[["dq*", "*.cup_z"]], start=start)
+    found = identify(
+        m,
+        [series],
+        noisy(series, a3_plans.table_3(m), 8),
+        stages=[["dq*", "*.cup_z"]],
+        start=start,
+    )
     moved = [n for n, a, b in zip(m.names, found.theta, start, strict=True) if a != b]
     assert moved == ["dq1", "dq2", "dq3", "cup.cup_z"]
     assert [n for n, sd in zip(m.names, found.prior_sd, strict=True) if sd] == moved
 
 
 def test_understated_noise_is_found(printer: tuple) -> None:
-    """Heights three times as noisy as stated, distances as stated: factors near 3 and 1, intervals wider by them."""
+    """Heights three times as noisy as stated, distances as stated: factors near 3 and
+    1, intervals wider by them.
+    """
     m, series = printer
     factors = []
     for seed in range(60):
@@ -166,9 +240,16 @@ def test_understated_noise_is_found(printer: tuple) -> None:
         truth = simulate.draw(m, rng)
         exact, sigma = m.readings(series, truth), m.sigma(series)
         actual = np.where(np.arange(len(sigma)) < 20, 3.0, 1.0) * sigma
-        found = identify(m, series, exact + actual * rng.standard_normal(len(sigma)), estimate_noise=True)
+        found = identify(
+            m,
+            series,
+            exact + actual * rng.standard_normal(len(sigma)),
+            estimate_noise=True,
+        )
         factors.append([found.noise_scale["probe"], found.noise_scale["calliper"]])
-        assert found.noise.sigma[:20] == pytest.approx(found.noise_scale["probe"] * 20e-6)
+        assert found.noise.sigma[:20] == pytest.approx(
+            found.noise_scale["probe"] * 20e-6
+        )
     assert np.median(factors, axis=0) == pytest.approx([3.0, 1.0], rel=0.12)
     assert np.min(factors) >= 1.0
 
@@ -184,26 +265,43 @@ def test_a_perfect_fit_does_not_lower_the_stated_noise(printer: tuple) -> None:
     ("spoil", "told"),
     [
         (lambda y: y[:-1], r"30 readings were planned, \(29,\) are given"),
-        (lambda y: np.where(np.arange(30) == 3, np.nan, y), r"readings number \[3\] are not finite"),
-        (lambda y: np.where(np.arange(30) == 3, np.inf, y), r"readings number \[3\] are not finite"),
+        (
+            lambda y: np.where(np.arange(30) == 3, np.nan, y),
+            r"readings number \[3\] are not finite",
+        ),
+        (
+            lambda y: np.where(np.arange(30) == 3, np.inf, y),
+            r"readings number \[3\] are not finite",
+        ),
     ],
 )
-def test_unusable_readings_are_refused(bar: tuple[Measurement, Series], spoil: object, told: str) -> None:
+def test_unusable_readings_are_refused(
+    bar: tuple[Measurement, Series], spoil: object, told: str
+) -> None:
     m, series = bar
     with pytest.raises(IdentificationError, match=told):
         identify(m, [series], spoil(np.full(30, 0.3)))
 
 
 @pytest.mark.parametrize("stages", [[["q*"]], [["q*"], ["*"]], [["db1x"]], [[]]])
-def test_patterns_that_free_nothing_are_refused(bar: tuple[Measurement, Series], stages: list) -> None:
+def test_patterns_that_free_nothing_are_refused(
+    bar: tuple[Measurement, Series], stages: list
+) -> None:
     m, series = bar
-    with pytest.raises(IdentificationError, match=re.escape(f"the patterns {stages[0]} free no parameter of")):
+    with pytest.raises(
+        IdentificationError,
+        match=re.escape(f"the patterns {stages[0]} free no parameter of"),
+    ):
         identify(m, [series], np.full(30, 0.3), stages=stages)
 
 
-def test_a_fit_that_runs_out_of_iterations_says_so(bar: tuple[Measurement, Series]) -> None:
+def test_a_fit_that_runs_out_of_iterations_says_so(
+    bar: tuple[Measurement, Series],
+) -> None:
     m, series = bar
-    with pytest.raises(IdentificationError, match=r"did not converge in 2 iterations.*check units"):
+    with pytest.raises(
+        IdentificationError, match=r"did not converge in 2 iterations.*check units"
+    ):
         identify(m, [series], noisy(series, a3_plans.table_3(m), 1), max_iterations=2)
 
 
@@ -216,20 +314,31 @@ def test_warnings_name_what_is_doubtful(bar: tuple[Measurement, Series]) -> None
     told = identify(m, [series], y).warnings
     assert any("more than 4 tolerances" in t and "dq1" in t for t in told)
     assert any("times the stated noise" in t for t in told)
-    lost = {n for n, s in zip(m.names, identify(m, [series], y).shrinkage, strict=True) if s > 0.7}
+    lost = {
+        n
+        for n, s in zip(m.names, identify(m, [series], y).shrinkage, strict=True)
+        if s > 0.7
+    }
     assert any(all(n in t for n in lost) for t in told)
 
 
 def test_two_set_ups_are_fitted_together() -> None:
-    """A free cup with two tool lengths: every direction but the spin's is seen, and each set-up has its own cup."""
+    """A free cup with two tool lengths: every direction but the spin's is seen, and
+    each set-up has its own cup.
+    """
     m = a3_plans.measurement(taught=False, tools=(0.0, 0.1))
     series = [a3_plans.circles(m, 15), a3_plans.circles(m, 15, "cup100")]
     rng = np.random.default_rng(3)
     truth = m.tolerance * rng.standard_normal(30)
     y = []
-    for s, tool, offset in zip(series, (0.0, 0.1), (truth[24:27], truth[27:]), strict=True):
+    for s, tool, offset in zip(
+        series, (0.0, 0.1), (truth[24:27], truth[27:]), strict=True
+    ):
         cup = np.array([0, 0, a3.Z_TEACH + tool]) + offset
-        y.append(a3.ball_bar_reading(truth[:24], s.q, cup, tool) + NOISE * rng.standard_normal(30))
+        y.append(
+            a3.ball_bar_reading(truth[:24], s.q, cup, tool)
+            + NOISE * rng.standard_normal(30)
+        )
     found = identify(m, series, np.concatenate(y))
     assert found.coordinates.unseen.shape[1] == 1
     assert found.chi2 < found.dof + 5 * np.sqrt(2 * found.dof)
@@ -240,8 +349,13 @@ def test_two_set_ups_are_fitted_together() -> None:
 
 
 def test_a_bar_on_the_delta_sees_the_arms(rng: np.random.Generator) -> None:
-    """Readings of another machine x instrument, large errors: the truth lies within the stated uncertainty."""
-    m = Measurement(linear_delta.machine, [mount(ball_bar.instrument, "bar", teach=(0.0, 0.0, 0.02))])
+    """Readings of another machine x instrument, large errors: the truth lies within the
+    stated uncertainty.
+    """
+    m = Measurement(
+        linear_delta.machine,
+        [mount(ball_bar.instrument, "bar", teach=(0.0, 0.0, 0.02))],
+    )
     series = [m.series("bar", CASES["linear_delta"].commands(rng, 60))]
     truth = simulate.draw(m, rng)
     found = identify(m, series, simulate.read(m, series, truth, rng))

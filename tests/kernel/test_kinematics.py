@@ -1,4 +1,6 @@
-"""Kinematics against the oracles: another formulation of the A3 head, and trilateration of the delta."""
+"""Kinematics against the oracles: another formulation of the A3 head, and trilateration
+of the delta.
+"""
 
 import dataclasses
 import math
@@ -21,14 +23,18 @@ from pkm_models.instruments import height_probe
 from pkm_models.machines import a3_head, linear_delta
 
 A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)
-A3_SPREAD = np.r_[np.full(21, 3e-3), np.full(3, 20e-3)]  # m, rad: three tolerances and more
+A3_SPREAD = np.r_[
+    np.full(21, 3e-3), np.full(3, 20e-3)
+]  # m, rad: three tolerances and more
 TOOLS = (0.0, 0.1)
 
 
 def a3_commands(rng: np.random.Generator, n: int, tool: float = 0.0) -> np.ndarray:
     """As `cases`, for a longer tool, theta at least 1 deg."""
     c = CASES["a3_head"].commands(rng, n)
-    return np.column_stack([c[:, 0] + tool, c[:, 1], np.maximum(c[:, 2], np.deg2rad(1))])
+    return np.column_stack(
+        [c[:, 0] + tool, c[:, 1], np.maximum(c[:, 2], np.deg2rad(1))]
+    )
 
 
 def delta_args(p: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -37,7 +43,12 @@ def delta_args(p: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def test_the_a3_head_has_the_dimensions_of_table_1() -> None:
-    assert (a3_head.A, a3_head.B, a3_head.C, a3_head.D) == (paper.A, paper.B, paper.C, paper.D)
+    assert (a3_head.A, a3_head.B, a3_head.C, a3_head.D) == (
+        paper.A,
+        paper.B,
+        paper.C,
+        paper.D,
+    )
     assert (a3.A, a3.B, a3.C, a3.D) == (paper.A, paper.B, paper.C, paper.D)
 
 
@@ -53,7 +64,9 @@ def test_a3_inverse_is_the_closed_form(rng: np.random.Generator, tool: float) ->
 
 
 @pytest.mark.parametrize("tool", TOOLS)
-def test_a3_forward_is_the_oracles_for_wrong_machines(rng: np.random.Generator, tool: float) -> None:
+def test_a3_forward_is_the_oracles_for_wrong_machines(
+    rng: np.random.Generator, tool: float
+) -> None:
     command = a3_commands(rng, 60, tool)
     x, q = A3.inverse(command, tool=np.array([0, 0, tool]))
     p = A3_SPREAD * rng.standard_normal((40, 24))
@@ -66,32 +79,49 @@ def test_a3_forward_is_the_oracles_for_wrong_machines(rng: np.random.Generator, 
 
 
 @pytest.mark.parametrize("tool", TOOLS)
-def test_a3_sensitivity_is_the_papers_linear_model(rng: np.random.Generator, tool: float) -> None:
+def test_a3_sensitivity_is_the_papers_linear_model(
+    rng: np.random.Generator, tool: float
+) -> None:
     command, offset = a3_commands(rng, 100, tool), np.array([0, 0, tool])
     x, q = A3.inverse(command, tool=offset)
     twist = A3.frames(x, offset)[2] @ A3.sensitivity(x, q, A3.machine.nominal)
     model = a3.linear_model(*command.T, tool)
     assert np.abs(twist - model).max() < 1e-12 * np.abs(model).max()
-    by_joint, by_parameter = (f(x, q, A3.machine.nominal) for f in (A3.joint_sensitivity, A3.sensitivity))
-    assert np.abs(by_joint - by_parameter[..., :3]).max() < 1e-13  # a home error adds to the joint
+    by_joint, by_parameter = (
+        f(x, q, A3.machine.nominal) for f in (A3.joint_sensitivity, A3.sensitivity)
+    )
+    assert (
+        np.abs(by_joint - by_parameter[..., :3]).max() < 1e-13
+    )  # a home error adds to the joint
 
 
-def test_a3_sensitivity_of_a_wrong_machine_is_the_oracles_complex_step(rng: np.random.Generator) -> None:
+def test_a3_sensitivity_of_a_wrong_machine_is_the_oracles_complex_step(
+    rng: np.random.Generator,
+) -> None:
     command, p = a3_commands(rng, 20), A3_SPREAD * rng.standard_normal(24)
     start, q = A3.inverse(command)
     x = A3.forward(q, p, start)
     rotation, _, twist = A3.frames(x, np.zeros(3))
     moved = a3.forward(p + 1e-30j * np.eye(24), q[:, None])
     spin = (moved.R.imag / 1e-30) @ np.swapaxes(rotation, 1, 2)[:, None]
-    exact = np.concatenate([moved.tip.imag / 1e-30, spin[..., [2, 0, 1], [1, 2, 0]]], axis=-1).swapaxes(1, 2)
-    assert np.abs(twist @ A3.sensitivity(x, q, p) - exact).max() < 1e-11 * np.abs(exact).max()
+    exact = np.concatenate(
+        [moved.tip.imag / 1e-30, spin[..., [2, 0, 1], [1, 2, 0]]], axis=-1
+    ).swapaxes(1, 2)
+    assert (
+        np.abs(twist @ A3.sensitivity(x, q, p) - exact).max()
+        < 1e-11 * np.abs(exact).max()
+    )
 
 
-def test_a3_components_are_the_slopes_of_the_euler_angles(rng: np.random.Generator) -> None:
+def test_a3_components_are_the_slopes_of_the_euler_angles(
+    rng: np.random.Generator,
+) -> None:
     """dpsi, dtheta, dphi of a small turn, against Euler angles of the turned platform."""
     command, size = a3_commands(rng, 50), 1e-6
     command[:, 2] = np.maximum(command[:, 2], np.deg2rad(5))
-    twist = np.hstack([rng.standard_normal((50, 3)), size * rng.standard_normal((50, 3))])
+    twist = np.hstack(
+        [rng.standard_normal((50, 3)), size * rng.standard_normal((50, 3))]
+    )
     told = A3.components(command, twist)
     nominal = a3.rotation(command[:, 1], command[:, 2], -command[:, 1])
     turn = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ nominal
@@ -99,7 +129,12 @@ def test_a3_components_are_the_slopes_of_the_euler_angles(rng: np.random.Generat
     change = np.column_stack(a3.euler(turn)) - np.column_stack(a3.euler(back))
     assert np.abs(told[:, 3:] - np.angle(np.exp(1j * change)) / 2).max() < 1e-8 * size
     assert (told[:, :3] == twist[:, :3]).all()
-    assert np.abs(np.einsum("nkj,nj->nk", A3.components_slope(command), twist) - told).max() < 1e-15
+    assert (
+        np.abs(
+            np.einsum("nkj,nj->nk", A3.components_slope(command), twist) - told
+        ).max()
+        < 1e-15
+    )
 
 
 def test_a3_is_upright_without_trouble() -> None:
@@ -117,7 +152,10 @@ def test_delta_inverse_and_forward_are_trilateration(rng: np.random.Generator) -
     p = DELTA.machine.nominal + 3.0 * spread * rng.standard_normal((30, 10))
     x, q = DELTA.inverse(point)
     assert (x == point).all() or np.abs(x - point).max() < 1e-15
-    assert np.abs(q - delta.travel_to(point, *delta_args(DELTA.machine.nominal))).max() < 1e-14
+    assert (
+        np.abs(q - delta.travel_to(point, *delta_args(DELTA.machine.nominal))).max()
+        < 1e-14
+    )
     found = DELTA.forward(q, p, x)
     want = delta.nozzle(q, *delta_args(p[:, None]))
     assert np.abs(found - want).max() < 1e-12
@@ -131,8 +169,15 @@ def test_delta_inverse_with_a_machine_for_each_pose(rng: np.random.Generator) ->
 
 
 def test_recorded_joints_are_followed_from_home(rng: np.random.Generator) -> None:
-    q = delta.travel_to(CASES["linear_delta"].commands(rng, 40), *delta_args(DELTA.machine.nominal))
-    assert np.abs(DELTA.start_at(q) - delta.nozzle(q, *delta_args(DELTA.machine.nominal))).max() < 1e-12
+    q = delta.travel_to(
+        CASES["linear_delta"].commands(rng, 40), *delta_args(DELTA.machine.nominal)
+    )
+    assert (
+        np.abs(
+            DELTA.start_at(q) - delta.nozzle(q, *delta_args(DELTA.machine.nominal))
+        ).max()
+        < 1e-12
+    )
     command = a3_commands(rng, 40)
     x = A3.start_at(a3.inverse_nominal(*command.T))
     assert np.abs(x[:, :3] - a3.nominal_pose(*command.T)[0]).max() < 1e-12
@@ -155,7 +200,9 @@ def test_a_failing_pose_does_not_disturb_the_others(rng: np.random.Generator) ->
 
 
 def test_the_singular_pose_of_the_a3_head() -> None:
-    """Near theta = 76.3 deg at psi = 0.3 the head is singular: there the oracle's slopes grow without bound."""
+    """Near theta = 76.3 deg at psi = 0.3 the head is singular: there the oracle's
+    slopes grow without bound.
+    """
     theta = np.deg2rad([30.0, 60.0, 75.0, 76.0])
     command = np.column_stack([np.full(4, 1.2), np.full(4, 0.3), theta])
     x, q = A3.inverse(command)
@@ -169,11 +216,15 @@ def test_the_singular_pose_of_the_a3_head() -> None:
 
 @pytest.mark.parametrize("away", [0.0, 1e-9, 1e-3, 2e-2])
 def test_a_singular_pose_is_reported(away: float) -> None:
-    """Tool in the plane of the carriages: two of its places meet, and there are no slopes. The third carriage is so
-    far below that the circle through the three has the arm's length for radius; the start is `away` (m) from there."""
+    """Tool in the plane of the carriages: two of its places meet, and there are no
+    slopes. The third carriage is so far below that the circle through the three has the
+    arm's length for radius; the start is `away` (m) from there.
+    """
     radius, arm = linear_delta.RADIUS, linear_delta.ARM
     half_base = radius * np.sqrt(3) / 2
-    height = arm + np.sqrt(arm**2 - half_base**2)  # of the triangle, from (half_base^2 + height^2) / (2 height) = arm
+    height = arm + np.sqrt(
+        arm**2 - half_base**2
+    )  # of the triangle, from (half_base^2 + height^2) / (2 height) = arm
     drop = np.sqrt(height**2 - (1.5 * radius) ** 2)
     singular = np.array([0.0, 0.0, drop])
     tops = delta.carriages(singular, *delta_args(DELTA.machine.nominal))
@@ -185,7 +236,14 @@ def test_a_singular_pose_is_reported(away: float) -> None:
     x, q = DELTA.inverse(np.array([[0.0, 0.0, 0.02], [0.01, 0.0, 0.02]]))
     m = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
     sent, starts = np.insert(q, 1, singular, axis=0), np.insert(x, 1, start, axis=0)
-    series = Series("probe", sent, starts, np.full((3, 3), np.nan), np.arange(3)[:, None], np.full(3, "1"))
+    series = Series(
+        "probe",
+        sent,
+        starts,
+        np.full((3, 3), np.nan),
+        np.arange(3)[:, None],
+        np.full(3, "1"),
+    )
     with pytest.raises(AssemblyError, match=r"pose numbers 1\b.*singular") as caught:
         m.jacobian([series], m.nominal)
     assert caught.value.indices.tolist() == [1]
@@ -200,20 +258,31 @@ def four_legs() -> Kinematics:
 
     def closure(x: Values, q: Values, p: Values) -> list[Expr]:
         height = p["endstop1"] + ca.sqrt(p["arm1"] ** 2 - p["radius"] ** 2) - q["q4"]
-        top = ca.vertcat(p["radius"] * math.cos(FOURTH), p["radius"] * math.sin(FOURTH), height)
-        return [*plain.closure(x, q, p), ca.norm_2(ca.vertcat(x["x"], x["y"], x["z"]) - top) - p["arm1"]]
+        top = ca.vertcat(
+            p["radius"] * math.cos(FOURTH), p["radius"] * math.sin(FOURTH), height
+        )
+        return [
+            *plain.closure(x, q, p),
+            ca.norm_2(ca.vertcat(x["x"], x["y"], x["z"]) - top) - p["arm1"],
+        ]
 
     def guess(c: Values) -> tuple[list[Expr], list[Expr]]:
         x, q = plain.guess(c)
         return list(x), [*q, q[0]]
 
     joints = (*plain.joints, Coordinate("q4", "m", -0.05, 0.6))
-    return Kinematics(dataclasses.replace(plain, joints=joints, closure=closure, guess=guess))
+    return Kinematics(
+        dataclasses.replace(plain, joints=joints, closure=closure, guess=guess)
+    )
 
 
-def test_a_redundant_machine_settles_where_its_legs_miss_least(rng: np.random.Generator) -> None:
-    """More equations than pose components: joints that agree give the delta's pose, joints that do not give the least
-    squares of the legs' misfits, by SciPy; slopes by differences of that."""
+def test_a_redundant_machine_settles_where_its_legs_miss_least(
+    rng: np.random.Generator,
+) -> None:
+    """More equations than pose components: joints that agree give the delta's pose,
+    joints that do not give the least squares of the legs' misfits, by SciPy; slopes by
+    differences of that.
+    """
     kinematics, point = four_legs(), CASES["linear_delta"].commands(rng, 10)
     p = DELTA.machine.nominal + 1e-3 * rng.standard_normal(10)
     x, q = kinematics.inverse(point, p)
@@ -228,18 +297,29 @@ def test_a_redundant_machine_settles_where_its_legs_miss_least(rng: np.random.Ge
         def misfit(at: np.ndarray) -> np.ndarray:
             return np.linalg.norm(at - tops, axis=1) - arm
 
-        return optimize.least_squares(misfit, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale=0.1).x
+        return optimize.least_squares(
+            misfit, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale=0.1
+        ).x
 
     q[:, 3] += 1e-3 * rng.standard_normal(10)
     found = kinematics.forward(q, p, x)
-    assert np.abs(found - [settled(p, *row) for row in zip(q, x, strict=True)]).max() < 1e-8
+    assert (
+        np.abs(found - [settled(p, *row) for row in zip(q, x, strict=True)]).max()
+        < 1e-8
+    )
     assert np.abs(found - x).max() > 1e-4
     slope, h = kinematics.sensitivity(x, kinematics.inverse(point, p)[1], p), 1e-4
     agreed = kinematics.inverse(point, p)[1]
     for k in range(10):
         step = h * np.eye(10)[k]
-        ends = [np.array([settled(p + d, *row) for row in zip(agreed, x, strict=True)]) for d in (step, -step)]
-        assert np.abs(slope[..., k] - (ends[0] - ends[1]) / (2 * h)).max() < 1e-3 * np.abs(slope).max()
+        ends = [
+            np.array([settled(p + d, *row) for row in zip(agreed, x, strict=True)])
+            for d in (step, -step)
+        ]
+        assert (
+            np.abs(slope[..., k] - (ends[0] - ends[1]) / (2 * h)).max()
+            < 1e-3 * np.abs(slope).max()
+        )
 
 
 def test_drawings_show_the_machine(rng: np.random.Generator) -> None:
@@ -250,4 +330,6 @@ def test_drawings_show_the_machine(rng: np.random.Generator) -> None:
     assert [np.linalg.norm(b - a) for a, b in limbs] == pytest.approx(q[0], abs=1e-14)
     assert base == pytest.approx(a3.B_NOM[[0, 1, 2, 0]], abs=1e-15)
     assert spindle[1] == pytest.approx(x[0, :3], abs=1e-15)
-    assert np.linalg.norm(np.diff(platform, axis=0), axis=1) == pytest.approx(paper.A * np.sqrt(3), abs=1e-14)
+    assert np.linalg.norm(np.diff(platform, axis=0), axis=1) == pytest.approx(
+        paper.A * np.sqrt(3), abs=1e-14
+    )

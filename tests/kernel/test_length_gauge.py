@@ -8,15 +8,21 @@ from oed.measurement import Measurement
 from pkm_models.instruments import height_probe, length_gauge
 from pkm_models.machines import a3_head
 
-POSES = np.array([[1.13, 0.3, 0.1], [1.2, 2.0, 0.4], [1.17, -1.0, 0.2], [1.15, 4.0, 0.3]])
+POSES = np.array(
+    [[1.13, 0.3, 0.1], [1.2, 2.0, 0.4], [1.17, -1.0, 0.2], [1.15, 4.0, 0.3]]
+)
 
 
 def gauge() -> Measurement:
-    return Measurement(a3_head.machine, [mount(length_gauge.instrument, "gauge", at_z=1.166)])
+    return Measurement(
+        a3_head.machine, [mount(length_gauge.instrument, "gauge", at_z=1.166)]
+    )
 
 
 def test_it_reads_the_height_over_a_plane_through_three_points() -> None:
-    """The plane by three of its points, moved by rotations about x and y; to first order in the tilts."""
+    """The plane by three of its points, moved by rotations about x and y; to first
+    order in the tilts.
+    """
     m = gauge()
     series = m.series("gauge", POSES)
     height, tilt_x, tilt_y = 2e-3, 1e-5, -3e-5
@@ -24,7 +30,11 @@ def test_it_reads_the_height_over_a_plane_through_three_points() -> None:
     theta[-3:] = height, tilt_x, tilt_y
     _, point, _ = m.kinematics.frames(m.poses(series, m.nominal), np.zeros(3))
     turn = np.array([[1.0, 0.0, tilt_y], [0.0, 1.0, -tilt_x], [-tilt_y, tilt_x, 1.0]])
-    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]) @ turn.T + [0.0, 0.0, 1.166 + height]
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]) @ turn.T + [
+        0.0,
+        0.0,
+        1.166 + height,
+    ]
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     over = (point - corners[0]) @ normal / normal[2]  # along z
     assert m.readings([series], theta) == pytest.approx(over, abs=1e-9)
@@ -33,7 +43,10 @@ def test_it_reads_the_height_over_a_plane_through_three_points() -> None:
 def test_without_tilts_it_is_a_height_probe_of_another_zero() -> None:
     m = gauge()
     probe = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe")])
-    y, z = (x.readings([x.series(n, POSES)], x.nominal) for x, n in ((m, "gauge"), (probe, "probe")))
+    y, z = (
+        x.readings([x.series(n, POSES)], x.nominal)
+        for x, n in ((m, "gauge"), (probe, "probe"))
+    )
     assert y == pytest.approx(z - 1.166, abs=1e-12)
     assert m.sigma([m.series("gauge", POSES)]) == pytest.approx(1e-6)
 
@@ -42,7 +55,13 @@ def test_its_slopes_are_those_of_its_readings() -> None:
     m = gauge()
     series, step = m.series("gauge", POSES), 1e-6
     moves = np.vstack(
-        [m.nominal + s * step * np.eye(len(m.nominal))[k] for k in range(len(m.nominal)) for s in (1, -1)]
+        [
+            m.nominal + s * step * np.eye(len(m.nominal))[k]
+            for k in range(len(m.nominal))
+            for s in (1, -1)
+        ]
     )
     y = m.readings([series], moves)
-    assert m.jacobian([series], m.nominal) == pytest.approx(((y[::2] - y[1::2]) / (2.0 * step)).T, abs=1e-5)
+    assert m.jacobian([series], m.nominal) == pytest.approx(
+        ((y[::2] - y[1::2]) / (2.0 * step)).T, abs=1e-5
+    )

@@ -13,7 +13,10 @@ from pkm_models.machines.linear_delta import machine
 
 
 def test_a_parameter_table_may_change_values_not_names() -> None:
-    table = [dataclasses.replace(p, nominal=p.nominal + 1e-3, tolerance=2e-3) for p in machine.parameters]
+    table = [
+        dataclasses.replace(p, nominal=p.nominal + 1e-3, tolerance=2e-3)
+        for p in machine.parameters
+    ]
     other = machine.with_parameters(table)
     assert other.nominal == pytest.approx(machine.nominal + 1e-3)
     assert [p.tolerance for p in other.parameters] == [2e-3] * len(table)
@@ -41,13 +44,18 @@ def test_an_unknown_parameter_is_told_with_the_known_ones() -> None:
 )
 def test_a_parameter_refuses_nonsense(change: dict, told: str) -> None:
     with pytest.raises(ValueError, match=f"parameter a: .*{told}"):
-        Parameter(**{"name": "a", "nominal": 0.0, "tolerance": 1.0, "unit": "m"} | change)
+        Parameter(
+            **{"name": "a", "nominal": 0.0, "tolerance": 1.0, "unit": "m"} | change
+        )
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"parameters": machine.parameters + machine.parameters[:1]}, r"used twice: \['radius'\]"),
+        (
+            {"parameters": machine.parameters + machine.parameters[:1]},
+            r"used twice: \['radius'\]",
+        ),
         ({"frame": ("angle4",)}, r"unknown parameters \['angle4'\]"),
         ({"home": {"x": 0.0}}, "home must give every command coordinate"),
     ],
@@ -58,7 +66,14 @@ def test_a_machine_refuses_nonsense(change: dict, told: str) -> None:
 
 
 def test_a_set_up_takes_the_instruments_defaults() -> None:
-    setup = mount(ball_bar.free_cup, "bar", at_x=0.1, at_y=0.2, at_z=0.3, tolerances={"cup_z": 5e-3})
+    setup = mount(
+        ball_bar.free_cup,
+        "bar",
+        at_x=0.1,
+        at_y=0.2,
+        at_z=0.3,
+        tolerances={"cup_z": 5e-3},
+    )
     assert setup.settings == {"length": 0.3, "at_x": 0.1, "at_y": 0.2, "at_z": 0.3}
     assert [n.tolerance for n in setup.nuisances] == [1e-3, 1e-3, 5e-3]
     assert setup.sigma == (0.5e-6,)
@@ -69,11 +84,27 @@ def test_a_set_up_takes_the_instruments_defaults() -> None:
     ("instrument", "given", "told"),
     [
         (ball_bar.free_cup, {"at_x": 0.0, "at_y": 0.0}, "needs at_z"),
-        (ball_bar.instrument, {"teach": (0, 0, 0), "lenght": 0.3}, r"no setting \['lenght'\]; it has \['length'\]"),
-        (ball_bar.instrument, {"teach": (0, 0, 0), "tolerances": {"cup": 1.0}}, r"no unknown \['cup'\]"),
+        (
+            ball_bar.instrument,
+            {"teach": (0, 0, 0), "lenght": 0.3},
+            r"no setting \['lenght'\]; it has \['length'\]",
+        ),
+        (
+            ball_bar.instrument,
+            {"teach": (0, 0, 0), "tolerances": {"cup": 1.0}},
+            r"no unknown \['cup'\]",
+        ),
         (ball_bar.instrument, {}, "a teach pose goes with instruments that are taught"),
-        (height_probe.instrument, {"teach": (0, 0, 0)}, "a teach pose goes with instruments that are taught"),
-        (height_probe.instrument, {"sigma": (1e-6, 1e-6)}, r"one sigma for each of \['height'\]"),
+        (
+            height_probe.instrument,
+            {"teach": (0, 0, 0)},
+            "a teach pose goes with instruments that are taught",
+        ),
+        (
+            height_probe.instrument,
+            {"sigma": (1e-6, 1e-6)},
+            r"one sigma for each of \['height'\]",
+        ),
     ],
 )
 def test_a_set_up_refuses_nonsense(instrument: object, given: dict, told: str) -> None:

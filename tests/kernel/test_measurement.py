@@ -20,13 +20,19 @@ LONGER = (0.0, 0.0, TOOL)
 
 
 def wrong(m: Measurement, rng: np.random.Generator, n: int = 5) -> np.ndarray:
-    """Parameter vectors (n, ...) of wrong machines, frame parameters and nuisances included."""
-    return m.nominal + np.array([p.tolerance for p in m.parameters]) * rng.standard_normal((n, len(m.names)))
+    """Parameter vectors (n, ...) of wrong machines, frame parameters and nuisances
+    included.
+    """
+    return m.nominal + np.array(
+        [p.tolerance for p in m.parameters]
+    ) * rng.standard_normal((n, len(m.names)))
 
 
 @pytest.mark.parametrize("tool", [0.0, TOOL])
 @pytest.mark.parametrize("taught", [True, False])
-def test_ball_bar_readings_and_rows_are_the_oracles(rng: np.random.Generator, taught: bool, tool: float) -> None:
+def test_ball_bar_readings_and_rows_are_the_oracles(
+    rng: np.random.Generator, taught: bool, tool: float
+) -> None:
     m = a3_plans.measurement(taught=taught, tools=[tool])
     (setup,) = m.setups
     command = CASES["a3_head"].commands(rng, 40) + np.array([tool, 0, 0])
@@ -35,7 +41,13 @@ def test_ball_bar_readings_and_rows_are_the_oracles(rng: np.random.Generator, ta
     theta = wrong(m, rng)
     p, offset = theta[:, :24], theta[:, 24:]
     cup = a3.taught_cup(p, offset, z, tool) if taught else np.array([0, 0, z]) + offset
-    assert np.abs(m.readings([series], theta) - a3.ball_bar_reading(p[:, None], q, cup[:, None], tool)).max() < 1e-12
+    assert (
+        np.abs(
+            m.readings([series], theta)
+            - a3.ball_bar_reading(p[:, None], q, cup[:, None], tool)
+        ).max()
+        < 1e-12
+    )
     nominal_cup = np.array([0, 0, z])
     rows = a3.bar_rows(*np.maximum(command, [0, -9, 1e-3]).T, nominal_cup, tool, taught)
     upright = command[:, 2] < 1e-3
@@ -43,36 +55,73 @@ def test_ball_bar_readings_and_rows_are_the_oracles(rng: np.random.Generator, ta
 
 
 def test_heights_are_the_oracles(rng: np.random.Generator) -> None:
-    m = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe", tool=LONGER)])
+    m = Measurement(
+        a3_head.machine, [mount(height_probe.instrument, "probe", tool=LONGER)]
+    )
     command = CASES["a3_head"].commands(rng, 20) + np.array([TOOL, 0, 0])
     theta = wrong(m, rng)
-    tip = a3.forward(theta[:, None, :24], a3.inverse_nominal(*command.T, TOOL), TOOL).tip
-    assert np.abs(m.readings([m.series("probe", command)], theta) - tip[..., 2] - theta[:, 24:]).max() < 1e-13
+    tip = a3.forward(
+        theta[:, None, :24], a3.inverse_nominal(*command.T, TOOL), TOOL
+    ).tip
+    assert (
+        np.abs(
+            m.readings([m.series("probe", command)], theta)
+            - tip[..., 2]
+            - theta[:, 24:]
+        ).max()
+        < 1e-13
+    )
 
 
 def test_calliper_distances_are_the_oracles(rng: np.random.Generator) -> None:
-    """Three runs of different length; the first pose of each is its reference and no reading."""
+    """Three runs of different length; the first pose of each is its reference and no
+    reading.
+    """
     m = Measurement(linear_delta.machine, [mount(calliper.instrument, "calliper")])
     command = CASES["linear_delta"].commands(rng, 9)
     runs = ["a", "b", "a", "a", "b", "c", "b", "c", "a"]
     series = m.series("calliper", command, run=runs)
     assert series.run.tolist() == ["a", "a", "b", "b", "c", "a"]
     theta = wrong(m, rng)
-    point = delta.nozzle(series.q, theta[:, None, 0], theta[:, None, 1:4], theta[:, None, 4:7], theta[:, None, 7:10])
+    point = delta.nozzle(
+        series.q,
+        theta[:, None, 0],
+        theta[:, None, 1:4],
+        theta[:, None, 4:7],
+        theta[:, None, 7:10],
+    )
     pairs = [(2, 0), (3, 0), (4, 1), (6, 1), (7, 5), (8, 0)]
-    distance = np.stack([np.linalg.norm(point[:, i] - point[:, j], axis=-1) for i, j in pairs], axis=-1)
-    assert np.abs(m.readings([series], theta) - (1 + theta[:, 10:]) * distance).max() < 1e-13
+    distance = np.stack(
+        [np.linalg.norm(point[:, i] - point[:, j], axis=-1) for i, j in pairs], axis=-1
+    )
+    assert (
+        np.abs(m.readings([series], theta) - (1 + theta[:, 10:]) * distance).max()
+        < 1e-13
+    )
     assert (series.commands() == command[[2, 3, 4, 6, 7, 8]]).all()
 
 
-def test_a_controller_that_knows_better_sends_other_joints(rng: np.random.Generator) -> None:
-    """With the true parameters the controller reaches what it was told: height, and the taught cup, are exact."""
+def test_a_controller_that_knows_better_sends_other_joints(
+    rng: np.random.Generator,
+) -> None:
+    """With the true parameters the controller reaches what it was told: height, and the
+    taught cup, are exact.
+    """
     m = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe")])
     truth = wrong(m, rng, 1)[0]
     truth[24] = 0.0
     command = CASES["a3_head"].commands(rng, 20)
-    assert np.abs(m.readings([m.series("probe", command, controller=truth[:24])], truth) - command[:, 0]).max() < 1e-14
-    assert np.abs(m.readings([m.series("probe", command)], truth) - command[:, 0]).max() > 1e-4
+    assert (
+        np.abs(
+            m.readings([m.series("probe", command, controller=truth[:24])], truth)
+            - command[:, 0]
+        ).max()
+        < 1e-14
+    )
+    assert (
+        np.abs(m.readings([m.series("probe", command)], truth) - command[:, 0]).max()
+        > 1e-4
+    )
 
 
 @pytest.mark.parametrize("name", list(CASES["a3_head"].setups))
@@ -86,31 +135,47 @@ def test_taking_readings_of_a_series(rng: np.random.Generator, name: str) -> Non
     assert len(part) == 4
     channels = len(m.setups[name].sigma)
     flat = (rows[:, None] * channels + np.arange(channels)).ravel()
-    assert m.readings([part], theta) == pytest.approx(m.readings([series], theta)[flat], abs=1e-15)
-    assert m.jacobian([part], theta) == pytest.approx(m.jacobian([series], theta)[flat], abs=1e-13)
+    assert m.readings([part], theta) == pytest.approx(
+        m.readings([series], theta)[flat], abs=1e-15
+    )
+    assert m.jacobian([part], theta) == pytest.approx(
+        m.jacobian([series], theta)[flat], abs=1e-13
+    )
     assert (part.commands() == series.commands()[rows]).all()
     assert (part.run == series.run[rows]).all()
     assert len(part.q) < len(series.q)
 
 
 def test_a_bar_leads_the_tool_on_a_sphere() -> None:
-    """theta held on the sphere equals the oracle's bisection; where the bar cannot be held, it says so."""
+    """theta held on the sphere equals the oracle's bisection; where the bar cannot be
+    held, it says so.
+    """
     m = a3_plans.measurement()
     psi = np.linspace(0, 2 * np.pi, 25)
     command = np.column_stack([np.full(25, a3_plans.HOME_Z + 0.12), psi, np.zeros(25)])
     found, possible = m.hold("cup", command, "theta")
     assert possible.all()
-    assert np.abs(found[:, 2] - a3.circle_theta(command[:, 0], psi, np.array([0, 0, a3.Z_TEACH]))).max() < 1e-11
+    assert (
+        np.abs(
+            found[:, 2]
+            - a3.circle_theta(command[:, 0], psi, np.array([0, 0, a3.Z_TEACH]))
+        ).max()
+        < 1e-11
+    )
     assert (command[:, 2] == 0).all()
     assert np.abs(m.readings([m.series("cup", found)], m.nominal) - 0.3).max() < 1e-12
-    short = Measurement(m.machine, [mount(ball_bar.instrument, "bar", teach=(1.286, 0, 0), length=0.05)])
+    short = Measurement(
+        m.machine, [mount(ball_bar.instrument, "bar", teach=(1.286, 0, 0), length=0.05)]
+    )
     _, possible = short.hold("bar", command, "theta")
     assert not possible.any()
 
 
 def test_only_a_bar_holds_a_reading() -> None:
     m = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe")])
-    with pytest.raises(ValueError, match="height_probe holds no reading: give theta itself"):
+    with pytest.raises(
+        ValueError, match="height_probe holds no reading: give theta itself"
+    ):
         m.hold("probe", a3_head.machine.home_command[None], "theta")
 
 
@@ -123,20 +188,35 @@ def two_channels() -> Instrument:
         settings=(),
         nuisances=(Parameter("gain", 1.0, 0.1, "1"),),
         cost=Cost(1.0, 1.0),
-        observe=lambda frames, s, k: [s["gain"] * frames[0].point[0], s["gain"] * frames[0].rotation[0, 2]],
+        observe=lambda frames, s, k: [
+            s["gain"] * frames[0].point[0],
+            s["gain"] * frames[0].rotation[0, 2],
+        ],
     )
 
 
-def test_several_set_ups_and_channels_are_laid_out_in_order(rng: np.random.Generator) -> None:
-    m = Measurement(a3_head.machine, [mount(two_channels(), "two"), mount(height_probe.instrument, "probe")])
+def test_several_set_ups_and_channels_are_laid_out_in_order(
+    rng: np.random.Generator,
+) -> None:
+    m = Measurement(
+        a3_head.machine,
+        [mount(two_channels(), "two"), mount(height_probe.instrument, "probe")],
+    )
     command = CASES["a3_head"].commands(rng, 6)
     series = [m.series("probe", command[:2]), m.series("two", command[2:])]
     theta = wrong(m, rng)
     assert m.names[24:] == ("two.gain", "probe.offset")
     pose = a3.forward(theta[:, None, :24], a3.inverse_nominal(*command.T))
     heights = pose.tip[:, :2, 2] + theta[:, 25:]
-    both = theta[:, 24, None, None] * np.stack([pose.tip[:, 2:, 0], pose.R[:, 2:, 0, 2]], axis=-1)
-    assert np.abs(m.readings(series, theta) - np.hstack([heights, both.reshape(5, -1)])).max() < 1e-13
+    both = theta[:, 24, None, None] * np.stack(
+        [pose.tip[:, 2:, 0], pose.R[:, 2:, 0, 2]], axis=-1
+    )
+    assert (
+        np.abs(
+            m.readings(series, theta) - np.hstack([heights, both.reshape(5, -1)])
+        ).max()
+        < 1e-13
+    )
     assert m.sigma(series) == pytest.approx([20e-6] * 2 + [1e-6, 2e-6] * 4)
     h = m.jacobian(series, theta[0])
     assert h.shape == (10, 26)
@@ -148,7 +228,9 @@ def test_several_set_ups_and_channels_are_laid_out_in_order(rng: np.random.Gener
 def test_scales_of_the_columns() -> None:
     m = a3_plans.measurement()
     assert m.lengths == pytest.approx([1.0] * 21 + [a3.D] * 3 + [1.0] * 3)
-    assert information.column_scale(m, "length") == pytest.approx(np.r_[a3.SCALE, 1, 1, 1])
+    assert information.column_scale(m, "length") == pytest.approx(
+        np.r_[a3.SCALE, 1, 1, 1]
+    )
     assert information.column_scale(m, "si") == pytest.approx(np.ones(27))
     assert information.column_scale(m, "tolerance") == pytest.approx(m.tolerance)
     frame = [m.names[k] for k in np.flatnonzero(m.tolerance == 0)]
@@ -159,17 +241,29 @@ def test_scales_of_the_columns() -> None:
 
 
 def test_whitening(rng: np.random.Generator) -> None:
-    """Correlated noise: whitened rows of C^(1/2) have covariance one; standard deviations are the diagonal case."""
+    """Correlated noise: whitened rows of C^(1/2) have covariance one; standard
+    deviations are the diagonal case.
+    """
     root = rng.standard_normal((6, 6))
-    covariance, rows, sd = root @ root.T + np.eye(6), rng.standard_normal((6, 3)), rng.uniform(1, 2, 6)
+    covariance, rows, sd = (
+        root @ root.T + np.eye(6),
+        rng.standard_normal((6, 3)),
+        rng.uniform(1, 2, 6),
+    )
     white = noise.blocks([covariance], [np.arange(6)]).whiten(rows)
-    assert white.T @ white == pytest.approx(rows.T @ np.linalg.inv(covariance) @ rows, rel=1e-10)
+    assert white.T @ white == pytest.approx(
+        rows.T @ np.linalg.inv(covariance) @ rows, rel=1e-10
+    )
     assert information.whiten(rows, sd) == pytest.approx(rows / sd[:, None])
     assert information.whiten(rows[:, 0], sd) == pytest.approx(rows[:, 0] / sd)
-    assert information.fisher(white) == pytest.approx(rows.T @ np.linalg.solve(covariance, rows), rel=1e-10)
+    assert information.fisher(white) == pytest.approx(
+        rows.T @ np.linalg.solve(covariance, rows), rel=1e-10
+    )
 
 
-def test_posterior_covariance_in_units_of_the_tolerances(rng: np.random.Generator) -> None:
+def test_posterior_covariance_in_units_of_the_tolerances(
+    rng: np.random.Generator,
+) -> None:
     for n in (2, 5, 9):
         h = 10.0 ** rng.uniform(-2, 3, n)[:, None] * rng.standard_normal((n, 6))
         assert information.posterior_covariance(h) == pytest.approx(
@@ -177,19 +271,27 @@ def test_posterior_covariance_in_units_of_the_tolerances(rng: np.random.Generato
         )
     blind = np.array([[1e6, 1e6, 0.0]])
     assert information.posterior_covariance(blind)[2].tolist() == [0.0, 0.0, 1.0]
-    assert blind @ information.posterior_covariance(blind) @ blind.T == pytest.approx(1.0, abs=1e-3)
+    assert blind @ information.posterior_covariance(blind) @ blind.T == pytest.approx(
+        1.0, abs=1e-3
+    )
 
 
 def test_only_whitened_rows_carry_the_noise() -> None:
     m = a3_plans.measurement()
     series = a3_plans.circles(m, 3)
     h, sigma = m.jacobian([series], m.nominal), m.sigma([series])
-    assert information.scaled(m, [series], m.nominal, "tolerance") == pytest.approx(h * m.tolerance / sigma[:, None])
-    assert information.scaled(m, [series], m.nominal, "length") == pytest.approx(h / m.lengths)
+    assert information.scaled(m, [series], m.nominal, "tolerance") == pytest.approx(
+        h * m.tolerance / sigma[:, None]
+    )
+    assert information.scaled(m, [series], m.nominal, "length") == pytest.approx(
+        h / m.lengths
+    )
     assert (information.scaled(m, [series], m.nominal, "si") == h).all()
 
 
-def test_a_pose_that_cannot_be_assembled_at_some_parameters(rng: np.random.Generator) -> None:
+def test_a_pose_that_cannot_be_assembled_at_some_parameters(
+    rng: np.random.Generator,
+) -> None:
     m = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
     series = m.series("probe", CASES["linear_delta"].commands(rng, 5))
     theta = np.tile(m.nominal, (3, 1))
@@ -211,8 +313,17 @@ def test_slopes_where_readings_were_asked_for_solve_no_pose_again(
     there, elsewhere = wrong(m, rng, 2)
     solved: list[int] = []
     solve = m.kinematics.try_forward
-    monkeypatch.setattr(m.kinematics, "try_forward", lambda q, *rest: solved.append(len(q)) or solve(q, *rest))
-    for series, theta, times in [(some, there, 1), (some, elsewhere, 1), (more, elsewhere, 1), (more, elsewhere, 0)]:
+    monkeypatch.setattr(
+        m.kinematics,
+        "try_forward",
+        lambda q, *rest: solved.append(len(q)) or solve(q, *rest),
+    )
+    for series, theta, times in [
+        (some, there, 1),
+        (some, elsewhere, 1),
+        (more, elsewhere, 1),
+        (more, elsewhere, 0),
+    ]:
         solved.clear()
         y, slopes = m.readings([series], theta), m.jacobian([series], theta)
         assert len(solved) == times
@@ -226,7 +337,9 @@ def test_slopes_where_readings_were_asked_for_solve_no_pose_again(
 
 
 def test_virtual_machines_scatter_as_stated(rng: np.random.Generator) -> None:
-    """Parameters by their tolerances, readings by their noise: 2000 draws, so each spread is known to 1.6 %."""
+    """Parameters by their tolerances, readings by their noise: 2000 draws, so each
+    spread is known to 1.6 %.
+    """
     m = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
     truth = simulate.draw(m, rng, 2000)
     spread = truth.std(axis=0) / np.where(m.free, m.tolerance, 1.0)

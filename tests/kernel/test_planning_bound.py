@@ -1,4 +1,6 @@
-"""The bound over all combinations of measurements against all plans of small catalogues."""
+"""The bound over all combinations of measurements against all plans of small
+catalogues.
+"""
 
 import numpy as np
 import pytest
@@ -11,13 +13,19 @@ from oed.planning.known import Known, known
 from oed.planning.option import Option
 
 
-def bounded(options: list[Option], goal: Goal, budget: float, known: float, most: int = 3) -> bounding.Bounded:
-    return bounding.bound(options, goal, np.eye(goal.factors.shape[2]), budget, most, known)
+def bounded(
+    options: list[Option], goal: Goal, budget: float, known: float, most: int = 3
+) -> bounding.Bounded:
+    return bounding.bound(
+        options, goal, np.eye(goal.factors.shape[2]), budget, most, known
+    )
 
 
 @pytest.mark.parametrize("alike", [True, False])
 def test_no_plan_of_thirty_catalogues_is_below_the_bound(alike: bool) -> None:
-    """All sets of readings, under budgets that bind and that do not, of two stages and of three."""
+    """All sets of readings, under budgets that bind and that do not, of two stages and
+    of three.
+    """
     gaps, closed = [], 0
     for seed in range(30):
         rng = np.random.default_rng(seed)
@@ -52,7 +60,14 @@ def test_a_bound_without_a_number_of_readings_to_keep_is_lower() -> None:
     """Where time does not bind, the numbers of readings do."""
     options, goal = catalogues.catalogue(np.random.default_rng(3), size=8)
     few = [
-        catalogues.option(o.name, o.candidates.blocks[:, 0], 3, counts=(2,), mounting=o.mounting, seconds=o.seconds)
+        catalogues.option(
+            o.name,
+            o.candidates.blocks[:, 0],
+            3,
+            counts=(2,),
+            mounting=o.mounting,
+            seconds=o.seconds,
+        )
         for o in options
     ]
     value, time = catalogues.every_plan(few, goal, 3)
@@ -62,8 +77,12 @@ def test_a_bound_without_a_number_of_readings_to_keep_is_lower() -> None:
     assert told.value > 1.1 * bounded(options, goal, 1e5, best).value
 
 
-def test_readings_lost_to_the_setup_itself_stay_within_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A travel as large as what the set-ups' unknowns do: plans told by many machines are not below the bound."""
+def test_readings_lost_to_the_setup_itself_stay_within_the_bound(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A travel as large as what the set-ups' unknowns do: plans told by many machines
+    are not below the bound.
+    """
     monkeypatch.setattr(staging, "ROUGH", 1000)
     for seed in range(10):
         rng = np.random.default_rng(200 + seed)
@@ -91,7 +110,9 @@ def test_readings_lost_to_the_setup_itself_stay_within_the_bound(monkeypatch: py
 def test_too_many_combinations_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     options, goal = catalogues.catalogue(np.random.default_rng(0))
     monkeypatch.setattr(bounding, "COMBINATIONS", 3)
-    with pytest.raises(ValueError, match="7 combinations of 3 of 3 measurements are too many"):
+    with pytest.raises(
+        ValueError, match="7 combinations of 3 of 3 measurements are too many"
+    ):
         bounded(options, goal, 1e5, 1.0)
 
 
@@ -103,5 +124,7 @@ def test_hopeful_combinations_fit_the_budget_and_could_be_better() -> None:
     told = bounded(options, goal, budget, worst)
     assert told.hopeful
     for some in told.hopeful:
-        spent = sum(options[s].mounting + n * options[s].seconds[0] for s, n in some.items())
+        spent = sum(
+            options[s].mounting + n * options[s].seconds[0] for s, n in some.items()
+        )
         assert spent <= budget * 1.001

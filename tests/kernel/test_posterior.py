@@ -1,4 +1,6 @@
-"""The sampler: Laplace where the problem is linear, quadrature where it is not, the same draws for the same seed."""
+"""The sampler: Laplace where the problem is linear, quadrature where it is not, the
+same draws for the same seed.
+"""
 
 from pathlib import Path
 
@@ -18,32 +20,49 @@ from pkm_models.machines import linear_delta
 Problem = tuple[Measurement, list[Series], np.ndarray, Estimate]
 
 
-def problem(*, distances: bool, readings: int = 16, noise: float = 1.0, estimate_noise: bool = False) -> Problem:
+def problem(
+    *,
+    distances: bool,
+    readings: int = 16,
+    noise: float = 1.0,
+    estimate_noise: bool = False,
+) -> Problem:
     """A delta read by its probe, and by a calliper or not."""
     rng = np.random.default_rng(12)
-    setups = [mount(height_probe.instrument, "probe"), mount(calliper.instrument, "calliper")]
+    setups = [
+        mount(height_probe.instrument, "probe"),
+        mount(calliper.instrument, "calliper"),
+    ]
     m = Measurement(linear_delta.machine, setups if distances else setups[:1])
     flat = CASES["linear_delta"].commands(rng, readings + 12) * [1, 1, 0] + [0, 0, 0.02]
     series = [m.series("probe", flat[:readings])]
     if distances:
         series.append(m.series("calliper", flat[readings:]))
     truth = simulate.draw(m, rng)
-    y = m.readings(series, truth) + noise * m.sigma(series) * rng.standard_normal(len(m.sigma(series)))
+    y = m.readings(series, truth) + noise * m.sigma(series) * rng.standard_normal(
+        len(m.sigma(series))
+    )
     return m, series, y, identify(m, series, y, estimate_noise=estimate_noise)
 
 
 @pytest.mark.parametrize("distances", [False, True])
 def test_a_nearly_linear_problem_has_the_laplace_posterior(distances: bool) -> None:
-    """Means within 4.5 standard errors, spreads too: 1000 effective draws give 3.2 % and 2.2 %."""
+    """Means within 4.5 standard errors, spreads too: 1000 effective draws give 3.2 %
+    and 2.2 %.
+    """
     m, series, y, estimate = problem(distances=distances)
     drawn = posterior.sample(m, series, y, estimate, np.random.default_rng(1), ess=1000)
     assert drawn.ess[m.free].min() >= 1000
     assert np.isnan(drawn.ess[~m.free]).all()
     assert drawn.rhat[m.free].max() < 1.03
     flat, sd = drawn.flat[:, m.free], estimate.sd[m.free]
-    assert (flat.mean(axis=0) - estimate.theta[m.free]) / sd == pytest.approx(0.0, abs=4.5 / np.sqrt(1000))
+    assert (flat.mean(axis=0) - estimate.theta[m.free]) / sd == pytest.approx(
+        0.0, abs=4.5 / np.sqrt(1000)
+    )
     assert flat.std(axis=0) / sd == pytest.approx(1.0, abs=4.5 / np.sqrt(2000))
-    correlation = np.corrcoef(flat.T) - estimate.covariance[np.ix_(m.free, m.free)] / np.outer(sd, sd)
+    correlation = np.corrcoef(flat.T) - estimate.covariance[
+        np.ix_(m.free, m.free)
+    ] / np.outer(sd, sd)
     assert np.abs(correlation).max() < 4.5 / np.sqrt(1000)
     assert (drawn.flat[:, ~m.free] == m.nominal[~m.free]).all()
     assert 0.1 < drawn.acceptance < 0.95
@@ -52,20 +71,30 @@ def test_a_nearly_linear_problem_has_the_laplace_posterior(distances: bool) -> N
 def test_the_same_seed_gives_the_same_draws() -> None:
     m, series, y, estimate = problem(distances=True)
     first, again, other = (
-        posterior.sample(m, series, y, estimate, np.random.default_rng(seed), max_steps=250) for seed in (5, 5, 6)
+        posterior.sample(
+            m, series, y, estimate, np.random.default_rng(seed), max_steps=250
+        )
+        for seed in (5, 5, 6)
     )
     assert (first.draws == again.draws).all()
     assert not np.array_equal(first.draws[:, :50], other.draws[:, :50])
 
 
 def test_an_unknown_noise_factor_has_the_posterior_of_the_quadrature() -> None:
-    """Linear in theta and Gaussian, so p(t | y) = N(y - f0; 0, e^(2t) S + H T^2 H^T) N(t; 0, 1), by quadrature."""
-    m, series, y, estimate = problem(distances=False, readings=14, noise=3.0, estimate_noise=True)
+    """Linear in theta and Gaussian, so p(t | y) = N(y - f0; 0, e^(2t) S + H T^2 H^T)
+    N(t; 0, 1), by quadrature.
+    """
+    m, series, y, estimate = problem(
+        distances=False, readings=14, noise=3.0, estimate_noise=True
+    )
     drawn = posterior.sample(m, series, y, estimate, np.random.default_rng(2), ess=1000)
     h = m.jacobian(series, estimate.theta)
     miss = y - m.readings(series, estimate.theta) + h @ (estimate.theta - m.nominal)
     t = np.linspace(-3, 4, 1401)
-    spread = np.exp(2 * t)[:, None, None] * np.diag(m.sigma(series) ** 2) + (h * m.tolerance**2) @ h.T
+    spread = (
+        np.exp(2 * t)[:, None, None] * np.diag(m.sigma(series) ** 2)
+        + (h * m.tolerance**2) @ h.T
+    )
     solved = np.linalg.solve(spread, np.tile(miss[:, None], (len(t), 1, 1)))[..., 0]
     log = -0.5 * (np.linalg.slogdet(spread)[1] + solved @ miss + t**2)
     weight = np.exp(log - log.max())
@@ -81,14 +110,18 @@ def test_an_unknown_noise_factor_has_the_posterior_of_the_quadrature() -> None:
 
 def test_a_known_noise_is_not_sampled() -> None:
     m, series, y, estimate = problem(distances=False)
-    drawn = posterior.sample(m, series, y, estimate, np.random.default_rng(2), max_steps=250)
+    drawn = posterior.sample(
+        m, series, y, estimate, np.random.default_rng(2), max_steps=250
+    )
     assert drawn.noise_groups == ()
     assert drawn.log_noise.shape[2] == 0
 
 
 def test_draws_of_a_machine_with_lost_directions_still_read_as_observed() -> None:
-    """A3 with one taught bar: three turns of the platform's joints stay at their tolerance, of a millimetre, yet every
-    draw fits the readings: residuals of 30 readings are those of the noise and 18 directions, not more."""
+    """A3 with one taught bar: three turns of the platform's joints stay at their
+    tolerance, of a millimetre, yet every draw fits the readings: residuals of 30
+    readings are those of the noise and 18 directions, not more.
+    """
     m = a3_plans.measurement()
     series = [a3_plans.circles(m, 15)]
     rng = np.random.default_rng(3)
@@ -96,9 +129,13 @@ def test_draws_of_a_machine_with_lost_directions_still_read_as_observed() -> Non
     estimate = identify(m, series, y)
     drawn = posterior.sample(m, series, y, estimate, rng, ess=300)
     white = estimate.noise.whiten_last(m.readings(series, drawn.flat[::97]) - y)
-    expected = estimate.chi2 + (30 - estimate.dof)  # chi2 at the top, and one for each direction the readings settle
+    expected = estimate.chi2 + (
+        30 - estimate.dof
+    )  # chi2 at the top, and one for each direction the readings settle
     assert np.mean(np.sum(white**2, axis=1)) == pytest.approx(expected, rel=0.15)
-    assert drawn.flat.std(axis=0)[m.free] == pytest.approx(estimate.sd[m.free], rel=0.15)
+    assert drawn.flat.std(axis=0)[m.free] == pytest.approx(
+        estimate.sd[m.free], rel=0.15
+    )
     local = estimate.coordinates
     lost = np.linalg.pinv(local.unseen) @ (drawn.flat - estimate.theta).T
     assert lost.std(axis=1) == pytest.approx(1.0, abs=0.1)
@@ -108,11 +145,22 @@ def test_what_is_kept_is_bounded_and_progress_is_told() -> None:
     m, series, y, estimate = problem(distances=True)
     told: list[float] = []
     drawn = posterior.sample(
-        m, series, y, estimate, np.random.default_rng(2), ess=100, keep=500, walkers=40, progress=told.append
+        m,
+        series,
+        y,
+        estimate,
+        np.random.default_rng(2),
+        ess=100,
+        keep=500,
+        walkers=40,
+        progress=told.append,
     )
     assert drawn.draws.shape[0] == 40
     assert drawn.draws.shape[0] * drawn.draws.shape[1] <= 500 + 40
-    assert drawn.flat.shape == (drawn.draws.shape[0] * drawn.draws.shape[1], len(m.names))
+    assert drawn.flat.shape == (
+        drawn.draws.shape[0] * drawn.draws.shape[1],
+        len(m.names),
+    )
     assert drawn.names == m.names
     assert told == sorted(told)
     assert told[-1] == 1.0
@@ -120,14 +168,18 @@ def test_what_is_kept_is_bounded_and_progress_is_told() -> None:
 
 def test_steps_are_limited() -> None:
     m, series, y, estimate = problem(distances=True)
-    drawn = posterior.sample(m, series, y, estimate, np.random.default_rng(2), ess=1e9, max_steps=260)
+    drawn = posterior.sample(
+        m, series, y, estimate, np.random.default_rng(2), ess=1e9, max_steps=260
+    )
     assert drawn.steps == 260
     assert np.isfinite(drawn.flat).all()
 
 
 def test_the_file_holds_the_draws(tmp_path: Path) -> None:
     m, series, y, estimate = problem(distances=False)
-    drawn = posterior.sample(m, series, y, estimate, np.random.default_rng(2), max_steps=250)
+    drawn = posterior.sample(
+        m, series, y, estimate, np.random.default_rng(2), max_steps=250
+    )
     path = tmp_path / "posterior.nc"
     posterior.save(drawn, path, {"study": "test"})
     assert [p.name for p in tmp_path.iterdir()] == ["posterior.nc"]

@@ -1,4 +1,6 @@
-"""Predicted residual accuracy: published figures, exact references, sums that must add up."""
+"""Predicted residual accuracy: published figures, exact references, sums that must add
+up.
+"""
 
 import numpy as np
 import pytest
@@ -17,22 +19,36 @@ A3 = Kinematics(a3_head.machine)
 
 @pytest.fixture(scope="module")
 def passage() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Whitened tolerance-scaled H of the paper's 2 x 15 with a free cup, its tolerances, posterior covariance."""
-    machine = a3_plans.with_tolerances({"dq": 1e-3, "db": 0.3e-3, "da": 0.3e-3, "beta": 5e-3})
+    """Whitened tolerance-scaled H of the paper's 2 x 15 with a free cup, its
+    tolerances, posterior covariance.
+    """
+    machine = a3_plans.with_tolerances(
+        {"dq": 1e-3, "db": 0.3e-3, "da": 0.3e-3, "beta": 5e-3}
+    )
     m = a3_plans.measurement(taught=False, of=machine)
     series = a3_plans.circles(m, 15)
     h = information.scaled(m, [series], m.nominal, "tolerance")
-    return h, m.tolerance, information.posterior_covariance(h) * np.outer(m.tolerance, m.tolerance)
+    return (
+        h,
+        m.tolerance,
+        information.posterior_covariance(h) * np.outer(m.tolerance, m.tolerance),
+    )
 
 
-def predicted(maps: predict.ErrorMaps, passage: tuple, **options: object) -> predict.Prediction:
+def predicted(
+    maps: predict.ErrorMaps, passage: tuple, **options: object
+) -> predict.Prediction:
     _, tolerance, covariance = passage
     prior = np.diag(tolerance[:24] ** 2)
-    return predict.predict(maps, prior, covariance[:24, :24], np.random.default_rng(1), **options)
+    return predict.predict(
+        maps, prior, covariance[:24, :24], np.random.default_rng(1), **options
+    )
 
 
 def test_the_published_passage(passage: tuple) -> None:
-    """x, y 55.4 um and z 86.1 um; in the platform's axes 6.7 arcsec of the spindle's axis and 33.4 arcsec of spin."""
+    """x, y 55.4 um and z 86.1 um; in the platform's axes 6.7 arcsec of the spindle's
+    axis and 33.4 arcsec of spin.
+    """
     command = a3_plans.workspace()
     told = predicted(predict.error_maps(A3, command, "home"), passage).known
     for name, um in paper.HOME_REFERENCED_UM.items():
@@ -43,36 +59,58 @@ def test_the_published_passage(passage: tuple) -> None:
         [
             1e6
             * predict.referenced(
-                1e-6 * model.raw[..., k], 1e-6 * home.raw[..., k], model, home, "home", A3.machine.lever
+                1e-6 * model.raw[..., k],
+                1e-6 * home.raw[..., k],
+                model,
+                home,
+                "home",
+                A3.machine.lever,
             )[:, 3:]
             for k in range(24)
         ],
         axis=-1,
     )
     own_axes = np.swapaxes(model.rotation, 1, 2) @ turns
-    variance = np.einsum("nip,pq,niq->ni", own_axes, passage[2][:24, :24], own_axes).mean(axis=0)
+    variance = np.einsum(
+        "nip,pq,niq->ni", own_axes, passage[2][:24, :24], own_axes
+    ).mean(axis=0)
     tilts_and_spin = ARCSEC * np.sqrt(variance)
-    assert tilts_and_spin[:2] == pytest.approx(paper.HOME_REFERENCED_ARCSEC["axis"], rel=0.01)
-    assert tilts_and_spin[2] == pytest.approx(paper.HOME_REFERENCED_ARCSEC["spin"], rel=0.01)
+    assert tilts_and_spin[:2] == pytest.approx(
+        paper.HOME_REFERENCED_ARCSEC["axis"], rel=0.01
+    )
+    assert tilts_and_spin[2] == pytest.approx(
+        paper.HOME_REFERENCED_ARCSEC["spin"], rel=0.01
+    )
 
 
 def test_home_referenced_slopes_are_the_oracles() -> None:
-    """z, psi, theta and so on of a machine that was zeroed at home: derivatives of its exact Euler angles."""
+    """z, psi, theta and so on of a machine that was zeroed at home: derivatives of its
+    exact Euler angles.
+    """
     command = a3_plans.workspace()[::7]
     maps = predict.error_maps(A3, command, "home")
-    q, home_q = a3.inverse_nominal(*command.T), a3.inverse_nominal(*A3.machine.home_command)
+    q, home_q = (
+        a3.inverse_nominal(*command.T),
+        a3.inverse_nominal(*A3.machine.home_command),
+    )
     tip, _ = a3.nominal_pose(*command.T)
     home_tip, home_rotation = a3.nominal_pose(*A3.machine.home_command)
     h = 1e-6
     for k in range(24):
         ends = []
         for step in (h, -h):
-            real, home = a3.forward(step * np.eye(24)[k], q), a3.forward(step * np.eye(24)[k], home_q)
+            real, home = (
+                a3.forward(step * np.eye(24)[k], q),
+                a3.forward(step * np.eye(24)[k], home_q),
+            )
             zeroed = np.column_stack(a3.euler(real.R @ home.R.T @ home_rotation))
             ends.append(np.hstack([real.tip - tip - (home.tip - home_tip), zeroed]))
         slope = ends[0] - ends[1]
         slope[:, 3:] = np.angle(np.exp(1j * slope[:, 3:]))
-        assert np.abs(maps.raw[..., k] - slope / (2 * h)).max() < 1e-6 * np.abs(maps.raw).max()
+        assert (
+            np.abs(maps.raw[..., k] - slope / (2 * h)).max()
+            < 1e-6 * np.abs(maps.raw).max()
+        )
 
 
 @pytest.mark.parametrize("reference", ["home", "absolute"])
@@ -83,13 +121,17 @@ def test_compensated_components_are_nulled(reference: str) -> None:
     assert np.abs(maps.remaining[:, [0, 1, 5]]).max() > 0.1
 
 
-def test_the_absolute_error_is_the_papers_and_the_home_referenced_one_vanishes_at_home() -> None:
+def test_the_absolute_error_is_the_papers_and_the_home_referenced_one_vanishes_at_home() -> (
+    None
+):
     """Beside home, as z-x-z angles have no slopes at theta = 0."""
     near_home = A3.machine.home_command[None] + [0.0, 0.4, 1e-3]
     home = predict.error_maps(A3, near_home, "home")
     absolute = predict.error_maps(A3, near_home, "absolute")
     assert np.abs(home.raw[:, :3]).max() < 3e-3 * np.abs(absolute.raw[:, :3]).max()
-    assert absolute.raw == pytest.approx(A3.components_slope(near_home) @ a3.linear_model(*near_home.T), rel=1e-9)
+    assert absolute.raw == pytest.approx(
+        A3.components_slope(near_home) @ a3.linear_model(*near_home.T), rel=1e-9
+    )
 
 
 def test_best_fit_removes_any_rigid_motion() -> None:
@@ -98,29 +140,41 @@ def test_best_fit_removes_any_rigid_motion() -> None:
     home = compensate.error_model(A3, A3.machine.home_command[None])
     rng = np.random.default_rng(3)
     shift, turn = rng.standard_normal(3), rng.standard_normal(3)
-    rigid = np.hstack([shift + np.cross(turn, model.point), np.tile(turn, (len(command), 1))])
+    rigid = np.hstack(
+        [shift + np.cross(turn, model.point), np.tile(turn, (len(command), 1))]
+    )
     other = rng.standard_normal((len(command), 6))
 
     def fitted(twist: np.ndarray) -> np.ndarray:
-        return predict.referenced(twist, other[:1], model, home, "best_fit", A3.machine.lever)
+        return predict.referenced(
+            twist, other[:1], model, home, "best_fit", A3.machine.lever
+        )
 
     assert np.abs(fitted(rigid)).max() < 1e-12
     assert fitted(other + rigid) == pytest.approx(fitted(other), abs=1e-12)
     weight = np.r_[np.ones(3), np.full(3, A3.machine.lever)]
     assert np.linalg.norm(fitted(other) * weight) <= np.linalg.norm(other * weight)
-    assert np.linalg.norm(fitted(other) * weight) <= np.linalg.norm((fitted(other) + 1e-3 * rigid) * weight)
-    absolute = predict.referenced(other, other[:1], model, home, "absolute", A3.machine.lever)
+    assert np.linalg.norm(fitted(other) * weight) <= np.linalg.norm(
+        (fitted(other) + 1e-3 * rigid) * weight
+    )
+    absolute = predict.referenced(
+        other, other[:1], model, home, "absolute", A3.machine.lever
+    )
     assert (absolute == other).all()
 
 
 def test_zeroing_at_home_removes_a_wrong_place_and_a_wrong_mount() -> None:
-    """A shift of the base frame and a turn of the platform's joints about the TCP cannot be told from a wrong zero."""
+    """A shift of the base frame and a turn of the platform's joints about the TCP
+    cannot be told from a wrong zero.
+    """
     maps = predict.error_maps(A3, a3_plans.workspace(), "home")
     names = [p.name for p in A3.machine.parameters]
     centres = np.array([a3_head._platform(i) for i in a3_head.LIMBS])
     for axis in np.eye(3):
         turn = np.zeros(24)
-        turn[names.index("da1x") : names.index("da3z") + 1] = np.cross(axis, centres).ravel()
+        turn[names.index("da1x") : names.index("da3z") + 1] = np.cross(
+            axis, centres
+        ).ravel()
         assert np.abs(maps.raw @ turn).max() < 1e-12
     lift = np.array([float(n in ("db1z", "db2z", "db3z")) for n in names])
     assert np.abs(maps.raw @ lift)[:, :3].max() < 1e-12
@@ -131,70 +185,120 @@ def test_the_budget_adds_up(passage: tuple) -> None:
     names = a3_plans.measurement(taught=False).names
     sources = predict.budget_sources(h, tolerance, names, 24)
     kinds = ("dq", "db", "da", "beta", "cup")
-    assert [n for n, _ in sources] == ["readings' noise", *(f"tolerance of {k}" for k in kinds)]
+    assert [n for n, _ in sources] == [
+        "readings' noise",
+        *(f"tolerance of {k}" for k in kinds),
+    ]
     total = sum(part for _, part in sources)
-    assert total == pytest.approx(covariance[:24, :24], rel=1e-9, abs=1e-9 * covariance.max())
-    assert all(np.linalg.eigvalsh(part)[0] > -1e-9 * np.linalg.eigvalsh(part)[-1] for _, part in sources)
-    told = predicted(predict.error_maps(A3, a3_plans.workspace()), passage, sources=sources)
+    assert total == pytest.approx(
+        covariance[:24, :24], rel=1e-9, abs=1e-9 * covariance.max()
+    )
+    assert all(
+        np.linalg.eigvalsh(part)[0] > -1e-9 * np.linalg.eigvalsh(part)[-1]
+        for _, part in sources
+    )
+    told = predicted(
+        predict.error_maps(A3, a3_plans.workspace()), passage, sources=sources
+    )
     for shares in told.budget.values():
         assert sum(shares.values()) == pytest.approx(1.0)
         assert min(shares.values()) >= 0.0
 
 
 def test_each_source_is_what_its_spread_alone_would_leave(passage: tuple) -> None:
-    """Law of total variance: error = S H^T noise - S prior errors; each source's part from its own random numbers."""
+    """Law of total variance: error = S H^T noise - S prior errors; each source's part
+    from its own random numbers.
+    """
     h, tolerance, _ = passage
     names, n = a3_plans.measurement(taught=False).names, h.shape[1]
-    gain = np.linalg.solve(np.eye(n) + h.T @ h, np.hstack([h.T, -np.eye(n)])) * tolerance[:, None]
+    gain = (
+        np.linalg.solve(np.eye(n) + h.T @ h, np.hstack([h.T, -np.eye(n)]))
+        * tolerance[:, None]
+    )
     for label, part in predict.budget_sources(h, tolerance, names, 24):
         mine = np.zeros(gain.shape[1], dtype=bool)
         if label == "readings' noise":
             mine[: len(h)] = True
         else:
-            mine[len(h) :] = [f"tolerance of {predict.kind(name)}" == label for name in names]
-        assert part == pytest.approx((gain[:24, mine] @ gain[:24, mine].T), rel=1e-5, abs=1e-7 * part.max())
+            mine[len(h) :] = [
+                f"tolerance of {predict.kind(name)}" == label for name in names
+            ]
+        assert part == pytest.approx(
+            (gain[:24, mine] @ gain[:24, mine].T), rel=1e-5, abs=1e-7 * part.max()
+        )
 
 
 @pytest.mark.parametrize(
     ("name", "told"),
-    [("da1x", "da"), ("cup_220.cup_x", "cup"), ("dq3", "dq"), ("beta1", "beta"), ("radius", "radius"), ("arm2", "arm")],
+    [
+        ("da1x", "da"),
+        ("cup_220.cup_x", "cup"),
+        ("dq3", "dq"),
+        ("beta1", "beta"),
+        ("radius", "radius"),
+        ("arm2", "arm"),
+    ],
 )
 def test_kinds_of_parameters(name: str, told: str) -> None:
     assert predict.kind(name) == told
 
 
 def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
-    """Plan mode against 4000 machines drawn here: rms to 4 %, the percentiles of its own 400 draws to 12 %."""
+    """Plan mode against 4000 machines drawn here: rms to 4 %, the percentiles of its
+    own 400 draws to 12 %.
+    """
     _, tolerance, covariance = passage
     maps = predict.error_maps(A3, a3_plans.workspace()[::5])
     told = predicted(maps, passage)
     rng, posterior = np.random.default_rng(4), covariance[:24, :24]
     prior = np.diag(tolerance[:24] ** 2)
     left = rng.multivariate_normal(np.zeros(24), posterior, 4000, method="eigh")
-    found = rng.multivariate_normal(np.zeros(24), prior - posterior, 4000, method="eigh")
-    for key, moved in (("before", maps.raw), ("after", maps.remaining), ("known", 0.0 * maps.raw)):
-        errors = np.einsum("nkp,dp->dnk", maps.raw, left) + np.einsum("nkp,dp->dnk", moved, found)
+    found = rng.multivariate_normal(
+        np.zeros(24), prior - posterior, 4000, method="eigh"
+    )
+    for key, moved in (
+        ("before", maps.raw),
+        ("after", maps.remaining),
+        ("known", 0.0 * maps.raw),
+    ):
+        errors = np.einsum("nkp,dp->dnk", maps.raw, left) + np.einsum(
+            "nkp,dp->dnk", moved, found
+        )
         for k, name in enumerate(maps.names):
             want, got = predict.spread_of(errors[..., k]), getattr(told, key)[name]
             assert got.rms == pytest.approx(want.rms, rel=0.04)
-            assert (got.p95, got.largest) == pytest.approx((want.p95, want.largest), rel=0.12)
+            assert (got.p95, got.largest) == pytest.approx(
+                (want.p95, want.largest), rel=0.12
+            )
             assert got.rms < got.p95 < got.largest
 
 
 def test_after_identification_known_errors_stay_where_they_are(passage: tuple) -> None:
-    """With an estimate: before = its error and the posterior's, after = what cannot be compensated of it."""
+    """With an estimate: before = its error and the posterior's, after = what cannot be
+    compensated of it.
+    """
     maps = predict.error_maps(A3, a3_plans.workspace())
     mean = 1e-3 * np.random.default_rng(2).standard_normal(24)
-    sure = predict.predict(maps, np.eye(24), np.zeros((24, 24)), np.random.default_rng(1), mean=mean)
+    sure = predict.predict(
+        maps, np.eye(24), np.zeros((24, 24)), np.random.default_rng(1), mean=mean
+    )
     for k, name in enumerate(maps.names):
-        assert sure.before[name].rms == pytest.approx(np.sqrt(np.mean((maps.raw @ mean)[:, k] ** 2)))
-        assert sure.after[name].rms == pytest.approx(np.sqrt(np.mean((maps.remaining @ mean)[:, k] ** 2)), abs=1e-15)
+        assert sure.before[name].rms == pytest.approx(
+            np.sqrt(np.mean((maps.raw @ mean)[:, k] ** 2))
+        )
+        assert sure.after[name].rms == pytest.approx(
+            np.sqrt(np.mean((maps.remaining @ mean)[:, k] ** 2)), abs=1e-15
+        )
         assert sure.known[name].rms == 0.0
-        assert sure.after[name].largest == pytest.approx(np.abs((maps.remaining @ mean)[:, k]).max(), abs=1e-15)
+        assert sure.after[name].largest == pytest.approx(
+            np.abs((maps.remaining @ mean)[:, k]).max(), abs=1e-15
+        )
     unsure, plan = predicted(maps, passage, mean=mean), predicted(maps, passage)
     for name in maps.names:
         assert unsure.known[name].rms == plan.known[name].rms
-        assert unsure.after[name].rms ** 2 == pytest.approx(sure.after[name].rms ** 2 + plan.known[name].rms ** 2)
+        assert unsure.after[name].rms ** 2 == pytest.approx(
+            sure.after[name].rms ** 2 + plan.known[name].rms ** 2
+        )
 
 
 def test_same_seed_same_prediction(passage: tuple) -> None:
@@ -211,7 +315,14 @@ def test_spread_by_hand() -> None:
 
 def test_the_delta_is_compensated_completely() -> None:
     kinematics = Kinematics(linear_delta.machine)
-    command = np.array([[x, y, z] for x in (-0.09, 0, 0.09) for y in (-0.09, 0, 0.09) for z in (0.02, 0.2)])
+    command = np.array(
+        [
+            [x, y, z]
+            for x in (-0.09, 0, 0.09)
+            for y in (-0.09, 0, 0.09)
+            for z in (0.02, 0.2)
+        ]
+    )
     maps = predict.error_maps(kinematics, command, "absolute")
     assert maps.names == ("x", "y", "z")
     assert np.abs(maps.remaining).max() < 1e-12
@@ -224,13 +335,22 @@ def test_an_unknown_reference_is_refused() -> None:
 
 
 def test_home_is_zeroed_in_the_platforms_own_axes(rng: np.random.Generator) -> None:
-    """A turn fixed in the platform at home is the same one anywhere: it vanishes; one fixed in the base does not."""
+    """A turn fixed in the platform at home is the same one anywhere: it vanishes; one
+    fixed in the base does not.
+    """
     command = a3_plans.workspace()
     model = compensate.error_model(A3, command)
     home = compensate.error_model(A3, A3.machine.home_command[None])
     turn = rng.standard_normal(3)
-    carried = np.hstack([np.zeros((len(command), 3)), Rotation.from_matrix(model.rotation).apply(turn)])
+    carried = np.hstack(
+        [np.zeros((len(command), 3)), Rotation.from_matrix(model.rotation).apply(turn)]
+    )
     at_home = np.r_[np.zeros(3), turn][None]
-    assert np.abs(predict.referenced(carried, at_home, model, home, "home", 1.0)).max() < 1e-12
+    assert (
+        np.abs(predict.referenced(carried, at_home, model, home, "home", 1.0)).max()
+        < 1e-12
+    )
     fixed = np.tile(at_home, (len(command), 1))
-    assert np.abs(predict.referenced(fixed, at_home, model, home, "home", 1.0)).max() > 0.1
+    assert (
+        np.abs(predict.referenced(fixed, at_home, model, home, "home", 1.0)).max() > 0.1
+    )

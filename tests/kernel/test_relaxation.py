@@ -1,4 +1,6 @@
-"""The relaxed D design: equivalence theorem, bounds that hold, agreement with a general convex solver."""
+"""The relaxed D design: equivalence theorem, bounds that hold, agreement with a general
+convex solver.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from oed.design.objective import Plain
 from oed.design.power import after_adding
 
 
-def candidates(seed: int, shape: tuple[int, ...]) -> tuple[np.ndarray, np.random.Generator]:
+def candidates(
+    seed: int, shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.random.Generator]:
     rng = np.random.default_rng(seed)
     return rng.standard_normal(shape), rng
 
@@ -24,7 +28,9 @@ def candidates(seed: int, shape: tuple[int, ...]) -> tuple[np.ndarray, np.random
 @pytest.mark.parametrize("cap", [0.3, 1.0, np.inf])
 @pytest.mark.parametrize("shape", [(60, 1, 4), (40, 3, 6)])
 def test_agrees_with_a_general_solver(shape: tuple[int, int, int], cap: float) -> None:
-    """Same optimum as an interior-point solver of the same convex problem, with and without prior information."""
+    """Same optimum as an interior-point solver of the same convex problem, with and
+    without prior information.
+    """
     blocks, rng = candidates(3, shape)
     n, size = shape[2], 9.0
     for prior in (np.zeros((n, n)), np.diag(rng.uniform(0.5, 2.0, n))):
@@ -40,7 +46,9 @@ def test_agrees_with_a_general_solver(shape: tuple[int, int, int], cap: float) -
 
 
 def test_the_equivalence_theorem_holds() -> None:
-    """Without repeats forbidden, tr(M^-1 A_i) = n / N on the support and no more elsewhere."""
+    """Without repeats forbidden, tr(M^-1 A_i) = n / N on the support and no more
+    elsewhere.
+    """
     blocks, _ = candidates(0, (500, 1, 8))
     relaxed = relaxation.relax(blocks, 1.0, cap=np.inf)
     slopes = gradient(blocks, information(blocks, relaxed.weights))
@@ -57,9 +65,14 @@ def test_weights_are_feasible() -> None:
 
 
 def test_the_bound_holds_for_every_plan_and_from_any_dual_point() -> None:
-    """All 495 subsets lie below the bound, even one drawn at weights that are no optimum."""
+    """All 495 subsets lie below the bound, even one drawn at weights that are no
+    optimum.
+    """
     blocks, rng = candidates(7, (12, 1, 3))
-    best = max(float(np.linalg.slogdet(information(blocks[list(s)]))[1]) for s in itertools.combinations(range(12), 4))
+    best = max(
+        float(np.linalg.slogdet(information(blocks[list(s)]))[1])
+        for s in itertools.combinations(range(12), 4)
+    )
     plain = Plain(Determinant(3), blocks, np.zeros((3, 3)))
     for _ in range(20):
         line = plain.line(np.arange(12), rng.exponential(size=12))
@@ -74,12 +87,18 @@ def test_what_slopes_carry_is_a_knapsack() -> None:
         slopes, caps = rng.exponential(size=30), rng.uniform(0.1, 2.0, 30)
         for cap in (caps, 1.0, np.inf):
             limits = [(0.0, c) for c in np.broadcast_to(cap, 30)]
-            exact = -linprog(-slopes, A_eq=np.ones((1, 30)), b_eq=[size], bounds=limits).fun
-            assert certificate.carried(slopes, size, cap) == pytest.approx(exact, rel=1e-9)
+            exact = -linprog(
+                -slopes, A_eq=np.ones((1, 30)), b_eq=[size], bounds=limits
+            ).fun
+            assert certificate.carried(slopes, size, cap) == pytest.approx(
+                exact, rel=1e-9
+            )
 
 
 def test_eliminated_candidates_are_in_no_best_plan() -> None:
-    """Of 14 candidates some are ruled out by the line at the relaxed optimum; every best subset does without them."""
+    """Of 14 candidates some are ruled out by the line at the relaxed optimum; every
+    best subset does without them.
+    """
     out = 0
     for seed in range(20):
         blocks, _ = candidates(seed, (14, 1, 3))
@@ -90,7 +109,9 @@ def test_eliminated_candidates_are_in_no_best_plan() -> None:
         best = max(values, key=lambda s: values[s])
         found = relaxation.relax(blocks, 5)
         active = np.flatnonzero(found.weights)
-        line = Plain(Determinant(3), blocks, np.zeros((3, 3))).line(active, found.weights[active])
+        line = Plain(Determinant(3), blocks, np.zeros((3, 3))).line(
+            active, found.weights[active]
+        )
         gone = relaxation.eliminated(line, values[best], 5, np.ones(14))
         assert not set(gone) & set(best)
         out += len(gone)
@@ -98,7 +119,9 @@ def test_eliminated_candidates_are_in_no_best_plan() -> None:
 
 
 def test_a_plan_can_be_proven_optimal() -> None:
-    """Orthogonal candidates of two lengths: the relaxation is tight, and the design says that it is proven."""
+    """Orthogonal candidates of two lengths: the relaxation is tight, and the design
+    says that it is proven.
+    """
     rows = np.vstack([3.0 * np.eye(4), np.eye(4)])
     choice = exchange.choose(rows, 4, np.random.default_rng(0))
     assert set(choice.indices) == {0, 1, 2, 3}
@@ -114,7 +137,9 @@ def test_the_power_series_is_exact(p: int) -> None:
     m = a.T @ a
     values, vectors = np.linalg.eigh(m)
     exact = [np.sum(np.linalg.eigvalsh(m + np.outer(x, x)) ** -float(p)) for x in rows]
-    assert after_adding(values, vectors, rows, p) * values[0] ** -float(p) == pytest.approx(exact, rel=1e-8)
+    assert after_adding(values, vectors, rows, p) * values[0] ** -float(
+        p
+    ) == pytest.approx(exact, rel=1e-8)
 
 
 def test_too_few_candidates_are_refused() -> None:
@@ -129,7 +154,8 @@ def test_the_e_bound_holds_for_every_plan(seed: int) -> None:
     prior = np.diag(rng.uniform(0.0, 0.5, 3))
     found = condition.e_optimal(blocks, 5, prior)
     best = max(
-        float(np.linalg.eigvalsh(prior + information(blocks[list(s)]))[0]) for s in itertools.combinations(range(11), 5)
+        float(np.linalg.eigvalsh(prior + information(blocks[list(s)]))[0])
+        for s in itertools.combinations(range(11), 5)
     )
     assert best <= found.bound
     assert found.value == pytest.approx(found.bound, rel=1e-3)

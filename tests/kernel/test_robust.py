@@ -12,7 +12,9 @@ from oed.design.criterion import Determinant, Spectrum, Variance
 from oed.design.rules import Rules
 
 
-def scenarios(seed: int, count: int, size: int, n: int, spread: float = 0.7) -> tuple[np.ndarray, np.random.Generator]:
+def scenarios(
+    seed: int, count: int, size: int, n: int, spread: float = 0.7
+) -> tuple[np.ndarray, np.random.Generator]:
     rng = np.random.default_rng(seed)
     middle = rng.standard_normal((1, count, 1, n))
     return middle + spread * rng.standard_normal((size, count, 1, n)), rng
@@ -26,17 +28,27 @@ def values(table: np.ndarray, chosen: tuple[int, ...]) -> np.ndarray:
 def risk_of(v: np.ndarray, risk: str) -> float:
     if risk == "mean":
         return float(v.mean())
-    return float(v.min() if risk == "worst" else np.sort(v)[:2].mean())  # cvar at level 2 of 5
+    return float(
+        v.min() if risk == "worst" else np.sort(v)[:2].mean()
+    )  # cvar at level 2 of 5
 
 
 @pytest.mark.parametrize("risk", ["mean", "cvar", "worst"])
 @pytest.mark.parametrize("seed", range(5))
 def test_no_subset_exceeds_the_bound(seed: int, risk: robust.Risk) -> None:
-    """All subsets of 5 of 12 in five scenarios: value below bound, design among the best."""
+    """All subsets of 5 of 12 in five scenarios: value below bound, design among the
+    best.
+    """
     table, rng = scenarios(seed, 12, 5, 3)
-    found = robust.choose(table, Determinant(3), Rules(size=5), rng, risk=risk, level=0.4)
-    every = np.array([risk_of(values(table, s), risk) for s in itertools.combinations(range(12), 5)])
-    assert found.value == pytest.approx(risk_of(values(table, tuple(found.indices)), risk), abs=1e-9)
+    found = robust.choose(
+        table, Determinant(3), Rules(size=5), rng, risk=risk, level=0.4
+    )
+    every = np.array(
+        [risk_of(values(table, s), risk) for s in itertools.combinations(range(12), 5)]
+    )
+    assert found.value == pytest.approx(
+        risk_of(values(table, tuple(found.indices)), risk), abs=1e-9
+    )
     assert every.max() <= found.bound + 1e-9
     assert found.value >= np.quantile(every, 0.99)
     assert found.value >= found.nominal
@@ -46,7 +58,9 @@ def test_one_scenario_is_the_plain_problem(rng: np.random.Generator) -> None:
     table, _ = scenarios(3, 40, 1, 4)
     prior = np.eye(4)
     kept = [
-        robust.choose(table, Variance(np.eye(4)), Rules(size=8), rng, risk=r, prior=prior)
+        robust.choose(
+            table, Variance(np.eye(4)), Rules(size=8), rng, risk=r, prior=prior
+        )
         for r in ("mean", "cvar", "worst")
     ]
     assert [k.value for k in kept] == pytest.approx([kept[0].value] * 3, abs=1e-3)
@@ -54,10 +68,19 @@ def test_one_scenario_is_the_plain_problem(rng: np.random.Generator) -> None:
 
 
 def test_risks_are_ordered() -> None:
-    """worst <= cvar <= mean, for designs and bounds alike; the worst-case design has the best worst case."""
+    """worst <= cvar <= mean, for designs and bounds alike; the worst-case design has
+    the best worst case.
+    """
     table, _ = scenarios(9, 60, 8, 4)
     found = {
-        r: robust.choose(table, Determinant(4), Rules(size=8), np.random.default_rng(0), risk=r, level=0.25)
+        r: robust.choose(
+            table,
+            Determinant(4),
+            Rules(size=8),
+            np.random.default_rng(0),
+            risk=r,
+            level=0.25,
+        )
         for r in ("mean", "cvar", "worst")
     }
     assert found["worst"].bound <= found["cvar"].bound + 1e-3

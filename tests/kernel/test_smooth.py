@@ -1,4 +1,6 @@
-"""Modes of random smooth curves and fields, against Matern's covariance by another quadrature."""
+"""Modes of random smooth curves and fields, against Matern's covariance by another
+quadrature.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,12 @@ def _correlation(way: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _curves(reach: float, count: int, straight: int) -> np.ndarray:
-    return np.column_stack([smooth.curve(NODES, k, reach=reach, count=count, straight=straight) for k in range(count)])
+    return np.column_stack(
+        [
+            smooth.curve(NODES, k, reach=reach, count=count, straight=straight)
+            for k in range(count)
+        ]
+    )
 
 
 @pytest.mark.parametrize("reach", [0.2, 0.5])
@@ -34,7 +41,9 @@ def test_modes_have_the_covariance_of_the_curve(reach: float, straight: int) -> 
     inner = lines.T @ (WEIGHTS[:, None] * lines)
     left = np.eye(len(NODES)) - lines @ np.linalg.solve(inner, lines.T * WEIGHTS)
     wanted, inside = left @ _matern(reach) @ left.T, np.abs(NODES) < 0.95
-    assert (made @ made.T)[inside][:, inside] == pytest.approx(wanted[inside][:, inside], abs=0.01)
+    assert (made @ made.T)[inside][:, inside] == pytest.approx(
+        wanted[inside][:, inside], abs=0.01
+    )
 
 
 @pytest.mark.parametrize("straight", [0, 1, 2])
@@ -43,7 +52,12 @@ def test_modes_are_orthogonal_the_largest_first(straight: int) -> None:
     inner = made.T @ (WEIGHTS[:, None] * made)
     assert np.abs(inner - np.diag(np.diag(inner))).max() < 2e-3
     assert (np.diff(np.diag(inner)) < 0.0).all()
-    assert np.abs(np.vander(NODES, straight).T @ (WEIGHTS[:, None] * made)).max(initial=0.0) < 1e-3
+    assert (
+        np.abs(np.vander(NODES, straight).T @ (WEIGHTS[:, None] * made)).max(
+            initial=0.0
+        )
+        < 1e-3
+    )
 
 
 def test_a_curve_stays_as_it_is_beyond_its_span() -> None:
@@ -66,9 +80,14 @@ def test_a_field_has_the_covariance_between_its_places_and_is_the_same_in_the_sa
     assert (np.diff(energy) <= 1e-12).all()
 
 
-def test_a_field_is_told_by_as_few_modes_as_hold_its_share(rng: np.random.Generator) -> None:
+def test_a_field_is_told_by_as_few_modes_as_hold_its_share(
+    rng: np.random.Generator,
+) -> None:
     places = rng.uniform(-1.0, 1.0, (60, 2))
-    every, some, few = (smooth.field(places, reach=0.8, share=s, count=c) for s, c in ((1.0, 99), (0.9, 99), (0.9, 3)))
+    every, some, few = (
+        smooth.field(places, reach=0.8, share=s, count=c)
+        for s, c in ((1.0, 99), (0.9, 99), (0.9, 3))
+    )
     told = np.cumsum(np.square(every).sum(axis=0)) / 60.0
     assert told[some.shape[1] - 1] >= 0.9 > told[some.shape[1] - 2]
     assert some == pytest.approx(every[:, : some.shape[1]])

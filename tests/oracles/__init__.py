@@ -1,1 +1,3 @@
-"""Independent oracles: plain geometry that shares no code with the toolkit and must never import it."""
+"""Independent oracles: plain geometry that shares no code with the toolkit and must
+never import it.
+"""

@@ -1,12 +1,15 @@
-"""Oracle for the 3-PRS spindle head (Wang and Fan, Int. J. Mach. Tools Manuf. 44 (2004) 1171-1178), SI (m, rad).
+"""Oracle for the 3-PRS spindle head (Wang and Fan, Int. J. Mach. Tools Manuf. 44 (2004)
+1171-1178), SI (m, rad).
 
-The inverse is the nominal machine's closed form: tan gamma = -sin alpha sin beta / (cos alpha + cos beta), x and y from
-two of the three planes. The forward solver works on three swing angles of the struts and three sides of the triangle of
-ball joints, and never on a platform pose: it shares neither code nor formulation with the toolkit, which it must never
-import.
+The inverse is the nominal machine's closed form: tan gamma = -sin alpha sin beta / (cos
+alpha + cos beta), x and y from two of the three planes. The forward solver works on
+three swing angles of the struts and three sides of the triangle of ball joints, and
+never on a platform pose: it shares neither code nor formulation with the toolkit, which
+it must never import.
 
-A machine is p (..., 3, 6), limb by limb db_x, db_y, db_z, dR_X, dR_Y, dl: the rows of Table 4. All leading shapes
-broadcast; complex input passes through `forward`, for complex-step derivatives.
+A machine is p (..., 3, 6), limb by limb db_x, db_y, db_z, dR_X, dR_Y, dl: the rows of
+Table 4. All leading shapes broadcast; complex input passes through `forward`, for
+complex-step derivatives.
 """
 
 from typing import NamedTuple
@@ -18,7 +21,9 @@ R, r, H, L = 0.349, 0.200, 0.340722, 1.107  # Table 1, m
 PHI = 2 * np.pi * np.arange(3) / 3
 RADIAL = np.stack([np.cos(PHI), np.sin(PHI)], -1)  # (limb, xy)
 TANGENT = np.stack([-np.sin(PHI), np.cos(PHI)], -1)
-BALLS = np.column_stack([r * RADIAL, np.full(3, H)])  # platform frame, tool tip at the origin
+BALLS = np.column_stack(
+    [r * RADIAL, np.full(3, H)]
+)  # platform frame, tool tip at the origin
 PAIRS = ((0, 1), (1, 2), (2, 0))
 
 #: Table 1: b_x, b_y, b_z, R_X, R_Y, l, mm
@@ -56,7 +61,9 @@ TABLE_4 = np.array(
 
 
 class Forward(NamedTuple):
-    """tip (..., 3) m: tool tip; rotation (..., 3, 3): platform to base; out (..., 3, 3): ball joints, base frame."""
+    """tip (..., 3) m: tool tip; rotation (..., 3, 3): platform to base; out (..., 3,
+    3): ball joints, base frame.
+    """
 
     tip: NDArray
     rotation: NDArray
@@ -66,7 +73,14 @@ class Forward(NamedTuple):
 def rotation(alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike) -> NDArray:
     """Rx(alpha) Ry(beta) Rz(gamma), (..., 3, 3), written out."""
     a, b, g = np.broadcast_arrays(alpha, beta, gamma)
-    ca, sa, cb, sb, cg, sg = np.cos(a), np.sin(a), np.cos(b), np.sin(b), np.cos(g), np.sin(g)
+    ca, sa, cb, sb, cg, sg = (
+        np.cos(a),
+        np.sin(a),
+        np.cos(b),
+        np.sin(b),
+        np.cos(g),
+        np.sin(g),
+    )
     rows = (
         (cb * cg, -cb * sg, sb),
         (ca * sg + sa * sb * cg, ca * cg - sa * sb * sg, -sa * cb),
@@ -79,12 +93,21 @@ def angles(rot: ArrayLike) -> NDArray:
     """alpha, beta, gamma (..., 3) of rotations (..., 3, 3)."""
     m = np.asarray(rot)
     return np.stack(
-        [np.arctan2(-m[..., 1, 2], m[..., 2, 2]), np.arcsin(m[..., 0, 2]), np.arctan2(-m[..., 0, 1], m[..., 0, 0])], -1
+        [
+            np.arctan2(-m[..., 1, 2], m[..., 2, 2]),
+            np.arcsin(m[..., 0, 2]),
+            np.arctan2(-m[..., 0, 1], m[..., 0, 0]),
+        ],
+        -1,
     )
 
 
-def nominal(z: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> tuple[NDArray, NDArray, NDArray]:
-    """Tip (..., 3), rotation (..., 3, 3) and slider heights (..., 3) of the machine as drawn."""
+def nominal(
+    z: ArrayLike, alpha: ArrayLike, beta: ArrayLike
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Tip (..., 3), rotation (..., 3, 3) and slider heights (..., 3) of the machine as
+    drawn.
+    """
     z, a, b = np.broadcast_arrays(z, alpha, beta)
     rot = rotation(a, b, gamma_of(a, b))
     x = r / 2 * (rot[..., 0, 0] - rot[..., 1, 1]) - H * rot[..., 0, 2]
@@ -96,7 +119,9 @@ def nominal(z: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> tuple[NDArray, N
 
 
 def _frame(points: NDArray) -> NDArray:
-    """Right-handed frame (..., 3, 3), in columns, carried by three points (..., 3, 3); no conjugation."""
+    """Right-handed frame (..., 3, 3), in columns, carried by three points (..., 3, 3);
+    no conjugation.
+    """
     u = points[..., 1, :] - points[..., 0, :]
     u = u / np.sqrt((u * u).sum(-1))[..., None]
     w = np.cross(u, points[..., 2, :] - points[..., 0, :])
@@ -105,21 +130,30 @@ def _frame(points: NDArray) -> NDArray:
 
 
 def forward(q: ArrayLike, p: ArrayLike) -> Forward:
-    """Pose at slider heights q (..., 3) of a machine with errors p (..., 3, 6): swing angles by Newton."""
+    """Pose at slider heights q (..., 3) of a machine with errors p (..., 3, 6): swing
+    angles by Newton.
+    """
     q, p = np.asarray(q), np.asarray(p)
     local = BALLS + p[..., :3]
     length = L + p[..., 5]
     foot = R * RADIAL + p[..., 3:5]
     shape = np.broadcast_shapes(q.shape, p.shape[:-1])
-    swing = np.broadcast_to(np.arcsin((R - r) / L), shape).astype(np.result_type(q, p, float))
+    swing = np.broadcast_to(np.arcsin((R - r) / L), shape).astype(
+        np.result_type(q, p, float)
+    )
     for _ in range(50):
         s, c = np.sin(swing), np.cos(swing)
         flat = foot - (length * s)[..., None] * RADIAL
         balls = np.concatenate([flat, (q - length * c)[..., None]], -1)
-        move = np.concatenate([-(length * c)[..., None] * RADIAL, (length * s)[..., None]], -1)  # d ball / d swing
+        move = np.concatenate(
+            [-(length * c)[..., None] * RADIAL, (length * s)[..., None]], -1
+        )  # d ball / d swing
         gap, slope = [], np.zeros((*shape, 3), dtype=swing.dtype)
         for k, (i, j) in enumerate(PAIRS):
-            d, side = balls[..., i, :] - balls[..., j, :], local[..., i, :] - local[..., j, :]
+            d, side = (
+                balls[..., i, :] - balls[..., j, :],
+                local[..., i, :] - local[..., j, :],
+            )
             gap.append((d * d).sum(-1) - (side * side).sum(-1))
             slope[..., k, i] = 2 * (d * move[..., i, :]).sum(-1)
             slope[..., k, j] = -2 * (d * move[..., j, :]).sum(-1)
@@ -127,13 +161,20 @@ def forward(q: ArrayLike, p: ArrayLike) -> Forward:
         swing = swing - step
         if np.abs(step).max() < 1e-15:
             break
-    rot = _frame(balls) @ np.swapaxes(_frame(np.broadcast_to(local, balls.shape)), -1, -2)
-    tip = balls[..., 0, :] - (rot @ np.broadcast_to(local, balls.shape)[..., 0, :, None])[..., 0]
+    rot = _frame(balls) @ np.swapaxes(
+        _frame(np.broadcast_to(local, balls.shape)), -1, -2
+    )
+    tip = (
+        balls[..., 0, :]
+        - (rot @ np.broadcast_to(local, balls.shape)[..., 0, :, None])[..., 0]
+    )
     return Forward(tip, rot, balls)
 
 
 def struts(tip: NDArray, rot: NDArray, q: ArrayLike, p: ArrayLike) -> NDArray:
-    """Strut vectors v_i (..., 3, 3), slider to ball joint, of a machine with errors p at a given pose."""
+    """Strut vectors v_i (..., 3, 3), slider to ball joint, of a machine with errors p
+    at a given pose.
+    """
     q, p = np.asarray(q), np.asarray(p)
     balls = tip[..., None, :] + np.einsum("...ij,...kj->...ki", rot, BALLS + p[..., :3])
     foot = np.broadcast_to(R * RADIAL + p[..., 3:5], (*q.shape, 2))
@@ -141,20 +182,31 @@ def struts(tip: NDArray, rot: NDArray, q: ArrayLike, p: ArrayLike) -> NDArray:
 
 
 def strut_rows(v: NDArray, rot: NDArray) -> NDArray:
-    """The bracket of Eq. (11) over L_iZ (..., limb, 6) at struts v: slope of a slider's height at a measured pose."""
-    return np.concatenate([v @ rot, -v[..., :2], np.full((*v.shape[:-1], 1), -L)], -1) / v[..., 2:]
+    """The bracket of Eq. (11) over L_iZ (..., limb, 6) at struts v: slope of a slider's
+    height at a measured pose.
+    """
+    return (
+        np.concatenate([v @ rot, -v[..., :2], np.full((*v.shape[:-1], 1), -L)], -1)
+        / v[..., 2:]
+    )
 
 
-def paper_fit(tip: NDArray, rot: NDArray, q: NDArray, cut: float, rounds: int = 30) -> NDArray:
-    """Errors p (3, 6) by the procedure of section 6 from n measured poses: Eq. (12) solved limb by limb and repeated.
+def paper_fit(
+    tip: NDArray, rot: NDArray, q: NDArray, cut: float, rounds: int = 30
+) -> NDArray:
+    """Errors p (3, 6) by the procedure of section 6 from n measured poses: Eq. (12)
+    solved limb by limb and repeated.
 
-    Least squares of the smallest norm, with singular values below `cut` of the largest left out.
+    Least squares of the smallest norm, with singular values below `cut` of the largest
+    left out.
     """
     p = np.zeros((3, 6))
     for _ in range(rounds):
         v = struts(tip, rot, q, p)
         flat = (v[..., :2] ** 2).sum(-1)
-        gap = v[..., 2] + np.sqrt((L + p[:, 5]) ** 2 - flat)  # H^m less H^c is minus this
+        gap = v[..., 2] + np.sqrt(
+            (L + p[:, 5]) ** 2 - flat
+        )  # H^m less H^c is minus this
         rows = strut_rows(v, rot)
         for i in range(3):
             p[i] += np.linalg.lstsq(rows[:, i], -gap[:, i], rcond=cut)[0]
@@ -170,26 +222,52 @@ def spherical(point: ArrayLike, gimbal: ArrayLike) -> NDArray:
     """R, theta (elevation), phi (azimuth) (..., 3) of points seen from a gimbal."""
     d = np.asarray(point) - np.asarray(gimbal)
     flat = np.hypot(d[..., 0], d[..., 1])
-    return np.stack([np.hypot(flat, d[..., 2]), np.arctan2(d[..., 2], flat), np.arctan2(d[..., 1], d[..., 0])], -1)
+    return np.stack(
+        [
+            np.hypot(flat, d[..., 2]),
+            np.arctan2(d[..., 2], flat),
+            np.arctan2(d[..., 1], d[..., 0]),
+        ],
+        -1,
+    )
 
 
 def cartesian(seen: ArrayLike, gimbal: ArrayLike) -> NDArray:
     """Points (..., 3) from R, theta, phi (..., 3)."""
     s = np.asarray(seen)
     flat = s[..., 0] * np.cos(s[..., 1])
-    d = np.stack([flat * np.cos(s[..., 2]), flat * np.sin(s[..., 2]), s[..., 0] * np.sin(s[..., 1])], -1)
+    d = np.stack(
+        [
+            flat * np.cos(s[..., 2]),
+            flat * np.sin(s[..., 2]),
+            s[..., 0] * np.sin(s[..., 1]),
+        ],
+        -1,
+    )
     return d + np.asarray(gimbal)
 
 
 def laser_ball_bar(
-    tip: NDArray, rot: NDArray, gimbal: ArrayLike, baseline: float, noise: NDArray | float = 0.0
+    tip: NDArray,
+    rot: NDArray,
+    gimbal: ArrayLike,
+    baseline: float,
+    noise: NDArray | float = 0.0,
 ) -> NDArray:
-    """x, y, z, alpha, beta (..., 5) as the laser ball bar tells them: section 5.1, Eq. (15).
+    """x, y, z, alpha, beta (..., 5) as the laser ball bar tells them: section 5.1, Eq.
+    (15).
 
-    `noise` (..., 2, 3) is added to R, theta, phi at the points A and B of the standard bar, B away from
-    the platform.
+    `noise` (..., 2, 3) is added to R, theta, phi at the points A and B of the standard
+    bar, B away from the platform.
     """
     ends = np.stack([tip, tip - baseline * rot[..., :, 2]], -2)
     a, b = np.moveaxis(cartesian(spherical(ends, gimbal) + noise, gimbal), -2, 0)
     n = (a - b) / np.linalg.norm(a - b, axis=-1, keepdims=True)
-    return np.concatenate([a, np.arctan2(-n[..., 1], n[..., 2])[..., None], np.arcsin(n[..., 0])[..., None]], -1)
+    return np.concatenate(
+        [
+            a,
+            np.arctan2(-n[..., 1], n[..., 2])[..., None],
+            np.arcsin(n[..., 0])[..., None],
+        ],
+        -1,
+    )

@@ -1,5 +1,6 @@
-"""FLSun V400, a linear delta printer: calibration sessions published with their firmware's own fits (CC0; columns,
-units and kinematics in SOURCE.txt beside the data). Lengths in mm.
+"""FLSun V400, a linear delta printer: calibration sessions published with their
+firmware's own fits (CC0; columns, units and kinematics in SOURCE.txt beside the data).
+Lengths in mm.
 """
 
 #: root mean square residual of the firmware's own fit: (heights, distances), by session
@@ -13,8 +14,9 @@ FIRMWARE_RMS = {
 #: nominal geometry against the distances: least and largest of the sessions
 NOMINAL_DISTANCES = (0.25, 0.30)
 
-#: what an ordinary fit of 9 parameters to (fitted, predicted) reaches on the session it did not see: heights (the bed's
-#: own height free), distances; and what is asked of the toolkit
+#: what an ordinary fit of 9 parameters to (fitted, predicted) reaches on the session it
+#: did not see: heights (the bed's own height free), distances; and what is asked of the
+#: toolkit
 ORDINARY = {("S04", "S03"): (0.056, 0.075), ("S03", "S04"): (0.057, 0.084)}
 ASKED = {("S04", "S03"): (0.060, 0.080), ("S03", "S04"): (0.060, 0.090)}
 

@@ -1,4 +1,6 @@
-"""Parameter names in the order of the parameter vector, frozen: stored results and readings depend on it."""
+"""Parameter names in the order of the parameter vector, frozen: stored results and
+readings depend on it.
+"""
 
 NAMES = {
     "a3_head": (
@@ -77,7 +79,21 @@ NUISANCES = {
     "rm4": ("tilt",),
     "rm5": ("tilt",),
     "laser_ball_bar": ("shift_x", "shift_y", "shift_z", "turn_x", "turn_y", "turn_z"),
-    "laser_ball_bar_position": ("shift_x", "shift_y", "shift_z", "turn_x", "turn_y", "turn_z"),
+    "laser_ball_bar_position": (
+        "shift_x",
+        "shift_y",
+        "shift_z",
+        "turn_x",
+        "turn_y",
+        "turn_z",
+    ),
     "pose_tracker": ("shift_x", "shift_y", "shift_z", "turn_x", "turn_y", "turn_z"),
-    "pose_tracker_position": ("shift_x", "shift_y", "shift_z", "turn_x", "turn_y", "turn_z"),
+    "pose_tracker_position": (
+        "shift_x",
+        "shift_y",
+        "shift_z",
+        "turn_x",
+        "turn_y",
+        "turn_z",
+    ),
 }

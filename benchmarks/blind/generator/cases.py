@@ -1,11 +1,13 @@
-"""Cases: which machine, plan, noise and effects case k of a set has, and how large its effects are.
+"""Cases: which machine, plan, noise and effects case k of a set has, and how large its
+effects are.
 
-Case k depends on (seed, set, k) only. Kinds come from SCHEDULE, 200 cases in a drawn order, so that every stretch of
-cases has every kind: with 1000 cases there are 75 without an effect for each noise law.
+Case k depends on (seed, set, k) only. Kinds come from SCHEDULE, 200 cases in a drawn
+order, so that every stretch of cases has every kind: with 1000 cases there are 75
+without an effect for each noise law.
 
-The size of an effect is given by sqrt(lambda) (`severity`): of one effect, its own; of two, what each has left once the
-direction of the other is absorbed. Sizes that no such machine would have (LIMITS) are drawn again, with another form,
-then another effect.
+The size of an effect is given by sqrt(lambda) (`severity`): of one effect, its own; of
+two, what each has left once the direction of the other is absorbed. Sizes that no such
+machine would have (LIMITS) are drawn again, with another form, then another effect.
 """
 
 from __future__ import annotations
@@ -24,14 +26,26 @@ from benchmarks.blind.generator.scene import Scene
 
 SETS = {"dev": 1, "blind": 2, "six": 3}
 #: machines of each set: the hexapod is kept from whoever develops a diagnosis
-ON = {"dev": ("a3", "planar", "delta"), "blind": ("a3", "planar", "delta", "hexapod"), "six": ("hexaglide",)}
+ON = {
+    "dev": ("a3", "planar", "delta"),
+    "blind": ("a3", "planar", "delta", "hexapod"),
+    "six": ("hexaglide",),
+}
 KINDS = ("null", "single", "pair", "exact", "unknown", "known_unknown")
 #: (kind, number in a stretch of 200); null: that number for each noise law
-SCHEDULE = (("null", 15), ("single", 55), ("pair", 25), ("exact", 10), ("unknown", 20), ("known_unknown", 15))
+SCHEDULE = (
+    ("null", 15),
+    ("single", 55),
+    ("pair", 25),
+    ("exact", 10),
+    ("unknown", 20),
+    ("known_unknown", 15),
+)
 LEVELS = (2.0, 4.0, 6.0, 10.0, 20.0)
 #: of two effects, and of unknown ones, the lowest levels are rare
 PAIR_LEVELS, PAIR_SHARES = (4.0, 6.0, 10.0, 20.0), (0.1, 0.3, 0.3, 0.3)
-#: largest believable addition (m) at a joint, a place, a reading, by effect; times SIZE of the machine
+#: largest believable addition (m) at a joint, a place, a reading, by effect; times SIZE
+#: of the machine
 LIMITS = {
     "leg_thermal": 200e-6,
     "frame_thermal": 200e-6,
@@ -59,7 +73,9 @@ TRIES = 12
 
 @dataclasses.dataclass(frozen=True)
 class Sized:
-    """An effect with its amplitude; change (N,): exact difference of the noise-free readings that it alone makes."""
+    """An effect with its amplitude; change (N,): exact difference of the noise-free
+    readings that it alone makes.
+    """
 
     effect: Effect
     known: bool
@@ -70,7 +86,9 @@ class Sized:
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A case as generated. y (N,) readings; clean (N,): with the effects, without noise."""
+    """A case as generated. y (N,) readings; clean (N,): with the effects, without
+    noise.
+    """
 
     id: str
     number: int
@@ -97,12 +115,23 @@ class Role:
 
 
 def role(seed: int, name: str, k: int) -> Role:
-    """Kind, noise law, machine and plan of case k of a set. Raises ValueError for an unknown set."""
+    """Kind, noise law, machine and plan of case k of a set. Raises ValueError for an
+    unknown set.
+    """
     if name not in SETS:
         raise ValueError(f"there is no set {name!r}; there are {', '.join(SETS)}")
-    slots = [(kind, law) for kind, n in SCHEDULE for law in (noise.LAWS if kind == "null" else ("",)) for _ in range(n)]
+    slots = [
+        (kind, law)
+        for kind, n in SCHEDULE
+        for law in (noise.LAWS if kind == "null" else ("",))
+        for _ in range(n)
+    ]
     block = k // len(slots)
-    at = int(np.random.default_rng([seed, SETS[name], block, 99]).permutation(len(slots))[k % len(slots)])
+    at = int(
+        np.random.default_rng([seed, SETS[name], block, 99]).permutation(len(slots))[
+            k % len(slots)
+        ]
+    )
     kind, law = slots[at]
     rng = np.random.default_rng([seed, SETS[name], k, 98])
     machine = ON[name][(at + block) % len(ON[name])]
@@ -138,10 +167,25 @@ def make(seed: int, name: str, k: int) -> Case:
         push = mine if push is None else push.plus(mine)
     clean = base.read(push)
     y = clean + noise.sample(rng, law, group)
-    return Case(identity(seed, name, k), k, part.kind, base, stage, law, group, metric, tuple(sized), clean, y, key)
+    return Case(
+        identity(seed, name, k),
+        k,
+        part.kind,
+        base,
+        stage,
+        law,
+        group,
+        metric,
+        tuple(sized),
+        clean,
+        y,
+        key,
+    )
 
 
-def _effects(rng: Generator, kind: str, base: Scene, stage: Stage, metric: severity.Metric) -> list[Sized]:
+def _effects(
+    rng: Generator, kind: str, base: Scene, stage: Stage, metric: severity.Metric
+) -> list[Sized]:
     if kind == "null":
         return []
     if kind in ("single", "exact", "unknown"):
@@ -154,8 +198,14 @@ def _effects(rng: Generator, kind: str, base: Scene, stage: Stage, metric: sever
     raise ArithmeticError("no pair of effects fits this plan")
 
 
-def _single(rng: Generator, kind: str, base: Scene, stage: Stage, metric: severity.Metric) -> Sized:
-    target = float(rng.choice(PAIR_LEVELS, p=PAIR_SHARES) if kind == "unknown" else rng.choice(LEVELS))
+def _single(
+    rng: Generator, kind: str, base: Scene, stage: Stage, metric: severity.Metric
+) -> Sized:
+    target = float(
+        rng.choice(PAIR_LEVELS, p=PAIR_SHARES)
+        if kind == "unknown"
+        else rng.choice(LEVELS)
+    )
     for _ in range(4):
         name = _name(rng, kind, stage)
         for _ in range(TRIES):
@@ -176,7 +226,13 @@ def _name(rng: Generator, kind: str, stage: Stage) -> str:
 
 
 def _form(rng: Generator, kind: str, name: str, stage: Stage) -> Effect:
-    forms = effects.EXACT if kind == "exact" else effects.UNKNOWN if kind == "unknown" else effects.KNOWN
+    forms = (
+        effects.EXACT
+        if kind == "exact"
+        else effects.UNKNOWN
+        if kind == "unknown"
+        else effects.KNOWN
+    )
     return forms[name](rng, stage)
 
 
@@ -184,8 +240,12 @@ def _limit(effect: Effect, known: bool, machine: str) -> float:
     return (LIMITS[effect.name] if known else UNKNOWN_LIMIT) * SIZE[machine]
 
 
-def _scaled(base: Scene, size: severity.Size, effect: Effect, known: bool, target: float) -> Sized:
-    """The effect at the amplitude that gives the target. Raises ArithmeticError where no believable one does."""
+def _scaled(
+    base: Scene, size: severity.Size, effect: Effect, known: bool, target: float
+) -> Sized:
+    """The effect at the amplitude that gives the target. Raises ArithmeticError where
+    no believable one does.
+    """
     small = 1e-7
     trace = size(base.response(effect.push(small)))
     if trace <= 0:
@@ -194,13 +254,17 @@ def _scaled(base: Scene, size: severity.Size, effect: Effect, known: bool, targe
     limit = _limit(effect, known, base.plan.machine.name)
     if start > 1.3 * limit:
         raise ArithmeticError("too large to be believed")
-    a = severity.amplitude(lambda v: base.read(effect.push(v)) - base.y, size, target, start)
+    a = severity.amplitude(
+        lambda v: base.read(effect.push(v)) - base.y, size, target, start
+    )
     if a > limit:
         raise ArithmeticError("too large to be believed")
     return Sized(effect, known, target, a, base.read(effect.push(a)) - base.y)
 
 
-def _pair(rng: Generator, known: bool, base: Scene, stage: Stage, metric: severity.Metric) -> list[Sized]:
+def _pair(
+    rng: Generator, known: bool, base: Scene, stage: Stage, metric: severity.Metric
+) -> list[Sized]:
     """Two effects, each of its size beyond the other's direction, and not nearly alike."""
     a, b = (float(v) for v in rng.choice(PAIR_LEVELS, 2, p=PAIR_SHARES))
     first_name = _name(rng, "single", stage)
@@ -208,11 +272,16 @@ def _pair(rng: Generator, known: bool, base: Scene, stage: Stage, metric: severi
     second_name = _name(rng, second, stage)
     if first_name == second_name:
         raise ArithmeticError("twice the same")
-    one, two = _form(rng, "single", first_name, stage), _form(rng, second, second_name, stage)
+    one, two = (
+        _form(rng, "single", first_name, stage),
+        _form(rng, second, second_name, stage),
+    )
     ways = [metric.seen(base.response(e.push(1e-6))) for e in (one, two)]
     if min(np.linalg.norm(w) for w in ways) <= 0:
         raise ArithmeticError("no trace")
-    cosine = abs(float(ways[0] @ ways[1])) / float(np.linalg.norm(ways[0]) * np.linalg.norm(ways[1]))
+    cosine = abs(float(ways[0] @ ways[1])) / float(
+        np.linalg.norm(ways[0]) * np.linalg.norm(ways[1])
+    )
     if cosine > 0.9:
         raise ArithmeticError("nearly the same")
     return [
@@ -225,7 +294,9 @@ def label(case: Case) -> dict[str, object]:
     """What only the scorer may read."""
     plan = case.stage.plan
     names = effects.known_on(plan.machine.name)
-    rest = textbook.left(case.scene, case.stage, case.metric, names, [s.change for s in case.sized])
+    rest = textbook.left(
+        case.scene, case.stage, case.metric, names, [s.change for s in case.sized]
+    )
     return {
         "id": case.id,
         "number": case.number,
@@ -234,7 +305,11 @@ def label(case: Case) -> dict[str, object]:
         "kind": case.kind,
         "columns": list(plan.columns),
         "effects": [_told(case, s, r) for s, r in zip(case.sized, rest, strict=True)],
-        "class": list(effects.EXACT) if any(_exact(case, s, r) for s, r in zip(case.sized, rest, strict=True)) else [],
+        "class": (
+            list(effects.EXACT)
+            if any(_exact(case, s, r) for s, r in zip(case.sized, rest, strict=True))
+            else []
+        ),
         "sqrt_lambda": round(case.metric.size(case.clean - case.scene.y), 4),
         "noise": dataclasses.asdict(case.law),
         "readings": len(case.y),
@@ -243,9 +318,13 @@ def label(case: Case) -> dict[str, object]:
 
 
 def _exact(case: Case, sized: Sized, rest: dict[str, float]) -> bool:
-    """Whether it is a member of the exact class here: nothing is left of it beyond the other."""
+    """Whether it is a member of the exact class here: nothing is left of it beyond the
+    other.
+    """
     whole = case.metric.size(sized.change)
-    return sized.effect.name in effects.EXACT and all(rest.get(n, whole) < 0.02 * whole for n in effects.EXACT)
+    return sized.effect.name in effects.EXACT and all(
+        rest.get(n, whole) < 0.02 * whole for n in effects.EXACT
+    )
 
 
 def _told(case: Case, sized: Sized, rest: dict[str, float]) -> dict[str, object]:
@@ -261,7 +340,9 @@ def _told(case: Case, sized: Sized, rest: dict[str, float]) -> dict[str, object]
         "amplitude_um": round(1e6 * sized.amplitude, 5),
         "words": _words(sized),
         "blocks": list(effect.blocks),
-        "about": effect.about | {k: v * sized.amplitude for k, v in effect.unit.items()},
+        "about": (
+            effect.about | {k: v * sized.amplitude for k, v in effect.unit.items()}
+        ),
         "legs": _leg_shares(case, sized),
         "beyond_textbook": round(own, 4),
         "nearest": nearest,
@@ -284,5 +365,8 @@ def _leg_shares(case: Case, sized: Sized) -> list[float]:
     if push.dq is None:
         return []
     eye = np.eye(push.dq.shape[1])
-    parts = [case.metric.size(case.scene.response(scene.Push(dq=push.dq * eye[i]))) ** 2 for i in range(len(eye))]
+    parts = [
+        case.metric.size(case.scene.response(scene.Push(dq=push.dq * eye[i]))) ** 2
+        for i in range(len(eye))
+    ]
     return [round(float(v), 4) for v in np.array(parts) / max(sum(parts), 1e-300)]

@@ -1,11 +1,14 @@
-"""Five machines as exact closures in plain NumPy, with every number free to differ from row to row.
+"""Five machines as exact closures in plain NumPy, with every number free to differ from
+row to row.
 
-A pose is the reference tool point, and for machines that turn a Gibbs vector g (tangent of half the angle, times the
-axis) against the commanded orientation R0, so that the platform's rotation is R0 C(g) with the rational map C. All of
-it is polynomial or a root, so that complex input passes through and slopes come by the complex step. SI: m, rad, N.
+A pose is the reference tool point, and for machines that turn a Gibbs vector g (tangent
+of half the angle, times the axis) against the commanded orientation R0, so that the
+platform's rotation is R0 C(g) with the rational map C. All of it is polynomial or a
+root, so that complex input passes through and slopes come by the complex step. SI: m,
+rad, N.
 
-Parameters (names, nominal values, tolerances) mean what the models of the same machines mean; `extras` behind them
-are what no calibration knows (a carriage beside its guide).
+Parameters (names, nominal values, tolerances) mean what the models of the same machines
+mean; `extras` behind them are what no calibration knows (a carriage beside its guide).
 """
 
 from __future__ import annotations
@@ -24,7 +27,9 @@ XYZ = "xyz"
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Commanded poses of n rows: x (n, nx), R0 (n, 3, 3) and the joints q (n, nq) of the nominal machine."""
+    """Commanded poses of n rows: x (n, nx), R0 (n, 3, 3) and the joints q (n, nq) of
+    the nominal machine.
+    """
 
     x: Array
     R0: Array
@@ -36,11 +41,15 @@ class Machine:
     """A machine. Shapes: x (n, nx), R0 (n, 3, 3), q (n, nq), p (n, np + extras).
 
     closure   (x, R0, q, p) -> (n, nx), zero when assembled; m
-    inverse   (command (n, dof), tool (n,)) -> Pose of the nominal machine; tool: length added along the tool's axis
+    inverse   (command (n, dof), tool (n,)) -> Pose of the nominal machine; tool: length
+              added along the tool's axis
     turns     whether the platform turns
-    tolerance prior standard deviations (np,); 0 where a parameter only chooses the base frame
-    weight    N, order of the moving mass's weight;  com: its centre behind the tool point along the tool, m
-    growth    spread (legs,) -> dp (np + extras,): the frame's unit expansion, by each leg's share
+    tolerance prior standard deviations (np,); 0 where a parameter only chooses the base
+    frame
+    weight    N, order of the moving mass's weight;  com: its centre behind the tool
+              point along the tool, m
+    growth    spread (legs,) -> dp (np + extras,): the frame's unit expansion, by each
+              leg's share
     """
 
     name: str
@@ -73,7 +82,9 @@ def cayley(g: Array) -> Array:
     cross = np.zeros((len(g), 3, 3), g.dtype)
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -g[:, 2], g[:, 1], -g[:, 0]
     cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = g[:, 2], -g[:, 1], g[:, 0]
-    return ((1 - g2) * np.eye(3) + 2 * g[:, :, None] * g[:, None, :] + 2 * cross) / (1 + g2)
+    return ((1 - g2) * np.eye(3) + 2 * g[:, :, None] * g[:, None, :] + 2 * cross) / (
+        1 + g2
+    )
 
 
 def rotation(machine: Machine, x: Array, R0: Array) -> Array:
@@ -98,7 +109,9 @@ def norm(v: Array) -> Array:
 def about(axis: int, angle: Array) -> Array:
     """Rotation (n, 3, 3) about a base axis."""
     c, s, o, i = np.cos(angle), np.sin(angle), 0 * angle, 0 * angle + 1
-    z = np.stack([np.stack([c, -s, o], -1), np.stack([s, c, o], -1), np.stack([o, o, i], -1)], -2)
+    z = np.stack(
+        [np.stack([c, -s, o], -1), np.stack([s, c, o], -1), np.stack([o, o, i], -1)], -2
+    )
     order = [(2 + 0 - axis + k) % 3 for k in range(3)]
     return z[:, order][:, :, order]
 
@@ -109,7 +122,7 @@ def _points(p: Array, start: int, nominal: Array) -> Array:
     return nominal + p[:, start : start + 3 * k].reshape(-1, k, 3)
 
 
-# -- A3 head: three extensible struts on revolute joints -----------------------------------------------------
+# -- A3 head: three extensible struts on revolute joints -------------------------------
 
 _A, _B, _C, _D = 0.250, 0.250, 0.526, 0.540  # m, Tian et al. 2016, Table 1
 _FI = 2 * np.pi * np.arange(3) / 3 - np.pi / 2
@@ -122,7 +135,9 @@ def _a3_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
     R = R0 @ cayley(x[:, 3:6])
     joint = x[:, None, :3] + _points(p, 12, _A3_LOCAL) @ np.swapaxes(R, 1, 2)
     v, length = joint - _points(p, 3, _A3_BASE), q + p[:, 0:3]
-    return np.concatenate([norm(v) - length, (v * _AXIS).sum(-1) - length * np.sin(p[:, 21:24])], -1)
+    return np.concatenate(
+        [norm(v) - length, (v * _AXIS).sum(-1) - length * np.sin(p[:, 21:24])], -1
+    )
 
 
 def _a3_inverse(command: Array, tool: Array) -> Pose:
@@ -130,7 +145,12 @@ def _a3_inverse(command: Array, tool: Array) -> Pose:
     R0 = about(2, psi) @ about(0, theta) @ about(2, -psi)
     lean, reach = _A / 2 * (1 - np.cos(theta)), (_C + tool) * np.sin(theta)
     point = np.stack(
-        [lean * np.sin(2 * psi) + reach * np.sin(psi), lean * np.cos(2 * psi) - reach * np.cos(psi), z], -1
+        [
+            lean * np.sin(2 * psi) + reach * np.sin(psi),
+            lean * np.cos(2 * psi) - reach * np.cos(psi),
+            z,
+        ],
+        -1,
     )
     point = point - tool[:, None] * R0[:, :, 2]
     legs = point[:, None] + _A3_LOCAL @ np.swapaxes(R0, 1, 2) - _A3_BASE
@@ -159,7 +179,12 @@ A3 = Machine(
     legs=3,
     parameters=_A3_NAMES,
     nominal=np.zeros(24),
-    tolerance=np.array([0.0 if n in _HELD else 10e-3 if n.startswith("beta") else 1e-3 for n in _A3_NAMES]),
+    tolerance=np.array(
+        [
+            0.0 if n in _HELD else 10e-3 if n.startswith("beta") else 1e-3
+            for n in _A3_NAMES
+        ]
+    ),
     extras=(),
     closure=_a3_closure,
     inverse=_a3_inverse,
@@ -169,7 +194,7 @@ A3 = Machine(
     growth=_growth_points(3, _A3_BASE, 24),
 )
 
-# -- planar manipulator: two sliders, two struts -------------------------------------------------------------
+# -- planar manipulator: two sliders, two struts ---------------------------------------
 
 _PD, _PL = 3.584, 3.350  # m, Chang, Li and Li 2011
 _SIDE = np.array([-0.5, 0.5])
@@ -210,11 +235,22 @@ PLANAR = Machine(
     growth=_planar_growth,
 )
 
-# -- linear delta --------------------------------------------------------------------------------------------
+# -- linear delta ----------------------------------------------------------------------
 
 _DR, _DL, _DE = 0.16175, 0.345, 0.420  # m, FLSun V400
 _DA = np.deg2rad([210.0, 330.0, 90.0])
-_DELTA_NAMES = ("radius", "arm1", "arm2", "arm3", "angle1", "angle2", "angle3", "endstop1", "endstop2", "endstop3")
+_DELTA_NAMES = (
+    "radius",
+    "arm1",
+    "arm2",
+    "arm3",
+    "angle1",
+    "angle2",
+    "angle3",
+    "endstop1",
+    "endstop2",
+    "endstop3",
+)
 
 
 def _delta_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
@@ -223,11 +259,18 @@ def _delta_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
     outward, sideways = radius + p[:, 10:13], p[:, 13:16]
     cx = outward * np.cos(angle) - sideways * np.sin(angle)
     cy = outward * np.sin(angle) + sideways * np.cos(angle)
-    return np.sqrt((x[:, 0:1] - cx) ** 2 + (x[:, 1:2] - cy) ** 2 + (x[:, 2:3] - height) ** 2) - arm
+    return (
+        np.sqrt(
+            (x[:, 0:1] - cx) ** 2 + (x[:, 1:2] - cy) ** 2 + (x[:, 2:3] - height) ** 2
+        )
+        - arm
+    )
 
 
 def _delta_inverse(command: Array, tool: Array) -> Pose:
-    flat = (command[:, :1] - _DR * np.cos(_DA)) ** 2 + (command[:, 1:2] - _DR * np.sin(_DA)) ** 2
+    flat = (command[:, :1] - _DR * np.cos(_DA)) ** 2 + (
+        command[:, 1:2] - _DR * np.sin(_DA)
+    ) ** 2
     q = _DE + np.sqrt(_DL**2 - _DR**2) - command[:, 2:] - np.sqrt(_DL**2 - flat)
     return Pose(command.copy(), np.tile(np.eye(3), (len(command), 1, 1)), q)
 
@@ -244,7 +287,9 @@ DELTA = Machine(
     legs=3,
     parameters=_DELTA_NAMES,
     nominal=np.array([_DR, _DL, _DL, _DL, *_DA, _DE, _DE, _DE]),
-    tolerance=np.array([0.5e-3, 1e-3, 1e-3, 1e-3, 3.5e-3, 3.5e-3, 0.0, 1.5e-3, 1.5e-3, 1.5e-3]),
+    tolerance=np.array(
+        [0.5e-3, 1e-3, 1e-3, 1e-3, 3.5e-3, 3.5e-3, 0.0, 1.5e-3, 1.5e-3, 1.5e-3]
+    ),
     extras=("out1", "out2", "out3", "side1", "side2", "side3"),
     closure=_delta_closure,
     inverse=_delta_inverse,
@@ -254,12 +299,16 @@ DELTA = Machine(
     growth=_delta_growth,
 )
 
-# -- hexapod -------------------------------------------------------------------------------------------------
+# -- hexapod ---------------------------------------------------------------------------
 
 
 def _ring(radius: float, half: float, height: float) -> Array:
-    angle = np.deg2rad([120.0 * (i // 2) + (half if i % 2 else -half) for i in range(6)])
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(6, height)], -1)
+    angle = np.deg2rad(
+        [120.0 * (i // 2) + (half if i % 2 else -half) for i in range(6)]
+    )
+    return np.stack(
+        [radius * np.cos(angle), radius * np.sin(angle), np.full(6, height)], -1
+    )
 
 
 _HEX_BASE, _HEX_LOCAL = _ring(0.300, 15.0, 0.0), _ring(0.200, 45.0, 0.100)
@@ -282,7 +331,14 @@ def _hex_inverse(command: Array, tool: Array) -> Pose:
 
 HEXAPOD = Machine(
     name="hexapod",
-    command=(("x", "mm"), ("y", "mm"), ("z", "mm"), ("rx", "deg"), ("ry", "deg"), ("spin", "deg")),
+    command=(
+        ("x", "mm"),
+        ("y", "mm"),
+        ("z", "mm"),
+        ("rx", "deg"),
+        ("ry", "deg"),
+        ("spin", "deg"),
+    ),
     legs=6,
     parameters=(
         *(f"db{i}{k}" for i in range(1, 7) for k in XYZ),
@@ -300,12 +356,21 @@ HEXAPOD = Machine(
     growth=_growth_points(0, _HEX_BASE, 42),
 )
 
-# -- hexaglide -----------------------------------------------------------------------------------------------
+# -- hexaglide -------------------------------------------------------------------------
 
-_GLIDE_STRUT, _GLIDE_END = 0.800, -1.200  # m; x of the guides' ends, from which travel counts
+_GLIDE_STRUT, _GLIDE_END = (
+    0.800,
+    -1.200,
+)  # m; x of the guides' ends, from which travel counts
 _GLIDE_SIDE = np.tile([-1.0, 1.0], 3)  # of the platform, on which each carriage is
-_GLIDE_BASE = np.repeat([[_GLIDE_END, -0.250, 0.800], [_GLIDE_END, 0.0, 0.800], [_GLIDE_END, 0.550, 0.500]], 2, axis=0)
-_GLIDE_LOCAL = np.repeat([[0.060, -0.200, 0.100], [0.170, 0.0, 0.050], [0.030, 0.100, 0.100]], 2, axis=0)
+_GLIDE_BASE = np.repeat(
+    [[_GLIDE_END, -0.250, 0.800], [_GLIDE_END, 0.0, 0.800], [_GLIDE_END, 0.550, 0.500]],
+    2,
+    axis=0,
+)
+_GLIDE_LOCAL = np.repeat(
+    [[0.060, -0.200, 0.100], [0.170, 0.0, 0.050], [0.030, 0.100, 0.100]], 2, axis=0
+)
 _GLIDE_LOCAL[:, 0] *= _GLIDE_SIDE
 
 
@@ -323,14 +388,18 @@ def _glide_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
 
 
 def _glide_inverse(command: Array, tool: Array) -> Pose:
-    pose = _hex_inverse(command, tool)  # the pose is told alike; the travel is the side of a right-angled triangle
+    pose = _hex_inverse(
+        command, tool
+    )  # the pose is told alike; the travel is the side of a right-angled triangle
     away = pose.x[:, None, :3] + _GLIDE_LOCAL @ np.swapaxes(pose.R0, 1, 2) - _GLIDE_BASE
     along = np.sqrt(_GLIDE_STRUT**2 - away[:, :, 1] ** 2 - away[:, :, 2] ** 2)
     return dataclasses.replace(pose, q=away[:, :, 0] + _GLIDE_SIDE * along)
 
 
 def _glide_growth(spread: Array) -> Array:
-    dp = np.zeros(54)  # guides move apart; along them the scales, not the frame, say where a carriage is
+    dp = np.zeros(
+        54
+    )  # guides move apart; along them the scales, not the frame, say where a carriage is
     dp[6:18] = (spread[:, None] * _GLIDE_BASE[:, 1:]).ravel()
     return dp
 
@@ -347,7 +416,10 @@ HEXAGLIDE = Machine(
     ),
     nominal=np.zeros(42),
     tolerance=np.repeat([0.5e-3, 0.3e-3, 0.5e-3], [6, 30, 6]),
-    extras=(*(f"out{i}" for i in range(1, 7)), *(f"side{i}" for i in range(1, 7))),  # up, and across in the level
+    extras=(
+        *(f"out{i}" for i in range(1, 7)),
+        *(f"side{i}" for i in range(1, 7)),
+    ),  # up, and across in the level
     closure=_glide_closure,
     inverse=_glide_inverse,
     turns=True,
@@ -359,11 +431,13 @@ HEXAGLIDE = Machine(
 MACHINES = {m.name: m for m in (A3, PLANAR, DELTA, HEXAPOD, HEXAGLIDE)}
 
 
-# -- joints and slopes ---------------------------------------------------------------------------------------
+# -- joints and slopes -----------------------------------------------------------------
 
 
 def joint_columns(machine: Machine, leg: int) -> tuple[list[int], list[int]]:
-    """Columns of p that place the base joint (or carriage) and the platform joint of a leg; empty where none do."""
+    """Columns of p that place the base joint (or carriage) and the platform joint of a
+    leg; empty where none do.
+    """
     if machine.name == "a3":
         return [3 + 3 * leg + k for k in range(3)], [12 + 3 * leg + k for k in range(3)]
     if machine.name == "hexapod":
@@ -376,17 +450,29 @@ def joint_columns(machine: Machine, leg: int) -> tuple[list[int], list[int]]:
 
 
 def leg_direction(machine: Machine, pose: Pose) -> Array:
-    """Unit vectors (n, legs, 3), base joint or carriage to platform, of the nominal machine."""
+    """Unit vectors (n, legs, 3), base joint or carriage to platform, of the nominal
+    machine.
+    """
     if machine.name in ("a3", "hexapod"):
-        base, local = (_A3_BASE, _A3_LOCAL) if machine.name == "a3" else (_HEX_BASE, _HEX_LOCAL)
+        base, local = (
+            (_A3_BASE, _A3_LOCAL) if machine.name == "a3" else (_HEX_BASE, _HEX_LOCAL)
+        )
         v = pose.x[:, None, :3] + local @ np.swapaxes(pose.R0, 1, 2) - base
     elif machine.name == "hexaglide":
-        v = pose.x[:, None, :3] + _GLIDE_LOCAL @ np.swapaxes(pose.R0, 1, 2) - _glide_carriage(pose.q)
+        v = (
+            pose.x[:, None, :3]
+            + _GLIDE_LOCAL @ np.swapaxes(pose.R0, 1, 2)
+            - _glide_carriage(pose.q)
+        )
     elif machine.name == "planar":
-        foot = np.stack([0 * pose.q, np.broadcast_to(_SIDE * _PD, pose.q.shape), pose.q], -1)
+        foot = np.stack(
+            [0 * pose.q, np.broadcast_to(_SIDE * _PD, pose.q.shape), pose.q], -1
+        )
         v = np.stack([0 * pose.x[:, 0], pose.x[:, 0], pose.x[:, 1]], -1)[:, None] - foot
     else:
-        ring = np.broadcast_to(_DR * np.stack([np.cos(_DA), np.sin(_DA)], -1), (len(pose.q), 3, 2))
+        ring = np.broadcast_to(
+            _DR * np.stack([np.cos(_DA), np.sin(_DA)], -1), (len(pose.q), 3, 2)
+        )
         height = _DE + np.sqrt(_DL**2 - _DR**2) - pose.q
         v = pose.x[:, None, :] - np.concatenate([ring, height[:, :, None]], -1)
     return v / norm(v)[..., None]
@@ -402,8 +488,11 @@ def slope(f: Callable[[Array], Array], v: Array) -> Array:
     return np.stack(columns, -1)
 
 
-def settle(machine: Machine, start: Array, R0: Array, q: Array, p: Array) -> tuple[Array, Array]:
-    """Pose x (n, nx) that closes the machine, by Newton, and the inverse (n, nx, nx) of the last slope.
+def settle(
+    machine: Machine, start: Array, R0: Array, q: Array, p: Array
+) -> tuple[Array, Array]:
+    """Pose x (n, nx) that closes the machine, by Newton, and the inverse (n, nx, nx) of
+    the last slope.
 
     Raises ArithmeticError where it does not converge.
     """
@@ -413,16 +502,27 @@ def settle(machine: Machine, start: Array, R0: Array, q: Array, p: Array) -> tup
         step = np.einsum("nij,nj->ni", inverse, machine.closure(x, R0, q, p))
         x = x - step
         if np.abs(step).max() < 1e-9:
-            return x - np.einsum("nij,nj->ni", inverse, machine.closure(x, R0, q, p)), inverse
-    raise ArithmeticError(f"{machine.name}: the pose does not settle ({np.abs(step).max():.1e})")
+            return (
+                x - np.einsum("nij,nj->ni", inverse, machine.closure(x, R0, q, p)),
+                inverse,
+            )
+    raise ArithmeticError(
+        f"{machine.name}: the pose does not settle ({np.abs(step).max():.1e})"
+    )
 
 
-def nearby(machine: Machine, start: Array, inverse: Array, R0: Array, q: Array, p: Array) -> Array:
-    """As `settle`, for small changes of q and p: a fixed slope will do. Raises ArithmeticError."""
+def nearby(
+    machine: Machine, start: Array, inverse: Array, R0: Array, q: Array, p: Array
+) -> Array:
+    """As `settle`, for small changes of q and p: a fixed slope will do. Raises
+    ArithmeticError.
+    """
     x = start
     for _ in range(40):
         step = np.einsum("nij,nj->ni", inverse, machine.closure(x, R0, q, p))
         x = x - step
         if np.abs(step).max() < 1e-13:
             return x
-    raise ArithmeticError(f"{machine.name}: the disturbed pose does not settle ({np.abs(step).max():.1e})")
+    raise ArithmeticError(
+        f"{machine.name}: the disturbed pose does not settle ({np.abs(step).max():.1e})"
+    )

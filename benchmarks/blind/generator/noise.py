@@ -1,8 +1,11 @@
-"""Noise laws of readings: white, correlated along a run, heavy-tailed, run-to-run, and all of these together.
+"""Noise laws of readings: white, correlated along a run, heavy-tailed, run-to-run, and
+all of these together.
 
-Covariance and draws come from the same few numbers (`Law`), which the truth files keep. For heavy tails the covariance
-is that of the normal law with the same Fisher information about a shift, so that sqrt(lambda) means what it says: of a
-Student t of nu degrees, scale^2 (nu + 3) / (nu + 1); of a mixture with a share of outliers, sigma^2 / (1 - share).
+Covariance and draws come from the same few numbers (`Law`), which the truth files keep.
+For heavy tails the covariance is that of the normal law with the same Fisher
+information about a shift, so that sqrt(lambda) means what it says: of a Student t of nu
+degrees, scale^2 (nu + 3) / (nu + 1); of a mixture with a share of outliers, sigma^2 /
+(1 - share).
 """
 
 from __future__ import annotations
@@ -27,8 +30,10 @@ class Law:
     level      standard deviation of the white part (scale of the t, sigma of the core)
     dof        degrees of a Student t; 0: normal
     outliers   share of readings that are wild, by `wild` times level
-    along      standard deviation of an Ornstein-Uhlenbeck part along a run, with correlation length `length` readings
-    offset     run-to-run: a constant;  wave: amplitude's standard deviation of a first harmonic over the run's path
+    along      standard deviation of an Ornstein-Uhlenbeck part along a run, with
+               correlation length `length` readings
+    offset     run-to-run: a constant;  wave: amplitude's standard deviation of a first
+               harmonic over the run's path
     reference  noise of the reference reading that a run is told against
     """
 
@@ -51,12 +56,20 @@ def draw(rng: Generator, name: str) -> Law:
         return Law(name=name, level=level)
     if name == "correlated":
         return Law(
-            name=name, level=0.7 * level, along=float(rng.uniform(0.6, 1.2)), length=float(rng.uniform(2.0, 8.0))
+            name=name,
+            level=0.7 * level,
+            along=float(rng.uniform(0.6, 1.2)),
+            length=float(rng.uniform(2.0, 8.0)),
         )
     if name == "heavy":
         return Law(name=name, **_tail(rng, level))
     if name == "run":
-        return Law(name=name, level=level, offset=float(rng.uniform(0.5, 1.6)), wave=float(rng.uniform(0.0, 0.6)))
+        return Law(
+            name=name,
+            level=level,
+            offset=float(rng.uniform(0.5, 1.6)),
+            wave=float(rng.uniform(0.0, 0.6)),
+        )
     if name == "combined":
         return Law(
             name=name,
@@ -72,13 +85,18 @@ def draw(rng: Generator, name: str) -> Law:
 def _tail(rng: Generator, level: float) -> dict[str, float]:
     if rng.random() < 0.5:
         return {"level": 0.8 * level, "dof": float(rng.choice([2.5, 3.0, 4.0]))}
-    return {"level": level, "outliers": float(rng.uniform(0.006, 0.02)), "wild": float(rng.uniform(6.0, 15.0))}
+    return {
+        "level": level,
+        "outliers": float(rng.uniform(0.006, 0.02)),
+        "wild": float(rng.uniform(6.0, 15.0)),
+    }
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Grouping:
-    """What covariance needs to know of N readings: channel's sigma (m), run, channel, phase (rad); `relative`: read
-    against another reading of their run."""
+    """What covariance needs to know of N readings: channel's sigma (m), run, channel,
+    phase (rad); `relative`: read against another reading of their run.
+    """
 
     sigma: Array
     run: Index
@@ -138,5 +156,7 @@ def sample(rng: Generator, law: Law, group: Grouping) -> Array:
     for at in group.groups():
         shared = _shared(law, group, at)
         if shared.any():
-            noise[at] += np.linalg.cholesky(shared + 1e-12 * np.eye(len(at))) @ rng.normal(size=len(at))
+            noise[at] += np.linalg.cholesky(
+                shared + 1e-12 * np.eye(len(at))
+            ) @ rng.normal(size=len(at))
     return np.asarray(noise * group.sigma)

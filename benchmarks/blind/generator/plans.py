@@ -1,7 +1,9 @@
-"""How each machine is measured: set-ups, runs, their order, time, direction, feed, payload and repeats.
+"""How each machine is measured: set-ups, runs, their order, time, direction, feed,
+payload and repeats.
 
-A plan is drawn anew for every case (order of runs, pauses), but its set-ups are those of the study file of its name.
-Rows are in the order in which they were taken, set-up after set-up. SI: m, rad, s, m/s, N.
+A plan is drawn anew for every case (order of runs, pauses), but its set-ups are those
+of the study file of its name. Rows are in the order in which they were taken, set-up
+after set-up. SI: m, rad, s, m/s, N.
 """
 
 from __future__ import annotations
@@ -39,9 +41,11 @@ class Run:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Rows of a case. Shapes: n rows; `kind` TEACH, REFERENCE or READ; `ref` the row read against, or its own number.
+    """Rows of a case. Shapes: n rows; `kind` TEACH, REFERENCE or READ; `ref` the row
+    read against, or its own number.
 
-    runs    rows of each run, in order of travel (references included);  closed: whether each is a closed circle
+    runs    rows of each run, in order of travel (references included);  closed: whether
+            each is a closed circle
     columns covariates that the file shows
     """
 
@@ -81,20 +85,24 @@ class Plan:
         return f"{self.machine.name}_{self.name}.study.toml"
 
 
-# -- paths ---------------------------------------------------------------------------------------------------
+# -- paths -----------------------------------------------------------------------------
 
 _TEACH_Z, _BAR = 1.286, 0.300
 
 
 def _a3_circle(z: float, tool: float, count: int) -> tuple[Array, Array]:
-    """Commands (count, 3) at height z that keep the bar's length about a cup taught at _TEACH_Z + tool."""
+    """Commands (count, 3) at height z that keep the bar's length about a cup taught at
+    _TEACH_Z + tool.
+    """
     psi = 2 * np.pi * (np.arange(count) + 0.37) / count  # no leg turns at a reading
     machine = MACHINES["a3"]
 
     def excess(theta: Array) -> Array:
         c = np.stack([np.full(count, z), psi, theta], -1)
         pose = machine.inverse(c, np.full(count, tool))
-        away = tip(machine, pose.x, pose.R0, np.full(count, tool)) - np.array([0.0, 0.0, _TEACH_Z + tool])
+        away = tip(machine, pose.x, pose.R0, np.full(count, tool)) - np.array(
+            [0.0, 0.0, _TEACH_Z + tool]
+        )
         return np.asarray(np.sqrt((away**2).sum(-1)) - _BAR)
 
     low, high = np.full(count, 1e-3), np.full(count, np.deg2rad(40.0))
@@ -106,7 +114,9 @@ def _a3_circle(z: float, tool: float, count: int) -> tuple[Array, Array]:
 
 
 def _line(axis: int, other: float, count: int) -> tuple[Array, Array]:
-    """Commands (count, 2) along y (axis 0) or z (axis 1); places are no multiples of a screw's pitch."""
+    """Commands (count, 2) along y (axis 0) or z (axis 1); places are no multiples of a
+    screw's pitch.
+    """
     low, high = ((-1.5, 1.5), (0.0, 1.5))[axis]
     s = np.linspace(-1.0, 1.0, count)
     s[1:-1] += (0.31 / count) * np.sin(2.4 * np.arange(1, count - 1) ** 1.3)
@@ -126,7 +136,8 @@ def _delta_row(y: float, count: int) -> tuple[Array, Array]:
     return np.stack([half * s, np.full(count, y), np.zeros(count)], -1), s
 
 
-#: orientation along a hexapod's circle, deg: constant rx, ry, spin, and the size of a tilt that goes round with it
+#: orientation along a hexapod's circle, deg: constant rx, ry, spin, and the size of a
+#: tilt that goes round with it
 _TILTS = (
     (0.0, 0.0, 0.0, 0.0),
     (11.0, 0.0, 6.0, 0.0),
@@ -146,12 +157,22 @@ def _hex_circle(number: int, tool: float, count: int) -> tuple[Array, Array]:
     rx, ry, spin, wave = np.deg2rad(_TILTS[number % len(_TILTS)])
     a = 2 * np.pi * (np.arange(count) + 0.37) / count
     z = 0.200 + tool + np.sqrt(_BAR**2 - radius**2)
-    tilt = [rx + wave * np.cos(2 * a + number), ry + wave * np.sin(a), np.full(count, spin)]
-    return np.stack([radius * np.cos(a), radius * np.sin(a), np.full(count, z), *tilt], -1), a
+    tilt = [
+        rx + wave * np.cos(2 * a + number),
+        ry + wave * np.sin(a),
+        np.full(count, spin),
+    ]
+    return (
+        np.stack(
+            [radius * np.cos(a), radius * np.sin(a), np.full(count, z), *tilt], -1
+        ),
+        a,
+    )
 
 
-#: rings of a hexaglide: radius, height of the middle over home's and how far up and down it goes, m, and angles, deg:
-#: constant rx, ry, spin, and the size of a tilt that goes round with it
+#: rings of a hexaglide: radius, height of the middle over home's and how far up and
+#: down it goes, m, and angles, deg: constant rx, ry, spin, and the size of a tilt that
+#: goes round with it
 _RINGS = (
     (0.080, -0.055, 0.030, 0.0, 0.0, 0.0, 7.0),
     (0.055, 0.060, 0.020, 6.0, -3.0, 9.0, 4.0),
@@ -159,7 +180,8 @@ _RINGS = (
     (0.035, -0.010, 0.080, -7.0, -6.0, 5.0, 4.0),
     (0.070, -0.080, -0.015, 5.0, 7.0, -4.0, -4.0),
 )
-#: the same for circles about its taught cup: latitude on the ball of the bar's length, deg, and angles
+#: the same for circles about its taught cup: latitude on the ball of the bar's length,
+#: deg, and angles
 _LATITUDES = (
     (-12.0, 0.0, 0.0, 0.0, 9.0),
     (6.0, 7.0, -2.0, 8.0, -4.0),
@@ -170,36 +192,69 @@ _LATITUDES = (
 _GLIDE_HOME, _GLIDE_CUP, _SHORT_BAR = 0.200, 0.170, 0.100
 
 
-def _glide_tilts(a: Array, rx: float, ry: float, spin: float, wave: float) -> list[Array]:
-    return list(np.deg2rad([rx + wave * np.sin(a + 0.4), ry + wave * np.cos(2 * a), spin + 0.5 * wave * np.sin(2 * a)]))
+def _glide_tilts(
+    a: Array, rx: float, ry: float, spin: float, wave: float
+) -> list[Array]:
+    return list(
+        np.deg2rad(
+            [
+                rx + wave * np.sin(a + 0.4),
+                ry + wave * np.cos(2 * a),
+                spin + 0.5 * wave * np.sin(2 * a),
+            ]
+        )
+    )
 
 
 def _glide_ring(number: int, tool: float, count: int) -> tuple[Array, Array]:
     radius, middle, rise, *angles = _RINGS[number]
     a = 2 * np.pi * (np.arange(count) + 0.41) / count
     z = _GLIDE_HOME + tool + middle + rise * np.sin(a - 0.7)
-    return np.stack([radius * np.cos(a), radius * np.sin(a), z, *_glide_tilts(a, *angles)], -1), a
+    return (
+        np.stack(
+            [radius * np.cos(a), radius * np.sin(a), z, *_glide_tilts(a, *angles)], -1
+        ),
+        a,
+    )
 
 
 def _glide_bar(number: int, count: int) -> tuple[Array, Array]:
     latitude, *angles = _LATITUDES[number]
-    radius, up = _SHORT_BAR * np.cos(np.deg2rad(latitude)), _SHORT_BAR * np.sin(np.deg2rad(latitude))
+    radius, up = (
+        _SHORT_BAR * np.cos(np.deg2rad(latitude)),
+        _SHORT_BAR * np.sin(np.deg2rad(latitude)),
+    )
     a = 2 * np.pi * (np.arange(count) + 0.41) / count
     place = [radius * np.cos(a), radius * np.sin(a), np.full(count, _GLIDE_CUP + up)]
     return np.stack([*place, *_glide_tilts(a, *angles)], -1), a
 
 
-# -- plans of the machines -----------------------------------------------------------------------------------
+# -- plans of the machines -------------------------------------------------------------
 
 Made = tuple[tuple[Setup, ...], list[list[Run]]]
 
 
-def _run(setup: int, path: str, made: tuple[Array, Array], way: int, feed: float, load: float, closed: bool) -> Run:
+def _run(
+    setup: int,
+    path: str,
+    made: tuple[Array, Array],
+    way: int,
+    feed: float,
+    load: float,
+    closed: bool,
+) -> Run:
     command, phase = made
     if way < 0:
         command, phase = command[::-1], phase[::-1]
     return Run(
-        setup=setup, path=path, command=command, phase=phase, closed=closed, direction=way, feed=feed, payload=load
+        setup=setup,
+        path=path,
+        command=command,
+        phase=phase,
+        closed=closed,
+        direction=way,
+        feed=feed,
+        payload=load,
     )
 
 
@@ -222,21 +277,37 @@ def _spread(
     again: int,
     twice: bool = False,
 ) -> list[Run]:
-    """Every path both ways, feeds and payloads balanced over them; the reference path `again` times in between.
+    """Every path both ways, feeds and payloads balanced over them; the reference path
+    `again` times in between.
 
-    With `twice` every path is also passed with the other feed and payload. Half of the other combinations of
-    direction, feed and payload are passed on the reference path.
+    With `twice` every path is also passed with the other feed and payload. Half of the
+    other combinations of direction, feed and payload are passed on the reference path.
     """
     runs = []
     for k, (name, made) in enumerate(paths.items()):
         for j, way in enumerate((1, -1)):
             a, b = (k + j + int(rng.integers(2))) % 2, (k // 2 + j) % 2
-            runs.append(_run(setup, name, made, way, levels.feed[a], levels.load[b], closed))
+            runs.append(
+                _run(setup, name, made, way, levels.feed[a], levels.load[b], closed)
+            )
             if twice:
-                runs.append(_run(setup, name, made, way, levels.feed[1 - a], levels.load[1 - b], closed))
+                runs.append(
+                    _run(
+                        setup,
+                        name,
+                        made,
+                        way,
+                        levels.feed[1 - a],
+                        levels.load[1 - b],
+                        closed,
+                    )
+                )
     made = paths[reference]
     others = [(-1, 0, 0), (1, 1, 0), (1, 0, 1), (-1, 1, 1)][: max(0, min(4, again))]
-    runs += [_run(setup, reference, made, w, levels.feed[a], levels.load[b], closed) for w, a, b in others]
+    runs += [
+        _run(setup, reference, made, w, levels.feed[a], levels.load[b], closed)
+        for w, a, b in others
+    ]
     rng.shuffle(runs)
     base = _run(setup, reference, made, 1, levels.feed[0], levels.load[0], closed)
     for place in np.linspace(0, len(runs), again).astype(int)[::-1]:
@@ -245,18 +316,34 @@ def _spread(
 
 
 def _a3(rng: Generator, name: str) -> Made:
-    cup = Setup(name="cup", instrument=instruments.BAR, settings={"length": _BAR}, teach=(_TEACH_Z, 0.0, 0.0))
-    long = dataclasses.replace(cup, name="long_tool", tool=0.1, teach=(_TEACH_Z + 0.1, 0.0, 0.0))
+    cup = Setup(
+        name="cup",
+        instrument=instruments.BAR,
+        settings={"length": _BAR},
+        teach=(_TEACH_Z, 0.0, 0.0),
+    )
+    long = dataclasses.replace(
+        cup, name="long_tool", tool=0.1, teach=(_TEACH_Z + 0.1, 0.0, 0.0)
+    )
     count = 30 if name == "poor" else 24
-    heights = (1.066, 1.146, 1.206, 1.266) if name == "poor" else (1.066, 1.116, 1.166, 1.216, 1.266)
+    heights = (
+        (1.066, 1.146, 1.206, 1.266)
+        if name == "poor"
+        else (1.066, 1.116, 1.166, 1.216, 1.266)
+    )
     levels = _levels("a3", name)
     paths = {f"z{1e3 * z:.0f}": _a3_circle(z, 0.0, count) for z in heights}
     reference = "z1206" if name == "poor" else "z1166"
     again = {"full": 4, "single": 4, "poor": 3}[name]
-    first = _spread(rng, 0, paths, reference, levels, True, again=again, twice=name == "single")
+    first = _spread(
+        rng, 0, paths, reference, levels, True, again=again, twice=name == "single"
+    )
     if name != "full":
         return (cup,), [first]
-    paths = {f"z{1e3 * z + 100:.0f}": _a3_circle(z + 0.1, 0.1, count) for z in (1.066, 1.166, 1.266)}
+    paths = {
+        f"z{1e3 * z + 100:.0f}": _a3_circle(z + 0.1, 0.1, count)
+        for z in (1.066, 1.166, 1.266)
+    }
     return (cup, long), [first, _spread(rng, 1, paths, "z1266", levels, True, again=3)]
 
 
@@ -265,15 +352,26 @@ def _levels(machine: str, name: str) -> _Levels:
         "a3": (600, 2400), "planar": (2000, 8000), "delta": (1500, 6000), "hexapod": (600, 2400),
         "hexaglide": (1000, 4000),
     }[machine]  # fmt: skip
-    load = {"a3": (0, 300), "planar": (0, 500), "delta": (0, 5), "hexapod": (0, 200), "hexaglide": (0, 150)}[machine]
+    load = {
+        "a3": (0, 300),
+        "planar": (0, 500),
+        "delta": (0, 5),
+        "hexapod": (0, 200),
+        "hexaglide": (0, 150),
+    }[machine]
     if name == "poor":
         middle = np.sqrt(feed[0] * feed[1]) * MM_MIN
         return _Levels((middle, middle), (0.0, 0.0))
-    return _Levels((feed[0] * MM_MIN, feed[1] * MM_MIN), (float(load[0]), float(load[1])))
+    return _Levels(
+        (feed[0] * MM_MIN, feed[1] * MM_MIN), (float(load[0]), float(load[1]))
+    )
 
 
 def _planar(rng: Generator, name: str) -> Made:
-    rm5, rm4 = Setup(name="rm5", instrument=instruments.RM5), Setup(name="rm4", instrument=instruments.RM4)
+    rm5, rm4 = (
+        Setup(name="rm5", instrument=instruments.RM5),
+        Setup(name="rm4", instrument=instruments.RM4),
+    )
     levels = _levels("planar", name)
     z = (0.0, 0.375, 0.75, 1.125, 1.5) if name == "full" else (0.0, 0.75, 1.5)
     y = (-1.5, -0.75, 0.0, 0.75, 1.5) if name == "full" else (-1.5, 0.0, 1.5)
@@ -293,14 +391,28 @@ def _delta(rng: Generator, name: str) -> Made:
         Setup(name="probe", instrument=instruments.PROBE),
     )
     levels = _levels("delta", name)
-    rings: tuple[tuple[float, float], ...] = ((0.06, 0.06), (0.13, 0.06), (0.13, 0.18), (0.06, 0.30), (0.12, 0.30))
+    rings: tuple[tuple[float, float], ...] = (
+        (0.06, 0.06),
+        (0.13, 0.06),
+        (0.13, 0.18),
+        (0.06, 0.30),
+        (0.12, 0.30),
+    )
     rings = rings if name == "full" else (rings[1], rings[4])
     paths = {f"r{1e3 * r:.0f}z{1e3 * z:.0f}": _delta_circle(r, z, 13) for r, z in rings}
     reference = "r130z180" if name == "full" else "r130z60"
-    # one way each but on the reference circle: three channels a row are many readings soon
-    ring = _spread(rng, 0, paths, reference, levels, True, again=3 if name == "full" else 2)
-    ring = [r for k, r in enumerate(ring) if r.path == reference or k % 3 or name == "poor"]
-    rows = {f"y{1e3 * v:.0f}": _delta_row(v, 10) for v in (-0.11, -0.075, -0.035, 0.005, 0.04, 0.08, 0.12)}
+    # one way each but on the reference circle: three channels a row are many readings
+    # soon
+    ring = _spread(
+        rng, 0, paths, reference, levels, True, again=3 if name == "full" else 2
+    )
+    ring = [
+        r for k, r in enumerate(ring) if r.path == reference or k % 3 or name == "poor"
+    ]
+    rows = {
+        f"y{1e3 * v:.0f}": _delta_row(v, 10)
+        for v in (-0.11, -0.075, -0.035, 0.005, 0.04, 0.08, 0.12)
+    }
     bed = _spread(rng, 1, rows, "y5", levels, False, again=3 if name == "full" else 2)
     return (tracker, probe), [ring, bed]
 
@@ -308,7 +420,9 @@ def _delta(rng: Generator, name: str) -> Made:
 def _hexapod(rng: Generator, name: str) -> Made:
     def cup(label: str, tool: float) -> Setup:
         settings = {"length": _BAR, "at_x": 0.0, "at_y": 0.0, "at_z": 0.2 + tool}
-        return Setup(name=label, instrument=instruments.FREE_BAR, tool=tool, settings=settings)
+        return Setup(
+            name=label, instrument=instruments.FREE_BAR, tool=tool, settings=settings
+        )
 
     levels = _levels("hexapod", name)
     count = 26 if name == "poor" else 20
@@ -318,15 +432,25 @@ def _hexapod(rng: Generator, name: str) -> Made:
     if name == "poor":
         return (cup("bar", 0.0),), [first]
     paths = {f"c{k + 1}": _hex_circle(k, 0.1, count) for k in (1, 4, 5, 8, 9)}
-    return (cup("bar", 0.0), cup("long_tool", 0.1)), [first, _spread(rng, 1, paths, "c2", levels, True, again=2)]
+    return (cup("bar", 0.0), cup("long_tool", 0.1)), [
+        first,
+        _spread(rng, 1, paths, "c2", levels, True, again=2),
+    ]
 
 
 def _hexaglide(rng: Generator, name: str) -> Made:
-    """A tracker with its target on a stem, and a short bar about a taught cup; the poor plan has the tracker alone."""
+    """A tracker with its target on a stem, and a short bar about a taught cup; the poor
+    plan has the tracker alone.
+    """
     stem = -0.080 if name == "full" else 0.0
     tracker = Setup(name="tracker", instrument=instruments.TRACKER, tool=stem)
     teach = (0.0, 0.0, _GLIDE_CUP, 0.0, 0.0, 0.0)
-    cup = Setup(name="cup", instrument=instruments.BAR, settings={"length": _SHORT_BAR}, teach=teach)
+    cup = Setup(
+        name="cup",
+        instrument=instruments.BAR,
+        settings={"length": _SHORT_BAR},
+        teach=teach,
+    )
     levels = _levels("hexaglide", name)
     count, numbers = (11, range(4)) if name == "full" else (12, range(5))
     rings = {f"t{k + 1}": _glide_ring(k, stem, count) for k in numbers}
@@ -334,7 +458,10 @@ def _hexaglide(rng: Generator, name: str) -> Made:
     if name == "poor":
         return (tracker,), [first]
     circles = {f"b{k + 1}": _glide_bar(k, 20) for k in range(5)}
-    return (tracker, cup), [first, _spread(rng, 1, circles, "b3", levels, True, again=3)]
+    return (tracker, cup), [
+        first,
+        _spread(rng, 1, circles, "b3", levels, True, again=3),
+    ]
 
 
 _MADE: dict[str, Callable[[Generator, str], Made]] = {
@@ -354,11 +481,15 @@ TEMPERATURES = ("temp_leg_C", "temp_frame_C", "temp_bar_C")
 def draw(rng: Generator, machine: str, name: str) -> Plan:
     """A plan of a machine; `name` is one of PLANS[machine]."""
     setups, blocks = _MADE[machine](rng, name)
-    return _lay_out(rng, MACHINES[machine], name, setups, blocks, _columns(rng, setups, name))
+    return _lay_out(
+        rng, MACHINES[machine], name, setups, blocks, _columns(rng, setups, name)
+    )
 
 
 def _columns(rng: Generator, setups: tuple[Setup, ...], name: str) -> tuple[str, ...]:
-    """Covariates in the file: all in a good plan, temperatures in some; a poor plan lacks one to three."""
+    """Covariates in the file: all in a good plan, temperatures in some; a poor plan
+    lacks one to three.
+    """
     shown = ["time_s", "direction", "feed_mm_min", "payload_N", "repeat"]
     bars = any(s.instrument.name in instruments.BARS for s in setups)
     if rng.random() < (0.5 if name != "poor" else 0.25):
@@ -387,11 +518,22 @@ def _lay_out(
     gap = rng.uniform(6.2, 7.6) * 3600.0 / total
     for k, block in enumerate(blocks):
         if k:
-            pauses.append((clock, clock + rng.uniform(1500.0, 3600.0)))  # another set-up is mounted
+            pauses.append(
+                (clock, clock + rng.uniform(1500.0, 3600.0))
+            )  # another set-up is mounted
             clock = pauses[-1][1]
         teach = setups[k].instrument.reference == "teach"
         if teach:
-            _append(rows, setup=k, run=-1, kind=TEACH, ref=at, order=0, time=clock - 120.0, command=[setups[k].teach])
+            _append(
+                rows,
+                setup=k,
+                run=-1,
+                kind=TEACH,
+                ref=at,
+                order=0,
+                time=clock - 120.0,
+                command=[setups[k].teach],
+            )
             taught, at = at, at + 1
         lunch = int(rng.integers(len(block) // 3, 2 * len(block) // 3 + 1))
         for j, run in enumerate(block):
@@ -402,7 +544,13 @@ def _lay_out(
             seen[key] = seen.get(key, 0) + 1
             here = at + np.arange(len(run.command))
             by_run = setups[k].instrument.reference == "run"
-            ref = np.full(len(here), at) if by_run else np.full(len(here), taught) if teach else here
+            ref = (
+                np.full(len(here), at)
+                if by_run
+                else np.full(len(here), taught)
+                if teach
+                else here
+            )
             kind = np.full(len(here), READ)
             kind[0] = REFERENCE if by_run else READ
             seconds = clock + _travel(machine, setups[k].tool, run)
@@ -427,7 +575,9 @@ def _travel(machine: Machine, tool: float, run: Run) -> Array:
     """Seconds (m,) since the run's first row, at its feed."""
     length = np.full(len(run.command), tool)
     pose = machine.inverse(run.command, length)
-    steps = np.linalg.norm(np.diff(tip(machine, pose.x, pose.R0, length), axis=0), axis=1)
+    steps = np.linalg.norm(
+        np.diff(tip(machine, pose.x, pose.R0, length), axis=0), axis=1
+    )
     return np.concatenate([[0.0], np.cumsum(steps)]) / run.feed
 
 
@@ -441,4 +591,6 @@ def _append(rows: dict[str, list[Array]], **values: object) -> None:
     rows.setdefault("command", []).append(command)
     for key, value in {**_DEFAULT, **values}.items():
         dtype = int if key in _WHOLE else float
-        rows.setdefault(key, []).append(np.broadcast_to(np.asarray(value, dtype=dtype), len(command)).copy())
+        rows.setdefault(key, []).append(
+            np.broadcast_to(np.asarray(value, dtype=dtype), len(command)).copy()
+        )

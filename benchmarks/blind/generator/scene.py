@@ -1,7 +1,9 @@
-"""A plan on a true machine: nominal motion (rates, forces), exact readings under any disturbance, slopes.
+"""A plan on a true machine: nominal motion (rates, forces), exact readings under any
+disturbance, slopes.
 
-Disturbances are told by a `Push`: what it adds, row by row, to joints, parameters, tool point, state of the set-up and
-readings. Readings are the exact ones; `response` is their first order, for what only needs that.
+Disturbances are told by a `Push`: what it adds, row by row, to joints, parameters, tool
+point, state of the set-up and readings. Readings are the exact ones; `response` is
+their first order, for what only needs that.
 """
 
 from __future__ import annotations
@@ -11,13 +13,23 @@ import dataclasses
 import numpy as np
 
 from benchmarks.blind.generator.instruments import STATE
-from benchmarks.blind.generator.machines import Array, Pose, leg_direction, nearby, settle, slope, tip
+from benchmarks.blind.generator.machines import (
+    Array,
+    Pose,
+    leg_direction,
+    nearby,
+    settle,
+    slope,
+    tip,
+)
 from benchmarks.blind.generator.plans import READ, Index, Plan
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Push:
-    """Additions: dq (n, legs), dp (n, np + extras), dtip (n, 3), ds (n, STATE), dy (N,); None: nothing. SI."""
+    """Additions: dq (n, legs), dp (n, np + extras), dtip (n, 3), ds (n, STATE), dy
+    (N,); None: nothing. SI.
+    """
 
     dq: Array | None = None
     dp: Array | None = None
@@ -27,7 +39,9 @@ class Push:
 
     def times(self, factor: float) -> Push:
         """The same, larger."""
-        return Push(**{k: None if v is None else factor * v for k, v in self._parts().items()})
+        return Push(
+            **{k: None if v is None else factor * v for k, v in self._parts().items()}
+        )
 
     def plus(self, other: Push) -> Push:
         """Both at once."""
@@ -36,7 +50,10 @@ class Push:
 
     def peak(self) -> float:
         """Largest addition, whatever it is added to."""
-        return max((float(np.abs(v).max()) for v in self._parts().values() if v is not None), default=0.0)
+        return max(
+            (float(np.abs(v).max()) for v in self._parts().values() if v is not None),
+            default=0.0,
+        )
 
     def _parts(self) -> dict[str, Array | None]:
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
@@ -47,7 +64,9 @@ def _sum(a: Array | None, b: Array | None) -> Array | None:
 
 
 class Layout:
-    """Where readings come from: for each of N readings its row, the row it is read against, its channel's sigma."""
+    """Where readings come from: for each of N readings its row, the row it is read
+    against, its channel's sigma.
+    """
 
     def __init__(self, plan: Plan) -> None:
         self.rows: list[Index] = []
@@ -67,7 +86,9 @@ class Layout:
 
 
 class Motion:
-    """Nominal motion along the rows: joints, rates (m/s), accelerations, arc length, tool points, leg directions."""
+    """Nominal motion along the rows: joints, rates (m/s), accelerations, arc length,
+    tool points, leg directions.
+    """
 
     def __init__(self, plan: Plan) -> None:
         machine = plan.machine
@@ -89,11 +110,16 @@ class Motion:
         rate = np.gradient(self.q[ring], s, axis=0)
         bend = np.gradient(rate, s, axis=0)
         keep = slice(2, -2) if closed else slice(None)
-        self.rate[here], self.acceleration[here] = feed * rate[keep], feed**2 * bend[keep]
+        self.rate[here], self.acceleration[here] = (
+            feed * rate[keep],
+            feed**2 * bend[keep],
+        )
         self.arc[here] = s[keep] - s[keep][0]
 
     def _lifts(self, plan: Plan) -> tuple[Array, Array]:
-        """dz/dq (n, legs) of the tool point, and of the moving mass's centre: forces by virtual work."""
+        """dz/dq (n, legs) of the tool point, and of the moving mass's centre: forces by
+        virtual work.
+        """
         machine, pose = plan.machine, self.pose
         p = np.tile(machine.full, (len(pose.q), 1))
         by_x = slope(lambda v: machine.closure(v, pose.R0, pose.q, p), pose.x)
@@ -109,13 +135,16 @@ class Motion:
 class Scene:
     """A plan and a true machine.
 
-    theta    what a calibration would identify: free parameters, then each set-up's unknowns; true values (m,)
+    theta    what a calibration would identify: free parameters, then each set-up's
+             unknowns; true values (m,)
     prior    their tolerances (m,)
     y        readings without any effect and noise (N,);  J: their slopes (N, m)
     """
 
     def __init__(self, plan: Plan, error: Array, state: Array) -> None:
-        """error (np,) of the parameters, state (set-ups, STATE) of the set-ups; both SI."""
+        """error (np,) of the parameters, state (set-ups, STATE) of the set-ups; both
+        SI.
+        """
         self.plan, self.layout, self.motion = plan, Layout(plan), Motion(plan)
         machine = plan.machine
         p = machine.full
@@ -138,7 +167,12 @@ class Scene:
         if push.dq is not None or push.dp is not None:
             q = pose.q if push.dq is None else pose.q + push.dq
             p = self.p if push.dp is None else self.p + push.dp
-            at = tip(machine, nearby(machine, self.x, self.inverse, pose.R0, q, p), pose.R0, self.plan.tool)
+            at = tip(
+                machine,
+                nearby(machine, self.x, self.inverse, pose.R0, q, p),
+                pose.R0,
+                self.plan.tool,
+            )
         if push.dtip is not None:
             at = at + push.dtip
         y = self._observe(at, self.s if push.ds is None else self.s + push.ds)
@@ -156,33 +190,50 @@ class Scene:
         row, ref = self.layout.row, self.layout.ref
         dy = (self.at_tip * moved[row]).sum(-1) + (self.at_ref * moved[ref]).sum(-1)
         if push.ds is not None:
-            dy += (self.at_s * push.ds[row]).sum(-1) + (self.at_sref * push.ds[ref]).sum(-1)
+            dy += (self.at_s * push.ds[row]).sum(-1) + (
+                self.at_sref * push.ds[ref]
+            ).sum(-1)
         return np.asarray(dy if push.dy is None else dy + push.dy)
 
     def _observe(self, at: Array, s: Array) -> Array:
         parts = []
         for setup, rows in zip(self.plan.setups, self.layout.rows, strict=True):
             ref = self.plan.ref[rows]
-            parts.append(setup.instrument.read(at[rows], at[ref], s[rows], s[ref], setup.settings).ravel())
+            parts.append(
+                setup.instrument.read(
+                    at[rows], at[ref], s[rows], s[ref], setup.settings
+                ).ravel()
+            )
         return np.concatenate(parts)
 
     def _slopes(self) -> None:
         machine, pose, tool = self.plan.machine, self.motion.pose, self.plan.tool
         by_x = slope(lambda v: tip(machine, v, pose.R0, tool), self.x)
         carry = by_x @ -self.inverse
-        self.by_q = carry @ slope(lambda v: machine.closure(self.x, pose.R0, v, self.p), pose.q)
-        self.by_p = carry @ slope(lambda v: machine.closure(self.x, pose.R0, pose.q, v), self.p)
+        self.by_q = carry @ slope(
+            lambda v: machine.closure(self.x, pose.R0, v, self.p), pose.q
+        )
+        self.by_p = carry @ slope(
+            lambda v: machine.closure(self.x, pose.R0, pose.q, v), self.p
+        )
         parts: list[list[Array]] = [[], [], [], []]
         for setup, rows in zip(self.plan.setups, self.layout.rows, strict=True):
             ref = self.plan.ref[rows]
             known = [self.tip[rows], self.tip[ref], self.s[rows], self.s[ref]]
             for k in range(4):
 
-                def one(v: Array, k: int = k, known: list[Array] = known, setup=setup) -> Array:  # type: ignore[no-untyped-def]
-                    return setup.instrument.read(*[v if j == k else a for j, a in enumerate(known)], setup.settings)
+                def one(
+                    v: Array, k: int = k, known: list[Array] = known, setup=setup
+                ) -> Array:  # type: ignore[no-untyped-def]
+                    return setup.instrument.read(
+                        *[v if j == k else a for j, a in enumerate(known)],
+                        setup.settings,
+                    )
 
                 parts[k].append(slope(one, known[k]).reshape(-1, known[k].shape[1]))
-        self.at_tip, self.at_ref, self.at_s, self.at_sref = (np.concatenate(v) for v in parts)
+        self.at_tip, self.at_ref, self.at_s, self.at_sref = (
+            np.concatenate(v) for v in parts
+        )
 
     def _theta(self, error: Array, state: Array) -> None:
         """Names, true values, tolerances and slopes of what a calibration identifies."""
@@ -195,11 +246,18 @@ class Scene:
         for k, setup in enumerate(self.plan.setups):
             here = self.plan.setup[row] == k
             for column, tolerance in setup.instrument.nuisances.items():
-                J.append((here * (self.at_s[:, column] + self.at_sref[:, column]))[:, None])
+                J.append(
+                    (here * (self.at_s[:, column] + self.at_sref[:, column]))[:, None]
+                )
                 names.append(f"{setup.name}.s{column}")
                 values.append(state[k, column])
                 prior.append(tolerance)
-        self.names, self.theta, self.prior, self.J = tuple(names), np.array(values), np.array(prior), np.hstack(J)
+        self.names, self.theta, self.prior, self.J = (
+            tuple(names),
+            np.array(values),
+            np.array(prior),
+            np.hstack(J),
+        )
 
 
 def draw(rng: np.random.Generator, plan: Plan) -> Scene:

@@ -1,7 +1,9 @@
-"""How visible an effect is to the best possible test: lambda = dy^T M dy with M = (Sigma + J Lambda J^T)^-1.
+"""How visible an effect is to the best possible test: lambda = dy^T M dy with M =
+(Sigma + J Lambda J^T)^-1.
 
-dy is the exact nonlinear difference of the noise-free readings, J the slopes over parameters and set-up unknowns at the
-true machine, Lambda their tolerances squared. A flat direction (another effect, of free size) can be absorbed as well.
+dy is the exact nonlinear difference of the noise-free readings, J the slopes over
+parameters and set-up unknowns at the true machine, Lambda their tolerances squared. A
+flat direction (another effect, of free size) can be absorbed as well.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ Size = Callable[[Array], float]
 
 
 class Metric:
-    """The metric M of a case; `seen(v)` (N, k) are vectors in coordinates in which M is the identity."""
+    """The metric M of a case; `seen(v)` (N, k) are vectors in coordinates in which M is
+    the identity.
+    """
 
     def __init__(self, sigma: Array, J: Array, prior: Array) -> None:
         self._root = linalg.cholesky(sigma, lower=True, check_finite=False)
@@ -26,7 +30,9 @@ class Metric:
         self._u, self._shrink = u, 1.0 - 1.0 / np.sqrt(1.0 + s**2)
 
     def _white(self, v: Array) -> Array:
-        return np.asarray(linalg.solve_triangular(self._root, v, lower=True, check_finite=False))
+        return np.asarray(
+            linalg.solve_triangular(self._root, v, lower=True, check_finite=False)
+        )
 
     def seen(self, v: Array) -> Array:
         """M^1/2 v for v (N,) or (N, k)."""
@@ -39,7 +45,9 @@ class Metric:
         return float(np.linalg.norm(self.seen(v)))
 
     def beside(self, way: Array) -> Size:
-        """As `size`, once the direction `way` (N,), in the coordinates of `seen`, is absorbed."""
+        """As `size`, once the direction `way` (N,), in the coordinates of `seen`, is
+        absorbed.
+        """
         unit = way / np.linalg.norm(way)
 
         def size(v: Array) -> float:
@@ -50,7 +58,9 @@ class Metric:
 
 
 def beyond(seen: Array, columns: Array) -> float:
-    """Length of what is left of `seen` (N,) once columns (N, k), in the same coordinates, are absorbed freely."""
+    """Length of what is left of `seen` (N,) once columns (N, k), in the same
+    coordinates, are absorbed freely.
+    """
     size = np.linalg.norm(columns, axis=0)
     kept = columns[:, size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)]
     if not kept.shape[1]:
@@ -59,11 +69,17 @@ def beyond(seen: Array, columns: Array) -> float:
     values, vectors = np.linalg.eigh(kept.T @ kept)
     good = values > 1e-10 * values[-1]
     share = vectors[:, good].T @ (kept.T @ seen)
-    return float(np.sqrt(max(float(seen @ seen) - float((share**2 / values[good]).sum()), 0.0)))
+    return float(
+        np.sqrt(max(float(seen @ seen) - float((share**2 / values[good]).sum()), 0.0))
+    )
 
 
-def amplitude(change: Callable[[float], Array], wanted: Size, target: float, start: float) -> float:
-    """The amplitude at which `wanted(change(a))` is the target; secant steps from `start`. Raises ArithmeticError."""
+def amplitude(
+    change: Callable[[float], Array], wanted: Size, target: float, start: float
+) -> float:
+    """The amplitude at which `wanted(change(a))` is the target; secant steps from
+    `start`. Raises ArithmeticError.
+    """
     a0, f0 = 0.0, 0.0
     a = start
     for _ in range(8):

@@ -1,7 +1,9 @@
-"""Textbook forms of the known effects, to tell how far a drawn form departs from them, and who its rivals are.
+"""Textbook forms of the known effects, to tell how far a drawn form departs from them,
+and who its rivals are.
 
-Each name has one or more alternatives (a time constant, a pitch, a leg), each a list of pushes whose sizes are free.
-They are first-order columns; the generator's own forms (`effects`) are built otherwise.
+Each name has one or more alternatives (a time constant, a pitch, a leg), each a list of
+pushes whose sizes are free. They are first-order columns; the generator's own forms
+(`effects`) are built otherwise.
 """
 
 from __future__ import annotations
@@ -53,7 +55,11 @@ def _gravity(stage: Stage) -> Iterator[Block]:
 
 def _frame_bending(stage: Stage) -> Iterator[Block]:
     place = stage.motion.tip - stage.motion.tip.mean(0)
-    u = [place[:, k] / np.abs(place[:, k]).max() for k in range(3) if np.ptp(place[:, k]) > 1e-6]
+    u = [
+        place[:, k] / np.abs(place[:, k]).max()
+        for k in range(3)
+        if np.ptp(place[:, k]) > 1e-6
+    ]
     terms = [a * b for i, a in enumerate(u) for b in u[i:]] + [a**3 for a in u] + u
     yield [Push(dtip=t[:, None] * way) for t in terms for way in np.eye(3)]
 
@@ -79,7 +85,9 @@ def _encoder_scale(stage: Stage) -> Iterator[Block]:
 
 
 def _pitch_accumulation(stage: Stage) -> Iterator[Block]:
-    terms = chebvander(stage.stroke, 6)[..., 2:]  # a constant and a slope are home error and scale
+    terms = chebvander(stage.stroke, 6)[
+        ..., 2:
+    ]  # a constant and a slope are home error and scale
     yield [p for k in range(terms.shape[-1]) for p in _per_leg(stage, terms[..., k])]
 
 
@@ -90,12 +98,18 @@ def _waves(stage: Stage, periods: tuple[float, ...]) -> Iterator[Block]:
 
 
 def _screw_cyclic(stage: Stage) -> Iterator[Block]:
-    pitches = (5, 8, 10, 12, 16, 20, 25) if stage.machine.name != "planar" else (20, 25, 32, 40, 50)
+    pitches = (
+        (5, 8, 10, 12, 16, 20, 25)
+        if stage.machine.name != "planar"
+        else (20, 25, 32, 40, 50)
+    )
     yield from _waves(stage, tuple(1e-3 * p for p in pitches))
 
 
 def _encoder_subdivision(stage: Stage) -> Iterator[Block]:
-    yield from _waves(stage, tuple(1e-6 * p for p in (20, 40, 100, 200, 1000, 2000, 5000)))
+    yield from _waves(
+        stage, tuple(1e-6 * p for p in (20, 40, 100, 200, 1000, 2000, 5000))
+    )
 
 
 def _guideway(stage: Stage) -> Iterator[Block]:
@@ -120,12 +134,19 @@ def _joint_runout(stage: Stage) -> Iterator[Block]:
             swing = np.arcsin(np.clip(v @ way, -1.0, 1.0))
             terms = [f(k * swing) for k in (1, 2, 4) for f in (np.cos, np.sin)]
             shifts = [t[:, None] * axis for t in terms for axis in np.eye(3)]
-            yield [Push(dp=place_joints(stage, leg, s, platform=platform)) for s in shifts]
+            yield [
+                Push(dp=place_joints(stage, leg, s, platform=platform)) for s in shifts
+            ]
 
 
 def _joint_clearance(stage: Stage) -> Iterator[Block]:
     for share in (0.0, 0.3, 0.6):
-        yield _per_leg(stage, np.asarray(np.sign(joint_force(stage, share * stage.machine.weight)), dtype=float))
+        yield _per_leg(
+            stage,
+            np.asarray(
+                np.sign(joint_force(stage, share * stage.machine.weight)), dtype=float
+            ),
+        )
 
 
 def _bar_length(stage: Stage) -> Iterator[Block]:
@@ -136,9 +157,19 @@ def _bar_thermal(stage: Stage) -> Iterator[Block]:
     row = stage.layout.row
     for rise in [*_rises(stage), stage.climate.shown["temp_bar_C"]]:
         yield [Push(dy=rise[row] * stage.by_bar)]
-    since = np.array([stage.plan.time[stage.plan.setup == k].min() for k in range(len(stage.plan.setups))])
+    since = np.array(
+        [
+            stage.plan.time[stage.plan.setup == k].min()
+            for k in range(len(stage.plan.setups))
+        ]
+    )
     for tau in TAUS[:3]:
-        yield [Push(dy=np.exp(-(stage.plan.time - since[stage.plan.setup]) / tau)[row] * stage.by_bar)]
+        yield [
+            Push(
+                dy=np.exp(-(stage.plan.time - since[stage.plan.setup]) / tau)[row]
+                * stage.by_bar
+            )
+        ]
 
 
 def _drifts(stage: Stage, shape: Array) -> Block:
@@ -152,7 +183,12 @@ def _drifts(stage: Stage, shape: Array) -> Block:
 
 
 def _mount_drift(stage: Stage) -> Iterator[Block]:
-    since = np.array([stage.plan.time[stage.plan.setup == k].min() for k in range(len(stage.plan.setups))])
+    since = np.array(
+        [
+            stage.plan.time[stage.plan.setup == k].min()
+            for k in range(len(stage.plan.setups))
+        ]
+    )
     t = stage.plan.time - since[stage.plan.setup]
     for tau in TAUS:
         yield _drifts(stage, t / t.max()) + _drifts(stage, 1.0 - np.exp(-t / tau))
@@ -189,10 +225,15 @@ FORMS: dict[str, Callable[[Stage], Iterator[Block]]] = {
 
 
 def left(
-    scene: Scene, stage: Stage, metric: Metric, names: tuple[str, ...], changes: list[Array]
+    scene: Scene,
+    stage: Stage,
+    metric: Metric,
+    names: tuple[str, ...],
+    changes: list[Array],
 ) -> list[dict[str, float]]:
-    """For each difference of readings (N,), what sqrt(lambda) is left once each named form's best alternative is
-    absorbed with sizes free."""
+    """For each difference of readings (N,), what sqrt(lambda) is left once each named
+    form's best alternative is absorbed with sizes free.
+    """
     seen = [metric.seen(c) for c in changes]
     found: list[dict[str, float]] = [{} for _ in changes]
     for name in names:

@@ -1,11 +1,13 @@
 """Sets of cases on disk.
 
-    DIR/manifest.jsonl         a line a case, in the order of names that tell nothing: id, study, readings
+    DIR/manifest.jsonl         a line a case, in the order of names that tell nothing:
+                               id, study, readings
     DIR/cases/ID.readings.csv  what a diagnosis may read
     DIR/labels.jsonl           what only the scorer may read
     DIR/truth/ID.npz           likewise: see `truth`
 
-Cases that are there already are left alone, so that a run can be taken up again; the lists are made anew.
+Cases that are there already are left alone, so that a run can be taken up again; the
+lists are made anew.
 """
 
 from __future__ import annotations
@@ -36,9 +38,11 @@ def generate(
     kinds: Collection[str] = (),
     told: Callable[[int, int], None] = lambda done, count: None,
 ) -> int:
-    """Write `count` cases of a set, of some machines and kinds only where these are given; returns how many are new.
+    """Write `count` cases of a set, of some machines and kinds only where these are
+    given; returns how many are new.
 
-    Case k is the same whatever else is asked for. Raises OSError, ValueError for unknown names.
+    Case k is the same whatever else is asked for. Raises OSError, ValueError for
+    unknown names.
     """
     for folder in ("cases", "truth"):
         (out / folder).mkdir(parents=True, exist_ok=True)
@@ -52,24 +56,34 @@ def generate(
         lines.append(_line(label))
         told(done + 1, len(wanted))
     order = np.argsort([str(line["id"]) for line in lines])
-    _replace(out / "manifest.jsonl", "".join(json.dumps(lines[i]) + "\n" for i in order))
+    _replace(
+        out / "manifest.jsonl", "".join(json.dumps(lines[i]) + "\n" for i in order)
+    )
     _replace(out / "labels.jsonl", "".join(json.dumps(labels[i]) + "\n" for i in order))
     return new
 
 
-def _numbers(name: str, count: int, seed: int, machines: Collection[str], kinds: Collection[str]) -> list[int]:
+def _numbers(
+    name: str, count: int, seed: int, machines: Collection[str], kinds: Collection[str]
+) -> list[int]:
     """The first `count` numbers of cases of the wanted machines and kinds."""
     for given, known in ((machines, cases.ON.get(name, ())), (kinds, cases.KINDS)):
         for word in given:
             if word not in known:
-                raise ValueError(f"set {name} has no {word!r}; it has {', '.join(known)}")
+                raise ValueError(
+                    f"set {name} has no {word!r}; it has {', '.join(known)}"
+                )
     found: list[int] = []
     k = 0
     while len(found) < count:
         if k > 1000 * (count + 1):
-            raise ValueError(f"set {name} has no case of {sorted(kinds)} on {sorted(machines)}")
+            raise ValueError(
+                f"set {name} has no case of {sorted(kinds)} on {sorted(machines)}"
+            )
         part = cases.role(seed, name, k)
-        if (not machines or part.machine in machines) and (not kinds or part.kind in kinds):
+        if (not machines or part.machine in machines) and (
+            not kinds or part.kind in kinds
+        ):
             found.append(k)
         k += 1
     return found
@@ -83,14 +97,21 @@ def _one(out: Path, name: str, seed: int, k: int) -> tuple[dict[str, object], bo
         return json.loads(kept.read_text(encoding="utf-8")), False
     case = cases.make(seed, name, k)
     label = cases.label(case) | {"set": name, "study": case.stage.plan.study}
-    _replace(out / "cases" / f"{key}.readings.csv", table(case).to_csv(index=False, lineterminator="\n"))
+    _replace(
+        out / "cases" / f"{key}.readings.csv",
+        table(case).to_csv(index=False, lineterminator="\n"),
+    )
     np.savez(out / "truth" / f"{key}.npz", allow_pickle=False, **truth(case))
     _replace(kept, json.dumps(label))
     return label, True
 
 
 def _line(label: dict[str, object]) -> dict[str, object]:
-    return {"id": label["id"], "study": label["study"], "readings": f"cases/{label['id']}.readings.csv"}
+    return {
+        "id": label["id"],
+        "study": label["study"],
+        "readings": f"cases/{label['id']}.readings.csv",
+    }
 
 
 def _replace(path: Path, text: str) -> None:
@@ -127,7 +148,10 @@ def _covariates(case: Case) -> list[tuple[str, Array, str]]:
         ("direction", plan.direction, "{:.0f}"),
         ("feed_mm_min", plan.feed * 6e4, "{:.3f}"),
         ("payload_N", plan.payload, "{:.1f}"),
-        *((name, values, "{:.1f}") for name, values in case.stage.climate.shown.items()),
+        *(
+            (name, values, "{:.1f}")
+            for name, values in case.stage.climate.shown.items()
+        ),
         ("repeat", plan.repeat.astype(float), "{:.0f}"),
     ]
 
@@ -138,7 +162,9 @@ def _readings(case: Case, rows: Index) -> dict[str, list[str]]:
     at = 0
     for setup, here in zip(plan.setups, layout.rows, strict=True):
         channels = [f"{stem}_mm" for stem, _ in setup.instrument.channels]
-        values = case.y[at : at + len(here) * len(channels)].reshape(len(here), -1) * 1e3
+        values = (
+            case.y[at : at + len(here) * len(channels)].reshape(len(here), -1) * 1e3
+        )
         at += values.size
         for k, column in enumerate(channels):
             whole = cells.setdefault(column, [""] * len(plan.kind))
@@ -148,15 +174,28 @@ def _readings(case: Case, rows: Index) -> dict[str, list[str]]:
 
 
 def truth(case: Case) -> dict[str, Array]:
-    """What the oracle needs: `dy_0`, `dy_1`, ... (N,) exact change by each effect alone; `y0` without effects, `clean`
-    with them, both free of noise; `y`; J (N, m) with `prior` and `theta` (m,); the grouping and law of the noise.
+    """What the oracle needs: `dy_0`, `dy_1`, ... (N,) exact change by each effect
+    alone; `y0` without effects, `clean` with them, both free of noise; `y`; J (N, m)
+    with `prior` and `theta` (m,); the grouping and law of the noise.
 
     `covariance` makes Sigma (N, N) of it.
     """
     found: dict[str, Array] = {f"dy_{i}": s.change for i, s in enumerate(case.sized)}
-    found |= {"y0": case.scene.y, "clean": case.clean, "y": case.y, "J": case.scene.J.astype(np.float32)}
-    found |= {"prior": case.scene.prior, "theta": case.scene.theta, "names": np.array(case.scene.names)}
-    found |= {f"group_{f.name}": getattr(case.group, f.name) for f in dataclasses.fields(case.group)}
+    found |= {
+        "y0": case.scene.y,
+        "clean": case.clean,
+        "y": case.y,
+        "J": case.scene.J.astype(np.float32),
+    }
+    found |= {
+        "prior": case.scene.prior,
+        "theta": case.scene.theta,
+        "names": np.array(case.scene.names),
+    }
+    found |= {
+        f"group_{f.name}": getattr(case.group, f.name)
+        for f in dataclasses.fields(case.group)
+    }
     found["law"] = np.array(json.dumps(dataclasses.asdict(case.law)))
     return found
 
@@ -165,4 +204,6 @@ def covariance(kept: Mapping[str, Any]) -> Array:
     """Sigma (N, N), m^2, of a truth file as loaded."""
     law = noise.Law(**json.loads(str(kept["law"])))
     names = [f.name for f in dataclasses.fields(noise.Grouping)]
-    return noise.covariance(law, noise.Grouping(**{n: kept[f"group_{n}"] for n in names}))
+    return noise.covariance(
+        law, noise.Grouping(**{n: kept[f"group_{n}"] for n in names})
+    )

@@ -1,6 +1,8 @@
-"""Backlash: a joint stays b_i / 2 behind its command, in the sense in which it last moved.
+"""Backlash: a joint stays b_i / 2 behind its command, in the sense in which it last
+moved.
 
-Ball screws without preload have 5 to 50 um of axial play, preloaded ones none to 5 (catalogues; ISO 230-2, reversal).
+Ball screws without preload have 5 to 50 um of axial play, preloaded ones none to 5
+(catalogues; ISO 230-2, reversal).
 """
 
 from __future__ import annotations
@@ -13,30 +15,45 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 PLAY = 10e-6  # m
-#: travel after a reversal over which play is taken up, m: no more than the play; over more it is friction that winds up
+#: travel after a reversal over which play is taken up, m: no more than the play; over
+#: more it is friction that winds up
 TAKEN_UP = (0.1e-3, 0.3e-3)
 
 
 def columns(state: State, distance: float) -> Iterable[Column]:
-    """-b sense / 2 a leg; shape: play that differs along the travel, and that is taken up after a reversal."""
+    """-b sense / 2 a leg; shape: play that differs along the travel, and that is taken
+    up after a reversal.
+    """
     unit, at = terms.metre(state), terms.place(state)
     behind = -0.5 * state.sense * unit
     fresh = np.exp(-state.reversal / (distance * unit))
     for i in state.limbs:
         leg, half = f"leg {i + 1}", behind[:, i]
         yield Column(leg, PLAY, leg, {i: half})
-        for name, form in (("slope", at[:, i]), ("middle", at[:, i] ** 2), ("fresh", fresh[:, i])):
-            yield Column(f"{leg} {name}", terms.ADAPT * PLAY, leg, {i: half * form}, shape=True)
+        for name, form in (
+            ("slope", at[:, i]),
+            ("middle", at[:, i] ** 2),
+            ("fresh", fresh[:, i]),
+        ):
+            yield Column(
+                f"{leg} {name}", terms.ADAPT * PLAY, leg, {i: half * form}, shape=True
+            )
 
 
 effect = Effect(
     name="backlash",
-    source="ISO 230-2 (reversal value); catalogues of ball screws: 5 to 50 um without preload",
+    source=(
+        "ISO 230-2 (reversal value); catalogues of ball screws: 5 to 50 um without"
+        " preload"
+    ),
     about="play in each drive, taken up at each reversal of the joint",
     columns=columns,
     needs=("direction: both",),
     constants={"distance": TAKEN_UP},
-    remedy="preload or renew nuts and joints of the leg, or set the controller's backlash compensation a leg",
+    remedy=(
+        "preload or renew nuts and joints of the leg, or set the controller's backlash"
+        " compensation a leg"
+    ),
     exposed_by="the same circle in both directions, at two feeds",
     alike=True,
 )

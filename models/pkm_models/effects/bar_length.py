@@ -1,4 +1,6 @@
-"""A bar that is not as long as it says: a constant in its readings. Calibrators leave 1 um, an unzeroed bar 10 um."""
+"""A bar that is not as long as it says: a constant in its readings. Calibrators leave 1
+um, an unzeroed bar 10 um.
+"""
 
 from __future__ import annotations
 
@@ -23,5 +25,8 @@ effect = Effect(
     about="a bar (or calliper) whose zero is wrong",
     columns=columns,
     remedy="calibrate the bar's length on a calibrator before use",
-    exposed_by="a second known tool length, a second bar calibrated apart, or a laser interferometer",
+    exposed_by=(
+        "a second known tool length, a second bar calibrated apart, or a laser"
+        " interferometer"
+    ),
 )

@@ -1,6 +1,8 @@
-"""A bar that warms up in the hand or the shop: it grows by R alpha dT(t) and so reads that much less.
+"""A bar that warms up in the hand or the shop: it grows by R alpha dT(t) and so reads
+that much less.
 
-Its reading is the distance of the balls: a body longer by g than it is taken for tells g less than there is.
+Its reading is the distance of the balls: a body longer by g than it is taken for tells
+g less than there is.
 """
 
 from __future__ import annotations
@@ -17,11 +19,15 @@ RISE = 1.0  # K
 
 
 def columns(state: State, tau: float, held: float) -> Iterable[Column]:
-    """-R alpha dT(t) a bar: what follows the shop, or (held) the warmth of the hand that mounted it, which fades from
-    the start of each set-up; shape: the other of the two, and a second time constant."""
+    """-R alpha dT(t) a bar: what follows the shop, or (held) the warmth of the hand
+    that mounted it, which fades from the start of each set-up; shape: the other of the
+    two, and a second time constant.
+    """
     measured, warm, second = terms.warming(state, "bar", tau)
     name, long = bar.label(state), bar.length(state) or bar.NOMINAL
-    unit, scale = ("per kelvin", terms.STEEL) if measured else ("rise", RISE * terms.STEEL)
+    unit, scale = (
+        ("per kelvin", terms.STEEL) if measured else ("rise", RISE * terms.STEEL)
+    )
     hand, most = "held", RISE * terms.STEEL
     forms = {
         unit: (scale, warm),
@@ -30,13 +36,24 @@ def columns(state: State, tau: float, held: float) -> Iterable[Column]:
     }
     textbook = hand if held else unit
     for kind, (size, form) in forms.items():
-        yield Column(f"{name} {kind}", size, reading={"length": -long * form}, shape=kind != textbook)
+        yield Column(
+            f"{name} {kind}",
+            size,
+            reading={"length": -long * form},
+            shape=kind != textbook,
+        )
 
 
 def _fading(state: State, tau: float) -> Array:
-    """exp(-t / tau) since the set-up's first reading (m,); nothing where no time is known."""
+    """exp(-t / tau) since the set-up's first reading (m,); nothing where no time is
+    known.
+    """
     known = state.time[np.isfinite(state.time)]
-    return np.exp(-(terms.filled(state.time) - known.min()) / tau) if known.size else np.zeros(len(state))
+    return (
+        np.exp(-(terms.filled(state.time) - known.min()) / tau)
+        if known.size
+        else np.zeros(len(state))
+    )
 
 
 effect = Effect(
@@ -46,6 +63,9 @@ effect = Effect(
     columns=columns,
     needs=("time or temp_bar",),
     constants={"tau": terms.TIMES, "held": (0.0, 1.0)},
-    remedy="let the bar reach the shop's temperature, do not hold it in the hand, or correct by its sensor",
+    remedy=(
+        "let the bar reach the shop's temperature, do not hold it in the hand, or"
+        " correct by its sensor"
+    ),
     exposed_by="the bar zeroed again on its calibrator between runs",
 )

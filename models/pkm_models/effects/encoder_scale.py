@@ -1,4 +1,6 @@
-"""Scale error of an encoder or a screw: each joint goes s_i q_i too far. 10 ppm of a glass scale, 50 ppm of a screw."""
+"""Scale error of an encoder or a screw: each joint goes s_i q_i too far. 10 ppm of a
+glass scale, 50 ppm of a screw.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ SCALE = 50e-6
 
 
 def columns(state: State) -> Iterable[Column]:
-    """s_i q_i, one coefficient a joint; where q is counted from is the joint's zero, which is geometry."""
+    """s_i q_i, one coefficient a joint; where q is counted from is the joint's zero,
+    which is geometry.
+    """
     for i in state.limbs:
         yield Column(f"leg {i + 1}", SCALE, f"leg {i + 1}", {i: state.joints[:, i]})
 
@@ -20,7 +24,10 @@ effect = Effect(
     source="ISO 230-2 and -3; catalogues of linear encoders and ball screws",
     about="scale error of each joint's encoder or screw",
     columns=columns,
-    remedy="measure each joint's scale with a laser interferometer and correct it in the controller",
+    remedy=(
+        "measure each joint's scale with a laser interferometer and correct it in the"
+        " controller"
+    ),
     exposed_by="a laser interferometer along a joint, or a second known tool length",
     alike=True,
 )

@@ -1,7 +1,8 @@
 """Subdivision error of a linear encoder: periodic over one signal period of its scale.
 
-Catalogues give up to 1 % of the signal period: 0.2 um of a 20 um grating, 10 um of a magnetic scale of 1 mm. What
-the encoder shows is known exactly, so poses far apart see the period as well as dense ones.
+Catalogues give up to 1 % of the signal period: 0.2 um of a 20 um grating, 10 um of a
+magnetic scale of 1 mm. What the encoder shows is known exactly, so poses far apart see
+the period as well as dense ones.
 """
 
 from __future__ import annotations
@@ -30,11 +31,17 @@ def columns(state: State, period: float) -> Iterable[Column]:
 
 effect = Effect(
     name="encoder_subdivision",
-    source="catalogues of linear encoders: position error within a signal period up to 1 % of it",
+    source=(
+        "catalogues of linear encoders: position error within a signal period up to 1 %"
+        " of it"
+    ),
     about="error of each encoder within a signal period",
     columns=columns,
     constants={"period": PERIODS},
-    remedy="clean and align the reading head, adjust offset, amplitude and phase of its signals",
+    remedy=(
+        "clean and align the reading head, adjust offset, amplitude and phase of its"
+        " signals"
+    ),
     exposed_by="slow, dense readings over a few signal periods",
     unfit=terms.turning,
 )

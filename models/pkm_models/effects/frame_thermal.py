@@ -1,4 +1,6 @@
-"""A frame that warms up: base ends move away from their middle by alpha b_i dT(t). A shop varies by 1 to 3 K a day."""
+"""A frame that warms up: base ends move away from their middle by alpha b_i dT(t). A
+shop varies by 1 to 3 K a day.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +16,34 @@ RISE = 2.0  # K
 
 
 def columns(state: State, tau: float) -> Iterable[Column]:
-    """Even radial growth; shape: a second time constant, growth in height, one side warmer than the other."""
+    """Even radial growth; shape: a second time constant, growth in height, one side
+    warmer than the other.
+    """
     measured, warm, second = terms.warming(state, "frame", tau)
-    unit, scale, strain = ("per kelvin", terms.STEEL, 1.0) if measured else ("rise", RISE, terms.STEEL)
+    unit, scale, strain = (
+        ("per kelvin", terms.STEEL, 1.0) if measured else ("rise", RISE, terms.STEEL)
+    )
     away = state.base - state.base.mean(axis=1, keepdims=True)
     flat = away * np.array([1.0, 1.0, 0.0])
     size = float(np.linalg.norm(flat, axis=-1).mean()) or 1.0
     height = (state.machine.lever + away[..., 2:]) * np.array([0.0, 0.0, 1.0])
     even, up = (strain * terms.stretched(state, shift) for shift in (flat, height))
     yield Column(unit, scale, "", _joints(even, warm))
-    yield Column(f"{unit} second", terms.ADAPT * scale, "", _joints(even, second), shape=True)
-    yield Column(f"{unit} height", terms.ADAPT * scale, "", _joints(up, warm), shape=True)
+    yield Column(
+        f"{unit} second", terms.ADAPT * scale, "", _joints(even, second), shape=True
+    )
+    yield Column(
+        f"{unit} height", terms.ADAPT * scale, "", _joints(up, warm), shape=True
+    )
     for k, axis in enumerate("xy"):
         side = strain * terms.stretched(state, flat * flat[..., k : k + 1] / size)
-        yield Column(f"{unit} side {axis}", terms.ADAPT * scale, "", _joints(side, warm), shape=True)
+        yield Column(
+            f"{unit} side {axis}",
+            terms.ADAPT * scale,
+            "",
+            _joints(side, warm),
+            shape=True,
+        )
 
 
 def _joints(change: Array, factor: Array) -> dict[int, Array]:
@@ -41,7 +57,10 @@ effect = Effect(
     columns=columns,
     needs=("time or temp_frame",),
     constants={"tau": terms.TIMES},
-    remedy="hold the shop's temperature, shield the frame from draught and sun, or compensate by a sensor on the frame",
+    remedy=(
+        "hold the shop's temperature, shield the frame from draught and sun, or"
+        " compensate by a sensor on the frame"
+    ),
     exposed_by="cups far apart and large tilts, repeated in the course of hours",
     unfit=terms.no_struts,
 )

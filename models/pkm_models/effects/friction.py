@@ -1,7 +1,9 @@
-"""Friction that winds up the drive: a joint stays F / k(l) behind, in the sense in which it moves.
+"""Friction that winds up the drive: a joint stays F / k(l) behind, in the sense in
+which it moves.
 
-Guides and seals take 20 to 100 N, drives give 20 to 100 N/um at the screw's middle, less at its far end: 1 to 5 um
-(Altintas et al. 2011, CIRP Annals 60, 779-796, machine tool feed drives).
+Guides and seals take 20 to 100 N, drives give 20 to 100 N/um at the screw's middle,
+less at its far end: 1 to 5 um (Altintas et al. 2011, CIRP Annals 60, 779-796, machine
+tool feed drives).
 """
 
 from __future__ import annotations
@@ -15,15 +17,21 @@ from pkm_models.effects import terms
 
 WIND_UP = 4e-6  # m
 STRIBECK = 0.010  # m/s, Armstrong-Helouvry et al. 1994, Automatica 30: mixed lubrication up to some 10 mm/s
-#: joint travel over which a drive winds up after a reversal, m: on rolling elements 0.1 mm and less (Futami et al.
-#: 1990, Nanotechnology 1, 31), with seals and slack joints more
+#: joint travel over which a drive winds up after a reversal, m: on rolling elements 0.1
+#: mm and less (Futami et al. 1990, Nanotechnology 1, 31), with seals and slack joints
+#: more
 WINDS_UP = (0.1e-3, 0.5e-3, 2e-3, 10e-3)
 
 
 def columns(state: State, distance: float) -> Iterable[Column]:
-    """-sense F / k(l) a leg, wound up anew after each reversal (Dahl 1968); shape: friction by load, more of it at low
-    speed, and more along the travel."""
-    unit, at, known = terms.metre(state), terms.place(state), terms.travel(state.machine)
+    """-sense F / k(l) a leg, wound up anew after each reversal (Dahl 1968); shape:
+    friction by load, more of it at low speed, and more along the travel.
+    """
+    unit, at, known = (
+        terms.metre(state),
+        terms.place(state),
+        terms.travel(state.machine),
+    )
     screw = np.where(known.guide.any(axis=1), 1.0 + 0.5 * at, state.strut / known.strut)
     wound = state.sense * (1.0 - 2.0 * np.exp(-state.reversal / (distance * unit)))
     behind = -wound * unit * screw
@@ -33,7 +41,13 @@ def columns(state: State, distance: float) -> Iterable[Column]:
         leg = f"leg {i + 1}"
         yield Column(leg, WIND_UP, leg, {i: behind[:, i]})
         for name, form in (("load", load), ("slow", slow), ("slope", at)):
-            yield Column(f"{leg} {name}", terms.ADAPT * WIND_UP, leg, {i: behind[:, i] * form[:, i]}, shape=True)
+            yield Column(
+                f"{leg} {name}",
+                terms.ADAPT * WIND_UP,
+                leg,
+                {i: behind[:, i] * form[:, i]},
+                shape=True,
+            )
 
 
 effect = Effect(
@@ -43,7 +57,10 @@ effect = Effect(
     columns=columns,
     needs=("direction: both",),
     constants={"distance": WINDS_UP},
-    remedy="lubricate, check the leg's seals and guides, close the loop by a linear encoder, or compensate friction",
+    remedy=(
+        "lubricate, check the leg's seals and guides, close the loop by a linear"
+        " encoder, or compensate friction"
+    ),
     exposed_by="circles in both directions at a slow feed, and with another load",
     unfit=terms.no_struts,
     alike=True,

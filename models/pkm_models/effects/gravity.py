@@ -1,4 +1,6 @@
-"""Gravity on compliant legs: a leg gives by its load (J^-T w)_i times c0 + c1 l_i. Legs of 50 N/um give 20 um a kN."""
+"""Gravity on compliant legs: a leg gives by its load (J^-T w)_i times c0 + c1 l_i. Legs
+of 50 N/um give 20 um a kN.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,14 @@ GIVES = 20e-6  # m, of a joint that carries the whole weight
 
 
 def columns(state: State, ratio: float) -> Iterable[Column]:
-    """Drives (c0) and struts (c1), alike in all legs; shape: more along the travel, less where the load is large, legs
-    that differ, weights that act elsewhere."""
-    (load, extra), square, at = terms.loaded(state, ratio), terms.metre(state) ** 2, terms.place(state)
+    """Drives (c0) and struts (c1), alike in all legs; shape: more along the travel,
+    less where the load is large, legs that differ, weights that act elsewhere.
+    """
+    (load, extra), square, at = (
+        terms.loaded(state, ratio),
+        terms.metre(state) ** 2,
+        terms.place(state),
+    )
     drive = load * square
     strut = load * state.per_length**2 * state.strut / terms.travel(state.machine).strut
     size = np.abs(drive) + 1e-9
@@ -25,11 +32,17 @@ def columns(state: State, ratio: float) -> Iterable[Column]:
     yield Column("struts", GIVES, "", _all(strut))
     yield Column("travel", small, "", _all(drive * at), shape=True)
     yield Column("bending", small, "", _all(drive * at**2), shape=True)
-    yield Column("hardening", small, "", _all(-drive * np.log(size / size.mean())), shape=True)
+    yield Column(
+        "hardening", small, "", _all(-drive * np.log(size / size.mean())), shape=True
+    )
     yield Column("payload", small, "", _all(extra * square), shape=True)
-    yield Column("place", small, "", _all((state.force - state.weight) * square), shape=True)
+    yield Column(
+        "place", small, "", _all((state.force - state.weight) * square), shape=True
+    )
     for i in state.limbs:
-        yield Column(f"leg {i + 1}", small, f"leg {i + 1}", {i: drive[:, i]}, shape=True)
+        yield Column(
+            f"leg {i + 1}", small, f"leg {i + 1}", {i: drive[:, i]}, shape=True
+        )
 
 
 def _all(change: Array) -> dict[int, Array]:
@@ -38,11 +51,17 @@ def _all(change: Array) -> dict[int, Array]:
 
 effect = Effect(
     name="gravity",
-    source="Merlet 2006, Parallel Robots (stiffness): dl = k^-1 J^-T w; legs of machine tools have 20 to 100 N/um",
+    source=(
+        "Merlet 2006, Parallel Robots (stiffness): dl = k^-1 J^-T w; legs of machine"
+        " tools have 20 to 100 N/um"
+    ),
     about="legs that give under the weight of platform and payload",
     columns=columns,
     constants={"ratio": terms.RATIOS},
-    remedy="stiffen or counterbalance, or compensate with a stiffness model and the payload of the job",
+    remedy=(
+        "stiffen or counterbalance, or compensate with a stiffness model and the"
+        " payload of the job"
+    ),
     exposed_by="the same circle with and without a payload",
     unfit=terms.no_struts,
 )

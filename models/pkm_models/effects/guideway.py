@@ -1,6 +1,8 @@
-"""Guideways that are not straight: a carriage is off its line by a smooth curve of its travel, 10 um/m and more.
+"""Guideways that are not straight: a carriage is off its line by a smooth curve of its
+travel, 10 um/m and more.
 
-Only what displaces the carriage along its strut is seen: d l = along . shift. A constant and a slope are geometry.
+Only what displaces the carriage along its strut is seen: d l = along . shift. A
+constant and a slope are geometry.
 """
 
 from __future__ import annotations
@@ -17,8 +19,9 @@ CURVE = 10e-6  # m, standard deviation along the travel
 
 
 def columns(state: State) -> Iterable[Column]:
-    """Towards and from the middle (radial) and across, a leg: modes of a smooth random curve over the travel, of which
-    those after the first two let the form adapt."""
+    """Towards and from the middle (radial) and across, a leg: modes of a smooth random
+    curve over the travel, of which those after the first two let the form adapt.
+    """
     guide, at = terms.travel(state.machine).guide, terms.place(state)
     out = terms.radial(state)
     out = out - np.einsum("mjk,jk->mj", out, guide)[..., None] * guide
@@ -28,7 +31,9 @@ def columns(state: State) -> Iterable[Column]:
         for i in state.limbs:
             for k in range(terms.CURVES):
                 change, leg = {i: seen[:, i] * terms.curve(at[:, i], k)}, f"leg {i + 1}"
-                yield Column(f"{leg} {name} curve {k + 1}", CURVE, leg, change, shape=k > 1)
+                yield Column(
+                    f"{leg} {name} curve {k + 1}", CURVE, leg, change, shape=k > 1
+                )
 
 
 def unfit(machine: Machine) -> str | None:
@@ -36,16 +41,23 @@ def unfit(machine: Machine) -> str | None:
     if machine.struts is None:
         return terms.no_struts(machine)
     return (
-        None if terms.travel(machine).guide.any() else "no joint moves the base end of its strut: it has no carriages"
+        None
+        if terms.travel(machine).guide.any()
+        else "no joint moves the base end of its strut: it has no carriages"
     )
 
 
 effect = Effect(
     name="guideway",
-    source="ISO 230-1 (straightness); catalogues of rail guides: 5 to 20 um over a metre",
+    source=(
+        "ISO 230-1 (straightness); catalogues of rail guides: 5 to 20 um over a metre"
+    ),
     about="carriages whose guideways are not straight",
     columns=columns,
-    remedy="align the rails, or measure their straightness and correct it in the controller",
+    remedy=(
+        "align the rails, or measure their straightness and correct it in the"
+        " controller"
+    ),
     exposed_by="readings over the full stroke of each carriage",
     textbook=0.1,
     unfit=unfit,

@@ -1,6 +1,8 @@
-"""Clearance of the joints: a strut is delta / 2 longer under tension, and shorter under pressure, than it is adjusted.
+"""Clearance of the joints: a strut is delta / 2 longer under tension, and shorter under
+pressure, than it is adjusted.
 
-Fitted ball joints have 5 to 20 um. While no leg's load changes its sign this is the leg's zero, and is not seen.
+Fitted ball joints have 5 to 20 um. While no leg's load changes its sign this is the
+leg's zero, and is not seen.
 """
 
 from __future__ import annotations
@@ -13,20 +15,35 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 PLAY = 10e-6  # m
-SOFT = (0.01, 0.05, 0.2)  # share of the load within which a joint is not yet at its stop
+SOFT = (
+    0.01,
+    0.05,
+    0.2,
+)  # share of the load within which a joint is not yet at its stop
 
 
 def columns(state: State, ratio: float, soft: float) -> Iterable[Column]:
-    """delta tanh(leg force / its soft share) / 2 a leg; shape: another stop, and play that differs along the travel of
-    a leg whose load changes its sign: what is always taken up is a leg's zero and scale."""
+    """delta tanh(leg force / its soft share) / 2 a leg; shape: another stop, and play
+    that differs along the travel of a leg whose load changes its sign: what is always
+    taken up is a leg's zero and scale.
+    """
     pull = terms.loaded(state, ratio)[0] * state.per_length
     half = 0.5 * state.per_length
     at = terms.place(state)
     for i in state.limbs:
         leg, side = f"leg {i + 1}", np.tanh(pull[:, i] / soft)
         yield Column(leg, PLAY, leg, {i: half[:, i] * side})
-        for name, form in (("harder", np.tanh(pull[:, i] / (0.3 * soft))), ("slope", at[:, i] * (side - side.mean()))):
-            yield Column(f"{leg} {name}", terms.ADAPT * PLAY, leg, {i: half[:, i] * form}, shape=True)
+        for name, form in (
+            ("harder", np.tanh(pull[:, i] / (0.3 * soft))),
+            ("slope", at[:, i] * (side - side.mean())),
+        ):
+            yield Column(
+                f"{leg} {name}",
+                terms.ADAPT * PLAY,
+                leg,
+                {i: half[:, i] * form},
+                shape=True,
+            )
 
 
 effect = Effect(
@@ -36,7 +53,9 @@ effect = Effect(
     columns=columns,
     constants={"ratio": terms.RATIOS, "soft": SOFT},
     remedy="preload or renew the joints of the leg",
-    exposed_by="pull and push at the platform, at poses where a leg's load changes its sign",
+    exposed_by=(
+        "pull and push at the platform, at poses where a leg's load changes its sign"
+    ),
     unfit=terms.no_struts,
     alike=True,
 )

@@ -1,7 +1,9 @@
-"""Runout of the joints: a centre that wanders as its joint turns, e_i times harmonics of the joint's angle.
+"""Runout of the joints: a centre that wanders as its joint turns, e_i times harmonics
+of the joint's angle.
 
-Once a turn is a displaced centre, which is geometry; what is left is twice a turn, and the waviness of what rolls in
-the joint, 8 to 16 times. Ball joints are round to 1 to 5 um, rings of bearings wavy by some tenths.
+Once a turn is a displaced centre, which is geometry; what is left is twice a turn, and
+the waviness of what rolls in the joint, 8 to 16 times. Ball joints are round to 1 to 5
+um, rings of bearings wavy by some tenths.
 """
 
 from __future__ import annotations
@@ -17,27 +19,40 @@ from pkm_models.effects import terms
 
 RUNOUT = 4e-6  # m
 SLIGHT, WAVY = terms.ADAPT, 0.15  # of runout
-#: harmonics of the joint's angle that its centre wanders by along the leg, as its shape and what rolls in it have them,
-#: and sideways, as much as along
-ALONG, SIDEWAYS = {2: 1.0, 1: SLIGHT, 3: 1.0, 8: WAVY, 12: WAVY, 16: WAVY}, {1: SLIGHT, 2: 1.0, 3: SLIGHT}
+#: harmonics of the joint's angle that its centre wanders by along the leg, as its shape
+#: and what rolls in it have them, and sideways, as much as along
+ALONG, SIDEWAYS = (
+    {2: 1.0, 1: SLIGHT, 3: 1.0, 8: WAVY, 12: WAVY, 16: WAVY},
+    {1: SLIGHT, 2: 1.0, 3: SLIGHT},
+)
 
 
 def columns(state: State, platform: float, across: float) -> Iterable[Column]:
-    """Twice a turn, along the leg, of the joint at the base (0) or the platform (1), as the leg swings in its plane (0)
-    or across it (1); shape: once and three times, waviness, and sideways to the swing. None at the platform of a
-    machine that does not turn it."""
+    """Twice a turn, along the leg, of the joint at the base (0) or the platform (1), as
+    the leg swings in its plane (0) or across it (1); shape: once and three times,
+    waviness, and sideways to the swing. None at the platform of a machine that does not
+    turn it.
+    """
     frame = _platform(state) if platform else _base(state)
     if frame is None:
         return
     away, up = frame
     beside = np.cross(up, away)
     way, aside = (beside, away) if across else (away, beside)
-    angle = np.arctan2(*(np.einsum("mjk,mjk->mj", state.along, axis) for axis in (way, up)))
-    ways = {"": (state.per_length, ALONG), "sideways ": (terms.stretched(state, aside), SIDEWAYS)}
+    angle = np.arctan2(
+        *(np.einsum("mjk,mjk->mj", state.along, axis) for axis in (way, up))
+    )
+    ways = {
+        "": (state.per_length, ALONG),
+        "sideways ": (terms.stretched(state, aside), SIDEWAYS),
+    }
     for i, (kind, (seen, shares)) in itertools.product(state.limbs, ways.items()):
         leg = f"leg {i + 1}"
         for order, part_of in shares.items():
-            for part, value in (("sin", np.sin(order * angle[:, i])), ("cos", np.cos(order * angle[:, i]))):
+            for part, value in (
+                ("sin", np.sin(order * angle[:, i])),
+                ("cos", np.cos(order * angle[:, i])),
+            ):
                 change = {i: seen[:, i] * value}
                 name, scale = f"{leg} {kind}{order} {part}", part_of * RUNOUT
                 yield Column(name, scale, leg, change, shape=bool(kind) or order != 2)
@@ -62,7 +77,10 @@ def _platform(state: State) -> tuple[Array, Array] | None:
 
 effect = Effect(
     name="joint_runout",
-    source="ISO 230-7 (axes of rotation); catalogues of precision ball joints: sphericity 1 to 5 um",
+    source=(
+        "ISO 230-7 (axes of rotation); catalogues of precision ball joints: sphericity"
+        " 1 to 5 um"
+    ),
     about="joint centres that wander as their joints turn",
     columns=columns,
     constants={"platform": (0.0, 1.0), "across": (0.0, 1.0)},

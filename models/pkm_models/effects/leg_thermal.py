@@ -1,4 +1,6 @@
-"""Legs that warm up: strut i grows by alpha l_i dT_i(t). A driven screw warms by 2 to 10 K within hours (ISO 230-3)."""
+"""Legs that warm up: strut i grows by alpha l_i dT_i(t). A driven screw warms by 2 to
+10 K within hours (ISO 230-3).
+"""
 
 from __future__ import annotations
 
@@ -11,20 +13,43 @@ RISE = 3.0  # K
 
 
 def columns(state: State, tau: float) -> Iterable[Column]:
-    """Growth a leg of what is driven: the strut, or the screw of a carriage; shape: a second time constant, a bearing
-    that is elsewhere, and the struts that a carriage moves."""
+    """Growth a leg of what is driven: the strut, or the screw of a carriage; shape: a
+    second time constant, a bearing that is elsewhere, and the struts that a carriage
+    moves.
+    """
     known = terms.travel(state.machine)
     for i in state.limbs:
         leg, own = f"leg {i + 1}", f"leg{i + 1}"
         carried = bool(known.guide[i].any()) and state.machine.joints[i].unit == "m"
-        measured, warm, second = terms.warming(state, own if own in state.temperature else "leg", tau)
-        unit, scale, strain = ("per kelvin", terms.STEEL, 1.0) if measured else ("rise", RISE, terms.STEEL)
-        strut, stays = (state.per_length[:, i] * length for length in (state.strut[:, i], known.strut[i]))
-        long, fixed = (state.joints[:, i], known.high[i] - known.low[i]) if carried else (strut, stays)
+        measured, warm, second = terms.warming(
+            state, own if own in state.temperature else "leg", tau
+        )
+        unit, scale, strain = (
+            ("per kelvin", terms.STEEL, 1.0)
+            if measured
+            else ("rise", RISE, terms.STEEL)
+        )
+        strut, stays = (
+            state.per_length[:, i] * length
+            for length in (state.strut[:, i], known.strut[i])
+        )
+        long, fixed = (
+            (state.joints[:, i], known.high[i] - known.low[i])
+            if carried
+            else (strut, stays)
+        )
         yield Column(f"{leg} {unit}", scale, leg, {i: strain * long * warm})
-        shapes = {"second": long * second, "bearing": fixed * warm} | ({"strut": strut * warm} if carried else {})
+        shapes = {"second": long * second, "bearing": fixed * warm} | (
+            {"strut": strut * warm} if carried else {}
+        )
         for name, form in shapes.items():
-            yield Column(f"{leg} {unit} {name}", terms.ADAPT * scale, leg, {i: strain * form}, shape=True)
+            yield Column(
+                f"{leg} {unit} {name}",
+                terms.ADAPT * scale,
+                leg,
+                {i: strain * form},
+                shape=True,
+            )
 
 
 effect = Effect(
@@ -34,7 +59,10 @@ effect = Effect(
     columns=columns,
     needs=("time or temp_leg or temp_leg1",),
     constants={"tau": terms.TIMES},
-    remedy="let the legs warm up before use, cool the screws, or compensate by a temperature sensor on each leg",
+    remedy=(
+        "let the legs warm up before use, cool the screws, or compensate by a"
+        " temperature sensor on each leg"
+    ),
     exposed_by="a reference circle repeated in the course of hours",
     unfit=terms.no_struts,
     alike=True,

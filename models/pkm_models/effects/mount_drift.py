@@ -1,4 +1,6 @@
-"""A mount that drifts: cup or instrument frame moves during the session. Magnetic bases creep by 1 to 5 um."""
+"""A mount that drifts: cup or instrument frame moves during the session. Magnetic bases
+creep by 1 to 5 um.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ UNKNOWNS = {
     "offset": CREEP,
     **dict.fromkeys(ANGLES, TURN),
 }
-#: readings of instruments without such unknowns: a displacement, of a laser or micrometer
+#: readings of instruments without such unknowns: a displacement, of a laser or
+#: micrometer
 READINGS = ("dy", "dz")
 
 
@@ -25,13 +28,20 @@ def columns(state: State) -> Iterable[Column]:
     """In step with time, an unknown of each set-up; shape: a drift that comes to rest."""
     time = terms.share(state)
     block = f"set-up {state.setup}"
-    for name, form, part in (("", time, 1.0), (" settling", -np.expm1(-5.0 * time) - time, terms.ADAPT)):
+    for name, form, part in (
+        ("", time, 1.0),
+        (" settling", -np.expm1(-5.0 * time) - time, terms.ADAPT),
+    ):
         for unknown, scale in UNKNOWNS.items():
             full = f"{state.setup} {unknown}{name}"
-            yield Column(full, part * scale, block, nuisances={unknown: form}, shape=bool(name))
+            yield Column(
+                full, part * scale, block, nuisances={unknown: form}, shape=bool(name)
+            )
         for channel in READINGS:
             full = f"{state.setup} {channel}{name}"
-            yield Column(full, part * CREEP, block, reading={channel: form}, shape=bool(name))
+            yield Column(
+                full, part * CREEP, block, reading={channel: form}, shape=bool(name)
+            )
 
 
 effect = Effect(
@@ -40,6 +50,9 @@ effect = Effect(
     about="a cup or instrument that moves during the session",
     columns=columns,
     needs=("time",),
-    remedy="clamp the mount to the table, let it settle, and teach the cup again between runs",
+    remedy=(
+        "clamp the mount to the table, let it settle, and teach the cup again between"
+        " runs"
+    ),
     exposed_by="a set-up repeated at the session's end",
 )

@@ -1,6 +1,8 @@
-"""Accumulated pitch error of a screw: a smooth curve over the joint's travel, beyond its scale.
+"""Accumulated pitch error of a screw: a smooth curve over the joint's travel, beyond
+its scale.
 
-ISO 3408-3 allows travel to deviate by 12 (class 3) to 23 um (class 5) over 300 mm, most of it at long wavelengths.
+ISO 3408-3 allows travel to deviate by 12 (class 3) to 23 um (class 5) over 300 mm, most
+of it at long wavelengths.
 """
 
 from __future__ import annotations
@@ -14,12 +16,16 @@ CURVE = 10e-6  # m, standard deviation along the travel
 
 
 def columns(state: State) -> Iterable[Column]:
-    """Modes of a smooth random curve over the travel a leg; those after the first two let the form adapt."""
+    """Modes of a smooth random curve over the travel a leg; those after the first two
+    let the form adapt.
+    """
     unit, at = terms.metre(state), terms.place(state)
     for i in state.limbs:
         for k in range(terms.CURVES):
             change = {i: unit[:, i] * terms.curve(at[:, i], k)}
-            yield Column(f"leg {i + 1} curve {k + 1}", CURVE, f"leg {i + 1}", change, shape=k > 1)
+            yield Column(
+                f"leg {i + 1} curve {k + 1}", CURVE, f"leg {i + 1}", change, shape=k > 1
+            )
 
 
 effect = Effect(
@@ -27,7 +33,10 @@ effect = Effect(
     source="ISO 3408-3 (travel deviation of ball screws), classes 3 and 5",
     about="accumulated pitch error of each screw along its travel",
     columns=columns,
-    remedy="measure each joint's travel with a laser interferometer and fill in the controller's pitch table",
+    remedy=(
+        "measure each joint's travel with a laser interferometer and fill in the"
+        " controller's pitch table"
+    ),
     exposed_by="readings over the full stroke of each joint",
     textbook=0.1,
 )

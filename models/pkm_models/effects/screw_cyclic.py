@@ -1,9 +1,12 @@
-"""Cyclic error of a screw: once a turn, a sin(2 pi q / p) + b cos(2 pi q / p), and its second harmonic.
+"""Cyclic error of a screw: once a turn, a sin(2 pi q / p) + b cos(2 pi q / p), and its
+second harmonic.
 
-ISO 3408-3 allows 6 (class 3) to 8 um (class 5) from end to end within a turn. Over a joint's travel the phase slips by
-many turns between two neighbouring pitches, so only leads that screws are made with are tried (ISO 3408-2, and 15, 30
-and 50 mm of catalogues; 2 and 2.5 mm are the second harmonics of 4 and 5). For a lead of one's own, a file with
-`effect = dataclasses.replace(screw_cyclic.effect, constants={"pitch": (7e-3,)})`.
+ISO 3408-3 allows 6 (class 3) to 8 um (class 5) from end to end within a turn. Over a
+joint's travel the phase slips by many turns between two neighbouring pitches, so only
+leads that screws are made with are tried (ISO 3408-2, and 15, 30 and 50 mm of
+catalogues; 2 and 2.5 mm are the second harmonics of 4 and 5). For a lead of one's own,
+a file with `effect = dataclasses.replace(screw_cyclic.effect, constants={"pitch":
+(7e-3,)})`.
 """
 
 from __future__ import annotations
@@ -16,7 +19,26 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 TURN = 3e-6  # m, amplitude
-LEADS = tuple(1e-3 * p for p in (3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 16.0, 20.0, 25.0, 30.0, 32.0, 40.0, 50.0))
+LEADS = tuple(
+    1e-3 * p
+    for p in (
+        3.0,
+        4.0,
+        5.0,
+        6.0,
+        8.0,
+        10.0,
+        12.0,
+        15.0,
+        16.0,
+        20.0,
+        25.0,
+        30.0,
+        32.0,
+        40.0,
+        50.0,
+    )
+)
 
 
 def columns(state: State, pitch: float) -> Iterable[Column]:
@@ -36,7 +58,9 @@ effect = Effect(
     about="cyclic error of each screw, once a turn",
     columns=columns,
     constants={"pitch": LEADS},
-    remedy="align the screw's bearings and coupling, or close the loop by a linear encoder",
+    remedy=(
+        "align the screw's bearings and coupling, or close the loop by a linear encoder"
+    ),
     exposed_by="poses so dense that several fall within one turn of the screw",
     unfit=terms.turning,
 )

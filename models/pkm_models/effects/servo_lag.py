@@ -1,4 +1,6 @@
-"""Servo lag: a joint is rate / Kv behind. Kv is 16 to 50 / s; what feed-forward leaves, or legs differ by, is 1 ms."""
+"""Servo lag: a joint is rate / Kv behind. Kv is 16 to 50 / s; what feed-forward leaves,
+or legs differ by, is 1 ms.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +21,30 @@ def columns(state: State) -> Iterable[Column]:
     for i in state.limbs:
         leg = f"leg {i + 1}"
         yield Column(leg, DELAY, leg, {i: -rate[:, i]})
-        yield Column(f"{leg} acceleration", terms.ADAPT * SECOND, leg, {i: -faster[:, i]}, shape=True)
-        yield Column(f"{leg} feed", terms.ADAPT * DELAY, leg, {i: -bent[:, i]}, shape=True)
+        yield Column(
+            f"{leg} acceleration",
+            terms.ADAPT * SECOND,
+            leg,
+            {i: -faster[:, i]},
+            shape=True,
+        )
+        yield Column(
+            f"{leg} feed", terms.ADAPT * DELAY, leg, {i: -bent[:, i]}, shape=True
+        )
 
 
 effect = Effect(
     name="servo_lag",
-    source="ISO 230-4 (circular tests); Altintas et al. 2011, CIRP Annals 60: Kv 16 to 50 / s",
+    source=(
+        "ISO 230-4 (circular tests); Altintas et al. 2011, CIRP Annals 60: Kv 16 to"
+        " 50 / s"
+    ),
     about="legs that follow their commands with different delays",
     columns=columns,
     needs=("feed",),
-    remedy="match the position loop gains of the legs, or tune the velocity feed-forward",
+    remedy=(
+        "match the position loop gains of the legs, or tune the velocity feed-forward"
+    ),
     exposed_by="the same circle at two feeds, in both directions",
     alike=True,
 )

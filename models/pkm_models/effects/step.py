@@ -1,4 +1,6 @@
-"""A step: at some time a joint loses its zero, or a mount is knocked: H(t - t0), perhaps put right later."""
+"""A step: at some time a joint loses its zero, or a mount is knocked: H(t - t0),
+perhaps put right later.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,22 @@ LOST, KNOCKED, TURNED = 20e-6, 10e-6, 2.0  # m, m, rad over m
 COUNT = 59
 WHEN = tuple((k + 1) / (COUNT + 1) for k in range(COUNT))  # share of the session
 #: shares of the session that it lasts, to the end first
-LASTS = (9.0, *(sign * share for share in (0.04, 0.08, 0.13, 0.19, 0.27, 0.37, 0.5) for sign in (1.0, -1.0)))
+LASTS = (
+    9.0,
+    *(
+        sign * share
+        for share in (0.04, 0.08, 0.13, 0.19, 0.27, 0.37, 0.5)
+        for sign in (1.0, -1.0)
+    ),
+)
 
 
 def columns(state: State, when: float, lasts: float) -> Iterable[Column]:
-    """A step a leg, and one of each unknown of a set-up; shape: one that comes a third, or two, of a grid step later.
+    """A step a leg, and one of each unknown of a set-up; shape: one that comes a third,
+    or two, of a grid step later.
 
-    `lasts`: share of the session after which all is as before; negative: before `when`, from which on it is.
+    `lasts`: share of the session after which all is as before; negative: before `when`,
+    from which on it is.
     """
     time = terms.share(state)
     first, last = (when, when + lasts) if lasts > 0.0 else (when + lasts, when)
@@ -26,25 +37,53 @@ def columns(state: State, when: float, lasts: float) -> Iterable[Column]:
         return
     fine = [inside * (time < first + k / 3.0 / (COUNT + 1)) for k in (1, 2)]
     unit = terms.metre(state)
-    for name, form, part in (("", inside, 1.0), (" later", fine[0], 0.5), (" latest", fine[1], 0.5)):
+    for name, form, part in (
+        ("", inside, 1.0),
+        (" later", fine[0], 0.5),
+        (" latest", fine[1], 0.5),
+    ):
         for i in state.limbs:
             leg = f"leg {i + 1}"
-            yield Column(f"{leg}{name}", part * LOST, leg, {i: unit[:, i] * form}, shape=bool(name))
+            yield Column(
+                f"{leg}{name}",
+                part * LOST,
+                leg,
+                {i: unit[:, i] * form},
+                shape=bool(name),
+            )
         block = f"set-up {state.setup}"
         for unknown in mount_drift.UNKNOWNS:
             scale = part * KNOCKED * (TURNED if unknown in mount_drift.ANGLES else 1.0)
-            yield Column(f"{block} {unknown}{name}", scale, block, nuisances={unknown: form}, shape=bool(name))
+            yield Column(
+                f"{block} {unknown}{name}",
+                scale,
+                block,
+                nuisances={unknown: form},
+                shape=bool(name),
+            )
         for channel in mount_drift.READINGS:
-            yield Column(f"{block} {channel}{name}", part * KNOCKED, block, reading={channel: form}, shape=bool(name))
+            yield Column(
+                f"{block} {channel}{name}",
+                part * KNOCKED,
+                block,
+                reading={channel: form},
+                shape=bool(name),
+            )
 
 
 effect = Effect(
     name="step",
-    source="ISO 230-2 (repeatability); practice: a lost reference mark, a collision, a knocked cup",
+    source=(
+        "ISO 230-2 (repeatability); practice: a lost reference mark, a collision, a"
+        " knocked cup"
+    ),
     about="a joint's zero or a set-up that changes at once",
     columns=columns,
     needs=("time",),
     constants={"when": WHEN, "lasts": LASTS},
-    remedy="look up the log at that time, home the leg again or repeat the set-up, and drop the readings on one side",
+    remedy=(
+        "look up the log at that time, home the leg again or repeat the set-up, and"
+        " drop the readings on one side"
+    ),
     exposed_by="a reference circle repeated before and after",
 )

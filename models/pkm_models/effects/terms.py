@@ -1,4 +1,6 @@
-"""Terms that several effects share: where a joint is in its travel, warming up, what a metre is worth in a joint."""
+"""Terms that several effects share: where a joint is in its travel, warming up, what a
+metre is worth in a joint.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,17 @@ from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Machine
 
 STEEL = 11.5e-6  # 1/K, thermal expansion (ISO 230-3)
-#: time constants of warming up, s: a motor's housing half an hour, a machine frame four hours (ISO 230-3, annex)
+#: time constants of warming up, s: a motor's housing half an hour, a machine frame four
+#: hours (ISO 230-3, annex)
 TIMES = (1800.0, 3600.0, 7200.0, 14400.0)
-#: how much smaller a column that only lets the form adapt is expected to be than the textbook's
+#: how much smaller a column that only lets the form adapt is expected to be than the
+#: textbook's
 ADAPT = 0.4
-#: weight of what moves over the heaviest payload: that of a printer is 10 N, of a hexapod 2 kN, and payloads go with it
+#: weight of what moves over the heaviest payload: that of a printer is 10 N, of a
+#: hexapod 2 kN, and payloads go with it
 RATIOS = (0.3, 1.0, 3.0, 10.0)
-#: distance over which an error along a joint's travel hangs together, of half the travel read; modes it is told by
+#: distance over which an error along a joint's travel hangs together, of half the
+#: travel read; modes it is told by
 SMOOTH, CURVES = 0.5, 10
 #: least part of a joint's whole travel over which its error is a curve of its own
 PART = 0.25
@@ -29,11 +35,13 @@ REMEMBERED = 32
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Travel:
-    """Of a nominal machine, over the corners and the middle of its workspace; nq joints, SI.
+    """Of a nominal machine, over the corners and the middle of its workspace; nq
+    joints, SI.
 
     low, high (nq,)   least and largest value of each joint
     strut (nq,)       mean length of its strut, NaN where the machine does not tell it
-    guide (nq, 3)     direction in which a joint moves the base end of its strut; 0 for a strut that changes its length
+    guide (nq, 3)     direction in which a joint moves the base end of its strut; 0 for
+                      a strut that changes its length
     """
 
     low: Array
@@ -70,7 +78,9 @@ def _travel(machine: Machine) -> Travel:
     shift = ((moved - base) / step[:, None]).mean(axis=0)
     length = np.linalg.norm(shift, axis=1, keepdims=True)
     guide = np.where(length > 1e-6, shift / np.maximum(length, 1e-6), 0.0)
-    return Travel(low, high, np.linalg.norm(platform - base, axis=-1).mean(axis=0), guide)
+    return Travel(
+        low, high, np.linalg.norm(platform - base, axis=-1).mean(axis=0), guide
+    )
 
 
 def _reached(kinematics: Kinematics, command: Array) -> tuple[Array, Array]:
@@ -83,10 +93,11 @@ def _reached(kinematics: Kinematics, command: Array) -> tuple[Array, Array]:
 
 
 def place(state: State) -> Array:
-    """Where each joint (m, nq) is in the travel that the session has of it, from -1 to 1.
+    """Where each joint (m, nq) is in the travel that the session has of it, from -1 to
+    1.
 
-    Curves over the whole travel would tell nothing of what bends within a part of it. Errors that bend within less than
-    a part of PART are smooth in what is read.
+    Curves over the whole travel would tell nothing of what bends within a part of it.
+    Errors that bend within less than a part of PART are smooth in what is read.
     """
     known, (low, high) = travel(state.machine), state.stroke
     half = 0.5 * np.maximum(high - low, PART * (known.high - known.low))
@@ -94,25 +105,38 @@ def place(state: State) -> Array:
 
 
 def curve(at: Array, number: int) -> Array:
-    """One of the CURVES of a smooth error along a travel, at places in it from -1 to 1: without mean and slope, for a
-    joint's zero and scale are other effects."""
+    """One of the CURVES of a smooth error along a travel, at places in it from -1 to 1:
+    without mean and slope, for a joint's zero and scale are other effects.
+    """
     return smooth.curve(at, number, reach=SMOOTH, count=CURVES, straight=2)
 
 
 def metre(state: State) -> Array:
-    """What a metre of strut is worth in each joint (m, nq), without sign: 1 where a joint is a length."""
+    """What a metre of strut is worth in each joint (m, nq), without sign: 1 where a
+    joint is a length.
+    """
     turning = np.array([c.unit == "rad" for c in state.machine.joints])
-    worth = np.where(np.isfinite(state.per_length), np.abs(state.per_length), 1.0 / state.machine.lever)
+    worth = np.where(
+        np.isfinite(state.per_length),
+        np.abs(state.per_length),
+        1.0 / state.machine.lever,
+    )
     return np.where(turning, worth, 1.0)
 
 
 def carried(state: State) -> Array:
     """Payload (m,) as a share of the session's heaviest; zeros where there is none."""
-    return np.nan_to_num(state.payload) / state.heaviest if state.heaviest > 0.0 else np.zeros(len(state))
+    return (
+        np.nan_to_num(state.payload) / state.heaviest
+        if state.heaviest > 0.0
+        else np.zeros(len(state))
+    )
 
 
 def loaded(state: State, ratio: float) -> tuple[Array, Array]:
-    """Load (m, nq) of each joint per newton of what moves, and what the payload has of it; ratio: see `RATIOS`."""
+    """Load (m, nq) of each joint per newton of what moves, and what the payload has of
+    it; ratio: see `RATIOS`.
+    """
     extra = state.force * (carried(state) / ratio)[:, None]
     return state.weight + extra, extra
 
@@ -126,26 +150,40 @@ def stretched(state: State, shift: Array) -> Array:
 
 
 def radial(state: State) -> Array:
-    """Horizontal unit vectors (m, nq, 3) from the middle of the base ends to each; x where an end is in the middle."""
+    """Horizontal unit vectors (m, nq, 3) from the middle of the base ends to each; x
+    where an end is in the middle.
+    """
     away = state.base - state.base.mean(axis=1, keepdims=True)
     away[..., 2] = 0.0
     length = np.linalg.norm(away, axis=-1, keepdims=True)
     middle = length < 1e-3 * state.machine.lever
-    return np.where(middle, np.array([1.0, 0.0, 0.0]), away / np.where(middle, 1.0, length))
+    return np.where(
+        middle, np.array([1.0, 0.0, 0.0]), away / np.where(middle, 1.0, length)
+    )
 
 
 def no_struts(machine: Machine) -> str | None:
     """Why an effect that acts on struts cannot be computed; None where it can."""
-    return None if machine.struts is not None else "it does not tell its struts: give Machine.struts"
+    return (
+        None
+        if machine.struts is not None
+        else "it does not tell its struts: give Machine.struts"
+    )
 
 
 def turning(machine: Machine) -> str | None:
     """Why an effect of linear drives cannot occur; None where it can."""
-    return "its joints turn: it has no linear drives" if any(c.unit == "rad" for c in machine.joints) else None
+    return (
+        "its joints turn: it has no linear drives"
+        if any(c.unit == "rad" for c in machine.joints)
+        else None
+    )
 
 
 def filled(values: Array) -> Array:
-    """Values with gaps (NaN) closed from their neighbours; zeros where nothing is known."""
+    """Values with gaps (NaN) closed from their neighbours; zeros where nothing is
+    known.
+    """
     known = np.isfinite(values)
     if not known.any():
         return np.zeros(len(values))
@@ -163,16 +201,19 @@ def share(state: State) -> Array:
     return since(state) / length if length > 0.0 else np.zeros(len(state))
 
 
-#: gaps (s) that are more than the way to the next pose, and how many times their median a break is
+#: gaps (s) that are more than the way to the next pose, and how many times their median
+#: a break is
 PAUSE, BREAK = 60.0, 2.5
 
 
 def warming(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:
-    """How warm a body is at each pose (m,): (whether it was measured, as in the textbook, what may come to it).
+    """How warm a body is at each pose (m,): (whether it was measured, as in the
+    textbook, what may come to it).
 
-    Measured, K above the session's start: and how far a body that follows with time constant tau (s) lags behind.
-    Not measured, as a share of the final rise: it warms with tau while readings are taken and cools in breaks, 1 -
-    exp(-t / tau) where there are none; and a faster part, with tau / 4.
+    Measured, K above the session's start: and how far a body that follows with time
+    constant tau (s) lags behind. Not measured, as a share of the final rise: it warms
+    with tau while readings are taken and cools in breaks, 1 - exp(-t / tau) where there
+    are none; and a faster part, with tau / 4.
     """
     kelvin = state.temperature.get(body, np.full(len(state), np.nan))
     time = since(state)
@@ -184,29 +225,41 @@ def warming(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:
 
 
 def _worked(state: State, tau: float) -> Array:
-    """Share (m,) of its final temperature that a body has: T' = (u - T) / tau, u = 1 at work and 0 in breaks."""
+    """Share (m,) of its final temperature that a body has: T' = (u - T) / tau, u = 1 at
+    work and 0 in breaks.
+    """
     session = state.session
     if not session.size:
         return np.zeros(len(state))
     gaps = np.diff(session)
     between = gaps[gaps > PAUSE]
-    idle = gaps > max(BREAK * float(np.median(between)) if between.size else np.inf, PAUSE)
+    idle = gaps > max(
+        BREAK * float(np.median(between)) if between.size else np.inf, PAUSE
+    )
     kept = np.exp(-gaps / tau)
     share = np.zeros(len(session))
     for k, (still, factor) in enumerate(zip(idle, kept, strict=True)):
         share[k + 1] = share[k] * factor + (0.0 if still else 1.0 - factor)
-    return np.interp(np.where(np.isfinite(state.time), state.time, session[0]), session, share)
+    return np.interp(
+        np.where(np.isfinite(state.time), state.time, session[0]), session, share
+    )
 
 
 def _lag(value: Array, time: Array, tau: float) -> Array:
-    """First-order lag of a value that goes in straight lines between times; settled at the first."""
+    """First-order lag of a value that goes in straight lines between times; settled at
+    the first.
+    """
     order = np.argsort(time, kind="stable")
     behind = np.empty(len(value))
     last = float(value[order[0]])
-    for k, (before, now) in enumerate(zip(np.concatenate([order[:1], order[:-1]]), order, strict=True)):
+    for k, (before, now) in enumerate(
+        zip(np.concatenate([order[:1], order[:-1]]), order, strict=True)
+    ):
         step = time[now] - time[before] if k else 0.0
         if step > 0.0:
             slope, keep = (value[now] - value[before]) / step, np.exp(-step / tau)
-            last = value[now] - slope * tau + (last - value[before] + slope * tau) * keep
+            last = (
+                value[now] - slope * tau + (last - value[before] + slope * tau) * keep
+            )
         behind[now] = last
     return behind

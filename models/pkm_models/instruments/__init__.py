@@ -1,1 +1,3 @@
-"""Instruments: one module each, with an `instrument` attribute (and variants beside it)."""
+"""Instruments: one module each, with an `instrument` attribute (and variants beside
+it).
+"""

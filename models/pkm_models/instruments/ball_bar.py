@@ -1,11 +1,13 @@
-"""Double ball bar: the distance between a cup on the table and a ball at the tool point.
+"""Double ball bar: the distance between a cup on the table and a ball at the tool
+point.
 
 Tian et al. (2016), Eqs. (8)-(12). Two ways to know where the table cup is:
 
-`instrument`   the cup was taught: the machine held it at a teach pose, so it sits where the real machine stood
-               then, plus a small offset (the paper's row n^T [A_r,jk - A_r,s, -E]);
-`free_cup`     the cup was set by hand near a stated place, and its three coordinates are unknown
-               (row n^T [A_r,jk, -E]).
+`instrument`   the cup was taught: the machine held it at a teach pose, so it sits where
+               the real machine stood then, plus a small offset (the paper's row n^T
+               [A_r,jk - A_r,s, -E]);
+`free_cup`     the cup was set by hand near a stated place, and its three coordinates
+               are unknown (row n^T [A_r,jk, -E]).
 """
 
 from __future__ import annotations
@@ -37,7 +39,10 @@ def _free(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 
 
 def _cup(tolerance: float) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"cup_{n}", 0.0, tolerance, "m", f"{n} offset of the cup") for n in "xyz")
+    return tuple(
+        Parameter(f"cup_{n}", 0.0, tolerance, "m", f"{n} offset of the cup")
+        for n in "xyz"
+    )
 
 
 instrument = Instrument(
@@ -58,7 +63,13 @@ free_cup = Instrument(
     source=SOURCE,
     about="double ball bar, table cup set by hand",
     channels=(CHANNEL,),
-    settings=(LENGTH, *(Setting(f"at_{n}", "m", None, f"{n} of the cup in the base frame") for n in "xyz")),
+    settings=(
+        LENGTH,
+        *(
+            Setting(f"at_{n}", "m", None, f"{n} of the cup in the base frame")
+            for n in "xyz"
+        ),
+    ),
     nuisances=_cup(1.0e-3),
     cost=COST,
     observe=_free,

@@ -1,14 +1,20 @@
-"""Calibrated artefacts with balls, probed by the machine itself: a ball plate, and distances on it or on a step gauge.
+"""Calibrated artefacts with balls, probed by the machine itself: a ball plate, and
+distances on it or on a step gauge.
 
-Its certificate gives each ball's place in the plate's own frame. The machine probes a ball, records its joints, and the
-certificate says where the tool point then was: y = R(turn) (tool point - place) + shift. The plate's place is known to
-what laying it down by hand leaves: shift and turn are unknown. Noise: probing and certificate, 0.15 um each.
+Its certificate gives each ball's place in the plate's own frame. The machine probes a
+ball, records its joints, and the certificate says where the tool point then was: y =
+R(turn) (tool point - place) + shift. The plate's place is known to what laying it down
+by hand leaves: shift and turn are unknown. Noise: probing and certificate, 0.15 um
+each.
 
-`distance`   the certified distance between two balls (or between faces of a step gauge): |x_1 - x_0|, whatever the
-             artefact's place; a pair of balls is a run of two poses. Both ends are probed: 0.3 um. Its unknown is the
-             certificate's scale, temperature included (0.2 K of a steel plate's 11.5e-6 / K).
+`distance`   the certified distance between two balls (or between faces of a step
+             gauge): |x_1 - x_0|, whatever the artefact's place; a pair of balls is a
+             run of two poses. Both ends are probed: 0.3 um. Its unknown is the
+             certificate's scale, temperature included (0.2 K of a steel plate's 11.5e-6
+             / K).
 
-What they hide: the plate hides motions of the machine as a whole; distances hide them as well.
+What they hide: the plate hides motions of the machine as a whole; distances hide them
+as well.
 """
 
 from __future__ import annotations
@@ -26,7 +32,9 @@ SOURCE = "ISO 10360-2 (calibrated test lengths for coordinate measuring machines
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     nominal = ca.vertcat(k["at_x"], k["at_y"], k["at_z"])
-    return list(ca.vertsplit(registration.moved(s, frames[0].point - nominal, ca.DM.zeros(3))))
+    return list(
+        ca.vertsplit(registration.moved(s, frames[0].point - nominal, ca.DM.zeros(3)))
+    )
 
 
 def _distance(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -38,7 +46,10 @@ instrument = Instrument(
     source=SOURCE,
     about="ball plate: certified places of its balls, in the plate's own frame",
     channels=tuple(Channel(f"ball_{n}", "m", 0.2e-6) for n in "xyz"),
-    settings=tuple(Setting(f"at_{n}", "m", 0.0, f"{n} of the plate's origin in the base frame") for n in "xyz"),
+    settings=tuple(
+        Setting(f"at_{n}", "m", 0.0, f"{n} of the plate's origin in the base frame")
+        for n in "xyz"
+    ),
     nuisances=registration.unknowns(0.5e-3, 5e-3),
     cost=Cost(setup=1800.0, reading=60.0),
     observe=_observe,
@@ -50,7 +61,9 @@ distance = Instrument(
     about="ball plate or step gauge: certified distance between two of its features",
     channels=(Channel("length", "m", 0.3e-6),),
     settings=(),
-    nuisances=(Parameter("scale", 0.0, 2.3e-6, "1", "scale of certificate and temperature"),),
+    nuisances=(
+        Parameter("scale", 0.0, 2.3e-6, "1", "scale of certificate and temperature"),
+    ),
     cost=Cost(setup=1800.0, reading=120.0),
     observe=_distance,
     reference="run",

@@ -1,4 +1,5 @@
-"""Calliper on a machined or printed object: the distance between two places the tool has been.
+"""Calliper on a machined or printed object: the distance between two places the tool
+has been.
 
 The first row of a run is its reference pose; each later row is the distance from it.
 """
@@ -19,11 +20,16 @@ def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 
 instrument = Instrument(
     name="calliper",
-    source="distances on a test object; Klipper's enhanced delta calibration uses the same kind",
+    source=(
+        "distances on a test object; Klipper's enhanced delta calibration uses the same"
+        " kind"
+    ),
     about="calliper: distance between two tool positions",
     channels=(Channel("length", "m", 0.03e-3),),
     settings=(),
-    nuisances=(Parameter("scale", 0.0, 1e-3, "1", "scale of object and calliper (shrinkage)"),),
+    nuisances=(
+        Parameter("scale", 0.0, 1e-3, "1", "scale of object and calliper (shrinkage)"),
+    ),
     cost=Cost(setup=1800.0, reading=60.0),
     observe=_observe,
     reference="run",

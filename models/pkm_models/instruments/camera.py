@@ -1,12 +1,15 @@
-"""Three coordinates of the tool point: a camera that follows markers, a laser tracker's reflector, any position reader.
+"""Three coordinates of the tool point: a camera that follows markers, a laser tracker's
+reflector, any position reader.
 
-The instrument stands somewhere: its frame is registered with the machine's base frame by a shift and a small turn,
-unknown within their tolerances (`pkm_models.registration`), and it reads
+The instrument stands somewhere: its frame is registered with the machine's base frame
+by a shift and a small turn, unknown within their tolerances
+(`pkm_models.registration`), and it reads
 
     y = R(turn) (tool point) + shift.
 
-`known_frame` is the same where the instrument's frame *is* the base frame: what it says defines x, y and z. What a free
-registration hides: every motion of the machine as a whole (its base joints together), which only the tolerances hold.
+`known_frame` is the same where the instrument's frame *is* the base frame: what it says
+defines x, y and z. What a free registration hides: every motion of the machine as a
+whole (its base joints together), which only the tolerances hold.
 """
 
 from __future__ import annotations
@@ -19,7 +22,10 @@ from oed.instrument import Channel, Cost, Frame, Instrument
 from oed.machine import Expr, Values
 from pkm_models import registration
 
-SOURCE = "three-coordinate position readings; 1 mm is what markers on a mover a few metres away are seen to"
+SOURCE = (
+    "three-coordinate position readings; 1 mm is what markers on a mover a few metres"
+    " away are seen to"
+)
 CHANNELS = tuple(Channel(n, "m", 1.0e-3) for n in ("read_x", "read_y", "read_z"))
 COST = Cost(setup=900.0, reading=20.0)
 
@@ -35,7 +41,10 @@ def _in_base_frame(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 instrument = Instrument(
     name="camera",
     source=SOURCE,
-    about="camera: three coordinates of the tool point, frame registered with the machine's",
+    about=(
+        "camera: three coordinates of the tool point, frame registered with the"
+        " machine's"
+    ),
     channels=CHANNELS,
     settings=(),
     nuisances=registration.unknowns(5e-3, 10e-3),

@@ -1,6 +1,7 @@
 """Touch probe that reads the height of the tool over the bed along z of the base frame.
 
-The bed is taken as the plane z = 0; the trigger offset of the probe is unknown within its tolerance.
+The bed is taken as the plane z = 0; the trigger offset of the probe is unknown within
+its tolerance.
 """
 
 from __future__ import annotations

@@ -1,27 +1,33 @@
-"""Laser ball bar: a telescoping bar on a gimbal reads a ball at the tool by distance R, elevation theta, azimuth phi.
+"""Laser ball bar: a telescoping bar on a gimbal reads a ball at the tool by distance R,
+elevation theta, azimuth phi.
 
-Wang and Fan (2004), section 5: R by laser, theta and phi by rotary encoders, turned into Cartesian coordinates; the
-spindle axis from two places of the ball, A and B, where a standard bar in the spindle is retracted and extended by
-`baseline`. With the gimbal at G and u(theta, phi) the unit vector, an error of the readings moves a point by
+Wang and Fan (2004), section 5: R by laser, theta and phi by rotary encoders, turned
+into Cartesian coordinates; the spindle axis from two places of the ball, A and B, where
+a standard bar in the spindle is retracted and extended by `baseline`. With the gimbal
+at G and u(theta, phi) the unit vector, an error of the readings moves a point by
 
     u dR + R u_theta dtheta + R u_phi dphi,
 
-so that x, y, z are correlated with each other, and with alpha and beta, whose A is theirs too: `sources`. B lies away
-from the platform, B = A - baseline n, with n = (sin beta, -sin alpha cos beta, cos alpha cos beta), Eq. (15).
+so that x, y, z are correlated with each other, and with alpha and beta, whose A is
+theirs too: `sources`. B lies away from the platform, B = A - baseline n, with n = (sin
+beta, -sin alpha cos beta, cos alpha cos beta), Eq. (15).
 
 `instrument`   position and axis
 `position`     position alone
 
-Noise: R 0.3 um, theta and phi 1.15 arcsec, the accuracies the paper states, taken as one standard deviation each, as
-settings of their own; the channels' sigmas are what they give 0.7 m away with a baseline of 100 mm, of which the paper
-says nothing. A study that states a channel's sigma scales that row.
+Noise: R 0.3 um, theta and phi 1.15 arcsec, the accuracies the paper states, taken as
+one standard deviation each, as settings of their own; the channels' sigmas are what
+they give 0.7 m away with a baseline of 100 mm, of which the paper says nothing. A study
+that states a channel's sigma scales that row.
 
-Unknown is the frame: the bar is aligned with the machine's Y axis (section 5.2), taken as good to 0.1 mm and 0.1 mrad
-here. It hides two directions of a `prs_spindle`: shifting all sliders along X or Y is shifting the frame. Its rotations
-are seen against the guides, which are vertical, and its height, hardly, against the struts' lengths.
+Unknown is the frame: the bar is aligned with the machine's Y axis (section 5.2), taken
+as good to 0.1 mm and 0.1 mrad here. It hides two directions of a `prs_spindle`:
+shifting all sliders along X or Y is shifting the frame. Its rotations are seen against
+the guides, which are vertical, and its height, hardly, against the struts' lengths.
 
-The paper's three laser scales on the sliders are no readings of this kind: with them the sliders' true heights, the
-joints q, are known, whatever the machine's own scales show. A readings file gives them as q1_mm, q2_mm, q3_mm.
+The paper's three laser scales on the sliders are no readings of this kind: with them
+the sliders' true heights, the joints q, are known, whatever the machine's own scales
+show. A readings file gives them as q1_mm, q2_mm, q3_mm.
 """
 
 from __future__ import annotations
@@ -40,7 +46,10 @@ ARCSEC = math.pi / 648000.0
 POINT = tuple(Channel(f"read_{n}", "m", 4e-6) for n in "xyz")
 AXIS = tuple(Channel(f"read_{n}", "rad", 55e-6) for n in ("alpha", "beta"))
 SETTINGS = (
-    *(Setting(f"at_{n}", "m", None, f"{n} of the gimbal in the base frame") for n in "xyz"),
+    *(
+        Setting(f"at_{n}", "m", None, f"{n} of the gimbal in the base frame")
+        for n in "xyz"
+    ),
     Setting("range_noise", "m", 0.3e-6, "standard deviation of R"),
     Setting("angle_noise", "rad", 1.15 * ARCSEC, "standard deviation of theta and phi"),
 )
@@ -63,12 +72,18 @@ def _told(a: Expr, b: Expr) -> list[Expr]:
 
 
 def _spread(point: Expr, k: Values) -> Expr:
-    """Slopes (3 x 3) of a point from errors of R, theta, phi, each in units of its noise."""
+    """Slopes (3 x 3) of a point from errors of R, theta, phi, each in units of its
+    noise.
+    """
     d = point - _gimbal(k)
     flat = ca.sqrt(d[0] ** 2 + d[1] ** 2)
     up = ca.vertcat(-d[0] * d[2] / flat, -d[1] * d[2] / flat, flat)
     around = ca.vertcat(-d[1], d[0], 0.0)
-    return ca.horzcat(k["range_noise"] * d / ca.norm_2(d), k["angle_noise"] * up, k["angle_noise"] * around)
+    return ca.horzcat(
+        k["range_noise"] * d / ca.norm_2(d),
+        k["angle_noise"] * up,
+        k["angle_noise"] * around,
+    )
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -95,7 +110,10 @@ def _sources_position(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
 instrument = Instrument(
     name="laser_ball_bar",
     source=SOURCE,
-    about="laser ball bar on a gimbal: position of the tool and direction of the spindle axis",
+    about=(
+        "laser ball bar on a gimbal: position of the tool and direction of the spindle"
+        " axis"
+    ),
     channels=(*POINT, *AXIS),
     settings=(*SETTINGS, BASELINE),
     nuisances=registration.unknowns(0.1e-3, 0.1e-3),

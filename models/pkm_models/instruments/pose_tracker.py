@@ -1,14 +1,18 @@
-"""Pose tracker: position of the tool and its rotation, in a frame that is known up to its registration.
+"""Pose tracker: position of the tool and its rotation, in a frame that is known up to
+its registration.
 
-`instrument`   six components: x, y, z and alpha, beta, gamma with R = Rx(alpha) Ry(beta) Rz(gamma), so that the tool
-               axis is (sin beta, -sin alpha cos beta, cos alpha cos beta) as for the laser ball bar
+`instrument`   six components: x, y, z and alpha, beta, gamma with R = Rx(alpha)
+               Ry(beta) Rz(gamma), so that the tool axis is (sin beta, -sin alpha cos
+               beta, cos alpha cos beta) as for the laser ball bar
 `position`     position alone, as from a laser tracker and one reflector
 
-A registration that is not known (tolerances not 0) hides what only moves the base frame of the machine: the common
-motions of its base joints, as far as the parameters hold them (of a `prs_spindle`, the shifts along X and Y).
+A registration that is not known (tolerances not 0) hides what only moves the base frame
+of the machine: the common motions of its base joints, as far as the parameters hold
+them (of a `prs_spindle`, the shifts along X and Y).
 
-Noise, one standard deviation: 10 um and 5 arcsec, a laser tracker with a six-component target some 2 m away; the
-registration's tolerances, 0.05 mm and 0.05 mrad, are those of a fit to a few reference points of the base.
+Noise, one standard deviation: 10 um and 5 arcsec, a laser tracker with a six-component
+target some 2 m away; the registration's tolerances, 0.05 mm and 0.05 mrad, are those of
+a fit to a few reference points of the base.
 """
 
 from __future__ import annotations
@@ -24,7 +28,10 @@ from pkm_models import registration
 
 SOURCE = "laser tracker with six-component target; ISO 10360-10 for the instrument"
 POINT = tuple(Channel(f"read_{n}", "m", 10e-6) for n in "xyz")
-ANGLES = tuple(Channel(f"read_{n}", "rad", 5.0 * math.pi / 648000.0) for n in ("alpha", "beta", "gamma"))
+ANGLES = tuple(
+    Channel(f"read_{n}", "rad", 5.0 * math.pi / 648000.0)
+    for n in ("alpha", "beta", "gamma")
+)
 
 
 def _position(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:

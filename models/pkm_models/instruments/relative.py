@@ -1,21 +1,27 @@
-"""Relative measurements RM 1 to 5: how far the tool is off a line, against one reference reading on that line.
+"""Relative measurements RM 1 to 5: how far the tool is off a line, against one
+reference reading on that line.
 
-Chang, Li and Li (2011), sections 2.3.1-2.3.2 and 2.4, Eq. (13): read is X_i - X_0, with X_0 the run's reference.
+Chang, Li and Li (2011), sections 2.3.1-2.3.2 and 2.4, Eq. (13): read is X_i - X_0, with
+X_0 the run's reference.
 
     rm1   along y, dy by laser interferometer        rm2   along z, dz by laser interferometer
     rm3   along y, dz by micrometer on a ruler       rm4   along z, dy by micrometer on a square
     rm5   rm1 and rm3 at once
 
-One run is one line; its first pose is the reference configuration, which reads 0 by definition. All readings of a line
-are told against the one reference reading, whose own noise they share: Channel.shared = 1.
+One run is one line; its first pose is the reference configuration, which reads 0 by
+definition. All readings of a line are told against the one reference reading, whose own
+noise they share: Channel.shared = 1.
 
-An interferometer reads along its beam, so that a beam out of line costs a cosine only. A micrometer reads across the
-line: a ruler or square out of line by `tilt` adds tilt times the distance travelled. The paper takes its reference
-planes as perfect, and so does this module: the tolerance of `tilt` is 0, that is, held. With
-`tolerance = { tilt_mrad = ... }` a set-up frees it; it cannot be told from a common tilt of both guides then.
+An interferometer reads along its beam, so that a beam out of line costs a cosine only.
+A micrometer reads across the line: a ruler or square out of line by `tilt` adds tilt
+times the distance travelled. The paper takes its reference planes as perfect, and so
+does this module: the tolerance of `tilt` is 0, that is, held. With `tolerance = {
+tilt_mrad = ... }` a set-up frees it; it cannot be told from a common tilt of both
+guides then.
 
-Noise, one standard deviation: the paper states none. Laser interferometer 1 um (0.5 um/m of air and alignment over the
-3 m line, and resolution), micrometer 3 um (a dial gauge of 1 um division on a ground ruler).
+Noise, one standard deviation: the paper states none. Laser interferometer 1 um (0.5
+um/m of air and alignment over the 3 m line, and resolution), micrometer 3 um (a dial
+gauge of 1 um division on a ground ruler).
 """
 
 from __future__ import annotations
@@ -27,7 +33,13 @@ from oed.machine import Expr, Parameter, Values
 
 SOURCE = "Chang, Li and Li 2011, Chin. J. Mech. Eng., sections 2.3.2 and 2.4"
 LASER, MICROMETER = 1.0e-6, 3.0e-6  # m
-TILT = Parameter("tilt", 0.0, 0.0, "rad", "angle of ruler or square to the line it stands for; held unless freed")
+TILT = Parameter(
+    "tilt",
+    0.0,
+    0.0,
+    "rad",
+    "angle of ruler or square to the line it stands for; held unless freed",
+)
 Y, Z = 1, 2
 
 
@@ -37,8 +49,12 @@ def _along(axis: int) -> Callable[[Sequence[Frame], Values, Values], Expr]:
 
 
 def _across(axis: int, line: int) -> Callable[[Sequence[Frame], Values, Values], Expr]:
-    """Deviation along a base axis from a ruler that lies along the axis `line`, up to its tilt."""
-    return lambda frames, s, k: _along(axis)(frames, s, k) - s["tilt"] * _along(line)(frames, s, k)
+    """Deviation along a base axis from a ruler that lies along the axis `line`, up to
+    its tilt.
+    """
+    return lambda frames, s, k: (
+        _along(axis)(frames, s, k) - s["tilt"] * _along(line)(frames, s, k)
+    )
 
 
 def _relative(
@@ -66,19 +82,42 @@ def _channel(name: str, sigma: float) -> Channel:
     return Channel(name, "m", sigma, shared=1.0)
 
 
-_LASER_COST, _MICROMETER_COST = Cost(setup=3600.0, reading=30.0), Cost(setup=1200.0, reading=20.0)
+_LASER_COST, _MICROMETER_COST = (
+    Cost(setup=3600.0, reading=30.0),
+    Cost(setup=1200.0, reading=20.0),
+)
 
 rm1 = _relative(
-    "rm1", "RM 1: dy along y, laser interferometer", (_channel("dy", LASER),), (_along(Y),), (), _LASER_COST
+    "rm1",
+    "RM 1: dy along y, laser interferometer",
+    (_channel("dy", LASER),),
+    (_along(Y),),
+    (),
+    _LASER_COST,
 )
 rm2 = _relative(
-    "rm2", "RM 2: dz along z, laser interferometer", (_channel("dz", LASER),), (_along(Z),), (), _LASER_COST
+    "rm2",
+    "RM 2: dz along z, laser interferometer",
+    (_channel("dz", LASER),),
+    (_along(Z),),
+    (),
+    _LASER_COST,
 )
 rm3 = _relative(
-    "rm3", "RM 3: dz along y, micrometer", (_channel("dz", MICROMETER),), (_across(Z, Y),), (TILT,), _MICROMETER_COST
+    "rm3",
+    "RM 3: dz along y, micrometer",
+    (_channel("dz", MICROMETER),),
+    (_across(Z, Y),),
+    (TILT,),
+    _MICROMETER_COST,
 )
 rm4 = _relative(
-    "rm4", "RM 4: dy along z, micrometer", (_channel("dy", MICROMETER),), (_across(Y, Z),), (TILT,), _MICROMETER_COST
+    "rm4",
+    "RM 4: dy along z, micrometer",
+    (_channel("dy", MICROMETER),),
+    (_across(Y, Z),),
+    (TILT,),
+    _MICROMETER_COST,
 )
 rm5 = _relative(
     "rm5",

@@ -1,12 +1,14 @@
 """A3 spindle head, a 3-RPS parallel mechanism: one translation and two rotations.
 
-Tian et al. (2016), Kinematic calibration of a 3-DOF spindle head using a double ball bar, Mechanism and Machine
-Theory 102, 167-178: Table 1, Eqs. (1)-(6), (16), (19). Limb i is an extensible strut from the revolute joint B_i
-to the spherical joint A_i. The closure is exact where the paper's Eq. (4) is linear: with v_i = A_i - B_i,
+Tian et al. (2016), Kinematic calibration of a 3-DOF spindle head using a double ball
+bar, Mechanism and Machine Theory 102, 167-178: Table 1, Eqs. (1)-(6), (16), (19). Limb
+i is an extensible strut from the revolute joint B_i to the spherical joint A_i. The
+closure is exact where the paper's Eq. (4) is linear: with v_i = A_i - B_i,
 
     |v_i| = q_i + dq_i,        v_i . s1_i = (q_i + dq_i) sin(beta_i).
 
-The pose is the reference tool point, tilt (rx, ry) = theta (cos psi, sin psi) and spin = psi + phi.
+The pose is the reference tool point, tilt (rx, ry) = theta (cos psi, sin psi) and spin
+= psi + phi.
 """
 
 from __future__ import annotations
@@ -16,7 +18,15 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.machine import Component, Coordinate, Expr, Machine, Parameter, PointGroup, Values
+from oed.machine import (
+    Component,
+    Coordinate,
+    Expr,
+    Machine,
+    Parameter,
+    PointGroup,
+    Values,
+)
 from pkm_models.rotation import tilt_torsion
 
 A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
@@ -24,7 +34,8 @@ LIMBS = (1, 2, 3)
 PHI = {i: 2.0 * math.pi * (i - 1) / 3.0 - math.pi / 2.0 for i in LIMBS}
 XYZ = "xyz"
 
-# Tolerances (prior standard deviations): the size of the errors that Table 3 found on the prototype.
+# Tolerances (prior standard deviations): the size of the errors that Table 3 found on
+# the prototype.
 HOME, JOINT, TILT = 1.0e-3, 1.0e-3, 10e-3  # m, m, rad
 
 
@@ -39,7 +50,9 @@ def _platform(i: int) -> tuple[float, float, float]:
 def _joints(x: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     """Joint centres B_i and A_i in the base frame."""
     base = ca.vertcat(*[n + p[f"db{i}{k}"] for n, k in zip(_base(i), XYZ, strict=True)])
-    local = ca.vertcat(*[n + p[f"da{i}{k}"] for n, k in zip(_platform(i), XYZ, strict=True)])
+    local = ca.vertcat(
+        *[n + p[f"da{i}{k}"] for n, k in zip(_platform(i), XYZ, strict=True)]
+    )
     rotation, point = platform(x)
     return base, point + rotation @ local
 
@@ -72,7 +85,9 @@ def guess(c: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
 
 
 def read_error(c: Values, twist: Sequence[Expr]) -> list[Expr]:
-    """x, y, z and the Euler errors: d alpha = Psi (d psi, d theta, d phi), Eq. (19), inverted."""
+    """x, y, z and the Euler errors: d alpha = Psi (d psi, d theta, d phi), Eq. (19),
+    inverted.
+    """
     cos_psi, sin_psi = ca.cos(c["psi"]), ca.sin(c["psi"])
     ax, ay, az = twist[3:]
     dtheta = cos_psi * ax + sin_psi * ay
@@ -89,10 +104,23 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 
 
 def _parameters() -> tuple[Parameter, ...]:
-    table = [Parameter(f"dq{i}", 0.0, HOME, "m", f"home error of limb {i}") for i in LIMBS]
-    table += [Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of base joint {i}") for i in LIMBS for k in XYZ]
-    table += [Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}") for i in LIMBS for k in XYZ]
-    table += [Parameter(f"beta{i}", 0.0, TILT, "rad", f"tilt of limb {i} out of its plane") for i in LIMBS]
+    table = [
+        Parameter(f"dq{i}", 0.0, HOME, "m", f"home error of limb {i}") for i in LIMBS
+    ]
+    table += [
+        Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of base joint {i}")
+        for i in LIMBS
+        for k in XYZ
+    ]
+    table += [
+        Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}")
+        for i in LIMBS
+        for k in XYZ
+    ]
+    table += [
+        Parameter(f"beta{i}", 0.0, TILT, "rad", f"tilt of limb {i} out of its plane")
+        for i in LIMBS
+    ]
     return tuple(table)
 
 
@@ -100,7 +128,8 @@ machine = Machine(
     name="a3_head",
     source="Tian et al. 2016, Mech. Mach. Theory 102, 167-178",
     about="A3 spindle head (3-RPS): z, psi, theta driven; x, y, phi parasitic",
-    pose=tuple(Coordinate(n, "m") for n in XYZ) + tuple(Coordinate(n, "rad") for n in ("rx", "ry", "spin")),
+    pose=tuple(Coordinate(n, "m") for n in XYZ)
+    + tuple(Coordinate(n, "rad") for n in ("rx", "ry", "spin")),
     joints=tuple(Coordinate(f"q{i}", "m", 0.2, 1.2) for i in LIMBS),
     command=(
         Coordinate("z", "m", C + D, C + D + 0.200),

@@ -1,17 +1,21 @@
-"""Cable robot with one line more than degrees of freedom: the printer Hangprinter HP4 (A, B, C below, D above).
+"""Cable robot with one line more than degrees of freedom: the printer Hangprinter HP4
+(A, B, C below, D above).
 
-Line i runs from the mover x over the anchor A_i to its spool, a_i-fold. At the origin it is line_i long; the motor has
-turned by q_i since, and the spool by t = q_i / G. A metre of line that leaves the spool lowers the square of its radius
-by b, so a_i dl = r dt with r^2 = r_i^2 - b a_i l gives r = r_i - b t / 2 and
+Line i runs from the mover x over the anchor A_i to its spool, a_i-fold. At the origin
+it is line_i long; the motor has turned by q_i since, and the spool by t = q_i / G. A
+metre of line that leaves the spool lowers the square of its radius by b, so a_i dl = r
+dt with r^2 = r_i^2 - b a_i l gives r = r_i - b t / 2 and
 
     |A_i - x| = line_i + (r_i t - b t^2 / 4) / a_i.
 
-This is what the firmware's k0 (sqrt(r^2 + k2 l) - r), k2 = -a b, gives for the motor, solved for the line's change l.
-Lines do not stretch here. Four equations, three unknowns: see `oed.kinematics` for where a redundant machine settles.
+This is what the firmware's k0 (sqrt(r^2 + k2 l) - r), k2 = -a b, gives for the motor,
+solved for the line's change l. Lines do not stretch here. Four equations, three
+unknowns: see `oed.kinematics` for where a redundant machine settles.
 
-Numbers: github.com/tobbelobb/auto-calibration-simulation-for-hangprinter, branch hp_mark_adjusted at 790dca2,
-simulation.py: gear 255/20, folds 2, 2, 2, 4, build-up 0.06875 mm, spools of 75 mm, line lengths at the origin measured
-by hand (read to 0.5 mm; 1 mm), anchors as "rough approximations from manual measuring" (50 mm).
+Numbers: github.com/tobbelobb/auto-calibration-simulation-for-hangprinter, branch
+hp_mark_adjusted at 790dca2, simulation.py: gear 255/20, folds 2, 2, 2, 4, build-up
+0.06875 mm, spools of 75 mm, line lengths at the origin measured by hand (read to 0.5
+mm; 1 mm), anchors as "rough approximations from manual measuring" (50 mm).
 """
 
 from __future__ import annotations
@@ -27,9 +31,17 @@ GEAR, BUILDUP = 255.0 / 20.0, 0.06875e-3  # 1, m
 FOLD = {1: 2.0, 2: 2.0, 3: 2.0, 4: 4.0}
 SPOOL = 0.075  # m
 LINE = {1: 1.597, 2: 1.795, 3: 1.5825, 4: 2.355}  # m
-_AT = {1: (1.620, -90.0), 2: (1.800, 45.0), 3: (1.620, 150.0)}  # m, degrees: distance from the origin's axis, bearing
+_AT = {
+    1: (1.620, -90.0),
+    2: (1.800, 45.0),
+    3: (1.620, 150.0),
+}  # m, degrees: distance from the origin's axis, bearing
 ANCHOR = {
-    i: (round(r * math.cos(math.radians(bearing)), 6), round(r * math.sin(math.radians(bearing)), 6), -0.150)
+    i: (
+        round(r * math.cos(math.radians(bearing)), 6),
+        round(r * math.sin(math.radians(bearing)), 6),
+        -0.150,
+    )
     for i, (r, bearing) in _AT.items()
 } | {4: (0.0, 0.0, 2.350)}
 

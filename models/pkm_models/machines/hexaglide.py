@@ -1,17 +1,22 @@
-"""Hexaglide: a platform on six struts of fixed length, each on a carriage; all six coordinates driven.
+"""Hexaglide: a platform on six struts of fixed length, each on a carriage; all six
+coordinates driven.
 
-The carriages run on three parallel guides along the base's x axis, two on each. Carriage i is at B_i + (q_i + dq_i) u,
-u along x and q_i the travel from the guide's end, and its strut runs to the platform joint A_i:
+The carriages run on three parallel guides along the base's x axis, two on each.
+Carriage i is at B_i + (q_i + dq_i) u, u along x and q_i the travel from the guide's
+end, and its strut runs to the platform joint A_i:
 
     |x + R A_i - (B_i + (q_i + dq_i) u)| = L_i + dl_i.
 
-After M. Honegger, A. Codourey and E. Burdet, Adaptive control of the Hexaglide, a 6 dof parallel manipulator, IEEE
-ICRA 1997, 543-548. 42 parameters: carriage zeros (6), guides' places across the travel at each carriage (12), platform
-joints (18), strut lengths (6). The geometry is a generic one chosen here: the platform hangs below guides at three
-places in y and two heights; its joints go by pairs, each pair's carriages on either side of it. Over +-100 mm and
-+-12 degrees the lines of the six struts stay well apart: the least singular value of their Pluecker matrix, moments in
-units of 200 mm, is 0.3 and the largest 2.2. Tolerances: joints and guides 0.3 mm, zeros and struts 0.5 mm.
-No parameter is held: a pose read in a known frame sees the guides' common place, which a free frame would hide.
+After M. Honegger, A. Codourey and E. Burdet, Adaptive control of the Hexaglide, a 6 dof
+parallel manipulator, IEEE ICRA 1997, 543-548. 42 parameters: carriage zeros (6),
+guides' places across the travel at each carriage (12), platform joints (18), strut
+lengths (6). The geometry is a generic one chosen here: the platform hangs below guides
+at three places in y and two heights; its joints go by pairs, each pair's carriages on
+either side of it. Over +-100 mm and +-12 degrees the lines of the six struts stay well
+apart: the least singular value of their Pluecker matrix, moments in units of 200 mm, is
+0.3 and the largest 2.2. Tolerances: joints and guides 0.3 mm, zeros and struts 0.5 mm.
+No parameter is held: a pose read in a known frame sees the guides' common place, which
+a free frame would hide.
 """
 
 from __future__ import annotations
@@ -21,16 +26,35 @@ import math
 import casadi as ca
 
 from oed.machine import Coordinate, Expr, Machine, Parameter, PointGroup, Values
-from pkm_models.six_dof import COMPONENTS, POSE, XYZ, command, commanded, platform, target
+from pkm_models.six_dof import (
+    COMPONENTS,
+    POSE,
+    XYZ,
+    command,
+    commanded,
+    platform,
+    target,
+)
 
 LEGS = (1, 2, 3, 4, 5, 6)
-STRUT, START, HEIGHT, PLATFORM = 0.800, -1.200, 0.200, 0.200  # m; START: x of the guides' ends; HEIGHT: z at home
+STRUT, START, HEIGHT, PLATFORM = (
+    0.800,
+    -1.200,
+    0.200,
+    0.200,
+)  # m; START: x of the guides' ends; HEIGHT: z at home
 JOINT, ZERO, LENGTH = 0.3e-3, 0.5e-3, 0.5e-3  # m
 Point = tuple[float, float, float]
 
 GUIDE = ((-0.250, 0.800), (0.000, 0.800), (0.550, 0.500))  # y and z, m
-PAIR = ((0.060, -0.200, 0.100), (0.170, 0.000, 0.050), (0.030, 0.100, 0.100))  # platform joint at +x, its partner at -x
-SIDE = {i: -1.0 if i % 2 else 1.0 for i in LEGS}  # carriages 1, 3, 5 towards -x of the platform
+PAIR = (
+    (0.060, -0.200, 0.100),
+    (0.170, 0.000, 0.050),
+    (0.030, 0.100, 0.100),
+)  # platform joint at +x, its partner at -x
+SIDE = {
+    i: -1.0 if i % 2 else 1.0 for i in LEGS
+}  # carriages 1, 3, 5 towards -x of the platform
 B: dict[int, Point] = {i: (START, *GUIDE[(i - 1) // 2]) for i in LEGS}
 A: dict[int, Point] = {
     i: (SIDE[i] * PAIR[(i - 1) // 2][0], *PAIR[(i - 1) // 2][1:]) for i in LEGS
@@ -48,19 +72,27 @@ def _joints(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     error = (q[f"q{i}"] + p[f"dq{i}"], p[f"db{i}y"], p[f"db{i}z"])
     carriage = ca.vertcat(*[n + e for n, e in zip(B[i], error, strict=True)])
     rotation, point = platform(x)
-    return carriage, point + rotation @ ca.vertcat(*[n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)])
+    return carriage, point + rotation @ ca.vertcat(
+        *[n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)]
+    )
 
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Strut lengths; m."""
     ends = [_joints(x, q, p, i) for i in LEGS]
-    return [ca.norm_2(a - b) - STRUT - p[f"dl{i}"] for i, (b, a) in zip(LEGS, ends, strict=True)]
+    return [
+        ca.norm_2(a - b) - STRUT - p[f"dl{i}"]
+        for i, (b, a) in zip(LEGS, ends, strict=True)
+    ]
 
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Guides, struts, platform, spindle."""
     feet, joints = zip(*[_joints(x, q, p, i) for i in LEGS], strict=True)
-    rails = [[ca.vertcat(end, *foot[1:]) for end in (START, -START)] for foot in (B[1], B[3], B[5])]
+    rails = [
+        [ca.vertcat(end, *foot[1:]) for end in (START, -START)]
+        for foot in (B[1], B[3], B[5])
+    ]
     struts = [[b, a] for b, a in zip(feet, joints, strict=True)]
     around = [joints[i - 1] for i in (1, 2, 4, 6, 5, 3, 1)]
     return [*rails, *struts, around, [sum(joints[1:], joints[0]) / 6.0, platform(x)[1]]]
@@ -68,15 +100,29 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 
 machine = Machine(
     name="hexaglide",
-    source="Honegger, Codourey and Burdet 1997, IEEE ICRA, 543-548, for the type; a generic geometry",
+    source=(
+        "Honegger, Codourey and Burdet 1997, IEEE ICRA, 543-548, for the type; a"
+        " generic geometry"
+    ),
     about="hexaglide (6-PUS on parallel guides): x, y, z, tilt and spin driven",
     pose=POSE,
-    joints=tuple(Coordinate(f"q{i}", "m", *((0.2, 0.9) if SIDE[i] < 0.0 else (1.5, 2.2))) for i in LEGS),
+    joints=tuple(
+        Coordinate(f"q{i}", "m", *((0.2, 0.9) if SIDE[i] < 0.0 else (1.5, 2.2)))
+        for i in LEGS
+    ),
     command=command((0.0, 0.0, HEIGHT), 0.100, math.radians(12.0)),
     parameters=(
         *(Parameter(f"dq{i}", 0.0, ZERO, "m", f"zero of carriage {i}") for i in LEGS),
-        *(Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of the guide at carriage {i}") for i in LEGS for k in "yz"),
-        *(Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}") for i in LEGS for k in XYZ),
+        *(
+            Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of the guide at carriage {i}")
+            for i in LEGS
+            for k in "yz"
+        ),
+        *(
+            Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}")
+            for i in LEGS
+            for k in XYZ
+        ),
         *(Parameter(f"dl{i}", 0.0, LENGTH, "m", f"length of strut {i}") for i in LEGS),
     ),
     components=COMPONENTS,
@@ -91,7 +137,15 @@ machine = Machine(
     skeleton=skeleton,
     struts=lambda x, q, p: [_joints(x, q, p, i) for i in LEGS],
     groups=(
-        PointGroup("platform joints", "the tool point", tuple(((f"da{i}x", f"da{i}y", f"da{i}z"), A[i]) for i in LEGS)),
-        PointGroup("carriages", "the base's origin", tuple(((f"dq{i}", f"db{i}y", f"db{i}z"), B[i]) for i in LEGS)),
+        PointGroup(
+            "platform joints",
+            "the tool point",
+            tuple(((f"da{i}x", f"da{i}y", f"da{i}z"), A[i]) for i in LEGS),
+        ),
+        PointGroup(
+            "carriages",
+            "the base's origin",
+            tuple(((f"dq{i}", f"db{i}y", f"db{i}z"), B[i]) for i in LEGS),
+        ),
     ),
 )

@@ -1,14 +1,17 @@
-"""Hexapod: a platform on six extensible legs (6-UPS, Gough-Stewart), all six coordinates driven.
+"""Hexapod: a platform on six extensible legs (6-UPS, Gough-Stewart), all six
+coordinates driven.
 
 Leg i runs from the base joint B_i to the platform joint A_i:
 
     |x + R A_i - B_i| = q_i + dl_i.
 
-42 parameters: base joints (18), platform joints (18), leg zeros (6), as in J. Wang and O. Masory, On the accuracy of a
-Stewart platform, IEEE ICRA 1993, 114-120. The geometry is a generic 6-6 one chosen here: base joints on a circle of
-300 mm in pairs 30 degrees apart, platform joints on one of 200 mm in pairs 30 degrees apart over the base's gaps; their
-plane is 600 mm above the base at home and 100 mm above the tool point. Tolerances: joints 0.3 mm, legs' zeros 0.5 mm.
-No parameter is held: a pose read in a known frame sees the base joints' common place, which a free frame would hide.
+42 parameters: base joints (18), platform joints (18), leg zeros (6), as in J. Wang and
+O. Masory, On the accuracy of a Stewart platform, IEEE ICRA 1993, 114-120. The geometry
+is a generic 6-6 one chosen here: base joints on a circle of 300 mm in pairs 30 degrees
+apart, platform joints on one of 200 mm in pairs 30 degrees apart over the base's gaps;
+their plane is 600 mm above the base at home and 100 mm above the tool point.
+Tolerances: joints 0.3 mm, legs' zeros 0.5 mm. No parameter is held: a pose read in a
+known frame sees the base joints' common place, which a free frame would hide.
 """
 
 from __future__ import annotations
@@ -18,58 +21,106 @@ import math
 import casadi as ca
 
 from oed.machine import Coordinate, Expr, Machine, Parameter, PointGroup, Values
-from pkm_models.six_dof import COMPONENTS, POSE, XYZ, command, commanded, platform, target
+from pkm_models.six_dof import (
+    COMPONENTS,
+    POSE,
+    XYZ,
+    command,
+    commanded,
+    platform,
+    target,
+)
 
 LEGS = (1, 2, 3, 4, 5, 6)
-BASE, PLATFORM, ABOVE, HEIGHT = 0.300, 0.200, 0.100, 0.500  # m; HEIGHT: tool point over the base at home
+BASE, PLATFORM, ABOVE, HEIGHT = (
+    0.300,
+    0.200,
+    0.100,
+    0.500,
+)  # m; HEIGHT: tool point over the base at home
 JOINT, ZERO = 0.3e-3, 0.5e-3  # m
 Point = tuple[float, float, float]
 
 
 def _ring(radius: float, half: float, height: float) -> dict[int, Point]:
     """Joints in three pairs, `half` degrees on either side of 0, 120, 240 degrees."""
-    angle = {i: math.radians(120.0 * ((i - 1) // 2) + (half if i % 2 == 0 else -half)) for i in LEGS}
-    return {i: (radius * math.cos(a), radius * math.sin(a), height) for i, a in angle.items()}
+    angle = {
+        i: math.radians(120.0 * ((i - 1) // 2) + (half if i % 2 == 0 else -half))
+        for i in LEGS
+    }
+    return {
+        i: (radius * math.cos(a), radius * math.sin(a), height)
+        for i, a in angle.items()
+    }
 
 
 B = _ring(BASE, 15.0, 0.0)  # base joints, from the base centre
-A = _ring(PLATFORM, 45.0, ABOVE)  # platform joints, from the tool point: each 30 degrees outside its partner
+A = _ring(
+    PLATFORM, 45.0, ABOVE
+)  # platform joints, from the tool point: each 30 degrees outside its partner
 
 
 def _joints(x: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     """Joint centres B_i and A_i in the base frame."""
     foot = ca.vertcat(*[n + p[f"db{i}{k}"] for n, k in zip(B[i], XYZ, strict=True)])
     rotation, point = platform(x)
-    return foot, point + rotation @ ca.vertcat(*[n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)])
+    return foot, point + rotation @ ca.vertcat(
+        *[n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)]
+    )
 
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Leg lengths; m."""
     ends = [_joints(x, p, i) for i in LEGS]
-    return [ca.norm_2(a - b) - q[f"q{i}"] - p[f"dl{i}"] for i, (b, a) in zip(LEGS, ends, strict=True)]
+    return [
+        ca.norm_2(a - b) - q[f"q{i}"] - p[f"dl{i}"]
+        for i, (b, a) in zip(LEGS, ends, strict=True)
+    ]
 
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Base, legs, platform, spindle."""
     feet, joints = zip(*[_joints(x, p, i) for i in LEGS], strict=True)
     legs = [[b, a] for b, a in zip(feet, joints, strict=True)]
-    return [[*feet, feet[0]], *legs, [*joints, joints[0]], [sum(joints[1:], joints[0]) / 6.0, platform(x)[1]]]
+    return [
+        [*feet, feet[0]],
+        *legs,
+        [*joints, joints[0]],
+        [sum(joints[1:], joints[0]) / 6.0, platform(x)[1]],
+    ]
 
 
 def _group(name: str, origin: str, letter: str, at: dict[int, Point]) -> PointGroup:
-    return PointGroup(name, origin, tuple(((f"{letter}{i}x", f"{letter}{i}y", f"{letter}{i}z"), at[i]) for i in LEGS))
+    return PointGroup(
+        name,
+        origin,
+        tuple(
+            ((f"{letter}{i}x", f"{letter}{i}y", f"{letter}{i}z"), at[i]) for i in LEGS
+        ),
+    )
 
 
 machine = Machine(
     name="hexapod",
-    source="Wang and Masory 1993, IEEE ICRA, 114-120, for the 42 parameters; a generic 6-6 geometry",
+    source=(
+        "Wang and Masory 1993, IEEE ICRA, 114-120, for the 42 parameters; a generic 6-6"
+        " geometry"
+    ),
     about="hexapod (6-UPS): x, y, z, tilt and spin driven",
     pose=POSE,
     joints=tuple(Coordinate(f"q{i}", "m", 0.350, 0.900) for i in LEGS),
     command=command((0.0, 0.0, HEIGHT), 0.100, math.radians(15.0)),
     parameters=(
-        *(Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of base joint {i}") for i in LEGS for k in XYZ),
-        *(Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}") for i in LEGS for k in XYZ),
+        *(
+            Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of base joint {i}")
+            for i in LEGS
+            for k in XYZ
+        ),
+        *(
+            Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}")
+            for i in LEGS
+            for k in XYZ
+        ),
         *(Parameter(f"dl{i}", 0.0, ZERO, "m", f"zero of leg {i}") for i in LEGS),
     ),
     components=COMPONENTS,

@@ -1,8 +1,10 @@
-"""Linear delta: three vertical carriages, three parallelogram arms, a platform that only translates.
+"""Linear delta: three vertical carriages, three parallelogram arms, a platform that
+only translates.
 
-The geometry of delta printers (FLSun V400 size by default): carriage i runs on a vertical tower at radius R and
-angle alpha_i, its height is endstop_i + sqrt(arm_i^2 - R^2) - q_i, where q_i is the travel down from the endstop
-and endstop_i the tool height at which the endstop triggers. The arm keeps tool and carriage at distance arm_i:
+The geometry of delta printers (FLSun V400 size by default): carriage i runs on a
+vertical tower at radius R and angle alpha_i, its height is endstop_i + sqrt(arm_i^2 -
+R^2) - q_i, where q_i is the travel down from the endstop and endstop_i the tool height
+at which the endstop triggers. The arm keeps tool and carriage at distance arm_i:
 
     |t - (R cos alpha_i, R sin alpha_i, h_i)| = arm_i,
 
@@ -62,7 +64,10 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 
 machine = Machine(
     name="linear_delta",
-    source="delta printer kinematics; nominal numbers of the FLSun V400 (Klipper configuration, CC0)",
+    source=(
+        "delta printer kinematics; nominal numbers of the FLSun V400 (Klipper"
+        " configuration, CC0)"
+    ),
     about="linear delta (3-PUU with parallelograms): x, y, z driven",
     pose=tuple(Coordinate(n, "m") for n in "xyz"),
     joints=tuple(Coordinate(f"q{i}", "m", -0.05, 0.6) for i in TOWERS),
@@ -73,9 +78,20 @@ machine = Machine(
     ),
     parameters=(
         Parameter("radius", RADIUS, 0.5e-3, "m", "tower circle less platform radius"),
-        *(Parameter(f"arm{i}", ARM, 1.0e-3, "m", f"arm length of tower {i}") for i in TOWERS),
-        *(Parameter(f"angle{i}", ANGLE[i], 3.5e-3, "rad", f"angle of tower {i}") for i in TOWERS),
-        *(Parameter(f"endstop{i}", ENDSTOP, 1.5e-3, "m", f"tool height at endstop {i}") for i in TOWERS),
+        *(
+            Parameter(f"arm{i}", ARM, 1.0e-3, "m", f"arm length of tower {i}")
+            for i in TOWERS
+        ),
+        *(
+            Parameter(f"angle{i}", ANGLE[i], 3.5e-3, "rad", f"angle of tower {i}")
+            for i in TOWERS
+        ),
+        *(
+            Parameter(
+                f"endstop{i}", ENDSTOP, 1.5e-3, "m", f"tool height at endstop {i}"
+            )
+            for i in TOWERS
+        ),
     ),
     components=tuple(Component(n, "m", compensatable=True) for n in "xyz"),
     home={"x": 0.0, "y": 0.0, "z": 0.020},

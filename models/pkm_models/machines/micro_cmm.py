@@ -1,15 +1,18 @@
 """Micro-CMM: three extensible legs hang a platform below a frame; it only translates.
 
-A. Rugbani and K. Schreve, The use of parallel mechanism micro-CMM in micrometrology, Eqs. (1)-(5): leg i runs from the
-frame point f_i (radius R_f, angle theta_f) to the platform point p_i (radius R_p, angle theta_p), so that
+A. Rugbani and K. Schreve, The use of parallel mechanism micro-CMM in micrometrology,
+Eqs. (1)-(5): leg i runs from the frame point f_i (radius R_f, angle theta_f) to the
+platform point p_i (radius R_p, angle theta_p), so that
 
-    |x - (f_i - p_i)| = q_i + dl_i,      f_i = R_f (cos theta_f, sin theta_f, 0),  p_i alike.
+    |x - (f_i - p_i)| = q_i + dl_i,      f_i = R_f (cos theta_f, sin theta_f, 0),  p_i
+                                         alike.
 
-x is the probe, below the frame: z < 0. The paper gives no dimensions: R_f = 200 mm, R_p = 60 mm and a probe 150 to
-250 mm below the frame are chosen here; a study replaces them by [machine.nominal]. So are the tolerances: parts made to
-50 um, and the legs' zeros as well. The paper's joints are spherical at both ends; those alone do not keep the platform
-parallel, so take Tsai's 3-UPU legs (its Fig. 2). Its closed forms (6)-(8) are wrong: see docs/errata.md and
-`direct` for the right ones.
+x is the probe, below the frame: z < 0. The paper gives no dimensions: R_f = 200 mm, R_p
+= 60 mm and a probe 150 to 250 mm below the frame are chosen here; a study replaces them
+by [machine.nominal]. So are the tolerances: parts made to 50 um, and the legs' zeros as
+well. The paper's joints are spherical at both ends; those alone do not keep the
+platform parallel, so take Tsai's 3-UPU legs (its Fig. 2). Its closed forms (6)-(8) are
+wrong: see docs/errata.md and `direct` for the right ones.
 """
 
 from __future__ import annotations
@@ -29,7 +32,8 @@ MADE = 50e-6  # m
 
 
 def direct(lengths: Array, rho: float = R_FRAME - R_PLATFORM) -> Array:
-    """Probe (..., 3) at leg lengths (..., 3) of the perfect machine, rho = R_f - R_p: Eqs. (3)-(5) solved, all in m.
+    """Probe (..., 3) at leg lengths (..., 3) of the perfect machine, rho = R_f - R_p:
+    Eqs. (3)-(5) solved, all in m.
 
     Differences of (3)-(5) are linear in x and y; z is the root below the frame.
     """
@@ -46,7 +50,9 @@ def _point(radius: Expr, angle: Expr) -> Expr:
 
 def _ends(x: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     """Frame point f_i and platform point x + p_i."""
-    return _point(p[f"rf{i}"], p[f"thetaf{i}"]), _probe(x) + _point(p[f"rp{i}"], p[f"thetap{i}"])
+    return _point(p[f"rf{i}"], p[f"thetaf{i}"]), _probe(x) + _point(
+        p[f"rp{i}"], p[f"thetap{i}"]
+    )
 
 
 def _probe(x: Values) -> Expr:
@@ -56,19 +62,30 @@ def _probe(x: Values) -> Expr:
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Leg lengths, Eqs. (3)-(5); m."""
     ends = [_ends(x, p, i) for i in LEGS]
-    return [ca.norm_2(b - a) - q[f"q{i}"] - p[f"dl{i}"] for i, (a, b) in zip(LEGS, ends, strict=True)]
+    return [
+        ca.norm_2(b - a) - q[f"q{i}"] - p[f"dl{i}"]
+        for i, (a, b) in zip(LEGS, ends, strict=True)
+    ]
 
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Frame, legs, platform, probe."""
     frame, platform = zip(*[_ends(x, p, i) for i in LEGS], strict=True)
     legs = [[a, b] for a, b in zip(frame, platform, strict=True)]
-    return [[*frame, frame[0]], *legs, [*platform, platform[0]], *[[b, _probe(x)] for b in platform]]
+    return [
+        [*frame, frame[0]],
+        *legs,
+        [*platform, platform[0]],
+        *[[b, _probe(x)] for b in platform],
+    ]
 
 
 machine = Machine(
     name="micro_cmm",
-    source="Rugbani and Schreve, The use of parallel mechanism micro-CMM in micrometrology, Eqs. (1)-(5)",
+    source=(
+        "Rugbani and Schreve, The use of parallel mechanism micro-CMM in"
+        " micrometrology, Eqs. (1)-(5)"
+    ),
     about="micro-CMM with three extensible legs (3-UPU): x, y, z driven",
     pose=tuple(Coordinate(n, "m") for n in "xyz"),
     joints=tuple(Coordinate(f"q{i}", "m", 0.120, 0.350) for i in LEGS),
@@ -78,10 +95,34 @@ machine = Machine(
         Coordinate("z", "m", -0.250, -0.150),
     ),
     parameters=(
-        *(Parameter(f"rf{i}", R_FRAME, MADE, "m", f"radius of frame point {i}") for i in LEGS),
-        *(Parameter(f"rp{i}", R_PLATFORM, MADE, "m", f"radius of platform point {i}") for i in LEGS),
-        *(Parameter(f"thetaf{i}", ANGLE[i], MADE / R_FRAME, "rad", f"angle of frame point {i}") for i in LEGS),
-        *(Parameter(f"thetap{i}", ANGLE[i], MADE / R_PLATFORM, "rad", f"angle of platform point {i}") for i in LEGS),
+        *(
+            Parameter(f"rf{i}", R_FRAME, MADE, "m", f"radius of frame point {i}")
+            for i in LEGS
+        ),
+        *(
+            Parameter(f"rp{i}", R_PLATFORM, MADE, "m", f"radius of platform point {i}")
+            for i in LEGS
+        ),
+        *(
+            Parameter(
+                f"thetaf{i}",
+                ANGLE[i],
+                MADE / R_FRAME,
+                "rad",
+                f"angle of frame point {i}",
+            )
+            for i in LEGS
+        ),
+        *(
+            Parameter(
+                f"thetap{i}",
+                ANGLE[i],
+                MADE / R_PLATFORM,
+                "rad",
+                f"angle of platform point {i}",
+            )
+            for i in LEGS
+        ),
         *(Parameter(f"dl{i}", 0.0, MADE, "m", f"zero of leg {i}") for i in LEGS),
     ),
     components=tuple(Component(n, "m", compensatable=True) for n in "xyz"),
@@ -91,7 +132,10 @@ machine = Machine(
     platform=lambda x: (ca.SX.eye(3), _probe(x)),
     commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
     target=lambda c: [c["x"], c["y"], c["z"]],
-    guess=lambda c: ([c["x"], c["y"], c["z"]], [ca.norm_2(ca.vertcat(R_FRAME - R_PLATFORM, c["z"]))] * 3),
+    guess=lambda c: (
+        [c["x"], c["y"], c["z"]],
+        [ca.norm_2(ca.vertcat(R_FRAME - R_PLATFORM, c["z"]))] * 3,
+    ),
     skeleton=skeleton,
     struts=lambda x, q, p: [_ends(x, p, i) for i in LEGS],
 )

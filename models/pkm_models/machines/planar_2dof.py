@@ -1,16 +1,18 @@
-"""Planar manipulator with two sliders and two struts of fixed length: y and z of a gantry's platform.
+"""Planar manipulator with two sliders and two struts of fixed length: y and z of a
+gantry's platform.
 
-Chang, Li and Li (2011), Kinematic calibration and forecast error compensation of a 2-DOF planar parallel manipulator,
-Chinese Journal of Mechanical Engineering: section 2.2, Eqs. (2)-(3). Slider i runs on a guide through B_i = (-+D/2, 0),
-tilted by beta_i from the vertical, and the strut hangs below it. With X = (y, z) the platform,
+Chang, Li and Li (2011), Kinematic calibration and forecast error compensation of a
+2-DOF planar parallel manipulator, Chinese Journal of Mechanical Engineering: section
+2.2, Eqs. (2)-(3). Slider i runs on a guide through B_i = (-+D/2, 0), tilted by beta_i
+from the vertical, and the strut hangs below it. With X = (y, z) the platform,
 
     |X - S_i| = l_i,        S_i = B_i + (q_i + z_i) (-sin beta_i, cos beta_i),
 
-where q_i is what the scale shows and z_i its home error. The platform keeps its orientation (parallelograms), so that
-the pose is a translation in the plane x = 0.
+where q_i is what the scale shows and z_i its home error. The platform keeps its
+orientation (parallelograms), so that the pose is a translation in the plane x = 0.
 
-Tolerances: the paper gives none. These make a machine of the size of the one it started from, whose deviations along
-horizontal lines were up to 1.6 mm in y and 1.7 mm in z.
+Tolerances: the paper gives none. These make a machine of the size of the one it started
+from, whose deviations along horizontal lines were up to 1.6 mm in y and 1.7 mm in z.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ DISTANCE, HOME, LENGTH, TILT = 0.5e-3, 0.5e-3, 0.5e-3, 0.3e-3  # m, m, m, rad
 def _slider(i: int, q: Values, p: Values) -> Expr:
     """Slider joint (3,) in the base frame."""
     travel, tilt = q[f"q{i}"] + p[f"z{i}"], p[f"beta{i}"]
-    return ca.vertcat(0.0, SIDE[i] * p["D"] - travel * ca.sin(tilt), travel * ca.cos(tilt))
+    return ca.vertcat(
+        0.0, SIDE[i] * p["D"] - travel * ca.sin(tilt), travel * ca.cos(tilt)
+    )
 
 
 def _platform(x: Values) -> Expr:
@@ -44,7 +48,9 @@ def closure(x: Values, q: Values, p: Values) -> list[Expr]:
 
 def guess(c: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
     """The commanded point, with the sliders where nominal struts would have them."""
-    return [c["y"], c["z"]], [c["z"] + ca.sqrt(L**2 - (c["y"] - SIDE[i] * D) ** 2) for i in LIMBS]
+    return [c["y"], c["z"]], [
+        c["z"] + ca.sqrt(L**2 - (c["y"] - SIDE[i] * D) ** 2) for i in LIMBS
+    ]
 
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
@@ -58,18 +64,32 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 
 machine = Machine(
     name="planar_2dof",
-    source="Chang, Li and Li 2011, Chin. J. Mech. Eng., calibration of a 2-DOF planar parallel manipulator",
+    source=(
+        "Chang, Li and Li 2011, Chin. J. Mech. Eng., calibration of a 2-DOF planar"
+        " parallel manipulator"
+    ),
     about="planar manipulator (2-PRR with parallelograms): y, z driven",
     pose=(Coordinate("y", "m"), Coordinate("z", "m")),
     joints=tuple(Coordinate(f"q{i}", "m", 0.4, 5.0) for i in LIMBS),
     command=(Coordinate("y", "m", -1.5, 1.5), Coordinate("z", "m", 0.0, 1.5)),
     parameters=(
         Parameter("D", D, DISTANCE, "m", "distance between the guides at z = 0"),
-        *(Parameter(f"z{i}", 0.0, HOME, "m", f"home error of slider {i}") for i in LIMBS),
+        *(
+            Parameter(f"z{i}", 0.0, HOME, "m", f"home error of slider {i}")
+            for i in LIMBS
+        ),
         *(Parameter(f"l{i}", L, LENGTH, "m", f"length of strut {i}") for i in LIMBS),
-        *(Parameter(f"beta{i}", 0.0, TILT, "rad", f"tilt of guide {i} from the vertical") for i in LIMBS),
+        *(
+            Parameter(
+                f"beta{i}", 0.0, TILT, "rad", f"tilt of guide {i} from the vertical"
+            )
+            for i in LIMBS
+        ),
     ),
-    components=(Component("y", "m", compensatable=True), Component("z", "m", compensatable=True)),
+    components=(
+        Component("y", "m", compensatable=True),
+        Component("z", "m", compensatable=True),
+    ),
     home={"y": 0.0, "z": 0.0},
     lever=1.0,
     closure=closure,

@@ -1,19 +1,24 @@
-"""3-PRS spindle head: three vertical sliders, three struts of fixed length; z and the tilts alpha, beta driven.
+"""3-PRS spindle head: three vertical sliders, three struts of fixed length; z and the
+tilts alpha, beta driven.
 
-Wang and Fan (2004), Identification of strut and assembly errors of a 3-PRS serial-parallel machine tool, International
-Journal of Machine Tools and Manufacture 44, 1171-1178: Table 1, Eqs. (1), (3)-(6), (15). Slider i carries a revolute
-joint R_i = (R_iX, R_iY, q_i), whose axis s_i is tangential, and a strut of length l_i leads from it to the ball joint
-b_i of the platform. With P the tool tip and v_i = P + [R] b_i - R_i,
+Wang and Fan (2004), Identification of strut and assembly errors of a 3-PRS
+serial-parallel machine tool, International Journal of Machine Tools and Manufacture 44,
+1171-1178: Table 1, Eqs. (1), (3)-(6), (15). Slider i carries a revolute joint R_i =
+(R_iX, R_iY, q_i), whose axis s_i is tangential, and a strut of length l_i leads from it
+to the ball joint b_i of the platform. With P the tool tip and v_i = P + [R] b_i - R_i,
 
     |v_i| = l_i,        v_i . s_i = 0,        s_i = (-sin phi_i, cos phi_i, 0).
 
-The second row, the plane in which the revolute joint holds the strut, is missing from the paper's model of the errors
-(see `prs_spindle_struts`). Joints stand at phi_i = 0, 120, 240 deg on circles about the machine's axis, as in Table 1;
-Eq. (2) as printed puts the origin elsewhere and contradicts it. The 18 parameters are those of Table 4: db1x is its
-Delta b_1x, dR1x its Delta R_1X (base frame), dl1 its Delta l_1. Heights of the sliders are what the scales show.
+The second row, the plane in which the revolute joint holds the strut, is missing from
+the paper's model of the errors (see `prs_spindle_struts`). Joints stand at phi_i = 0,
+120, 240 deg on circles about the machine's axis, as in Table 1; Eq. (2) as printed puts
+the origin elsewhere and contradicts it. The 18 parameters are those of Table 4: db1x is
+its Delta b_1x, dR1x its Delta R_1X (base frame), dl1 its Delta l_1. Heights of the
+sliders are what the scales show.
 
-The spindle axis is n = (sin beta, -sin alpha cos beta, cos alpha cos beta), and [R] = Rx(alpha) Ry(beta) Rz(gamma).
-The paper prints no heights; a z that moves all sliders together changes nothing of the geometry.
+The spindle axis is n = (sin beta, -sin alpha cos beta, cos alpha cos beta), and [R] =
+Rx(alpha) Ry(beta) Rz(gamma). The paper prints no heights; a z that moves all sliders
+together changes nothing of the geometry.
 """
 
 from __future__ import annotations
@@ -23,15 +28,29 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.machine import Component, Coordinate, Expr, Machine, Parameter, PointGroup, Values
+from oed.machine import (
+    Component,
+    Coordinate,
+    Expr,
+    Machine,
+    Parameter,
+    PointGroup,
+    Values,
+)
 from pkm_models.rotation import tilt_torsion
 
-R, RADIUS, H, L = 0.349, 0.200, 0.340722, 1.107  # m, Table 1: sliders' circle, ball joints' circle and height, struts
+R, RADIUS, H, L = (
+    0.349,
+    0.200,
+    0.340722,
+    1.107,
+)  # m, Table 1: sliders' circle, ball joints' circle and height, struts
 LIMBS = (1, 2, 3)
 PHI = {i: 2.0 * math.pi * (i - 1) / 3.0 for i in LIMBS}
 TILT = math.radians(35.0)
 
-# Tolerances (prior standard deviations): the size of the errors that Table 4 found, column by column.
+# Tolerances (prior standard deviations): the size of the errors that Table 4 found,
+# column by column.
 SLIDER, BALL, LENGTH = 1.0e-3, 0.2e-3, 0.5e-3  # m
 
 
@@ -41,8 +60,16 @@ def _circle(radius: float, height: float, i: int) -> tuple[float, float, float]:
 
 def joints(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     """Slider joint R_i and ball joint b_i in the base frame."""
-    slider = ca.vertcat(*[n + p[f"dR{i}{k}"] for n, k in zip(_circle(R, 0.0, i)[:2], "xy", strict=True)], q[f"q{i}"])
-    local = ca.vertcat(*[n + p[f"db{i}{k}"] for n, k in zip(_circle(RADIUS, H, i), "xyz", strict=True)])
+    slider = ca.vertcat(
+        *[
+            n + p[f"dR{i}{k}"]
+            for n, k in zip(_circle(R, 0.0, i)[:2], "xy", strict=True)
+        ],
+        q[f"q{i}"],
+    )
+    local = ca.vertcat(
+        *[n + p[f"db{i}{k}"] for n, k in zip(_circle(RADIUS, H, i), "xyz", strict=True)]
+    )
     rotation, point = platform(x)
     return slider, point + rotation @ local
 
@@ -77,12 +104,19 @@ def target(c: Values) -> list[Expr]:
 def guess(c: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
     """Platform centre on the machine's axis, ball joints lifted by the tilt."""
     z, nx, ny = target(c)
-    lift = [z + H + RADIUS * (ca.sin(c["alpha"]) * math.sin(PHI[i]) - nx * math.cos(PHI[i])) for i in LIMBS]
-    return [-H * nx, -H * ny, z, -ny, nx, 0.0], [v + math.sqrt(L**2 - (R - RADIUS) ** 2) for v in lift]
+    lift = [
+        z + H + RADIUS * (ca.sin(c["alpha"]) * math.sin(PHI[i]) - nx * math.cos(PHI[i]))
+        for i in LIMBS
+    ]
+    return [-H * nx, -H * ny, z, -ny, nx, 0.0], [
+        v + math.sqrt(L**2 - (R - RADIUS) ** 2) for v in lift
+    ]
 
 
 def read_error(c: Values, twist: Sequence[Expr]) -> list[Expr]:
-    """x, y, z and alpha, beta, gamma: rotation vector = d alpha e_x + d beta Rx(alpha) e_y + d gamma n, inverted."""
+    """x, y, z and alpha, beta, gamma: rotation vector = d alpha e_x + d beta Rx(alpha)
+    e_y + d gamma n, inverted.
+    """
     cos_a, sin_a = ca.cos(c["alpha"]), ca.sin(c["alpha"])
     wx, wy, wz = twist[3:]
     gamma = (cos_a * wz - sin_a * wy) / ca.cos(c["beta"])
@@ -93,7 +127,9 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Guides, struts, platform, spindle."""
     sliders, balls = zip(*[joints(x, q, p, i) for i in LIMBS], strict=True)
     centre = (balls[0] + balls[1] + balls[2]) / 3.0
-    columns = [[ca.vertcat(s[0], s[1], height) for height in (1.1, 2.1)] for s in sliders]
+    columns = [
+        [ca.vertcat(s[0], s[1], height) for height in (1.1, 2.1)] for s in sliders
+    ]
     return [
         *columns,
         *[[s, b] for s, b in zip(sliders, balls, strict=True)],
@@ -103,19 +139,32 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 
 
 def _parameters(i: int) -> list[Parameter]:
-    table = [Parameter(f"db{i}{k}", 0.0, BALL, "m", f"{k} of ball joint {i}, platform frame") for k in "xyz"]
-    table += [Parameter(f"dR{i}{k}", 0.0, SLIDER, "m", f"{k} of slider joint {i}, base frame") for k in "xy"]
+    table = [
+        Parameter(f"db{i}{k}", 0.0, BALL, "m", f"{k} of ball joint {i}, platform frame")
+        for k in "xyz"
+    ]
+    table += [
+        Parameter(f"dR{i}{k}", 0.0, SLIDER, "m", f"{k} of slider joint {i}, base frame")
+        for k in "xy"
+    ]
     return [*table, Parameter(f"dl{i}", 0.0, LENGTH, "m", f"length of strut {i}")]
 
 
-_BALLS = tuple((tuple(f"db{i}{k}" for k in "xyz"), _circle(RADIUS, H, i)) for i in LIMBS)
-_SLIDERS = tuple(((f"dR{i}x", f"dR{i}y", ""), _circle(R, 0.0, i)) for i in LIMBS)  # heights are no parameters
+_BALLS = tuple(
+    (tuple(f"db{i}{k}" for k in "xyz"), _circle(RADIUS, H, i)) for i in LIMBS
+)
+_SLIDERS = tuple(
+    ((f"dR{i}x", f"dR{i}y", ""), _circle(R, 0.0, i)) for i in LIMBS
+)  # heights are no parameters
 
 machine = Machine(
     name="prs_spindle",
     source="Wang and Fan 2004, Int. J. Mach. Tools Manuf. 44, 1171-1178",
-    about="3-PRS spindle head, full closure: z, alpha, beta driven; x, y, gamma parasitic",
-    pose=tuple(Coordinate(n, "m") for n in "xyz") + tuple(Coordinate(n, "rad") for n in ("rx", "ry", "spin")),
+    about=(
+        "3-PRS spindle head, full closure: z, alpha, beta driven; x, y, gamma parasitic"
+    ),
+    pose=tuple(Coordinate(n, "m") for n in "xyz")
+    + tuple(Coordinate(n, "rad") for n in ("rx", "ry", "spin")),
     joints=tuple(Coordinate(f"q{i}", "m", 1.1, 2.1) for i in LIMBS),
     command=(
         Coordinate("z", "m", 0.0, 0.400),
@@ -124,7 +173,10 @@ machine = Machine(
     ),
     parameters=tuple(p for i in LIMBS for p in _parameters(i)),
     components=tuple(Component(n, "m", compensatable=n == "z") for n in "xyz")
-    + tuple(Component(n, "rad", compensatable=n != "gamma") for n in ("alpha", "beta", "gamma")),
+    + tuple(
+        Component(n, "rad", compensatable=n != "gamma")
+        for n in ("alpha", "beta", "gamma")
+    ),
     home={"z": 0.200, "alpha": 0.0, "beta": 0.0},
     lever=H,
     closure=closure,

@@ -1,4 +1,5 @@
-"""Criteria as information functions: what a plan is judged by, with the slopes and supporting lines that bound it.
+"""Criteria as information functions: what a plan is judged by, with the slopes and
+supporting lines that bound it.
 
     determinant  D, Ds, O1          variance  A, c, I          worst     G
     power        phi_p, O5          spectrum  E, kappa, O2..O4  compound  products of powers
@@ -15,4 +16,14 @@ from oed.design.criterion.spectrum import Spectrum
 from oed.design.criterion.variance import Variance
 from oed.design.criterion.worst import Worst
 
-__all__ = ["Compound", "Criterion", "Determinant", "Power", "Spectrum", "Support", "Variance", "Worst", "named"]
+__all__ = [
+    "Compound",
+    "Criterion",
+    "Determinant",
+    "Power",
+    "Spectrum",
+    "Support",
+    "Variance",
+    "Worst",
+    "named",
+]

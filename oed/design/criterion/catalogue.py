@@ -25,8 +25,8 @@ def named(
 ) -> Criterion:
     """A criterion over `directions` columns.
 
-    interest (n, s) for Ds; factor (r, n) for c (one row) and I; factors (J, r, n) for G. Raises ValueError for an
-    unknown name, or where one of these is missing.
+    interest (n, s) for Ds; factor (r, n) for c (one row) and I; factors (J, r, n) for
+    G. Raises ValueError for an unknown name, or where one of these is missing.
     """
     if name == "Ds" and interest is not None:
         return Determinant(directions, interest, "Ds")
@@ -35,7 +35,12 @@ def named(
     if name == "G" and factors is not None:
         return Worst(factors)
     if name in ("Ds", "I", "c", "G"):
-        missing = {"Ds": "directions of interest", "c": "a combination", "I": "a workspace", "G": "a workspace"}[name]
+        missing = {
+            "Ds": "directions of interest",
+            "c": "a combination",
+            "I": "a workspace",
+            "G": "a workspace",
+        }[name]
         raise ValueError(f"criterion {name} needs {missing}")
     table: dict[str, Criterion] = {
         "D": Determinant(directions),

@@ -1,7 +1,8 @@
-"""Compound criteria: log phi = sum_k alpha_k log phi_k, a weighted mean of efficiencies.
+"""Compound criteria: log phi = sum_k alpha_k log phi_k, a weighted mean of
+efficiencies.
 
-By Jensen's inequality sum_k alpha_k (v_k + log <S_k, M'>) <= sum_k alpha_k v_k + log <sum_k alpha_k S_k, M'>, so the
-supports join into one.
+By Jensen's inequality sum_k alpha_k (v_k + log <S_k, M'>) <= sum_k alpha_k v_k + log
+<sum_k alpha_k S_k, M'>, so the supports join into one.
 """
 
 from __future__ import annotations
@@ -24,8 +25,15 @@ class Compound:
     name: str = "compound"
 
     def __post_init__(self) -> None:
-        if len(self.parts) != len(self.shares) or min(self.shares) <= 0 or abs(sum(self.shares) - 1.0) > 1e-9:
-            raise ValueError(f"a compound criterion needs one positive share a part, summing to 1, not {self.shares}")
+        if (
+            len(self.parts) != len(self.shares)
+            or min(self.shares) <= 0
+            or abs(sum(self.shares) - 1.0) > 1e-9
+        ):
+            raise ValueError(
+                "a compound criterion needs one positive share a part, summing to 1,"
+                f" not {self.shares}"
+            )
 
     @property
     def concave(self) -> bool:
@@ -39,7 +47,9 @@ class Compound:
 
     def value(self, m: Array) -> float:
         """Weighted mean of the parts."""
-        return float(sum(a * c.value(m) for a, c in zip(self.shares, self.parts, strict=True)))
+        return float(
+            sum(a * c.value(m) for a, c in zip(self.shares, self.parts, strict=True))
+        )
 
     def support(self, m: Array) -> Support:
         """The parts' supports, joined."""
@@ -70,11 +80,16 @@ class Compound:
 
     def within(self, basis: Array) -> Criterion:
         """Each part over the directions seen."""
-        return dataclasses.replace(self, parts=tuple(c.within(basis) for c in self.parts))
+        return dataclasses.replace(
+            self, parts=tuple(c.within(basis) for c in self.parts)
+        )
 
     def ladder(self) -> tuple[Criterion, ...]:
         """Step by step up the parts' ladders."""
         ladders = [c.ladder() for c in self.parts]
         steps = max(map(len, ladders))
-        rungs = [tuple(x[min(k * len(x) // steps, len(x) - 1)] for x in ladders) for k in range(steps - 1)]
+        rungs = [
+            tuple(x[min(k * len(x) // steps, len(x) - 1)] for x in ladders)
+            for k in range(steps - 1)
+        ]
         return (*(dataclasses.replace(self, parts=r) for r in rungs), self)

@@ -1,7 +1,9 @@
-"""G: the largest predicted variance over the workspace, t_j = tr(W_j M^-1), phi = 1 / max_j t_j.
+"""G: the largest predicted variance over the workspace, t_j = tr(W_j M^-1), phi = 1 /
+max_j t_j.
 
-Any weights lambda_j that sum to one give max_j t_j >= tr(sum_j lambda_j W_j M^-1), so a supporting line of that mean
-variance bounds G. `sharp` q smooths the maximum as (sum_j t_j^q)^(1/q); with pi_j = t_j^q / sum_j t_j^q,
+Any weights lambda_j that sum to one give max_j t_j >= tr(sum_j lambda_j W_j M^-1), so a
+supporting line of that mean variance bounds G. `sharp` q smooths the maximum as (sum_j
+t_j^q)^(1/q); with pi_j = t_j^q / sum_j t_j^q,
 
     -d2 log phi / dw_i dw_j = sum_j pi_j C_j + q Cov_pi(g)
 
@@ -15,7 +17,14 @@ import dataclasses
 import numpy as np
 
 from oed.batch import Array
-from oed.design.criterion.protocol import Criterion, Support, inverse, pairs, positive, products
+from oed.design.criterion.protocol import (
+    Criterion,
+    Support,
+    inverse,
+    pairs,
+    positive,
+    products,
+)
 from oed.design.criterion.variance import Variance
 
 #: exponents that lead from the mean variance to the largest
@@ -24,7 +33,9 @@ SHARP = (1.0, 4.0, 16.0, 64.0, 256.0)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Worst:
-    """Minus the largest of the variances of `factors` (J, r, n): W_j = F_j^T F_j. told: -max_j tr(W_j M^-1)."""
+    """Minus the largest of the variances of `factors` (J, r, n): W_j = F_j^T F_j. told:
+    -max_j tr(W_j M^-1).
+    """
 
     factors: Array
     sharp: float = np.inf
@@ -51,11 +62,15 @@ class Worst:
         top = logs.max(axis=0)
         if not self.smooth:
             return np.asarray(top)
-        return np.asarray(top + np.log(np.exp(self.sharp * (logs - top)).sum(axis=0)) / self.sharp)
+        return np.asarray(
+            top + np.log(np.exp(self.sharp * (logs - top)).sum(axis=0)) / self.sharp
+        )
 
     def _shares(self, t: Array) -> Array:
         """pi_j (J,)."""
-        logs = (self.sharp if self.smooth else SHARP[-1]) * np.log(np.maximum(t, 1e-300))
+        logs = (self.sharp if self.smooth else SHARP[-1]) * np.log(
+            np.maximum(t, 1e-300)
+        )
         shares = np.exp(logs - logs.max())
         return np.asarray(shares / shares.sum())
 
@@ -64,7 +79,11 @@ class Worst:
         t = self.variances(m)
         weights = self._shares(t) / t
         weights /= weights.sum()
-        mean = Variance((self.factors * np.sqrt(weights)[:, None, None]).reshape(-1, self.factors.shape[2]))
+        mean = Variance(
+            (self.factors * np.sqrt(weights)[:, None, None]).reshape(
+                -1, self.factors.shape[2]
+            )
+        )
         return mean.support(m)
 
     def curvature(self, m: Array, blocks: Array) -> Array:
@@ -102,4 +121,7 @@ class Worst:
 
     def ladder(self) -> tuple[Criterion, ...]:
         """Smoothed maxima, sharper and sharper, then the maximum."""
-        return (*(dataclasses.replace(self, sharp=q) for q in SHARP), dataclasses.replace(self, sharp=np.inf))
+        return (
+            *(dataclasses.replace(self, sharp=q) for q in SHARP),
+            dataclasses.replace(self, sharp=np.inf),
+        )

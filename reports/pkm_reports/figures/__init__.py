@@ -1,1 +1,3 @@
-"""One figure a file: each module has `draw`, from a part of the result to a matplotlib figure."""
+"""One figure a file: each module has `draw`, from a part of the result to a matplotlib
+figure.
+"""

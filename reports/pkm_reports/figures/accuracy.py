@@ -1,4 +1,6 @@
-"""Residual accuracy of each pose component, before and after, on a log scale, lengths and angles apart."""
+"""Residual accuracy of each pose component, before and after, on a log scale, lengths
+and angles apart.
+"""
 
 from __future__ import annotations
 
@@ -22,26 +24,41 @@ REALISED: Final = "realised, virtual machine"
 
 
 def draw(prediction: Mapping[str, Any]) -> Figure:
-    """Bars of rms over the workspace; diamonds where a virtual machine showed what came true."""
+    """Bars of rms over the workspace; diamonds where a virtual machine showed what came
+    true.
+    """
     parts: Parts = prediction.get("components") or {}
     if not parts:
         return style.empty("No predicted accuracy is stored in this result.")
     units = list(dict.fromkeys(part["after"]["unit"] for part in parts.values()))
-    groups = [{n: p for n, p in parts.items() if p["after"]["unit"] == unit} for unit in units]
+    groups = [
+        {n: p for n, p in parts.items() if p["after"]["unit"] == unit} for unit in units
+    ]
     bars = BARS[:2] if same(parts) else BARS
     figure = style.figure(2.8)
-    panels = figure.subplots(1, len(units), squeeze=False, width_ratios=[len(g) for g in groups])[0]
+    panels = figure.subplots(
+        1, len(units), squeeze=False, width_ratios=[len(g) for g in groups]
+    )[0]
     for axes, unit, group in zip(panels, units, groups, strict=True):
         _panel(axes, group, bars, prediction.get("realised") or {})
         axes.set_ylabel(f"rms error [{words.unit(unit)}]")
     named = dict(zip(*panels[0].get_legend_handles_labels()[::-1], strict=True))
-    labels = [label for _, label, _ in bars] + [label for label in named if label == REALISED]
-    figure.legend([named[label] for label in labels], labels, loc="outside lower center", ncols=len(labels))
+    labels = [label for _, label, _ in bars] + [
+        label for label in named if label == REALISED
+    ]
+    figure.legend(
+        [named[label] for label in labels],
+        labels,
+        loc="outside lower center",
+        ncols=len(labels),
+    )
     return figure
 
 
 def same(parts: Parts) -> bool:
-    """Whether `known` tells nothing beyond `after`: the controller corrects all components."""
+    """Whether `known` tells nothing beyond `after`: the controller corrects all
+    components.
+    """
     return all(part["known"]["rms"] == part["after"]["rms"] for part in parts.values())
 
 
@@ -56,19 +73,36 @@ def _panel(axes: Axes, group: Parts, bars: Bars, realised: Mapping[str, Any]) ->
             color=colour,
             label=label,
         )
-    true = np.array([words.number((realised.get(name) or {}).get("rms")) for name in group])
+    true = np.array(
+        [words.number((realised.get(name) or {}).get("rms")) for name in group]
+    )
     if np.isfinite(true).any():
-        axes.plot(at, true, "D", color=style.ORANGE, mec=style.INK, mew=0.6, ms=5, label=REALISED)
+        axes.plot(
+            at,
+            true,
+            "D",
+            color=style.ORANGE,
+            mec=style.INK,
+            mew=0.6,
+            ms=5,
+            label=REALISED,
+        )
     style.log_axis(axes, "y")
     _room(axes, group, true)
-    labels = [name if part["compensatable"] else f"{name} *" for name, part in group.items()]
+    labels = [
+        name if part["compensatable"] else f"{name} *" for name, part in group.items()
+    ]
     style.fixed_ticks(axes, "x", at.tolist(), labels)
     axes.grid(False, axis="x")
 
 
 def _room(axes: Axes, group: Parts, true: Any) -> None:
-    """Limits from a third of the smallest to twice the largest, so that no bar vanishes."""
-    values = [words.number(part[key]["rms"]) for part in group.values() for key, _, _ in BARS]
+    """Limits from a third of the smallest to twice the largest, so that no bar
+    vanishes.
+    """
+    values = [
+        words.number(part[key]["rms"]) for part in group.values() for key, _, _ in BARS
+    ]
     values = [v for v in [*values, *true] if np.isfinite(v) and v > 0]
     if values:
         axes.set_ylim(min(values) / 3.0, 2.0 * max(values))

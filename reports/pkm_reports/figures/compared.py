@@ -1,4 +1,6 @@
-"""What the design for each criterion is worth by the others: a table of efficiencies, shaded."""
+"""What the design for each criterion is worth by the others: a table of efficiencies,
+shaded.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def draw(design: Part) -> Figure:
     if not np.isfinite(table).any():
         return style.empty("No designs for further criteria are stored in this result.")
     names = [str(entry["name"]) for entry in compared]
-    figure = style.figure(0.75 + 0.3 * len(names), min(style.WIDTH, 2.6 + 0.62 * len(names)))
+    figure = style.figure(
+        0.75 + 0.3 * len(names), min(style.WIDTH, 2.6 + 0.62 * len(names))
+    )
     axes = figure.subplots()
     low = min(0.5, math.floor(10.0 * float(np.nanmin(table))) / 10.0)
     shade: Any = {"cmap": style.AMOUNT, "vmin": low, "vmax": 1.0, "aspect": "auto"}
@@ -46,10 +50,11 @@ def draw(design: Part) -> Figure:
 
 
 def efficiencies(compared: Sequence[Part], directions: Any = None) -> Array:
-    """phi by criterion i of the design for criterion j over that of the design for i itself (criteria, designs).
+    """phi by criterion i of the design for criterion j over that of the design for i
+    itself (criteria, designs).
 
-    NaN where a plan leaves a direction unseen, or phi cannot be told from the numbers stored. Plans are taken to have
-    the same number of readings.
+    NaN where a plan leaves a direction unseen, or phi cannot be told from the numbers
+    stored. Plans are taken to have the same number of readings.
     """
     names = [str(entry["name"]) for entry in compared]
     main = names[0] if names else ""
@@ -58,7 +63,11 @@ def efficiencies(compared: Sequence[Part], directions: Any = None) -> Array:
         values = {n: words.number((entry.get("values") or {}).get(n)) for n in names}
         size = _size(entry, values, main, words.number(directions))
         for j, name in enumerate(names):
-            made[i, j] = 1.0 if i == j else _share(names[i], values[name], values[names[i]], size)
+            made[i, j] = (
+                1.0
+                if i == j
+                else _share(names[i], values[name], values[names[i]], size)
+            )
     return made
 
 
@@ -71,18 +80,33 @@ def _share(criterion: str, value: float, own: float, size: float) -> float:
     return float((upper / lower) ** POWER.get(criterion, 1)) if lower else math.nan
 
 
-def _size(entry: Part, values: Mapping[str, float], main: str, directions: float) -> float:
-    """By what log det is to be divided: the directions that count, from the bound or the gain where they tell."""
+def _size(
+    entry: Part, values: Mapping[str, float], main: str, directions: float
+) -> float:
+    """By what log det is to be divided: the directions that count, from the bound or
+    the gain where they tell.
+    """
     if entry["name"] == "compound":
         return 1.0
     own = values[str(entry["name"])]
     told = [
-        (words.number(entry.get("value")) - words.number(entry.get("bound")), words.number(entry.get("efficiency"))),
+        (
+            words.number(entry.get("value")) - words.number(entry.get("bound")),
+            words.number(entry.get("efficiency")),
+        ),
         (own - values[main], words.number(entry.get("gain"))),
     ]
-    sizes = [gap / math.log(share) for gap, share in told if share > 0.0 and abs(math.log(share)) > 1e-4]
+    sizes = [
+        gap / math.log(share)
+        for gap, share in told
+        if share > 0.0 and abs(math.log(share)) > 1e-4
+    ]
     known = [size for size in sizes if math.isfinite(size) and size > 0.0]
-    return known[0] if known else (directions if entry["name"] == "D" and directions > 0.0 else math.nan)
+    return (
+        known[0]
+        if known
+        else (directions if entry["name"] == "D" and directions > 0.0 else math.nan)
+    )
 
 
 def _write(axes: Axes, table: Array, low: float) -> None:
@@ -91,4 +115,13 @@ def _write(axes: Axes, table: Array, low: float) -> None:
         dark = (share - low) / (1.0 - low) > DARK
         ink = "white" if dark else style.INK if np.isfinite(share) else style.GREY
         weight = "bold" if i == j else "normal"
-        axes.text(j, i, words.percent(share), ha="center", va="center", color=ink, fontsize=7.5, fontweight=weight)
+        axes.text(
+            j,
+            i,
+            words.percent(share),
+            ha="center",
+            va="center",
+            color=ink,
+            fontsize=7.5,
+            fontweight=weight,
+        )

@@ -18,13 +18,19 @@ from pkm_reports.figures.gap_causes import spoken
 LIMIT, CLEAR = 5.0, 10.0
 #: not told apart, barely, clearly
 COLOURS: Final = ("#f3c4a5", "#f7ecc8", "#cfe6dd")
-WORDS: Final = (f"below {LIMIT:g}: not told apart", f"{LIMIT:g} to {CLEAR:g}: barely", f"above {CLEAR:g}: told apart")
+WORDS: Final = (
+    f"below {LIMIT:g}: not told apart",
+    f"{LIMIT:g} to {CLEAR:g}: barely",
+    f"above {CLEAR:g}: told apart",
+)
 #: inches of one cell, at the most
 CELL: Final = 0.42
 
 
 def draw(table: Mapping[str, Any]) -> Figure:
-    """Rows are effects, columns what else could explain them; on the diagonal how well each is seen at all."""
+    """Rows are effects, columns what else could explain them; on the diagonal how well
+    each is seen at all.
+    """
     names = [str(n) for n in table["names"]]
     if len(names) < 2:
         return style.empty("Fewer than two effects can be tested with these readings.")
@@ -33,7 +39,12 @@ def draw(table: Mapping[str, Any]) -> Figure:
     figure = style.figure(cell * len(names) + 1.75)
     axes = figure.subplots()
     norm = BoundaryNorm([0.0, LIMIT, CLEAR, np.inf], 3)
-    axes.imshow(np.where(np.isfinite(values), values, 0.0), cmap=ListedColormap(COLOURS), norm=norm, aspect="equal")
+    axes.imshow(
+        np.where(np.isfinite(values), values, 0.0),
+        cmap=ListedColormap(COLOURS),
+        norm=norm,
+        aspect="equal",
+    )
     _cells(axes, values, 7.0 if cell > 0.34 else 6.0)
     _labels(axes, names)
     figure.legend(
@@ -48,7 +59,16 @@ def _cells(axes: Axes, values: np.ndarray, size: float) -> None:
     for k, row in enumerate(values):
         for j, value in enumerate(row):
             bold = "bold" if k == j else "normal"
-            axes.text(j, k, short(value), ha="center", va="center", fontsize=size, color=style.INK, fontweight=bold)
+            axes.text(
+                j,
+                k,
+                short(value),
+                ha="center",
+                va="center",
+                fontsize=size,
+                color=style.INK,
+                fontweight=bold,
+            )
     for k in range(len(values)):
         axes.add_patch(_frame(k))
 
@@ -56,7 +76,9 @@ def _cells(axes: Axes, values: np.ndarray, size: float) -> None:
 def _frame(k: int) -> Any:
     from matplotlib.patches import Rectangle
 
-    return Rectangle((k - 0.5, k - 0.5), 1.0, 1.0, fill=False, edgecolor=style.INK, linewidth=0.9)
+    return Rectangle(
+        (k - 0.5, k - 0.5), 1.0, 1.0, fill=False, edgecolor=style.INK, linewidth=0.9
+    )
 
 
 def short(value: float) -> str:

@@ -16,16 +16,34 @@ MOST: Final = 10
 
 
 def draw(gap: Mapping[str, Any]) -> Figure:
-    """Probability of each effect as a bar, the likeliest first; beside it the size of those that were found."""
+    """Probability of each effect as a bar, the likeliest first; beside it the size of
+    those that were found.
+    """
     names = shown(gap)
     if not names:
         return style.empty("No effect could be tested with these readings.")
     sizes = {str(s["effect"]): s.get("rms") or {} for s in gap.get("sizes") or []}
     figure = style.figure(0.75 + 0.24 * len(names))
-    sized = any(sizes.get(n) for n in names) and len(set((gap.get("units") or {}).values())) == 1
-    grid = figure.subplots(1, 2, squeeze=False, sharey=True, width_ratios=(3, 2))[0] if sized else [figure.subplots()]
+    sized = (
+        any(sizes.get(n) for n in names)
+        and len(set((gap.get("units") or {}).values())) == 1
+    )
+    grid = (
+        figure.subplots(1, 2, squeeze=False, sharey=True, width_ratios=(3, 2))[0]
+        if sized
+        else [figure.subplots()]
+    )
     rivals = _rivals(gap)
-    colours = [style.BLUE if n in gap["selected"] else style.SKY if n in rivals else style.LIGHT for n in names]
+    colours = [
+        (
+            style.BLUE
+            if n in gap["selected"]
+            else style.SKY
+            if n in rivals
+            else style.LIGHT
+        )
+        for n in names
+    ]
     _probabilities(grid[0], names, gap["marginal"], colours)
     if sized:
         _sizes(grid[1], names, sizes, words.unit(next(iter(gap["units"].values()))))
@@ -33,7 +51,9 @@ def draw(gap: Mapping[str, Any]) -> Figure:
 
 
 def shown(gap: Mapping[str, Any]) -> list[str]:
-    """Effects shown, the likeliest first; what cannot be told from those found is always among them."""
+    """Effects shown, the likeliest first; what cannot be told from those found is
+    always among them.
+    """
     marginal = gap.get("marginal") or {}
     ranked = sorted(marginal, key=lambda n: (-words.number(marginal[n]), n))
     rivals = _rivals(gap) & set(ranked[MOST:])
@@ -44,7 +64,9 @@ def shown(gap: Mapping[str, Any]) -> list[str]:
 def _rivals(gap: Mapping[str, Any]) -> set[str]:
     """Effects that the readings cannot tell from those of the best answer."""
     best = (gap.get("answers") or [{}])[0]
-    return {str(n) for c in best.get("classes") or [] for n in c} - set(gap.get("selected") or [])
+    return {str(n) for c in best.get("classes") or [] for n in c} - set(
+        gap.get("selected") or []
+    )
 
 
 def spoken(name: str) -> str:
@@ -52,7 +74,9 @@ def spoken(name: str) -> str:
     return "unknown form" if name == "unknown" else str(name).replace("_", " ")
 
 
-def _probabilities(axes: Axes, names: list[str], marginal: Mapping[str, Any], colours: list[str]) -> None:
+def _probabilities(
+    axes: Axes, names: list[str], marginal: Mapping[str, Any], colours: list[str]
+) -> None:
     values = np.array([100.0 * words.number(marginal[n]) for n in names])
     at = np.arange(float(len(names)))
     axes.barh(at, values, color=colours, height=0.7)
@@ -61,7 +85,9 @@ def _probabilities(axes: Axes, names: list[str], marginal: Mapping[str, Any], co
     style.fixed_ticks(axes, "y", at.tolist(), [spoken(n) for n in names])
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(0.0, 115.0)
-    style.fixed_ticks(axes, "x", [0.0, 25.0, 50.0, 75.0, 100.0], ["0", "25", "50", "75", "100"])
+    style.fixed_ticks(
+        axes, "x", [0.0, 25.0, 50.0, 75.0, 100.0], ["0", "25", "50", "75", "100"]
+    )
     axes.grid(False, axis="y")
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("probability that it acts [%]")
@@ -72,7 +98,9 @@ def _chance(share: Any) -> str:
     return f"> 99{words.GAP}%" if words.number(share) > 0.99 else words.percent(share)
 
 
-def _sizes(axes: Axes, names: list[str], sizes: Mapping[str, Mapping[str, Any]], unit: str) -> None:
+def _sizes(
+    axes: Axes, names: list[str], sizes: Mapping[str, Mapping[str, Any]], unit: str
+) -> None:
     """Rms of each effect in the readings, over its channels."""
     values = np.array([_rms(sizes.get(n) or {}) for n in names])
     at = np.arange(float(len(names)))
@@ -80,7 +108,9 @@ def _sizes(axes: Axes, names: list[str], sizes: Mapping[str, Mapping[str, Any]],
     largest = float(np.nanmax(values, initial=0.0)) or 1.0
     for y, value in zip(at, values, strict=True):
         if np.isfinite(value):
-            axes.text(value + 0.02 * largest, y, words.num(value), va="center", fontsize=7)
+            axes.text(
+                value + 0.02 * largest, y, words.num(value), va="center", fontsize=7
+            )
     axes.set_xlim(0.0, 1.2 * largest)
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.grid(False, axis="y")

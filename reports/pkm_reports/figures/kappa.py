@@ -1,4 +1,6 @@
-"""Condition number over the number of circles and of points on each, one panel for each parametrisation."""
+"""Condition number over the number of circles and of points on each, one panel for each
+parametrisation.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,15 @@ from matplotlib.ticker import MaxNLocator
 
 from pkm_reports import style, words
 
-#: kappa so much above the smallest leaves the picture at the top, so that the minimum keeps its shape
+#: kappa so much above the smallest leaves the picture at the top, so that the minimum
+#: keeps its shape
 CUT: Final = 30.0
 
 
 def draw(maps: Sequence[Mapping[str, Any]]) -> Figure:
-    """Lines over n, one for each number of circles m; a ring marks the smallest of each line."""
+    """Lines over n, one for each number of circles m; a ring marks the smallest of each
+    line.
+    """
     shown = [m for m in maps if np.isfinite(style.array(m.get("kappa") or [[]])).any()]
     if not shown:
         return style.empty("No finite condition number is stored in this result.")
@@ -44,12 +49,20 @@ def _panel(axes: Axes, entry: Mapping[str, Any]) -> None:
         if np.isfinite(kappa).any():
             at = int(np.nanargmin(kappa))
             axes.plot(n[at], kappa[at], "o", ms=9, mfc="none", mec=colour, mew=1.2)
-    axes.set_ylim(0.8 * float(np.nanmin(table)), min(top, 1.25 * float(np.nanmax(table))))
+    axes.set_ylim(
+        0.8 * float(np.nanmin(table)), min(top, 1.25 * float(np.nanmax(table)))
+    )
     style.log_axis(axes, "y")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=8))
     axes.set(xlabel="points on each circle, n", ylabel="condition number κ")
     axes.set_title(style.safe(entry["title"], 44))
-    axes.legend(ncols=2, loc="upper center", bbox_to_anchor=(0.48, -0.2), handlelength=1.6, columnspacing=1.2)
+    axes.legend(
+        ncols=2,
+        loc="upper center",
+        bbox_to_anchor=(0.48, -0.2),
+        handlelength=1.6,
+        columnspacing=1.2,
+    )
 
 
 def _smallest(n: Any, kappa: Any) -> str:

@@ -14,10 +14,20 @@ from pkm_reports import style, words
 
 
 def draw(estimate: Mapping[str, Any]) -> Figure:
-    """Two panels over the number of the reading, in a row for each unit; each has its own scale, told by the axis."""
+    """Two panels over the number of the reading, in a row for each unit; each has its
+    own scale, told by the axis.
+    """
     panels = [
-        ("Nominal machine", style.array(estimate.get("residuals_before") or []), style.GREY),
-        ("Identified machine", style.array(estimate.get("residuals") or []), style.BLUE),
+        (
+            "Nominal machine",
+            style.array(estimate.get("residuals_before") or []),
+            style.GREY,
+        ),
+        (
+            "Identified machine",
+            style.array(estimate.get("residuals") or []),
+            style.BLUE,
+        ),
     ]
     panels = [panel for panel in panels if np.isfinite(panel[1]).any()]
     if not panels:
@@ -27,10 +37,15 @@ def draw(estimate: Mapping[str, Any]) -> Figure:
     unit = np.array([estimate["units"][c] for c in channels])
     rows = list(dict.fromkeys(unit))
     figure = style.figure(2.4 * len(rows))
-    for row, name in zip(figure.subplots(len(rows), len(panels), squeeze=False), rows, strict=True):
+    for row, name in zip(
+        figure.subplots(len(rows), len(panels), squeeze=False), rows, strict=True
+    ):
         for axes, (title, values, colour) in zip(row, panels, strict=True):
             _panel(axes, title, values[unit == name], colour)
-            axes.set(xlabel="reading, in the order of the data", ylabel=f"residual [{words.unit(str(name))}]")
+            axes.set(
+                xlabel="reading, in the order of the data",
+                ylabel=f"residual [{words.unit(str(name))}]",
+            )
     return figure
 
 

@@ -1,4 +1,6 @@
-"""Accuracy of each pose component after each stage of a plan, on a log scale, lengths and angles apart."""
+"""Accuracy of each pose component after each stage of a plan, on a log scale, lengths
+and angles apart.
+"""
 
 from __future__ import annotations
 
@@ -19,37 +21,74 @@ WANTED: Final = "wanted"
 
 
 def draw(plan: Part) -> Figure:
-    """A line for each component from before any reading to the last stage, diamonds where virtual machines came out."""
+    """A line for each component from before any reading to the last stage, diamonds
+    where virtual machines came out.
+    """
     keys = components(plan)
     if not keys:
         return style.empty("No accuracy after the stages is stored in this result.")
     units = list(dict.fromkeys(words.parted(key)[1] for key in keys))
     figure = style.figure(2.9)
     panels = figure.subplots(1, len(units), squeeze=False)[0]
-    looks = {key: (style.CYCLE[k % len(style.CYCLE)], style.marker(k)) for k, key in enumerate(keys)}
+    looks = {
+        key: (style.CYCLE[k % len(style.CYCLE)], style.marker(k))
+        for k, key in enumerate(keys)
+    }
     for axes, unit in zip(panels, units, strict=True):
         for key in [key for key in keys if words.parted(key)[1] == unit]:
             _component(axes, key, plan, *looks[key])
-        axes.set(xlabel="after stage", ylabel=f"rms error [{words.unit(unit)}]" if unit else "rms error")
+        axes.set(
+            xlabel="after stage",
+            ylabel=f"rms error [{words.unit(unit)}]" if unit else "rms error",
+        )
         _ticks(axes, len(plan["stages"]))
         style.log_axis(axes, "y")
-    named = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    named = {
+        label: handle
+        for axes in panels
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
     last = [label for label in (WANTED, REALISED) if label in named]
     labels = [label for label in named if label not in last] + last
-    figure.legend([named[n] for n in labels], labels, loc="outside lower center", ncols=style.legend_columns(labels))
+    figure.legend(
+        [named[n] for n in labels],
+        labels,
+        loc="outside lower center",
+        ncols=style.legend_columns(labels),
+    )
     return figure
 
 
 def components(plan: Part) -> list[str]:
-    """Names with units (`z_um`) of the components that have at least one positive accuracy."""
-    told = [plan.get("start_accuracy") or {}, *[stage.get("accuracy") or {} for stage in plan.get("stages") or []]]
-    return list(dict.fromkeys(key for entry in told for key, value in entry.items() if words.number(value) > 0.0))
+    """Names with units (`z_um`) of the components that have at least one positive
+    accuracy.
+    """
+    told = [
+        plan.get("start_accuracy") or {},
+        *[stage.get("accuracy") or {} for stage in plan.get("stages") or []],
+    ]
+    return list(
+        dict.fromkeys(
+            key
+            for entry in told
+            for key, value in entry.items()
+            if words.number(value) > 0.0
+        )
+    )
 
 
 def realised(stage: Part) -> dict[str, float]:
-    """What virtual machines showed, in the unit of each component: the prediction times realised over predicted."""
+    """What virtual machines showed, in the unit of each component: the prediction times
+    realised over predicted.
+    """
     ratios, told = stage.get("realised") or {}, stage.get("accuracy") or {}
-    made = {key: words.number(ratios.get(key, ratios.get(stem(key)))) * words.number(told[key]) for key in told}
+    made = {
+        key: (
+            words.number(ratios.get(key, ratios.get(stem(key))))
+            * words.number(told[key])
+        )
+        for key in told
+    }
     return {key: value for key, value in made.items() if np.isfinite(value)}
 
 
@@ -62,8 +101,12 @@ def _component(axes: Axes, key: str, plan: Part, colour: str, mark: str) -> None
     stages: Sequence[Part] = plan["stages"]
     at = np.arange(len(stages) + 1)
     start = (plan.get("start_accuracy") or {}).get(key)
-    values = _positive([start, *[(stage.get("accuracy") or {}).get(key) for stage in stages]])
-    axes.plot(at, values, color=colour, marker=mark, label=style.safe(words.parted(key)[0]))
+    values = _positive(
+        [start, *[(stage.get("accuracy") or {}).get(key) for stage in stages]]
+    )
+    axes.plot(
+        at, values, color=colour, marker=mark, label=style.safe(words.parted(key)[0])
+    )
     true = _positive([None, *[realised(stage).get(key) for stage in stages]])
     if np.isfinite(true).any():
         look: Any = {"color": style.ORANGE, "mec": style.INK, "mew": 0.6, "ms": 5}

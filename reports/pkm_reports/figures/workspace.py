@@ -24,7 +24,9 @@ CLOSE_LEVELS: Final = 8
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Plan:
-    """Which commands are the axes, which one makes the panels, and at which of its values."""
+    """Which commands are the axes, which one makes the panels, and at which of its
+    values.
+    """
 
     across: str
     up: str
@@ -38,21 +40,29 @@ class Plan:
 
 
 def draw(prediction: Mapping[str, Any]) -> Figure:
-    """A row for each component, a panel for each height; colours share a scale within a row."""
+    """A row for each component, a panel for each height; colours share a scale within a
+    row.
+    """
     spots = prediction.get("map") or []
     names = rows(prediction)
     if not spots or not names:
         return style.empty("No map over the workspace is stored in this result.")
-    commands = {key: style.array([spot["command"].get(key) for spot in spots]) for key in spots[0]["command"]}
+    commands = {
+        key: style.array([spot["command"].get(key) for spot in spots])
+        for key in spots[0]["command"]
+    }
     if len(commands) < 2:
         return _along_one(prediction, commands, names)
     plan = choose(commands)
     panels = len(plan.levels)
-    # With one panel for each component they stand side by side, else each component has a row.
+    # With one panel for each component they stand side by side, else each component has
+    # a row.
     shape = (len(names), panels) if panels > 1 else (1, len(names))
     figure = style.figure(0.35 + 2.05 * shape[0] + (0.6 if panels == 1 else 0.0))
     kind: Any = {"projection": "polar"} if plan.polar else {}
-    grid = figure.subplots(*shape, squeeze=False, subplot_kw=kind).reshape(len(names), panels)
+    grid = figure.subplots(*shape, squeeze=False, subplot_kw=kind).reshape(
+        len(names), panels
+    )
     for k, (row, name) in enumerate(zip(grid, names, strict=True)):
         _row(figure, row, plan, commands, name, prediction)
         for axes, level in zip(row, plan.levels, strict=True):
@@ -62,7 +72,9 @@ def draw(prediction: Mapping[str, Any]) -> Figure:
 
 
 def rows(prediction: Mapping[str, Any]) -> list[str]:
-    """Up to three components to show: those that the controller can correct, if there are any."""
+    """Up to three components to show: those that the controller can correct, if there
+    are any.
+    """
     parts = prediction.get("components") or {}
     kept = [name for name, part in parts.items() if part.get("compensatable")]
     return (kept or list(parts))[:MOST_ROWS]
@@ -70,27 +82,61 @@ def rows(prediction: Mapping[str, Any]) -> list[str]:
 
 def choose(commands: Mapping[str, Array]) -> Plan:
     """Polar axes for psi and theta; otherwise the first two commands that vary."""
-    varying = [k for k, v in commands.items() if np.ptp(v) > 0] + [k for k, v in commands.items() if np.ptp(v) == 0]
+    varying = [k for k, v in commands.items() if np.ptp(v) > 0] + [
+        k for k, v in commands.items() if np.ptp(v) == 0
+    ]
     axes = POLAR if set(POLAR) <= set(commands) else (varying[0], varying[1])
     rest = [k for k in varying if k not in axes]
     levels = np.unique(commands[rest[0]]) if rest else np.zeros(0)
     if not rest or len(levels) > CLOSE_LEVELS:
         return Plan(*axes, None, [np.nan])
-    picked = np.unique(np.linspace(0, len(levels) - 1, min(MOST_LEVELS, len(levels))).round().astype(int))
+    picked = np.unique(
+        np.linspace(0, len(levels) - 1, min(MOST_LEVELS, len(levels)))
+        .round()
+        .astype(int)
+    )
     return Plan(*axes, rest[0], levels[picked].tolist())
 
 
 def _row(
-    figure: Figure, row: Any, plan: Plan, commands: Mapping[str, Array], name: str, prediction: Mapping[str, Any]
+    figure: Figure,
+    row: Any,
+    plan: Plan,
+    commands: Mapping[str, Array],
+    name: str,
+    prediction: Mapping[str, Any],
 ) -> None:
-    values = style.array([(spot.get("after") or {}).get(name) for spot in prediction["map"]])
+    values = style.array(
+        [(spot.get("after") or {}).get(name) for spot in prediction["map"]]
+    )
     norm = _norm(values)
     for axes, level in zip(row, plan.levels, strict=True):
-        chosen = np.ones(len(values), bool) if plan.panel is None else commands[plan.panel] == level
-        drawn = _panel(axes, commands[plan.across][chosen], commands[plan.up][chosen], values[chosen], plan, norm)
+        chosen = (
+            np.ones(len(values), bool)
+            if plan.panel is None
+            else commands[plan.panel] == level
+        )
+        drawn = _panel(
+            axes,
+            commands[plan.across][chosen],
+            commands[plan.up][chosen],
+            values[chosen],
+            plan,
+            norm,
+        )
     unit = words.unit(str((prediction.get("unit") or {}).get(name, "")))
-    side: Any = {"location": "right", "pad": 0.02} if len(row) > 1 else {"location": "bottom", "pad": 0.03}
-    bar: Any = figure.colorbar(drawn, ax=list(row), shrink=0.85, label=style.safe(f"error of {name} [{unit}]"), **side)
+    side: Any = (
+        {"location": "right", "pad": 0.02}
+        if len(row) > 1
+        else {"location": "bottom", "pad": 0.03}
+    )
+    bar: Any = figure.colorbar(
+        drawn,
+        ax=list(row),
+        shrink=0.85,
+        label=style.safe(f"error of {name} [{unit}]"),
+        **side,
+    )
     bar.outline.set_visible(False)
     along = "y" if len(row) > 1 else "x"
     if isinstance(norm, LogNorm):
@@ -108,7 +154,10 @@ def _level(plan: Plan, level: float) -> str:
 
 def _norm(values: Array) -> Normalize:
     """Linear colours, or logarithmic ones where a few poses would outshine all others."""
-    low, high = float(np.nanmin(values, initial=np.inf)), float(np.nanmax(values, initial=-np.inf))
+    low, high = (
+        float(np.nanmin(values, initial=np.inf)),
+        float(np.nanmax(values, initial=-np.inf)),
+    )
     if not np.isfinite(low):
         return Normalize(0.0, 1.0)
     if low > 0.0 and high > 6.0 * low:
@@ -116,32 +165,51 @@ def _norm(values: Array) -> Normalize:
     return Normalize(min(low, 0.8 * high), high if high > low else low + 1.0)
 
 
-def _panel(axes: Any, across: Array, up: Array, values: Array, plan: Plan, norm: Normalize) -> Any:
+def _panel(
+    axes: Any, across: Array, up: Array, values: Array, plan: Plan, norm: Normalize
+) -> Any:
     if plan.polar:
         across = np.radians(across)
     table = _table(across, up, values)
     if table is None:
-        drawn = axes.scatter(across, up, c=values, cmap=style.AMOUNT, norm=norm, s=26, ec=style.GREY, lw=0.3)
+        drawn = axes.scatter(
+            across,
+            up,
+            c=values,
+            cmap=style.AMOUNT,
+            norm=norm,
+            s=26,
+            ec=style.GREY,
+            lw=0.3,
+        )
     else:
         drawn = axes.pcolormesh(*table, cmap=style.AMOUNT, norm=norm, rasterized=True)
     _polar(axes, up) if plan.polar else _cartesian(axes, plan)
     return drawn
 
 
-def _table(across: Array, up: Array, values: Array) -> tuple[Array, Array, Array] | None:
-    """Cell edges and a grid of values (gaps NaN), or None where the poses lie on no grid."""
+def _table(
+    across: Array, up: Array, values: Array
+) -> tuple[Array, Array, Array] | None:
+    """Cell edges and a grid of values (gaps NaN), or None where the poses lie on no
+    grid.
+    """
     xs, ys = np.unique(across.round(9)), np.unique(up.round(9))
     if min(len(xs), len(ys)) < 2 or len(values) < 0.4 * len(xs) * len(ys):
         return None
     grid = np.full((len(ys), len(xs)), np.nan)
-    grid[np.searchsorted(ys, up.round(9)), np.searchsorted(xs, across.round(9))] = values
+    grid[np.searchsorted(ys, up.round(9)), np.searchsorted(xs, across.round(9))] = (
+        values
+    )
     return _edges(xs), _edges(ys), grid
 
 
 def _edges(x: Array) -> Array:
     """Cell edges halfway between neighbours."""
     middle = (x[1:] + x[:-1]) / 2.0
-    return np.concatenate([[2.0 * x[0] - middle[0]], middle, [2.0 * x[-1] - middle[-1]]])
+    return np.concatenate(
+        [[2.0 * x[0] - middle[0]], middle, [2.0 * x[-1] - middle[-1]]]
+    )
 
 
 def _polar(axes: Any, up: Array) -> None:
@@ -150,7 +218,9 @@ def _polar(axes: Any, up: Array) -> None:
     axes.grid(False)
     axes.set_rlim(0.0, float(_edges(tilts)[-1] if len(tilts) > 1 else 1.1 * tilts[-1]))
     axes.yaxis.set_major_locator(NullLocator())
-    axes.xaxis.set_major_locator(FixedLocator(np.radians([0.0, 90.0, 180.0, 270.0]).tolist()))
+    axes.xaxis.set_major_locator(
+        FixedLocator(np.radians([0.0, 90.0, 180.0, 270.0]).tolist())
+    )
     axes.set_xticklabels(["0°", "90°", "180°", "270°"], fontsize=6)
     axes.tick_params(axis="x", pad=-2)
     axes.spines["polar"].set_visible(False)
@@ -166,7 +236,9 @@ def _cartesian(axes: Axes, plan: Plan) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def _along_one(prediction: Mapping[str, Any], commands: Mapping[str, Array], names: Sequence[str]) -> Figure:
+def _along_one(
+    prediction: Mapping[str, Any], commands: Mapping[str, Array], names: Sequence[str]
+) -> Figure:
     """A machine with one command: the error along it."""
     ((key, at),) = commands.items()
     figure = style.figure(2.4)

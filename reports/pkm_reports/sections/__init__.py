@@ -1,4 +1,6 @@
-"""The chapters of the report, in order; each module has `ANCHOR`, `TITLE` and `blocks(result)`."""
+"""The chapters of the report, in order; each module has `ANCHOR`, `TITLE` and
+`blocks(result)`.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,25 @@ from pkm_reports.sections import (
     record,
 )
 
-CHAPTERS: Final = (plan, design, kappa, identifiability, identification, posterior, accuracy, held_out, record)
+CHAPTERS: Final = (
+    plan,
+    design,
+    kappa,
+    identifiability,
+    identification,
+    posterior,
+    accuracy,
+    held_out,
+    record,
+)
 
 
 def chapters(result: Mapping[str, Any]) -> list[Section]:
     """All chapters; one whose stage did not run says so in a sentence.
 
-    A plan that was searched for has a chapter of its own, the first; the next then leaves its stages out. A diagnosis
-    has one where there was one, before all others, and what the readings could find comes after it.
+    A plan that was searched for has a chapter of its own, the first; the next then
+    leaves its stages out. A diagnosis has one where there was one, before all others,
+    and what the readings could find comes after it.
     """
     made = [(chapter, result) for chapter in CHAPTERS]
     if campaign.planned(result):
@@ -37,4 +50,7 @@ def chapters(result: Mapping[str, Any]) -> list[Section]:
         made = [(gap_before, result), *made]
     if gap.present(result):
         made = [(gap, result), *made]
-    return [Section(chapter.ANCHOR, chapter.TITLE, chapter.blocks(seen)) for chapter, seen in made]
+    return [
+        Section(chapter.ANCHOR, chapter.TITLE, chapter.blocks(seen))
+        for chapter, seen in made
+    ]

@@ -1,4 +1,6 @@
-"""How good the chosen plan is: certificate, other plans beside it, other criteria, other machines, other numbers."""
+"""How good the chosen plan is: certificate, other plans beside it, other criteria,
+other machines, other numbers.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,14 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from pkm_reports.blocks import Block, absent
-from pkm_reports.sections.parts import certificate, compared, how_many, plans, polished, robust
+from pkm_reports.sections.parts import (
+    certificate,
+    compared,
+    how_many,
+    plans,
+    polished,
+    robust,
+)
 
 ANCHOR: Final = "design"
 TITLE: Final = "How good the plan is"
@@ -14,7 +23,9 @@ PARTS: Final = (certificate, polished, plans, compared, robust, how_many)
 
 
 def blocks(result: Mapping[str, Any]) -> list[Block]:
-    """Certificate, polishing, plans side by side, criteria compared, robustness, how many readings."""
+    """Certificate, polishing, plans side by side, criteria compared, robustness, how
+    many readings.
+    """
     design = result.get("design")
     if not design:
         return absent("Choosing readings")

@@ -13,8 +13,9 @@ ANCHOR: Final = "held-out"
 TITLE: Final = "Held-out prediction"
 LEAST_COVERAGE: Final = 0.85
 CAPTION: Final = (
-    "Prediction of held-out readings. A new set-up brings unknowns of its own (an offset, a scale): they are adjusted "
-    "to its readings in the first rms, and left at their nominal values in the second."
+    "Prediction of held-out readings. A new set-up brings unknowns of its own (an"
+    " offset, a scale): they are adjusted to its readings in the first rms, and left at"
+    " their nominal values in the second."
 )
 
 
@@ -23,16 +24,35 @@ def blocks(result: Mapping[str, Any]) -> list[Block]:
     sets = result.get("held_out") or []
     if not sets:
         return absent("Prediction of readings kept out of the fit")
-    return [Picture("held_out", lambda: held_out.draw(sets), _caption(sets)), _table(sets)]
+    return [
+        Picture("held_out", lambda: held_out.draw(sets), _caption(sets)),
+        _table(sets),
+    ]
 
 
 def _caption(sets: list[Mapping[str, Any]]) -> str:
-    narrow = [f"{s['name']} ({s['channel']})" for s in sets if not words.number(s["coverage"]) >= LEAST_COVERAGE]
-    inside = words.listing(f"{words.percent(s['coverage'])} of {s['n']} in {s['name']} ({s['channel']})" for s in sets)
-    text = f"Measured minus predicted, for readings that the fit did not see. Inside their 95 % interval: {inside}."
+    narrow = [
+        f"{s['name']} ({s['channel']})"
+        for s in sets
+        if not words.number(s["coverage"]) >= LEAST_COVERAGE
+    ]
+    inside = words.listing(
+        f"{words.percent(s['coverage'])} of {s['n']} in {s['name']} ({s['channel']})"
+        for s in sets
+    )
+    text = (
+        "Measured minus predicted, for readings that the fit did not see. Inside their"
+        f" 95 % interval: {inside}."
+    )
     if narrow:
-        return f"{text} That is too few in {words.listing(narrow)}: the stated uncertainty is too small there."
-    return f"{text} That is about as many as should be: the stated uncertainty can be trusted."
+        return (
+            f"{text} That is too few in {words.listing(narrow)}: the stated uncertainty"
+            " is too small there."
+        )
+    return (
+        f"{text} That is about as many as should be: the stated uncertainty can be"
+        " trusted."
+    )
 
 
 def _table(sets: list[Mapping[str, Any]]) -> Table:
@@ -52,5 +72,7 @@ def _table(sets: list[Mapping[str, Any]]) -> Table:
         Column("Channel"),
         *number_column("Number", "Rms", "Rms, unadjusted", "Inside 95 % interval"),
     ]
-    marks = ["good" if words.number(s["coverage"]) >= LEAST_COVERAGE else "bad" for s in sets]
+    marks = [
+        "good" if words.number(s["coverage"]) >= LEAST_COVERAGE else "bad" for s in sets
+    ]
     return Table(columns, rows, CAPTION, marks)

@@ -35,8 +35,12 @@ def blocks(result: Part) -> list[Block]:
     made += [Notice(words.sentence(text)) for text in estimate.get("warnings") or []]
     made.append(Picture("residuals", lambda: residuals.draw(estimate), _left(estimate)))
     if values:
-        # The table first: it breaks over pages, so the tall picture leaves no gap before it.
-        made += [_table(values), Picture("parameters", lambda: parameters.draw(values), _found(values))]
+        # The table first: it breaks over pages, so the tall picture leaves no gap
+        # before it.
+        made += [
+            _table(values),
+            Picture("parameters", lambda: parameters.draw(values), _found(values)),
+        ]
     return made + _iterations(estimate.get("iterations") or [])
 
 
@@ -44,7 +48,8 @@ def _fit(estimate: Part) -> str:
     units = estimate["units"]
     after = estimate["rms_after"]
     parts = [
-        f"{name} from {words.quantity(before, units[name])} to {words.quantity(after.get(name), units[name])}"
+        f"{name} from {words.quantity(before, units[name])} to"
+        f" {words.quantity(after.get(name), units[name])}"
         for name, before in (estimate.get("rms_before") or {}).items()
     ]
     text = f"{words.count(estimate['readings'], 'reading')} were fitted. "
@@ -60,7 +65,10 @@ def _judged(chi2: float, dof: float) -> str:
         return ""
     z = (chi2 - dof) / np.sqrt(2.0 * dof)
     if z > 3.0:
-        return ": far more than the stated noise explains, so the model lacks something or the noise is larger"
+        return (
+            ": far more than the stated noise explains, so the model lacks something or"
+            " the noise is larger"
+        )
     return (
         ": less than the stated noise would leave, so the noise is overstated"
         if z < -3.0
@@ -70,30 +78,41 @@ def _judged(chi2: float, dof: float) -> str:
 
 def _left(estimate: Part) -> str:
     after = style.array(estimate.get("residuals") or [])
-    text = "Residual of each reading with nominal and with identified parameters; the scales differ."
+    text = (
+        "Residual of each reading with nominal and with identified parameters; the"
+        " scales differ."
+    )
     if not np.isfinite(after).any():
         return text
     worst = int(np.nanargmax(np.abs(after))) + 1
     unit = estimate["units"][estimate["channels"][worst - 1]]
     if len(set(estimate["units"].values())) > 1:
         return text
-    return f"{text} The largest left is {words.quantity(np.nanmax(np.abs(after)), unit)} at reading {worst}."
+    return (
+        f"{text} The largest left is {words.quantity(np.nanmax(np.abs(after)), unit)}"
+        f" at reading {worst}."
+    )
 
 
 def _found(values: Mapping[str, Part]) -> str:
     """Caption of the interval plot: how many are seen, how the truth fared."""
     kinds = [str(v.get("identified")) for v in values.values()]
     text = (
-        f"Each parameter against its tolerance. {kinds.count('seen')} of {len(kinds)} are seen, {kinds.count('weak')} "
-        f"only weakly, {kinds.count('prior')} stay as uncertain as the tolerance."
+        f"Each parameter against its tolerance. {kinds.count('seen')} of {len(kinds)}"
+        f" are seen, {kinds.count('weak')} only weakly, {kinds.count('prior')} stay as"
+        " uncertain as the tolerance."
     )
     best = min(values, key=lambda name: parameters.normalised(values[name])[1])
-    text += f" Tightened most: {best}, to {words.percent(parameters.normalised(values[best])[1])} of its tolerance."
+    text += (
+        f" Tightened most: {best}, to"
+        f" {words.percent(parameters.normalised(values[best])[1])} of its tolerance."
+    )
     pulls = [pull for pull in map(_pull, values.values()) if np.isfinite(pull)]
     if pulls:
         inside = sum(abs(p) <= 1.96 for p in pulls)
         text += (
-            f" {inside} of {len(pulls)} intervals hold the truth (crosses); about {round(0.95 * len(pulls))} should."
+            f" {inside} of {len(pulls)} intervals hold the truth (crosses); about"
+            f" {round(0.95 * len(pulls))} should."
         )
     return text
 
@@ -101,7 +120,11 @@ def _found(values: Mapping[str, Part]) -> str:
 def _pull(value: Part) -> float:
     """(value - truth) / sd."""
     sd = words.number(value["sd"])
-    return (words.number(value["value"]) - words.number(value.get("truth"))) / sd if sd > 0.0 else float("nan")
+    return (
+        (words.number(value["value"]) - words.number(value.get("truth"))) / sd
+        if sd > 0.0
+        else float("nan")
+    )
 
 
 def _table(values: Mapping[str, Part]) -> Table:
@@ -118,10 +141,16 @@ def _table(values: Mapping[str, Part]) -> Table:
     rows = rows if known else [row[:7] for row in rows]
     weak = {"weak": "chosen", "prior": "bad"}
     caption = (
-        "Identified parameters with standard deviations; the tolerance is the standard deviation before any reading."
+        "Identified parameters with standard deviations; the tolerance is the standard"
+        " deviation before any reading."
     )
     caption += " Pull: (value − truth) / sd." if known else ""
-    return Table(columns, rows, caption, [weak.get(str(v.get("identified")), "") for v in values.values()])
+    return Table(
+        columns,
+        rows,
+        caption,
+        [weak.get(str(v.get("identified")), "") for v in values.values()],
+    )
 
 
 def _row(name: str, v: Part) -> list[str]:

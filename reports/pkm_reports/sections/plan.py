@@ -34,12 +34,20 @@ def blocks(result: Part) -> list[Block]:
     if drawing:
         made.append(Picture("machine", lambda: machine.draw(drawing), _seen(drawing)))
     made += _stages(result["plan"]) if result.get("plan") else []
-    return made + ([Paragraph(_chosen(design)), *order.blocks(design), *_readings(design)] if design else [])
+    return made + (
+        [Paragraph(_chosen(design)), *order.blocks(design), *_readings(design)]
+        if design
+        else []
+    )
 
 
 def _about(info: Part) -> str:
     text = f"{info['name']}: {words.sentence(info['about'])}"
-    return f"{text} Source: {words.sentence(info['source'])}" if info.get("source") else text
+    return (
+        f"{text} Source: {words.sentence(info['source'])}"
+        if info.get("source")
+        else text
+    )
 
 
 def _seen(drawing: Part) -> str:
@@ -53,7 +61,10 @@ def _seen(drawing: Part) -> str:
     x, y, z = np.ptp(tips, axis=0)
     reach = f"{words.num(x)} × {words.num(y)} × {words.num(z)}{words.GAP}mm (x, y, z)"
     where = f": {told}" if names else ""
-    return f"{text} {words.count(len(tips), 'tool point')}{where}; together they span {reach}."
+    return (
+        f"{text} {words.count(len(tips), 'tool point')}{where}; together they span"
+        f" {reach}."
+    )
 
 
 def _readings(design: Part) -> list[Block]:
@@ -83,7 +94,10 @@ def _told(poses: Sequence[Part]) -> str:
         runs = list(dict.fromkeys(str(p["run"]) for p in mine))
         named = f" ({words.listing(runs, 4)})" if runs != ["1"] else ""
         parts.append(f"{words.count(len(mine), 'reading')} in {setup}{named}")
-    return f"The readings to take, from top to bottom: {words.listing(parts, 5)}. The machine is commanded to each row."
+    return (
+        f"The readings to take, from top to bottom: {words.listing(parts, 5)}. The"
+        " machine is commanded to each row."
+    )
 
 
 def _chosen(design: Part) -> str:
@@ -100,7 +114,11 @@ def _chosen(design: Part) -> str:
 def _stages(plan: Part) -> list[Block]:
     stages = plan.get("stages") or []
     others = [words.sentence(text) for text in plan.get("alternatives") or []]
-    extra: list[Block] = [Paragraph("Alternatives that were looked at:"), Items(others)] if others else []
+    extra: list[Block] = (
+        [Paragraph("Alternatives that were looked at:"), Items(others)]
+        if others
+        else []
+    )
     if not stages:
         return extra
     cells = [
@@ -113,8 +131,15 @@ def _stages(plan: Part) -> list[Block]:
         [words.num(s["kappa"], 4) for s in stages],
         [words.numbers(s.get("predicted") or {}, 3) for s in stages],
     ]
-    columns = [Column("Stage", number=True), Column("Measurement"), Column("Set-ups", wide=True)]
+    columns = [
+        Column("Stage", number=True),
+        Column("Measurement"),
+        Column("Set-ups", wide=True),
+    ]
     columns += number_column("Readings", "Identifies", "Cost [min]", "κ")
     columns.append(Column("Predicted afterwards", wide=True))
-    caption = f"The plan as stages, in order; together {words.quantity(plan['cost'], 'min')} of machine time."
+    caption = (
+        f"The plan as stages, in order; together {words.quantity(plan['cost'], 'min')}"
+        " of machine time."
+    )
     return [Table(columns, transposed(cells), caption), *extra]

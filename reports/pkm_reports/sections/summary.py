@@ -6,17 +6,34 @@ from collections.abc import Mapping
 from typing import Any
 
 from pkm_reports import words
-from pkm_reports.blocks import Block, Column, Items, Notice, Paragraph, Table, transposed
+from pkm_reports.blocks import (
+    Block,
+    Column,
+    Items,
+    Notice,
+    Paragraph,
+    Table,
+    transposed,
+)
 
 
 def blocks(result: Mapping[str, Any]) -> list[Block]:
     """Headline sentences, claims, and a pointer to the warnings if there are any."""
     headline = [words.pretty(line) for line in result.get("headline") or []]
-    made: list[Block] = [Items(headline, numbered=True)] if headline else [Paragraph("No headline was computed.")]
+    made: list[Block] = (
+        [Items(headline, numbered=True)]
+        if headline
+        else [Paragraph("No headline was computed.")]
+    )
     warnings = result.get("warnings") or []
     if warnings:
         told = "is 1 warning" if len(warnings) == 1 else f"are {len(warnings)} warnings"
-        made.append(Notice(f"There {told}: see the last chapter. The first: {words.sentence(warnings[0])}"))
+        made.append(
+            Notice(
+                f"There {told}: see the last chapter. The first:"
+                f" {words.sentence(warnings[0])}"
+            )
+        )
     return made + _claims(result.get("claims") or [])
 
 
@@ -35,9 +52,16 @@ def _claims(claims: list[Mapping[str, Any]]) -> list[Block]:
     )
     told = any(isinstance(c["measured"], str) for c in claims)
     measured = Column("Measured", number=not told, wide=told)
-    columns = [Column("Claim"), measured, Column("Wanted", wide=True), Column("Verdict")]
+    columns = [
+        Column("Claim"),
+        measured,
+        Column("Wanted", wide=True),
+        Column("Verdict"),
+    ]
     marks = ["good" if c["met"] else "bad" for c in claims]
-    caption = f"What the study claims in its [expect] table, against what came out. {verdict}"
+    caption = (
+        f"What the study claims in its [expect] table, against what came out. {verdict}"
+    )
     return [Table(columns, rows, caption, marks)]
 
 

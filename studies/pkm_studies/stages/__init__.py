@@ -1,1 +1,3 @@
-"""Stages of a study: one module each, from the kernel's objects to one section of the result."""
+"""Stages of a study: one module each, from the kernel's objects to one section of the
+result.
+"""

@@ -1,4 +1,6 @@
-"""The design: choose readings from the candidates, polish and order them; what the plan costs, condition numbers."""
+"""The design: choose readings from the candidates, polish and order them; what the plan
+costs, condition numbers.
+"""
 
 from __future__ import annotations
 
@@ -50,20 +52,32 @@ class Chosen:
 
 
 def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
-    """The best plan found, or None where the study asks for none. Raises InputError for what cannot be done."""
+    """The best plan found, or None where the study asks for none. Raises InputError for
+    what cannot be done.
+    """
     design, asked = resolved.study.design, resolved.asked
     if design is None or asked is None or not resolved.candidates:
         return None
     place, aims = resolved.study.place.key("design"), Aims(resolved, design)
     problem = _problem(resolved, design, aims, place)
-    choice = _best(problem, aims, design.judged_by, rng, place.key("compound" if design.compound else "criterion"))
+    choice = _best(
+        problem,
+        aims,
+        design.judged_by,
+        rng,
+        place.key("compound" if design.compound else "criterion"),
+    )
     compared = _compared(problem, aims, choice, rng, place.key("compare"))
     sturdy, curve = None, None
     if design.robust is not None:
-        choice, sturdy = robust.choose(problem, aims, choice, design.robust, rng, place.key("robust"))
+        choice, sturdy = robust.choose(
+            problem, aims, choice, design.robust, rng, place.key("robust")
+        )
     if design.how_many is not None:
         seed = resolved.study.seed
-        curve = how_many.curve(problem, aims, choice, design.how_many, seed, place.key("how_many"))
+        curve = how_many.curve(
+            problem, aims, choice, design.how_many, seed, place.key("how_many")
+        )
     series = problem.candidates.take(choice.indices)
     measurement = _mounted(resolved, [*asked.kept, *series])
     smoother = None
@@ -88,21 +102,33 @@ def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
     )
 
 
-def _problem(resolved: Resolved, design: Design, aims: Aims, place: Place) -> search.Problem:
+def _problem(
+    resolved: Resolved, design: Design, aims: Aims, place: Place
+) -> search.Problem:
     """Candidates with what is held, and the rules."""
     asked, measurement = resolved.asked, resolved.measurement
     assert asked is not None
     try:
         found = candidates.of(
-            measurement, resolved.candidates, measurement.nominal, design.scaling, whole_runs=design.whole_runs
+            measurement,
+            resolved.candidates,
+            measurement.nominal,
+            design.scaling,
+            whole_runs=design.whole_runs,
         )
     except ValueError as error:
-        raise place.key("whole_runs").error(str(error), "give each run a table of its own") from error
+        raise place.key("whole_runs").error(
+            str(error), "give each run a table of its own"
+        ) from error
     if design.prior or asked.kept:
         found = found.with_prior(_held(aims, measurement, asked.kept))
     rules = found.rules(
         size=design.size,
-        budget=None if design.budget_min is None else 60.0 * design.budget_min - seconds(measurement, asked.kept),
+        budget=(
+            None
+            if design.budget_min is None
+            else 60.0 * design.budget_min - seconds(measurement, asked.kept)
+        ),
         most_setups=design.setups_max,
         apart=asked.apart,
     )
@@ -112,26 +138,48 @@ def _problem(resolved: Resolved, design: Design, aims: Aims, place: Place) -> se
 
 
 def _held(aims: Aims, measurement: Measurement, kept: tuple[Series, ...]) -> Array:
-    return aims.information(measurement, kept) if kept else np.eye(int(measurement.free.sum()))
+    return (
+        aims.information(measurement, kept)
+        if kept
+        else np.eye(int(measurement.free.sum()))
+    )
 
 
-def _best(problem: search.Problem, aims: Aims, name: str, rng: np.random.Generator, place: Place) -> Choice:
+def _best(
+    problem: search.Problem,
+    aims: Aims,
+    name: str,
+    rng: np.random.Generator,
+    place: Place,
+) -> Choice:
     try:
         return search.best(problem, aims.criterion(name, problem.candidates), rng)
     except ValueError as error:
         remedy = "ask for more readings, or give more candidates"
-        raise place.error(str(error), remedy if ":" not in str(error) else "see `oed list criteria`", name) from error
+        raise place.error(
+            str(error),
+            remedy if ":" not in str(error) else "see `oed list criteria`",
+            name,
+        ) from error
 
 
 def _compared(
-    problem: search.Problem, aims: Aims, main: Choice, rng: np.random.Generator, place: Place
+    problem: search.Problem,
+    aims: Aims,
+    main: Choice,
+    rng: np.random.Generator,
+    place: Place,
 ) -> tuple[result.Compared, ...]:
-    """Designs for further criteria, each plan scored by each criterion; the main one first."""
+    """Designs for further criteria, each plan scored by each criterion; the main one
+    first.
+    """
     if not aims.design.compare:
         return ()
     own = aims.design.judged_by
     names = list(dict.fromkeys([own, *aims.design.compare]))
-    choices = {own: main} | {n: _best(problem, aims, n, rng, place) for n in names if n != own}
+    choices = {own: main} | {
+        n: _best(problem, aims, n, rng, place) for n in names if n != own
+    }
     made = []
     for name in names:
         criterion = aims.criterion(name, problem.candidates)
@@ -152,7 +200,9 @@ def _compared(
 
 
 def _mounted(resolved: Resolved, series: list[Series]) -> Measurement:
-    """The machine with the set-ups that a plan uses; with all of them where recorded readings are to be fitted."""
+    """The machine with the set-ups that a plan uses; with all of them where recorded
+    readings are to be fitted.
+    """
     said = resolved.study.readings
     if resolved.dataset is not None or (said is not None and not said.simulate):
         return resolved.measurement
@@ -168,16 +218,22 @@ def kappa_map(circles: Circles, scaling: Scaling) -> result.KappaMap:
             seen = explain.look(circles.measurement, [circles.series(m, n)], scaling)
             row.append(criteria.kappa(seen.verdict.identifiable))
         table.append(row)
-    return result.KappaMap(circles.title, list(circles.circles), list(circles.points), table)
+    return result.KappaMap(
+        circles.title, list(circles.circles), list(circles.points), table
+    )
 
 
-def plan(resolved: Resolved, seen: explain.Seen, predicted: Mapping[str, float]) -> result.Plan:
+def plan(
+    resolved: Resolved, seen: explain.Seen, predicted: Mapping[str, float]
+) -> result.Plan:
     """The readings as one stage, with its cost in minutes."""
     measurement = seen.measurement
     setups = list(dict.fromkeys(s.setup for s in seen.series))
     cost = seconds(measurement, seen.series)
     stage = result.Stage(
-        measurement=", ".join(dict.fromkeys(measurement.setups[n].instrument.name for n in setups)),
+        measurement=", ".join(
+            dict.fromkeys(measurement.setups[n].instrument.name for n in setups)
+        ),
         setups=setups,
         readings=sum(len(s) for s in seen.series),
         identifies=seen.verdict.rank,
@@ -190,5 +246,10 @@ def plan(resolved: Resolved, seen: explain.Seen, predicted: Mapping[str, float])
 
 def seconds(measurement: Measurement, series: Sequence[Series]) -> float:
     """Time to mount the set-ups and take the readings of a plan, s."""
-    mounting = sum(measurement.setups[n].instrument.cost.setup for n in dict.fromkeys(s.setup for s in series))
-    return mounting + sum(candidates.reading_time(measurement, s.setup) * len(s) for s in series)
+    mounting = sum(
+        measurement.setups[n].instrument.cost.setup
+        for n in dict.fromkeys(s.setup for s in series)
+    )
+    return mounting + sum(
+        candidates.reading_time(measurement, s.setup) * len(s) for s in series
+    )

@@ -16,10 +16,20 @@ CORNER_DRAWS = 1500
 
 
 def estimate_section(
-    measurement: Measurement, series: Sequence[Series], estimate: identify.Estimate, truth: Array | None
+    measurement: Measurement,
+    series: Sequence[Series],
+    estimate: identify.Estimate,
+    truth: Array | None,
 ) -> result.Estimate:
-    """Identified parameters in display units, residuals in the fine unit of the readings."""
-    channels = [c for s in series for _ in range(len(s)) for c in measurement.setups[s.setup].instrument.channels]
+    """Identified parameters in display units, residuals in the fine unit of the
+    readings.
+    """
+    channels = [
+        c
+        for s in series
+        for _ in range(len(s))
+        for c in measurement.setups[s.setup].instrument.channels
+    ]
     factor = np.array([units.factor(units.FINE[c.unit]) for c in channels])
     after, before = estimate.residuals / factor, estimate.before / factor
     labels = np.array([c.name for c in channels])
@@ -33,7 +43,12 @@ def estimate_section(
         dof=estimate.dof,
         chi2=estimate.chi2,
         iterations=[
-            {"evaluations": r.iterations, "rms_before": r.rms_before, "rms_after": r.rms_after} for r in estimate.rounds
+            {
+                "evaluations": r.iterations,
+                "rms_before": r.rms_before,
+                "rms_after": r.rms_after,
+            }
+            for r in estimate.rounds
         ],
         warnings=[*estimate.warnings, *_noise_words(estimate)],
         residuals=[float(v) for v in after],
@@ -41,7 +56,9 @@ def estimate_section(
     )
 
 
-def _values(measurement: Measurement, estimate: identify.Estimate, truth: Array | None) -> dict[str, result.Value]:
+def _values(
+    measurement: Measurement, estimate: identify.Estimate, truth: Array | None
+) -> dict[str, result.Value]:
     found = {}
     for k, p in enumerate(measurement.parameters):
         if estimate.prior_sd[k] == 0.0:
@@ -53,7 +70,13 @@ def _values(measurement: Measurement, estimate: identify.Estimate, truth: Array 
             unit=unit,
             nominal=units.number(p.nominal, unit),
             prior_sd=units.number(estimate.prior_sd[k], unit),
-            identified="seen" if share <= identify.WEAK else "weak" if share <= identify.AT_PRIOR else "prior",
+            identified=(
+                "seen"
+                if share <= identify.WEAK
+                else "weak"
+                if share <= identify.AT_PRIOR
+                else "prior"
+            ),
             truth=None if truth is None else units.number(truth[k], unit),
         )
     return found
@@ -61,11 +84,18 @@ def _values(measurement: Measurement, estimate: identify.Estimate, truth: Array 
 
 def _noise_words(estimate: identify.Estimate) -> list[str]:
     scaled = [f"{n} {s:.2f}" for n, s in estimate.noise_scale.items() if s != 1.0]
-    return [f"the stated noise was scaled by what the residuals show: {', '.join(scaled)}"] if scaled else []
+    return (
+        [f"the stated noise was scaled by what the residuals show: {', '.join(scaled)}"]
+        if scaled
+        else []
+    )
 
 
 def posterior_section(
-    measurement: Measurement, estimate: identify.Estimate, drawn: posterior.Posterior, corner: int
+    measurement: Measurement,
+    estimate: identify.Estimate,
+    drawn: posterior.Posterior,
+    corner: int,
 ) -> result.Posterior:
     """Marginals in display units, and draws along the worst-seen directions."""
     marginals = {}
@@ -97,9 +127,14 @@ def posterior_section(
 
 
 def _worst(
-    measurement: Measurement, estimate: identify.Estimate, drawn: posterior.Posterior, count: int
+    measurement: Measurement,
+    estimate: identify.Estimate,
+    drawn: posterior.Posterior,
+    count: int,
 ) -> tuple[list[str], list[list[float]]]:
-    """Identifiable directions with the widest posterior, in prior standard deviations, named by what they move most."""
+    """Identifiable directions with the widest posterior, in prior standard deviations,
+    named by what they move most.
+    """
     z = drawn.z.reshape(-1, drawn.z.shape[2])
     worst = np.argsort(-z.std(axis=0))[:count]
     basis = estimate.coordinates.basis
@@ -108,7 +143,9 @@ def _worst(
     for k in worst:
         weight = basis[:, k] / scale
         order = np.argsort(-np.abs(weight))[:3]
-        names.append(" ".join(f"{weight[j]:+.2f} {measurement.names[j]}" for j in order))
+        names.append(
+            " ".join(f"{weight[j]:+.2f} {measurement.names[j]}" for j in order)
+        )
     thin = max(1, len(z) // CORNER_DRAWS)
     return names, [[float(v) for v in row] for row in z[::thin][:CORNER_DRAWS, worst]]
 

@@ -1,4 +1,6 @@
-"""Residual accuracy over the workspace, virtual machines that check it, and readings kept out of the fit."""
+"""Residual accuracy over the workspace, virtual machines that check it, and readings
+kept out of the fit.
+"""
 
 from __future__ import annotations
 
@@ -42,15 +44,22 @@ def section(
         np.diag(tolerance[:keep] ** 2),
         covariance,
         rng,
-        mean=None if estimate is None else (estimate.theta - measurement.nominal)[:keep],
+        mean=(
+            None if estimate is None else (estimate.theta - measurement.nominal)[:keep]
+        ),
         reference=reference,
         sources=predict.budget_sources(h, tolerance, measurement.names, keep),
     )
-    return _told(measurement, foreseen, "plan" if estimate is None else "identified", realised)
+    return _told(
+        measurement, foreseen, "plan" if estimate is None else "identified", realised
+    )
 
 
 def _told(
-    measurement: Measurement, foreseen: predict.Prediction, mode: str, realised: dict[str, predict.Spread] | None
+    measurement: Measurement,
+    foreseen: predict.Prediction,
+    mode: str,
+    realised: dict[str, predict.Spread] | None,
 ) -> result.Prediction:
     components = {c.name: c for c in measurement.machine.components}
     fine = {n: units.FINE[c.unit] for n, c in components.items()}
@@ -71,13 +80,23 @@ def _told(
         map=[
             result.MapPoint(
                 describe.command(measurement.machine, c),
-                {n: units.number(foreseen.sd_before[i, k], fine[n]) for k, n in enumerate(foreseen.names)},
-                {n: units.number(foreseen.sd_after[i, k], fine[n]) for k, n in enumerate(foreseen.names)},
+                {
+                    n: units.number(foreseen.sd_before[i, k], fine[n])
+                    for k, n in enumerate(foreseen.names)
+                },
+                {
+                    n: units.number(foreseen.sd_after[i, k], fine[n])
+                    for k, n in enumerate(foreseen.names)
+                },
             )
             for i, c in enumerate(foreseen.command)
         ],
         mode=mode,
-        realised=None if realised is None else {n: _spread(s, fine[n]) for n, s in realised.items()},
+        realised=(
+            None
+            if realised is None
+            else {n: _spread(s, fine[n]) for n, s in realised.items()}
+        ),
     )
 
 
@@ -91,12 +110,17 @@ def virtual_machines(
     stages: Sequence[Sequence[str]],
     progress: Progress,
 ) -> dict[str, predict.Spread] | None:
-    """Machines drawn from the tolerances, read, identified, compensated, and looked at exactly."""
+    """Machines drawn from the tolerances, read, identified, compensated, and looked at
+    exactly.
+    """
     if not count:
         return None
     kinematics, keep = measurement.kinematics, len(measurement.machine.parameters)
     home = measurement.machine.home_command[None]
-    about = compensate.error_model(kinematics, command), compensate.error_model(kinematics, home)
+    about = (
+        compensate.error_model(kinematics, command),
+        compensate.error_model(kinematics, home),
+    )
     errors = []
     for k in range(count):
         truth = simulate.draw(measurement, rng)
@@ -106,11 +130,16 @@ def virtual_machines(
         for at in (command, home):
             q = compensate.joints(kinematics, at, found.theta[:keep])
             twists.append(compensate.pose_error(kinematics, at, q, truth[:keep]))
-        told = predict.referenced(twists[0], twists[1], *about, reference, measurement.machine.lever)
+        told = predict.referenced(
+            twists[0], twists[1], *about, reference, measurement.machine.lever
+        )
         errors.append(kinematics.components(command, told))
         progress.share((k + 1) / count)
     table = np.array(errors)
-    return {c.name: predict.spread_of(table[:, :, k]) for k, c in enumerate(measurement.machine.components)}
+    return {
+        c.name: predict.spread_of(table[:, :, k])
+        for k, c in enumerate(measurement.machine.components)
+    }
 
 
 def held_out(
@@ -120,24 +149,33 @@ def held_out(
     drawn: Posterior,
     rng: np.random.Generator,
 ) -> list[result.HeldOut]:
-    """Readings that the fit never saw, against their 95 % predictive intervals, set-up by set-up.
+    """Readings that the fit never saw, against their 95 % predictive intervals, set-up
+    by set-up.
 
-    A new mounting brings unknowns of its own (a probe's offset), which no earlier reading can know. They alone are
-    adjusted to the readings kept out, within their tolerances, on both sides: r = Q (y - f), and the interval is that
-    of Q (y* - f), with Q = 1 - J_s (J_s^T W J_s + Lambda_s^-1)^-1 J_s^T W. `rms_raw` is without that.
+    A new mounting brings unknowns of its own (a probe's offset), which no earlier
+    reading can know. They alone are adjusted to the readings kept out, within their
+    tolerances, on both sides: r = Q (y - f), and the interval is that of Q (y* - f),
+    with Q = 1 - J_s (J_s^T W J_s + Lambda_s^-1)^-1 J_s^T W. `rms_raw` is without that.
     """
     found, start = [], 0
-    take = rng.choice(len(drawn.flat), size=min(PREDICTIVE, len(drawn.flat)), replace=False)
+    take = rng.choice(
+        len(drawn.flat), size=min(PREDICTIVE, len(drawn.flat)), replace=False
+    )
     scale = _NoiseFactors(measurement, drawn)
     for s in series:
         channels = measurement.setups[s.setup].instrument.channels
         read = y[start : start + len(s) * len(channels)]
         start += len(read)
         predicted = measurement.readings([s], drawn.flat[take])
-        noise = measurement.noise([s]).draw(rng, predicted.shape) * scale(s.setup, take)[:, None]
+        noise = (
+            measurement.noise([s]).draw(rng, predicted.shape)
+            * scale(s.setup, take)[:, None]
+        )
         centre = predicted.mean(axis=0)
         adjust = _own_unknowns(measurement, s, drawn)
-        low, high = np.quantile((predicted + noise - centre) @ adjust.T, [0.025, 0.975], axis=0)
+        low, high = np.quantile(
+            (predicted + noise - centre) @ adjust.T, [0.025, 0.975], axis=0
+        )
         after = adjust @ (read - centre)
         for k, channel in enumerate(channels):
             unit = units.FINE[channel.unit]
@@ -154,16 +192,23 @@ def held_out(
                     unit=unit,
                     coverage=float(inside.mean()),
                     residuals=[units.number(v, unit) for v in residual],
-                    half_widths=[units.number(v, unit) for v in (high[mine] - low[mine]) / 2.0],
+                    half_widths=[
+                        units.number(v, unit) for v in (high[mine] - low[mine]) / 2.0
+                    ],
                 )
             )
     return found
 
 
 def _own_unknowns(measurement: Measurement, series: Series, drawn: Posterior) -> Array:
-    """Q (N, N) that takes the set-up's own unknowns out of readings, weighed with their tolerances."""
+    """Q (N, N) that takes the set-up's own unknowns out of readings, weighed with their
+    tolerances.
+    """
     mean = drawn.flat.mean(axis=0)
-    mine = np.array([n.startswith(f"{series.setup}.") for n in measurement.names]) & measurement.free
+    mine = (
+        np.array([n.startswith(f"{series.setup}.") for n in measurement.names])
+        & measurement.free
+    )
     slope = measurement.jacobian([series], mean)[:, mine]
     noise = measurement.noise([series])
     white = noise.whiten(slope)
@@ -174,7 +219,9 @@ def _own_unknowns(measurement: Measurement, series: Series, drawn: Posterior) ->
 
 @dataclasses.dataclass(frozen=True)
 class _NoiseFactors:
-    """Noise factor of a set-up in each draw: its own, or that of a fitted set-up with the same instrument."""
+    """Noise factor of a set-up in each draw: its own, or that of a fitted set-up with
+    the same instrument.
+    """
 
     measurement: Measurement
     drawn: Posterior
@@ -183,7 +230,9 @@ class _NoiseFactors:
         if not self.drawn.noise_groups:
             return np.ones(len(take))
         wanted = self.measurement.setups[setup].instrument.name
-        log_noise = self.drawn.log_noise.reshape(-1, self.drawn.log_noise.shape[2])[take]
+        log_noise = self.drawn.log_noise.reshape(-1, self.drawn.log_noise.shape[2])[
+            take
+        ]
         for k, group in enumerate(self.drawn.noise_groups):
             if self.measurement.setups[group].instrument.name == wanted:
                 return np.asarray(np.exp(log_noise[:, k]))
@@ -192,5 +241,8 @@ class _NoiseFactors:
 
 def _spread(spread: predict.Spread, unit: str) -> result.Spread:
     return result.Spread(
-        units.number(spread.rms, unit), units.number(spread.p95, unit), units.number(spread.largest, unit), unit
+        units.number(spread.rms, unit),
+        units.number(spread.p95, unit),
+        units.number(spread.largest, unit),
+        unit,
     )

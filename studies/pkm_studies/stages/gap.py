@@ -1,4 +1,6 @@
-"""Diagnosis of what calibration leaves, as a section of the result: which effect, where, how far, what next."""
+"""Diagnosis of what calibration leaves, as a section of the result: which effect,
+where, how far, what next.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def diagnose(
     """The diagnosis of readings y (N,), SI, about fitted parameters theta (n,)."""
     from oed.gap.diagnose import diagnose as diagnosed
 
-    prepared = problem_of.planned(measurement, series, covariates, theta, y, gravity=asked.gravity)
+    prepared = problem_of.planned(
+        measurement, series, covariates, theta, y, gravity=asked.gravity
+    )
     return diagnosed(prepared, asked.effects, rng)
 
 
@@ -48,13 +52,19 @@ def section(found: Diagnosis, effects: Sequence[Effect]) -> result_gap.Gap:
         verdict=found.verdict,
         answers=[_answer(a) for a in found.answers],
         set95=[_answer(a) for a in found.set95],
-        where=[result_gap.Where(b.block, float(b.p_value), known(b.strength)) for b in found.where],
+        where=[
+            result_gap.Where(b.block, float(b.p_value), known(b.strength))
+            for b in found.where
+        ],
         closure=[_closure(c) for c in found.closure],
         not_testable=list(found.not_testable),
         confusable=[list(group) for group in found.confusable],
         selected=_selected(found),
         tried=[e.name for e in effects],
-        marginal={n: float(p) for n, p in sorted(found.marginal.items(), key=lambda item: -item[1])},
+        marginal={
+            n: float(p)
+            for n, p in sorted(found.marginal.items(), key=lambda item: -item[1])
+        },
         about=about,
         constants={effect: dict(values) for effect, values in found.constants.items()},
         coefficients=_coefficients(found, effects),
@@ -106,7 +116,9 @@ def _closure(c: Closure) -> result_gap.Closure:
 def _about(effect: Effect, found: Diagnosis) -> result_gap.About:
     missing = found.not_testable.get(effect.name, "")
     column = gap_words.column(effect, found.problem.states) if missing else ""
-    return result_gap.About(effect.about, effect.remedy, effect.exposed_by, effect.source, missing, column)
+    return result_gap.About(
+        effect.about, effect.remedy, effect.exposed_by, effect.source, missing, column
+    )
 
 
 def _channels(found: Diagnosis) -> tuple[dict[str, str], np.ndarray]:
@@ -121,7 +133,10 @@ def _channels(found: Diagnosis) -> tuple[dict[str, str], np.ndarray]:
 
 
 def _by_channel(values: Array, labels: np.ndarray) -> dict[str, float]:
-    return {str(n): float(np.sqrt(np.mean(values[labels == n] ** 2))) for n in dict.fromkeys(labels)}
+    return {
+        str(n): float(np.sqrt(np.mean(values[labels == n] ** 2)))
+        for n in dict.fromkeys(labels)
+    }
 
 
 def _size(size: Size, fine: dict[str, str]) -> result_gap.Size:
@@ -129,12 +144,25 @@ def _size(size: Size, fine: dict[str, str]) -> result_gap.Size:
     return result_gap.Size(size.effect, rms, known(size.detectability))
 
 
-def _coefficients(found: Diagnosis, effects: Sequence[Effect]) -> list[result_gap.Coefficient]:
+def _coefficients(
+    found: Diagnosis, effects: Sequence[Effect]
+) -> list[result_gap.Coefficient]:
     """Coefficients with what was expected of each; effects give no unit beyond SI."""
-    scales = {(e.name, c.name): c.scale for e in effects if e.name in _selected(found) for c in _columns(e, found)}
+    scales = {
+        (e.name, c.name): c.scale
+        for e in effects
+        if e.name in _selected(found)
+        for c in _columns(e, found)
+    }
     return [
         result_gap.Coefficient(
-            c.effect, c.name, c.label, float(c.mean), float(c.sd), "SI", scales.get((c.effect, c.name))
+            c.effect,
+            c.name,
+            c.label,
+            float(c.mean),
+            float(c.sd),
+            "SI",
+            scales.get((c.effect, c.name)),
         )
         for c in found.coefficients
     ]
@@ -142,4 +170,9 @@ def _coefficients(found: Diagnosis, effects: Sequence[Effect]) -> list[result_ga
 
 def _columns(effect: Effect, found: Diagnosis) -> list[Column]:
     """All columns of an effect, over set-ups and constants."""
-    return [c for point in effect.grid() for state in found.problem.states for c in effect.columns(state, **point)]
+    return [
+        c
+        for point in effect.grid()
+        for state in found.problem.states
+        for c in effect.columns(state, **point)
+    ]

@@ -1,4 +1,6 @@
-"""What the planned readings could find, and the runs that tell wanted effects apart, as a section of the result."""
+"""What the planned readings could find, and the runs that tell wanted effects apart, as
+a section of the result.
+"""
 
 from __future__ import annotations
 
@@ -44,9 +46,11 @@ def foresee(
     rng: np.random.Generator,
     designed: tuple[Measurement, GapDesignAsked] | None,
 ) -> Before:
-    """What readings as planned could find of the effects; the runs of a [gap.design] with a measurement of its set-ups.
+    """What readings as planned could find of the effects; the runs of a [gap.design]
+    with a measurement of its set-ups.
 
-    The noise is that stated: what real runs add to it is not known before there are any.
+    The noise is that stated: what real runs add to it is not known before there are
+    any.
     """
     planned = problem_of.planned(measurement, series, covariates, gravity=gravity)
     chosen, csv = None, None
@@ -59,14 +63,21 @@ def foresee(
 
 def _fine(measurement: Measurement) -> dict[str, str]:
     """Fine unit of each channel."""
-    return {c.name: units.FINE[c.unit] for s in measurement.setups.values() for c in s.instrument.channels}
+    return {
+        c.name: units.FINE[c.unit]
+        for s in measurement.setups.values()
+        for c in s.instrument.channels
+    }
 
 
-# -- the table ---------------------------------------------------------------------------------------------
+# -- the table -------------------------------------------------------------------------
 
 
 def _table(
-    planned: Problem, effects: Sequence[Effect], rng: np.random.Generator, fine: Mapping[str, str]
+    planned: Problem,
+    effects: Sequence[Effect],
+    rng: np.random.Generator,
+    fine: Mapping[str, str],
 ) -> result.Table:
     found = detect.detect(planned, plain(planned), effects, rng)
     about = {e.name: e.about for e in effects}
@@ -82,7 +93,9 @@ def _table(
     )
 
 
-def _row(row: detect.Detectability, about: str, fine: Mapping[str, str]) -> result.Detectable:
+def _row(
+    row: detect.Detectability, about: str, fine: Mapping[str, str]
+) -> result.Detectable:
     return result.Detectable(
         name=row.effect,
         about=about,
@@ -103,7 +116,10 @@ def _row(row: detect.Detectability, about: str, fine: Mapping[str, str]) -> resu
 
 
 def _rival(rival: detect.Rival) -> result.Rival:
-    shared = [result.Shared(s.words, dict(s.combination), s.seen, s.apart, s.angle) for s in rival.shared]
+    shared = [
+        result.Shared(s.words, dict(s.combination), s.seen, s.apart, s.angle)
+        for s in rival.shared
+    ]
     return result.Rival(rival.name, rival.apart, rival.angle, shared)
 
 
@@ -111,7 +127,7 @@ def _known(value: float) -> float | None:
     return float(value) if math.isfinite(value) and value < 1e6 else None
 
 
-# -- the chosen runs ---------------------------------------------------------------------------------------
+# -- the chosen runs -------------------------------------------------------------------
 
 
 def _chosen(
@@ -127,24 +143,45 @@ def _chosen(
     kept = np.array(asked.kept, dtype=np.intp)
     try:
         pool = separate.Pool(problem, plain(problem), rows, asked.wanted, asked.rivals)
-        found = separate.choose(pool, asked.rules, rng, share=asked.said.share, kept=kept, rounds=asked.said.starts)
+        found = separate.choose(
+            pool,
+            asked.rules,
+            rng,
+            share=asked.said.share,
+            kept=kept,
+            rounds=asked.said.starts,
+        )
     except ValueError as error:
         remedy = "give conditions that show it, or other effects or rules"
         raise asked.place.error(str(error), remedy) from error
     before = _before(planned, asked)
     taken = [asked.runs[k] for k in found.runs]
     series, covariates = runs.lay_out(measurement, taken)
-    timed = covariates if "time" in covariates else covariates.assign(time=_clock(covariates, asked))
+    timed = (
+        covariates
+        if "time" in covariates
+        else covariates.assign(time=_clock(covariates, asked))
+    )
     own = problem_of.planned(measurement, series, timed, gravity=gravity)
-    told = [result.Told(t.effect, t.rival, t.words, t.seen, t.apart, before.get(_key(t))) for t in found.told]
+    told = [
+        result.Told(t.effect, t.rival, t.words, t.seen, t.apart, before.get(_key(t)))
+        for t in found.told
+    ]
     worst = [t.before for t in told]
     made = result.Chosen(
         candidates=len(asked.runs) - len(asked.kept),
         kept=len(asked.kept),
-        runs=[result.ChosenRun(r.setup, r.name, dict(r.condition), r.seconds) for r in taken],
+        runs=[
+            result.ChosenRun(r.setup, r.name, dict(r.condition), r.seconds)
+            for r in taken
+        ],
         apart=found.apart,
         bound=found.bound,
-        before=None if not worst or None in worst else min(w for w in worst if w is not None),
+        before=(
+            None
+            if not worst or None in worst
+            else min(w for w in worst if w is not None)
+        ),
         efficiency=found.efficiency,
         proven=found.proven,
         share=asked.said.share,
@@ -159,13 +196,22 @@ def _chosen(
 def _clock(covariates: pd.DataFrame, asked: GapDesignAsked) -> np.ndarray:
     """Time of each reading (n,) where the runs are taken one after the other, s."""
     seconds = {(r.setup, r.name): r.seconds for r in asked.runs}
-    names, cost = dict.fromkeys(r.setup for r in asked.runs), None if asked.rules is None else asked.rules.setup_cost
-    mounting = dict.fromkeys(names, 0.0) if cost is None else dict(zip(names, cost.tolist(), strict=True))
+    names, cost = (
+        dict.fromkeys(r.setup for r in asked.runs),
+        None if asked.rules is None else asked.rules.setup_cost,
+    )
+    mounting = (
+        dict.fromkeys(names, 0.0)
+        if cost is None
+        else dict(zip(names, cost.tolist(), strict=True))
+    )
     clock, mounted, times = 0.0, "", []
     for (setup, name), rows in covariates.groupby(["setup", "run"], sort=False):
         clock += mounting[setup] if setup != mounted else 0.0
         mounted = setup
-        times.append(clock + seconds[setup, name] * np.arange(1, len(rows) + 1) / len(rows))
+        times.append(
+            clock + seconds[setup, name] * np.arange(1, len(rows) + 1) / len(rows)
+        )
         clock += seconds[setup, name]
     return np.concatenate(times)
 
@@ -174,23 +220,33 @@ def _key(told: separate.Told) -> tuple[str, str, str]:
     return told.effect, told.rival, told.words
 
 
-def _before(planned: Problem, asked: GapDesignAsked) -> dict[tuple[str, str, str], float]:
-    """What the readings planned otherwise tell of the same pairs; nothing where they cannot test the effects."""
+def _before(
+    planned: Problem, asked: GapDesignAsked
+) -> dict[tuple[str, str, str], float]:
+    """What the readings planned otherwise tell of the same pairs; nothing where they
+    cannot test the effects.
+    """
     try:
-        pool = separate.Pool(planned, plain(planned), planned.blocks, asked.wanted, asked.rivals)
+        pool = separate.Pool(
+            planned, plain(planned), planned.blocks, asked.wanted, asked.rivals
+        )
     except ValueError:
         return {}
     return {_key(t): t.apart for t in pool.told(np.arange(len(planned.blocks)))}
 
 
-def _csv(measurement: Measurement, series: Sequence[Series], covariates: pd.DataFrame) -> str:
+def _csv(
+    measurement: Measurement, series: Sequence[Series], covariates: pd.DataFrame
+) -> str:
     """The chosen runs as a readings file with empty readings."""
-    beside = covariates.drop(columns=["setup", "run", "order"]).assign(time=np.nan)  # to be written down with each
+    beside = covariates.drop(columns=["setup", "run", "order"]).assign(
+        time=np.nan
+    )  # to be written down with each
     empty = np.full(len(measurement.owners(series)), np.nan)
     return dataset.to_csv(dataset.from_series(series, empty, measurement, beside))
 
 
-# -- words -------------------------------------------------------------------------------------------------
+# -- words -----------------------------------------------------------------------------
 
 
 def _words(made: result.GapBefore) -> list[str]:
@@ -200,28 +256,41 @@ def _words(made: result.GapBefore) -> list[str]:
     seen = [e for e in table.effects if e.visible]
     blind = [e for e in table.effects if not e.visible and e.not_testable is None]
     told.append(
-        f"{who} find {len(seen)} of the {len(table.names)} effects that they can test, at the expected sizes (90 % "
-        f"chance at 1 % false alarm){_names(blind, '; too small for them: ')}."
+        f"{who} find {len(seen)} of the {len(table.names)} effects that they can test,"
+        " at the expected sizes (90 % chance at 1 % false"
+        f" alarm){_names(blind, '; too small for them: ')}."
     )
     for name in list(dict.fromkeys(k for k, _ in table.absorbed))[:MOST]:
         rivals = [spoken(j) for k, j in table.absorbed if k == name]
-        told.append(f"{_first(spoken(name))} could also be explained by {listed(rivals, 'or')}.")
+        told.append(
+            f"{_first(spoken(name))} could also be explained by {listed(rivals, 'or')}."
+        )
     for pair in table.exact[:MOST]:
-        told.append(f"The same to these readings in part, whatever their size: {' and '.join(map(spoken, pair))}.")
+        told.append(
+            "The same to these readings in part, whatever their size:"
+            f" {' and '.join(map(spoken, pair))}."
+        )
     missing = [e for e in table.effects if e.not_testable is not None]
     if missing:
-        told.append(f"Not testable by them: {listed([spoken(e.name) for e in missing])}.")
+        told.append(
+            f"Not testable by them: {listed([spoken(e.name) for e in missing])}."
+        )
     return told
 
 
 def _design_words(chosen: result.Chosen) -> list[str]:
-    pairs = sorted({" and ".join(sorted((spoken(t.effect), spoken(t.rival)))) for t in chosen.told})
-    share = "no plan is better" if chosen.proven else f"no plan exceeds {chosen.bound:.1f}"
+    pairs = sorted(
+        {" and ".join(sorted((spoken(t.effect), spoken(t.rival)))) for t in chosen.told}
+    )
+    share = (
+        "no plan is better" if chosen.proven else f"no plan exceeds {chosen.bound:.1f}"
+    )
     before = "" if chosen.before is None else f" from {chosen.before:.1f}"
     kept = f", beside {chosen.kept} kept ones," if chosen.kept else ""
     return [
-        f"{len(chosen.runs) - chosen.kept} of {chosen.candidates} candidate runs{kept} raise the least "
-        f"distinguishability of {'; '.join(pairs[:MOST])}{before} to {chosen.apart:.1f} ({share})."
+        f"{len(chosen.runs) - chosen.kept} of {chosen.candidates} candidate runs{kept}"
+        f" raise the least distinguishability of {'; '.join(pairs[:MOST])}{before} to"
+        f" {chosen.apart:.1f} ({share})."
     ]
 
 

@@ -17,7 +17,8 @@ from oed.gap.problem import Index
 from pkm_studies import result_gap
 from pkm_studies.resolve_gap import FEED, PASS
 
-#: spread of the radius, share of the mean one, and height over width, up to which points make a circle or a line
+#: spread of the radius, share of the mean one, and height over width, up to which
+#: points make a circle or a line
 ROUND, STRAIGHT = 0.1, 0.05
 #: least number of points of a circle or a line
 LEAST = 5
@@ -29,7 +30,9 @@ SIGMA = "sigma"
 
 
 def traces(found: Diagnosis) -> list[result_gap.Trace]:
-    """Every channel of every run, in the order of the readings; a set-up's runs of few readings make one."""
+    """Every channel of every run, in the order of the readings; a set-up's runs of few
+    readings make one.
+    """
     told, tips = [], _tips(found)
     parts = {
         "before": found.before,
@@ -40,12 +43,16 @@ def traces(found: Diagnosis) -> list[result_gap.Trace]:
     for members in _runs(found):
         channels = found.problem.rows["channel"].to_numpy()[members]
         for channel in dict.fromkeys(channels):
-            told.append(_trace(found, members[channels == channel], str(channel), tips, parts))
+            told.append(
+                _trace(found, members[channels == channel], str(channel), tips, parts)
+            )
     return told
 
 
 def _left(found: Diagnosis, part: Array) -> Array:
-    """What the parameters leave of a change (N,), SI, of the readings where they are fitted to it."""
+    """What the parameters leave of a change (N,), SI, of the readings where they are
+    fitted to it.
+    """
     problem, change = found.problem, found.problem.of(part)
     left = change - problem.slopes @ Metric(problem, found.law).fitted(change)
     return np.asarray(left * problem.sigma)
@@ -64,7 +71,13 @@ def _runs(found: Diagnosis) -> list[Index]:
     return [*runs, *(np.concatenate(parts) for parts in short.values())]
 
 
-def _trace(found: Diagnosis, members: Index, channel: str, tips: Array, parts: Mapping[str, Array]) -> result_gap.Trace:
+def _trace(
+    found: Diagnosis,
+    members: Index,
+    channel: str,
+    tips: Array,
+    parts: Mapping[str, Array],
+) -> result_gap.Trace:
     rows = found.problem.rows.iloc[members]
     first, names = rows.iloc[0], list(dict.fromkeys(rows["run"]))
     run = str(names[0]) if len(names) == 1 else f"{len(names)} runs"
@@ -75,7 +88,9 @@ def _trace(found: Diagnosis, members: Index, channel: str, tips: Array, parts: M
     order = np.argsort(at, kind="stable")
 
     values = {
-        name: [round(float(v), DIGITS) for v in units.from_si(part[members][order], unit)]
+        name: [
+            round(float(v), DIGITS) for v in units.from_si(part[members][order], unit)
+        ]
         for name, part in parts.items()
     }
 
@@ -96,18 +111,24 @@ def _trace(found: Diagnosis, members: Index, channel: str, tips: Array, parts: M
 
 
 def _base(run: str) -> str:
-    """A run's name without its pass; the number that tells runs of several series apart stays."""
+    """A run's name without its pass; the number that tells runs of several series apart
+    stays.
+    """
     number = re.search(r" \(\d+\)$", run)
     tail = number.group() if number else ""
     return PASS.sub("", run.removesuffix(tail)) + tail
 
 
 def _same(rows: Any, name: str, kind: Any) -> Any:
-    """A covariate that is the same in a whole run; None where it varies or is not known."""
+    """A covariate that is the same in a whole run; None where it varies or is not
+    known.
+    """
     if name not in rows.columns:
         return None
     values = rows[name].to_numpy(dtype=float)
-    return kind(values[0]) if np.isfinite(values).all() and np.ptp(values) == 0.0 else None
+    return (
+        kind(values[0]) if np.isfinite(values).all() and np.ptp(values) == 0.0 else None
+    )
 
 
 def _channel_unit(found: Diagnosis, setup: str, channel: str) -> str:
@@ -148,11 +169,18 @@ def _places(tips: Array, phase: Array) -> tuple[str, Array, float | None]:
 
 
 def spots(found: Diagnosis) -> tuple[list[result_gap.Spot], str]:
-    """Rms residual at each place of the tool, before and after; in the readings' unit, or in units of the noise."""
+    """Rms residual at each place of the tool, before and after; in the readings' unit,
+    or in units of the noise.
+    """
     problem = found.problem
-    kinds = {_channel_unit(found, str(r.setup), str(r.channel)) for r in problem.rows.itertuples()}
+    kinds = {
+        _channel_unit(found, str(r.setup), str(r.channel))
+        for r in problem.rows.itertuples()
+    }
     unit = units.FINE[kinds.pop()] if len(kinds) == 1 else SIGMA
-    scale = problem.sigma if unit == SIGMA else np.full(len(problem), units.factor(unit))
+    scale = (
+        problem.sigma if unit == SIGMA else np.full(len(problem), units.factor(unit))
+    )
     tips = _tips(found)
     _, owner = np.unique(np.round(tips / SAME_PLACE), axis=0, return_inverse=True)
     owner = owner.ravel()
@@ -161,7 +189,8 @@ def spots(found: Diagnosis) -> tuple[list[result_gap.Spot], str]:
         mine = owner == k
         at = [round(1e3 * float(v), 3) for v in tips[mine].mean(axis=0)]
         rms = [
-            round(float(np.sqrt(np.mean((v[mine] / scale[mine]) ** 2))), DIGITS) for v in (found.before, found.after)
+            round(float(np.sqrt(np.mean((v[mine] / scale[mine]) ** 2))), DIGITS)
+            for v in (found.before, found.after)
         ]
         told.append(result_gap.Spot(at, *rms))
     return told, unit

@@ -13,7 +13,9 @@ MOST = 5
 
 
 def sentences(sections: Mapping[str, Any]) -> list[str]:
-    """Up to five sentences out of the sections that are there, the most useful first; a diagnosis' own before them."""
+    """Up to five sentences out of the sections that are there, the most useful first; a
+    diagnosis' own before them.
+    """
     found: result.Gap | None = sections.get("gap")
     told = [
         *plan_words.sentences(sections.get("plan")),
@@ -39,7 +41,9 @@ def predicted(sections: Mapping[str, Any]) -> dict[str, float]:
     section: result.Prediction | None = sections.get("prediction")
     if section is None:
         return {}
-    return {f"{n}_{section.unit[n]}": c.after.rms for n, c in section.components.items()}
+    return {
+        f"{n}_{section.unit[n]}": c.after.rms for n, c in section.components.items()
+    }
 
 
 def _accuracy(section: result.Prediction | None) -> list[str]:
@@ -50,8 +54,15 @@ def _accuracy(section: result.Prediction | None) -> list[str]:
         for n, c in section.components.items()
         if c.compensatable
     ]
-    against = {"home": "zeroed at home", "absolute": "in the base frame", "best_fit": "after best alignment"}
-    how = f"rms over the workspace before to after compensation, {against[section.reference]}"
+    against = {
+        "home": "zeroed at home",
+        "absolute": "in the base frame",
+        "best_fit": "after best alignment",
+    }
+    how = (
+        "rms over the workspace before to after compensation,"
+        f" {against[section.reference]}"
+    )
     return [f"Predicted residual accuracy, {how}: {'; '.join(parts)}."]
 
 
@@ -59,7 +70,9 @@ def _held_out(sections: list[result.HeldOut]) -> list[str]:
     if not sections:
         return []
     parts = [
-        f"{s.name} {number(s.rms)} {s.unit} rms ({100 * s.coverage:.0f} % inside 95 % intervals)" for s in sections
+        f"{s.name} {number(s.rms)} {s.unit} rms ({100 * s.coverage:.0f} % inside 95 %"
+        " intervals)"
+        for s in sections
     ]
     return [f"Readings kept out of the fit are predicted to {'; '.join(parts)}."]
 
@@ -72,7 +85,10 @@ def _rank(section: result.Identifiability | None) -> list[str]:
     if not lost:
         return [told + "."]
     plural = "s are" if lost > 1 else " is"
-    return [f"{told}; {lost} direction{plural} lost, see the identifiability section for what would bring them back."]
+    return [
+        f"{told}; {lost} direction{plural} lost, see the identifiability section for"
+        " what would bring them back."
+    ]
 
 
 def _design(section: result.Design | None) -> list[str]:
@@ -80,10 +96,15 @@ def _design(section: result.Design | None) -> list[str]:
         return []
     d = section.criterion == "D"
     told = f"The {section.criterion}-optimal {section.n} readings reach "
-    told += f"log det {section.plans[0].logdet:.2f}" if d else f"{section.criterion} = {number(section.value)}"
+    told += (
+        f"log det {section.plans[0].logdet:.2f}"
+        if d
+        else f"{section.criterion} = {number(section.value)}"
+    )
     reached = [f"{p.logdet:.2f}" if d else number(p.value) for p in section.plans]
     others = [
-        f"{value} for {p.name} ({100 * p.efficiency:.0f} % {section.criterion}-efficiency)"
+        f"{value} for {p.name} ({100 * p.efficiency:.0f} %"
+        f" {section.criterion}-efficiency)"
         for p, value in zip(section.plans[1:], reached[1:], strict=True)
     ]
     if section.proven:
@@ -91,7 +112,10 @@ def _design(section: result.Design | None) -> list[str]:
     elif section.efficiency is not None:
         told += f" (certified to {percent(section.efficiency)} % of the best possible)"
     against = f", against {'; '.join(others)}" if others else ""
-    return [f"{told}{against}; condition number {number(section.kappa)} ({section.scaling} scaling)."]
+    return [
+        f"{told}{against}; condition number {number(section.kappa)} ({section.scaling}"
+        " scaling)."
+    ]
 
 
 def _gain(section: result.Design | None) -> list[str]:
@@ -101,7 +125,8 @@ def _gain(section: result.Design | None) -> list[str]:
     gain, first = section.plans[0].gain.values(), section.plans[1]
     reading = f"{section.n} readings in {', '.join(section.setups)}"
     return [
-        f"With the {reading}, the pose is {min(gain):.2g} to {max(gain):.2g} times as accurate as with {first.name}."
+        f"With the {reading}, the pose is {min(gain):.2g} to {max(gain):.2g} times as"
+        f" accurate as with {first.name}."
     ]
 
 
@@ -109,9 +134,13 @@ def _fit(section: result.Estimate | None) -> list[str]:
     if section is None:
         return []
     parts = [
-        f"{n} {number(section.rms_before[n])} to {number(v)} {section.units[n]}" for n, v in section.rms_after.items()
+        f"{n} {number(section.rms_before[n])} to {number(v)} {section.units[n]}"
+        for n, v in section.rms_after.items()
     ]
-    return [f"The fit of {section.readings} readings brings their rms residual from {'; '.join(parts)}."]
+    return [
+        f"The fit of {section.readings} readings brings their rms residual from"
+        f" {'; '.join(parts)}."
+    ]
 
 
 def _posterior(section: result.Posterior | None) -> list[str]:
@@ -120,7 +149,10 @@ def _posterior(section: result.Posterior | None) -> list[str]:
     values = section.marginals.values()
     least, worst = min(m.ess for m in values), max(m.rhat for m in values)
     draws = section.draws
-    return [f"The posterior has {draws} draws: effective sample size {least:.0f} or more, R-hat {worst:.3f} or less."]
+    return [
+        f"The posterior has {draws} draws: effective sample size {least:.0f} or more,"
+        f" R-hat {worst:.3f} or less."
+    ]
 
 
 def number(value: float) -> str:

@@ -1,4 +1,6 @@
-"""How many readings: predicted accuracy against their number with its bound, and the fewest for a wanted accuracy."""
+"""How many readings: predicted accuracy against their number with its bound, and the
+fewest for a wanted accuracy.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,16 @@ from pkm_studies.stages.search import Problem
 from pkm_studies.study_tables import HowManyTable
 
 
-def curve(problem: Problem, aims: Aims, chosen: Choice, said: HowManyTable, seed: int, place: Place) -> result.HowMany:
-    """The curve over the candidates (over the chosen set-ups', where not all can be mounted).
+def curve(
+    problem: Problem,
+    aims: Aims,
+    chosen: Choice,
+    said: HowManyTable,
+    seed: int,
+    place: Place,
+) -> result.HowMany:
+    """The curve over the candidates (over the chosen set-ups', where not all can be
+    mounted).
 
     Raises InputError for a component that the machine does not have.
     """
@@ -32,17 +42,33 @@ def curve(problem: Problem, aims: Aims, chosen: Choice, said: HowManyTable, seed
     wanted = quantities.read(said.wanted, components, place.key("wanted"))
     unit = wanted or _reached(aims, problem, chosen)
     names, factors = _factors(aims, problem, unit)
-    rules = dataclasses.replace(problem.rules.take(pool), most_setups=None, budget=None, cost=None, setup_cost=None)
+    rules = dataclasses.replace(
+        problem.rules.take(pool),
+        most_setups=None,
+        budget=None,
+        cost=None,
+        setup_cost=None,
+    )
     asked = HowMany(
-        c.blocks[pool] @ basis, basis.T @ c.held @ basis, Goal(names, factors @ basis), (seed,), rules=rules
+        c.blocks[pool] @ basis,
+        basis.T @ c.held @ basis,
+        Goal(names, factors @ basis),
+        (seed,),
+        rules=rules,
     )
     points = asked.curve([n for n in said.readings if n <= len(pool)])
     fine = {n: units.FINE[components[n]] for n in names}
 
     def column(table: Array, k: int) -> list[float]:
-        return [float(units.number(float(v) * unit[names[k]], fine[names[k]])) for v in table[:, k]]
+        return [
+            float(units.number(float(v) * unit[names[k]], fine[names[k]]))
+            for v in table[:, k]
+        ]
 
-    reached, bounds = np.array([p.accuracy for p in points]), np.array([p.bound for p in points])
+    reached, bounds = (
+        np.array([p.accuracy for p in points]),
+        np.array([p.bound for p in points]),
+    )
     keys = [f"{n}_{fine[n]}" for n in names]
     told = result.HowMany(
         wanted={f"{n}_{fine[n]}": units.number(v, fine[n]) for n, v in wanted.items()},
@@ -56,14 +82,37 @@ def curve(problem: Problem, aims: Aims, chosen: Choice, said: HowManyTable, seed
 def _fewest(told: result.HowMany, asked: HowMany, most: int) -> result.HowMany:
     found = asked.fewest(most)
     if found.size is None:
-        short = [n for n, a in zip(asked.goal.names, found.best.accuracy, strict=True) if a > 1.0]
-        never = "no plan of so many can: the bound says so" if found.at_least > most else "none was found"
-        words = f"{most} readings do not reach it in {', '.join(short)}; {never}. Add a set-up or another instrument."
+        short = [
+            n
+            for n, a in zip(asked.goal.names, found.best.accuracy, strict=True)
+            if a > 1.0
+        ]
+        never = (
+            "no plan of so many can: the bound says so"
+            if found.at_least > most
+            else "none was found"
+        )
+        words = (
+            f"{most} readings do not reach it in {', '.join(short)}; {never}. Add a"
+            " set-up or another instrument."
+        )
     elif found.proven:
         words = f"{found.size} readings reach it, and no plan of fewer can."
     else:
-        words = f"{found.size} readings reach it; no plan of fewer than {found.at_least} can."
-    return result.HowMany(told.wanted, told.sizes, told.accuracy, told.bound, found.size, found.at_least, most, words)
+        words = (
+            f"{found.size} readings reach it; no plan of fewer than {found.at_least}"
+            " can."
+        )
+    return result.HowMany(
+        told.wanted,
+        told.sizes,
+        told.accuracy,
+        told.bound,
+        found.size,
+        found.at_least,
+        most,
+        words,
+    )
 
 
 def _reached(aims: Aims, problem: Problem, chosen: Choice) -> dict[str, float]:
@@ -74,8 +123,12 @@ def _reached(aims: Aims, problem: Problem, chosen: Choice) -> dict[str, float]:
     return {n: float(v) for n, v in zip(names, told, strict=True)}
 
 
-def _factors(aims: Aims, problem: Problem, unit: dict[str, float]) -> tuple[tuple[str, ...], Array]:
-    """Components with factors (K, r, n) over the candidates' columns, in units of `unit` (SI where none is told)."""
+def _factors(
+    aims: Aims, problem: Problem, unit: dict[str, float]
+) -> tuple[tuple[str, ...], Array]:
+    """Components with factors (K, r, n) over the candidates' columns, in units of
+    `unit` (SI where none is told).
+    """
     maps, c = aims.maps, problem.candidates
     assert maps is not None
     measurement = c.measurement

@@ -1,8 +1,9 @@
-"""The step-calibration plan: which measurement at which stage, within a time; the search, and what it comes to.
+"""The step-calibration plan: which measurement at which stage, within a time; the
+search, and what it comes to.
 
-The kernel is `oed.planning`. Here its answer becomes a section of the result: what each stage sees and leaves, what the
-plan would need to be enough (`plan_words`), and sequences that were asked for beside the best plan of their time
-(`plan_compared`).
+The kernel is `oed.planning`. Here its answer becomes a section of the result: what each
+stage sees and leaves, what the plan would need to be enough (`plan_words`), and
+sequences that were asked for beside the best plan of their time (`plan_compared`).
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ ANY = 1e6
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Made:
-    """The plan with its readings in working order: of each stage, as the result tells them, and all together."""
+    """The plan with its readings in working order: of each stage, as the result tells
+    them, and all together.
+    """
 
     section: result.Plan
     measurement: Measurement
@@ -51,9 +54,11 @@ class Made:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Task:
-    """What to plan: options and goal; `everything` tells all components, whatever is wanted.
+    """What to plan: options and goal; `everything` tells all components, whatever is
+    wanted.
 
-    start (n, n) covariance of the machine's free parameters before, in units of their tolerances
+    start (n, n) covariance of the machine's free parameters before, in units of their
+    tolerances
     """
 
     resolved: Resolved
@@ -80,7 +85,9 @@ class Task:
         options: Sequence[Option] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> Planned:
-        """The best plan; the study's time and number of stages where nothing else is told. Raises ValueError."""
+        """The best plan; the study's time and number of stages where nothing else is
+        told. Raises ValueError.
+        """
         return search.plan(
             self.asked.options if options is None else options,
             self.goal,
@@ -98,7 +105,8 @@ class Task:
         fine = {c.name: units.FINE[c.unit] for c in self.resolved.machine.components}
         told = self.everything.accuracy(covariance) * self.everything.unit
         return {
-            f"{n}_{fine[n]}": units.number(float(v), fine[n]) for n, v in zip(self.everything.names, told, strict=True)
+            f"{n}_{fine[n]}": units.number(float(v), fine[n])
+            for n, v in zip(self.everything.names, told, strict=True)
         }
 
     def left(self, plan: Found) -> Array:
@@ -118,11 +126,17 @@ class Task:
 
 
 def plan(
-    resolved: Resolved, seed: Sequence[int], machines: np.random.Generator, progress: Progress, known: Learned | None
+    resolved: Resolved,
+    seed: Sequence[int],
+    machines: np.random.Generator,
+    progress: Progress,
+    known: Learned | None,
 ) -> Made | None:
-    """The plan that the study asks for; None where it lists no measurement. Raises InputError where none is possible.
+    """The plan that the study asks for; None where it lists no measurement. Raises
+    InputError where none is possible.
 
-    `known`: what was learned and done before; `resolved` is then that of the machine as it is believed to be.
+    `known`: what was learned and done before; `resolved` is then that of the machine as
+    it is believed to be.
     """
     if resolved.plan is None:
         return None
@@ -132,13 +146,28 @@ def plan(
     try:
         found = task.search(progress=progress.share)
     except ValueError as error:
-        remedy = "give more time, or list fewer measurements or stages" if task.asked.options else "plan no further"
+        remedy = (
+            "give more time, or list fewer measurements or stages"
+            if task.asked.options
+            else "plan no further"
+        )
         if task.asked.reserved:
-            remedy += f" ({task.asked.reserved / 60.0:g} min of it are for [gap.design])"
-        raise task.place.key("budget_min").error(str(error), remedy, task.said.budget_min) from error
+            remedy += (
+                f" ({task.asked.reserved / 60.0:g} min of it are for [gap.design])"
+            )
+        raise task.place.key("budget_min").error(
+            str(error), remedy, task.said.budget_min
+        ) from error
     best = _worthwhile(task, found)
     section, arranged, measurement = _section(task, found, best)
-    realised = _virtual(task, best, section.stages, machines, progress, None if known is None else known.covariance)
+    realised = _virtual(
+        task,
+        best,
+        section.stages,
+        machines,
+        progress,
+        None if known is None else known.covariance,
+    )
     section = msgspec.structs.replace(
         section,
         stages=realised,
@@ -146,7 +175,9 @@ def plan(
         alternatives=list(plan_words.alternatives(task, found, best)),
         needs=plan_words.needs(task, found),
         stop=plan_words.stop(task, found, best),
-        compared=[plan_compared.compared(task, names, found) for names in task.asked.compare],
+        compared=[
+            plan_compared.compared(task, names, found) for names in task.asked.compare
+        ],
         after="" if known is None else known.words,
     )
     return Made(
@@ -157,7 +188,9 @@ def plan(
     )
 
 
-def _task(resolved: Resolved, asked: PlanAsked, seed: Sequence[int], known: Learned | None) -> Task:
+def _task(
+    resolved: Resolved, asked: PlanAsked, seed: Sequence[int], known: Learned | None
+) -> Task:
     study, command = resolved.study, resolved.prediction
     assert study.plan is not None
     assert study.prediction is not None
@@ -170,7 +203,11 @@ def _task(resolved: Resolved, asked: PlanAsked, seed: Sequence[int], known: Lear
         resolved=resolved,
         said=study.plan,
         asked=asked,
-        goal=goals.goal_of(base, maps, dict(asked.wanted)) if asked.wanted else everything,
+        goal=(
+            goals.goal_of(base, maps, dict(asked.wanted))
+            if asked.wanted
+            else everything
+        ),
         everything=everything,
         start=np.eye(n) if known is None else known.covariance,
         budget=asked.budget - (0.0 if known is None else known.seconds),
@@ -179,7 +216,9 @@ def _task(resolved: Resolved, asked: PlanAsked, seed: Sequence[int], known: Lear
 
 
 def _worthwhile(task: Task, found: Planned) -> Found:
-    """The plan, without last stages that are not worth it: a plan of fewer stages that is nearly as accurate."""
+    """The plan, without last stages that are not worth it: a plan of fewer stages that
+    is nearly as accurate.
+    """
     best = found.best
     while task.said.worth and not task.goal.wanted and len(best.stages) > 1:
         shorter = task.search(stages=len(best.stages) - 1, loss=ANY).best
@@ -189,19 +228,25 @@ def _worthwhile(task: Task, found: Planned) -> Found:
     return best
 
 
-# -- the plan as a section ---------------------------------------------------------------------------------
+# -- the plan as a section -------------------------------------------------------------
 
 
-def _section(task: Task, found: Planned, best: Found) -> tuple[result.Plan, list[order.Arranged], Measurement]:
+def _section(
+    task: Task, found: Planned, best: Found
+) -> tuple[result.Plan, list[order.Arranged], Measurement]:
     stages: list[result.Stage] = []
     arranged: list[order.Arranged] = []
     clock = 0.0
     for k, stage in enumerate(best.stages):
         ordered = _arranged(task, stage, k)
-        sofar = task.resolved.measure({s.setup for a in [*arranged, ordered] for s in a.series})
+        sofar = task.resolved.measure(
+            {s.setup for a in [*arranged, ordered] for s in a.series}
+        )
         arranged.append(ordered)
         readings = [s for a in arranged for s in a.series]
-        stages.append(_stage(task, stage, ordered, clock, explain.look(sofar, readings)))
+        stages.append(
+            _stage(task, stage, ordered, clock, explain.look(sofar, readings))
+        )
         clock += stage.seconds / 60.0
     told = result.Plan(
         stages=stages,
@@ -216,27 +261,42 @@ def _section(task: Task, found: Planned, best: Found) -> tuple[result.Plan, list
         accuracy=task.accuracy(task.left(best)),
         best_reachable=task.accuracy(task.left(found.most_accurate)),
         bound=found.bound.value,
-        loss=max((found.most_accurate.value if task.goal.wanted else best.value) / found.bound.value - 1.0, 0.0),
+        loss=max(
+            (found.most_accurate.value if task.goal.wanted else best.value)
+            / found.bound.value
+            - 1.0,
+            0.0,
+        ),
         lines=found.bound.lines,
         front=[task.way(p) for p in found.front],
     )
-    return told, arranged, task.resolved.measure({s.setup for a in arranged for s in a.series})
+    return (
+        told,
+        arranged,
+        task.resolved.measure({s.setup for a in arranged for s in a.series}),
+    )
 
 
 def _arranged(task: Task, stage: Stage, number: int) -> order.Arranged:
-    """A stage's readings in working order, by what [design.order] says of speeds and re-mounting."""
+    """A stage's readings in working order, by what [design.order] says of speeds and
+    re-mounting.
+    """
     study = task.resolved.study
     table = next(t for t in task.said.measurement if t.name == stage.option.name)
     usual = study.design.order if study.design else Design().order
     ordering = dataclasses.replace(
         task.resolved,
-        study=msgspec.structs.replace(study, design=Design(order=usual, whole_runs=table.whole_runs)),
+        study=msgspec.structs.replace(
+            study, design=Design(order=usual, whole_runs=table.whole_runs)
+        ),
     )
     rng = np.random.default_rng([*task.seed, number])
     return order.arrange(ordering, stage.option.measurement, (), stage.series, rng)
 
 
-def _stage(task: Task, stage: Stage, ordered: order.Arranged, begin: float, sofar: explain.Seen) -> result.Stage:
+def _stage(
+    task: Task, stage: Stage, ordered: order.Arranged, begin: float, sofar: explain.Seen
+) -> result.Stage:
     own = explain.look(stage.option.measurement, stage.series)
     lengths = stage.cut_off[_lengths(stage)]
     told = task.accuracy(stage.covariance)
@@ -253,9 +313,16 @@ def _stage(task: Task, stage: Stage, ordered: order.Arranged, begin: float, sofa
         end_min=begin + stage.seconds / 60.0,
         price=stage.option.price,
         operator=stage.option.operator,
-        available={"least": float(stage.available.min()), "mean": float(stage.available.mean())},
+        available={
+            "least": float(stage.available.min()),
+            "mean": float(stage.available.mean()),
+        },
         lost=float((1.0 - stage.available).sum()),
-        cut_off_um=float(1e6 * lengths.max()) if lengths.size and np.isfinite(lengths.max()) else None,
+        cut_off_um=(
+            float(1e6 * lengths.max())
+            if lengths.size and np.isfinite(lengths.max())
+            else None
+        ),
         rank=sofar.verdict.rank,
         parameters=_parameters(stage),
         held=_held(task, stage, sofar),
@@ -266,7 +333,10 @@ def _stage(task: Task, stage: Stage, ordered: order.Arranged, begin: float, sofa
 def _lengths(stage: Stage) -> Array:
     """Which numbers of a stage's readings (N,) are lengths."""
     setups = stage.option.measurement.setups
-    kinds = [[c.unit == "m" for c in setups[s.setup].instrument.channels] * len(s) for s in stage.series]
+    kinds = [
+        [c.unit == "m" for c in setups[s.setup].instrument.channels] * len(s)
+        for s in stage.series
+    ]
     return np.concatenate([np.array(k, dtype=bool) for k in kinds])
 
 
@@ -274,18 +344,27 @@ def _free(stage: Stage) -> tuple[list[str], Array, list[str]]:
     """Names, tolerances (n,) and SI units of the machine's free parameters."""
     m, n = stage.option.measurement, len(stage.option.measurement.machine.parameters)
     rows = np.flatnonzero(m.free[:n])
-    return [m.names[k] for k in rows], m.tolerance[rows], [m.parameters[k].unit for k in rows]
+    return (
+        [m.names[k] for k in rows],
+        m.tolerance[rows],
+        [m.parameters[k].unit for k in rows],
+    )
 
 
 def _parameters(stage: Stage) -> dict[str, result.Sd]:
     names, tolerance, kinds = _free(stage)
     sd = np.sqrt(np.diag(stage.covariance)) * tolerance
     shown = [units.display(u) for u in kinds]
-    return {n: result.Sd(units.number(float(v), u), u) for n, v, u in zip(names, sd, shown, strict=True)}
+    return {
+        n: result.Sd(units.number(float(v), u), u)
+        for n, v, u in zip(names, sd, shown, strict=True)
+    }
 
 
 def _held(task: Task, stage: Stage, sofar: explain.Seen) -> list[str]:
-    """Parameters still as wide as before any reading, and combinations of them that no reading so far sees."""
+    """Parameters still as wide as before any reading, and combinations of them that no
+    reading so far sees.
+    """
     names, _, _ = _free(stage)
     share = np.sqrt(np.diag(stage.covariance) / np.diag(task.start))
     alone = [n for n, s in zip(names, share, strict=True) if s > HELD]
@@ -306,7 +385,9 @@ def _virtual(
     progress: Progress,
     start: Array | None,
 ) -> list[result.Stage]:
-    """The stages with what virtual machines make of them, drawn from what was learned (`start`), or the tolerances."""
+    """The stages with what virtual machines make of them, drawn from what was learned
+    (`start`), or the tolerances.
+    """
     if not task.said.virtual_machines:
         return stages
     from oed.planning import campaign
@@ -328,5 +409,9 @@ def _virtual(
         ratio = dict(zip(checked.names, seen.ratio, strict=True))
         realised = {n: float(v) for n, v in ratio.items() if np.isfinite(v)}
         lost = seen.lost * (stage.chosen or 0)
-        told.append(msgspec.structs.replace(stage, realised=realised, realised_lost=lost, coverage=seen.held))
+        told.append(
+            msgspec.structs.replace(
+                stage, realised=realised, realised_lost=lost, coverage=seen.held
+            )
+        )
     return told

@@ -1,7 +1,8 @@
-"""A sequence of measurements that was asked for, with all readings of each, beside the best plan of the same time.
+"""A sequence of measurements that was asked for, with all readings of each, beside the
+best plan of the same time.
 
-Where all readings take longer than the budget, the best ones within it are taken: sequences are then compared at equal
-time.
+Where all readings take longer than the budget, the best ones within it are taken:
+sequences are then compared at equal time.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ SAME = 1e-6
 
 
 def compared(task: Task, names: Sequence[str], found: Planned) -> result.Sequence:
-    """The sequence's ranks, indices, time and accuracy, and the best plan in its time. Raises InputError."""
+    """The sequence's ranks, indices, time and accuracy, and the best plan in its time.
+    Raises InputError.
+    """
     asked, time = taken(task, names), None
     if asked.seconds > task.budget * (1.0 + SAME):
         asked, time = _within(task, names, found), task.budget
@@ -46,7 +49,8 @@ def compared(task: Task, names: Sequence[str], found: Planned) -> result.Sequenc
         kappa=criteria.kappa(s),
         weakest=float(s[-1]),
         observability=criteria.observability(s, sum(len(x) for x in readings)),
-        lost=float(sum((1.0 - stage.available).sum() for stage in asked.stages)) / chosen,
+        lost=float(sum((1.0 - stage.available).sum() for stage in asked.stages))
+        / chosen,
         plan=task.way(best),
         gain={k: v / other[k] for k, v in own.items() if other.get(k, 0.0) > 0.0},
         bound=bound,
@@ -61,32 +65,54 @@ def taken(task: Task, names: Sequence[str]) -> Found:
     for k, name in enumerate(names):
         option = task.asked.named(name)
         rng = np.random.default_rng([*task.seed, k])
-        stages.append(staging.told(option, np.arange(len(option.candidates)), known, rng))
+        stages.append(
+            staging.told(option, np.arange(len(option.candidates)), known, rng)
+        )
         known = stages[-1].known
-    accuracy = tuple(task.goal.accuracy(c) for c in [task.start, *(s.covariance for s in stages)])
-    return Found(tuple(stages), sum(s.seconds for s in stages), task.goal.value(stages[-1].covariance), accuracy)
+    accuracy = tuple(
+        task.goal.accuracy(c) for c in [task.start, *(s.covariance for s in stages)]
+    )
+    return Found(
+        tuple(stages),
+        sum(s.seconds for s in stages),
+        task.goal.value(stages[-1].covariance),
+        accuracy,
+    )
 
 
 def _within(task: Task, names: Sequence[str], found: Planned) -> Found:
-    """The best plan of these measurements alone within the budget, where all their readings take longer."""
+    """The best plan of these measurements alone within the budget, where all their
+    readings take longer.
+    """
     options = [task.asked.named(n) for n in names]
     try:
-        again = task.search(options=options, stages=len(options), loss=ANY).most_accurate
+        again = task.search(
+            options=options, stages=len(options), loss=ANY
+        ).most_accurate
     except ValueError as error:
-        raise task.place.key("compare").error(str(error), "give more time, or compare others", list(names)) from error
+        raise task.place.key("compare").error(
+            str(error), "give more time, or compare others", list(names)
+        ) from error
     known = [found.best, found.most_accurate, *found.alternatives]
-    return min([again, *(p for p in known if set(p.names) <= set(names))], key=lambda p: p.value)
+    return min(
+        [again, *(p for p in known if set(p.names) <= set(names))],
+        key=lambda p: p.value,
+    )
 
 
 def _best(task: Task, asked: Found, found: Planned, time: float) -> tuple[Found, float]:
-    """The most accurate plan found in the time of a sequence, which is one itself, and the bound."""
+    """The most accurate plan found in the time of a sequence, which is one itself, and
+    the bound.
+    """
     if abs(time - task.budget) <= SAME * task.budget:
         best, bound = found.most_accurate, found.bound
     else:
         try:
             again = task.search(time * (1.0 + SAME))
         except ValueError as error:
-            raise InputError(str(error), "compare a sequence that takes longer", field="plan.compare") from error
+            raise InputError(
+                str(error), "compare a sequence that takes longer", field="plan.compare"
+            ) from error
         best, bound = again.most_accurate, again.bound
     return min(best, asked, key=lambda p: p.value), bound.value
 
@@ -96,8 +122,13 @@ def _words(task: Task, asked: Found, best: Found, bound: float, seconds: float) 
     if best is asked or asked.value < best.value * (1.0 + SAME):
         most = no_more(max(asked.value / bound - 1.0, 0.0))
         return f"No better plan of {time} was found; none is more than {most}."
-    text = f"In {time}, {', then '.join(best.names)} is {better(asked.value, best.value)}"
+    text = (
+        f"In {time}, {', then '.join(best.names)} is {better(asked.value, best.value)}"
+    )
     if task.goal.wanted and best.value > 1.0 and bound > 1.0:
-        return f"{text}; what is wanted is out of reach in that time (proven: {bound:.3g} times it is the least)."
+        return (
+            f"{text}; what is wanted is out of reach in that time (proven: {bound:.3g}"
+            " times it is the least)."
+        )
     most = no_more(max(best.value / bound - 1.0, 0.0))
     return f"{text}; no plan of that time is more than {most}."

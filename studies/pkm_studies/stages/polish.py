@@ -1,4 +1,6 @@
-"""Chosen poses, and what may be moved of their set-ups, polished off the grid to a local optimum."""
+"""Chosen poses, and what may be moved of their set-ups, polished off the grid to a
+local optimum.
+"""
 
 from __future__ import annotations
 
@@ -31,13 +33,23 @@ class Polished:
 
 
 def polished(
-    resolved: Resolved, aims: Aims, measurement: Measurement, series: Sequence[Series], kept: Sequence[Series]
+    resolved: Resolved,
+    aims: Aims,
+    measurement: Measurement,
+    series: Sequence[Series],
+    kept: Sequence[Series],
 ) -> Polished:
-    """The chosen readings polished beside the kept ones, or as they are where that does not better the criterion."""
+    """The chosen readings polished beside the kept ones, or as they are where that does
+    not better the criterion.
+    """
     said, place = aims.design.polish, resolved.study.place.key("design").key("polish")
     assert said is not None
     limits = aims.design.limits
-    travel = None if limits is None or limits.travel_mm is None else float(units.to_si(limits.travel_mm, "mm"))
+    travel = (
+        None
+        if limits is None or limits.travel_mm is None
+        else float(units.to_si(limits.travel_mm, "mm"))
+    )
     free = _free(resolved, measurement, series, kept, place)
     name = aims.design.judged_by
     try:
@@ -57,24 +69,38 @@ def polished(
     before, value = aims.judged(name, measurement, [*kept, *series])
     after, new = aims.judged(name, found.measurement, [*kept, *found.series])
     if not after > before:
-        words = found.words if found.value_after == found.value_before else "polishing does not better the criterion"
-        return Polished(measurement, tuple(series), result.Polished(value, value, words, {}))
+        words = (
+            found.words
+            if found.value_after == found.value_before
+            else "polishing does not better the criterion"
+        )
+        return Polished(
+            measurement, tuple(series), result.Polished(value, value, words, {})
+        )
     told = result.Polished(value, new, found.words, _moved(found.measurement, free))
     return Polished(found.measurement, found.series, told)
 
 
 def _free(
-    resolved: Resolved, measurement: Measurement, series: Sequence[Series], kept: Sequence[Series], place: Place
+    resolved: Resolved,
+    measurement: Measurement,
+    series: Sequence[Series],
+    kept: Sequence[Series],
+    place: Place,
 ) -> Mapping[str, Mapping[str, tuple[float, float]]]:
     """What may be moved of the set-ups that the plan uses."""
     assert resolved.asked is not None
     stuck = {s.setup for s in kept}
     for name in resolved.asked.free:
         if name in stuck:
-            problem = f"readings of {name} are kept, which were taken with it as it stands"
+            problem = (
+                f"readings of {name} are kept, which were taken with it as it stands"
+            )
             raise place.key("free").key(name).error(problem, "move another set-up")
     used = {s.setup for s in series}
-    return {name: ranges for name, ranges in resolved.asked.free.items() if name in used}
+    return {
+        name: ranges for name, ranges in resolved.asked.free.items() if name in used
+    }
 
 
 def _held(aims: Aims, measurement: Measurement, kept: Sequence[Series]) -> Array | None:
@@ -104,7 +130,13 @@ def _moved(
     for name, ranges in free.items():
         setup = measurement.setups[name]
         unit = {s.name: s.unit for s in setup.instrument.settings}
-        now = {**setup.settings, **dict(zip(("tool_x", "tool_y", "tool_z"), setup.tool, strict=True))}
+        now = {
+            **setup.settings,
+            **dict(zip(("tool_x", "tool_y", "tool_z"), setup.tool, strict=True)),
+        }
         kinds = {v: unit.get(v, "m") for v in ranges}
-        moved[name] = {quantities.column(v, kinds[v]): describe.shown(now[v], kinds[v]) for v in ranges}
+        moved[name] = {
+            quantities.column(v, kinds[v]): describe.shown(now[v], kinds[v])
+            for v in ranges
+        }
     return moved

@@ -1,4 +1,6 @@
-"""The design as a section of the result: its certificate in words, given plans scored beside it, its poses."""
+"""The design as a section of the result: its certificate in words, given plans scored
+beside it, its poses.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,11 @@ def section(resolved: Resolved, chosen: Chosen, seen: explain.Seen) -> result.De
     """The design with the given plans scored beside it."""
     design, choice, aims = chosen.aims.design, chosen.choice, chosen.aims
     plans = _plans(resolved, chosen, seen)
-    moved = chosen.polished if chosen.polished and chosen.polished.after != chosen.polished.before else None
+    moved = (
+        chosen.polished
+        if chosen.polished and chosen.polished.after != chosen.polished.before
+        else None
+    )
     polished = moved is not None
     shared = choice.columns - int(resolved.measurement.free.sum())
     return result.Design(
@@ -61,51 +67,83 @@ def words(chosen: Chosen, shared: int = 0) -> str:
     if chosen.robust is not None:
         told = _sturdy(chosen.robust, what)
     elif choice.proven:
-        told = f"Proven optimal: no other choice of {what} is better by {choice.criterion}"
+        told = (
+            f"Proven optimal: no other choice of {what} is better by {choice.criterion}"
+        )
     elif choice.efficiency is not None:
-        told = f"Certified to {percent(choice.efficiency)} % of the best possible {what}"
+        told = (
+            f"Certified to {percent(choice.efficiency)} % of the best possible {what}"
+        )
         if chosen.loose:
-            told += " (a bound that lets any number of set-ups be mounted: the choice is better than this tells)"
+            told += (
+                " (a bound that lets any number of set-ups be mounted: the choice is"
+                " better than this tells)"
+            )
         elif choice.gap is not None and choice.gap > 0.01:
             told += (
-                f" (the bound itself may be {100 * choice.gap:.0f} % too high: the choice is better than this tells)"
+                f" (the bound itself may be {100 * choice.gap:.0f} % too high: the"
+                " choice is better than this tells)"
             )
     else:
-        told = f"The best {what} that were found; no bound is known for {choice.criterion} under these rules"
+        told = (
+            f"The best {what} that were found; no bound is known for {choice.criterion}"
+            " under these rules"
+        )
     seen, columns = choice.directions - max(shared, 0), choice.columns - max(shared, 0)
     if seen < columns:
-        told += f", over the {seen} of {columns} directions that the candidates see (the identifiable subspace)"
+        told += (
+            f", over the {seen} of {columns} directions that the candidates see (the"
+            " identifiable subspace)"
+        )
     asked = chosen.aims.design.size
-    if asked is not None and len(choice.indices) < asked and chosen.aims.design.budget_min is None:
+    if (
+        asked is not None
+        and len(choice.indices) < asked
+        and chosen.aims.design.budget_min is None
+    ):
         told += f"; {asked} were asked for, but the rules leave no room for more"
     if chosen.kept:
         told += f", beside {chosen.kept} readings kept"
-    return f"{told}." + (f" Then, off the grid, {chosen.polished.words}." if chosen.polished is not None else "")
-
-
-def _sturdy(robust: result.Robust, what: str) -> str:
-    risk = {"mean": "on average", "cvar": f"over the worst {percent(robust.level)} %", "worst": "for the worst one"}
-    more = 100.0 * (np.exp(robust.value - robust.nominal) - 1.0)
-    return (
-        f"Chosen for {robust.scenarios} machines drawn from the tolerances, {risk[robust.risk]}: certified to "
-        f"{percent(robust.efficiency)} % of the best possible {what} for them, {more:.1f} % better there than the plan "
-        "for the nominal machine"
+    return f"{told}." + (
+        f" Then, off the grid, {chosen.polished.words}."
+        if chosen.polished is not None
+        else ""
     )
 
 
-# -- plans -------------------------------------------------------------------------------------------------
+def _sturdy(robust: result.Robust, what: str) -> str:
+    risk = {
+        "mean": "on average",
+        "cvar": f"over the worst {percent(robust.level)} %",
+        "worst": "for the worst one",
+    }
+    more = 100.0 * (np.exp(robust.value - robust.nominal) - 1.0)
+    return (
+        f"Chosen for {robust.scenarios} machines drawn from the tolerances,"
+        f" {risk[robust.risk]}: certified to {percent(robust.efficiency)} % of the best"
+        f" possible {what} for them, {more:.1f} % better there than the plan for the"
+        " nominal machine"
+    )
 
 
-def _plans(resolved: Resolved, chosen: Chosen, seen: explain.Seen) -> list[result.PlanScore]:
-    """The chosen plan and the given ones that can be compared with it: those that see as much, or, where tolerances
-    count, all.
+# -- plans -----------------------------------------------------------------------------
+
+
+def _plans(
+    resolved: Resolved, chosen: Chosen, seen: explain.Seen
+) -> list[result.PlanScore]:
+    """The chosen plan and the given ones that can be compared with it: those that see
+    as much, or, where tolerances count, all.
     """
     aims = chosen.aims
     found = [("chosen", chosen.measurement, seen)]
     for plan in resolved.references:
         m = resolved.measure(plan.setups)
         other = explain.look(m, plan.series, aims.design.scaling)
-        alike = set(plan.setups) <= set(resolved.measurement.setups) and other.verdict.rank == seen.verdict.rank
+        alike = (
+            set(plan.setups) <= set(resolved.measurement.setups)
+            and other.verdict.rank == seen.verdict.rank
+        )
         if aims.design.prior or alike:
             found.append((plan.name, m, other))
     first: Mapping[str, float] = {}
@@ -118,14 +156,21 @@ def _plans(resolved: Resolved, chosen: Chosen, seen: explain.Seen) -> list[resul
         value = aims.judged(aims.design.judged_by, own, look.series)[1]
         phis.append(aims.judged(aims.design.judged_by, every, look.series)[0])
         made.append(_score(name, look, aims, value, predicted))
-    return [_against(p, made[0], phi - phis[0], aims, first) for p, phi in zip(made, phis, strict=True)]
+    return [
+        _against(p, made[0], phi - phis[0], aims, first)
+        for p, phi in zip(made, phis, strict=True)
+    ]
 
 
-def _columns(resolved: Resolved, aims: Aims, m: Measurement) -> tuple[Measurement, Measurement]:
-    """Measurements by which a plan's value is told, and by which it is compared with others.
+def _columns(
+    resolved: Resolved, aims: Aims, m: Measurement
+) -> tuple[Measurement, Measurement]:
+    """Measurements by which a plan's value is told, and by which it is compared with
+    others.
 
-    Where tolerances count, so do those of set-ups that are not used: of the candidates' in the value, of all plans' in
-    comparisons. Criteria of eigenvalues, and plans without tolerances, are judged over what their own readings concern.
+    Where tolerances count, so do those of set-ups that are not used: of the candidates'
+    in the value, of all plans' in comparisons. Criteria of eigenvalues, and plans
+    without tolerances, are judged over what their own readings concern.
     """
     if not aims.design.prior or set(aims.design.criteria) & set(EIGENVALUES):
         return m, m
@@ -136,7 +181,9 @@ def _columns(resolved: Resolved, aims: Aims, m: Measurement) -> tuple[Measuremen
     return made[0], made[1]
 
 
-def _score(name: str, seen: explain.Seen, aims: Aims, value: float, predicted: dict[str, float]) -> result.PlanScore:
+def _score(
+    name: str, seen: explain.Seen, aims: Aims, value: float, predicted: dict[str, float]
+) -> result.PlanScore:
     s = seen.verdict.identifiable
     n = sum(len(x) for x in seen.series)
     held = 1.0 if aims.design.prior else 0.0
@@ -154,10 +201,20 @@ def _score(name: str, seen: explain.Seen, aims: Aims, value: float, predicted: d
 
 
 def _against(
-    plan: result.PlanScore, best: result.PlanScore, phi: float, aims: Aims, first: Mapping[str, float]
+    plan: result.PlanScore,
+    best: result.PlanScore,
+    phi: float,
+    aims: Aims,
+    first: Mapping[str, float],
 ) -> result.PlanScore:
-    """With its efficiency against the chosen plan, and its gain against the first given one."""
-    grows = not set(aims.design.criteria) & {"kappa", "O2", "O4"}  # ratios of eigenvalues do not
+    """With its efficiency against the chosen plan, and its gain against the first given
+    one.
+    """
+    grows = not set(aims.design.criteria) & {
+        "kappa",
+        "O2",
+        "O4",
+    }  # ratios of eigenvalues do not
     per_reading = best.n / plan.n if grows and not aims.design.prior else 1.0
     return result.PlanScore(
         name=plan.name,
@@ -188,6 +245,12 @@ def poses(measurement: Measurement, series: Sequence[Series]) -> list[result.Pos
                 for c, v in zip(channels, y[k], strict=True)
             }
             table.append(
-                result.Pose(s.setup, str(run), seen[run], describe.command(measurement.machine, s.commands()[k]), read)
+                result.Pose(
+                    s.setup,
+                    str(run),
+                    seen[run],
+                    describe.command(measurement.machine, s.commands()[k]),
+                    read,
+                )
             )
     return table

@@ -1,7 +1,9 @@
-"""The search for a plan: by exchange, within each promising combination of set-ups where not all can be mounted.
+"""The search for a plan: by exchange, within each promising combination of set-ups
+where not all can be mounted.
 
-An exchange of single readings never opens a new set-up, whose first readings only tell where it stands. So
-combinations of set-ups are ranked by their relaxation first (`oed.design.setups`), and the exchange is made in each.
+An exchange of single readings never opens a new set-up, whose first readings only tell
+where it stands. So combinations of set-ups are ranked by their relaxation first
+(`oed.design.setups`), and the exchange is made in each.
 """
 
 from __future__ import annotations
@@ -32,30 +34,51 @@ class Problem:
     def limited(self) -> bool:
         """Whether it is to be found which set-ups to mount."""
         assert self.rules.setup is not None
-        names = np.setdiff1d(self.rules.setup, np.array(self.rules.taken, dtype=np.intp))
-        fewer = self.rules.most_setups is not None and self.rules.most_setups < len(names)
+        names = np.setdiff1d(
+            self.rules.setup, np.array(self.rules.taken, dtype=np.intp)
+        )
+        fewer = self.rules.most_setups is not None and self.rules.most_setups < len(
+            names
+        )
         dear = self.rules.budget is not None and len(names) > 1
         return self.candidates.prior is not None and (fewer or dear)
 
     @property
     def loose(self) -> bool:
-        """Whether the bound leaves it free how many set-ups are mounted: there are too many combinations of them."""
+        """Whether the bound leaves it free how many set-ups are mounted: there are too
+        many combinations of them.
+        """
         assert self.rules.setup is not None
-        names, most = len(np.setdiff1d(self.rules.setup, self.rules.taken)), self.rules.most_setups
-        return most is not None and sum(math.comb(names, k) for k in range(1, most + 1)) > SUBSETS
+        names, most = (
+            len(np.setdiff1d(self.rules.setup, self.rules.taken)),
+            self.rules.most_setups,
+        )
+        return (
+            most is not None
+            and sum(math.comb(names, k) for k in range(1, most + 1)) > SUBSETS
+        )
 
     def columns(self, some: Index) -> Array:
-        """Columns (n, r) of the identity: of the machine and of the set-ups at positions `some`."""
+        """Columns (n, r) of the identity: of the machine and of the set-ups at
+        positions `some`.
+        """
         named = [self.candidates.setups[k] for k in some]
         measurement = self.candidates.measurement
-        free = [n for n, f in zip(measurement.names, measurement.free, strict=True) if f]
-        kept = [k for k, n in enumerate(free) if "." not in n or n.rpartition(".")[0] in named]
+        free = [
+            n for n, f in zip(measurement.names, measurement.free, strict=True) if f
+        ]
+        kept = [
+            k
+            for k, n in enumerate(free)
+            if "." not in n or n.rpartition(".")[0] in named
+        ]
         kept += range(len(free), len(self.candidates.held))
         return np.eye(len(self.candidates.held))[:, kept]
 
     def judged(self, criterion: Criterion, chosen: Index) -> tuple[float, float]:
-        """log phi of a plan, and the number that users know: over all columns, or, for criteria of eigenvalues, over
-        those of its own set-ups; without anything held, over the directions that the candidates see.
+        """log phi of a plan, and the number that users know: over all columns, or, for
+        criteria of eigenvalues, over those of its own set-ups; without anything held,
+        over the directions that the candidates see.
         """
         c = self.candidates
         m = c.held + information(c.blocks[chosen])
@@ -63,23 +86,31 @@ class Problem:
             basis = seen(c.blocks, None)[1]
             criterion, m = criterion.within(basis), basis.T @ m @ basis
         elif self.limited and _spectral(criterion):
-            basis = self.columns(np.union1d(c.setup[chosen], np.array(self.rules.taken, dtype=np.intp)))
+            basis = self.columns(
+                np.union1d(c.setup[chosen], np.array(self.rules.taken, dtype=np.intp))
+            )
             criterion, m = criterion.within(basis), basis.T @ m @ basis
         value = criterion.value(m)
         return value, criterion.told(value, len(chosen))
 
 
 def best(problem: Problem, criterion: Criterion, rng: np.random.Generator) -> Choice:
-    """The best plan found, with what is known of how good it is. Raises ValueError where there is none."""
+    """The best plan found, with what is known of how good it is. Raises ValueError
+    where there is none.
+    """
     c = problem.candidates
     if not problem.limited:
         rules = dataclasses.replace(problem.rules, most_setups=None)
-        return exchange.choose(c.blocks, None, rng, criterion, c.prior, problem.starts, rules=rules)
+        return exchange.choose(
+            c.blocks, None, rng, criterion, c.prior, problem.starts, rules=rules
+        )
     found: list[Index] = []
     refused: list[ValueError] = []
     for some in _combinations(problem, criterion):
         try:
-            found.append(_within(problem, criterion, np.array(some, dtype=np.intp), rng))
+            found.append(
+                _within(problem, criterion, np.array(some, dtype=np.intp), rng)
+            )
         except ValueError as error:  # set-ups that the budget does not pay for
             refused.append(error)
     if not found:
@@ -89,7 +120,9 @@ def best(problem: Problem, criterion: Criterion, rng: np.random.Generator) -> Ch
 
 
 def _combinations(problem: Problem, criterion: Criterion) -> list[tuple[int, ...]]:
-    """Combinations worth an exchange: the best few of the most set-ups, or the best of each number within a budget."""
+    """Combinations worth an exchange: the best few of the most set-ups, or the best of
+    each number within a budget.
+    """
     c, rules = problem.candidates, problem.rules
     assert rules.setup is not None
     names = np.setdiff1d(rules.setup, np.array(rules.taken, dtype=np.intp))
@@ -104,12 +137,16 @@ def _combinations(problem: Problem, criterion: Criterion) -> list[tuple[int, ...
 
 
 def _smooth(criterion: Criterion) -> Criterion:
-    """What combinations are ranked by: the criterion itself, or the last of its ladder that has a relaxation."""
+    """What combinations are ranked by: the criterion itself, or the last of its ladder
+    that has a relaxation.
+    """
     ways = [x for x in criterion.ladder() if x.concave and x.smooth]
     return criterion if criterion.concave and criterion.smooth else ways[-1]
 
 
-def _within(problem: Problem, criterion: Criterion, some: Index, rng: np.random.Generator) -> Index:
+def _within(
+    problem: Problem, criterion: Criterion, some: Index, rng: np.random.Generator
+) -> Index:
     """The best plan within a combination of set-ups."""
     c, rules = problem.candidates, problem.rules
     mounted = np.union1d(some, np.array(rules.taken, dtype=np.intp))

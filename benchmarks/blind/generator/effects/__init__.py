@@ -6,7 +6,14 @@ from collections.abc import Callable
 
 from numpy.random import Generator
 
-from benchmarks.blind.generator.effects import length, load, motion, mount, thermal, unknown
+from benchmarks.blind.generator.effects import (
+    length,
+    load,
+    motion,
+    mount,
+    thermal,
+    unknown,
+)
 from benchmarks.blind.generator.effects.base import Effect as Effect
 from benchmarks.blind.generator.effects.base import Stage as Stage
 
@@ -50,10 +57,14 @@ UNKNOWN: dict[str, Form] = {
     )
 }
 #: the exact class: one bar and one tool cannot tell these two
-EXACT: dict[str, Form] = {"encoder_scale": length.common_scale, "bar_length": mount.bar_length}
+EXACT: dict[str, Form] = {
+    "encoder_scale": length.common_scale,
+    "bar_length": mount.bar_length,
+}
 
 _BARS = ("bar_length", "bar_thermal")
-#: sliders have guideways, bars need a ball bar, gaps need a pull; relative readings of a minute see no mount creep
+#: sliders have guideways, bars need a ball bar, gaps need a pull; relative readings of
+#: a minute see no mount creep
 _ABSENT = {
     "a3": ("guideway",),
     "hexapod": ("guideway",),

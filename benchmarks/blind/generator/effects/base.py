@@ -1,4 +1,6 @@
-"""What an effect is, and what its forms draw from: the stage (plan, motion, climate) and small tools."""
+"""What an effect is, and what its forms draw from: the stage (plan, motion, climate)
+and small tools.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +20,13 @@ from benchmarks.blind.generator.scene import Layout, Motion, Push
 class Effect:
     """An effect with its form drawn; only its size is open.
 
-    push    amplitude (m, the largest addition to a joint, a place, a reading) -> what it adds
-    blocks  where it acts, if it acts in part: "leg 2", "time 7200-9000", "run C3", "direction +1", "phase 30-80"
+    push    amplitude (m, the largest addition to a joint, a place, a reading) -> what
+            it adds
+    blocks  where it acts, if it acts in part: "leg 2", "time 7200-9000", "run C3",
+            "direction +1", "phase 30-80"
     about   hidden numbers of its form, for the label
-    unit    amplitude of one unit of `about`'s quantity: {name: value at 1 m of amplitude}
+    unit    amplitude of one unit of `about`'s quantity: {name: value at 1 m of
+            amplitude}
     """
 
     name: str
@@ -33,7 +38,9 @@ class Effect:
 
 @dataclasses.dataclass(frozen=True)
 class Climate:
-    """Temperature rises, K: each leg's (n, legs), the frame's and the bar's (n,); `shown` what sensors say."""
+    """Temperature rises, K: each leg's (n, legs), the frame's and the bar's (n,);
+    `shown` what sensors say.
+    """
 
     leg: Array
     frame: Array
@@ -74,7 +81,9 @@ class Stage:
     @property
     def by_bar(self) -> Array:
         """1 for readings (N,) of a ball bar, 0 for others."""
-        bars = np.array([s.instrument.name in BARS for s in self.plan.setups], dtype=float)
+        bars = np.array(
+            [s.instrument.name in BARS for s in self.plan.setups], dtype=float
+        )
         return np.asarray(bars[self.plan.setup[self.layout.row]])
 
     def zero(self) -> Array:
@@ -83,7 +92,9 @@ class Stage:
 
 
 def unit(push: Push) -> Push:
-    """A push scaled to a largest addition of 1 m. Raises ArithmeticError if there is none."""
+    """A push scaled to a largest addition of 1 m. Raises ArithmeticError if there is
+    none.
+    """
     peak = push.peak()
     if not peak > 0 or not np.isfinite(peak):
         raise ArithmeticError("this form of the effect does nothing on this plan")
@@ -91,17 +102,29 @@ def unit(push: Push) -> Push:
 
 
 def linear(
-    name: str, push: Push, blocks: tuple[str, ...] = (), unit_of: dict[str, float] | None = None, **about: object
+    name: str,
+    push: Push,
+    blocks: tuple[str, ...] = (),
+    unit_of: dict[str, float] | None = None,
+    **about: object,
 ) -> Effect:
-    """An effect proportional to its amplitude; `unit_of` values are per unit of the push as given."""
+    """An effect proportional to its amplitude; `unit_of` values are per unit of the
+    push as given.
+    """
     peak = push.peak()
     shape = unit(push)
     scaled = {k: v / peak for k, v in (unit_of or {}).items()}
-    return Effect(name=name, push=shape.times, blocks=blocks, about=dict(about), unit=scaled)
+    return Effect(
+        name=name, push=shape.times, blocks=blocks, about=dict(about), unit=scaled
+    )
 
 
-def pick_legs(rng: Generator, count: int, single: float = 0.5) -> tuple[Array, tuple[str, ...]]:
-    """Gains (legs,): one leg alone with probability `single`, else all with unequal gains; and the blocks."""
+def pick_legs(
+    rng: Generator, count: int, single: float = 0.5
+) -> tuple[Array, tuple[str, ...]]:
+    """Gains (legs,): one leg alone with probability `single`, else all with unequal
+    gains; and the blocks.
+    """
     if rng.random() < single:
         leg = int(rng.integers(count))
         return np.eye(count)[leg], (f"leg {leg + 1}",)
@@ -109,10 +132,12 @@ def pick_legs(rng: Generator, count: int, single: float = 0.5) -> tuple[Array, t
 
 
 def place_joints(stage: Stage, leg: int, shift: Array, *, platform: bool) -> Array:
-    """dp (n, np + extras) that moves a leg's base joint (or carriage), or its platform joint, by shift (n, 3).
+    """dp (n, np + extras) that moves a leg's base joint (or carriage), or its platform
+    joint, by shift (n, 3).
 
-    Machines whose carriages run on guides take the components that these have: planar sideways and along; delta
-    outward, sideways and along; the hexaglide along, across and up.
+    Machines whose carriages run on guides take the components that these have: planar
+    sideways and along; delta outward, sideways and along; the hexaglide along, across
+    and up.
     """
     base, local = joint_columns(stage.machine, leg)
     columns = local if platform and local else base
@@ -122,13 +147,19 @@ def place_joints(stage: Stage, leg: int, shift: Array, *, platform: bool) -> Arr
 
 
 def smooth(rng: Generator, u: Array, knots: int = 6) -> Array:
-    """A random smooth curve over u in -1..1, (any shape): natural cubic through normal values at uneven knots."""
+    """A random smooth curve over u in -1..1, (any shape): natural cubic through normal
+    values at uneven knots.
+    """
     from scipy.interpolate import CubicSpline
 
     inner = np.sort(rng.uniform(-0.9, 0.9, knots - 2))
     at = np.concatenate([[-1.0], inner, [1.0]])
     at += np.linspace(0.0, 0.05, knots)  # never twice the same
-    return np.asarray(CubicSpline(at, rng.normal(size=knots), bc_type="natural")(np.clip(u, -1.0, 1.05)))
+    return np.asarray(
+        CubicSpline(at, rng.normal(size=knots), bc_type="natural")(
+            np.clip(u, -1.0, 1.05)
+        )
+    )
 
 
 def spans(plan: Plan) -> float:

@@ -1,1 +1,3 @@
-"""Parts of the chapters about the design, one a module with `blocks(design)`: nothing where a result lacks it."""
+"""Parts of the chapters about the design, one a module with `blocks(design)`: nothing
+where a result lacks it.
+"""

@@ -1,4 +1,6 @@
-"""The certificate of the chosen plan: in words, in numbers, and what was refused before."""
+"""The certificate of the chosen plan: in words, in numbers, and what was refused
+before.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ MEANING: Final = {
     "G": "largest variance of the pose over the workspace, with a minus sign",
     "E": "least eigenvalue of the information: the direction known worst",
     "kappa": "condition number of the scaled identification matrix",
-    "O1": "geometric mean of the singular values over the root of the number of readings",
+    "O1": (
+        "geometric mean of the singular values over the root of the number of readings"
+    ),
     "O2": "reciprocal condition number",
     "O3": "least singular value",
     "O4": "least singular value squared over the largest",
@@ -45,15 +49,28 @@ def sentence(design: Part) -> str:
     if design.get("candidates"):
         what += f" out of {words.count(design['candidates'], 'candidate')}"
     if design.get("proven"):
-        return f"Proven optimal: no other choice of {what} is better by criterion {design['criterion']}."
+        return (
+            f"Proven optimal: no other choice of {what} is better by criterion"
+            f" {design['criterion']}."
+        )
     if design.get("efficiency") is not None:
-        return f"Certified to {words.certain(design['efficiency'])} of the best possible {what}."
-    return f"The best {what} that were found by criterion {design['criterion']}; no bound is known."
+        return (
+            f"Certified to {words.certain(design['efficiency'])} of the best possible"
+            f" {what}."
+        )
+    return (
+        f"The best {what} that were found by criterion {design['criterion']}; no bound"
+        " is known."
+    )
 
 
 def told(criterion: str, value: Any) -> str:
     """A value as criteria are told: logarithms with two decimals."""
-    return words.fixed(value, 2) if criterion in ("D", "Ds", "compound") else words.num(value, 4)
+    return (
+        words.fixed(value, 2)
+        if criterion in ("D", "Ds", "compound")
+        else words.num(value, 4)
+    )
 
 
 def _facts(design: Part) -> list[tuple[str, str]]:
@@ -70,14 +87,38 @@ def _facts(design: Part) -> list[tuple[str, str]]:
         ("Criterion", f"{name}: {meaning}" if meaning else name),
         ("Shares", parts),
         ("Value", told(name, design["value"])),
-        ("Bound", "" if bound is None else f"{told(name, bound)}: no choice is {_better(name)}"),
-        ("Certificate", "proven optimal" if design.get("proven") else _certified(design)),
+        (
+            "Bound",
+            (
+                ""
+                if bound is None
+                else f"{told(name, bound)}: no choice is {_better(name)}"
+            ),
+        ),
+        (
+            "Certificate",
+            "proven optimal" if design.get("proven") else _certified(design),
+        ),
         ("Slack of the bound", "" if gap is None else _slack(words.number(gap))),
         ("Directions seen", f"{seen} of {columns}" if seen and columns else ""),
-        ("Readings", f"{design['n']}, of which {kept} belonged to the plan before" if kept else str(design["n"])),
+        (
+            "Readings",
+            (
+                f"{design['n']}, of which {kept} belonged to the plan before"
+                if kept
+                else str(design["n"])
+            ),
+        ),
         ("Candidates", str(design.get("candidates") or "")),
         ("Set-ups, in working order", words.listing(design.get("setups") or [], 20)),
-        ("Cost", "" if minutes is None else f"{words.quantity(minutes, 'min')} to mount and to read"),
+        (
+            "Cost",
+            (
+                ""
+                if minutes is None
+                else f"{words.quantity(minutes, 'min')} to mount and to read"
+            ),
+        ),
         ("Condition number", words.num(design.get("kappa"), 4)),
         ("Scaling of the parameters", str(design.get("scaling") or "")),
     ]
@@ -106,23 +147,43 @@ def _slack(gap: float) -> str:
 def _caption(design: Part) -> str:
     """Value and bound once more: what one compares first."""
     name, bound = str(design["criterion"]), design.get("bound")
-    text = f"The choice in numbers: by criterion {name} it reaches {told(name, design['value'])}"
+    text = (
+        f"The choice in numbers: by criterion {name} it reaches"
+        f" {told(name, design['value'])}"
+    )
     return (
         f"{text}."
         if bound is None
-        else f"{text}, and the best possible is no {_better(name)} than {told(name, bound)}."
+        else (
+            f"{text}, and the best possible is no {_better(name)} than"
+            f" {told(name, bound)}."
+        )
     )
 
 
 def _refused(design: Part) -> list[Block]:
     """Why candidates were left out, most refusals first."""
-    refused = sorted((design.get("refused") or {}).items(), key=lambda item: -words.number(item[1]))
+    refused = sorted(
+        (design.get("refused") or {}).items(), key=lambda item: -words.number(item[1])
+    )
     if not refused:
         return []
     if len(refused) == 1:
         ((reason, count),) = refused
-        return [Paragraph(f"Left out before, because they {words.pretty(reason)}: {words.count(count, 'candidate')}.")]
+        return [
+            Paragraph(
+                f"Left out before, because they {words.pretty(reason)}:"
+                f" {words.count(count, 'candidate')}."
+            )
+        ]
     rows = [[str(count), words.pretty(reason)] for reason, count in refused]
     columns = [Column("Candidates", number=True), Column("which …", wide=True)]
     most = f"Most, {refused[0][1]}, {words.pretty(refused[0][0])}."
-    return [Table(columns, rows, f"Candidates left out before the choice; one may have several reasons. {most}")]
+    return [
+        Table(
+            columns,
+            rows,
+            "Candidates left out before the choice; one may have several reasons."
+            f" {most}",
+        )
+    ]

@@ -1,4 +1,6 @@
-"""The plan that is good on many machines and set-ups, against the one made for the nominal machine."""
+"""The plan that is good on many machines and set-ups, against the one made for the
+nominal machine.
+"""
 
 from __future__ import annotations
 
@@ -19,20 +21,30 @@ def blocks(design: Mapping[str, Any]) -> list[Block]:
     if not part:
         return []
     caption = _caption(part)
-    return [Paragraph(_sentence(part)), Picture("robust", lambda: robust.draw(part), caption)]
+    return [
+        Paragraph(_sentence(part)),
+        Picture("robust", lambda: robust.draw(part), caption),
+    ]
 
 
 def _sentence(part: Mapping[str, Any]) -> str:
     count = part.get("scenarios") or len(part.get("values") or [])
     text = (
-        f"The plan was made robust: judged by {_risk(part)} of {words.count(count, 'scenario')}, machines and "
-        "set-ups drawn within what is known of them beforehand"
+        f"The plan was made robust: judged by {_risk(part)} of"
+        f" {words.count(count, 'scenario')}, machines and set-ups drawn within what is"
+        " known of them beforehand"
     )
     gain = words.number(part.get("value")) - words.number(part.get("nominal"))
     if math.isfinite(gain):
-        text += f". By that risk it is worth {words.factor(math.exp(gain))} the plan made for the nominal machine"
+        text += (
+            f". By that risk it is worth {words.factor(math.exp(gain))} the plan made"
+            " for the nominal machine"
+        )
     if part.get("efficiency") is not None:
-        text += f", and is certified to {words.certain(part['efficiency'])} of the best possible"
+        text += (
+            f", and is certified to {words.certain(part['efficiency'])} of the best"
+            " possible"
+        )
     return f"{text}."
 
 
@@ -46,10 +58,17 @@ def _risk(part: Mapping[str, Any]) -> str:
 def _caption(part: Mapping[str, Any]) -> str:
     """In how many scenarios each plan is ahead."""
     text = (
-        "Worth of the robust and of the nominal plan in each scenario, exp(value − largest value of all), worst first; "
-        "dashed: by the risk asked for. Right is better."
+        "Worth of the robust and of the nominal plan in each scenario, exp(value −"
+        " largest value of all), worst first; dashed: by the risk asked for. Right is"
+        " better."
     )
-    pairs = list(zip(part.get("values") or [], part.get("nominal_values") or [], strict=False))
+    pairs = list(
+        zip(part.get("values") or [], part.get("nominal_values") or [], strict=False)
+    )
     known = [(words.number(a), words.number(b)) for a, b in pairs]
     ahead = sum(a > b for a, b in known)
-    return f"{text} The robust plan is ahead in {ahead} of {len(known)}." if known else text
+    return (
+        f"{text} The robust plan is ahead in {ahead} of {len(known)}."
+        if known
+        else text
+    )
