@@ -44,9 +44,11 @@ from benchmarks.blind.generator import (
 )
 from benchmarks.blind.generator.effects.thermal import climate
 from oed.effect import Effect
-from oed.gap import diagnose, library, which
-from oed.gap.law import Metric
-from oed.gap.problem import Problem
+from oed.gap import diagnose
+from oed.gap.cause import which
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import Problem
+from oed.gap.forms import library
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,7 +15,8 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from pkm_reports import style
-from pkm_reports.figures import accuracy, gap_polar, kappa, machine
+from pkm_reports.figures import accuracy, kappa, machine
+from pkm_reports.figures.gap import polar as gap_polar
 
 #: pictures by the section of the result that they show
 PICTURES: Mapping[str, tuple[str, Callable[[Any], Figure]]] = {

@@ -23,7 +23,7 @@ from scipy import optimize
 from oed import identifiability, information, units
 from oed.batch import Array
 from oed.measurement import Measurement, Series
-from oed.noise import Noise, of
+from oed.noise.covariance import Noise, of
 
 #: rounds of the noise-scale estimate; it settles in a few
 NOISE_ROUNDS = 8

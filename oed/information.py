@@ -20,7 +20,7 @@ import numpy as np
 
 from oed.batch import Array
 from oed.measurement import Measurement, Series
-from oed.noise import Noise, of
+from oed.noise.covariance import Noise, of
 
 Scaling = Literal["si", "length", "tolerance"]
 

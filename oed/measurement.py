@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.optimize import elementwise
 
-from oed import noise
 from oed.batch import Array
 from oed.instrument import Protocol, Setup
 from oed.kinematics import STEP, AssemblyError, Kinematics
 from oed.machine import Machine, Parameter
-from oed.noise import Noise
+from oed.noise import covariance as noise
+from oed.noise.covariance import Noise
 from oed.view import View
 
 Index = NDArray[np.intp]

@@ -10,10 +10,10 @@ import numpy as np
 import sample
 
 from oed import explain
-from pkm_studies.resolve import Resolved
-from pkm_studies.result import Design
-from pkm_studies.stages import choose, score
-from pkm_studies.stages.choose import Chosen
+from oed.result.study import Design
+from pkm_studies.resolve.study import Resolved
+from pkm_studies.stages.design import choose, score
+from pkm_studies.stages.design.choose import Chosen
 
 HEAD = """\
 schema = 1

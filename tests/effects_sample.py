@@ -10,7 +10,7 @@ import pandas as pd
 from kernel.cases import CASES
 
 from oed.effect import Column, Effect, State
-from oed.gap.state import states
+from oed.gap.data.state import states
 from oed.measurement import Measurement
 from pkm_studies import catalogue
 from pkm_studies.errors import Place

@@ -16,10 +16,10 @@ import numpy as np
 
 from oed.batch import Array
 from oed.effect import Column, Effect, State
-from oed.gap.diagnosis import Answer, Block, Closure, Coefficient, Diagnosis, Size
-from oed.gap.law import plain
-from oed.gap.problem import Problem
-from oed.gap.signature import signature
+from oed.gap.data.diagnosis import Answer, Block, Closure, Coefficient, Diagnosis, Size
+from oed.gap.data.metric import plain
+from oed.gap.data.problem import Problem
+from oed.gap.data.signature import signature
 
 STUDY = """\
 schema = 1

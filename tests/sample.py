@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pkm_studies.resolve import Resolved, resolve
-from pkm_studies.study import parse
+from pkm_studies.resolve.study import Resolved, resolve
+from pkm_studies.study.load import parse
 
 STUDY = """\
 schema = 1

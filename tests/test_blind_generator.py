@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 
 from oed import dataset
-from pkm_studies import resolve, study
+from pkm_studies.resolve import study as resolve
+from pkm_studies.study import load as study
 
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"

@@ -17,7 +17,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from oed.gap.law import Whitener
+from oed.gap.data.metric import Whitener
 
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
@@ -101,8 +101,8 @@ def test_the_runner_cannot_know_labels():
 
 def diagnosed(blind, problem):
     """A diagnosis without a search: no gap."""
-    from oed.gap.diagnosis import Answer, Block, Closure, Diagnosis
-    from oed.gap.law import plain
+    from oed.gap.data.diagnosis import Answer, Block, Closure, Diagnosis
+    from oed.gap.data.metric import plain
 
     answers = (Answer((), 0.9), Answer(("step",), 0.1, (("step", "mount_drift"),)))
     nothing = np.zeros(len(problem))
@@ -333,7 +333,7 @@ def test_what_a_rival_leaves_is_that_of_a_wider_covariance(blind):
     """sqrt(lambda_k|j) by the Schur complement against the dense metric in which the
     rival is one more Gaussian.
     """
-    from oed.gap.library import Atom, Library
+    from oed.gap.forms.library import Atom, Library
 
     rng = np.random.default_rng(5)
     n, J, prior = 40, rng.normal(size=(40, 4)), np.array([3.0, 1.0, 0.5, 2.0])
@@ -364,7 +364,7 @@ def test_legs_are_tied_where_each_would_make_the_same_readings(blind):
     """Two legs whose forms span the same, a third that has more; not where none of them
     makes much of the change.
     """
-    from oed.gap.library import Atom, Library
+    from oed.gap.forms.library import Atom, Library
 
     rng = np.random.default_rng(6)
     same, third = rng.normal(size=(30, 2)), rng.normal(size=(30, 2))
@@ -389,7 +389,7 @@ def test_what_forms_in_one_leg_leave(blind):
     """The least over effects and forms of a leg; forms over several legs, and those of
     no leg, are none of any leg.
     """
-    from oed.gap.library import Atom, Library
+    from oed.gap.forms.library import Atom, Library
 
     columns = 1e6 * np.eye(5)
     spans = {"a": ([0], [1], [0, 2]), "b": ([3], [4])}
@@ -435,7 +435,7 @@ def test_oracle_of_two_effects_is_that_of_the_dense_metric(blind, made, tmp_path
     """What else acts is absorbed first, with no bound on its size, then a rival; which
     never is what acts.
     """
-    from oed.gap import library as library_of
+    from oed.gap.forms import library as library_of
 
     label = next(e for e in blind.entries.labels(made) if e["kind"] == "pair")
     chosen = next(c for c in blind.loading.manifest(made) if c.id == label["id"])
@@ -496,7 +496,7 @@ def clean(problem, seed: int):
 
 def test_stepwise_takes_the_form_of_least_bic(blind, problem):
     """Against explicit least squares with a row a parameter for its tolerance."""
-    from oed.gap import library as library_of
+    from oed.gap.forms import library as library_of
 
     effects = [
         e

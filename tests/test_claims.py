@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import claims, study
+from pkm_studies import claims
+from pkm_studies.study import load as study
 
 RESULT = {
     "identifiability": {

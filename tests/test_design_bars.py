@@ -21,8 +21,8 @@ import pytest
 
 from oed import information
 from oed.design import continuous, exchange, relaxation
-from pkm_studies import study
-from pkm_studies.resolve import resolve
+from pkm_studies.resolve.study import resolve
+from pkm_studies.study import load as study
 
 ROOT = Path(__file__).resolve().parents[1]
 

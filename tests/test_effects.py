@@ -19,7 +19,7 @@ from effects_sample import (
 )
 from kernel.cases import CASES
 
-from oed.gap.signature import exact, signature, untestable
+from oed.gap.data.signature import exact, signature, untestable
 from pkm_studies import catalogue
 from pkm_studies.errors import InputError
 

@@ -12,8 +12,8 @@ from effects_sample import columns, effect_of, session, small
 from kernel.cases import CASES
 from scipy.spatial.transform import Rotation
 
-from oed.gap.signature import exact
-from oed.gap.state import states
+from oed.gap.data.signature import exact
+from oed.gap.data.state import states
 from oed.measurement import Measurement
 from pkm_models.effects import terms
 

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 from effects_sample import HOURS, ROUND, columns, effect_of, session, small
 
-from oed.gap.signature import exact, signature
-from oed.gap.state import states
+from oed.gap.data.signature import exact, signature
+from oed.gap.data.state import states
 from pkm_models.effects import terms
 
 

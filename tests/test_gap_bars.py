@@ -21,12 +21,12 @@ from effects_sample import NAMES, effect_of
 from scipy import linalg
 
 from oed.effect import Effect
-from oed.gap import library
-from oed.gap import state as states_of
+from oed.gap.data import state as states_of
+from oed.gap.data.diagnosis import UNKNOWN, Answer, Diagnosis
+from oed.gap.data.problem import Problem, planned, prepare
+from oed.gap.data.signature import exact, signature
 from oed.gap.diagnose import diagnose
-from oed.gap.diagnosis import UNKNOWN, Answer, Diagnosis
-from oed.gap.problem import Problem, planned, prepare
-from oed.gap.signature import exact, signature
+from oed.gap.forms import library
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import relative

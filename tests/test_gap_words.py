@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from pkm_studies.result_gap import About, Answer, Closure, Gap, Size, Where
-from pkm_studies.stages import gap_words
+from oed.result.gap import About, Answer, Closure, Gap, Size, Where
+from pkm_studies.stages.gap import words as gap_words
 
 
 def _gap(

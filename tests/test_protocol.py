@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from oed import explain
-from pkm_studies import study
 from pkm_studies.errors import InputError
-from pkm_studies.resolve import Resolved, resolve
-from pkm_studies.stages import choose
+from pkm_studies.resolve.study import Resolved, resolve
+from pkm_studies.stages.design import choose
+from pkm_studies.study import load as study
 
 STUDY = """
 schema = 1

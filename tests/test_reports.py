@@ -21,6 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
+from oed.result.study import StudyResult
 from pkm_reports import document, sections, style, words, write_report
 from pkm_reports import html as html_writer
 from pkm_reports import pdf as pdf_writer
@@ -41,7 +42,6 @@ from pkm_reports.figures import (
     singular,
     workspace,
 )
-from pkm_studies.result import StudyResult
 
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'
 VOID = {"meta", "img", "link", "br", "hr", "input"}

@@ -18,15 +18,18 @@ import report_fixture
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from oed.gap import problem
+from oed.gap.data import problem
 from pkm_reports import document, sections, style, words, write_report
 from pkm_reports import html as html_writer
 from pkm_reports import pdf as pdf_writer
-from pkm_reports.figures import gap_causes, gap_map, gap_polar, gap_trace
-from pkm_reports.sections import gap as chapter
+from pkm_reports.figures.gap import causes as gap_causes
+from pkm_reports.figures.gap import map as gap_map
+from pkm_reports.figures.gap import polar as gap_polar
+from pkm_reports.figures.gap import trace as gap_trace
+from pkm_reports.sections.gap import diagnosis as chapter
 from pkm_studies import pipeline
-from pkm_studies.stages import gap as stage
-from pkm_studies.study import load
+from pkm_studies.stages.gap import diagnosis as stage
+from pkm_studies.study.load import load
 
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'
 

@@ -18,13 +18,13 @@ import report_fixture
 import report_fixture_plan
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from oed.result.study import Plan
 from pkm_reports import document, sections, style, write_sheet
 from pkm_reports import html as html_writer
 from pkm_reports import pdf as pdf_writer
 from pkm_reports import sheet as sheets
 from pkm_reports.figures import front, stages, timeline
 from pkm_reports.sections import campaign
-from pkm_studies.result import Plan
 
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e \x00 {{ 1 }} </script>'
 NEEDED = {"stages", "cost", "alternatives"}

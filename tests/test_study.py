@@ -13,9 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oed import units
-from pkm_studies import catalogue, quantities, schemas, study, template
+from pkm_studies import catalogue, schemas, template
 from pkm_studies.errors import InputError, Place, SourceAbsentError
-from pkm_studies.resolve import resolve
+from pkm_studies.resolve import quantities
+from pkm_studies.resolve.study import resolve
+from pkm_studies.study import load as study
 
 HERE = Place("x.study.toml")
 

@@ -17,12 +17,15 @@ import numpy as np
 import pytest
 import sample
 
-from oed.gap.diagnosis import Diagnosis
+from oed import result
+from oed.gap.data.diagnosis import Diagnosis
 from oed.measurement import Series
-from pkm_studies import cli, pipeline, resolve_gap, result, schemas
+from pkm_studies import cli, pipeline, schemas
 from pkm_studies.errors import InputError
-from pkm_studies.stages import gap_traces, gap_virtual
-from pkm_studies.study import load, parse
+from pkm_studies.resolve import gap as resolve_gap
+from pkm_studies.stages.gap import traces as gap_traces
+from pkm_studies.stages.gap import virtual as gap_virtual
+from pkm_studies.study.load import load, parse
 
 Run = Callable[..., tuple[int, str, str]]
 FOLDER = Path(__file__).resolve().parent
@@ -447,7 +450,7 @@ def test_a_study_without_a_table_is_diagnosed_with_all_effects(
 
 
 def _diagnosed(tmp_path: Path) -> Diagnosis:
-    from oed.gap import problem
+    from oed.gap.data import problem
 
     path = gap_fixture.written(tmp_path)
     job = pipeline._Job(load(path), tmp_path, 3, pipeline.Silent(), None)

@@ -19,15 +19,16 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from sample import changed
 
 from oed import dataset
-from oed.gap import detect, runs
-from oed.gap.law import plain
+from oed.gap.before import detect, runs
+from oed.gap.data.metric import plain
 from pkm_models.effects import encoder_scale, gravity
 from pkm_reports import document, sections, style
 from pkm_reports import html as html_writer
-from pkm_reports.figures import confusable
-from pkm_studies import pipeline, study
+from pkm_reports.figures.gap import confusable
+from pkm_studies import pipeline
 from pkm_studies.errors import InputError
-from pkm_studies.resolve import resolve
+from pkm_studies.resolve.study import resolve
+from pkm_studies.study import load as study
 
 HERE = Path("before.study.toml")
 STUDY = """\

@@ -17,10 +17,11 @@ from sample import changed
 
 from oed import information, predict
 from oed.kinematics import Kinematics
-from pkm_studies import cli, pipeline, study
+from oed.result.study import StudyResult, Way
+from pkm_studies import cli, pipeline
 from pkm_studies.errors import InputError
-from pkm_studies.resolve import resolve
-from pkm_studies.result import StudyResult, Way
+from pkm_studies.resolve.study import resolve
+from pkm_studies.study import load as study
 
 LINES = """\
 [[plan.measurement]]
@@ -215,7 +216,7 @@ def planned_order(planned: StudyResult, setup: str) -> int:
 def test_an_old_plan_can_still_be_read() -> None:
     import msgspec
 
-    from pkm_studies import result
+    from oed import result
 
     old = {"stages": [], "cost": 3.0, "alternatives": ["paper"]}
     assert msgspec.convert(old, result.Plan).alternatives == ["paper"]
@@ -337,7 +338,7 @@ def test_draws_of_a_posterior_tell_what_was_learned_and_machines_are_drawn_from_
 
 
 def test_how_much_better_is_a_share_or_a_factor() -> None:
-    from pkm_studies.stages import plan_words
+    from pkm_studies.stages.plan import words as plan_words
 
     assert plan_words.no_more(0.05) == "5.0 % better"
     assert plan_words.no_more(10.44) == "11.4 times as accurate"

@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 from sample import changed
 
-from pkm_studies import pipeline, study
+from oed.result.study import StudyResult
+from pkm_studies import pipeline
 from pkm_studies.errors import InputError
-from pkm_studies.resolve import resolve
-from pkm_studies.result import StudyResult
+from pkm_studies.resolve.study import resolve
+from pkm_studies.study import load as study
 
 STUDY = """\
 schema = 1

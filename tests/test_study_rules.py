@@ -25,8 +25,9 @@ from design_sample import (
 )
 
 from oed import dataset
-from pkm_studies import pipeline, study
+from pkm_studies import pipeline
 from pkm_studies.errors import InputError
+from pkm_studies.study import load as study
 
 # -- rules -----------------------------------------------------------------------------
 

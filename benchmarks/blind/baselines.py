@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from oed.batch import Array
-from oed.gap.law import Metric, plain
-from oed.gap.library import Library
-from oed.gap.problem import Problem
+from oed.gap.data.metric import Metric, plain
+from oed.gap.data.problem import Problem
+from oed.gap.forms.library import Library
 
 Index = NDArray[np.intp]
 #: effects that the stepwise selection may take, and the share of a column's size that

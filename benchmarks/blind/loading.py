@@ -15,10 +15,12 @@ from pathlib import Path
 
 from oed import dataset
 from oed.effect import Effect
-from oed.gap import problem as problem_of
-from oed.gap.problem import Problem
+from oed.gap.data import problem as problem_of
+from oed.gap.data.problem import Problem
 from oed.measurement import Measurement
-from pkm_studies import resolve, resolve_gap, study
+from pkm_studies.resolve import gap as resolve_gap
+from pkm_studies.resolve import study as resolve
+from pkm_studies.study import load as study
 
 HERE = Path(__file__).resolve().parent
 

@@ -35,11 +35,11 @@ from benchmarks.blind.generator.severity import Metric as TrueMetric
 from benchmarks.blind.loading import Case
 from benchmarks.blind.run import law_of
 from oed.batch import Array
-from oed.gap import closure as closure_of
-from oed.gap import library as library_of
-from oed.gap.law import Law
-from oed.gap.library import Atom, Library
-from oed.gap.problem import Pack, Problem
+from oed.gap.cause import closure as closure_of
+from oed.gap.data.metric import Law
+from oed.gap.data.problem import Pack, Problem
+from oed.gap.forms import library as library_of
+from oed.gap.forms.library import Atom, Library
 
 #: size, against its physical prior scale, that a rival is granted
 RIVAL = 3.0

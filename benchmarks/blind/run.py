@@ -27,10 +27,10 @@ from benchmarks.blind import baselines, loading, pool
 from benchmarks.blind.loading import Case
 from oed.effect import Effect
 from oed.gap import diagnose
-from oed.gap import library as library_of
-from oed.gap.diagnosis import Answer, Closure, Diagnosis
-from oed.gap.law import Law
-from oed.gap.problem import Problem
+from oed.gap.data.diagnosis import Answer, Closure, Diagnosis
+from oed.gap.data.metric import Law
+from oed.gap.data.problem import Problem
+from oed.gap.forms import library as library_of
 
 J = TypeVar("J")
 EACH = "each"

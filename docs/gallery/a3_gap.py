@@ -18,11 +18,14 @@ import _draw
 import numpy as np
 
 from oed import dataset
-from oed.gap import problem as problem_of
+from oed.gap.data import problem as problem_of
+from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.diagnose import diagnose
-from oed.gap.diagnosis import Diagnosis
 from pkm_reports import style
-from pkm_studies import pipeline, resolve, resolve_gap, study
+from pkm_studies import pipeline
+from pkm_studies.resolve import gap as resolve_gap
+from pkm_studies.resolve import study as resolve
+from pkm_studies.study import load as study
 
 said = study.load(Path(__file__).with_suffix(".study.toml"))
 found = resolve.resolve(said, readings=[])

@@ -13,28 +13,18 @@ from scipy import linalg
 
 from oed.batch import Array
 from oed.effect import Effect
-from oed.gap import (
-    advice,
-    answers,
-    closure,
-    evidence,
-    gate,
-    library,
-    marks,
-    pursuit,
-    scatter,
-    spots,
-    strays,
-    waves,
-    where,
-    which,
-)
-from oed.gap.diagnosis import UNKNOWN, Block, Closure, Coefficient, Diagnosis, Size
-from oed.gap.law import Law, Metric
-from oed.gap.library import Library
-from oed.gap.problem import Index, Problem
-from oed.gap.unknown import BROAD, PROCESSES
-from oed.gap.which import Hypothesis, Search
+from oed.gap.cause import advice, answers, closure, gate, pursuit, which
+from oed.gap.cause.which import Hypothesis, Search
+from oed.gap.data import evidence
+from oed.gap.data.diagnosis import UNKNOWN, Block, Closure, Coefficient, Diagnosis, Size
+from oed.gap.data.metric import Law, Metric
+from oed.gap.data.problem import Index, Problem
+from oed.gap.forms import library, marks, spots, waves
+from oed.gap.forms.library import Library
+from oed.gap.forms.processes import BROAD, PROCESSES
+from oed.gap.place import where
+from oed.noise import estimate as scatter
+from oed.noise import outliers as strays
 
 #: root mean square, in units of the noise, that each effect and process has at least in
 #: the wide model, beside which noise is told

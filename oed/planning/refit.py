@@ -28,7 +28,7 @@ from oed.identify import IdentificationError, identify
 from oed.information import posterior_covariance
 from oed.kinematics import AssemblyError
 from oed.measurement import Measurement, Series
-from oed.noise import Noise
+from oed.noise.covariance import Noise
 
 #: decrease of the sum of squares that a further step promises, below which it is not
 #: worth taking

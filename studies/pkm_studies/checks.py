@@ -11,8 +11,8 @@ from pathlib import Path
 from oed.kinematics import AssemblyError
 from pkm_studies import sources
 from pkm_studies.errors import InputError, SourceAbsentError
-from pkm_studies.resolve import Resolved, resolve
-from pkm_studies.study import Study, load
+from pkm_studies.resolve.study import Resolved, resolve
+from pkm_studies.study.load import Study, load
 
 
 def check(paths: Sequence[Path]) -> Iterator[tuple[Path, str | InputError]]:

@@ -13,9 +13,9 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from oed.result.study import Claim
 from pkm_studies.errors import shorten, suggest
-from pkm_studies.result import Claim
-from pkm_studies.study import ClaimTable, StudyFile
+from pkm_studies.study.load import ClaimTable, StudyFile
 
 LONGEST = 200
 

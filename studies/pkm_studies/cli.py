@@ -19,7 +19,7 @@ import typer
 from pkm_studies.errors import InputError, shorten
 
 if TYPE_CHECKING:
-    from pkm_studies.result import Claim, StudyResult
+    from oed.result.study import Claim, StudyResult
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 #: errors of the kernel that speak of the input, by module: looked for only where the
@@ -85,7 +85,7 @@ def run(
 ) -> int:
     """Run a study: design, identification, accuracy, report."""
     from pkm_studies import display, files
-    from pkm_studies.study import load
+    from pkm_studies.study.load import load
 
     said = load(study)
     folder = out or Path("out") / said.name
@@ -131,7 +131,7 @@ def simulate(
 ) -> int:
     """Write readings of a virtual machine, and its truth beside them."""
     from pkm_studies import files
-    from pkm_studies.study import load
+    from pkm_studies.study.load import load
 
     said = load(study)
     files.free(out.parent)
@@ -159,7 +159,7 @@ def identify(
 ) -> int:
     """Identify the machine from readings."""
     from pkm_studies import display, files
-    from pkm_studies.study import load
+    from pkm_studies.study.load import load
 
     said = load(study)
     files.free(out)
@@ -194,7 +194,7 @@ def diagnose(
     it shrinks.
     """
     from pkm_studies import display, files
-    from pkm_studies.study import load
+    from pkm_studies.study.load import load
 
     said = load(study)
     files.free(out)
@@ -226,7 +226,7 @@ def plan(
 ) -> int:
     """Plan which measurements to do, in which order; read and fit nothing."""
     from pkm_studies import display, files
-    from pkm_studies.study import load
+    from pkm_studies.study.load import load
 
     said = load(study)
     folder = out or Path("out") / f"{said.name}-plan"

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from pkm_studies.result import Claim
-    from pkm_studies.study import Study
+    from oed.result.study import Claim
+    from pkm_studies.study.load import Study
 
 SUFFIX = ".study.toml"
 
@@ -63,7 +63,7 @@ class StudyFile(pytest.File):
     def collect(self) -> Iterator[pytest.Item]:
         """One item a claim. A study that cannot be read is an error of collection."""
         from pkm_studies.errors import InputError
-        from pkm_studies.study import load
+        from pkm_studies.study.load import load
 
         try:
             study = load(self.path)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pkm_studies.progress import Progress, Silent
 
 if TYPE_CHECKING:
-    from pkm_studies.result import Plan
+    from oed.result.study import Plan
 
 
 class Lines(Silent):

@@ -11,29 +11,27 @@ import msgspec
 import numpy as np
 
 import oed
-from oed import explain, identify, posterior, predict, simulate, units
+from oed import explain, identify, posterior, predict, result, simulate, units
 from oed.batch import Array
 from oed.measurement import Measurement, Series
-from pkm_studies import claims, files, resolve_gap, resolve_gap_design, result, stored
+from oed.result.study import StudyResult
+from pkm_studies import claims, files, stored
 from pkm_studies.progress import Progress, Silent
-from pkm_studies.resolve import Resolved, resolve
-from pkm_studies.resolve_gap_design import GapDesignAsked
-from pkm_studies.result import StudyResult
-from pkm_studies.stages import (
-    choose,
-    describe,
-    fit,
-    foresee,
-    gap,
-    gap_before,
-    gap_virtual,
-    headline,
-    plan,
-    score,
-    see,
-)
-from pkm_studies.stages.learned import Learned, learned
-from pkm_studies.study import Study
+from pkm_studies.resolve import gap as resolve_gap
+from pkm_studies.resolve import gap_design as resolve_gap_design
+from pkm_studies.resolve.gap_design import GapDesignAsked
+from pkm_studies.resolve.study import Resolved, resolve
+from pkm_studies.stages import describe, headline
+from pkm_studies.stages.design import choose, score
+from pkm_studies.stages.fit import identifiability as see
+from pkm_studies.stages.fit import sections as fit
+from pkm_studies.stages.gap import before as gap_before
+from pkm_studies.stages.gap import diagnosis as gap
+from pkm_studies.stages.gap import virtual as gap_virtual
+from pkm_studies.stages.plan import plan
+from pkm_studies.stages.plan.learned import Learned, learned
+from pkm_studies.stages.predict import sections as foresee
+from pkm_studies.study.load import Study
 
 if TYPE_CHECKING:
     import pandas as pd

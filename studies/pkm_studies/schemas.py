@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 
 from oed import units
-from pkm_studies.result import StudyResult
-from pkm_studies.study import Part, StudyFile
+from oed.result.study import StudyResult
+from pkm_studies.study.load import Part, StudyFile
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Document = dict[str, Any]

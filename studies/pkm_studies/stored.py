@@ -12,10 +12,11 @@ import msgspec
 import numpy as np
 
 from oed.measurement import Measurement, Series
+from oed.result.study import StudyResult
 from pkm_studies import files
 from pkm_studies.errors import Place
-from pkm_studies.result import StudyResult
-from pkm_studies.stages import plan, plan_files
+from pkm_studies.stages.plan import files as plan_files
+from pkm_studies.stages.plan import plan
 
 
 def write(

@@ -8,7 +8,7 @@ import numpy as np
 
 from kernel import a3_plans
 from oed.effect import Column, Effect, State
-from oed.gap.runs import Run
+from oed.gap.before.runs import Run
 from oed.measurement import Measurement
 
 SCALE, BAR, GIVES = 50e-6, 5e-6, 20e-9  # 1, m, m/N

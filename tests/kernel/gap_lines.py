@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from oed.effect import Column, Effect, State
-from oed.gap import library
-from oed.gap import problem as problems
-from oed.gap.law import plain
-from oed.gap.problem import Problem
+from oed.gap.data import problem as problems
+from oed.gap.data.metric import plain
+from oed.gap.data.problem import Problem
+from oed.gap.forms import library
 from oed.instrument import mount
 from oed.measurement import Measurement
 from pkm_models.instruments import relative

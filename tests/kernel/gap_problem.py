@@ -7,10 +7,10 @@ import functools
 import numpy as np
 import pandas as pd
 
-from oed.gap.diagnosis import Block
-from oed.gap.law import Law
-from oed.gap.problem import Problem, planned
-from oed.gap.where import where
+from oed.gap.data.diagnosis import Block
+from oed.gap.data.metric import Law
+from oed.gap.data.problem import Problem, planned
+from oed.gap.place.where import where
 from oed.instrument import mount
 from oed.measurement import Measurement
 from pkm_models.instruments import ball_bar

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from kernel.gap_lines import BOW, DRIFT, SLIP
-from oed.gap.advice import advise
-from oed.gap.diagnosis import UNKNOWN, Answer
+from oed.gap.cause.advice import advise
+from oed.gap.data.diagnosis import UNKNOWN, Answer
 
 EFFECTS = (BOW, SLIP, DRIFT)
 

@@ -9,11 +9,11 @@ import pytest
 
 from kernel.gap_lines import BOW, planted, readings
 from oed.effect import Column, Effect, State
-from oed.gap import library
-from oed.gap.law import plain
-from oed.gap.library import DIFFER, Library
-from oed.gap.problem import Problem
-from oed.gap.which import Search
+from oed.gap.cause.which import Search
+from oed.gap.data.metric import plain
+from oed.gap.data.problem import Problem
+from oed.gap.forms import library
+from oed.gap.forms.library import DIFFER, Library
 
 LOOSE = dataclasses.replace(BOW, constants={"turns": (2.0,)})
 TWINS = dataclasses.replace(LOOSE, name="twins", alike=True)

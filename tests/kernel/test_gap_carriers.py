@@ -10,10 +10,10 @@ import pytest
 from kernel import gap_problem as case
 from kernel.gap_lines import readings
 from oed.effect import Column, Effect, State
-from oed.gap import carriers, library, spots
-from oed.gap.law import Metric
-from oed.gap.problem import Problem
-from oed.gap.unknown import UNIT
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import Problem
+from oed.gap.forms import carriers, library, spots
+from oed.gap.forms.processes import UNIT
 
 PERIOD = 700.0
 

@@ -12,11 +12,12 @@ import pandas as pd
 import pytest
 
 from kernel import a3_plans, gap_a3
-from oed.gap import classes, library
-from oed.gap.law import plain
-from oed.gap.problem import Problem, planned
-from oed.gap.signature import signature
-from oed.gap.which import Hypothesis, Search
+from oed.gap.cause import classes
+from oed.gap.cause.which import Hypothesis, Search
+from oed.gap.data.metric import plain
+from oed.gap.data.problem import Problem, planned
+from oed.gap.data.signature import signature
+from oed.gap.forms import library
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement
 from pkm_models.effects import bar_length, encoder_scale

@@ -10,9 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from kernel import gap_problem as case
-from oed.gap.closure import closure, expected_gain, oracle_closure
-from oed.gap.law import plain
-from oed.gap.problem import Problem, planned
+from oed.gap.cause.closure import closure, expected_gain, oracle_closure
+from oed.gap.data.metric import plain
+from oed.gap.data.problem import Problem, planned
 from oed.instrument import mount
 from oed.measurement import Measurement
 from pkm_models.instruments import calliper

@@ -10,9 +10,9 @@ import pytest
 from scipy import stats
 
 from kernel import a3_plans, gap_a3
-from oed.gap import detect, runs
-from oed.gap.law import Law, plain
-from oed.gap.signature import signature
+from oed.gap.before import detect, runs
+from oed.gap.data.metric import Law, plain
+from oed.gap.data.signature import signature
 
 FIVE = (0.0, 0.05, 0.1, 0.15, 0.2)
 ALL = [gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity]

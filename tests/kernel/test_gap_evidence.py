@@ -11,10 +11,11 @@ import pytest
 from scipy import linalg, stats
 
 from kernel.gap_lines import white_lines
-from oed.gap import evidence, scatter
-from oed.gap import problem as problems
-from oed.gap.law import Law, Metric
-from oed.gap.problem import Problem
+from oed.gap.data import evidence
+from oed.gap.data import problem as problems
+from oed.gap.data.metric import Law, Metric
+from oed.gap.data.problem import Problem
+from oed.noise import estimate as scatter
 
 
 @pytest.fixture(scope="module")

@@ -12,12 +12,14 @@ from kernel import gap_problem as case
 from kernel.gap_lines import EFFECTS, readings
 from kernel.gap_problem import Machines
 from oed.gap import diagnose as diagnosing
-from oed.gap import gate, library, where, which
-from oed.gap.diagnosis import UNKNOWN
-from oed.gap.law import plain
-from oed.gap.problem import Problem
-from oed.gap.unknown import PROCESSES
-from oed.gap.which import Hypothesis, Search
+from oed.gap.cause import gate, which
+from oed.gap.cause.which import Hypothesis, Search
+from oed.gap.data.diagnosis import UNKNOWN
+from oed.gap.data.metric import plain
+from oed.gap.data.problem import Problem
+from oed.gap.forms import library
+from oed.gap.forms.processes import PROCESSES
+from oed.gap.place import where
 
 BLANK = {
     "atoms": (),

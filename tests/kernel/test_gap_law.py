@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kernel.gap_lines import readings
-from oed.gap.law import Law, Metric, Whitener
+from oed.gap.data.metric import Law, Metric, Whitener
 
 LAW = Law(0.7, 0.9, 6.0, np.ones(1), level=1.3, ratio=np.ones(1), sway=0.4)
 

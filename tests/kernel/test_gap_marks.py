@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from kernel import gap_problem
-from oed.gap import carriers, diagnose, library, marks, waves, which
-from oed.gap.law import Metric, plain
-from oed.gap.library import Library
-from oed.gap.problem import Problem
-from oed.gap.which import Search
+from oed.gap import diagnose
+from oed.gap.cause import which
+from oed.gap.cause.which import Search
+from oed.gap.data.metric import Metric, plain
+from oed.gap.data.problem import Problem
+from oed.gap.forms import carriers, library, marks, waves
+from oed.gap.forms.library import Library
 
 HEIGHTS = (1.10, 1.14, 1.18, 1.22)
 

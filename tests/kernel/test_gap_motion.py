@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from oed.gap.motion import Motion, motion
+from oed.gap.data.motion import Motion, motion
 
 Array = NDArray[np.float64]
 RADIUS, FEED = 0.1, 0.02

@@ -11,9 +11,9 @@ import pytest
 from kernel import a3_plans, gap_a3
 from oed.design import exchange
 from oed.design.rules import Rules
-from oed.gap import apart, detect, runs, separate
-from oed.gap.law import Law, plain
-from oed.gap.signature import signature
+from oed.gap.before import apart, detect, runs, separate
+from oed.gap.data.metric import Law, plain
+from oed.gap.data.signature import signature
 
 WANTED = [gap_a3.gravity, gap_a3.encoder_scale]
 

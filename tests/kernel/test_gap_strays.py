@@ -13,9 +13,10 @@ from scipy import integrate, stats
 
 from kernel.gap_lines import EFFECTS, SLIP, planted, readings, white_lines
 from oed.gap import diagnose as diagnosing
-from oed.gap import scatter, strays
-from oed.gap.law import plain
-from oed.gap.problem import Problem
+from oed.gap.data.metric import plain
+from oed.gap.data.problem import Problem
+from oed.noise import estimate as scatter
+from oed.noise import outliers as strays
 
 
 def alone(problem: Problem) -> Problem:

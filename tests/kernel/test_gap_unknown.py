@@ -9,13 +9,16 @@ import pytest
 
 from kernel import gap_problem
 from kernel.gap_lines import EFFECTS, LINES, readings
-from oed.gap import carriers, diagnose, library, pursuit, scatter, waves, which
-from oed.gap.diagnosis import Diagnosis
-from oed.gap.law import plain
-from oed.gap.library import Library
-from oed.gap.problem import Problem
-from oed.gap.unknown import PROCESSES
-from oed.gap.which import Search
+from oed.gap import diagnose
+from oed.gap.cause import pursuit, which
+from oed.gap.cause.which import Search
+from oed.gap.data.diagnosis import Diagnosis
+from oed.gap.data.metric import plain
+from oed.gap.data.problem import Problem
+from oed.gap.forms import carriers, library, waves
+from oed.gap.forms.library import Library
+from oed.gap.forms.processes import PROCESSES
+from oed.noise import estimate as scatter
 
 SMOOTH = [
     p

@@ -13,11 +13,12 @@ from effects_sample import session
 from kernel.gap_lines import readings
 from oed import smooth
 from oed.effect import State
-from oed.gap import library, which
-from oed.gap.law import plain
-from oed.gap.problem import Problem
-from oed.gap.unknown import MOUNTED, PROCESSES, settling_mounted, tool_growing
-from oed.gap.which import Hypothesis, Search
+from oed.gap.cause import which
+from oed.gap.cause.which import Hypothesis, Search
+from oed.gap.data.metric import plain
+from oed.gap.data.problem import Problem
+from oed.gap.forms import library
+from oed.gap.forms.processes import MOUNTED, PROCESSES, settling_mounted, tool_growing
 
 
 def _with(problem: Problem, **changes: object) -> Problem:

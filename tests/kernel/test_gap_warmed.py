@@ -11,11 +11,11 @@ from scipy import integrate
 
 from kernel import gap_problem as case
 from kernel.gap_problem import Machines
-from oed.gap import looks as looking
-from oed.gap import warmed
-from oed.gap import where as scan
-from oed.gap.problem import Problem
-from oed.gap.where import where
+from oed.gap.data.problem import Problem
+from oed.gap.place import regions as looking
+from oed.gap.place import warm_up as warmed
+from oed.gap.place import where as scan
+from oed.gap.place.where import where
 
 #: a session of seven hours
 SLOWLY = 30.0

@@ -13,12 +13,12 @@ from scipy import special, stats
 from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
 from kernel.gap_problem import Machines, first
-from oed.gap import looks as looking
-from oed.gap import where as scan
-from oed.gap.law import plain
-from oed.gap.problem import planned
-from oed.gap.tail import log_tail
-from oed.gap.where import where
+from oed.gap.data.metric import plain
+from oed.gap.data.problem import planned
+from oed.gap.data.tail import log_tail
+from oed.gap.place import regions as looking
+from oed.gap.place import where as scan
+from oed.gap.place.where import where
 
 KINDS = ("leg", "run", "time", "phase", "direction")
 

@@ -9,10 +9,10 @@ from scipy import stats
 
 from kernel import gap_problem as case
 from kernel.gap_problem import Machines, first
-from oed.gap import looks as looking
-from oed.gap import where as scan
-from oed.gap.tail import log_tail
-from oed.gap.where import legs_of, where
+from oed.gap.data.tail import log_tail
+from oed.gap.place import regions as looking
+from oed.gap.place import where as scan
+from oed.gap.place.where import legs_of, where
 
 LEGS = ["leg 1", "leg 2", "leg 3"]
 

@@ -13,13 +13,15 @@ from scipy import special
 
 from kernel.gap_lines import BOW, EFFECTS, SLIP, planted, readings
 from oed.effect import Column, Effect, State
-from oed.gap import answers as answering
 from oed.gap import diagnose as diagnosing
-from oed.gap import evidence, library, which
-from oed.gap.diagnosis import UNKNOWN, Answer
-from oed.gap.law import Law, Metric, plain
-from oed.gap.problem import Problem
-from oed.gap.which import SIZES, Hypothesis, Search
+from oed.gap.cause import answers as answering
+from oed.gap.cause import which
+from oed.gap.cause.which import SIZES, Hypothesis, Search
+from oed.gap.data import evidence
+from oed.gap.data.diagnosis import UNKNOWN, Answer
+from oed.gap.data.metric import Law, Metric, plain
+from oed.gap.data.problem import Problem
+from oed.gap.forms import library
 from pkm_models.effects import step
 
 

@@ -12,8 +12,6 @@ from pkm_reports.sections import (
     accuracy,
     campaign,
     design,
-    gap,
-    gap_before,
     held_out,
     identifiability,
     identification,
@@ -22,6 +20,8 @@ from pkm_reports.sections import (
     posterior,
     record,
 )
+from pkm_reports.sections.gap import before as gap_before
+from pkm_reports.sections.gap import diagnosis as gap
 
 CHAPTERS: Final = (
     plan,

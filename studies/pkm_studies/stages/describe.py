@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import units
+from oed import result, units
 from oed.batch import Array
 from oed.instrument import Setup
 from oed.machine import Machine
 from oed.measurement import Measurement, Series
-from pkm_studies import quantities, result
+from pkm_studies.resolve import quantities
 
 PACKAGES = (
     "pkm-oed",

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from pkm_studies import result
-from pkm_studies.stages import plan_words
+from oed import result
+from pkm_studies.stages.plan import words as plan_words
 
 MOST = 5
 

@@ -1,0 +1,1 @@
+"""Which effects act: evidence, posterior over sets of effects, classes, verdict."""

@@ -1,0 +1,1 @@
+"""Residuals made ready for a diagnosis: states, signatures, metric, evidence."""

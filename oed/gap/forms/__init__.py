@@ -1,0 +1,1 @@
+"""Library of effects as columns, and the discrepancy of unknown form."""

@@ -1,0 +1,1 @@
+"""Where the gap lies: legs, runs, stretches of time and phase, directions."""

@@ -1,0 +1,1 @@
+"""One noise model: covariance of readings, noise law, outliers, their estimation."""

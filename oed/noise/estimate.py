@@ -1,0 +1,218 @@
+"""The noise law, estimated: repeatability between runs, an error carried along a run.
+
+The law is found where the evidence is largest for a given explanation, and weighed by
+how much prior lies about it: of two laws that explain as much, one that had to be tuned
+to the readings is less likely than one that holds anyhow. Readings far off are told
+before (`strays`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from scipy import optimize, special
+
+from oed.batch import Array
+from oed.gap.data import evidence
+from oed.gap.data.metric import Law, plain
+from oed.gap.data.problem import Problem
+
+#: prior of log(1 + share) of the run's and the carried error: of the size of the noise,
+#: a factor of e either way
+SPREAD = 1.0
+#: prior of the log of the reach, in readings: about eight, a factor of e either way
+REACH = np.log(8.0)
+#: log of a share of the noise below which all are as likely
+_LEAST = -2.0
+#: log of the shares of a law that is said to be quiet, and of those from which on it
+#: would be another
+QUIET, LOUDER = -4.0, -3.0
+#: coordinates of the shares: repeat, wander, sway; their bounds, those of the reach,
+#: and of channels' ratios either way
+_SHARES = [0, 1, 3]
+_BOUNDS = ((-8.0, 5.0), (-8.0, 5.0), (0.4, 4.5), (-8.0, 5.0))
+_RATIO = 4.0
+#: ways from the best value of a coordinate at which a law's worth is looked at, and
+#: worth behind that counts no more
+STEPS, NOTHING = (0.1, 0.3, 0.7, 1.5, 3.0, 6.0), 6.0
+#: where a search begins: white, runs that do not repeat, an error carried along
+STARTS = tuple(
+    np.array(v)
+    for v in (
+        (-2.0, -2.0, REACH, -2.0),
+        (0.0, -2.0, REACH, -1.0),
+        (-2.0, 0.5, REACH, -2.0),
+    )
+)
+
+
+def fit(
+    problem: Problem,
+    columns: Array,
+    start: Law | None = None,
+    size: float | Array = 1.0,
+) -> tuple[Law, float]:
+    """The law that explains the residual best beside columns (N, k) of prior N(0,
+    size^2), and the log of the prior that lies about it.
+
+    The variances of single readings stay as in `start`; the level is 1, since the
+    evidence integrates it out.
+    """
+    given = start is not None
+    start = plain(problem) if start is None else start
+    wide, groups = (
+        evidence.compressed(problem, columns * size),
+        int(problem.group.max()) + 1,
+    )
+    bounds = (*_BOUNDS, *[(-_RATIO, _RATIO)] * (groups - 1))
+
+    def law(v: Array) -> Law:
+        ratio = (
+            np.exp(np.concatenate([[0.0], v[4:]]))[problem.group]
+            if groups > 1
+            else None
+        )
+        return dataclasses.replace(_law(start, v), level=1.0, ratio=ratio)
+
+    def cost(v: Array) -> float:
+        if not all(
+            low < value < high for value, (low, high) in zip(v, bounds, strict=True)
+        ):
+            return 1e9
+        return -(evidence.log_evidence(problem, law(v), wide) + _prior(v))
+
+    first = _first(problem, start)
+    starts = [first] if given else [np.concatenate([v, first[4:]]) for v in STARTS]
+    best = min((_descend(cost, v) for v in starts), key=lambda found: found[1])
+    return law(best[0]), _prior(best[0]) + _about(cost, *best)
+
+
+def _about(cost: Callable[[Array], float], v: Array, least: float) -> float:
+    """Log volume, in the coordinates of shares and reach, of the laws about one at v
+    that are as good: along each coordinate the integral of exp(least - cost), straight
+    in the exponent between places.
+    """
+    unit = np.eye(len(v))
+
+    def side(i: int, sign: float, end: float) -> float:
+        return _side(lambda far: least - cost(v + sign * far * unit[i]), end)
+
+    volume = [
+        side(i, -1.0, v[i] - low) + side(i, 1.0, high - v[i])
+        for i, (low, high) in enumerate(_BOUNDS)
+    ]
+    return float(np.log(volume).sum())
+
+
+def _side(height: Callable[[float], float], end: float) -> float:
+    """Integral of exp(height), height 0 at the start, to just before the end or to
+    where it counts no more.
+    """
+    whole, at, before = 0.0, 0.0, 0.0
+    for step in (*STEPS, np.inf):
+        far = min(step, end * (1.0 - 1e-9))
+        here = height(far)
+        whole += (far - at) * np.exp(before) * special.exprel(here - before)
+        at, before = far, here
+        if here < -NOTHING or far < step:
+            break
+    return float(whole)
+
+
+def _first(problem: Problem, law: Law) -> Array:
+    """Coordinates of a law."""
+    groups = int(problem.group.max()) + 1
+    ratios = np.zeros(groups - 1)
+    if law.ratio is not None:
+        ratios = np.log([law.ratio[problem.group == g][0] for g in range(1, groups)])
+    return np.array(
+        [
+            _inverse(law.repeat),
+            _inverse(law.wander),
+            np.log(law.reach),
+            _inverse(law.sway),
+            *ratios,
+        ]
+    )
+
+
+def _law(start: Law, v: Array) -> Law:
+    """The law at coordinates (4,) of its shares and its reach."""
+    shares = [_size(s) for s in v[_SHARES]]
+    return dataclasses.replace(
+        start,
+        repeat=shares[0],
+        wander=shares[1],
+        reach=float(np.exp(v[2])),
+        sway=shares[2],
+    )
+
+
+def _descend(cost: Callable[[Array], float], start: Array) -> tuple[Array, float]:
+    simplex = np.vstack([start, *(start + 0.7 * e for e in np.eye(len(start)))])
+    options = {
+        "initial_simplex": simplex,
+        "xatol": 0.1,
+        "fatol": 0.1,
+        "maxfev": 20 * len(start),
+    }
+    found = optimize.minimize(cost, start, method="Nelder-Mead", options=options)
+    return found.x, float(found.fun)
+
+
+def _size(v: float) -> float:
+    """A share of the noise from its coordinate: the logarithm, smoothly ending at 0."""
+    return float(np.exp(v)) if v > -6.0 else 0.0
+
+
+def _inverse(size: float) -> float:
+    return float(np.clip(np.log(max(size, 1e-3)), -4.0, 4.0))
+
+
+def _prior(v: Array) -> float:
+    """Log prior: each share about half the noise; small ones are all alike."""
+    shares = np.maximum(v[_SHARES], _LEAST)
+    told = ((shares + 1.0) / 1.5) ** 2
+    return float(
+        -0.5 * told.sum()
+        - 0.5 * ((v[2] - REACH) / SPREAD) ** 2
+        - 0.5 * (v[4:] ** 2).sum()
+    )
+
+
+def quiet(law: Law) -> tuple[Law, float]:
+    """The law without errors that a run or its readings share, and the log of the prior
+    that lies about it: whatever is seen is then a gap.
+    """
+    v = np.array([QUIET, QUIET, REACH, QUIET])
+    volume = [LOUDER - _BOUNDS[i][0] for i in _SHARES] + [SPREAD * np.sqrt(2.0 * np.pi)]
+    return _law(law, v), _prior(v) + float(np.log(volume).sum())
+
+
+def words(problem: Problem, law: Law) -> tuple[str, ...]:
+    """A law as a person reads it."""
+    told = [f"single readings scatter by {law.level:.2g} times the stated noise"]
+    if law.repeat > 0.2:
+        told.append(
+            f"a run repeats to {law.level * law.repeat:.2g} times the stated noise"
+        )
+    if law.sway > 0.2:
+        told.append(
+            f"a run's first harmonic repeats to {law.level * law.sway:.2g} times the"
+            " stated noise"
+        )
+    if law.wander > 0.2:
+        told.append(
+            f"an error of {law.level * law.wander:.2g} times the stated noise is"
+            f" carried along over about {law.reach:.0f} readings"
+        )
+    if np.isfinite(law.tails):
+        told.append(
+            f"readings far off are frequent (Student t with {law.tails:.2g} degrees of"
+            " freedom)"
+        )
+    if law.strays > 0.0:
+        told.append(f"about {100.0 * law.strays:.2g} % of the readings are far off")
+    return tuple(told)

@@ -1,0 +1,174 @@
+"""Readings far off: heavy tails, told from what each reading is predicted to be from
+all others.
+
+An error e of density f, with score s(e) = -f'(e) / f(e) and Fisher information I = E
+s^2, tells of a small change what a normal error of s(e) / I and variance 1 / I tells:
+the log densities agree to second order. With its own error replaced so, a reading is
+one of normal noise; no explanation has outliers of its own, and all compare as they do
+where tails are light (pseudo-values of an M-estimator, Huber 1964).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+
+import numpy as np
+from scipy import linalg, optimize, special
+
+from oed.batch import Array
+from oed.gap.data.metric import Law
+from oed.gap.data.problem import Problem
+
+#: degrees of freedom of the Student t that are tried
+DEGREES = (3.0, 4.0, 6.0, 10.0)
+#: of normal noise with strays, their share and how many times the ordinary noise they
+#: are
+SHARES, WILD = (0.005, 0.01, 0.02, 0.05), (5.0, 10.0)
+#: log likelihood over that of normal errors, from which on tails are heavy
+WORTH = 3.0
+#: turns by which strays are told from what others are predicted to be without them;
+#: change at which they end
+TURNS, STILL = 12, 1e-3
+#: errors over which the information is integrated
+_GRID = np.linspace(-60.0, 60.0, 12001)
+
+
+@dataclasses.dataclass(frozen=True)
+class Student:
+    """Student t of some degrees of freedom."""
+
+    degrees: float
+    strays = 0.0
+
+    def log_density(self, e: Array) -> Array:
+        """Of errors in units of the scale."""
+        n = self.degrees
+        norm = (
+            special.gammaln(0.5 * (n + 1.0))
+            - special.gammaln(0.5 * n)
+            - 0.5 * np.log(n * np.pi)
+        )
+        return np.asarray(norm - 0.5 * (n + 1.0) * np.log1p(e**2 / n))
+
+    def weight(self, e: Array) -> Array:
+        """s(e) / e."""
+        return (self.degrees + 1.0) / (self.degrees + e**2)
+
+
+@dataclasses.dataclass(frozen=True)
+class Mixed:
+    """Normal errors, a share of which, `strays`, is `wild` times as large."""
+
+    strays: float
+    wild: float
+    degrees = np.inf
+
+    def _parts(self, e: Array) -> tuple[Array, Array]:
+        core = np.log1p(-self.strays) - 0.5 * e**2
+        return core, np.log(self.strays / self.wild) - 0.5 * (e / self.wild) ** 2
+
+    def log_density(self, e: Array) -> Array:
+        """Of errors in units of the core's."""
+        return np.asarray(np.logaddexp(*self._parts(e)) - 0.5 * np.log(2.0 * np.pi))
+
+    def weight(self, e: Array) -> Array:
+        """s(e) / e."""
+        core, far = self._parts(e)
+        ordinary = special.expit(core - far)
+        return np.asarray(ordinary + (1.0 - ordinary) / self.wild**2)
+
+
+Shape = Student | Mixed
+NORMAL = Mixed(1e-12, 1.0)
+SHAPES: tuple[Shape, ...] = (
+    *(Student(n) for n in DEGREES),
+    *(Mixed(share, wild) for share, wild in itertools.product(SHARES, WILD)),
+)
+
+
+@functools.cache
+def information(shape: Shape) -> float:
+    """Fisher information of an error, over that of a normal one of the same unit."""
+    score = shape.weight(_GRID) * _GRID
+    return float(np.trapezoid(score**2 * np.exp(shape.log_density(_GRID)), _GRID))
+
+
+@dataclasses.dataclass(frozen=True)
+class Strays:
+    """What is told of readings far off.
+
+    residual (N,)     as of normal noise that tells as much, in units of the stated
+                      noise
+    shape             density of their errors
+    log_odds          log likelihood of these over that of the residual's own as normal
+                      ones
+    """
+
+    residual: Array
+    shape: Shape
+    log_odds: float
+
+    def law(self, law: Law) -> Law:
+        """The law of `residual`, with how many of the readings are far off."""
+        return dataclasses.replace(
+            law, tails=self.shape.degrees, strays=self.shape.strays
+        )
+
+
+def without(problem: Problem, found: Strays | None) -> Problem:
+    """The readings without what was found far off, if anything was."""
+    return problem if found is None else problem.with_residual(found.residual)
+
+
+def told(problem: Problem, law: Law, columns: Array) -> Strays | None:
+    """Readings far off under a law, beside a model wide enough to hold any gap (columns
+    (N, k) of prior N(0, 1)), so that no gap is taken for one; None where tails are
+    light.
+
+    By e_i = (C^-1 r)_i / (C^-1)_ii, the error of predicting a reading from all others,
+    these without what is far off.
+    """
+    covariance = columns @ columns.T + problem.slopes @ problem.slopes.T
+    for k, members in enumerate(problem.blocks):
+        covariance[np.ix_(members, members)] += law.block(problem, k)
+    inverse = linalg.inv(covariance, check_finite=False)
+    precision = np.diag(inverse)
+    clean = problem.residual
+    for turn in range(TURNS):
+        predicted = clean - inverse @ clean / precision
+        errors = (problem.residual - predicted) * np.sqrt(precision)
+        fits = [(shape, *_fitted(shape, errors)) for shape in (NORMAL, *SHAPES)]
+        shape, scale, height = max(fits[1:], key=lambda fit: fit[2])
+        if height < fits[0][2] + WORTH:
+            return None
+        e = errors / scale
+        normal = shape.weight(e) * e / information(shape)
+        step = predicted + normal * scale / np.sqrt(precision) - clean
+        clean = clean + (step if turn == 0 else 0.5 * step)
+        if np.abs(step).max() < STILL:
+            break
+    least = information(shape)
+    odds = (
+        shape.log_density(e)
+        - NORMAL.log_density(normal * np.sqrt(least))
+        - 0.5 * np.log(least)
+    )
+    return Strays(clean, shape, float(odds.sum()) - np.log(len(SHAPES)))
+
+
+def _fitted(shape: Shape, errors: Array) -> tuple[float, float]:
+    """The scale of errors that suits a shape best, and their log likelihood."""
+
+    def cost(log_scale: float) -> float:
+        return float(
+            len(errors) * log_scale
+            - shape.log_density(errors * np.exp(-log_scale)).sum()
+        )
+
+    middle = np.log(np.median(np.abs(errors)) + 1e-12)
+    found = optimize.minimize_scalar(
+        cost, bounds=(middle - 2.0, middle + 2.0), method="bounded"
+    )
+    return float(np.exp(found.x)), -float(found.fun)

@@ -1,0 +1,3 @@
+"""The types of result.json: what studies write and reports read."""
+
+from oed.result.study import *  # noqa: F403

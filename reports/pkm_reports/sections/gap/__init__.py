@@ -1,0 +1,1 @@
+"""The chapters about the gap."""

@@ -1,0 +1,1 @@
+"""From a study file to the objects of the kernel."""

@@ -1,0 +1,1 @@
+"""The choice of readings, and what is reported of it."""

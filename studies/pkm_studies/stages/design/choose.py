@@ -1,0 +1,254 @@
+"""The design: choose readings from the candidates, polish and order them; what the plan
+costs, condition numbers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from oed import criteria, explain, result
+from oed.batch import Array
+from oed.design import candidates
+from oed.design.exchange import Choice
+from oed.information import Scaling
+from oed.measurement import Measurement, Series
+from pkm_studies.errors import Place
+from pkm_studies.resolve.grids import Circles
+from pkm_studies.resolve.study import Resolved
+from pkm_studies.stages.design import how_many, order, polish, robust, search
+from pkm_studies.stages.design.aims import Aims
+from pkm_studies.study.tables import Design
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Chosen:
+    """The plan, in working order, and how it was found.
+
+    measurement  with the set-ups that it uses, as polished
+    scheduled    the readings with the thermal references between
+    kept         readings that belonged to the plan before
+    candidates   that there were
+    loose        whether the bound leaves the number of set-ups free
+    compared     designs for further criteria
+    """
+
+    measurement: Measurement
+    series: tuple[Series, ...]
+    scheduled: tuple[Series, ...]
+    choice: Choice
+    aims: Aims
+    kept: int
+    candidates: int
+    loose: bool
+    compared: tuple[result.Compared, ...]
+    polished: result.Polished | None
+    order: result.Ordered
+    robust: result.Robust | None
+    how_many: result.HowMany | None
+
+
+def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
+    """The best plan found, or None where the study asks for none. Raises InputError for
+    what cannot be done.
+    """
+    design, asked = resolved.study.design, resolved.asked
+    if design is None or asked is None or not resolved.candidates:
+        return None
+    place, aims = resolved.study.place.key("design"), Aims(resolved, design)
+    problem = _problem(resolved, design, aims, place)
+    choice = _best(
+        problem,
+        aims,
+        design.judged_by,
+        rng,
+        place.key("compound" if design.compound else "criterion"),
+    )
+    compared = _compared(problem, aims, choice, rng, place.key("compare"))
+    sturdy, curve = None, None
+    if design.robust is not None:
+        choice, sturdy = robust.choose(
+            problem, aims, choice, design.robust, rng, place.key("robust")
+        )
+    if design.how_many is not None:
+        seed = resolved.study.seed
+        curve = how_many.curve(
+            problem, aims, choice, design.how_many, seed, place.key("how_many")
+        )
+    series = problem.candidates.take(choice.indices)
+    measurement = _mounted(resolved, [*asked.kept, *series])
+    smoother = None
+    if design.polish is not None and design.polish.enabled:
+        smoother = polish.polished(resolved, aims, measurement, series, asked.kept)
+        measurement, series = smoother.measurement, smoother.series
+    arranged = order.arrange(resolved, measurement, asked.kept, series, rng)
+    return Chosen(
+        measurement=measurement,
+        series=arranged.series,
+        scheduled=arranged.scheduled,
+        choice=choice,
+        aims=aims,
+        kept=sum(map(len, asked.kept)),
+        candidates=len(problem.candidates),
+        loose=problem.limited and problem.loose,
+        compared=compared,
+        polished=None if smoother is None else smoother.told,
+        order=arranged.told,
+        robust=sturdy,
+        how_many=curve,
+    )
+
+
+def _problem(
+    resolved: Resolved, design: Design, aims: Aims, place: Place
+) -> search.Problem:
+    """Candidates with what is held, and the rules."""
+    asked, measurement = resolved.asked, resolved.measurement
+    assert asked is not None
+    try:
+        found = candidates.of(
+            measurement,
+            resolved.candidates,
+            measurement.nominal,
+            design.scaling,
+            whole_runs=design.whole_runs,
+        )
+    except ValueError as error:
+        raise place.key("whole_runs").error(
+            str(error), "give each run a table of its own"
+        ) from error
+    if design.prior or asked.kept:
+        found = found.with_prior(_held(aims, measurement, asked.kept))
+    rules = found.rules(
+        size=design.size,
+        budget=(
+            None
+            if design.budget_min is None
+            else 60.0 * design.budget_min - seconds(measurement, asked.kept)
+        ),
+        most_setups=design.setups_max,
+        apart=asked.apart,
+    )
+    mounted = {s.setup for s in asked.kept}
+    taken = tuple(k for k, name in enumerate(found.setups) if name in mounted)
+    return search.Problem(found, dataclasses.replace(rules, taken=taken), design.starts)
+
+
+def _held(aims: Aims, measurement: Measurement, kept: tuple[Series, ...]) -> Array:
+    return (
+        aims.information(measurement, kept)
+        if kept
+        else np.eye(int(measurement.free.sum()))
+    )
+
+
+def _best(
+    problem: search.Problem,
+    aims: Aims,
+    name: str,
+    rng: np.random.Generator,
+    place: Place,
+) -> Choice:
+    try:
+        return search.best(problem, aims.criterion(name, problem.candidates), rng)
+    except ValueError as error:
+        remedy = "ask for more readings, or give more candidates"
+        raise place.error(
+            str(error),
+            remedy if ":" not in str(error) else "see `oed list criteria`",
+            name,
+        ) from error
+
+
+def _compared(
+    problem: search.Problem,
+    aims: Aims,
+    main: Choice,
+    rng: np.random.Generator,
+    place: Place,
+) -> tuple[result.Compared, ...]:
+    """Designs for further criteria, each plan scored by each criterion; the main one
+    first.
+    """
+    if not aims.design.compare:
+        return ()
+    own = aims.design.judged_by
+    names = list(dict.fromkeys([own, *aims.design.compare]))
+    choices = {own: main} | {
+        n: _best(problem, aims, n, rng, place) for n in names if n != own
+    }
+    made = []
+    for name in names:
+        criterion = aims.criterion(name, problem.candidates)
+        judged = {n: problem.judged(criterion, c.indices) for n, c in choices.items()}
+        c = choices[name]
+        made.append(
+            result.Compared(
+                name=name,
+                value=c.value,
+                bound=c.bound,
+                efficiency=c.efficiency,
+                proven=c.proven,
+                gain=float(np.exp(judged[name][0] - judged[own][0])),
+                values={n: number for n, (_, number) in judged.items()},
+            )
+        )
+    return tuple(made)
+
+
+def _mounted(resolved: Resolved, series: list[Series]) -> Measurement:
+    """The machine with the set-ups that a plan uses; with all of them where recorded
+    readings are to be fitted.
+    """
+    said = resolved.study.readings
+    if resolved.dataset is not None or (said is not None and not said.simulate):
+        return resolved.measurement
+    return resolved.measure({s.setup for s in series})
+
+
+def kappa_map(circles: Circles, scaling: Scaling) -> result.KappaMap:
+    """Condition number over circles and points on each."""
+    table = []
+    for m in circles.circles:
+        row = []
+        for n in circles.points:
+            seen = explain.look(circles.measurement, [circles.series(m, n)], scaling)
+            row.append(criteria.kappa(seen.verdict.identifiable))
+        table.append(row)
+    return result.KappaMap(
+        circles.title, list(circles.circles), list(circles.points), table
+    )
+
+
+def plan(
+    resolved: Resolved, seen: explain.Seen, predicted: Mapping[str, float]
+) -> result.Plan:
+    """The readings as one stage, with its cost in minutes."""
+    measurement = seen.measurement
+    setups = list(dict.fromkeys(s.setup for s in seen.series))
+    cost = seconds(measurement, seen.series)
+    stage = result.Stage(
+        measurement=", ".join(
+            dict.fromkeys(measurement.setups[n].instrument.name for n in setups)
+        ),
+        setups=setups,
+        readings=sum(len(s) for s in seen.series),
+        identifies=seen.verdict.rank,
+        cost=cost / 60.0,
+        kappa=criteria.kappa(seen.verdict.identifiable),
+        predicted=dict(predicted),
+    )
+    return result.Plan([stage], stage.cost, [p.name for p in resolved.references])
+
+
+def seconds(measurement: Measurement, series: Sequence[Series]) -> float:
+    """Time to mount the set-ups and take the readings of a plan, s."""
+    mounting = sum(
+        measurement.setups[n].instrument.cost.setup
+        for n in dict.fromkeys(s.setup for s in series)
+    )
+    return mounting + sum(
+        candidates.reading_time(measurement, s.setup) * len(s) for s in series
+    )

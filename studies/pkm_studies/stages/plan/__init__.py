@@ -1,0 +1,1 @@
+"""The plan of stages, as a section of the result and as files."""

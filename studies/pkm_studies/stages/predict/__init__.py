@@ -1,0 +1,1 @@
+"""Residual accuracy and held-out readings as sections of the result."""

@@ -1,0 +1,1 @@
+"""Study files: their tables and how they are read."""
