@@ -47,7 +47,7 @@ from oed.effect import Effect
 from oed.gap import diagnose
 from oed.gap.cause import which
 from oed.gap.data.metric import Metric
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 
 
@@ -61,7 +61,7 @@ class Row:
     answer: str
 
 
-def readings(name: str, seed: int) -> tuple[Problem, Sequence[Effect]]:
+def readings(name: str, seed: int) -> tuple[GapProblem, Sequence[Effect]]:
     """The problem of a virtual A3 with one effect, and the library."""
     rng = np.random.default_rng(seed)
     plan = dataclasses.replace(
@@ -113,7 +113,7 @@ def timed(method: str, job: Callable[[], str]) -> Row:
     )
 
 
-def sampled(problem: Problem, search: which.Search, walkers: int, steps: int) -> str:
+def sampled(problem: GapProblem, search: which.Search, walkers: int, steps: int) -> str:
     """emcee over the coefficients of the likeliest pair of effects, prior N(0, size^2),
     parameters marginalised.
     """

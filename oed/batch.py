@@ -13,9 +13,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from oed.arrays import Array
 
 #: columns of the mapped tapes: large batches are cut into the first, the rest is padded
 #: into the smallest that fits, by a third at the most from 4 on; a tape is made where

@@ -16,7 +16,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.kinematics import Kinematics
 
 NO_TOOL = np.zeros(3)

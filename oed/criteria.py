@@ -18,7 +18,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 
 
 def d(information: Array) -> float:

@@ -18,14 +18,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from oed import readings_table, units
-from oed.batch import Array
+from oed.arrays import Array, Index, Mask
 from oed.instrument import Channel, Setup
 from oed.kinematics import AssemblyError
 from oed.machine import Coordinate, Machine
-from oed.measurement import Index, Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.readings_table import ReadingsError, Table, suggest
 
 __all__ = ["Dataset", "Layout", "ReadingsError", "build", "from_series", "load", "save"]
@@ -40,7 +39,6 @@ COVARIATES = {
 }
 TEMPERATURE = "temp_"
 SLACK = 1e-9
-Mask = NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

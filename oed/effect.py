@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.machine import Machine
 
 #: singular value of the tool's motion by its joints, against the largest, below which a

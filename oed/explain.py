@@ -13,12 +13,11 @@ import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oed import identifiability, information, units
-from oed.batch import Array
+from oed.arrays import Array, Index, Mask
 from oed.identifiability import Identifiability
-from oed.measurement import Index, Measurement, Series
+from oed.measurement import Measurement, Series
 
 #: posterior over prior standard deviation above which a parameter counts as hardly seen
 WEAK = 0.7
@@ -117,7 +116,7 @@ def _concerned(measurement: Measurement, series: Sequence[Series]) -> Index:
     )
 
 
-def _alone(seen: Seen) -> NDArray[np.bool_]:
+def _alone(seen: Seen) -> Mask:
     """Mask (n,) of the parameters that the readings determine each by itself."""
     return np.asarray(np.sum(seen.verdict.null_space**2, axis=0) < 1e-12)
 

@@ -13,9 +13,8 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.machine import Machine
 
 #: singular values below this share of the largest count as zero. Exact zeros come out
@@ -108,7 +107,7 @@ def echelon(space: Array) -> Array:
     )
 
 
-def _pivots(space: Array) -> NDArray[np.intp]:
+def _pivots(space: Array) -> Index:
     """Independent columns, the rightmost first; the threshold is lowered until there
     are enough.
     """

@@ -21,7 +21,7 @@ import numpy as np
 from scipy import optimize
 
 from oed import identifiability, information, units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise, of
 

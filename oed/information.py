@@ -18,7 +18,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise, of
 

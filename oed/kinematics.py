@@ -26,9 +26,9 @@ from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from oed.batch import Array, Batched
+from oed.arrays import Array, Index, Mask
+from oed.batch import Batched
 from oed.machine import Coordinate, Expr, Machine, Parameter, Values
 
 #: Newton stops once a step (m, rad) is below this: convergence is quadratic, so the
@@ -49,7 +49,7 @@ class AssemblyError(RuntimeError):
     `indices` are the flat indices of the failing poses.
     """
 
-    def __init__(self, message: str, indices: NDArray[np.intp]) -> None:
+    def __init__(self, message: str, indices: Index) -> None:
         super().__init__(message)
         self.indices = indices
 
@@ -159,9 +159,7 @@ class Kinematics:
                 self._told(command, bad, "out of reach or singular"),
                 np.flatnonzero(bad),
             )
-        mirrored: NDArray[np.bool_] = np.less(
-            self._side(x, q, p) * self._home_side(), 0.0
-        )
+        mirrored: Mask = np.less(self._side(x, q, p) * self._home_side(), 0.0)
         if mirrored.any():
             raise AssemblyError(
                 self._told(command, mirrored, "in another assembly mode"),
@@ -208,7 +206,7 @@ class Kinematics:
 
     def try_forward(
         self, q: Array, p: Array, start: Array, step: float = STEP
-    ) -> tuple[Array, NDArray[np.bool_]]:
+    ) -> tuple[Array, Mask]:
         """As `forward`, but tells failures as a mask (n,) or (m, n) instead of raising.
 
         Newton stops after a step (m, rad) shorter than `step`; the error left is about
@@ -335,7 +333,7 @@ class Kinematics:
             return []
         return [line(x[None], q[None], p[None])[0][0].T for line in self._skeleton]
 
-    def _told(self, command: Array, bad: NDArray[np.bool_], why: str) -> str:
+    def _told(self, command: Array, bad: Mask, why: str) -> str:
         first = command[np.flatnonzero(bad)[0]]
         told = ", ".join(
             f"{c.name} = {v:.6g} {c.unit}"
@@ -348,11 +346,11 @@ class Kinematics:
         )
 
 
-def _listed(indices: NDArray[np.intp]) -> str:
+def _listed(indices: Index) -> str:
     return ", ".join(str(i) for i in indices[:8]) + (" ..." if indices.size > 8 else "")
 
 
-def _take(p: Array, keep: NDArray[np.intp]) -> Array:
+def _take(p: Array, keep: Index) -> Array:
     return p if p.ndim == 1 else p[keep]
 
 
@@ -416,11 +414,11 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 
 def _newton(
-    evaluate: Callable[[Array, NDArray[np.intp]], list[Array]],
+    evaluate: Callable[[Array, Index], list[Array]],
     z: Array,
     tolerance: float = STEP,
     posed: int | None = None,
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Newton on all rows of z at once; rows leave as they converge. Returns z and the
     mask of failed rows.
 

@@ -13,14 +13,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oed import units
+from oed.arrays import Array
 
 #: A CasADi SX expression (CasADi ships no type stubs).
 Expr = Any
 Values = Mapping[str, Expr]
-Array = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.optimize import elementwise
 
-from oed.batch import Array
+from oed.arrays import Array, Index, Mask
 from oed.instrument import Protocol, Setup
 from oed.kinematics import STEP, AssemblyError, Kinematics
 from oed.machine import Machine, Parameter
@@ -28,7 +28,6 @@ from oed.noise import covariance as noise
 from oed.noise.covariance import Noise
 from oed.view import View
 
-Index = NDArray[np.intp]
 #: Newton's last step (m, rad) where many parameter vectors near a known one are
 #: evaluated: leaves 1e-11 m
 NEAR = 2e-6
@@ -168,7 +167,7 @@ class Measurement:
         )
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Mask:
         """Which entries of theta (n,) are unknown."""
         return np.asarray(self.tolerance > 0.0)
 
@@ -246,9 +245,7 @@ class Measurement:
             index = np.arange(n)[:, None]
         return Series(setup, q, x, command, index.astype(np.intp), run)
 
-    def hold(
-        self, setup: str, command: Array, coordinate: str
-    ) -> tuple[Array, NDArray[np.bool_]]:
+    def hold(self, setup: str, command: Array, coordinate: str) -> tuple[Array, Mask]:
         """Solve one command coordinate so that the nominal reading is what the
         instrument holds by design.
 

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.identify import Coordinates, Estimate
 from oed.measurement import Measurement, Series
 

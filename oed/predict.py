@@ -26,7 +26,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.compensate import NO_TOOL, ErrorModel, error_model
 from oed.kinematics import Kinematics
 

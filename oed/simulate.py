@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.measurement import Measurement, Series
 
 

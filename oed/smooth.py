@@ -18,7 +18,7 @@ import functools
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 
 POINTS = 200
 

@@ -10,7 +10,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from oed.arrays import Array
 
 #: unit suffix -> (SI unit, factor to SI)
 UNITS: Final[dict[str, tuple[str, float]]] = {
@@ -69,12 +71,12 @@ def si_unit(unit: str) -> str:
     return _entry(unit)[0]
 
 
-def to_si(value: ArrayLike, unit: str) -> NDArray[np.float64]:
+def to_si(value: ArrayLike, unit: str) -> Array:
     """Values given in `unit` as SI floats."""
     return np.asarray(value, dtype=float) * factor(unit)
 
 
-def from_si(value: ArrayLike, unit: str) -> NDArray[np.float64]:
+def from_si(value: ArrayLike, unit: str) -> Array:
     """SI values as floats in `unit`."""
     return np.asarray(value, dtype=float) / factor(unit)
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.batch import Array, Batched
+from oed.arrays import Array
+from oed.batch import Batched
 from oed.instrument import Frame, Setup
 from oed.kinematics import misfit, symbols
 from oed.machine import Machine

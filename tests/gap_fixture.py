@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.effect import Column, Effect, State
 from oed.gap.data.diagnosis import Answer, Block, Closure, Coefficient, Diagnosis, Size
-from oed.gap.data.metric import plain
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import signature
+from oed.noise.law import stated
 
 STUDY = """\
 schema = 1
@@ -138,7 +138,7 @@ backlash = Effect(
 )
 
 
-def diagnosis(problem: Problem) -> Diagnosis:
+def diagnosis(problem: GapProblem) -> Diagnosis:
     """The diagnosis of someone who knows that backlash is the cause."""
     found = signature(
         backlash,
@@ -164,7 +164,7 @@ def diagnosis(problem: Problem) -> Diagnosis:
         answers=(yes, no, Answer(("backlash", "unknown"), 0.01)),
         set95=(yes,),
         marginal={"cold": 0.01, "backlash": 0.98},
-        law=plain(problem),
+        law=stated(problem),
         noise_words=("The noise is as stated.",),
         constants={},
         coefficients=tuple(

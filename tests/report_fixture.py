@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import report_fixture_design
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from oed.arrays import Array
+
 A = B = 0.250
 C, D = 0.526, 0.540
 PHI = [2.0 * math.pi * i / 3.0 - math.pi / 2.0 for i in range(3)]

@@ -17,7 +17,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from oed.gap.data.metric import Whitener
+from oed.noise.law import Whitener
 
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
@@ -102,13 +102,13 @@ def test_the_runner_cannot_know_labels():
 def diagnosed(blind, problem):
     """A diagnosis without a search: no gap."""
     from oed.gap.data.diagnosis import Answer, Block, Closure, Diagnosis
-    from oed.gap.data.metric import plain
+    from oed.noise.law import stated
 
     answers = (Answer((), 0.9), Answer(("step",), 0.1, (("step", "mount_drift"),)))
     nothing = np.zeros(len(problem))
     fields = {f.name: () for f in dataclasses.fields(Diagnosis)} | {
         "problem": problem, "verdict": "none", "answers": answers, "set95": answers, "marginal": {"step": 0.1},
-        "law": dataclasses.replace(plain(problem), variance=np.linspace(1.0, 2.0, len(problem))),
+        "law": dataclasses.replace(stated(problem), variance=np.linspace(1.0, 2.0, len(problem))),
         "explained": nothing, "unexplained": nothing, "before": nothing, "after": nothing,
         "where": (Block("leg 1", 0.5, 0.1),), "not_testable": {},
         "closure": (Closure("whole", math.nan, -math.inf, math.inf, 0.5, 1.0, 1.1, 1.0, 10),),

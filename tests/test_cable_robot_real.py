@@ -17,7 +17,7 @@ import pytest
 from oracles import cable_geometry as oracle
 
 from oed import identify
-from oed.batch import Array
+from oed.arrays import Array
 from oed.identify import Estimate
 from oed.instrument import mount
 from oed.kinematics import Kinematics

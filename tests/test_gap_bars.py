@@ -23,7 +23,7 @@ from scipy import linalg
 from oed.effect import Effect
 from oed.gap.data import state as states_of
 from oed.gap.data.diagnosis import UNKNOWN, Answer, Diagnosis
-from oed.gap.data.problem import Problem, planned, prepare
+from oed.gap.data.problem import GapProblem, planned, prepare
 from oed.gap.data.signature import exact, signature
 from oed.gap.diagnose import diagnose
 from oed.gap.forms import library
@@ -56,7 +56,7 @@ class Virtual:
     """
 
     case: Any
-    problem: Problem
+    problem: GapProblem
     effects: Sequence[Any]
 
     def diagnosed(self, without: str = "") -> Diagnosis:
@@ -385,7 +385,7 @@ class Planar:
     """
 
     found: Diagnosis
-    whole: Problem
+    whole: GapProblem
     held: np.ndarray
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from oracles import hexapod_geometry as oracle
 
 from oed import explain, identifiability
-from oed.batch import Array
+from oed.arrays import Array
 from oed.explain import Seen
 from oed.instrument import Setup, mount
 from oed.kinematics import Kinematics

@@ -9,7 +9,7 @@ import pytest
 from oracles import hexapod_geometry as oracle
 
 from oed import explain, identifiability
-from oed.batch import Array
+from oed.arrays import Array
 from oed.explain import Finding, Seen
 from oed.instrument import Setup, mount
 from oed.kinematics import Kinematics

@@ -7,7 +7,7 @@ import pytest
 from oracles import micro_cmm_geometry as oracle
 
 from oed import explain, identify, predict, simulate
-from oed.batch import Array
+from oed.arrays import Array
 from oed.instrument import Setup, mount
 from oed.kinematics import Kinematics
 from oed.measurement import Measurement

@@ -20,7 +20,7 @@ from sample import changed
 
 from oed import dataset
 from oed.gap.before import detect, runs
-from oed.gap.data.metric import plain
+from oed.noise.law import stated
 from pkm_models.effects import encoder_scale, gravity
 from pkm_reports import document, sections, style
 from pkm_reports import html as html_writer
@@ -118,7 +118,7 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
     ]
     problem, _ = runs.prepared(asked.measurement, made)
     effects = [gravity.effect, encoder_scale.effect]
-    told = detect.detect(problem, plain(problem), effects, np.random.default_rng(0))
+    told = detect.detect(problem, stated(problem), effects, np.random.default_rng(0))
     np.testing.assert_allclose(table["apart"], told.apart, rtol=1e-6, atol=1e-8)
     rows = {e["name"]: e for e in table["effects"]}
     assert rows["gravity"]["detectability"] == pytest.approx(

@@ -19,15 +19,14 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-from oed.batch import Array
-from oed.gap.data.metric import Metric, plain
-from oed.gap.data.problem import Problem
+from oed.arrays import Array, Index
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
+from oed.noise.law import stated
 
-Index = NDArray[np.intp]
 #: effects that the stepwise selection may take, and the share of a column's size that
 #: calibration must leave
 MOST, LEAST = 5, 1e-5
@@ -39,13 +38,13 @@ SECOND = 0.4
 HIGHEST, PER_HARMONIC = 6, 3
 
 
-def stepwise(problem: Problem, library: Library) -> list[str]:
+def stepwise(problem: GapProblem, library: Library) -> list[str]:
     """Effects of a library that forward selection by BIC takes, in its order.
 
     BIC = N log(RSS / N) + k log N; k counts a form's columns and its effect's
     constants.
     """
-    metric = Metric(problem, plain(problem))
+    metric = Metric(problem, stated(problem))
     white, absorbed = metric.parts(np.column_stack([problem.residual, library.columns]))
     full = white.T @ white - absorbed.T @ absorbed
     raw = np.sqrt((library.columns**2).sum(axis=0))
@@ -114,8 +113,8 @@ class Runs:
     """
 
     parts: Array
-    order: NDArray[np.intp]
-    path: NDArray[np.intp]
+    order: Index
+    path: Index
     about: dict[str, Array]
     legs: int
 
@@ -137,7 +136,7 @@ class Symptom:
         return (self.energy - self.freedom) / math.sqrt(2.0 * self.freedom)
 
 
-def harmonic(problem: Problem, names: Sequence[str]) -> list[str]:
+def harmonic(problem: GapProblem, names: Sequence[str]) -> list[str]:
     """Effects among `names`, those that the readings can test, that the rules come to;
     strongest first, at most two.
     """
@@ -153,11 +152,11 @@ def harmonic(problem: Problem, names: Sequence[str]) -> list[str]:
     return called[:2]
 
 
-def runs_of(problem: Problem) -> Runs:
+def runs_of(problem: GapProblem) -> Runs:
     """Harmonics of the residuals after calibration, run by run; noise is told by what
     they leave, and by repeats.
     """
-    metric = Metric(problem, plain(problem))
+    metric = Metric(problem, stated(problem))
     left = problem.residual - problem.slopes @ metric.fitted(problem.residual)
     rows, phase = problem.rows, problem.rows["phase"].to_numpy(dtype=float)
     names = [

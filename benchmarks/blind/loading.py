@@ -16,7 +16,7 @@ from pathlib import Path
 from oed import dataset
 from oed.effect import Effect
 from oed.gap.data import problem as problem_of
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement
 from pkm_studies.resolve import gap as resolve_gap
 from pkm_studies.resolve import study as resolve
@@ -97,7 +97,7 @@ def bench(name: str) -> Bench:
     return Bench(found.measure(found.setups), asked.effects, asked.gravity)
 
 
-def prepared(folder: Path, case: Case) -> Problem:
+def prepared(folder: Path, case: Case) -> GapProblem:
     """The residuals of a case. Raises ReadingsError, IdentificationError."""
     at = bench(case.study)
     data = dataset.load(folder / case.readings, at.measurement)

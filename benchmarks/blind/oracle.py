@@ -34,12 +34,13 @@ from benchmarks.blind.generator import write as truth_of
 from benchmarks.blind.generator.severity import Metric as TrueMetric
 from benchmarks.blind.loading import Case
 from benchmarks.blind.run import law_of
-from oed.batch import Array
+from oed.arrays import Array
 from oed.gap.cause import closure as closure_of
-from oed.gap.data.metric import Law
-from oed.gap.data.problem import Pack, Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.gap.forms.library import Atom, Library
+from oed.noise.law import NoiseLaw
+from oed.noise.runs import RunBatch
 
 #: size, against its physical prior scale, that a rival is granted
 RIVAL = 3.0
@@ -123,7 +124,7 @@ def distances(job: Job) -> dict[str, Any]:
     return _distances(job, *_opened(job))
 
 
-def _opened(job: Job) -> tuple[Problem, dict[str, Array]]:
+def _opened(job: Job) -> tuple[GapProblem, dict[str, Array]]:
     with np.load(job.folder / "truth" / f"{job.case.id}.npz") as kept:
         truth = {name: kept[name] for name in kept.files}
     problem = loading.prepared(job.folder, job.case)
@@ -131,7 +132,9 @@ def _opened(job: Job) -> tuple[Problem, dict[str, Array]]:
     return problem, truth
 
 
-def _distances(job: Job, problem: Problem, truth: dict[str, Array]) -> dict[str, Any]:
+def _distances(
+    job: Job, problem: GapProblem, truth: dict[str, Array]
+) -> dict[str, Any]:
     known = library_of.build(problem, loading.bench(job.case.study).effects)
     found = _effects(problem, known, truth_of.covariance(truth), truth, job.effects)
     return {"id": job.case.id, "testable": list(known.effects), "effects": found}
@@ -142,7 +145,7 @@ def _result(job: Job) -> dict[str, Any]:
     return dict(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else {}
 
 
-def _check(problem: Problem, truth: dict[str, Array], job: Job) -> None:
+def _check(problem: GapProblem, truth: dict[str, Array], job: Job) -> None:
     """The readings are those of the truth, in the same order."""
     measured = problem.measurement.readings(problem.series, problem.theta)
     left = problem.residual * problem.sigma
@@ -159,7 +162,7 @@ def _check(problem: Problem, truth: dict[str, Array], job: Job) -> None:
 
 
 def _effects(
-    problem: Problem,
+    problem: GapProblem,
     known: Library,
     sigma: Array,
     truth: dict[str, Array],
@@ -272,21 +275,21 @@ def _kept(seen: Array, columns: Array, atoms: Sequence[Atom]) -> list[float]:
 
 
 @dataclasses.dataclass(frozen=True)
-class TrueLaw(Law):
+class TrueLaw(NoiseLaw):
     """The true covariance (N, N) of the readings, in units of their stated noise, in
     place of a law's.
     """
 
     covariance: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
-    def covariances(self, pack: Pack) -> Array:
-        """As in `Law`."""
+    def covariances(self, batch: RunBatch) -> Array:
+        """As in `NoiseLaw`."""
         return np.asarray(
-            self.covariance[pack.members[:, :, None], pack.members[:, None, :]]
+            self.covariance[batch.members[:, :, None], batch.members[:, None, :]]
         )
 
 
-def true_law(problem: Problem, sigma: Array) -> TrueLaw:
+def true_law(problem: GapProblem, sigma: Array) -> TrueLaw:
     """The law of a covariance (N, N), SI. Raises ValueError where it relates readings
     of different runs.
     """
@@ -303,7 +306,7 @@ def true_law(problem: Problem, sigma: Array) -> TrueLaw:
 
 
 def _closures(
-    problem: Problem, sigma: Array, truth: dict[str, Array], result: dict[str, Any]
+    problem: GapProblem, sigma: Array, truth: dict[str, Array], result: dict[str, Any]
 ) -> list[dict[str, Any]]:
     """For each split: the gain to be expected, the oracle's closure under the true law
     and under the diagnosis's.
@@ -326,7 +329,7 @@ def _closures(
 
 
 def _oracle(
-    problem: Problem, law: Law, change: Array, split: closure_of.Split
+    problem: GapProblem, law: NoiseLaw, change: Array, split: closure_of.Split
 ) -> dict[str, Any]:
     made = closure_of.oracle_closure(
         problem, law, change, np.random.default_rng(0), split=split, draws=1

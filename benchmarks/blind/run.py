@@ -28,9 +28,9 @@ from benchmarks.blind.loading import Case
 from oed.effect import Effect
 from oed.gap import diagnose
 from oed.gap.data.diagnosis import Answer, Closure, Diagnosis
-from oed.gap.data.metric import Law
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
+from oed.noise.law import NoiseLaw
 
 J = TypeVar("J")
 EACH = "each"
@@ -237,7 +237,7 @@ def draws(job: Job) -> np.random.Generator:
     )
 
 
-def beside(problem: Problem, effects: Sequence[Effect]) -> dict[str, list[str]]:
+def beside(problem: GapProblem, effects: Sequence[Effect]) -> dict[str, list[str]]:
     """What the baselines answer."""
     known = library_of.build(problem, effects)
     return {
@@ -295,7 +295,7 @@ def _closure(c: Closure) -> dict[str, Any]:
     return {k: v if isinstance(v, str | int) else _known(v) for k, v in numbers.items()}
 
 
-def _law(law: Law) -> dict[str, Any]:
+def _law(law: NoiseLaw) -> dict[str, Any]:
     """All of a law; variances and ratios of single readings only where they are not all
     1.
     """
@@ -312,10 +312,10 @@ def _law(law: Law) -> dict[str, Any]:
     }
 
 
-def law_of(said: dict[str, Any], size: int) -> Law:
+def law_of(said: dict[str, Any], size: int) -> NoiseLaw:
     """The law that a result tells, for `size` readings."""
     variance = said["variance"] or [1.0] * size
-    return Law(
+    return NoiseLaw(
         repeat=said["repeat"],
         wander=said["wander"],
         sway=said.get("sway", 0.0),

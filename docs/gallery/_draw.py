@@ -19,13 +19,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from oed.arrays import Array
 from oed.kinematics import Kinematics
 from pkm_reports import style
 from pkm_reports.figures import machine as drawing
 
-Array = NDArray[np.float64]
 HEIGHT, DPI = 3.3, 100  # inches, pixels an inch
 LARGEST = 60_000  # bytes of a picture
 

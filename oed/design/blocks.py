@@ -5,11 +5,8 @@ with information X_i^T X_i.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from oed.batch import Array
-
-Index = NDArray[np.intp]
+from oed.arrays import Array
 
 
 def as_blocks(rows: Array) -> Array:

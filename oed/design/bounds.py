@@ -13,9 +13,8 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import condition, relaxation
-from oed.design.blocks import Index
 from oed.design.criterion import Criterion, Spectrum
 from oed.design.relaxation import Relaxed
 from oed.design.rules import Rules

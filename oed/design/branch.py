@@ -14,9 +14,9 @@ import itertools
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import exchange, relaxation
-from oed.design.blocks import Index, as_blocks, information, seen
+from oed.design.blocks import as_blocks, information, seen
 from oed.design.certificate import SAFE
 from oed.design.criterion import Criterion, named
 from oed.design.objective import Plain

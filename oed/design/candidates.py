@@ -19,8 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index
 from oed.design.criterion import Criterion, Determinant, Variance, Worst, named
 from oed.design.rules import Rules
 from oed.information import Scaling, column_scale

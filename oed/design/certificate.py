@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 
 #: rounding of one factorisation, in log phi
 SAFE = 1e-12

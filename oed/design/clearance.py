@@ -23,14 +23,12 @@ from functools import partial
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from oed.batch import Array, Batched
-from oed.design.blocks import Index
+from oed.arrays import Array, Index, Mask
+from oed.batch import Batched
 from oed.kinematics import AssemblyError, Kinematics, symbols
 from oed.measurement import Measurement, Series
 
-Mask = NDArray[np.bool_]
 Point = tuple[float, float, float]
 #: puts commands (n, n_dof) where an instrument leads the tool, and tells where (n,) it
 #: can

@@ -33,8 +33,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index, information
+from oed.arrays import Array, Index
+from oed.design.blocks import information
 from oed.design.certificate import carried
 from oed.design.criterion.protocol import slopes
 from oed.design.interior import Path, Setting, setting_of

@@ -29,7 +29,8 @@ import casadi as ca
 import numpy as np
 from scipy import optimize as scipy_optimize
 
-from oed.batch import Array, Batched
+from oed.arrays import Array
+from oed.batch import Batched
 from oed.design import smooth
 from oed.design.coordinate_sweep import Sweep
 from oed.design.smooth import Smooth

@@ -20,7 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.smooth import Smooth
 
 #: keeps a point that alone sees a direction from being divided by zero

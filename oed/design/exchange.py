@@ -14,8 +14,8 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index, as_blocks, seen
+from oed.arrays import Array, Index
+from oed.design.blocks import as_blocks, seen
 from oed.design.bounds import Bound, bound, condition_bound
 from oed.design.criterion import Criterion, Determinant, Variance, named
 from oed.design.judge import Single

@@ -16,14 +16,12 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from oed.batch import Array
+from oed.arrays import Array, Mask
 from oed.design.clearance import Clearance, Point, Surroundings, cup_place
 from oed.measurement import Measurement, Series
 
-Mask = NDArray[np.bool_]
 #: share of a joint's limits that rounding may exceed
 SLACK = 1e-9
 

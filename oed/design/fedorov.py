@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index
 
 #: relative gain below which an exchange counts as none
 GAIN = 1e-9

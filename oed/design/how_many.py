@@ -18,9 +18,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import exchange, relaxation
-from oed.design.blocks import Index, as_blocks
+from oed.design.blocks import as_blocks
 from oed.design.criterion import Variance, Worst
 from oed.design.rules import Rules
 

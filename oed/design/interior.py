@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import relaxation
-from oed.design.blocks import Index, as_blocks, information
+from oed.design.blocks import as_blocks, information
 from oed.design.criterion.protocol import pairs, slopes
 
 #: share of a step to the border

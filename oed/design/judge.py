@@ -9,9 +9,9 @@ from typing import Protocol
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import fedorov
-from oed.design.blocks import Index, information
+from oed.design.blocks import information
 from oed.design.criterion import Criterion, Determinant
 
 

@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index, information
+from oed.arrays import Array, Index
+from oed.design.blocks import information
 from oed.design.criterion.protocol import Criterion, slopes
 
 

@@ -22,15 +22,13 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index, Mask
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
 
-Mask = NDArray[np.bool_]
 #: most runs that are ordered exactly: 2^12 subsets
 EXACT = 12
 #: neighbouring runs that are shifted together

@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 
 from oed import information
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import reading_slopes, smooth
 from oed.design.reading_plan import (
     HELD,
@@ -44,7 +44,7 @@ from oed.design.reading_plan import (
 from oed.design.smooth import Smooth
 from oed.instrument import Setup
 from oed.kinematics import AssemblyError
-from oed.measurement import Index, Measurement, Series
+from oed.measurement import Measurement, Series
 
 #: a start further than this from what it should hold is refused
 OFF = 1e-6

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.certificate import carried
 
 

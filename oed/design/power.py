@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 
 
 def after_adding(values: Array, vectors: Array, rows: Array, p: int) -> Array:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design import reading_slopes
 from oed.design.reading_slopes import TOOL
 from oed.instrument import Setup

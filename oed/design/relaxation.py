@@ -22,8 +22,8 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index, as_blocks
+from oed.arrays import Array, Index
+from oed.design.blocks import as_blocks
 from oed.design.certificate import SAFE, carried
 from oed.design.criterion import Criterion, Determinant
 from oed.design.objective import Line, Objective, Plain

@@ -23,9 +23,9 @@ from typing import Literal
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import relaxation
-from oed.design.blocks import Index, as_blocks
+from oed.design.blocks import as_blocks
 from oed.design.criterion import Criterion
 from oed.design.judge import Single
 from oed.design.objective import Line, Plain

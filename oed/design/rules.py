@@ -14,12 +14,9 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index, Mask
 
-Mask = NDArray[np.bool_]
 #: combinations of set-ups that are bounded one by one
 SUBSETS = 64
 

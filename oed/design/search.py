@@ -13,8 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index
 from oed.design.judge import Judge
 from oed.design.rules import Rules
 

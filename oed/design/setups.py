@@ -17,9 +17,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import relaxation
-from oed.design.blocks import Index
 from oed.design.criterion import Criterion
 from oed.design.rules import SUBSETS, Rules
 

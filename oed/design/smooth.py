@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from scipy import linalg
 
-from oed.batch import Array
+from oed.arrays import Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -11,20 +11,20 @@ from typing import Literal
 import numpy as np
 from scipy import linalg
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.effect import Effect
 from oed.gap.cause import advice, answers, closure, gate, pursuit, which
 from oed.gap.cause.which import Hypothesis, Search
-from oed.gap.data import evidence
+from oed.gap.data import evidence, noise
 from oed.gap.data.diagnosis import UNKNOWN, Block, Closure, Coefficient, Diagnosis, Size
-from oed.gap.data.metric import Law, Metric
-from oed.gap.data.problem import Index, Problem
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library, marks, spots, waves
 from oed.gap.forms.library import Library
 from oed.gap.forms.processes import BROAD, PROCESSES
 from oed.gap.place import where
-from oed.noise import estimate as scatter
-from oed.noise import outliers as strays
+from oed.noise import estimate, outliers
+from oed.noise.law import NoiseLaw
 
 #: root mean square, in units of the noise, that each effect and process has at least in
 #: the wide model, beside which noise is told
@@ -40,11 +40,11 @@ LIKE, LEAST_LIKE = 3, 0.03
 
 
 def diagnose(
-    problem: Problem,
+    problem: GapProblem,
     effects: Sequence[Effect],
     rng: np.random.Generator,
     *,
-    law: Law | None = None,
+    law: NoiseLaw | None = None,
 ) -> Diagnosis:
     """Diagnose residuals with a library of effects. `law`: of the noise, where it is
     known but for its level; told from the readings if not given.
@@ -66,7 +66,7 @@ def diagnose(
 
 
 def _placed(
-    problem: Problem,
+    problem: GapProblem,
     search: Search,
     best: Hypothesis,
     found: Diagnosis,
@@ -162,7 +162,7 @@ def _forms(search: Search, best: Hypothesis) -> list[Array]:
 
 
 def conclude(
-    problem: Problem,
+    problem: GapProblem,
     made: Sequence[Search],
     hypotheses: Sequence[Hypothesis],
     effects: Sequence[Effect],
@@ -189,7 +189,7 @@ def conclude(
         set95=answers.held(groups),
         marginal=_marginal(search.library.effects, hypotheses, shares),
         law=law,
-        noise_words=scatter.words(problem, law),
+        noise_words=estimate.words(problem, law),
         constants={
             e: search.library.atoms[k].constants
             for e, k in zip(best.effects, best.atoms, strict=True)
@@ -259,7 +259,7 @@ class _Explained:
 
 
 def _explained(
-    problem: Problem, search: Search, h: Hypothesis, named: Collection[str]
+    problem: GapProblem, search: Search, h: Hypothesis, named: Collection[str]
 ) -> _Explained:
     """Of a hypothesis; effects that are not `named` count with what is unknown."""
     metric = Metric(problem, search.law)
@@ -314,7 +314,7 @@ def _explained(
     )
 
 
-def _by_channel(problem: Problem, signal: Array) -> dict[str, float]:
+def _by_channel(problem: GapProblem, signal: Array) -> dict[str, float]:
     """Root mean square, SI, of a change of the readings in each channel."""
     values = signal * problem.sigma
     names = problem.rows["channel"].to_numpy()
@@ -324,7 +324,7 @@ def _by_channel(problem: Problem, signal: Array) -> dict[str, float]:
     }
 
 
-def _left(problem: Problem, metric: Metric, residual: Array) -> Array:
+def _left(problem: GapProblem, metric: Metric, residual: Array) -> Array:
     """What the parameters leave of a residual (N,) where they are fitted to it."""
     return residual - problem.slopes @ metric.fitted(residual)
 
@@ -332,23 +332,26 @@ def _left(problem: Problem, metric: Metric, residual: Array) -> Array:
 # -- searches --------------------------------------------------------------------------
 
 
-def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
+def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     """The search under each of the noise laws that suit the readings."""
     nothing = np.zeros((len(problem), 0))
-    calm = scatter.fit(problem, nothing)
+    calm = noise.fit_law(problem, nothing)
     known = library.build(problem, effects, Metric(problem, calm[0]))
     processes = library.build(problem, PROCESSES)
     columns = _wide(known, processes)
-    wide = scatter.fit(problem, columns, calm[0])
-    found = strays.told(problem, wide[0], columns)
+    wide = noise.fit_law(problem, columns, calm[0])
+    found = noise.detect_outliers(problem, wide[0], columns)
     if found is None:
         return _searched(problem, known, processes, [calm, wide])
-    wide = scatter.fit(strays.without(problem, found), columns, wide[0])
+    wide = noise.fit_law(noise.without_outliers(problem, found), columns, wide[0])
     found = (
-        strays.told(problem, wide[0], columns) or found
+        noise.detect_outliers(problem, wide[0], columns) or found
     )  # once more: the law was told with them
-    clean = strays.without(problem, found)
-    laws = [scatter.fit(clean, nothing, calm[0]), scatter.fit(clean, columns, wide[0])]
+    clean = noise.without_outliers(problem, found)
+    laws = [
+        noise.fit_law(clean, nothing, calm[0]),
+        noise.fit_law(clean, columns, wide[0]),
+    ]
     made = _searched(clean, known, processes, laws, found)
     # what looks far off may be a gap, within a run at that
     made.append(Search(problem, known, _looked_for(processes, problem, calm[0]), *calm))
@@ -362,22 +365,22 @@ def searches(problem: Problem, effects: Sequence[Effect]) -> list[Search]:
 
 
 def _beside_gap(
-    problem: Problem,
+    problem: GapProblem,
     search: Search,
     gap: Hypothesis,
     columns: Array,
-    before: strays.Strays,
+    before: outliers.Outliers,
 ) -> list[Search]:
     """Searches without what is far off from a gap, where that is less than is far off
     from any: a step's edges, say, which no smooth model has.
     """
     forms = _columns(search.library, search.processes, gap)
-    found = strays.told(problem, search.law, np.hstack([columns, forms]))
-    clean = strays.without(problem, found)
+    found = noise.detect_outliers(problem, search.law, np.hstack([columns, forms]))
+    clean = noise.without_outliers(problem, found)
     if np.abs(clean.residual - before.residual).max() < OTHER:
         return []
     laws = [
-        scatter.fit(clean, beside, search.law)
+        noise.fit_law(clean, beside, search.law)
         for beside in (np.zeros((len(problem), 0)), forms)
     ]
     return [
@@ -386,17 +389,17 @@ def _beside_gap(
 
 
 def _searched(
-    problem: Problem,
+    problem: GapProblem,
     known: Library,
     processes: Library,
-    laws: list[tuple[Law, float]],
-    far: strays.Strays | None = None,
+    laws: list[tuple[NoiseLaw, float]],
+    far: outliers.Outliers | None = None,
 ) -> list[Search]:
     """The search under the laws beside nothing and beside the wide model, with their
     log priors, and under all that these lead to.
     """
     plain = laws[0][0]
-    laws = [*laws, scatter.quiet(plain)]
+    laws = [*laws, estimate.quiet(plain)]
     processes = _looked_for(processes, problem, plain)
     processes, beside = pursuit.pursued(processes, problem, [plain, laws[2][0]])
     for pair in beside:
@@ -414,7 +417,7 @@ def _searched(
     return made
 
 
-def _looked_for(processes: Library, problem: Problem, law: Law) -> Library:
+def _looked_for(processes: Library, problem: GapProblem, law: NoiseLaw) -> Library:
     """The processes with those beside them that could sit anywhere: steady waves, fine
     marks, spots.
     """
@@ -423,16 +426,18 @@ def _looked_for(processes: Library, problem: Problem, law: Law) -> Library:
     return processes
 
 
-def _under(problem: Problem, effects: Sequence[Effect], law: Law) -> list[Search]:
+def _under(
+    problem: GapProblem, effects: Sequence[Effect], law: NoiseLaw
+) -> list[Search]:
     """The search under a noise law that is known."""
     known, processes = (
         library.build(problem, effects, Metric(problem, law)),
         library.build(problem, PROCESSES),
     )
-    found = strays.told(problem, law, _wide(known, processes))
+    found = noise.detect_outliers(problem, law, _wide(known, processes))
     made = []
     for far in (None, found) if found is not None else (None,):
-        seen = strays.without(problem, far)
+        seen = noise.without_outliers(problem, far)
         more, _ = pursuit.pursued(
             _looked_for(processes, seen, law), seen, [law], known=True
         )
@@ -459,7 +464,7 @@ def _refitted(
         return
     tried.add(forms)
     columns = _columns(start.library, start.processes, best)
-    pair = scatter.fit(start.problem, columns, start.law)
+    pair = noise.fit_law(start.problem, columns, start.law)
     worth = _worth(
         start.problem, columns, [pair, *((s.law, s.log_prior) for s in made)]
     )
@@ -469,13 +474,13 @@ def _refitted(
         )
 
 
-def _alone(made: list[Search], start: Law) -> None:
+def _alone(made: list[Search], start: NoiseLaw) -> None:
     """Add the search under the law that suits no gap best, begun at the law that suits
     the best gap: what that gains by a law of its own, no gap should gain too.
     """
     first = made[0]
     nothing = np.zeros((len(first.problem), 0))
-    found = scatter.fit(first.problem, nothing, start)
+    found = noise.fit_law(first.problem, nothing, start)
     worth = _worth(first.problem, nothing, [found])[0]
     if worth > max(s.grams.base + s.log_prior for s in made) + BETTER:
         made.append(
@@ -484,14 +489,14 @@ def _alone(made: list[Search], start: Law) -> None:
 
 
 def _worth(
-    problem: Problem, columns: Array, pairs: Sequence[tuple[Law, float]]
+    problem: GapProblem, columns: Array, pairs: Sequence[tuple[NoiseLaw, float]]
 ) -> list[float]:
     """Log evidence beside columns (N, k) under each law, with its log prior."""
     slopes = evidence.compressed(problem, columns)
     return [evidence.log_evidence(problem, law, slopes) + prior for law, prior in pairs]
 
 
-def _same(a: Law, b: Law) -> bool:
+def _same(a: NoiseLaw, b: NoiseLaw) -> bool:
     sizes = np.array([[v.repeat, v.wander, v.sway, np.log(v.reach)] for v in (a, b)])
     return bool(
         np.abs(sizes[0, :3] - sizes[1, :3]).max() < 0.05

@@ -12,10 +12,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +73,7 @@ def independent(sigma: Array) -> Noise:
     return Noise(sigma)
 
 
-def blocks(covariances: Sequence[Array], places: Sequence[NDArray[np.intp]]) -> Noise:
+def blocks(covariances: Sequence[Array], places: Sequence[Index]) -> Noise:
     """Noise with dense covariance blocks at index sets `places`, which together cover
     all readings.
     """

@@ -14,10 +14,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy import optimize, special
 
-from oed.batch import Array
-from oed.gap.data import evidence
-from oed.gap.data.metric import Law, plain
-from oed.gap.data.problem import Problem
+from oed.arrays import Array
+from oed.noise.law import NoiseLaw, stated
+from oed.noise.runs import Runs
 
 #: prior of log(1 + share) of the run's and the carried error: of the size of the noise,
 #: a factor of e either way
@@ -49,43 +48,37 @@ STARTS = tuple(
 
 
 def fit(
-    problem: Problem,
-    columns: Array,
-    start: Law | None = None,
-    size: float | Array = 1.0,
-) -> tuple[Law, float]:
-    """The law that explains the residual best beside columns (N, k) of prior N(0,
-    size^2), and the log of the prior that lies about it.
+    runs: Runs,
+    log_evidence: Callable[[NoiseLaw], float],
+    start: NoiseLaw | None = None,
+) -> tuple[NoiseLaw, float]:
+    """The law of largest evidence times prior, and the log of the prior mass about it.
 
-    The variances of single readings stay as in `start`; the level is 1, since the
-    evidence integrates it out.
+    `log_evidence` is of the readings under a law, their level integrated out. The
+    variances of single readings stay as in `start`; the level is 1.
     """
     given = start is not None
-    start = plain(problem) if start is None else start
-    wide, groups = (
-        evidence.compressed(problem, columns * size),
-        int(problem.group.max()) + 1,
-    )
+    start = stated(runs) if start is None else start
+    groups = int(runs.group.max()) + 1
     bounds = (*_BOUNDS, *[(-_RATIO, _RATIO)] * (groups - 1))
 
-    def law(v: Array) -> Law:
-        ratio = (
-            np.exp(np.concatenate([[0.0], v[4:]]))[problem.group]
-            if groups > 1
-            else None
-        )
+    def law(v: Array) -> NoiseLaw:
+        ratio = None
+        if groups > 1:
+            ratio = np.exp(np.concatenate([[0.0], v[4:]]))[runs.group]
         return dataclasses.replace(_law(start, v), level=1.0, ratio=ratio)
 
     def cost(v: Array) -> float:
-        if not all(
+        inside = all(
             low < value < high for value, (low, high) in zip(v, bounds, strict=True)
-        ):
+        )
+        if not inside:
             return 1e9
-        return -(evidence.log_evidence(problem, law(v), wide) + _prior(v))
+        return -(log_evidence(law(v)) + _prior(v))
 
-    first = _first(problem, start)
+    first = _first(runs, start)
     starts = [first] if given else [np.concatenate([v, first[4:]]) for v in STARTS]
-    best = min((_descend(cost, v) for v in starts), key=lambda found: found[1])
+    best = min((_descend(cost, v) for v in starts), key=lambda minimum: minimum[1])
     return law(best[0]), _prior(best[0]) + _about(cost, *best)
 
 
@@ -121,12 +114,12 @@ def _side(height: Callable[[float], float], end: float) -> float:
     return float(whole)
 
 
-def _first(problem: Problem, law: Law) -> Array:
+def _first(runs: Runs, law: NoiseLaw) -> Array:
     """Coordinates of a law."""
-    groups = int(problem.group.max()) + 1
+    groups = int(runs.group.max()) + 1
     ratios = np.zeros(groups - 1)
     if law.ratio is not None:
-        ratios = np.log([law.ratio[problem.group == g][0] for g in range(1, groups)])
+        ratios = np.log([law.ratio[runs.group == g][0] for g in range(1, groups)])
     return np.array(
         [
             _inverse(law.repeat),
@@ -138,7 +131,7 @@ def _first(problem: Problem, law: Law) -> Array:
     )
 
 
-def _law(start: Law, v: Array) -> Law:
+def _law(start: NoiseLaw, v: Array) -> NoiseLaw:
     """The law at coordinates (4,) of its shares and its reach."""
     shares = [_size(s) for s in v[_SHARES]]
     return dataclasses.replace(
@@ -182,7 +175,7 @@ def _prior(v: Array) -> float:
     )
 
 
-def quiet(law: Law) -> tuple[Law, float]:
+def quiet(law: NoiseLaw) -> tuple[NoiseLaw, float]:
     """The law without errors that a run or its readings share, and the log of the prior
     that lies about it: whatever is seen is then a gap.
     """
@@ -191,7 +184,7 @@ def quiet(law: Law) -> tuple[Law, float]:
     return _law(law, v), _prior(v) + float(np.log(volume).sum())
 
 
-def words(problem: Problem, law: Law) -> tuple[str, ...]:
+def words(runs: Runs, law: NoiseLaw) -> tuple[str, ...]:
     """A law as a person reads it."""
     told = [f"single readings scatter by {law.level:.2g} times the stated noise"]
     if law.repeat > 0.2:

@@ -17,9 +17,8 @@ import itertools
 import numpy as np
 from scipy import linalg, optimize, special
 
-from oed.batch import Array
-from oed.gap.data.metric import Law
-from oed.gap.data.problem import Problem
+from oed.arrays import Array
+from oed.noise.law import NoiseLaw
 
 #: degrees of freedom of the Student t that are tried
 DEGREES = (3.0, 4.0, 6.0, 10.0)
@@ -96,7 +95,7 @@ def information(shape: Shape) -> float:
 
 
 @dataclasses.dataclass(frozen=True)
-class Strays:
+class Outliers:
     """What is told of readings far off.
 
     residual (N,)     as of normal noise that tells as much, in units of the stated
@@ -110,35 +109,26 @@ class Strays:
     shape: Shape
     log_odds: float
 
-    def law(self, law: Law) -> Law:
+    def law(self, law: NoiseLaw) -> NoiseLaw:
         """The law of `residual`, with how many of the readings are far off."""
         return dataclasses.replace(
             law, tails=self.shape.degrees, strays=self.shape.strays
         )
 
 
-def without(problem: Problem, found: Strays | None) -> Problem:
-    """The readings without what was found far off, if anything was."""
-    return problem if found is None else problem.with_residual(found.residual)
-
-
-def told(problem: Problem, law: Law, columns: Array) -> Strays | None:
-    """Readings far off under a law, beside a model wide enough to hold any gap (columns
-    (N, k) of prior N(0, 1)), so that no gap is taken for one; None where tails are
-    light.
+def detect(residual: Array, covariance: Array) -> Outliers | None:
+    """Outliers of residuals (N,) whose covariance (N, N) is wide enough to hold any
+    gap, so that no gap is taken for one; None where tails are light.
 
     By e_i = (C^-1 r)_i / (C^-1)_ii, the error of predicting a reading from all others,
-    these without what is far off.
+    these without their outliers.
     """
-    covariance = columns @ columns.T + problem.slopes @ problem.slopes.T
-    for k, members in enumerate(problem.blocks):
-        covariance[np.ix_(members, members)] += law.block(problem, k)
     inverse = linalg.inv(covariance, check_finite=False)
     precision = np.diag(inverse)
-    clean = problem.residual
+    clean = residual
     for turn in range(TURNS):
         predicted = clean - inverse @ clean / precision
-        errors = (problem.residual - predicted) * np.sqrt(precision)
+        errors = (residual - predicted) * np.sqrt(precision)
         fits = [(shape, *_fitted(shape, errors)) for shape in (NORMAL, *SHAPES)]
         shape, scale, height = max(fits[1:], key=lambda fit: fit[2])
         if height < fits[0][2] + WORTH:
@@ -155,7 +145,7 @@ def told(problem: Problem, law: Law, columns: Array) -> Strays | None:
         - NORMAL.log_density(normal * np.sqrt(least))
         - 0.5 * np.log(least)
     )
-    return Strays(clean, shape, float(odds.sum()) - np.log(len(SHAPES)))
+    return Outliers(clean, shape, float(odds.sum()) - np.log(len(SHAPES)))
 
 
 def _fitted(shape: Shape, errors: Array) -> tuple[float, float]:

@@ -36,9 +36,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import relaxation
-from oed.design.blocks import Index
 from oed.design.certificate import SAFE
 from oed.design.criterion import Criterion
 from oed.planning.goal import Goal

@@ -19,12 +19,10 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oed import compensate, predict, simulate
-from oed.batch import Array
+from oed.arrays import Array, Index, Mask
 from oed.compensate import NO_TOOL, ErrorModel
-from oed.design.blocks import Index
 from oed.instrument import Setup
 from oed.kinematics import Kinematics
 from oed.measurement import Measurement, Series
@@ -265,7 +263,7 @@ class _Step:
     measurement: Measurement
     series: tuple[Series, ...]
     candidate: Index
-    first: NDArray[np.bool_]
+    first: Mask
     travel: float | None
 
     def taken(

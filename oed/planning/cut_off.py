@@ -20,8 +20,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index
 from oed.planning.known import roots
 from oed.planning.option import Option
 

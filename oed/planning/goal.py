@@ -12,7 +12,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.criterion import Criterion, Variance, Worst
 from oed.measurement import Measurement
 from oed.predict import ErrorMaps

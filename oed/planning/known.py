@@ -14,9 +14,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
-from oed.batch import Array
+from oed.arrays import Array, Mask
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -31,7 +30,7 @@ class Known:
 
     kinds: Array
     errors: Array | None
-    lost: NDArray[np.bool_]
+    lost: Mask
     square: Array
 
     @property
@@ -39,16 +38,14 @@ class Known:
         """Parameters n."""
         return int(self.kinds.shape[1])
 
-    def repeated(self, each: int) -> tuple[Array, Array | None, NDArray[np.bool_]]:
+    def repeated(self, each: int) -> tuple[Array, Array | None, Mask]:
         """Kinds, errors and losses with every machine taken `each` times, one machine
         after the other.
         """
         errors = None if self.errors is None else np.repeat(self.errors, each, axis=0)
         return np.repeat(self.kinds, each, axis=0), errors, np.repeat(self.lost, each)
 
-    def drawn(
-        self, each: int, rng: np.random.Generator
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def drawn(self, each: int, rng: np.random.Generator) -> tuple[Array, Array, Mask]:
         """The same with errors, drawn where they are not there."""
         kinds, errors, lost = self.repeated(each)
         if errors is None:

@@ -13,9 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import candidates
-from oed.design.blocks import Index
 from oed.design.candidates import Candidates
 from oed.instrument import Setup
 from oed.machine import Machine

@@ -22,8 +22,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index
 from oed.identify import IdentificationError, identify
 from oed.information import posterior_covariance
 from oed.kinematics import AssemblyError

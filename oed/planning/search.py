@@ -19,8 +19,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index
 from oed.design.criterion.protocol import inverse
 from oed.planning import bound as bounding
 from oed.planning import stage as staging

@@ -24,10 +24,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index, Mask
 from oed.design.criterion import Criterion
 from oed.design.criterion.protocol import inverse
 from oed.design.judge import Single
@@ -185,7 +183,7 @@ class _Machines:
     kinds: Array
     errors: Array | None
     own: Array
-    lost: NDArray[np.bool_]
+    lost: Mask
     patterns: Array
     which: Index
 

@@ -9,11 +9,9 @@ lost together.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index, Mask
 from oed.planning.known import Known, known
 from oed.planning.option import Option
 
@@ -60,9 +58,7 @@ def own_columns(option: Option) -> int:
     return int(option.measurement.free.sum()) - option.machine_columns
 
 
-def within(
-    option: Option, chosen: Index, errors: Array, own: Array
-) -> NDArray[np.bool_]:
+def within(option: Option, chosen: Index, errors: Array, own: Array) -> Mask:
     """Which chosen candidates (N,) machines with errors (P, n), and set-ups with
     unknowns `own` (P, s), can give: (P, N), all readings of a candidate being within
     the travel.

@@ -12,7 +12,7 @@ import numpy as np
 
 import oed
 from oed import explain, identify, posterior, predict, result, simulate, units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.measurement import Measurement, Series
 from oed.result.study import StudyResult
 from pkm_studies import claims, files, stored

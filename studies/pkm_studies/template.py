@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from oed import units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.instrument import Instrument, mount
 from oed.kinematics import AssemblyError
 from oed.machine import Coordinate, Machine

@@ -11,11 +11,11 @@ import pandas as pd
 
 from oed.effect import Column, Effect, State
 from oed.gap.data import problem as problems
-from oed.gap.data.metric import plain
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.instrument import mount
 from oed.measurement import Measurement
+from oed.noise.law import stated
 from pkm_models.instruments import relative
 from pkm_models.machines import planar_2dof
 
@@ -24,7 +24,7 @@ LINES, LENGTH = 8, 31
 
 def readings(
     seed: int, uneven: float = 0.0, late: float = 0.0, *, timed: bool = True
-) -> Problem:
+) -> GapProblem:
     """Lines of a planar machine read by RM 5, each both ways, with times and feeds,
     noise alone.
 
@@ -63,12 +63,12 @@ def readings(
     noise = made.slopes @ rng.standard_normal(made.slopes.shape[1])
     for k, members in enumerate(made.blocks):
         noise[members] += np.linalg.cholesky(
-            plain(made).block(made, k)
+            stated(made).block(made, k)
         ) @ rng.standard_normal(len(members))
     return made.with_residual(noise)
 
 
-def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> Problem:
+def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> GapProblem:
     """A planar machine read along lines by RM 5: two channels, whose reference reading
     is shared. White residuals.
     """
@@ -140,8 +140,8 @@ EFFECTS = (BOW, SLIP, DRIFT)
 
 
 def planted(
-    problem: Problem, effect: Effect, factors: dict[str, float], **constants: float
-) -> Problem:
+    problem: GapProblem, effect: Effect, factors: dict[str, float], **constants: float
+) -> GapProblem:
     """The readings with an effect at these constants, its coefficients at factors of
     their scales.
     """

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 
 from oed.gap.data.diagnosis import Block
-from oed.gap.data.metric import Law
-from oed.gap.data.problem import Problem, planned
+from oed.gap.data.problem import GapProblem, planned
 from oed.gap.place.where import where
 from oed.instrument import mount
 from oed.measurement import Measurement
+from oed.noise.law import NoiseLaw
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
 
@@ -23,7 +23,7 @@ HEIGHTS = (1.10, 1.16, 1.22)
 @functools.cache
 def circles(
     points: int = 24, heights: tuple[float, ...] = HEIGHTS, passes: int = 1
-) -> Problem:
+) -> GapProblem:
     """Circles, each forward and backward, `passes` times; a reading every 6 s."""
     measurement = Measurement(
         a3_head.machine, [mount(ball_bar.instrument, "bar", teach=TEACH)]
@@ -53,11 +53,11 @@ def circles(
     return planned(measurement, [series], covariates)
 
 
-def law(problem: Problem) -> Law:
+def law(problem: GapProblem) -> NoiseLaw:
     """A law with everything: a run's level and first harmonic, an error carried along,
     readings of different scatter, a level.
     """
-    return Law(
+    return NoiseLaw(
         0.7,
         0.9,
         5.0,
@@ -67,7 +67,7 @@ def law(problem: Problem) -> Law:
     )
 
 
-def dense(problem: Problem, law: Law) -> np.ndarray:
+def dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
     """Covariance (N, N) of readings without a gap, reading by reading from the law's
     formula.
     """
@@ -81,7 +81,7 @@ def dense(problem: Problem, law: Law) -> np.ndarray:
     return law.level**2 * total + problem.slopes @ problem.slopes.T
 
 
-def in_joint(problem: Problem, limb: int, change: np.ndarray) -> np.ndarray:
+def in_joint(problem: GapProblem, limb: int, change: np.ndarray) -> np.ndarray:
     """Change (N,) of the readings, in units of the noise, where a joint is off by
     `change` (m,) at each pose, m.
     """
@@ -100,7 +100,7 @@ def sized(change: np.ndarray, covariance: np.ndarray, size: float) -> np.ndarray
 class Machines:
     """Draws readings of virtual machines with a gap of a stated size."""
 
-    def __init__(self, problem: Problem, law: Law) -> None:
+    def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
         self.problem, self.law = problem, law
         self.covariance = dense(problem, law)
         self.root = np.linalg.cholesky(self.covariance)

@@ -10,10 +10,10 @@ import pytest
 from kernel.gap_lines import BOW, planted, readings
 from oed.effect import Column, Effect, State
 from oed.gap.cause.which import Search
-from oed.gap.data.metric import plain
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.library import DIFFER, Library
+from oed.noise.law import stated
 
 LOOSE = dataclasses.replace(BOW, constants={"turns": (2.0,)})
 TWINS = dataclasses.replace(LOOSE, name="twins", alike=True)
@@ -106,9 +106,9 @@ def test_evidence_is_for_what_limbs_are(
     assert gain > 0.2 if alike else -np.log(2.0) - 0.01 < gain < 0.1
 
 
-def _evidence(problem: Problem, effect: Effect) -> float:
+def _evidence(problem: GapProblem, effect: Effect) -> float:
     none = library.build(problem, ())
     search = Search(
-        problem, library.build(problem, [effect]), none, plain(problem), 0.0
+        problem, library.build(problem, [effect]), none, stated(problem), 0.0
     )
     return next(h for h in search.run() if h.effects).log_evidence

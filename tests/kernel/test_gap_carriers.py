@@ -11,14 +11,14 @@ from kernel import gap_problem as case
 from kernel.gap_lines import readings
 from oed.effect import Column, Effect, State
 from oed.gap.data.metric import Metric
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, library, spots
 from oed.gap.forms.processes import UNIT
 
 PERIOD = 700.0
 
 
-def _problem(name: str) -> Problem:
+def _problem(name: str) -> GapProblem:
     """Lines read against their own beginning, or circles of a ball bar."""
     return readings(1) if name == "lines" else case.circles()
 
@@ -77,7 +77,7 @@ def test_what_a_form_explains_is_that_of_least_squares(
         )  # of two degrees of freedom
 
 
-def _planted(size: float) -> tuple[Problem, np.ndarray]:
+def _planted(size: float) -> tuple[GapProblem, np.ndarray]:
     """Circles with a bump in the tool's place, along x, about the place of reading 40;
     and that place.
     """

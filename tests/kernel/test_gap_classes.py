@@ -14,12 +14,12 @@ import pytest
 from kernel import a3_plans, gap_a3
 from oed.gap.cause import classes
 from oed.gap.cause.which import Hypothesis, Search
-from oed.gap.data.metric import plain
-from oed.gap.data.problem import Problem, planned
+from oed.gap.data.problem import GapProblem, planned
 from oed.gap.data.signature import signature
 from oed.gap.forms import library
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement
+from oed.noise.law import stated
 from pkm_models.effects import bar_length, encoder_scale
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
@@ -46,7 +46,7 @@ def mounted(name: str, length: float, tool: float) -> Setup:
 
 
 @functools.cache
-def readings(bars: tuple[Bar, ...]) -> Problem:
+def readings(bars: tuple[Bar, ...]) -> GapProblem:
     """Circles at all heights that each bar reaches; residuals of zero."""
     m = Measurement(a3_head.machine, [mounted(*b) for b in bars])
     series, rows = [], []
@@ -71,19 +71,19 @@ def readings(bars: tuple[Bar, ...]) -> Problem:
     return planned(m, series, pd.DataFrame(rows))
 
 
-def columns(p: Problem, effect) -> np.ndarray:
+def columns(p: GapProblem, effect) -> np.ndarray:
     made = signature(
         effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma
     )
     return p.of(made.columns)
 
 
-def metric(p: Problem) -> np.ndarray:
+def metric(p: GapProblem) -> np.ndarray:
     """M (N, N) of independent noise of the stated size."""
     return np.linalg.inv(np.eye(len(p)) + p.slopes @ p.slopes.T)
 
 
-def left(p: Problem, known: Collection[str] = ()) -> tuple[float, float]:
+def left(p: GapProblem, known: Collection[str] = ()) -> tuple[float, float]:
     """sqrt(lambda) of a common scale of 50 ppm, and what of it the bars' lengths leave,
     however wrong they may be.
 
@@ -125,7 +125,7 @@ EFFECTS = (gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity)
 
 
 def searched(
-    p: Problem, effect: str, size: float, seed: int = 4
+    p: GapProblem, effect: str, size: float, seed: int = 4
 ) -> tuple[Search, Hypothesis]:
     """The search of readings in which a bar or a common scale acts with sqrt(lambda) =
     size; the right hypothesis.
@@ -135,12 +135,16 @@ def searched(
     noise = np.random.default_rng(seed).standard_normal(len(p))
     acting = p.with_residual(change + noise)
     nothing = library.build(acting, ())
-    search = Search(acting, library.build(acting, EFFECTS), nothing, plain(acting), 0.0)
+    search = Search(
+        acting, library.build(acting, EFFECTS), nothing, stated(acting), 0.0
+    )
     found = search.settle((effect,), (search.library.atoms_of(effect)[0],), (1.0,))
     return search, found
 
 
-def dense(p: Problem, search: Search, h: Hypothesis, rival: str) -> tuple[float, float]:
+def dense(
+    p: GapProblem, search: Search, h: Hypothesis, rival: str
+) -> tuple[float, float]:
     """lambda_k|j and lambda_k of the effect's posterior mean, for the rival's form that
     absorbs most.
     """

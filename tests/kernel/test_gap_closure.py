@@ -11,17 +11,17 @@ from numpy.testing import assert_allclose
 
 from kernel import gap_problem as case
 from oed.gap.cause.closure import closure, expected_gain, oracle_closure
-from oed.gap.data.metric import plain
-from oed.gap.data.problem import Problem, planned
+from oed.gap.data.problem import GapProblem, planned
 from oed.instrument import mount
 from oed.measurement import Measurement
+from oed.noise.law import stated
 from pkm_models.instruments import calliper
 from pkm_models.machines import linear_delta
 
 SPLITS = ("within", "whole")
 
 
-def held_out(problem: Problem, split: str) -> list[np.ndarray]:
+def held_out(problem: GapProblem, split: str) -> list[np.ndarray]:
     """Masks of the folds of `case.circles`, from how its runs were made: heights, or
     fifths by the angle commanded.
     """
@@ -68,7 +68,7 @@ def textbook(
 
 
 @pytest.fixture(scope="module")
-def readings() -> Problem:
+def readings() -> GapProblem:
     problem = case.circles()
     rng = np.random.default_rng(7)
     return problem.with_residual(
@@ -80,7 +80,7 @@ def readings() -> Problem:
 
 @pytest.mark.parametrize("split", SPLITS)
 def test_scores_are_those_of_dense_conditioning(
-    readings: Problem, split: str, rng: np.random.Generator
+    readings: GapProblem, split: str, rng: np.random.Generator
 ) -> None:
     law, zero = case.law(readings), np.zeros(len(readings))
     G, scale = rng.standard_normal((len(readings), 3)), np.array([0.5, 2.0, 1.0])
@@ -103,7 +103,7 @@ def test_scores_are_those_of_dense_conditioning(
 
 @pytest.mark.parametrize("split", SPLITS)
 def test_constants_are_weighed_by_training_readings_alone(
-    readings: Problem, split: str, rng: np.random.Generator
+    readings: GapProblem, split: str, rng: np.random.Generator
 ) -> None:
     law, zero = case.law(readings), np.zeros(len(readings))
     several = [rng.standard_normal((len(readings), k)) for k in (2, 1, 2)]
@@ -127,7 +127,7 @@ def test_constants_are_weighed_by_training_readings_alone(
 
 @pytest.mark.parametrize("split", SPLITS)
 def test_oracle_takes_the_true_change_out(
-    readings: Problem, split: str, rng: np.random.Generator
+    readings: GapProblem, split: str, rng: np.random.Generator
 ) -> None:
     law, change = case.law(readings), 3.0 * rng.standard_normal(len(readings))
     r = readings.with_residual(readings.residual + change)
@@ -217,7 +217,7 @@ def test_right_effect_closes_what_the_oracle_closes_and_a_wrong_one_harms(
 
 def test_interval_covers_the_oracles_closure(rng: np.random.Generator) -> None:
     problem = case.circles()
-    law = plain(problem)
+    law = stated(problem)
     covariance = case.dense(problem, law)
     root = np.linalg.cholesky(covariance)
     change = case.sized(
@@ -249,9 +249,11 @@ def test_repeats_are_held_out_together() -> None:
             * np.cos(3.0 * problem.rows["phase"].to_numpy()),
         ]
     )
-    whole = closure(r, plain(r), G, np.random.default_rng(0), split="whole", scale=20.0)
+    whole = closure(
+        r, stated(r), G, np.random.default_rng(0), split="whole", scale=20.0
+    )
     within = closure(
-        r, plain(r), G, np.random.default_rng(0), split="within", scale=20.0
+        r, stated(r), G, np.random.default_rng(0), split="within", scale=20.0
     )
     assert abs(whole.value) < 0.05
     assert within.value > 0.9
@@ -263,7 +265,7 @@ def test_where_all_runs_repeat_one_path_each_is_held_out(
     problem = case.circles(12, (1.16,), 2)
     way = problem.rows["direction"].to_numpy(dtype=float)
     r = problem.with_residual(10.0 * way + rng.standard_normal(len(way)))
-    found = closure(r, plain(r), way[:, None], rng, split="whole", scale=10.0)
+    found = closure(r, stated(r), way[:, None], rng, split="whole", scale=10.0)
     assert (found.n, found.value > 0.9) == (len(way), True)
 
 
@@ -275,11 +277,11 @@ def test_one_run_cannot_be_held_out_whole(rng: np.random.Generator) -> None:
         [series.take(np.arange(12))],
         full.rows.iloc[:12][["setup", "run", "order"]],
     )
-    found = closure(problem, plain(problem), np.ones((12, 1)), rng, split="whole")
+    found = closure(problem, stated(problem), np.ones((12, 1)), rng, split="whole")
     assert found.n == 0
     assert np.isnan(found.value)
     assert (
-        closure(problem, plain(problem), np.ones((12, 1)), rng, split="within").n == 12
+        closure(problem, stated(problem), np.ones((12, 1)), rng, split="within").n == 12
     )
 
 
@@ -296,13 +298,15 @@ def test_short_runs_make_five_folds(rng: np.random.Generator) -> None:
     problem = planned(measurement, [series], table)
     r = problem.with_residual(rng.standard_normal(len(problem)))
     for split in SPLITS:
-        found = closure(r, plain(r), rng.standard_normal((len(r), 2)), rng, split=split)
+        found = closure(
+            r, stated(r), rng.standard_normal((len(r), 2)), rng, split=split
+        )
         assert found.n == 20
         assert found.s0 < 4.0
 
 
 def test_no_gap_left_to_close_is_nan_with_a_wide_interval(
-    readings: Problem, rng: np.random.Generator
+    readings: GapProblem, rng: np.random.Generator
 ) -> None:
     quiet = readings.with_residual(0.3 * readings.residual)
     found = closure(
@@ -318,7 +322,7 @@ def test_no_gap_left_to_close_is_nan_with_a_wide_interval(
 
 
 def test_same_seed_same_closure_and_folds_do_not_depend_on_it(
-    readings: Problem,
+    readings: GapProblem,
 ) -> None:
     G = np.random.default_rng(2).standard_normal((len(readings), 2))
     law = case.law(readings)
@@ -332,9 +336,9 @@ def test_same_seed_same_closure_and_folds_do_not_depend_on_it(
 
 
 def test_columns_that_do_not_fit_are_refused(
-    readings: Problem, rng: np.random.Generator
+    readings: GapProblem, rng: np.random.Generator
 ) -> None:
-    law = plain(readings)
+    law = stated(readings)
     with pytest.raises(ValueError, match=r"143, 1.*144 readings need \(144, k\)"):
         closure(readings, law, np.ones((143, 1)), rng, split="whole")
     bad = np.ones((144, 2))
@@ -346,7 +350,7 @@ def test_columns_that_do_not_fit_are_refused(
 
 
 def test_a_law_too_quiet_shows_in_the_scores(
-    readings: Problem, rng: np.random.Generator
+    readings: GapProblem, rng: np.random.Generator
 ) -> None:
     """Snoise is 1 by the law: half the level makes S0 four times as large."""
     law = case.law(readings)

@@ -11,8 +11,8 @@ from scipy import stats
 
 from kernel import a3_plans, gap_a3
 from oed.gap.before import detect, runs
-from oed.gap.data.metric import Law, plain
 from oed.gap.data.signature import signature
+from oed.noise.law import NoiseLaw, stated
 
 FIVE = (0.0, 0.05, 0.1, 0.15, 0.2)
 ALL = [gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity]
@@ -64,7 +64,7 @@ def test_ideal_power_at_six_drops_when_the_best_of_a_hundred_is_taken():
 @pytest.mark.parametrize("tools", [(0.0,), (0.0, 0.1)])
 def test_lambdas_are_those_of_the_dense_covariance(tools):
     p = problem(tools, strokes=(0.0, 0.1, 0.2))
-    law = Law(
+    law = NoiseLaw(
         0.4, 0.7, 3.0, np.random.default_rng(3).uniform(0.5, 2.0, len(p)), level=1.3
     )
     told = detect.detect(p, law, [*ALL, gap_a3.warming], np.random.default_rng(0))
@@ -102,9 +102,9 @@ def test_lambdas_are_those_of_the_dense_covariance(tools):
 
 def test_least_size_is_found_nine_times_in_ten():
     p, rng = problem(strokes=(0.0, 0.1, 0.2)), np.random.default_rng(5)
-    row = detect.detect(p, plain(p), [gap_a3.encoder_scale], rng).effects[0]
+    row = detect.detect(p, stated(p), [gap_a3.encoder_scale], rng).effects[0]
     g, made = columns(p, gap_a3.encoder_scale)
-    c = dense(p, plain(p))
+    c = dense(p, stated(p))
     root = np.linalg.cholesky(c)
     inner = np.linalg.solve(root, g)
     change = (
@@ -131,7 +131,7 @@ def free(p):
 
 def test_common_scale_and_bar_length_are_one_class_with_one_tool():
     p = free(problem(points=36))
-    told = detect.detect(p, plain(p), ALL, np.random.default_rng(0))
+    told = detect.detect(p, stated(p), ALL, np.random.default_rng(0))
     assert told.exact == (("encoder_scale", "bar_length"),)
     scale = told.of("encoder_scale")
     bar = next(r for r in scale.rivals if r.name == "bar_length")
@@ -149,7 +149,7 @@ def test_common_scale_and_bar_length_are_one_class_with_one_tool():
 
 def test_two_tool_lengths_tell_scale_from_bar():
     p = free(problem((0.0, 0.1)))
-    told = detect.detect(p, plain(p), ALL, np.random.default_rng(0))
+    told = detect.detect(p, stated(p), ALL, np.random.default_rng(0))
     assert not told.exact
     angle = told.angles[
         told.names.index("encoder_scale"), told.names.index("bar_length")
@@ -162,7 +162,7 @@ def test_classes_name_who_is_absorbed_by_whom():
     # scale, not the other way
     p = problem()
     p = dataclasses.replace(p, slopes=p.slopes * 0.02)
-    told = detect.detect(p, plain(p), ALL, np.random.default_rng(0))
+    told = detect.detect(p, stated(p), ALL, np.random.default_rng(0))
     assert told.of("bar_length").visible
     assert told.of("encoder_scale").visible
     assert told.classes == (("encoder_scale", "bar_length"),)
@@ -171,10 +171,10 @@ def test_classes_name_who_is_absorbed_by_whom():
 
 def test_calibration_absorbs_most_of_static_gravity():
     p = problem(strokes=FIVE, points=24)
-    row = detect.detect(p, plain(p), ALL, np.random.default_rng(0)).of("gravity")
+    row = detect.detect(p, stated(p), ALL, np.random.default_rng(0)).of("gravity")
     g, _ = columns(p, gap_a3.gravity)
     kept = np.sqrt(
-        np.trace(g.T @ np.linalg.solve(dense(p, plain(p)), g)) / np.sum(g**2)
+        np.trace(g.T @ np.linalg.solve(dense(p, stated(p)), g)) / np.sum(g**2)
     )
     assert 1.0 - row.absorbed == pytest.approx(kept, rel=1e-6)
     assert kept < 0.12
@@ -186,7 +186,7 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
         gap_a3.gravity, name="both_ways", needs=("direction: both",)
     )
     told = detect.detect(
-        p, plain(p), [both, gap_a3.encoder_scale], np.random.default_rng(0)
+        p, stated(p), [both, gap_a3.encoder_scale], np.random.default_rng(0)
     )
     assert told.not_testable == {
         "both_ways": "the readings do not have direction: both"
@@ -194,7 +194,7 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
     assert told.names == ("encoder_scale",)
     assert not told.of("both_ways").visible
     unseen = dataclasses.replace(gap_a3.bar_length, columns=lambda s: [])
-    told = detect.detect(p, plain(p), [unseen], np.random.default_rng(0))
+    told = detect.detect(p, stated(p), [unseen], np.random.default_rng(0))
     assert "changes none" in told.not_testable["bar_length"]
     assert told.classes == ()
 
@@ -213,12 +213,12 @@ def test_combinations_in_words():
 def test_same_seed_same_figures_and_bad_input():
     p = problem(strokes=(0.0, 0.2))
     one, two = (
-        detect.detect(p, plain(p), ALL, np.random.default_rng(4)) for _ in range(2)
+        detect.detect(p, stated(p), ALL, np.random.default_rng(4)) for _ in range(2)
     )
     assert one.effects == two.effects
     with pytest.raises(ValueError, match="each once"):
         detect.detect(
-            p, plain(p), [gap_a3.gravity, gap_a3.gravity], np.random.default_rng(0)
+            p, stated(p), [gap_a3.gravity, gap_a3.gravity], np.random.default_rng(0)
         )
     with pytest.raises(KeyError, match="no effect"):
         one.of("rust")

@@ -11,32 +11,33 @@ import pytest
 from scipy import linalg, stats
 
 from kernel.gap_lines import white_lines
-from oed.gap.data import evidence
+from oed.gap.data import evidence, noise
 from oed.gap.data import problem as problems
-from oed.gap.data.metric import Law, Metric
-from oed.gap.data.problem import Problem
-from oed.noise import estimate as scatter
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
+from oed.noise import estimate
+from oed.noise.law import NoiseLaw
 
 
 @pytest.fixture(scope="module")
-def problem() -> Problem:
+def problem() -> GapProblem:
     return white_lines()
 
 
-def _law(problem: Problem) -> Law:
+def _law(problem: GapProblem) -> NoiseLaw:
     variance = 1.0 + np.arange(len(problem)) % 3
     ratio = np.where(problem.group == 0, 1.0, 1.7)
-    return Law(0.8, 1.5, 4.0, variance, ratio=ratio, sway=0.7)
+    return NoiseLaw(0.8, 1.5, 4.0, variance, ratio=ratio, sway=0.7)
 
 
-def _dense(problem: Problem, law: Law) -> np.ndarray:
+def _dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
     covariance = problem.slopes @ problem.slopes.T
     for k, members in enumerate(problem.blocks):
         covariance[np.ix_(members, members)] += law.block(problem, k)
     return covariance
 
 
-def test_metric_is_the_inverse_covariance(problem: Problem) -> None:
+def test_metric_is_the_inverse_covariance(problem: GapProblem) -> None:
     law, rng = _law(problem), np.random.default_rng(1)
     u, v = rng.standard_normal((2, len(problem), 3))
     metric, dense = Metric(problem, law), _dense(problem, law)
@@ -55,7 +56,7 @@ def test_metric_is_the_inverse_covariance(problem: Problem) -> None:
     np.testing.assert_allclose(fitted, wanted, rtol=1e-7, atol=1e-9)
 
 
-def test_metric_of_some_readings(problem: Problem) -> None:
+def test_metric_of_some_readings(problem: GapProblem) -> None:
     law, rows = _law(problem), np.arange(3, len(problem), 2)
     dense = _dense(problem, law)[np.ix_(rows, rows)]
     u = np.random.default_rng(2).standard_normal((len(problem), 2))
@@ -66,8 +67,8 @@ def test_metric_of_some_readings(problem: Problem) -> None:
     )
 
 
-def test_shared_reference_reading_is_in_the_law(problem: Problem) -> None:
-    block = Law(0.0, 0.0, 1.0, np.ones(len(problem))).block(problem, 0)
+def test_shared_reference_reading_is_in_the_law(problem: GapProblem) -> None:
+    block = NoiseLaw(0.0, 0.0, 1.0, np.ones(len(problem))).block(problem, 0)
     # RM 5 tells each reading against one other: half of its variance is shared by the
     # run, channel by channel
     np.testing.assert_allclose(np.diag(block), 1.0)
@@ -75,7 +76,7 @@ def test_shared_reference_reading_is_in_the_law(problem: Problem) -> None:
     assert block[0, 1] == 0.0
 
 
-def _student(problem: Problem, law: Law, columns: np.ndarray) -> float:
+def _student(problem: GapProblem, law: NoiseLaw, columns: np.ndarray) -> float:
     shape = _dense(problem, law) + columns @ columns.T
     return float(
         stats.multivariate_t(
@@ -87,7 +88,7 @@ def _student(problem: Problem, law: Law, columns: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("size", [0.1, 1.0, 3.0])
-def test_evidence_is_the_student_density(problem: Problem, size: float) -> None:
+def test_evidence_is_the_student_density(problem: GapProblem, size: float) -> None:
     law, columns = (
         _law(problem),
         np.random.default_rng(3).standard_normal((len(problem), 5)),
@@ -101,7 +102,7 @@ def test_evidence_is_the_student_density(problem: Problem, size: float) -> None:
     )
 
 
-def test_columns_one_after_the_other(problem: Problem) -> None:
+def test_columns_one_after_the_other(problem: GapProblem) -> None:
     """Selecting step by step, and scoring what is left, is the evidence of all of them
     together.
     """
@@ -119,7 +120,7 @@ def test_columns_one_after_the_other(problem: Problem) -> None:
     assert told == pytest.approx(_student(problem, law, scaled))
 
 
-def test_what_is_taken_out_stays_out(problem: Problem) -> None:
+def test_what_is_taken_out_stays_out(problem: GapProblem) -> None:
     law = _law(problem)
     columns = np.random.default_rng(5).standard_normal((len(problem), 4))
     columns[:, 3] = columns[:, 0] - 2.0 * columns[:, 1]
@@ -130,7 +131,7 @@ def test_what_is_taken_out_stays_out(problem: Problem) -> None:
     assert left.gram[2, 2] > 1.0
 
 
-def test_residual_does_not_depend_on_where_the_fit_ended(problem: Problem) -> None:
+def test_residual_does_not_depend_on_where_the_fit_ended(problem: GapProblem) -> None:
     """r - H dtheta / tolerance moves along H only, whose prior variance is in the
     metric: to first order nothing.
     """
@@ -155,14 +156,14 @@ def test_residual_does_not_depend_on_where_the_fit_ended(problem: Problem) -> No
 )
 def test_noise_law_is_found(repeat: float, wander: float, sway: float) -> None:
     problem = white_lines(7, runs=12, length=40)
-    true = Law(repeat, wander, 6.0, np.ones(len(problem)), sway=sway)
+    true = NoiseLaw(repeat, wander, 6.0, np.ones(len(problem)), sway=sway)
     rng = np.random.default_rng(8)
     y = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
     for k, members in enumerate(problem.blocks):
         y[members] += linalg.cholesky(
             true.block(problem, k), lower=True
         ) @ rng.standard_normal(len(members))
-    found, _ = scatter.fit(problem.with_residual(y), np.zeros((len(problem), 0)))
+    found, _ = noise.fit_law(problem.with_residual(y), np.zeros((len(problem), 0)))
     # the reference reading of RM 5 is shared already: repeat comes on top
     assert found.repeat == pytest.approx(repeat, abs=0.4 + 0.4 * repeat)
     assert found.wander == pytest.approx(wander, abs=0.4 + 0.2 * wander)
@@ -180,10 +181,10 @@ def test_prior_about_a_law_is_its_volume() -> None:
     def cost(v: np.ndarray) -> float:
         return float(0.5 * (((v[:2] - [0.3, -1.0]) / spread) ** 2).sum())
 
-    told = scatter._about(cost, np.array([0.3, -1.0, 2.0, -3.0]), 0.0)
+    told = estimate._about(cost, np.array([0.3, -1.0, 2.0, -3.0]), 0.0)
     volume = np.prod(spread * np.sqrt(2.0 * np.pi)) * wide * 13.0
     assert told == pytest.approx(np.log(volume), abs=0.25)
-    half = scatter._about(
+    half = estimate._about(
         lambda v: cost(v) + (1e9 if v[0] < 0.3 else 0.0),
         np.array([0.3, -1.0, 2.0, -3.0]),
         0.0,
@@ -203,18 +204,18 @@ def test_a_law_that_has_to_be_tuned_is_less_likely_than_one_that_holds_anyhow(
     y = rng.standard_normal(len(problem))
     for members in problem.blocks:
         y[members] += shift * rng.standard_normal()
-    law, prior = scatter.fit(problem.with_residual(y), np.zeros((len(problem), 0)))
-    quiet, most = scatter.quiet(law)
+    law, prior = noise.fit_law(problem.with_residual(y), np.zeros((len(problem), 0)))
+    quiet, most = estimate.quiet(law)
     assert (law.repeat > 0.5) == bool(shift)
     assert quiet.repeat < 0.05
     assert most - prior == pytest.approx(2.5 if shift else 0.3, abs=1.0)
 
 
-def test_a_law_in_words_tells_the_first_harmonic(problem: Problem) -> None:
-    law = Law(0.0, 0.0, 1.0, np.ones(len(problem)), level=2.0, sway=0.8)
-    told = scatter.words(problem, law)
+def test_a_law_in_words_tells_the_first_harmonic(problem: GapProblem) -> None:
+    law = NoiseLaw(0.0, 0.0, 1.0, np.ones(len(problem)), level=2.0, sway=0.8)
+    told = estimate.words(problem, law)
     assert [w for w in told if "first harmonic" in w] == [
         "a run's first harmonic repeats to 1.6 times the stated noise"
     ]
     assert len(told) == 2
-    assert len(scatter.words(problem, dataclasses.replace(law, sway=0.1))) == 1
+    assert len(estimate.words(problem, dataclasses.replace(law, sway=0.1))) == 1

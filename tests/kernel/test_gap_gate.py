@@ -15,11 +15,11 @@ from oed.gap import diagnose as diagnosing
 from oed.gap.cause import gate, which
 from oed.gap.cause.which import Hypothesis, Search
 from oed.gap.data.diagnosis import UNKNOWN
-from oed.gap.data.metric import plain
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.processes import PROCESSES
 from oed.gap.place import where
+from oed.noise.law import stated
 
 BLANK = {
     "atoms": (),
@@ -82,7 +82,7 @@ def test_the_least_p_value_is_that_of_the_places_told(machines: Machines) -> Non
     assert least == pytest.approx(told[0].p_value)
 
 
-def _along(problem: Problem) -> np.ndarray:
+def _along(problem: GapProblem) -> np.ndarray:
     """A half wave of leg 2 over its travel, at each pose."""
     (state,) = problem.states
     q = state.joints[:, 1]
@@ -119,7 +119,7 @@ def test_only_where_none_would_be_told_its_odds_are_divided(
         problem,
         library.build(problem, EFFECTS),
         library.build(problem, PROCESSES[:1]),
-        plain(problem),
+        stated(problem),
         0.0,
     )
     after = gate.weighed([search], made, before, np.random.default_rng(1))
@@ -149,7 +149,7 @@ def test_the_gate_leaves_the_draws_of_what_comes_after_alone(
     for p in (0.9, 1e-12):
         monkeypatch.setattr(where, "least", lambda *given, p=p: p)
         found[p] = diagnosing.diagnose(
-            problem, EFFECTS, np.random.default_rng(0), law=plain(problem)
+            problem, EFFECTS, np.random.default_rng(0), law=stated(problem)
         )
     assert found[0.9].verdict == "none"
     assert found[0.9].where == ()

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from kernel.gap_lines import readings
-from oed.gap.data.metric import Law, Metric, Whitener
+from oed.gap.data.metric import Metric
+from oed.noise.law import NoiseLaw, Whitener
 
-LAW = Law(0.7, 0.9, 6.0, np.ones(1), level=1.3, ratio=np.ones(1), sway=0.4)
+LAW = NoiseLaw(0.7, 0.9, 6.0, np.ones(1), level=1.3, ratio=np.ones(1), sway=0.4)
 
 
 @pytest.mark.parametrize("related", [False, True])
@@ -41,6 +42,6 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     assert Metric(problem, law).gram(values, values) == pytest.approx(
         values.T @ np.linalg.solve(geometry, values), rel=1e-6, abs=1e-6
     )
-    assert {len(m) for pack in problem.packs for m in pack.members} == {
+    assert {len(m) for batch in problem.batches for m in batch.members} == {
         len(problem.blocks[0]) // (1 if related else 2)
     }

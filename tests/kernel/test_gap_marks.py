@@ -11,24 +11,25 @@ from kernel import gap_problem
 from oed.gap import diagnose
 from oed.gap.cause import which
 from oed.gap.cause.which import Search
-from oed.gap.data.metric import Metric, plain
-from oed.gap.data.problem import Problem
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, library, marks, waves
 from oed.gap.forms.library import Library
+from oed.noise.law import stated
 
 HEIGHTS = (1.10, 1.14, 1.18, 1.22)
 
 
-def _noisy(seed: int) -> Problem:
+def _noisy(seed: int) -> GapProblem:
     problem = gap_problem.circles(points=36, heights=HEIGHTS)
     rng = np.random.default_rng(seed)
     return problem.with_residual(
-        np.linalg.cholesky(gap_problem.dense(problem, plain(problem)))
+        np.linalg.cholesky(gap_problem.dense(problem, stated(problem)))
         @ rng.normal(size=len(problem))
     )
 
 
-def _marked(problem: Problem, periods: dict[int, float], size: float) -> Problem:
+def _marked(problem: GapProblem, periods: dict[int, float], size: float) -> GapProblem:
     """With a wave of each joint along its travel, m of either way; in all `size` large
     against the noise.
     """
@@ -44,15 +45,15 @@ def _marked(problem: Problem, periods: dict[int, float], size: float) -> Problem
     return problem.with_residual(
         problem.residual
         + gap_problem.sized(
-            np.asarray(change), gap_problem.dense(problem, plain(problem)), size
+            np.asarray(change), gap_problem.dense(problem, stated(problem)), size
         )
     )
 
 
-def _found(problem: Problem) -> tuple[Library, which.Hypothesis]:
+def _found(problem: GapProblem) -> tuple[Library, which.Hypothesis]:
     none = library.build(problem, ())
-    made = marks.added(none, problem, plain(problem))
-    return made, which.compare([Search(problem, none, made, plain(problem), 0.0)])[0]
+    made = marks.added(none, problem, stated(problem))
+    return made, which.compare([Search(problem, none, made, stated(problem), 0.0)])[0]
 
 
 @pytest.mark.parametrize(
@@ -102,13 +103,13 @@ def test_what_a_fine_wave_explains_is_what_the_metric_says() -> None:
     size, bin_size = marks._division(float(place[:, :, long].max()))
     energy = marks._energies(
         problem,
-        Metric(problem, plain(problem)),
+        Metric(problem, stated(problem)),
         legs[:, long],
         place[:, :, long] / bin_size,
         size,
     )
     inverse, quick, exact = (
-        np.linalg.inv(gap_problem.dense(problem, plain(problem))),
+        np.linalg.inv(gap_problem.dense(problem, stated(problem))),
         [],
         [],
     )

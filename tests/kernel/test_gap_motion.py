@@ -4,11 +4,10 @@ closed form.
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from oed.arrays import Array
 from oed.gap.data.motion import Motion, motion
 
-Array = NDArray[np.float64]
 RADIUS, FEED = 0.1, 0.02
 SWING = np.array([0.05, 0.03])
 LATE = np.array([0.7, 2.9])  # rad, where the joints are farthest out

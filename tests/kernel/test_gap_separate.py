@@ -12,8 +12,8 @@ from kernel import a3_plans, gap_a3
 from oed.design import exchange
 from oed.design.rules import Rules
 from oed.gap.before import apart, detect, runs, separate
-from oed.gap.data.metric import Law, plain
 from oed.gap.data.signature import signature
+from oed.noise.law import NoiseLaw, stated
 
 WANTED = [gap_a3.gravity, gap_a3.encoder_scale]
 
@@ -38,7 +38,7 @@ def pool(
     points=12,
 ):
     _, p, rows = laid_out(tools, strokes, payloads, points)
-    return separate.Pool(p, plain(p), rows, WANTED)
+    return separate.Pool(p, stated(p), rows, WANTED)
 
 
 def columns(p, effect):
@@ -59,7 +59,7 @@ def dense(p, law, rows, target, rival):
 
 def test_lambdas_of_a_plan_are_those_of_its_readings_covariance():
     _, p, rows = laid_out()
-    law = Law(0.4, 0.7, 3.0, np.random.default_rng(2).uniform(0.5, 2.0, len(p)))
+    law = NoiseLaw(0.4, 0.7, 3.0, np.random.default_rng(2).uniform(0.5, 2.0, len(p)))
     made = separate.Pool(p, law, rows, WANTED)
     plan = np.array([1, 6, 12, 17])
     at = np.concatenate([rows[k] for k in plan])
@@ -159,7 +159,7 @@ def test_payload_and_second_tool_tell_gravity_from_scale():
         strokes=(0.0, 0.08, 0.14, 0.2), payloads=(0.0, 100.0), points=15
     )
     made = separate.Pool(
-        p, plain(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
+        p, stated(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
     )
     names = [(r.setup, r.name) for r in candidates]
     paper = np.array(
@@ -171,7 +171,7 @@ def test_payload_and_second_tool_tell_gravity_from_scale():
     assert len({candidates[k].condition["payload"] for k in found.runs}) == 2
     # without the load as a factor four circles and a second tool do not
     plain_pool = separate.Pool(
-        p, plain(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
+        p, stated(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
     )
     idle = [k for k, r in enumerate(candidates) if not r.condition["payload"]]
     assert (
@@ -233,7 +233,7 @@ def test_the_told_plan_agrees_with_the_table_before_measuring():
     candidates, p, _ = laid_out()
     found = separate.choose(pool(), Rules(size=4), np.random.default_rng(0))
     own, _ = runs.prepared(p.measurement, [candidates[k] for k in found.runs])
-    told = detect.detect(own, plain(own), WANTED, np.random.default_rng(0))
+    told = detect.detect(own, stated(own), WANTED, np.random.default_rng(0))
     legs = next(t for t in found.told if t.effect == "gravity")
     assert told.of("gravity").detectability == pytest.approx(legs.seen, rel=1e-5)
     assert told.apart[0, 1] == pytest.approx(legs.apart, rel=1e-5)
@@ -275,12 +275,12 @@ def test_bad_input_is_refused_with_a_remedy():
             p.measurement, [runs.Run(name="a", setup="cup", command=command)] * 2
         )
     with pytest.raises(ValueError, match="nothing to tell apart"):
-        separate.Pool(p, plain(p), rows, [gap_a3.gravity])
+        separate.Pool(p, stated(p), rows, [gap_a3.gravity])
     with pytest.raises(ValueError, match="'rust'"):
-        separate.Pool(p, plain(p), rows, WANTED, pairs=[("gravity", "rust")])
+        separate.Pool(p, stated(p), rows, WANTED, pairs=[("gravity", "rust")])
     with pytest.raises(ValueError, match="no coefficient among"):
         separate.Pool(
-            p, plain(p), rows, WANTED, combinations={"gravity": [{"leg 9": 1.0}]}
+            p, stated(p), rows, WANTED, combinations={"gravity": [{"leg 9": 1.0}]}
         )
     with pytest.raises(ValueError, match="cannot choose 40 different runs out of 20"):
         separate.choose(pool(), Rules(size=40), np.random.default_rng(0))

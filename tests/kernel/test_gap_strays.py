@@ -13,20 +13,20 @@ from scipy import integrate, stats
 
 from kernel.gap_lines import EFFECTS, SLIP, planted, readings, white_lines
 from oed.gap import diagnose as diagnosing
-from oed.gap.data.metric import plain
-from oed.gap.data.problem import Problem
-from oed.noise import estimate as scatter
-from oed.noise import outliers as strays
+from oed.gap.data import noise
+from oed.gap.data.problem import GapProblem
+from oed.noise import estimate, outliers
+from oed.noise.law import stated
 
 
-def alone(problem: Problem) -> Problem:
+def alone(problem: GapProblem) -> GapProblem:
     """The same readings, each independent of the others, with nothing to absorb."""
     free = np.zeros((len(problem), 1))
     return dataclasses.replace(problem, base=(None,) * len(problem.blocks), slopes=free)
 
 
-@pytest.mark.parametrize("shape", strays.SHAPES, ids=str)
-def test_a_shape_is_a_density_with_its_score(shape: strays.Shape) -> None:
+@pytest.mark.parametrize("shape", outliers.SHAPES, ids=str)
+def test_a_shape_is_a_density_with_its_score(shape: outliers.Shape) -> None:
     def density(e: float) -> float:
         return float(np.exp(shape.log_density(np.array(e))))
 
@@ -39,9 +39,9 @@ def test_a_shape_is_a_density_with_its_score(shape: strays.Shape) -> None:
 
 def test_a_student_is_scipy_s_and_its_information_is_known() -> None:
     e = np.linspace(-20.0, 20.0, 41)
-    for n in strays.DEGREES:
-        assert strays.Student(n).log_density(e) == pytest.approx(stats.t(n).logpdf(e))
-        assert strays.information(strays.Student(n)) == pytest.approx(
+    for n in outliers.DEGREES:
+        assert outliers.Student(n).log_density(e) == pytest.approx(stats.t(n).logpdf(e))
+        assert outliers.information(outliers.Student(n)) == pytest.approx(
             (n + 1.0) / (n + 3.0), abs=1e-4
         )
 
@@ -50,31 +50,31 @@ def test_few_strays_cost_next_to_no_information() -> None:
     """At most that of as many readings lost, and less than if the noise were as large
     as its variance says.
     """
-    for share, wild in itertools.product(strays.SHARES, strays.WILD):
-        kept = strays.information(strays.Mixed(share, wild))
+    for share, wild in itertools.product(outliers.SHARES, outliers.WILD):
+        kept = outliers.information(outliers.Mixed(share, wild))
         assert 1.0 / (1.0 - share + share * wild**2) < kept < 1.0
         assert kept > 1.0 - 4.0 * share
 
 
 @pytest.mark.parametrize(
     "shape",
-    [strays.Student(3.0), strays.Student(6.0), strays.Mixed(0.02, 10.0)],
+    [outliers.Student(3.0), outliers.Student(6.0), outliers.Mixed(0.02, 10.0)],
     ids=str,
 )
 def test_a_pseudo_error_tells_of_a_small_change_what_the_error_does(
-    shape: strays.Shape,
+    shape: outliers.Shape,
 ) -> None:
     """Log likelihood ratios of a shift by a tenth, one reading in ten thousand; a
     normal law of the same variance in place of the score's would tell far less.
     """
     rng = np.random.default_rng(5)
-    if isinstance(shape, strays.Student):
+    if isinstance(shape, outliers.Student):
         e = rng.standard_t(shape.degrees, 10_000)
     else:
         e = rng.standard_normal(10_000) * np.where(
             rng.random(10_000) < shape.strays, shape.wild, 1.0
         )
-    told = strays.information(shape)
+    told = outliers.information(shape)
     normal = shape.weight(e) * e / told
     for shift in (-0.06, 0.03, 0.06):
         exact = (shape.log_density(e - shift) - shape.log_density(e)).sum()
@@ -87,7 +87,7 @@ def test_normal_readings_have_no_strays() -> None:
     twenty.
     """
     found = [
-        strays.told(p, plain(p), np.zeros((len(p), 0)))
+        noise.detect_outliers(p, stated(p), np.zeros((len(p), 0)))
         for p in (white_lines(k, 5, 31) for k in range(12))
     ]
     assert sum(f is not None for f in found) <= 1
@@ -99,8 +99,8 @@ def test_strays_are_told_and_no_others() -> None:
     far = rng.choice(len(problem), 12, replace=False)
     y = problem.residual.copy()
     y[far] += 12.0 * rng.choice([-1.0, 1.0], 12)
-    found = strays.told(
-        problem.with_residual(y), plain(problem), np.zeros((len(problem), 0))
+    found = noise.detect_outliers(
+        problem.with_residual(y), stated(problem), np.zeros((len(problem), 0))
     )
     assert found is not None
     ordinary = np.delete(np.arange(len(problem)), far)
@@ -119,8 +119,8 @@ def test_what_is_left_tells_as_much_as_heavy_tails_allow(
     rng, means, plain_means = np.random.default_rng(seed), [], []
     for _ in range(150):
         y = rng.standard_t(degrees, len(problem))
-        found = strays.told(
-            problem.with_residual(y), plain(problem), np.zeros((len(problem), 0))
+        found = noise.detect_outliers(
+            problem.with_residual(y), stated(problem), np.zeros((len(problem), 0))
         )
         means.append(np.mean(y if found is None else found.residual))
         plain_means.append(np.mean(y))
@@ -137,10 +137,13 @@ def test_strays_are_told_beside_a_model_of_many_columns() -> None:
     y = columns @ rng.standard_normal(columns.shape[1]) + rng.standard_normal(
         len(problem)
     )
-    assert strays.told(problem.with_residual(y), plain(problem), columns) is None
+    assert (
+        noise.detect_outliers(problem.with_residual(y), stated(problem), columns)
+        is None
+    )
     far = rng.choice(len(problem), 9, replace=False)
     y[far] += 15.0 * rng.choice([-1.0, 1.0], len(far))
-    found = strays.told(problem.with_residual(y), plain(problem), columns)
+    found = noise.detect_outliers(problem.with_residual(y), stated(problem), columns)
     assert found is not None
     moved = np.abs(found.residual - y)
     assert moved[far].min() > 5.0
@@ -152,7 +155,7 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     be they far off.
     """
     problem = readings(3)
-    law = dataclasses.replace(plain(problem), wander=2.0, reach=8.0)
+    law = dataclasses.replace(stated(problem), wander=2.0, reach=8.0)
     rng = np.random.default_rng(4)
     y = np.zeros(len(problem))
     for k, members in enumerate(problem.blocks):
@@ -162,7 +165,9 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     far = np.arange(20, len(problem), 60)
     spoilt = y.copy()
     spoilt[far] += 20.0
-    found = strays.told(problem.with_residual(spoilt), law, np.zeros((len(problem), 0)))
+    found = noise.detect_outliers(
+        problem.with_residual(spoilt), law, np.zeros((len(problem), 0))
+    )
     assert found is not None
     beside = np.concatenate([far - 2, far + 2])  # two channels are read by turns
     assert np.abs(found.residual - y)[beside].max() < 1.0
@@ -190,17 +195,17 @@ def test_an_effect_is_found_in_heavy_tails_and_none_without_it() -> None:
 
 def test_a_law_in_words_tells_how_many_are_far_off() -> None:
     problem = white_lines()
-    law = plain(problem)
-    assert not any("far off" in words for words in scatter.words(problem, law))
-    few = scatter.words(problem, dataclasses.replace(law, strays=0.02))
+    law = stated(problem)
+    assert not any("far off" in words for words in estimate.words(problem, law))
+    few = estimate.words(problem, dataclasses.replace(law, strays=0.02))
     assert few[-1] == "about 2 % of the readings are far off"
     assert (
         "Student t with 4 degrees"
-        in scatter.words(problem, dataclasses.replace(law, tails=4.0))[-1]
+        in estimate.words(problem, dataclasses.replace(law, tails=4.0))[-1]
     )
 
 
-def _bumpy(problem: Problem, count: int) -> np.ndarray:
+def _bumpy(problem: GapProblem, count: int) -> np.ndarray:
     """Columns (N, runs * channels * count), each `count` cosines of falling size in one
     channel of one run.
     """

@@ -12,13 +12,14 @@ from kernel.gap_lines import EFFECTS, LINES, readings
 from oed.gap import diagnose
 from oed.gap.cause import pursuit, which
 from oed.gap.cause.which import Search
+from oed.gap.data import noise
 from oed.gap.data.diagnosis import Diagnosis
-from oed.gap.data.metric import plain
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, library, waves
 from oed.gap.forms.library import Library
 from oed.gap.forms.processes import PROCESSES
-from oed.noise import estimate as scatter
+from oed.noise import estimate
+from oed.noise.law import stated
 
 SMOOTH = [
     p
@@ -36,14 +37,14 @@ def _some(made: Library, name: str, rng: np.random.Generator) -> np.ndarray:
 
 
 def _apart(
-    problem: Problem, parts: list[np.ndarray], energies: list[float]
+    problem: GapProblem, parts: list[np.ndarray], energies: list[float]
 ) -> np.ndarray:
     """The sum (N,) of parts, each without what those before it hold, at energies r^T M
     r (dense).
     """
     noise = problem.slopes @ problem.slopes.T
     for k, members in enumerate(problem.blocks):
-        noise[np.ix_(members, members)] += plain(problem).block(problem, k)
+        noise[np.ix_(members, members)] += stated(problem).block(problem, k)
     inverse, kept = np.linalg.inv(noise), []
     for part, energy in zip(parts, energies, strict=True):
         for other in kept:
@@ -63,7 +64,7 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
     )
     change = _apart(problem, [book, own], [0.75 * SIZE**2, 0.25 * SIZE**2])
     acting = problem.with_residual(problem.residual + change)
-    best = which.compare([Search(acting, known, processes, plain(problem), 0.0)])[0]
+    best = which.compare([Search(acting, known, processes, stated(problem), 0.0)])[0]
     assert best.key == (frozenset({"bow"}), True)
     assert best.share == pytest.approx(0.75, abs=0.15)
 
@@ -75,7 +76,7 @@ def test_a_process_that_is_like_no_effect_is_unknown_alone(seed: int) -> None:
     change = _apart(problem, [_some(processes, "over the pose", rng)], [SIZE**2])
     acting = problem.with_residual(problem.residual + change)
     best, *others = which.compare(
-        [Search(acting, known, processes, plain(problem), 0.0)]
+        [Search(acting, known, processes, stated(problem), 0.0)]
     )
     assert best.key == (frozenset(), True)
     shares = [h.share for h in others if h.unknown]
@@ -156,7 +157,7 @@ def test_the_least_share_is_what_is_lost_without_it(
     small: float, wanted: float
 ) -> None:
     """Of two effects whose parts of the residual do not overlap, by their energies."""
-    problem, law = readings(5), plain(readings(5))
+    problem, law = readings(5), stated(readings(5))
     known = library.build(problem, EFFECTS)
     one, two = (
         max((known.atoms[k].columns for k in known.atoms_of(n)), key=len)
@@ -184,16 +185,16 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     hum = np.where(dy, 2.0 * np.sin(2.0 * np.pi * time / 173.0 + 1.0), 0.0)
     none = library.build(problem, ())
     made = waves.added(
-        none, problem.with_residual(problem.residual + hum), plain(problem)
+        none, problem.with_residual(problem.residual + hum), stated(problem)
     )
     assert made.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
     search = Search(
-        problem.with_residual(problem.residual + hum), none, made, plain(problem), 0.0
+        problem.with_residual(problem.residual + hum), none, made, stated(problem), 0.0
     )
     best = which.compare([search])[0]
     assert best.key == (frozenset(), True)
     quiet = Search(
-        problem, none, waves.added(none, problem, plain(problem)), plain(problem), 0.0
+        problem, none, waves.added(none, problem, stated(problem)), stated(problem), 0.0
     )
     assert which.compare([quiet])[0].key == (frozenset(), False)
 
@@ -223,12 +224,12 @@ def test_what_is_unknown_is_told_by_its_likeliest_form() -> None:
     assert not _concluded(problem)[0].likeness
 
 
-def _concluded(problem: Problem) -> tuple[Diagnosis, which.Hypothesis]:
+def _concluded(problem: GapProblem) -> tuple[Diagnosis, which.Hypothesis]:
     made = diagnose.searches(problem, EFFECTS)
     return diagnose.conclude(problem, made, which.compare(made), EFFECTS)
 
 
-def _waved(problem: Problem, wave: np.ndarray) -> tuple[Library, which.Hypothesis]:
+def _waved(problem: GapProblem, wave: np.ndarray) -> tuple[Library, which.Hypothesis]:
     """The waves found, and what a search beside them says, of a wave on the readings
     dy.
     """
@@ -236,8 +237,8 @@ def _waved(problem: Problem, wave: np.ndarray) -> tuple[Library, which.Hypothesi
         problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0)
     )
     none = library.build(problem, ())
-    made = waves.added(none, acting, plain(problem))
-    return made, which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
+    made = waves.added(none, acting, stated(problem))
+    return made, which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
 
 
 def _periods(made: Library, unit: str) -> list[float]:
@@ -248,7 +249,7 @@ def _periods(made: Library, unit: str) -> list[float]:
     ]
 
 
-def _on_the_way(problem: Problem) -> np.ndarray:
+def _on_the_way(problem: GapProblem) -> np.ndarray:
     """Way (N,) of the tool since the first reading of its line, m, on the lines of the
     usual feed; NaN on others.
     """
@@ -317,9 +318,9 @@ def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
         library.build(problem, ()),
         problem.with_residual(problem.residual + change),
     )
-    made = waves.added(none, acting, plain(problem))
+    made = waves.added(none, acting, stated(problem))
     assert _periods(made, "travel_m")[0] == pytest.approx(0.037, rel=0.002)
-    best = which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
+    best = which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
     assert made.atoms[best.process].constants["period_travel_m"] == pytest.approx(
@@ -379,12 +380,12 @@ def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_tol
         library.build(problem, ()),
     )
     made = library.build(problem, PROCESSES)
-    best = which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
+    best = which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
     chosen = made.atoms[best.process]
     assert (chosen.effect, dict(chosen.constants)) == ("settling", {"within": 0.15})
-    still = which.compare([Search(problem, none, made, plain(problem), 0.0)])[0]
+    still = which.compare([Search(problem, none, made, stated(problem), 0.0)])[0]
     assert still.key == (frozenset(), False)
 
 
@@ -431,11 +432,11 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
     acting = one.with_residual(rng.standard_normal(len(one)) + 3.0 * change)
     none = library.build(acting, ())
     made = library.build(acting, [p for p in PROCESSES if p.name == "coming back"])
-    carried, prior = scatter.fit(acting, np.zeros((len(acting), 0)))
+    carried, prior = noise.fit_law(acting, np.zeros((len(acting), 0)))
     told = which.compare(
         [
             Search(acting, none, made, *pair)
-            for pair in ((carried, prior), scatter.quiet(carried))
+            for pair in ((carried, prior), estimate.quiet(carried))
         ]
     )
     assert carried.wander + carried.sway > 0.5
@@ -471,7 +472,7 @@ def test_noise_told_beside_a_wave_does_not_hold_it() -> None:
     angle = 2.0 * np.pi * problem.rows["time"].to_numpy(dtype=float) / 391.0
     wave = np.where(problem.rows["channel"] == "dy", 1.6 * np.sin(angle + 1.0), 0.0)
     acting = problem.with_residual(problem.residual + wave)
-    alone, prior = scatter.fit(acting, np.zeros((len(acting), 0)))
+    alone, prior = noise.fit_law(acting, np.zeros((len(acting), 0)))
     none = waves.added(library.build(acting, ()), acting, alone)
     made, (beside,) = pursuit.pursued(none, acting, [alone])
     assert alone.wander > 0.5
@@ -498,9 +499,9 @@ def test_what_shifts_whole_runs_is_looked_for_where_runs_repeat() -> None:
         np.pi * runs[np.argsort(np.concatenate(problem.blocks))] / len(problem.blocks)
     )
     acting = problem.with_residual(problem.residual + shift)
-    loose, _ = scatter.fit(acting, np.zeros((len(acting), 0)))
+    loose, _ = noise.fit_law(acting, np.zeros((len(acting), 0)))
     made = library.build(acting, SMOOTH)
-    _, (noisy, calm) = pursuit.pursued(made, acting, [loose, plain(problem)])
+    _, (noisy, calm) = pursuit.pursued(made, acting, [loose, stated(problem)])
     assert loose.repeat > 1.0
     assert calm[0].repeat < 0.5 * min(noisy[0].repeat, loose.repeat)
 
@@ -513,9 +514,9 @@ def test_no_gap_is_given_a_law_of_its_own(suits: bool) -> None:
     problem = readings(7)
     none, law = (
         library.build(problem, ()),
-        dataclasses.replace(plain(problem), wander=3.0, reach=8.0),
+        dataclasses.replace(stated(problem), wander=3.0, reach=8.0),
     )
-    best = scatter.fit(problem, np.zeros((len(problem), 0)))
+    best = noise.fit_law(problem, np.zeros((len(problem), 0)))
     made = [Search(problem, none, none, *(best if suits else (law, 0.0)))]
     diagnose._alone(made, law)
 
@@ -538,18 +539,18 @@ def test_two_waves_are_told_together() -> None:
     acting = problem.with_residual(problem.residual + both)
     none = library.build(acting, ())
     made, _ = pursuit.pursued(
-        waves.added(none, acting, plain(acting)), acting, [plain(acting)]
+        waves.added(none, acting, stated(acting)), acting, [stated(acting)]
     )
-    best = which.compare([Search(acting, none, made, plain(acting), 0.0)])[0]
+    best = which.compare([Search(acting, none, made, stated(acting), 0.0)])[0]
     assert best.process is not None
     assert made.atoms[best.process].effect == pursuit.NAME
     assert made.atoms[best.process].constants["processes"] >= 2.0
-    kept = waves.added(none, problem, plain(problem))
+    kept = waves.added(none, problem, stated(problem))
     quiet = Search(
         problem,
         none,
-        pursuit.pursued(kept, problem, [plain(problem)])[0],
-        plain(problem),
+        pursuit.pursued(kept, problem, [stated(problem)])[0],
+        stated(problem),
         0.0,
     )
     assert which.compare([quiet])[0].key == (frozenset(), False)
@@ -568,8 +569,8 @@ def test_all_parameters_swing_together() -> None:
     )
     acting = problem.with_residual(problem.residual + change)
     none = library.build(problem, ())
-    made = waves.added(none, acting, plain(problem))
-    best = which.compare([Search(acting, none, made, plain(problem), 0.0)])[0]
+    made = waves.added(none, acting, stated(problem))
+    best = which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
     assert best.process is not None
     chosen = made.atoms[best.process]
     assert len(chosen.columns) == 2 * slopes.shape[1]

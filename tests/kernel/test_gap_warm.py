@@ -15,20 +15,22 @@ from oed import smooth
 from oed.effect import State
 from oed.gap.cause import which
 from oed.gap.cause.which import Hypothesis, Search
-from oed.gap.data.metric import plain
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.processes import MOUNTED, PROCESSES, settling_mounted, tool_growing
+from oed.noise.law import stated
 
 
-def _with(problem: Problem, **changes: object) -> Problem:
+def _with(problem: GapProblem, **changes: object) -> GapProblem:
     """The problem with its states changed."""
     return dataclasses.replace(
         problem, states=tuple(dataclasses.replace(s, **changes) for s in problem.states)
     )  # type: ignore[arg-type]
 
 
-def _best(problem: Problem, change: np.ndarray) -> tuple[library.Library, Hypothesis]:
+def _best(
+    problem: GapProblem, change: np.ndarray
+) -> tuple[library.Library, Hypothesis]:
     acting, made = (
         problem.with_residual(problem.residual + change),
         library.build(problem, PROCESSES),
@@ -36,12 +38,12 @@ def _best(problem: Problem, change: np.ndarray) -> tuple[library.Library, Hypoth
     return (
         made,
         which.compare(
-            [Search(acting, library.build(problem, ()), made, plain(problem), 0.0)]
+            [Search(acting, library.build(problem, ()), made, stated(problem), 0.0)]
         )[0],
     )
 
 
-def _read(problem: Problem, channel: str, wave: np.ndarray) -> np.ndarray:
+def _read(problem: GapProblem, channel: str, wave: np.ndarray) -> np.ndarray:
     """A wave (m,) over the poses of the only series, added to a channel's readings (N,)
     in units of the noise.
     """
@@ -130,7 +132,7 @@ def test_a_growing_tool_moves_along_its_axis() -> None:
             assert moved[:, 3:] == pytest.approx(np.zeros_like(s.axis), abs=1e-9)
 
 
-def _later(problem: Problem) -> Problem:
+def _later(problem: GapProblem) -> GapProblem:
     """The set-up as the second half of a session."""
 
     def half(state: State) -> np.ndarray:

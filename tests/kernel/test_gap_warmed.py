@@ -11,7 +11,7 @@ from scipy import integrate
 
 from kernel import gap_problem as case
 from kernel.gap_problem import Machines
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.place import regions as looking
 from oed.gap.place import warm_up as warmed
 from oed.gap.place import where as scan
@@ -63,7 +63,7 @@ def length(
     return found
 
 
-def grown(problem: Problem, share: np.ndarray) -> np.ndarray:
+def grown(problem: GapProblem, share: np.ndarray) -> np.ndarray:
     """Change (N,) of the readings where the tool is longer by a share (m,) of a
     micrometre.
     """
@@ -78,7 +78,7 @@ def grown(problem: Problem, share: np.ndarray) -> np.ndarray:
 
 
 def told(
-    problem: Problem, law, seed: int, *, known: bool = False
+    problem: GapProblem, law, seed: int, *, known: bool = False
 ) -> list[tuple[float, float]]:
     found = where(problem, law, np.random.default_rng(seed), draws=100, known=known)
     return [

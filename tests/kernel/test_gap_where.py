@@ -13,12 +13,12 @@ from scipy import special, stats
 from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
 from kernel.gap_problem import Machines, first
-from oed.gap.data.metric import plain
 from oed.gap.data.problem import planned
 from oed.gap.data.tail import log_tail
 from oed.gap.place import regions as looking
 from oed.gap.place import where as scan
 from oed.gap.place.where import where
+from oed.noise.law import stated
 
 KINDS = ("leg", "run", "time", "phase", "direction")
 
@@ -64,7 +64,7 @@ def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(
 
 def test_what_the_parameters_can_absorb_is_no_column(rng: np.random.Generator) -> None:
     problem = case.circles()
-    root = scan._Root(problem, plain(problem))
+    root = scan._Root(problem, stated(problem))
     k = problem.names.index("dq1")
     assert np.linalg.norm(problem.slopes[:, k]) > 1000.0
     other = rng.standard_normal(len(problem))
@@ -347,11 +347,11 @@ def test_readings_without_covariates_and_with_several_channels(
     table = pd.DataFrame({"setup": setup, "run": series.run, "order": order})
     problem = planned(measurement, [series], table)
     r = problem.residual + rng.standard_normal(len(problem))
-    found = where(problem.with_residual(r), plain(problem), rng, draws=100)
+    found = where(problem.with_residual(r), stated(problem), rng, draws=100)
     names = {b.block for b in found}
     assert {f"leg {k + 1}" for k in problem.states[0].limbs} <= names
     assert not any(n.startswith(("time", "direction")) for n in names)
     hit = r.copy()
     hit[problem.blocks[1]] += 30.0 * rng.standard_normal(len(problem.blocks[1]))
-    found = where(problem.with_residual(hit), plain(problem), rng, draws=100)
+    found = where(problem.with_residual(hit), stated(problem), rng, draws=100)
     assert first(found, "run") == f"run {problem.rows['run'][problem.blocks[1][0]]}"

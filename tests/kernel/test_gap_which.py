@@ -19,18 +19,21 @@ from oed.gap.cause import which
 from oed.gap.cause.which import SIZES, Hypothesis, Search
 from oed.gap.data import evidence
 from oed.gap.data.diagnosis import UNKNOWN, Answer
-from oed.gap.data.metric import Law, Metric, plain
-from oed.gap.data.problem import Problem
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
+from oed.noise.law import NoiseLaw, stated
 from pkm_models.effects import step
 
 
 def _search(
-    problem: Problem, effects: tuple[Effect, ...] = EFFECTS, law: Law | None = None
+    problem: GapProblem,
+    effects: tuple[Effect, ...] = EFFECTS,
+    law: NoiseLaw | None = None,
 ) -> Search:
     made = library.build(problem, effects)
     none = library.build(problem, ())
-    return Search(problem, made, none, plain(problem) if law is None else law, 0.0)
+    return Search(problem, made, none, stated(problem) if law is None else law, 0.0)
 
 
 def _brute(search: Search, effects: tuple[str, ...]) -> float:
@@ -114,7 +117,7 @@ def test_an_unknown_takes_nothing_from_a_selected_effect() -> None:
         problem,
         library.build(problem, [BOW]),
         library.build(problem, [same]),
-        plain(problem),
+        stated(problem),
         0.0,
     )
     known = next(h for h in search.run() if h.key == (frozenset({"bow"}), False))
@@ -145,7 +148,7 @@ def test_many_constants_keep_the_few_that_explain() -> None:
         BOW, constants={"turns": tuple(np.linspace(1.0, 8.0, 57))}
     )
     problem = planted(readings(7), BOW, {"leg 1": 2.0}, turns=5.0)
-    law = plain(problem)
+    law = stated(problem)
     made = library.build(problem, [dense], Metric(problem, law))
     kept = {a.constants["turns"] for a in made.atoms}
     assert len(kept) == library.KEPT
@@ -181,13 +184,13 @@ def test_a_large_grid_is_looked_through_whole() -> None:
     problem = planted(
         readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1
     )
-    metric = Metric(problem, plain(problem))
+    metric = Metric(problem, stated(problem))
     made = library.build(problem, [CURL], metric)
     kept = {(a.constants["turns"], a.constants["bend"]) for a in made.atoms}
     assert (TURNS[31], -0.1) in kept
     assert len(kept) == library.KEPT
     best = which.compare(
-        [Search(problem, made, library.build(problem, ()), plain(problem), 0.0)]
+        [Search(problem, made, library.build(problem, ()), stated(problem), 0.0)]
     )[0]
     assert made.atoms[best.atoms[0]].constants == {"turns": TURNS[31], "bend": -0.1}
     blind = library.build(problem, [CURL])
@@ -209,7 +212,7 @@ def test_forms_have_the_prior_of_one_effect_before_any_is_dropped(
 
     monkeypatch.setattr(library, "_best", best)
     effect = dataclasses.replace(CURL, constants={"turns": TURNS, "bend": bends})
-    library.build(problem, [effect], Metric(problem, plain(problem)))
+    library.build(problem, [effect], Metric(problem, stated(problem)))
     forms, large = chosen[-1], len(effect.grid()) > library.LARGE
     weights = np.exp([w for _, w in forms])
     assert weights.sum() == pytest.approx(1.0)
@@ -246,7 +249,7 @@ def test_a_form_of_a_large_grid_adapts_once_it_is_chosen() -> None:
     made = library.build(
         problem,
         [dataclasses.replace(CURL, columns=bent)],
-        Metric(problem, plain(problem)),
+        Metric(problem, stated(problem)),
     )
     kept = {(a.constants["turns"], a.constants["bend"]): [] for a in made.atoms}
     for a in made.atoms:
@@ -301,7 +304,7 @@ def test_diagnosis_from_end_to_end() -> None:
 
 def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
     problem = planted(readings(8), SLIP, {"leg 1": 2.0})
-    law = dataclasses.replace(plain(problem), repeat=0.7, wander=0.3, reach=5.0)
+    law = dataclasses.replace(stated(problem), repeat=0.7, wander=0.3, reach=5.0)
     found = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0), law=law)
     assert found.answers[0].effects == ("slip",)
     assert dataclasses.replace(found.law, level=1.0) == law

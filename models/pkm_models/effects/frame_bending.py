@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 

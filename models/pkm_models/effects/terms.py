@@ -10,7 +10,7 @@ import itertools
 import numpy as np
 
 from oed import smooth
-from oed.batch import Array
+from oed.arrays import Array
 from oed.effect import State
 from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Machine

@@ -22,7 +22,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.machine import Component, Coordinate, Expr, Machine, Parameter, Values
 
 LEGS = (1, 2, 3)

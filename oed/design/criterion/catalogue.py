@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.criterion.determinant import Determinant
 from oed.design.criterion.power import Power
 from oed.design.criterion.protocol import Criterion

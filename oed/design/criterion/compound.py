@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.criterion.protocol import Criterion, Support
 
 

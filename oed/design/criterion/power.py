@@ -14,7 +14,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.criterion.protocol import Criterion, Support, positive, slopes
 from oed.design.criterion.shortlist import exactly, ranked
 from oed.design.power import after_adding

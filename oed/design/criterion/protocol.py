@@ -21,7 +21,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 
 
 class Support(NamedTuple):

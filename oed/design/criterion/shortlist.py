@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.criterion.variance import saved
 
 #: candidates whose eigenvalues are computed

@@ -11,7 +11,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.criterion.power import Power
 from oed.design.criterion.protocol import Criterion, Support
 from oed.design.criterion.shortlist import exactly, ranked, spared

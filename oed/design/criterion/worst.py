@@ -16,7 +16,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.criterion.protocol import (
     Criterion,
     Support,

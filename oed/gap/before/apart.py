@@ -24,8 +24,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
-from oed.design.blocks import Index
+from oed.arrays import Array, Index
 from oed.design.objective import Line
 
 #: least lambda that is told from none: its logarithm must stay finite

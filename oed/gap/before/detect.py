@@ -22,15 +22,15 @@ import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize, sparse, stats
 from scipy.sparse import csgraph
 
-from oed.batch import Array
+from oed.arrays import Array, Index, Mask
 from oed.effect import Effect
-from oed.gap.data.metric import Law, Metric
-from oed.gap.data.problem import Index, Problem
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
+from oed.noise.law import NoiseLaw
 
 #: false alarm and power that "is found" stands for
 FALSE_ALARM, POWER = 0.01, 0.90
@@ -201,7 +201,7 @@ class Embedding:
     calibration absorbs.
     """
 
-    def __init__(self, problem: Problem, law: Law) -> None:
+    def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
         self._metric = Metric(problem, law)
         self._basis, size, _ = np.linalg.svd(
             self._metric.white(problem.slopes), full_matrices=False
@@ -243,7 +243,7 @@ class _Table:
     """Gram matrix of all forms of all testable effects."""
 
     def __init__(
-        self, problem: Problem, law: Law, effects: Sequence[Effect], room: float
+        self, problem: GapProblem, law: NoiseLaw, effects: Sequence[Effect], room: float
     ) -> None:
         self.refused: dict[str, str] = {}
         self.forms: dict[str, list[_Form]] = {}
@@ -266,7 +266,7 @@ class _Table:
         loose = np.concatenate([np.zeros(0, dtype=bool), *shape])
         self.penalty = np.where(loose, 1.0, room**-2)
 
-    def _signatures(self, problem: Problem, effect: Effect) -> list[Signature]:
+    def _signatures(self, problem: GapProblem, effect: Effect) -> list[Signature]:
         reason = untestable(effect, problem.states)
         if reason is not None:
             self.refused[effect.name] = reason
@@ -300,8 +300,8 @@ class _Table:
 
 
 def detect(
-    problem: Problem,
-    law: Law,
+    problem: GapProblem,
+    law: NoiseLaw,
     effects: Sequence[Effect],
     rng: np.random.Generator,
     *,
@@ -352,7 +352,7 @@ def detect(
 
 
 def _row(
-    problem: Problem, table: _Table, name: str, rng: np.random.Generator
+    problem: GapProblem, table: _Table, name: str, rng: np.random.Generator
 ) -> Detectability:
     forms = table.forms[name]
     owns = [table.own(f) for f in forms]
@@ -398,7 +398,7 @@ def _row(
     )
 
 
-def _channels(problem: Problem) -> dict[str, Index]:
+def _channels(problem: GapProblem) -> dict[str, Index]:
     """Rows of each channel's readings."""
     return {
         str(c): np.asarray(at, dtype=np.intp)
@@ -534,7 +534,7 @@ def in_words(combination: Mapping[str, float]) -> str:
 
 
 def _classes(
-    names: Sequence[str], apart: Array, visible: NDArray[np.bool_], least: float
+    names: Sequence[str], apart: Array, visible: Mask, least: float
 ) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[str, str], ...]]:
     """Connected groups of visible effects, and who cannot be told from whom.
 

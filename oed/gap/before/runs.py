@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.gap.data import state
-from oed.gap.data.problem import Index, Problem, planned
+from oed.gap.data.problem import GapProblem, planned
 from oed.measurement import Measurement, Series
 
 #: covariates that a condition may state, beside temperatures `temp_<body>`
@@ -106,7 +106,7 @@ def prepared(
     runs: Sequence[Run],
     *,
     gravity: tuple[float, float, float] = state.DOWN,
-) -> tuple[Problem, tuple[Index, ...]]:
+) -> tuple[GapProblem, tuple[Index, ...]]:
     """The problem of all candidate runs as if taken, and each run's rows in it, in the
     order of `runs`.
     """

@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import linalg
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import relaxation
 from oed.design.relaxation import Relaxed
 from oed.design.rules import Rules
@@ -28,9 +28,9 @@ from oed.design.search import greedy, search
 from oed.effect import Effect
 from oed.gap.before.apart import SHARP, Judge, Separation, Target
 from oed.gap.before.detect import ROOM, in_words
-from oed.gap.data.metric import Law
-from oed.gap.data.problem import Index, Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
+from oed.noise.law import NoiseLaw
 
 #: forms of an effect (values of its constants) that stand for its grid
 FORMS = 6
@@ -113,8 +113,8 @@ class Pool:
 
     def __init__(
         self,
-        problem: Problem,
-        law: Law,
+        problem: GapProblem,
+        law: NoiseLaw,
         rows: Sequence[Index],
         wanted: Sequence[Effect],
         rivals: Sequence[Effect] = (),
@@ -447,7 +447,7 @@ def _relaxed(found: Separation, rules: Rules) -> Relaxed:
     return best
 
 
-def _signatures(problem: Problem, effect: Effect) -> list[Signature]:
+def _signatures(problem: GapProblem, effect: Effect) -> list[Signature]:
     """The effect's forms, at most `FORMS` of its grid. Raises ValueError where no
     candidate can test it.
     """
@@ -484,7 +484,7 @@ def _combinations(made: Signature) -> list[dict[str, float]]:
 
 
 def _white(
-    problem: Problem, law: Law, rows: Index, slopes: Array, columns: Array
+    problem: GapProblem, law: NoiseLaw, rows: Index, slopes: Array, columns: Array
 ) -> Array:
     """Slopes and columns of a run, whitened by its noise: only the triangle of their
     QR, which has the same Gram.

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.gap.cause import classes
 from oed.gap.cause.which import Hypothesis, Search
 from oed.gap.data.diagnosis import UNKNOWN, Answer, Verdict

@@ -14,10 +14,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.gap.cause.which import Hypothesis, Search
 from oed.gap.data.evidence import SIZES, Grams
-from oed.gap.data.problem import Index
 
 #: sqrt(lambda_{k|j}) below which a rival may stand for an effect
 TELLS = 5.0

@@ -28,14 +28,13 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse, spatial
 from scipy.sparse import csgraph
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.gap.data.diagnosis import Closure
-from oed.gap.data.metric import Law
-from oed.gap.data.problem import Index, Problem
+from oed.gap.data.problem import GapProblem
+from oed.noise.law import NoiseLaw
 
 Split = Literal["within", "whole"]
 FOLDS = 5
@@ -44,12 +43,12 @@ FOLDS = 5
 NEAR, ALIKE = 0.25, 0.8
 #: runs from which whole runs are what the bootstrap draws; below, stretches of runs
 ENOUGH = 8
-Labels = NDArray[np.intp]
+Labels = Index
 
 
 def closure(
-    problem: Problem,
-    law: Law,
+    problem: GapProblem,
+    law: NoiseLaw,
     columns: Array | Sequence[Array],
     rng: np.random.Generator,
     *,
@@ -109,8 +108,8 @@ def closure(
 
 
 def oracle_closure(
-    problem: Problem,
-    law: Law,
+    problem: GapProblem,
+    law: NoiseLaw,
     change: Array,
     rng: np.random.Generator,
     *,
@@ -138,7 +137,9 @@ def oracle_closure(
     return _scored(problem, split, predicted, rng, draws)
 
 
-def expected_gain(problem: Problem, law: Law, change: Array, *, split: Split) -> float:
+def expected_gain(
+    problem: GapProblem, law: NoiseLaw, change: Array, *, split: Split
+) -> float:
     """Gain n (S0 - S1) that `oracle_closure` has in expectation: the energy of what the
     training readings leave unpredicted of the change (N,), in units of the stated
     noise.
@@ -150,7 +151,7 @@ def expected_gain(problem: Problem, law: Law, change: Array, *, split: Split) ->
     return found.n * (found.s0 - found.s1) if found.n else 0.0
 
 
-def _check(problem: Problem, columns: Array) -> None:
+def _check(problem: GapProblem, columns: Array) -> None:
     if columns.ndim != 2 or len(columns) != len(problem):
         raise ValueError(
             f"columns have the shape {columns.shape}; {len(problem)} readings need"
@@ -171,7 +172,7 @@ class _Noise:
     ones of their run are known.
     """
 
-    def __init__(self, problem: Problem, law: Law) -> None:
+    def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
         self._blocks = problem.blocks
         self._inverse = [
             _inverse(law.block(problem, k)) for k in range(len(problem.blocks))
@@ -268,7 +269,7 @@ def _standardised(
 
 
 def _scored(
-    problem: Problem,
+    problem: GapProblem,
     split: Split,
     predicted: Callable[[Index], tuple[Array, Array]],
     rng: np.random.Generator,
@@ -322,7 +323,7 @@ def _ratio(gain: Array, gap: Array) -> Array:
 class _Paths:
     """Which runs repeat one another, and how far along its path each reading is."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: GapProblem) -> None:
         joints = [
             np.repeat(state.joints[s.index[:, 0]], response.nuisances.shape[1], axis=0)
             for s, state, response in zip(

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.gap.cause import answers
 from oed.gap.cause.which import Hypothesis, Search
 from oed.gap.place import where

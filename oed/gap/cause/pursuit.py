@@ -15,21 +15,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.gap.cause.which import UNKNOWN_SIZES
-from oed.gap.data import evidence
-from oed.gap.data.metric import Law, Metric
-from oed.gap.data.problem import Index, Problem
+from oed.gap.data import evidence, noise
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Atom, Library
-from oed.noise import estimate as scatter
+from oed.noise.law import NoiseLaw
 
 #: name of several processes together, and most of them
 NAME, MOST = "several processes", 3
 
 
 def pursued(
-    processes: Library, problem: Problem, starts: Sequence[Law], *, known: bool = False
-) -> tuple[Library, list[tuple[Law, float]]]:
+    processes: Library,
+    problem: GapProblem,
+    starts: Sequence[NoiseLaw],
+    *,
+    known: bool = False,
+) -> tuple[Library, list[tuple[NoiseLaw, float]]]:
     """The processes with the strongest two, three, ... together beside them, as long as
     the next one is likelier to act than not; and the noise laws beside the strongest or
     all of these, with their log priors.
@@ -52,8 +56,8 @@ def pursued(
 
 
 def _pursued(
-    processes: Library, problem: Problem, start: Law, known: bool
-) -> tuple[list[Atom], tuple[Law, float]]:
+    processes: Library, problem: GapProblem, start: NoiseLaw, known: bool
+) -> tuple[list[Atom], tuple[NoiseLaw, float]]:
     """Several processes together, two and more, and the noise law beside all of them,
     begun at one law.
     """
@@ -77,7 +81,7 @@ def _pursued(
         chosen.append(int(row))
         sizes.append(float(UNKNOWN_SIZES[column]))
         if not known:
-            pair = scatter.fit(
+            pair = noise.fit_law(
                 problem, _columns(processes, [choices[k] for k in chosen], sizes), law
             )
             law = pair[0]

@@ -25,13 +25,14 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from scipy import special
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.gap.data import evidence
 from oed.gap.data.evidence import SIZES, Grams
-from oed.gap.data.metric import Law, Metric
-from oed.gap.data.problem import Index, Problem
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
-from oed.noise.outliers import Strays
+from oed.noise.law import NoiseLaw
+from oed.noise.outliers import Outliers
 
 #: prior probabilities: no gap, one effect, two, three, an unknown alone, one or two
 #: with an unknown remainder
@@ -109,12 +110,12 @@ class Search:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: GapProblem,
         library: Library,
         processes: Library,
-        law: Law,
+        law: NoiseLaw,
         log_prior: float,
-        strays: Strays | None = None,
+        strays: Outliers | None = None,
     ) -> None:
         (
             self.problem,
@@ -193,7 +194,7 @@ class Search:
             found = found.given(self._processes[h.process], h.process_size)
         return evidence.level(found)
 
-    def law_at(self, level: float) -> Law:
+    def law_at(self, level: float) -> NoiseLaw:
         """The law at a level, and how many readings are far off."""
         law = dataclasses.replace(self.law, level=level)
         return law if self.strays is None else self.strays.law(law)

@@ -8,9 +8,9 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Literal
 
-from oed.batch import Array
-from oed.gap.data.metric import Law
-from oed.gap.data.problem import Problem
+from oed.arrays import Array
+from oed.gap.data.problem import GapProblem
+from oed.noise.law import NoiseLaw
 
 Verdict = Literal["none", "effect", "class", "mixture", "unknown"]
 UNKNOWN = "unknown"
@@ -110,12 +110,12 @@ class Diagnosis:
     (sentences)
     """
 
-    problem: Problem
+    problem: GapProblem
     verdict: Verdict
     answers: tuple[Answer, ...]
     set95: tuple[Answer, ...]
     marginal: Mapping[str, float]
-    law: Law
+    law: NoiseLaw
     noise_words: tuple[str, ...]
     constants: Mapping[str, Mapping[str, float]]
     coefficients: tuple[Coefficient, ...]

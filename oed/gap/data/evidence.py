@@ -17,9 +17,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg, special
 
-from oed.batch import Array
-from oed.gap.data.metric import Law, Metric, Whitener
-from oed.gap.data.problem import Index, Problem
+from oed.arrays import Array, Index
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
+from oed.noise.law import NoiseLaw, Whitener
 
 #: sizes of effects against their physical prior scales, equally likely: the scales are
 #: of a good machine tool, and a printer's errors are ten times as large
@@ -148,7 +149,7 @@ def carried(gram: Array, b: Array, sizes: Array | float) -> float:
 class Parts:
     """Columns (N, K) in a metric, of which some at a time are wanted as Grams."""
 
-    def __init__(self, problem: Problem, metric: Metric, columns: Array) -> None:
+    def __init__(self, problem: GapProblem, metric: Metric, columns: Array) -> None:
         self._columns = metric.parts(columns)
         self._residual = metric.parts(problem.residual[:, None])
         self._size = metric.size
@@ -170,7 +171,7 @@ class Parts:
         return Grams(gram, b[:, 0], self._rest, self._size, self._base)
 
 
-def grams(problem: Problem, metric: Metric, columns: Array) -> Grams:
+def grams(problem: GapProblem, metric: Metric, columns: Array) -> Grams:
     """Of columns (N, K) in a metric; `base` is the log evidence of no gap, of the
     readings in units of their noise.
     """
@@ -190,7 +191,7 @@ def _student(log_det: float, rest: float, size: int) -> float:
     )
 
 
-def compressed(problem: Problem, columns: Array) -> Array:
+def compressed(problem: GapProblem, columns: Array) -> Array:
     """Columns (N, k') with the same covariance as [H Lambda^1/2, columns], without what
     is far below the noise.
     """
@@ -200,7 +201,7 @@ def compressed(problem: Problem, columns: Array) -> Array:
     return np.asarray(left[:, kept] * values[kept])
 
 
-def log_evidence(problem: Problem, law: Law, columns: Array) -> float:
+def log_evidence(problem: GapProblem, law: NoiseLaw, columns: Array) -> float:
     """Log evidence of the readings, the law's level integrated out: r ~ N(0, s^2 (Sigma
     + columns columns^T)).
 

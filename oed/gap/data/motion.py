@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from oed.batch import Array
-from oed.measurement import Index
+from oed.arrays import Array, Index
 
 #: poses of a run from which on a path is laid through them
 LEAST = 4

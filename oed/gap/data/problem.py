@@ -14,53 +14,22 @@ by Lambda, not by the fit.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from oed import identify
-from oed.batch import Array
+from oed.arrays import Array
 from oed.effect import Effect, State
 from oed.gap.data import state as states_of
 from oed.gap.data.signature import Signature, signature
 from oed.measurement import Measurement, Response, Series
-
-Index = NDArray[np.intp]
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Pack:
-    """Runs of one number k of readings. members (B, k);  base (B, k, k) stated
-                                                          correlation;  same (B, k, k):
-                                                          whether
-    two readings are of one channel;  gap (B, k, k): how many readings lie between them;
-                                      turn (B, k, k): cosine of the
-    phase between them.
-    """
-
-    members: Index
-    base: Array
-    same: NDArray[np.bool_]
-    gap: Array
-    turn: Array
-
-    def take(self, rows: Index) -> Pack:
-        """The readings at positions `rows` (k',) of each run."""
-        both = (slice(None), rows[:, None], rows)
-        return Pack(
-            self.members[:, rows],
-            self.base[both],
-            self.same[both],
-            self.gap[both],
-            self.turn[both],
-        )
+from oed.noise.runs import Runs
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Problem:
+class GapProblem(Runs):
     """N readings in units of their stated noise, and the n parameters that absorb.
 
     measurement, series, theta   what was fitted, and the fit (n_all,), SI
@@ -70,13 +39,6 @@ class Problem:
     slopes (N, n)                H over sigma, per prior standard deviation of each free
                                  parameter
     names (n,)                   of those parameters
-    base                         stated correlation of each run's readings, (k, k) or
-                                 None where independent
-    blocks                       index sets of the runs: readings whose noise may be
-                                 related
-    along (N,)                   number of each reading in its run, from 0
-    group (N,)                   instrument channel that each reading is of: noise has a
-                                 level of its own in each
     rows                         one row a reading of a channel: setup, run, order,
                                  channel, covariates, phase
     """
@@ -90,47 +52,7 @@ class Problem:
     residual: Array
     slopes: Array
     names: tuple[str, ...]
-    base: tuple[Array | None, ...]
-    blocks: tuple[Index, ...]
-    along: Array
-    group: NDArray[np.intp]
     rows: pd.DataFrame
-
-    def __len__(self) -> int:
-        return len(self.residual)
-
-    @functools.cached_property
-    def packs(self) -> tuple[Pack, ...]:
-        """Readings whose noise is related, by their number: runs, or channels of each
-        where these are independent.
-        """
-        sizes: dict[int, list[tuple[Index, Array | None]]] = {}
-        for members, known in zip(self.blocks, self.base, strict=True):
-            kinds = self.group[members]
-            parts = (
-                [members]
-                if known is not None
-                else [members[kinds == g] for g in np.unique(kinds)]
-            )
-            for part in parts:
-                sizes.setdefault(len(part), []).append((part, known))
-        return tuple(self._packed(parts) for parts in sizes.values())
-
-    def pack(self, number: int) -> Pack:
-        """A run, by its number."""
-        return self._packed([(self.blocks[number], self.base[number])])
-
-    def _packed(self, parts: Sequence[tuple[Index, Array | None]]) -> Pack:
-        members = np.array([part for part, _ in parts])
-        base = np.array(
-            [np.eye(members.shape[1]) if known is None else known for _, known in parts]
-        )
-        same = self.group[members][:, :, None] == self.group[members][:, None, :]
-        gap = np.abs(self.along[members][:, :, None] - self.along[members][:, None, :])
-        phase = self.rows["phase"].to_numpy(dtype=float)[members]
-        return Pack(
-            members, base, same, gap, np.cos(phase[:, :, None] - phase[:, None, :])
-        )
 
     def signature(
         self, effect: Effect, constants: Mapping[str, float], *, textbook: bool = False
@@ -145,7 +67,7 @@ class Problem:
         """Changes of the readings (N, ...), SI, in units of their stated noise."""
         return values / self.sigma.reshape(-1, *[1] * (values.ndim - 1))
 
-    def with_residual(self, residual: Array) -> Problem:
+    def with_residual(self, residual: Array) -> GapProblem:
         """The same readings with other residuals (N,), in units of their stated noise."""
         return dataclasses.replace(self, residual=residual)
 
@@ -158,7 +80,7 @@ def prepare(
     *,
     gravity: tuple[float, float, float] = states_of.DOWN,
     stages: Sequence[Sequence[str]] = (("*",),),
-) -> Problem:
+) -> GapProblem:
     """Fit the calibration parameters to readings y (N,), SI, and lay out what is left.
 
     `covariates` has one row a reading of the series, as in a Dataset. Raises
@@ -179,7 +101,7 @@ def planned(
     y: Array | None = None,
     *,
     gravity: tuple[float, float, float] = states_of.DOWN,
-) -> Problem:
+) -> GapProblem:
     """The problem of readings y (N,) at parameters theta (n,); of readings only
     planned, with residuals of 0.
     """
@@ -204,7 +126,7 @@ def planned(
     for b in blocks:
         along[b] = rows["order"].to_numpy(dtype=float)[b]
     kinds = rows["instrument"] + "." + rows["channel"]
-    return Problem(
+    return GapProblem(
         measurement=measurement,
         series=series,
         theta=theta,
@@ -218,6 +140,7 @@ def planned(
         blocks=tuple(np.asarray(b, dtype=np.intp) for b in blocks),
         along=along,
         group=pd.factorize(kinds)[0].astype(np.intp),
+        phase=rows["phase"].to_numpy(dtype=float),
         rows=rows,
     )
 

@@ -14,9 +14,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from oed.batch import Array
+from oed.arrays import Array, Mask
 from oed.effect import Column, Effect, State
 from oed.measurement import Measurement, Response, Series
 
@@ -48,7 +47,7 @@ class Signature:
     names: tuple[str, ...]
     labels: tuple[str, ...]
     scales: Array
-    shape: NDArray[np.bool_]
+    shape: Mask
     textbook: float
 
 

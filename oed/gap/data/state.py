@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.effect import State
 from oed.gap.data.motion import motion
-from oed.measurement import Index, Measurement, Series
+from oed.measurement import Measurement, Series
 
 TEMPERATURE = "temp_"
 DOWN = (0.0, 0.0, -1.0)

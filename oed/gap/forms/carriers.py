@@ -15,9 +15,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.gap.data.metric import Metric
-from oed.gap.data.problem import Index, Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.data.tail import log_tail
 from oed.gap.forms.library import Atom, Library
 from oed.gap.forms.processes import UNIT, together
@@ -82,7 +82,7 @@ def beside(
     )
 
 
-def every(problem: Problem) -> list[Array]:
+def every(problem: GapProblem) -> list[Array]:
     """Readings (N, c, J), in units of the noise, per micrometre of each channel, then
     each joint, last the tool along each axis, at each of the poses that a reading sees.
     """
@@ -95,7 +95,7 @@ def every(problem: Problem) -> list[Array]:
     return [*alone, tool(problem, legs)]
 
 
-def named(problem: Problem) -> list[str]:
+def named(problem: GapProblem) -> list[str]:
     """What each of `every` is, in words."""
     channels = problem.rows["channel"].to_numpy()
     kinds = [
@@ -105,14 +105,14 @@ def named(problem: Problem) -> list[str]:
     return [*kinds, *(f"leg {i + 1}" for i in problem.states[0].limbs), "the tool"]
 
 
-def joints(problem: Problem) -> Array:
+def joints(problem: GapProblem) -> Array:
     """Readings (N, nq, J), in units of the noise, per micrometre of each joint at each
     of the poses that they see.
     """
     return _slopes(problem, [r.joints for r in problem.responses])
 
 
-def parameters(problem: Problem) -> Array:
+def parameters(problem: GapProblem) -> Array:
     """Readings (N, n, J), in units of the noise, of the machine's uncertain parameters
     at each of the poses that they see: each by its tolerance against that of lengths,
     all together by a micrometre.
@@ -122,7 +122,7 @@ def parameters(problem: Problem) -> Array:
     return np.asarray(made * np.array(list(shares.values()))[:, None])
 
 
-def _slopes(problem: Problem, every: Sequence[Sequence[Array]]) -> Array:
+def _slopes(problem: GapProblem, every: Sequence[Sequence[Array]]) -> Array:
     """Slopes (m, channels, k) at the poses of each series as the readings see them (N,
     k, J), in units of the noise per micrometre.
     """
@@ -135,7 +135,7 @@ def _slopes(problem: Problem, every: Sequence[Sequence[Array]]) -> Array:
     return problem.of(UNIT * np.concatenate(parts))
 
 
-def tool(problem: Problem, legs: Array) -> Array:
+def tool(problem: GapProblem, legs: Array) -> Array:
     """The same (N, 3, J) per micrometre of the tool along each axis, from that of the
     joints (N, nq, J).
     """
@@ -148,7 +148,7 @@ def tool(problem: Problem, legs: Array) -> Array:
     )
 
 
-def at_poses(problem: Problem, values: Sequence[Array]) -> Array:
+def at_poses(problem: GapProblem, values: Sequence[Array]) -> Array:
     """Values (m, ...) at the poses of each series, as the readings see them (N, J,
     ...): first the pose read, then what it is read against; that once more where a
     reading sees fewer poses than others.
@@ -181,7 +181,7 @@ def _seen(series: Series) -> list[int]:
     ]
 
 
-def _most(problem: Problem) -> int:
+def _most(problem: GapProblem) -> int:
     return max(len(_seen(series)) for series in problem.series)
 
 

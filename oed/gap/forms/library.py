@@ -15,11 +15,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.effect import Effect
 from oed.gap.data import evidence
 from oed.gap.data.metric import Metric
-from oed.gap.data.problem import Index, Problem
+from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
 
 #: prior share of an effect's forms in which one limb alone has it
@@ -80,7 +80,7 @@ class Library:
 
 
 def build(
-    problem: Problem, effects: Sequence[Effect], metric: Metric | None = None
+    problem: GapProblem, effects: Sequence[Effect], metric: Metric | None = None
 ) -> Library:
     """All atoms of the effects that these readings can test.
 
@@ -115,7 +115,7 @@ def build(
 
 
 def _forms(
-    problem: Problem, effect: Effect, metric: Metric | None
+    problem: GapProblem, effect: Effect, metric: Metric | None
 ) -> list[tuple[Signature, float]]:
     """The effect's signatures over its grid of constants, each with its log prior
     weight; those that change no reading are left out. With a metric, of many only the
@@ -152,7 +152,7 @@ def _forms(
 
 
 def _seen(
-    problem: Problem,
+    problem: GapProblem,
     effect: Effect,
     points: Sequence[Mapping[str, float]],
     *,
@@ -178,7 +178,7 @@ def _weighed(forms: Sequence[Signature], share: float) -> list[tuple[Signature, 
 
 
 def _best(
-    problem: Problem,
+    problem: GapProblem,
     metric: Metric | None,
     forms: Sequence[tuple[Signature, float]],
     kept: int = KEPT,

@@ -15,11 +15,12 @@ import math
 import numpy as np
 from scipy import fft
 
-from oed.batch import Array
-from oed.gap.data.metric import Law, Metric
-from oed.gap.data.problem import Problem
+from oed.arrays import Array
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, waves
 from oed.gap.forms.library import Library
+from oed.noise.law import NoiseLaw
 
 NAME = "fine marks along a joint"
 #: what a travel is divided in for the transform, m, and in how many at most; shortest
@@ -27,7 +28,7 @@ NAME = "fine marks along a joint"
 BIN, MOST, FINEST = 1e-6, 2**21, 8.0
 
 
-def added(processes: Library, problem: Problem, law: Law) -> Library:
+def added(processes: Library, problem: GapProblem, law: NoiseLaw) -> Library:
     """The processes with the strongest fine waves of each sliding joint, and of all of
     them, beside them.
     """
@@ -69,7 +70,7 @@ def _division(travel: float) -> tuple[int, float]:
 
 
 def _energies(
-    problem: Problem, metric: Metric, legs: Array, place: Array, size: int
+    problem: GapProblem, metric: Metric, legs: Array, place: Array, size: int
 ) -> Array:
     """What a wave of each frequency explains of the residual on each of L carriers (N,
     L, J), at places (N, J, L) in bins: (L, frequencies).

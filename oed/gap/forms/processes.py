@@ -16,7 +16,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from oed import smooth
-from oed.batch import Array
+from oed.arrays import Array
 from oed.effect import Column, Effect, State
 from oed.machine import Machine
 

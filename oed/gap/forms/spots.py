@@ -12,12 +12,13 @@ import dataclasses
 
 import numpy as np
 
-from oed.batch import Array
-from oed.gap.data.metric import Law, Metric
-from oed.gap.data.problem import Problem
+from oed.arrays import Array
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers
 from oed.gap.forms.carriers import Peak
 from oed.gap.forms.library import Library
+from oed.noise.law import NoiseLaw
 
 NAME = "at a place"
 #: places that are looked at; widths of the bumps, as shares of the longest way across
@@ -30,7 +31,7 @@ CLOSE, KEPT = 2, 6
 SAME = 0.02
 
 
-def added(processes: Library, problem: Problem, law: Law) -> Library:
+def added(processes: Library, problem: GapProblem, law: NoiseLaw) -> Library:
     """The processes with the strongest bumps beside them."""
     metric, at = (
         Metric(problem, law),

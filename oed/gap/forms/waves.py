@@ -15,13 +15,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import signal
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.gap.data import evidence
-from oed.gap.data.metric import Law, Metric
-from oed.gap.data.problem import Problem
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers
 from oed.gap.forms.carriers import Peak
 from oed.gap.forms.library import Library
+from oed.noise.law import NoiseLaw
 
 NAME = "a steady wave"
 #: frequencies a resolution cell, most of them, how many peaks of each kind are kept
@@ -64,7 +65,7 @@ class Band:
     legs: tuple[str, ...] = ()
 
 
-def added(processes: Library, problem: Problem, law: Law) -> Library:
+def added(processes: Library, problem: GapProblem, law: NoiseLaw) -> Library:
     """The processes with the strongest steady waves of each kind beside them, each kind
     with a process's prior.
     """
@@ -89,19 +90,19 @@ def added(processes: Library, problem: Problem, law: Law) -> Library:
     return carriers.beside(processes, NAME, [k for k in kinds if k[0]], KEPT)
 
 
-def _kinds(problem: Problem) -> list[list[Band]]:
+def _kinds(problem: GapProblem) -> list[list[Band]]:
     """Slow waves in time, fast ones; along the path; along joints' travels."""
     every = carriers.every(problem)
     in_time = [[band] for band in _in_time(problem, every)]
     return [*in_time, _along_path(problem, every[-1]), _along_travel(problem)]
 
 
-def _timed(problem: Problem) -> bool:
+def _timed(problem: GapProblem) -> bool:
     """Whether the time of every reading is known."""
     return "time" in problem.rows and bool(problem.rows["time"].notna().all())
 
 
-def _in_time(problem: Problem, every: list[Array]) -> list[Band]:
+def _in_time(problem: GapProblem, every: list[Array]) -> list[Band]:
     """Waves in time on a channel, on a joint, on the tool: slow ones, then fast ones."""
     rows, known = problem.rows, _timed(problem)
     time = (
@@ -136,7 +137,7 @@ def _in_time(problem: Problem, every: list[Array]) -> list[Band]:
     )
 
 
-def _swings(problem: Problem) -> list[Band]:
+def _swings(problem: GapProblem) -> list[Band]:
     """Slow waves in time of all the machine's parameters together."""
     carrier = carriers.parameters(problem)
     readings = sum(len(s) for s in problem.series)
@@ -160,7 +161,7 @@ def _swings(problem: Problem) -> list[Band]:
     ]
 
 
-def _in_runs(problem: Problem) -> list[Band]:
+def _in_runs(problem: GapProblem) -> list[Band]:
     """Waves in time on a channel, where no time is told: over the way in each run,
     their phases its own.
     """
@@ -186,7 +187,7 @@ def _in_runs(problem: Problem) -> list[Band]:
     ]
 
 
-def _told(problem: Problem, metric: Metric, bands: Sequence[Band]) -> list[Peak]:
+def _told(problem: GapProblem, metric: Metric, bands: Sequence[Band]) -> list[Peak]:
     """The best waves of bands whose carriers have many columns of which few are seen
     well: told by their evidence, for what all of them explain is mostly noise.
     """
@@ -214,7 +215,7 @@ def _told(problem: Problem, metric: Metric, bands: Sequence[Band]) -> list[Peak]
     return sorted(found, key=lambda p: p.log_tail)[:BEST]
 
 
-def _along_path(problem: Problem, tool: Array) -> list[Band]:
+def _along_path(problem: GapProblem, tool: Array) -> list[Band]:
     """Waves along the path of the tool, at one feed."""
     # a feed that is not told is the same in all
     feed = (
@@ -247,7 +248,7 @@ def _along_path(problem: Problem, tool: Array) -> list[Band]:
     return bands
 
 
-def travels(problem: Problem) -> tuple[list[int], Array, Array]:
+def travels(problem: GapProblem) -> tuple[list[int], Array, Array]:
     """Sliding joints with a travel worth telling, all joints' places (N, J, nq), m or
     rad, and their spans (nq,).
     """
@@ -274,7 +275,7 @@ def along(legs: Array, some: Sequence[int], place: Array, frequencies: Array) ->
     return Band("travel_m", clock, [legs[:, list(some)]], frequencies, [told], names)
 
 
-def _along_travel(problem: Problem) -> list[Band]:
+def _along_travel(problem: GapProblem) -> list[Band]:
     """Waves of a joint along its own travel, and of all of them at one period."""
     legs = carriers.joints(problem)
     long, place, spans = travels(problem)
@@ -295,7 +296,7 @@ def _frequencies(span: float, low: float, high: float) -> Array:
     return np.linspace(low, high, int(min(max(OVER * span * (high - low), 1.0), MOST)))
 
 
-def _begun(problem: Problem, clock: Array, seen: int) -> Array:
+def _begun(problem: GapProblem, clock: Array, seen: int) -> Array:
     """The clock (N, seen) where no time is known: what a reading is read against was
     seen as its run began.
     """
@@ -305,7 +306,7 @@ def _begun(problem: Problem, clock: Array, seen: int) -> Array:
     return against
 
 
-def _arc(problem: Problem) -> Array:
+def _arc(problem: GapProblem) -> Array:
     """Way (N, J) of the tool since its run's first reading, m; of what it is read
     against, the way back to that.
     """
@@ -318,7 +319,9 @@ def _arc(problem: Problem) -> Array:
     return arc
 
 
-def peaks(problem: Problem, metric: Metric, band: Band, strength: Array) -> list[Peak]:
+def peaks(
+    problem: GapProblem, metric: Metric, band: Band, strength: Array
+) -> list[Peak]:
     """The strongest waves of a band on each of its carriers, by what tells how strong
     they are (carriers, k).
     """
@@ -396,7 +399,7 @@ def _waves(carrier: Array, both: Array) -> Array:
     return np.asarray(made.reshape(len(carrier), -1, both.shape[-1]))
 
 
-def _tails(problem: Problem, metric: Metric, band: Band) -> Array:
+def _tails(problem: GapProblem, metric: Metric, band: Band) -> Array:
     """Log tail probability (carriers, k) of the energy that each wave explains of the
     residual, its phases free.
     """

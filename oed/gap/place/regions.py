@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from oed.batch import Array
-from oed.gap.data.problem import Problem
+from oed.arrays import Array
+from oed.gap.data.problem import GapProblem
 
 #: all legs alike, among the blocks
 ALL = "all legs"
@@ -52,7 +52,7 @@ class Look:
 
 
 def looks(
-    problem: Problem,
+    problem: GapProblem,
     columns: Array | None = None,
     labels: Sequence[str] | None = None,
     known: bool = False,
@@ -72,7 +72,7 @@ def looks(
 # -- legs ---
 
 
-def _joint(problem: Problem, limb: int, change: Sequence[Array]) -> Array:
+def _joint(problem: GapProblem, limb: int, change: Sequence[Array]) -> Array:
     """Readings (N, k), in units of the noise, per unit of k changes (m, k) of a joint
     at the poses of each series.
     """
@@ -87,7 +87,7 @@ def _joint(problem: Problem, limb: int, change: Sequence[Array]) -> Array:
     return problem.of(UNIT * np.concatenate(parts))
 
 
-def _legs(problem: Problem) -> Iterator[Look]:
+def _legs(problem: GapProblem) -> Iterator[Look]:
     """Each leg by itself, and the same change in all of them."""
     each = [list(_leg(problem, limb)) for limb in problem.states[0].limbs]
     for limb, bases in enumerate(each):
@@ -98,7 +98,7 @@ def _legs(problem: Problem) -> Iterator[Look]:
         )
 
 
-def _leg(problem: Problem, limb: int) -> Iterator[Array]:
+def _leg(problem: GapProblem, limb: int) -> Iterator[Array]:
     """Bases of one leg: smooth in what it may depend on, each alone and all together;
     with another's motion; periodic; shifted from a time.
     """
@@ -127,7 +127,7 @@ def _leg(problem: Problem, limb: int) -> Iterator[Array]:
         yield from _joint(problem, limb, shifts).T[:, :, None]
 
 
-def _travel(problem: Problem, number: int, limb: int) -> Array:
+def _travel(problem: GapProblem, number: int, limb: int) -> Array:
     """Place (m,) of a leg in its travel over all series, 0 to 1."""
     every = np.concatenate([s.joints[:, limb] for s in problem.states])
     span = float(np.ptp(every))
@@ -137,7 +137,7 @@ def _travel(problem: Problem, number: int, limb: int) -> Array:
     )
 
 
-def _forms(problem: Problem, number: int, limb: int) -> dict[str, Array]:
+def _forms(problem: GapProblem, number: int, limb: int) -> dict[str, Array]:
     """What a leg's error may be a smooth function of, (m, k) each; the same names for
     every leg and series.
     """
@@ -163,7 +163,7 @@ def _forms(problem: Problem, number: int, limb: int) -> dict[str, Array]:
     return forms
 
 
-def _others(problem: Problem, number: int, limb: int, step: int) -> Array:
+def _others(problem: GapProblem, number: int, limb: int, step: int) -> Array:
     """What a leg's error may be that comes with the motion of another, so many legs on:
     (m, 3).
     """
@@ -175,7 +175,7 @@ def _others(problem: Problem, number: int, limb: int, step: int) -> Array:
 
 
 def _selected(
-    problem: Problem, columns: Array | None, labels: Sequence[str] | None
+    problem: GapProblem, columns: Array | None, labels: Sequence[str] | None
 ) -> Iterator[Look]:
     """The selected effects' own columns of each leg and set-up, and in each run."""
     if columns is None or labels is None:
@@ -199,7 +199,7 @@ def _selected(
             )
 
 
-def _stretch(problem: Problem, columns: Array) -> Iterator[Look]:
+def _stretch(problem: GapProblem, columns: Array) -> Iterator[Look]:
     """The stretch of the session outside which selected columns (N, k) change nothing,
     if there is one; what changes at the session's start is told from its end on, as by
     `_times`.
@@ -232,7 +232,7 @@ def _stretch(problem: Problem, columns: Array) -> Iterator[Look]:
     )
 
 
-def _touched(problem: Problem, columns: Array) -> Iterator[Look]:
+def _touched(problem: GapProblem, columns: Array) -> Iterator[Look]:
     """The runs outside which selected columns (N, k) change nothing, if there are any:
     each is told by all of them.
     """
@@ -249,12 +249,12 @@ def _touched(problem: Problem, columns: Array) -> Iterator[Look]:
 # -- runs, times, phases, directions ---
 
 
-def _channels(problem: Problem) -> Array:
+def _channels(problem: GapProblem) -> Array:
     """One column (N, channels) for each kind of reading."""
     return np.asarray(problem.group[:, None] == np.unique(problem.group), dtype=float)
 
 
-def _waves(problem: Problem) -> Array:
+def _waves(problem: GapProblem) -> Array:
     """Offset and harmonics of the phase (N, k) in each kind of reading: two, or one
     where there are several kinds.
     """
@@ -266,7 +266,7 @@ def _waves(problem: Problem) -> Array:
     return np.hstack([f[:, None] * kinds for f in forms])
 
 
-def _runs(problem: Problem) -> Iterator[Look]:
+def _runs(problem: GapProblem) -> Iterator[Look]:
     """An offset of each run; harmonics in it where it is long enough."""
     offsets, waves = _channels(problem), _waves(problem)
     for k, (place, inside) in enumerate(_places(problem)):
@@ -276,7 +276,7 @@ def _runs(problem: Problem) -> Iterator[Look]:
             yield Look("run", place, inside[:, None] * basis, frozenset({k}))
 
 
-def _places(problem: Problem) -> Iterator[tuple[str, Array]]:
+def _places(problem: GapProblem) -> Iterator[tuple[str, Array]]:
     """Name of each run, where there are several, and which readings (N,) it has."""
     if len(problem.blocks) < 2:
         return
@@ -292,14 +292,14 @@ def _places(problem: Problem) -> Iterator[tuple[str, Array]]:
         yield f"run {setup} {run}" if alike[k] else f"run {run}", inside
 
 
-def clock_of(problem: Problem) -> Array:
+def clock_of(problem: GapProblem) -> Array:
     """Time (N,) of each reading, s; NaN where unknown."""
     if "time" not in problem.rows.columns:
         return np.full(len(problem), np.nan)
     return np.asarray(problem.rows["time"].to_numpy(dtype=float))
 
 
-def starts_of(problem: Problem) -> Array:
+def starts_of(problem: GapProblem) -> Array:
     """Times at which the cells of the session start, s, with about as many readings in
     each; empty without times.
     """
@@ -312,7 +312,7 @@ def starts_of(problem: Problem) -> Array:
     )
 
 
-def _times(problem: Problem) -> Iterator[Look]:
+def _times(problem: GapProblem) -> Iterator[Look]:
     """Shifts of the reading, of the legs, or of the tool along its axis, from one cell
     of the session to another.
 
@@ -333,7 +333,7 @@ def _times(problem: Problem) -> Iterator[Look]:
 
 
 def window(
-    problem: Problem, first: float, last: float, cells: frozenset[int]
+    problem: GapProblem, first: float, last: float, cells: frozenset[int]
 ) -> Iterator[Look]:
     """Looks at the readings taken from `first` to `last`, s."""
     clock = clock_of(problem)
@@ -358,7 +358,7 @@ def window(
     yield Look("time", place, lengthened(problem, there), cells, "tool")
 
 
-def lengthened(problem: Problem, shares: Sequence[Array]) -> Array:
+def lengthened(problem: GapProblem, shares: Sequence[Array]) -> Array:
     """Readings (N, k), in units of the noise, where the tool is longer along its axis
     by shares (m, k) of a unit at the poses of each series.
     """
@@ -387,7 +387,7 @@ def _number(value: float) -> str:
     return f"{value:.1f}".removesuffix(".0")
 
 
-def _phases(problem: Problem) -> Iterator[Look]:
+def _phases(problem: GapProblem) -> Iterator[Look]:
     """Bumps in windows of the phase: the same both ways, or with the direction's sign."""
     valid = np.zeros(len(problem), dtype=bool)
     phase = problem.rows["phase"].to_numpy(dtype=float)
@@ -409,7 +409,7 @@ def _phases(problem: Problem) -> Iterator[Look]:
                 yield Look("phase", f"phase {ends[0]}-{ends[1]}", basis, cells)
 
 
-def _way(problem: Problem) -> Array:
+def _way(problem: GapProblem) -> Array:
     """Direction (N,) of each reading's run, +1 or -1; 0 where unknown."""
     if "direction" not in problem.rows.columns:
         return np.zeros(len(problem))
@@ -418,7 +418,7 @@ def _way(problem: Problem) -> Array:
     )
 
 
-def _directions(problem: Problem) -> Iterator[Look]:
+def _directions(problem: GapProblem) -> Iterator[Look]:
     """Offset and harmonics of all readings of a direction, where both were taken."""
     way = _way(problem)
     if not way.min(initial=0.0) < 0.0 < way.max(initial=0.0):

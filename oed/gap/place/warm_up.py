@@ -21,8 +21,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy import optimize
 
-from oed.batch import Array
-from oed.gap.data.problem import Problem
+from oed.arrays import Array
+from oed.gap.data.problem import GapProblem
 from oed.gap.place import regions as looks
 
 #: cells of the session, time constants that are tried, s
@@ -46,7 +46,7 @@ class Stretch:
 
 
 def stretches(
-    problem: Problem, scores: Callable[[Array], Array], plain: float
+    problem: GapProblem, scores: Callable[[Array], Array], plain: float
 ) -> list[Stretch]:
     """When the tool was warmed, the stretch that explains most first; none where they
     explain no more than the energy `plain` of a window. `scores` takes readings (N, k)
@@ -74,7 +74,7 @@ def stretches(
 
 
 def _heat(
-    problem: Problem,
+    problem: GapProblem,
     scores: Callable[[Array], Array],
     residual: Array,
     edges: Array,

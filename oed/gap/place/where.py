@@ -25,15 +25,15 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from oed.batch import Array
+from oed.arrays import Array, Index, Mask
 from oed.gap.data.diagnosis import Block
-from oed.gap.data.metric import Law, Metric
-from oed.gap.data.problem import Index, Problem
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
 from oed.gap.data.tail import log_tail
 from oed.gap.place import regions as looking
 from oed.gap.place import warm_up as warmed
+from oed.noise.law import NoiseLaw
 
 #: share of a direction's energy that must survive the calibration, or be its own, for
 #: it to count as a column
@@ -48,8 +48,8 @@ PART = 0.03
 
 
 def where(
-    problem: Problem,
-    law: Law,
+    problem: GapProblem,
+    law: NoiseLaw,
     rng: np.random.Generator,
     *,
     columns: Array | None = None,
@@ -103,7 +103,7 @@ def where(
 
 
 def least(
-    problem: Problem, law: Law, rng: np.random.Generator, *, draws: int = 500
+    problem: GapProblem, law: NoiseLaw, rng: np.random.Generator, *, draws: int = 500
 ) -> float:
     """The least p-value of all places, corrected for how many are looked at. Of
     readings without a gap it is uniform; larger where the law was told from the same
@@ -171,7 +171,7 @@ class _Root:
     (1 - U D U^T) W.
     """
 
-    def __init__(self, problem: Problem, law: Law) -> None:
+    def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
         self._metric = Metric(problem, law)
         self._axes, size, _ = np.linalg.svd(
             self._metric.white(problem.slopes), full_matrices=False
@@ -223,7 +223,7 @@ class _Scan:
             )
         return energy
 
-    def least(self, energy: Array, some: NDArray[np.bool_]) -> Array:
+    def least(self, energy: Array, some: Mask) -> Array:
         """Logarithm (m,) of the least p-value of some looks (looks,) that explain
         energies (looks, m).
         """
@@ -234,9 +234,7 @@ class _Scan:
         return np.asarray(log_tail(most, ranks[:, None]).min(axis=0))
 
 
-def _corrected(
-    own: Array, scan: _Scan, scores: Array, apart: NDArray[np.bool_]
-) -> Array:
+def _corrected(own: Array, scan: _Scan, scores: Array, apart: Mask) -> Array:
     """p-values (looks,) corrected for all looks of a family, from the logarithms of
     their own and the bootstrap's scores (N, draws): where a known effect acts (`apart`)
     is one family, the others are another.
@@ -307,7 +305,7 @@ def _told(found: Sequence[_Found]) -> list[_Found]:
     return sorted(kept, key=lambda f: f.own)
 
 
-def _sharp(problem: Problem, root: _Root, scores: Array, found: _Found) -> _Found:
+def _sharp(problem: GapProblem, root: _Root, scores: Array, found: _Found) -> _Found:
     """A likely window of the session with its ends moved, by up to a cell, to where it
     explains most.
     """
@@ -348,7 +346,7 @@ def _sharp(problem: Problem, root: _Root, scores: Array, found: _Found) -> _Foun
 
 
 def _heated(
-    problem: Problem, root: _Root, scores: Array, told: Sequence[_Found]
+    problem: GapProblem, root: _Root, scores: Array, told: Sequence[_Found]
 ) -> list[_Found]:
     """With the stretches in which the tool was warmed, if they explain more, in place
     of windows of the session.

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from oed.arrays import Array
 from pkm_reports import style, words
 
-Shares = NDArray[np.float64]
+Shares = Array
 Parts = Mapping[str, Mapping[str, Any]]
 
 

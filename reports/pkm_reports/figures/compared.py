@@ -11,12 +11,11 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from oed.arrays import Array
 from pkm_reports import style, words
 
 Part = Mapping[str, Any]
-Array = NDArray[np.float64]
 #: phi is this power of the number told: O1 and O5 are told as square roots
 POWER: Final = {"E": 1, "O1": 2, "O2": 1, "O3": 1, "O4": 1, "O5": 2}
 #: told as a logarithm of phi, times a number of directions

@@ -9,11 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from oed.arrays import Array
 from pkm_reports import style
 
-Array = NDArray[np.float64]
 MOST: Final = 6
 LONGEST_LABEL: Final = 18
 

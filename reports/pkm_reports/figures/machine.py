@@ -15,11 +15,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d import proj3d  # type: ignore[import-untyped]
-from numpy.typing import NDArray
 
+from oed.arrays import Array
 from pkm_reports import style
 
-Points = NDArray[np.float64]
+Points = Array
 Box = tuple[Points, Points]
 LINES: Final = {
     "machine": {"color": style.INK, "lw": 1.8},

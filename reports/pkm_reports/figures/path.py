@@ -13,13 +13,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
-from numpy.typing import NDArray
 
 from oed import units
+from oed.arrays import Array, Index
 from pkm_reports import style, words
 
 Part = Mapping[str, Any]
-Array = NDArray[np.float64]
 #: a full turn, degrees
 FULL: Final = 360.0
 MOST_PANELS: Final = 12
@@ -142,7 +141,7 @@ def _step(name: str) -> float:
     return units.number(step, unit) if unit else step
 
 
-def _panel(axes: Axes, plane: Plane, mine: NDArray[np.intp], colour: str) -> None:
+def _panel(axes: Axes, plane: Plane, mine: Index, colour: str) -> None:
     faint = 0.55 if len(mine) < 100 else 0.2
     for a, b in zip(plane.at[mine[:-1]], plane.at[mine[1:]], strict=True):
         # the short way round: out on one side, in on the other
@@ -163,9 +162,7 @@ def _panel(axes: Axes, plane: Plane, mine: NDArray[np.intp], colour: str) -> Non
         getattr(axes, f"{which}axis").set_major_locator(even)
 
 
-def _spots(
-    plane: Plane, mine: NDArray[np.intp]
-) -> dict[tuple[float, float], list[int]]:
+def _spots(plane: Plane, mine: Index) -> dict[tuple[float, float], list[int]]:
     """Numbers of the readings at each place; the first and the last reading's places
     stand first.
     """

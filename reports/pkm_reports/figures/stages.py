@@ -10,12 +10,11 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from oed.arrays import Array
 from pkm_reports import style, words
 
 Part = Mapping[str, Any]
-Array = NDArray[np.float64]
 REALISED: Final = "realised, virtual machines"
 WANTED: Final = "wanted"
 

@@ -11,11 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
-from numpy.typing import NDArray
 
+from oed.arrays import Array
 from pkm_reports import style, words
 
-Array = NDArray[np.float64]
 POLAR: Final = ("psi_deg", "theta_deg")
 MOST_ROWS: Final = 3
 MOST_LEVELS: Final = 4

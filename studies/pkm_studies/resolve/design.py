@@ -14,7 +14,7 @@ from typing import get_args
 import numpy as np
 
 from oed import units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve import grids, naming, quantities

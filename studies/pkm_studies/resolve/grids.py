@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed import units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.instrument import Setup
 from oed.kinematics import AssemblyError
 from oed.machine import Coordinate, Machine

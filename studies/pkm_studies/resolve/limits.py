@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from oed import units
+from oed.arrays import Mask
 from oed.design import feasible
 from oed.design.clearance import Capsule, Surroundings, cup_place
 from oed.measurement import Measurement, Series
@@ -57,7 +58,7 @@ def limited(
 
 def _likely(
     said: Limits, measurement: Measurement, series: Series, place: Place
-) -> feasible.Mask:
+) -> Mask:
     """Which held readings (n,) stay within the travel with the wanted probability."""
     if said.travel_mm is None:
         raise place.key("travel_chance").error(

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.candidates import reading_time
 from oed.measurement import Measurement, Series
 from oed.planning.option import Option, option

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed import units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.instrument import Protocol, Setup, mount
 from oed.kinematics import AssemblyError
 from oed.machine import Machine, Parameter

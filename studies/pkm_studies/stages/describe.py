@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import result, units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.instrument import Setup
 from oed.machine import Machine
 from oed.measurement import Measurement, Series

@@ -10,11 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from oed.arrays import Array
 from pkm_reports import style, words
 
-Array = NDArray[np.float64]
 #: extent of an axis, as a share of the largest, from which it is drawn
 FLAT: Final = 0.05
 AXES: Final = ("x", "y", "z")

@@ -15,7 +15,7 @@ from typing import TypedDict
 import numpy as np
 
 from oed import information, predict, units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.blocks import seen
 from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, named

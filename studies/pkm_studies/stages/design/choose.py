@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed import criteria, explain, result
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design import candidates
 from oed.design.exchange import Choice
 from oed.information import Scaling

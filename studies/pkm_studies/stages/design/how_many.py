@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from oed import result, units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.blocks import information
 from oed.design.exchange import Choice
 from oed.design.how_many import Goal, HowMany

@@ -14,9 +14,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed import result, units
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import candidates, order
-from oed.design.blocks import Index
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve import grids

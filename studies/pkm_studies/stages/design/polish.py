@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed import result, units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design import polish, smooth
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place

@@ -9,12 +9,11 @@ import dataclasses
 import numpy as np
 
 from oed import result
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import candidates, robust
 from oed.design.criterion import Criterion
 from oed.design.exchange import Choice
 from oed.kinematics import AssemblyError
-from oed.measurement import Index
 from pkm_studies.errors import Place
 from pkm_studies.stages.design.aims import Aims
 from pkm_studies.stages.design.search import Problem

@@ -13,9 +13,9 @@ import math
 
 import numpy as np
 
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.design import bounds, exchange, setups
-from oed.design.blocks import Index, information, seen
+from oed.design.blocks import information, seen
 from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, Power, Spectrum
 from oed.design.exchange import Choice

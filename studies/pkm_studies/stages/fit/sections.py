@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import identify, posterior, result, units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.measurement import Measurement, Series
 
 #: draws shown in the corner plot

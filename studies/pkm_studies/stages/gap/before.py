@@ -15,9 +15,9 @@ from oed import dataset, units
 from oed.effect import Effect
 from oed.gap.before import detect, runs, separate
 from oed.gap.data import problem as problem_of
-from oed.gap.data.metric import plain
-from oed.gap.data.problem import Problem
+from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
+from oed.noise.law import stated
 from oed.result import gap_before as result
 from pkm_studies.resolve.gap_design import GapDesignAsked
 from pkm_studies.stages.gap.words import listed, spoken
@@ -74,12 +74,12 @@ def _fine(measurement: Measurement) -> dict[str, str]:
 
 
 def _table(
-    planned: Problem,
+    planned: GapProblem,
     effects: Sequence[Effect],
     rng: np.random.Generator,
     fine: Mapping[str, str],
 ) -> result.Table:
-    found = detect.detect(planned, plain(planned), effects, rng)
+    found = detect.detect(planned, stated(planned), effects, rng)
     about = {e.name: e.about for e in effects}
     return result.Table(
         readings=len(planned),
@@ -133,7 +133,7 @@ def _known(value: float) -> float | None:
 def _chosen(
     measurement: Measurement,
     asked: GapDesignAsked,
-    planned: Problem,
+    planned: GapProblem,
     effects: Sequence[Effect],
     gravity: tuple[float, float, float],
     rng: np.random.Generator,
@@ -142,7 +142,7 @@ def _chosen(
     problem, rows = runs.prepared(measurement, asked.runs, gravity=gravity)
     kept = np.array(asked.kept, dtype=np.intp)
     try:
-        pool = separate.Pool(problem, plain(problem), rows, asked.wanted, asked.rivals)
+        pool = separate.Pool(problem, stated(problem), rows, asked.wanted, asked.rivals)
         found = separate.choose(
             pool,
             asked.rules,
@@ -221,14 +221,14 @@ def _key(told: separate.Told) -> tuple[str, str, str]:
 
 
 def _before(
-    planned: Problem, asked: GapDesignAsked
+    planned: GapProblem, asked: GapDesignAsked
 ) -> dict[tuple[str, str, str], float]:
     """What the readings planned otherwise tell of the same pairs; nothing where they
     cannot test the effects.
     """
     try:
         pool = separate.Pool(
-            planned, plain(planned), planned.blocks, asked.wanted, asked.rivals
+            planned, stated(planned), planned.blocks, asked.wanted, asked.rivals
         )
     except ValueError:
         return {}

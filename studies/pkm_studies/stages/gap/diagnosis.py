@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed import units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.effect import Column, Effect
 from oed.gap.data import problem as problem_of
 from oed.gap.data.diagnosis import UNKNOWN, Answer, Closure, Diagnosis, Size

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from oed import units
-from oed.batch import Array
+from oed.arrays import Array, Index
 from oed.effect import State
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.metric import Metric
-from oed.gap.data.problem import Index
 from oed.result import gap as result_gap
 from pkm_studies.resolve.gap import FEED, PASS
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oed import dataset, units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.effect import Effect, State
 from oed.gap.data import signature
 from oed.gap.data import state as states_of

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import criteria, explain, result
-from oed.batch import Array
+from oed.arrays import Array
 from oed.planning import stage as staging
 from oed.planning.known import Known
 from oed.planning.search import Plan as Found

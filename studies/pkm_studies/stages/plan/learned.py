@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from oed import units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.candidates import reading_time
 from oed.machine import Machine
 from pkm_studies.errors import Place

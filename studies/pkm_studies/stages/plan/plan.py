@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from oed import criteria, explain, predict, result, units
-from oed.batch import Array
+from oed.arrays import Array
 from oed.measurement import Measurement, Series
 from oed.planning import goal as goals
 from oed.planning import search

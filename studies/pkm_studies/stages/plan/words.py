@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import result
-from oed.batch import Array
+from oed.arrays import Array
 from oed.design.criterion.protocol import inverse
 from oed.planning import stage as staging
 from oed.planning.option import Option

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import compensate, identify, information, predict, result, simulate, units
-from oed.batch import Array
-from oed.measurement import Index, Measurement, Series
+from oed.arrays import Array, Index
+from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
 from pkm_studies.progress import Progress
 from pkm_studies.stages import describe

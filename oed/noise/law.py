@@ -1,0 +1,128 @@
+"""The noise law: how the errors of readings in one run are related.
+
+In units of the stated noise, the readings of a run have the covariance
+
+    level^2 [ V^1/2 B V^1/2 + repeat^2 1 1^T + sway^2 cos(phi_k - phi_l)
+              + wander^2 exp(-|k - l| / reach) ],
+
+B the instrument's own correlation (often 1), V the variances of single readings (often
+1), `repeat` how well a run's level repeats and `sway` its first harmonic (a bar set up
+anew is centred anew, ISO 230-4), `wander` an error that is carried along a run over
+`reach` readings. Channels of one reading wander apart.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed.arrays import Array, Index
+from oed.noise.runs import RunBatch, Runs
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseLaw:
+    """A noise law, in units of the stated noise.
+
+    repeat, wander, reach, sway   see the module; reach in readings
+    variance (N,)           of single readings over the level's; ones where they are
+                            alike
+    ratio (N,)              noise of each reading's channel over the first one's, both
+                            over the stated; None: ones
+    level                   factor on everything; 1 where it is marginalised elsewhere
+    tails                   degrees of freedom of the readings' Student t, inf where
+                            they are normal
+    strays                  share of readings that are far off, where the others are
+                            normal
+    """
+
+    repeat: float
+    wander: float
+    reach: float
+    variance: Array
+    level: float = 1.0
+    tails: float = np.inf
+    strays: float = 0.0
+    ratio: Array | None = None
+    sway: float = 0.0
+
+    def block(self, runs: Runs, number: int, rows: Index | None = None) -> Array:
+        """Covariance (k, k) of a run's readings, or of those of its `rows` (positions
+        within the run).
+        """
+        batch = runs.batch(number)
+        return np.asarray(
+            self.covariances(batch if rows is None else batch.take(rows))[0]
+        )
+
+    def covariances(self, batch: RunBatch) -> Array:
+        """Covariances (B, k, k) of the runs of a batch."""
+        members = batch.members
+        root = np.sqrt(self.variance[members])
+        covariance = batch.correlation * (root[:, :, None] * root[:, None, :])
+        related = (
+            self.repeat**2
+            + self.wander**2 * np.exp(batch.distance * (-1.0 / self.reach))
+            + self.sway**2 * batch.harmonic
+        )
+        covariance += np.where(batch.same_channel, related, 0.0)
+        if self.ratio is not None:
+            ratio = self.ratio[members]
+            covariance *= ratio[:, :, None] * ratio[:, None, :]
+        return np.asarray(self.level**2 * covariance)
+
+
+def stated(runs: Runs) -> NoiseLaw:
+    """The stated noise and nothing else."""
+    return NoiseLaw(0.0, 0.0, 1.0, np.ones(len(runs)))
+
+
+class Whitener:
+    """W with W Sigma W^T = 1 for a law's covariance, and log |Sigma|. Runs of one
+    length are done at once.
+    """
+
+    def __init__(self, runs: Runs, law: NoiseLaw, rows: Index | None = None) -> None:
+        """`rows`: the readings that count (all by default); vectors given are still of
+        all N readings.
+        """
+        self._parts: list[tuple[Index, Array]] = []
+        self.log_det = 0.0
+        for members, covariance in _blocks(runs, law, rows):
+            factor = np.linalg.cholesky(covariance)
+            self.log_det += 2.0 * float(
+                np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
+            )
+            self._parts.append(
+                (members, np.asarray(np.linalg.inv(factor), dtype=float))
+            )
+        self.size = sum(members.size for members, _ in self._parts)
+
+    def white(self, values: Array) -> Array:
+        """Values (N,) or (N, k) whitened."""
+        wide = values[:, None] if values.ndim == 1 else values
+        done = [
+            (inverse @ wide[members]).reshape(members.size, wide.shape[1])
+            for members, inverse in self._parts
+        ]
+        white = np.concatenate(done)
+        return white[:, 0] if values.ndim == 1 else white
+
+
+def _blocks(runs: Runs, law: NoiseLaw, rows: Index | None) -> list[tuple[Index, Array]]:
+    """Members (B, k) and covariances (B, k, k) of the runs, those of one length
+    together.
+    """
+    if rows is None:
+        return [(batch.members, law.covariances(batch)) for batch in runs.batches]
+    counted = np.zeros(len(runs), dtype=bool)
+    counted[rows] = True
+    found: dict[int, tuple[list[Index], list[Array]]] = {}
+    for k, members in enumerate(runs.blocks):
+        mine = np.flatnonzero(counted[members])
+        if mine.size:
+            batch = found.setdefault(mine.size, ([], []))
+            batch[0].append(members[mine])
+            batch[1].append(law.block(runs, k, mine))
+    return [(np.array(members), np.array(blocks)) for members, blocks in found.values()]

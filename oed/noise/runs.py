@@ -1,0 +1,97 @@
+"""Readings grouped in runs: whose noise may be correlated, and how far apart they are.
+
+A run is a circle, a line, a series of poses read without a break. Noise is independent
+between runs; within a run it may share a level, a first harmonic or an error that is
+carried along.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.arrays import Array, Index, Mask
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class RunBatch:
+    """B runs of the same number k of readings, so that their matrices are one array.
+
+    members       (B, k) which readings
+    correlation   (B, k, k) stated by the instrument
+    same_channel  (B, k, k) whether two readings are of one channel
+    distance      (B, k, k) how many readings lie between them
+    harmonic      (B, k, k) cosine of the phase between them
+    """
+
+    members: Index
+    correlation: Array
+    same_channel: Mask
+    distance: Array
+    harmonic: Array
+
+    def take(self, rows: Index) -> RunBatch:
+        """The readings at positions `rows` (k',) of each run."""
+        pairs = (slice(None), rows[:, None], rows)
+        return RunBatch(
+            members=self.members[:, rows],
+            correlation=self.correlation[pairs],
+            same_channel=self.same_channel[pairs],
+            distance=self.distance[pairs],
+            harmonic=self.harmonic[pairs],
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Runs:
+    """N readings in runs.
+
+    base     stated correlation of each run's readings, (k, k), or None where independent
+    blocks   index set of each run
+    along    (N,) number of each reading in its run, from 0
+    group    (N,) instrument channel of each reading: each has a noise level of its own
+    phase    (N,) angle of each reading along its circle, rad
+    """
+
+    base: tuple[Array | None, ...]
+    blocks: tuple[Index, ...]
+    along: Array
+    group: Index
+    phase: Array
+
+    def __len__(self) -> int:
+        return len(self.along)
+
+    @functools.cached_property
+    def batches(self) -> tuple[RunBatch, ...]:
+        """All runs, those of one length together; channels apart where independent."""
+        by_size: dict[int, list[tuple[Index, Array | None]]] = {}
+        for members, correlation in zip(self.blocks, self.base, strict=True):
+            parts = [members]
+            if correlation is None:
+                channel = self.group[members]
+                parts = [members[channel == g] for g in np.unique(channel)]
+            for part in parts:
+                by_size.setdefault(len(part), []).append((part, correlation))
+        return tuple(self._batch(parts) for parts in by_size.values())
+
+    def batch(self, number: int) -> RunBatch:
+        """One run, by its number."""
+        return self._batch([(self.blocks[number], self.base[number])])
+
+    def _batch(self, parts: Sequence[tuple[Index, Array | None]]) -> RunBatch:
+        members = np.array([part for part, _ in parts])
+        size = members.shape[1]
+        stated = [np.eye(size) if known is None else known for _, known in parts]
+        channel, along = self.group[members], self.along[members]
+        phase = self.phase[members]
+        return RunBatch(
+            members=members,
+            correlation=np.array(stated),
+            same_channel=channel[:, :, None] == channel[:, None, :],
+            distance=np.abs(along[:, :, None] - along[:, None, :]),
+            harmonic=np.cos(phase[:, :, None] - phase[:, None, :]),
+        )
