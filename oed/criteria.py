@@ -113,7 +113,7 @@ def noise_amplification(singular_values: Array, poses: int) -> float:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Criterion:
+class CriterionInfo:
     """A criterion as the catalogue lists it."""
 
     name: str
@@ -125,52 +125,56 @@ class Criterion:
 _PUKELSHEIM = "Pukelsheim (2006), Optimal Design of Experiments"
 _SUN = "Sun and Hollerbach (2008), Observability index selection, ICRA"
 
-CATALOGUE: Mapping[str, Criterion] = MappingProxyType(
+CATALOGUE: Mapping[str, CriterionInfo] = MappingProxyType(
     {
         entry.name: entry
         for entry in (
-            Criterion(
+            CriterionInfo(
                 "D", "log det M: volume of the confidence ellipsoid", _PUKELSHEIM, d
             ),
-            Criterion(
+            CriterionInfo(
                 "A", "-trace M^-1: sum of the parameter variances", _PUKELSHEIM, a
             ),
-            Criterion(
+            CriterionInfo(
                 "Ds",
                 "as D, of what is of interest: nuisances are profiled out",
                 _PUKELSHEIM,
                 ds,
             ),
-            Criterion("c", "-c' M^-1 c: variance of one combination", _PUKELSHEIM, c),
-            Criterion(
+            CriterionInfo(
+                "c", "-c' M^-1 c: variance of one combination", _PUKELSHEIM, c
+            ),
+            CriterionInfo(
                 "G",
                 "-max trace W_j M^-1: largest predicted pose variance",
                 _PUKELSHEIM,
                 g,
             ),
-            Criterion(
+            CriterionInfo(
                 "E", "least eigenvalue of M: the worst-known direction", _PUKELSHEIM, e
             ),
-            Criterion(
+            CriterionInfo(
                 "I",
                 "-trace W M^-1: mean predicted pose variance over the workspace",
                 _PUKELSHEIM,
                 i,
             ),
-            Criterion("kappa", "condition number of H", _SUN, kappa),
-            Criterion(
+            CriterionInfo("kappa", "condition number of H", _SUN, kappa),
+            CriterionInfo(
                 "O1", "geometric mean of the singular values over sqrt(m)", _SUN, o1
             ),
-            Criterion("O2", "reciprocal condition number", _SUN, o2),
-            Criterion("O3", "least singular value", _SUN, o3),
-            Criterion("O4", "least singular value squared over the largest", _SUN, o4),
-            Criterion(
+            CriterionInfo("O2", "reciprocal condition number", _SUN, o2),
+            CriterionInfo("O3", "least singular value", _SUN, o3),
+            CriterionInfo(
+                "O4", "least singular value squared over the largest", _SUN, o4
+            ),
+            CriterionInfo(
                 "O5",
                 "harmonic sum of the singular values",
                 "Joubair and Bonev (2013), Mech. Mach. Theory 70",
                 o5,
             ),
-            Criterion(
+            CriterionInfo(
                 "noise_amplification",
                 "O1 with m counting poses",
                 "Chang, Li and Li (2011), Chin. J. Mech. Eng., Eq. (17)",

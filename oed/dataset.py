@@ -25,7 +25,7 @@ from oed.instrument import Channel, Setup
 from oed.kinematics import AssemblyError
 from oed.machine import Coordinate, Machine
 from oed.measurement import Measurement, Series
-from oed.readings_table import ReadingsError, Table, suggest
+from oed.readings_table import ReadingsError, ReadingsFile, suggest
 
 __all__ = ["Dataset", "Layout", "ReadingsError", "build", "from_series", "load", "save"]
 
@@ -198,7 +198,7 @@ def layout(machine: Machine, setup: Setup) -> Layout:
 # -- from tables -----------------------------------------------------------------------
 
 
-def build(tables: Sequence[Table], measurement: Measurement) -> Dataset:
+def build(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dataset:
     """Readings of checked tables, for a machine and its set-ups. Raises ReadingsError."""
     for table in tables:
         _check_columns(table, measurement)
@@ -228,7 +228,7 @@ def build(tables: Sequence[Table], measurement: Measurement) -> Dataset:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class _Part:
+class _DatasetPart:
     """What one set-up has to say; no series where none of its readings was taken."""
 
     series: Series | None
@@ -249,7 +249,7 @@ def _known(measurement: Measurement) -> dict[str, str]:
     return known | COVARIATES
 
 
-def _check_columns(table: Table, measurement: Measurement) -> None:
+def _check_columns(table: ReadingsFile, measurement: Measurement) -> None:
     known = _known(measurement)
     for stem, column in table.columns.items():
         if stem in readings_table.REQUIRED:
@@ -275,7 +275,7 @@ def _check_columns(table: Table, measurement: Measurement) -> None:
             )
 
 
-def _merge(tables: Sequence[Table]) -> Table:
+def _merge(tables: Sequence[ReadingsFile]) -> ReadingsFile:
     """All rows, sorted in time within each run; set-ups and runs stay in the order they
     appear in.
     """
@@ -283,7 +283,7 @@ def _merge(tables: Sequence[Table]) -> Table:
     columns = {
         stem: column for t in reversed(tables) for stem, column in t.columns.items()
     }
-    merged = Table(tables[0].file, frame, columns)
+    merged = ReadingsFile(tables[0].file, frame, columns)
     twice = np.flatnonzero(frame.duplicated(["setup", "run", "order"]).to_numpy())
     if twice.size:
         at = int(twice[0])
@@ -299,7 +299,7 @@ def _merge(tables: Sequence[Table]) -> Table:
     return dataclasses.replace(merged, frame=frame.iloc[rank].reset_index(drop=True))
 
 
-def _check_rows(table: Table, measurement: Measurement) -> None:
+def _check_rows(table: ReadingsFile, measurement: Measurement) -> None:
     """Every row names a known set-up and reads only what its instrument reads."""
     frame, setups = table.frame, measurement.setups
     for at in np.flatnonzero(~frame["setup"].isin(setups).to_numpy())[:1]:
@@ -332,7 +332,9 @@ def _check_rows(table: Table, measurement: Measurement) -> None:
                 )
 
 
-def _one_setup(table: Table, measurement: Measurement, name: str) -> _Part:
+def _one_setup(
+    table: ReadingsFile, measurement: Measurement, name: str
+) -> _DatasetPart:
     setup = measurement.setups[name]
     at = np.flatnonzero((table.frame["setup"] == name).to_numpy())
     frame = table.frame.iloc[at]
@@ -349,7 +351,7 @@ def _one_setup(table: Table, measurement: Measurement, name: str) -> _Part:
         )
     kept = _with_reference(list(frame["run"]), taken, first)
     series = _series(table, measurement, name, at[kept]) if taken.any() else None
-    return _Part(
+    return _DatasetPart(
         series,
         values[taken].ravel(),
         _covariates(frame[taken]),
@@ -375,7 +377,9 @@ def _covariates(rows: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _series(table: Table, measurement: Measurement, name: str, at: Index) -> Series:
+def _series(
+    table: ReadingsFile, measurement: Measurement, name: str, at: Index
+) -> Series:
     """The poses of rows `at`, from joints where they were recorded, else from commands."""
     machine = measurement.machine
     frame = table.frame.iloc[at]
@@ -407,7 +411,7 @@ def _series(table: Table, measurement: Measurement, name: str, at: Index) -> Ser
         ) from error
 
 
-def _filled(table: Table, stems: Sequence[str], at: Index) -> Array | None:
+def _filled(table: ReadingsFile, stems: Sequence[str], at: Index) -> Array | None:
     """Columns (n, k) of rows `at`; None where none of them is filled. Raises where only
     some are.
     """
@@ -430,7 +434,11 @@ def _filled(table: Table, stems: Sequence[str], at: Index) -> Array | None:
 
 
 def _in_range(
-    table: Table, coordinates: Sequence[Coordinate], values: Array, at: Index, what: str
+    table: ReadingsFile,
+    coordinates: Sequence[Coordinate],
+    values: Array,
+    at: Index,
+    what: str,
 ) -> None:
     for k, c in enumerate(coordinates):
         outside = (values[:, k] < c.lower - SLACK) | (values[:, k] > c.upper + SLACK)

@@ -154,14 +154,14 @@ def _pivot_of(row: Array) -> int:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Motion:
+class RigidMotion:
     """A named direction in parameter space: a rigid motion of a group of joint centres."""
 
     text: str
     direction: Array
 
 
-def rigid_motions(machine: Machine, names: Sequence[str]) -> list[Motion]:
+def rigid_motions(machine: Machine, names: Sequence[str]) -> list[RigidMotion]:
     """Rigid motions of the machine's point groups that move free parameters only, over
     columns `names`.
     """
@@ -186,7 +186,9 @@ def rigid_motions(machine: Machine, names: Sequence[str]) -> list[Motion]:
                     if kind == "translation"
                     else f"about {group.origin}, {'xyz'[axis]} axis"
                 )
-                motions.append(Motion(f"{kind} of the {group.name} {about}", direction))
+                motions.append(
+                    RigidMotion(f"{kind} of the {group.name} {about}", direction)
+                )
     return motions
 
 

@@ -66,7 +66,7 @@ class ReadingsError(ValueError):
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Column:
+class ReadingsColumn:
     """A column of the file: its name, what it measures, and the factor to SI `unit`."""
 
     name: str
@@ -76,7 +76,7 @@ class Column:
 
 
 @dataclasses.dataclass(frozen=True)
-class Table:
+class ReadingsFile:
     """Checked cells.
 
     frame    one row a row of the file: `setup`, `run` (text), `order` (int), and each
@@ -87,7 +87,7 @@ class Table:
 
     file: str
     frame: pd.DataFrame
-    columns: dict[str, Column]
+    columns: dict[str, ReadingsColumn]
 
     def error(self, problem: str, remedy: str, at: int, stem: str) -> ReadingsError:
         """The error to raise for row number `at` of the frame and a column by its stem."""
@@ -112,7 +112,7 @@ class Table:
         )
 
 
-def read(path: Path, known: Mapping[str, str] | None = None) -> Table:
+def read(path: Path, known: Mapping[str, str] | None = None) -> ReadingsFile:
     """Read and check one file. Raises ReadingsError for the first thing that is wrong,
     OSError if it is not there.
 
@@ -126,7 +126,7 @@ def from_rows(
     rows: Sequence[tuple[int, Sequence[str]]],
     file: str,
     known: Mapping[str, str] | None = None,
-) -> Table:
+) -> ReadingsFile:
     """A table from numbered rows of cells, the header first; otherwise as `read`."""
     columns = _header(rows[0][1], file, known or {})
     body = rows[1:]
@@ -146,20 +146,22 @@ def from_rows(
             if stem in LABELS
             else _numbers(column, text[stem], numbers, file)
         )
-    table = Table(file, frame, columns)
+    table = ReadingsFile(file, frame, columns)
     _check_labels(table)
     return table
 
 
-def parse_column(name: str) -> Column:
+def parse_column(name: str) -> ReadingsColumn:
     """What a column's name says. Raises UnitError."""
     if name in LABELS or name in PLAIN:
-        return Column(name, name, "1", 1.0)
+        return ReadingsColumn(name, name, "1", 1.0)
     stem, _, tail = name.partition("_")
     if stem == "feed" and tail == FEED:
-        return Column(name, stem, "m/s", units.factor("mm") / units.factor("min"))
+        return ReadingsColumn(
+            name, stem, "m/s", units.factor("mm") / units.factor("min")
+        )
     stem, unit = units.split(name)
-    return Column(name, stem, units.si_unit(unit), units.factor(unit))
+    return ReadingsColumn(name, stem, units.si_unit(unit), units.factor(unit))
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
@@ -225,7 +227,7 @@ def _cells(
 
 def _header(
     cells: Sequence[str], file: str, known: Mapping[str, str]
-) -> dict[str, Column]:
+) -> dict[str, ReadingsColumn]:
     """Columns by stem, in order. Raises ReadingsError."""
     names = [c.strip() for c in cells]
     missing = [n for n in REQUIRED if n not in names]
@@ -248,7 +250,7 @@ def _header(
         raise ReadingsError(
             f"{len(names)} columns are too many", HEADER, file=file, row=1
         )
-    columns: dict[str, Column] = {}
+    columns: dict[str, ReadingsColumn] = {}
     for name in names:
         try:
             column = parse_column(name)
@@ -294,7 +296,7 @@ def _with_unit(name: str, known: Mapping[str, str]) -> str:
 
 
 def _numbers(
-    column: Column, text: Sequence[str], rows: np.ndarray, file: str
+    column: ReadingsColumn, text: Sequence[str], rows: np.ndarray, file: str
 ) -> np.ndarray:
     """SI values of a column, NaN where the cell is empty."""
     cells = pd.Series(text, dtype=object)
@@ -321,7 +323,7 @@ def _numbers(
     return np.asarray(values * column.factor)
 
 
-def _check_labels(table: Table) -> None:
+def _check_labels(table: ReadingsFile) -> None:
     """Set-up and run named, order a whole number, direction +1 or -1."""
     frame = table.frame
     for stem in LABELS:

@@ -10,10 +10,10 @@ import numpy as np
 import sample
 
 from oed import explain
-from oed.result.study import Design
+from oed.result import DesignSection
 from pkm_studies.resolve.study import Resolved
 from pkm_studies.stages.design import choose, score
-from pkm_studies.stages.design.choose import Chosen
+from pkm_studies.stages.design.choose import ChosenDesign
 
 HEAD = """\
 schema = 1
@@ -61,14 +61,14 @@ def text(
     return HEAD + setups + "[design]\n" + design + tables + rest
 
 
-def chosen(text: str, folder: Path = Path()) -> tuple[Resolved, Chosen]:
+def chosen(text: str, folder: Path = Path()) -> tuple[Resolved, ChosenDesign]:
     resolved = sample.resolved(text, folder)
     found = choose.choose(resolved, np.random.default_rng(0))
     assert found is not None
     return resolved, found
 
 
-def section(resolved: Resolved, found: Chosen) -> Design:
+def section(resolved: Resolved, found: ChosenDesign) -> DesignSection:
     assert resolved.study.design is not None
     return score.section(
         resolved,

@@ -8,17 +8,24 @@ from typing import Any
 
 import pytest
 
-from oed.result.gap import About, Answer, Closure, Gap, Size, Where
+from oed.result.gap import (
+    AnswerRecord,
+    ClosureRecord,
+    EffectNote,
+    GapSection,
+    PlaceRecord,
+    SizeRecord,
+)
 from pkm_studies.stages.gap import words as gap_words
 
 
 def _gap(
     verdict: str, effects: list[str], classes: list[list[str]], **more: Any
-) -> Gap:
+) -> GapSection:
     about = {
-        "gravity": About("legs that give", "stiffen the legs", "a payload", "s"),
-        "encoder_scale": About("scale", "measure the scale", "two bars", "s"),
-        "servo_lag": About(
+        "gravity": EffectNote("legs that give", "stiffen the legs", "a payload", "s"),
+        "encoder_scale": EffectNote("scale", "measure the scale", "two bars", "s"),
+        "servo_lag": EffectNote(
             "lag",
             "tune",
             "two feeds",
@@ -29,10 +36,10 @@ def _gap(
     }
     fields: dict[str, Any] = {
         "verdict": verdict,
-        "answers": [Answer(effects, 0.9, classes)],
+        "answers": [AnswerRecord(effects, 0.9, classes)],
         "set95": [],
-        "where": [Where("time 600-1200", 0.0002), Where("leg 1", 0.3)],
-        "closure": [Closure("whole", 0.8, 0.6, 0.9, 0.01, 2.0, 1.2, 1.0, 90)],
+        "where": [PlaceRecord("time 600-1200", 0.0002), PlaceRecord("leg 1", 0.3)],
+        "closure": [ClosureRecord("whole", 0.8, 0.6, 0.9, 0.01, 2.0, 1.2, 1.0, 90)],
         "not_testable": ["servo_lag"],
         "confusable": [],
         "selected": [n for n in effects if n != "unknown"],
@@ -40,7 +47,9 @@ def _gap(
         "marginal": {},
         "about": about,
         "coefficients": [],
-        "sizes": [Size(n, {"length": 12.34}, 20.0) for n in effects if n != "unknown"],
+        "sizes": [
+            SizeRecord(n, {"length": 12.34}, 20.0) for n in effects if n != "unknown"
+        ],
         "noise": [],
         "units": {"length": "um"},
         "rms_before": {},
@@ -51,7 +60,7 @@ def _gap(
         "words": [],
         "next": ["Look again."],
     }
-    return gap_words.told(Gap(**fields | more))
+    return gap_words.told(GapSection(**fields | more))
 
 
 def test_no_gap_in_words() -> None:
@@ -131,34 +140,34 @@ def test_an_interval_that_tells_nothing_is_not_told_in_figures(
         "effect",
         ["gravity"],
         [["gravity"]],
-        closure=[Closure("whole", 0.3, low, high, 0.1, 2.0, 1.2, 1.0, 9)],
+        closure=[ClosureRecord("whole", 0.3, low, high, 0.1, 2.0, 1.2, 1.0, 9)],
     )
     assert f"({told}) on whole runs" in words.words[2]
 
 
 def test_places_that_hold_much_of_the_gap_are_told() -> None:
     places = [
-        Where("all legs", 0.0, 0.9),
-        Where("leg 1", 0.0, 0.8),
-        Where("run 2", 0.0, 0.7),
-        Where("time 0-60", 0.0, 0.2),
+        PlaceRecord("all legs", 0.0, 0.9),
+        PlaceRecord("leg 1", 0.0, 0.8),
+        PlaceRecord("run 2", 0.0, 0.7),
+        PlaceRecord("time 0-60", 0.0, 0.2),
     ]
     told = _gap("effect", ["gravity"], [["gravity"]], where=places).words[1]
     assert told == "It shows most in all legs alike (p < 0.001) and run 2 (p < 0.001)."
     nowhere = _gap(
-        "effect", ["gravity"], [["gravity"]], where=[Where("leg 1", 0.2, 0.5)]
+        "effect", ["gravity"], [["gravity"]], where=[PlaceRecord("leg 1", 0.2, 0.5)]
     ).words[1]
     assert nowhere.startswith("No leg, run, time")
 
 
 def test_a_gap_is_never_told_to_be_closed_whole() -> None:
-    near = [Closure("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
+    near = [ClosureRecord("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
     told = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[2]
     assert "shrinks by 99.9 % (99.8 to 100.0 %) on stretches" in told
 
 
 def test_more_than_the_whole_is_told_as_what_can_be_seen() -> None:
-    more = [Closure("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
+    more = [ClosureRecord("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
     told = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[2]
     assert (
         "shrinks by all that the noise lets be seen (80 to over 100 %) on stretches"

@@ -21,7 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
-from oed.result.study import StudyResult
+from oed.result import StudyResult
 from pkm_reports import document, sections, style, words, write_report
 from pkm_reports import html as html_writer
 from pkm_reports import pdf as pdf_writer

@@ -18,7 +18,7 @@ import report_fixture
 import report_fixture_plan
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from oed.result.study import Plan
+from oed.result import PlanSection
 from pkm_reports import document, sections, style, write_sheet
 from pkm_reports import html as html_writer
 from pkm_reports import pdf as pdf_writer
@@ -60,7 +60,7 @@ def _shown(result: dict[str, Any]) -> str:
 
 @pytest.mark.parametrize("wanted", [True, False])
 def test_the_fixture_conforms_to_the_schema(wanted: bool) -> None:
-    plan = msgspec.convert(report_fixture_plan.plan(wanted=wanted), Plan)
+    plan = msgspec.convert(report_fixture_plan.plan(wanted=wanted), PlanSection)
     assert len(plan.stages) == 3
 
 
@@ -149,13 +149,13 @@ def test_a_large_loss_is_a_factor() -> None:
 
 
 @pytest.mark.parametrize("kind", ["absent", "null"])
-@pytest.mark.parametrize("name", [*sorted(Plan.__struct_fields__), "all"])
+@pytest.mark.parametrize("name", [*sorted(PlanSection.__struct_fields__), "all"])
 def test_each_part_of_the_plan_may_be_missing(kind: str, name: str) -> None:
     if name in NEEDED:
         return
     plan = report_fixture_plan.plan()
     names = (
-        [n for n in Plan.__struct_fields__ if n not in NEEDED]
+        [n for n in PlanSection.__struct_fields__ if n not in NEEDED]
         if name == "all"
         else [name]
     )

@@ -17,7 +17,7 @@ from sample import changed
 
 from oed import information, predict
 from oed.kinematics import Kinematics
-from oed.result.study import StudyResult, Way
+from oed.result import AlternativePlan, StudyResult
 from pkm_studies import cli, pipeline
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.study import resolve
@@ -219,10 +219,10 @@ def test_an_old_plan_can_still_be_read() -> None:
     from oed import result
 
     old = {"stages": [], "cost": 3.0, "alternatives": ["paper"]}
-    assert msgspec.convert(old, result.Plan).alternatives == ["paper"]
+    assert msgspec.convert(old, result.PlanSection).alternatives == ["paper"]
     way = msgspec.convert(old | {"alternatives": [{"names": ["a"], "readings": [1], "minutes": 1.0, "value": 1.0,
-                                                   "accuracy": {}}]}, result.Plan)  # fmt: skip
-    assert isinstance(way.alternatives[0], Way)
+                                                   "accuracy": {}}]}, result.PlanSection)  # fmt: skip
+    assert isinstance(way.alternatives[0], AlternativePlan)
 
 
 def test_a_wanted_accuracy_takes_the_least_time(

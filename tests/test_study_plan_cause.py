@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from sample import changed
 
-from oed.result.study import StudyResult
+from oed.result import StudyResult
 from pkm_studies import pipeline
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.study import resolve

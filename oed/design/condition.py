@@ -37,7 +37,7 @@ from oed.arrays import Array, Index
 from oed.design.blocks import information
 from oed.design.certificate import carried
 from oed.design.criterion.protocol import slopes
-from oed.design.interior import Path, Setting, setting_of
+from oed.design.interior import InteriorPath, InteriorSetting, setting_of
 
 #: rounds of joining candidates; steps of a path
 ROUNDS, STEPS = 40, 60
@@ -135,7 +135,7 @@ def o4(
         best = max(best, found, key=_o4)
 
 
-def _o4(found: _Found) -> float:
+def _o4(found: _InteriorPoint) -> float:
     return float(found.least / np.sqrt(found.largest))
 
 
@@ -160,7 +160,7 @@ def _worst_corner(lines: Array) -> tuple[float, int, int]:
 
 
 def _between(
-    low: tuple[float, float, _Found], high: tuple[float, float, _Found]
+    low: tuple[float, float, _InteriorPoint], high: tuple[float, float, _InteriorPoint]
 ) -> float:
     """Slope of the chord between the plans that two lines touch; halfway between theirs
     where it is not inside.
@@ -189,7 +189,7 @@ class _Dual(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Found:
+class _InteriorPoint:
     """Weights (C,) with their l_min and l_max, and what a dual says: F(slope) <= bound,
     or kappa^2 >= ratio.
 
@@ -216,7 +216,7 @@ class _Found:
             return self.largest / self.least / self.ratio - 1.0
         return (self.bound - self.least + self.slope * self.largest) / self.least
 
-    def better(self, other: _Found) -> _Found:
+    def better(self, other: _InteriorPoint) -> _InteriorPoint:
         """The better weights of two with the better dual of both."""
         if self.slope is None:
             plan, dual = (
@@ -243,14 +243,16 @@ class _Found:
         )
 
 
-def _log_slopes(found: _Found, share: float) -> Array:
+def _log_slopes(found: _InteriorPoint, share: float) -> Array:
     """d/dw of log l_min - share log l_max."""
     return np.asarray(
         found.dual.rise / found.least - share * found.dual.growth / found.largest
     )
 
 
-def _follow(setting: Setting, slope: float | None, tolerance: float) -> _Found:
+def _follow(
+    setting: InteriorSetting, slope: float | None, tolerance: float
+) -> _InteriorPoint:
     """F(slope), or the least kappa where no slope is told, to a share `tolerance` of
     l_min (of kappa^2).
     """
@@ -258,13 +260,13 @@ def _follow(setting: Setting, slope: float | None, tolerance: float) -> _Found:
         return _only(setting, slope)
     active = _first(setting)
     weights, centre = _carrying(setting, setting.start[active], active), 0.5
-    best: _Found | None = None
+    best: _InteriorPoint | None = None
     for _ in range(ROUNDS):
         known = (
             0.0 if best is None else best.least / best.largest * (1.0 - 0.2 * tolerance)
         )
-        path = Path(setting.take(active), slope, weights, centre, known)
-        now: _Found | None = None
+        path = InteriorPath(setting.take(active), slope, weights, centre, known)
+        now: _InteriorPoint | None = None
         for _ in range(STEPS):
             if not path.step():
                 break
@@ -294,7 +296,9 @@ def _follow(setting: Setting, slope: float | None, tolerance: float) -> _Found:
     return best
 
 
-def _told(setting: Setting, path: Path, active: Index) -> _Found:
+def _told(
+    setting: InteriorSetting, path: InteriorPath, active: Index
+) -> _InteriorPoint:
     """What a path's weights and duals say about all candidates."""
     dual = _dual(setting, path)
     least, largest = setting.ends(active, path.w)
@@ -315,7 +319,7 @@ def _told(setting: Setting, path: Path, active: Index) -> _Found:
     full[active] = path.w
     slope = None if path.free else path.slope
     apart = (bound - value) / least
-    return _Found(
+    return _InteriorPoint(
         full,
         least,
         largest,
@@ -329,7 +333,7 @@ def _told(setting: Setting, path: Path, active: Index) -> _Found:
     )
 
 
-def _dual(setting: Setting, path: Path) -> _Dual:
+def _dual(setting: InteriorSetting, path: InteriorPath) -> _Dual:
     """The path's Y and Z at trace 1, over all candidates."""
     y, z = np.asarray(np.linalg.cholesky(path.y)), np.zeros((len(path.y), 1))
     y = y / float(np.linalg.norm(setting.turn.T @ y))
@@ -343,7 +347,7 @@ def _dual(setting: Setting, path: Path) -> _Dual:
     return _Dual(held, slopes(setting.white, y), slopes(setting.blocks, z))
 
 
-def _least_ratio(setting: Setting, dual: _Dual, ratio: float) -> float:
+def _least_ratio(setting: InteriorSetting, dual: _Dual, ratio: float) -> float:
     """The least <Z, M> / <Y, M> over all weights, by Dinkelbach's steps down from any
     `ratio` above it.
     """
@@ -365,7 +369,7 @@ def _filled(caps: Array, size: float) -> Array:
     return np.asarray(np.clip(size - (np.cumsum(caps) - caps), 0.0, caps))
 
 
-def _only(setting: Setting, slope: float | None) -> _Found:
+def _only(setting: InteriorSetting, slope: float | None) -> _InteriorPoint:
     """The one plan there is where the caps leave no choice."""
     everyone = np.arange(len(setting.blocks))
     least, largest = setting.ends(everyone, setting.caps)
@@ -378,7 +382,7 @@ def _only(setting: Setting, slope: float | None) -> _Found:
         slopes(setting.blocks, vectors[:, -1:]),
     )
     bound = least - (slope or 0.0) * largest + SAFE * least
-    return _Found(
+    return _InteriorPoint(
         setting.caps.copy(),
         least,
         largest,
@@ -395,7 +399,7 @@ def _only(setting: Setting, slope: float | None) -> _Found:
 # -- the active set --------------------------------------------------------------------
 
 
-def _first(setting: Setting) -> Index:
+def _first(setting: InteriorSetting) -> Index:
     """The support of the start and an even sample, able to carry more than the size."""
     count, stride = len(setting.caps), max(1, len(setting.caps) // START)
     while True:
@@ -408,7 +412,7 @@ def _first(setting: Setting) -> Index:
         stride //= 2
 
 
-def _wanted(setting: Setting, profit: Array, active: Index) -> Index:
+def _wanted(setting: InteriorSetting, profit: Array, active: Index) -> Index:
     """Candidates outside that a knapsack would rather carry than the last it carries
     inside, the best first.
     """
@@ -423,7 +427,7 @@ def _wanted(setting: Setting, profit: Array, active: Index) -> Index:
 
 
 def _joined(
-    setting: Setting, profit: Array, held: Array, active: Index, wanted: Index
+    setting: InteriorSetting, profit: Array, held: Array, active: Index, wanted: Index
 ) -> tuple[Index, Array]:
     """The active set without what carries nothing, with what is wanted; weights of the
     same sum.
@@ -438,7 +442,7 @@ def _joined(
     return joined, _carrying(setting, full[joined], joined)
 
 
-def _carrying(setting: Setting, weights: Array, active: Index) -> Array:
+def _carrying(setting: InteriorSetting, weights: Array, active: Index) -> Array:
     """Weights with what they lack to the size, spread over the room left."""
     room = setting.caps[active] - weights
     return np.asarray(weights + (setting.size - weights.sum()) * room / room.sum())

@@ -26,7 +26,7 @@ from oed.design.rules import Rules
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Goal:
+class AccuracyGoal:
     """Components of the pose error: factors (K, r, n) in the columns of the blocks, in
     units of the wanted accuracy.
 
@@ -76,14 +76,14 @@ class Fewest:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class HowMany:
+class SizeCurve:
     """One problem: candidates (C, k, n), information held (n, n), the goal, the rules
     but for the number.
     """
 
     blocks: Array
     prior: Array
-    goal: Goal
+    goal: AccuracyGoal
     rng_seed: tuple[int, ...] = (0,)
     starts: int = 2
     rules: Rules | None = None

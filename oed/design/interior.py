@@ -32,7 +32,7 @@ STAY = 0.95
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Setting:
+class InteriorSetting:
     """Candidates X_i, also as `white` = X_i T^T with T = `turn`, T M T^T = 1 at the
     plan `start`; `square` = T T^T.
     """
@@ -56,7 +56,7 @@ class Setting:
             np.linalg.eigvalsh(m)[-1]
         )
 
-    def take(self, active: Index) -> Setting:
+    def take(self, active: Index) -> InteriorSetting:
         """Over some of the candidates."""
         some = {
             name: getattr(self, name)[active]
@@ -67,7 +67,7 @@ class Setting:
 
 def setting_of(
     rows: Array, size: float, prior: Array | None, cap: Array | float
-) -> Setting:
+) -> InteriorSetting:
     blocks = as_blocks(rows)
     count, _, n = blocks.shape
     caps = np.minimum(np.broadcast_to(np.asarray(cap, dtype=float), (count,)), size)
@@ -92,7 +92,7 @@ def setting_of(
             " seen"
         ) from error
     white, square = blocks @ turn.T, np.asarray(turn @ turn.T)
-    return Setting(
+    return InteriorSetting(
         blocks, base, size, caps, start, turn, white, turn @ base @ turn.T, square
     )
 
@@ -115,14 +115,14 @@ class _Move(NamedTuple):
     dual: float
 
 
-class Path:
+class InteriorPath:
     """The state of the method over an active set; y and s1 are in the turned
     coordinates, T^-T Y T^-1 and T S1 T^T.
     """
 
     def __init__(
         self,
-        setting: Setting,
+        setting: InteriorSetting,
         slope: float | None,
         weights: Array,
         centre: float,
@@ -200,7 +200,7 @@ class _System:
     = 0.
     """
 
-    def __init__(self, path: Path, s1: Array, s2: Array) -> None:
+    def __init__(self, path: InteriorPath, s1: Array, s2: Array) -> None:
         self.path, self.s1, self.s2 = path, s1, s2
         s, w, y, z = path.setting, path.w, path.y, path.z
         count, spare = len(w), s.caps - w

@@ -19,7 +19,7 @@ from oed.design.criterion.protocol import Criterion, slopes
 
 
 @dataclasses.dataclass(frozen=True)
-class Line:
+class Tangent:
     """A line above the objective: every plan w' has a value of at most bound(sum_i w'_i
     slopes_i).
 
@@ -55,7 +55,7 @@ class Objective(Protocol):
         """At weights on the active candidates; -inf where a direction is unseen."""
         ...
 
-    def line(self, active: Index, weights: Array) -> Line:
+    def line(self, active: Index, weights: Array) -> Tangent:
         """A line above the objective that touches it at the weights (nearly, where it
         is smoothed).
         """
@@ -104,12 +104,12 @@ class Plain:
         """log phi(M)."""
         return self.criterion.value(self.at(active, weights))
 
-    def line(self, active: Index, weights: Array) -> Line:
+    def line(self, active: Index, weights: Array) -> Tangent:
         """The criterion's supporting line."""
         m = self.at(active, weights)
         value, root = self.criterion.support(m)
         held = float(np.sum((self.base @ root) * root))
-        return Line(self.criterion.value(m), slopes(self.blocks, root), held, value)
+        return Tangent(self.criterion.value(m), slopes(self.blocks, root), held, value)
 
     def newton(self, active: Index, weights: Array) -> tuple[Array, Array]:
         """Slopes and curvature of log phi."""

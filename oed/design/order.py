@@ -40,7 +40,7 @@ WORSE = 0.01
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Path:
+class Route:
     """Poses in the order of reading.
 
     indices  (n,) poses;  run (n,) number of the run that each belongs to
@@ -150,7 +150,7 @@ def order(
     runs: Sequence[Sequence[int]] | None = None,
     reversible: bool = False,
     kicks: int = 200,
-) -> Path:
+) -> Route:
     """A short path through all poses.
 
     distance (n, n) of each move, inf where forbidden; start (n,) to each pose from
@@ -166,7 +166,7 @@ def order(
     units = [[i] for i in range(n)] if runs is None else [list(run) for run in runs]
     _refuse(distance, start, finish, units)
     if n == 0:
-        return Path(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), 0.0, True)
+        return Route(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), 0.0, True)
     states = _States.of(
         np.asarray(distance, dtype=float), start, finish, units, reversible
     )
@@ -183,12 +183,12 @@ def order(
     first = 0.0 if start is None else float(start[indices[0]])
     steps = np.append(first, distance[indices[:-1], indices[1:]])
     run = np.repeat(states.unit[tour], [len(states.members[s]) for s in tour])
-    return Path(indices, run, steps, length, exact)
+    return Route(indices, run, steps, length, exact)
 
 
 def order_setups(
     costs: Array, rng: np.random.Generator, first: Array | None = None
-) -> Path:
+) -> Route:
     """Order of S set-ups with least re-mounting: costs (S, S) of changing from one to
     another, first (S,) of mounting each on the bare machine (`remounting`); inf where
     it cannot be done.
@@ -449,7 +449,7 @@ def _shift(
 
 
 def interleave(
-    path: Path,
+    path: Route,
     reading: ArrayLike,
     every: float,
     to_reference: Array,
@@ -508,7 +508,7 @@ def interleave(
 
 
 def _timed(
-    path: Path,
+    path: Route,
     each: Array,
     outs: Array,
     backs: Array,

@@ -31,8 +31,8 @@ from oed.arrays import Array, Index
 from oed.design import reading_slopes, smooth
 from oed.design.reading_plan import (
     HELD,
-    Plan,
     Ranges,
+    ReadingPlan,
     commanded,
     fault,
     home_clear,
@@ -120,7 +120,7 @@ def polish_readings(
     outside the ranges or off hold, recorded joints without commands, and noise that a
     run shares.
     """
-    start = Plan(measurement, tuple(series))
+    start = ReadingPlan(measurement, tuple(series))
     variables = _checked(start, free or {}, travel)
     basis, judge = _judge(
         start, smooth.determinant() if criterion is None else criterion, scaling, prior
@@ -163,7 +163,7 @@ def polish_readings(
 
 
 def _checked(
-    start: Plan, free: Ranges, travel: float | None
+    start: ReadingPlan, free: Ranges, travel: float | None
 ) -> dict[str, dict[str, tuple[float, float]]]:
     """The free set-up variables; raises ValueError for what cannot be a start."""
     setups = start.measurement.setups
@@ -205,26 +205,29 @@ def _checked(
 
 
 @dataclasses.dataclass(frozen=True)
-class _Judge:
+class _PolishJudge:
     criterion: Smooth
     scaling: information.Scaling
     basis: Array
     prior: Array
 
-    def __call__(self, plan: Plan) -> float:
+    def __call__(self, plan: ReadingPlan) -> float:
         m = plan.measurement
         rows = information.scaled(m, plan.series, m.nominal, self.scaling) @ self.basis
         return self.criterion.value(self.prior + rows.T @ rows)
 
 
 def _judge(
-    start: Plan, criterion: Smooth, scaling: information.Scaling, prior: Array | None
-) -> tuple[Array, _Judge]:
+    start: ReadingPlan,
+    criterion: Smooth,
+    scaling: information.Scaling,
+    prior: Array | None,
+) -> tuple[Array, _PolishJudge]:
     """Basis (n, r) of what is judged, and the judge."""
     m = start.measurement
     columns = np.eye(len(m.parameters))[:, m.free]
     if prior is not None:
-        return columns, _Judge(
+        return columns, _PolishJudge(
             criterion, scaling, columns, np.asarray(prior, dtype=float)
         )
     _, s, vt = np.linalg.svd(
@@ -233,7 +236,7 @@ def _judge(
     )
     seen = vt[s > UNSEEN * s[0]].T
     basis = columns @ seen
-    return basis, _Judge(
+    return basis, _PolishJudge(
         criterion.within(seen), scaling, basis, np.zeros((seen.shape[1],) * 2)
     )
 
@@ -248,7 +251,7 @@ class _Program:
 
     def __init__(
         self,
-        start: Plan,
+        start: ReadingPlan,
         variables: Ranges,
         travel: float | None,
         clearance: float | None,
@@ -420,7 +423,7 @@ class _Program:
             np.asarray(found["x"], dtype=float).ravel(),
         )
 
-    def plan(self, z: Array) -> Plan:
+    def plan(self, z: Array) -> ReadingPlan:
         """Set-ups and readings at a point, computed anew from its commands and settings
         alone.
         """
@@ -440,7 +443,7 @@ class _Program:
                 )
             )
         measurement = Measurement(self.machine, setups)
-        plan = Plan(measurement, self.start.series)
+        plan = ReadingPlan(measurement, self.start.series)
         shifted = [
             c + np.array(plan.setup(s).tool) @ self._shift.T
             for s, c in zip(plan.series, commands, strict=True)

@@ -25,7 +25,7 @@ Ranges = Mapping[str, Mapping[str, tuple[float, float]]]
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class ReadingPlan:
     """Readings with the measurement they belong to."""
 
     measurement: Measurement
@@ -52,7 +52,7 @@ def values(setup: Setup) -> dict[str, float]:
     return {**setup.settings, **dict(zip(TOOL, setup.tool, strict=True))}
 
 
-def commanded(plan: Plan, commands: Sequence[Array]) -> Plan:
+def commanded(plan: ReadingPlan, commands: Sequence[Array]) -> ReadingPlan:
     """The readings at other commands (m, n_dof), teach poses as taught. Raises
     AssemblyError for some out of reach.
     """
@@ -65,7 +65,7 @@ def commanded(plan: Plan, commands: Sequence[Array]) -> Plan:
             c, None, np.array(plan.setup(s).tool)
         )
         made.append(dataclasses.replace(s, q=q, start=x, command=c))
-    return Plan(plan.measurement, tuple(made))
+    return ReadingPlan(plan.measurement, tuple(made))
 
 
 def home_clear(measurement: Measurement) -> float:
@@ -75,7 +75,7 @@ def home_clear(measurement: Measurement) -> float:
     return float(reading_slopes.pose(machine).clear(x[0], q[0]))
 
 
-def _off(plan: Plan, s: Series, travel: float | None) -> Array | None:
+def _off(plan: ReadingPlan, s: Series, travel: float | None) -> Array | None:
     """By how much (n,) the readings of a series are off what they hold or off its
     travel; None where nothing is.
     """
@@ -89,7 +89,7 @@ def _off(plan: Plan, s: Series, travel: float | None) -> Array | None:
     return np.asarray(off - np.clip(off, -(travel or 0.0), travel or 0.0))
 
 
-def missed(plan: Plan, travel: float | None) -> float:
+def missed(plan: ReadingPlan, travel: float | None) -> float:
     """By how much (m, rad), at the most, a reading is off what it holds or off its
     travel.
     """
@@ -97,7 +97,7 @@ def missed(plan: Plan, travel: float | None) -> float:
     return max((float(np.abs(o).max()) for o in off), default=0.0)
 
 
-def repaired(plan: Plan, travel: float | None) -> Plan:
+def repaired(plan: ReadingPlan, travel: float | None) -> ReadingPlan:
     """Rounding of the held readings taken out by Newton steps of the commands, within
     the workspace.
     """
@@ -108,7 +108,7 @@ def repaired(plan: Plan, travel: float | None) -> Plan:
     return plan
 
 
-def _stepped(plan: Plan, s: Series, travel: float | None) -> Array:
+def _stepped(plan: ReadingPlan, s: Series, travel: float | None) -> Array:
     """Commands after the least step that puts each reading back on hold to first order."""
     off, command = _off(plan, s, travel), s.command
     if off is None:
@@ -121,7 +121,7 @@ def _stepped(plan: Plan, s: Series, travel: float | None) -> Array:
         for step in (1e-6, -1e-6):
             moved = command.copy()
             moved[rows, j] += step
-            side = commanded(Plan(plan.measurement, (s,)), [moved]).series[0]
+            side = commanded(ReadingPlan(plan.measurement, (s,)), [moved]).series[0]
             ends.append(
                 plan.measurement.readings([side], plan.measurement.nominal).reshape(
                     len(s), -1
@@ -139,7 +139,7 @@ def _stepped(plan: Plan, s: Series, travel: float | None) -> Array:
 
 
 def fault(
-    plan: Plan,
+    plan: ReadingPlan,
     variables: Ranges,
     travel: float | None,
     clearance: float | None,

@@ -29,7 +29,7 @@ TOOL = ("tool_x", "tool_y", "tool_z")
 
 
 @dataclasses.dataclass(frozen=True)
-class Pose:
+class SymbolicPose:
     """CasADi functions of one pose.
 
     closed  (x, q, c, tool) -> closure and what the controller holds, all to be zero
@@ -42,7 +42,7 @@ class Pose:
 
 
 @dataclasses.dataclass(frozen=True)
-class Reading:
+class SymbolicReading:
     """CasADi functions of one reading of a set-up; settings (nk,) in the instrument's
     order, tool (3,).
 
@@ -54,7 +54,7 @@ class Reading:
     value: Any
 
 
-def pose(machine: Machine) -> Pose:
+def pose(machine: Machine) -> SymbolicPose:
     """Equations of one pose at nominal parameters."""
     x, xs = symbols("x", machine.pose)
     q, qs = symbols("q", machine.joints)
@@ -70,7 +70,7 @@ def pose(machine: Machine) -> Pose:
     square = phi_x.shape[0] == phi_x.shape[1]
     clear = ca.det(phi_x @ ca.diag(lever)) if square else ca.SX(0, 1)
     options = {"cse": True}
-    return Pose(
+    return SymbolicPose(
         ca.Function("closed", [x, q, c, tool], [both], options),
         ca.Function("clear", [x, q], [clear], options),
     )
@@ -78,7 +78,7 @@ def pose(machine: Machine) -> Pose:
 
 def reading(
     measurement: Measurement, setup: Setup, scaling: Scaling, basis: Any
-) -> Reading:
+) -> SymbolicReading:
     """Rows of one reading times `basis` (n, r), n entries of theta. Raises ValueError
     for noise shared by a run.
     """
@@ -129,7 +129,7 @@ def reading(
     rows, y = at_nominal
     inputs = [v for x, q, _ in poses for v in (x, q)] + [settings, tool]
     options = {"cse": True}
-    return Reading(
+    return SymbolicReading(
         ca.Function("rows", inputs, [(rows @ ca.DM(np.asarray(basis))).T], options),
         ca.Function("value", inputs, [y], options),
     )

@@ -26,7 +26,7 @@ from oed.arrays import Array, Index
 from oed.design.blocks import as_blocks
 from oed.design.certificate import SAFE, carried
 from oed.design.criterion import Criterion, Determinant
-from oed.design.objective import Line, Objective, Plain
+from oed.design.objective import Objective, Plain, Tangent
 
 #: rounds of adding candidates; Newton steps in each
 ROUNDS, STEPS = 200, 8
@@ -162,7 +162,7 @@ def _multiplied(
     """
     count = objective.count
     everyone, weights, bound = np.arange(count), np.full(count, size / count), np.inf
-    best: tuple[Array, Line] | None = None
+    best: tuple[Array, Tangent] | None = None
     for _ in range(MULTIPLIED):
         line = objective.line(everyone, weights)
         bound = min(bound, line.bound(carried(line.slopes, size, caps)) + SAFE)
@@ -175,7 +175,7 @@ def _multiplied(
     return Relaxed(best[0], best[1].value, bound, best[1].slopes)
 
 
-def eliminated(line: Line, bound_of: float, size: float, caps: Array) -> Index:
+def eliminated(line: Tangent, bound_of: float, size: float, caps: Array) -> Index:
     """Candidates (indices) that no plan with a value of at least `bound_of` can hold at
     their full cap.
 
@@ -196,7 +196,7 @@ def eliminated(line: Line, bound_of: float, size: float, caps: Array) -> Index:
     return np.flatnonzero(told + SAFE < bound_of)
 
 
-def _bounds(line: Line, reached: Array) -> Array:
+def _bounds(line: Tangent, reached: Array) -> Array:
     return np.asarray(line.offset + np.log(np.maximum(line.held + reached, 1e-300)))
 
 

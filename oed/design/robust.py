@@ -28,7 +28,7 @@ from oed.design import relaxation
 from oed.design.blocks import as_blocks
 from oed.design.criterion import Criterion
 from oed.design.judge import Single
-from oed.design.objective import Line, Plain
+from oed.design.objective import Plain, Tangent
 from oed.design.relaxation import Relaxed
 from oed.design.rules import Rules
 from oed.design.search import greedy, search
@@ -91,7 +91,9 @@ def choose(
     n = scenarios.shape[3]
     base = np.zeros((n, n)) if prior is None else prior
     parts = tuple(Plain(criterion, as_blocks(s), base) for s in scenarios)
-    judge = _Judge(tuple(Single(p.blocks, criterion, base) for p in parts), risk, level)
+    judge = _RobustJudge(
+        tuple(Single(p.blocks, criterion, base) for p in parts), risk, level
+    )
     found = _relaxed(parts, rules, risk, level)
     first = judge.parts[0]
     plans = [greedy(first, rules, first.ridge()), greedy(judge, rules, first.ridge())]
@@ -169,7 +171,7 @@ def _worst_shares(count: int, level: float) -> Array:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Judge:
+class _RobustJudge:
     """Exchanges over all scenarios at once."""
 
     parts: tuple[Single, ...]
@@ -203,7 +205,7 @@ class _Judge:
     def quick(self, chosen: Index, rung: int) -> Index | None:
         return None
 
-    def take(self, pool: Index) -> _Judge:
+    def take(self, pool: Index) -> _RobustJudge:
         return dataclasses.replace(self, parts=tuple(p.take(pool) for p in self.parts))
 
 
@@ -254,7 +256,7 @@ class _Scenarios:
         held = shares[shares > 0]
         return float(shares @ values + (held @ np.log(held * len(values))) / self.sharp)
 
-    def line(self, active: Index, weights: Array) -> Line:
+    def line(self, active: Index, weights: Array) -> Tangent:
         """The parts' lines, joined by Jensen's inequality; the value is the risk
         itself.
         """
@@ -269,7 +271,7 @@ class _Scenarios:
             offset += share * line.value
             held += share * line.held / size
             slopes += share * line.slopes / size
-        return Line(
+        return Tangent(
             float(aggregated(values, self.risk, self.level)), slopes, held, offset
         )
 

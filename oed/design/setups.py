@@ -40,7 +40,7 @@ def combinations(
     assert rules.setup is not None
     names = np.setdiff1d(rules.setup, np.array(rules.taken, dtype=np.intp))
     most = min(rules.most_setups or len(names), len(names))
-    judge = _Judge(blocks, criterion, base, rules)
+    judge = _SetupJudge(blocks, criterion, base, rules)
     if math.comb(len(names), most) <= SUBSETS:
         every = sorted(
             itertools.combinations(map(int, names), most), key=judge, reverse=True
@@ -78,7 +78,7 @@ def _swapped(
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Judge:
+class _SetupJudge:
     """Relaxed value of a combination of set-ups, remembered."""
 
     blocks: Array

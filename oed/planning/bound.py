@@ -85,13 +85,13 @@ def bound(
 
     held (n, n): information about the machine before.
     """
-    parts = tuple(_Part.of(o, len(held)) for o in options)
+    parts = tuple(_BoundPart.of(o, len(held)) for o in options)
     mounting = np.array([o.mounting for o in options])
     combinations = _combinations(mounting, budget, most)
     if not len(combinations):
         return Bounded(np.inf, 0, True)
     target = -2.0 * math.log(known) + 2.0 * math.log1p(loss)
-    problem = _Problem(parts, mounting, goal, held, budget)
+    problem = _BoundProblem(parts, mounting, goal, held, budget)
     above = -2.0 * np.log(_never_read(options, goal, held, combinations))
     relaxed: dict[int, dict[int, float]] = {}
     drawn = 0
@@ -176,7 +176,7 @@ def _combinations(mounting: Array, budget: float, most: int) -> Index:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Part:
+class _BoundPart:
     """An option's rows on the machine (C, k, n) and on its own unknowns (C, k, r),
     times (C,), and the most readings that it takes.
     """
@@ -201,7 +201,7 @@ class _Part:
         return np.asarray(left.sum(axis=1))
 
     @classmethod
-    def of(cls, option: Option, n: int) -> _Part:
+    def of(cls, option: Option, n: int) -> _BoundPart:
         """Readings are lost, at the least, to what the set-up's own unknowns do within
         the travel.
         """
@@ -227,8 +227,8 @@ class _Part:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Problem:
-    parts: tuple[_Part, ...]
+class _BoundProblem:
+    parts: tuple[_BoundPart, ...]
     mounting: Array
     goal: Goal
     held: Array

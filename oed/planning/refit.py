@@ -59,7 +59,7 @@ def refit(
     free = np.flatnonzero(measurement.free)
     known = np.eye(len(free)) if root is None else root
     scale = measurement.tolerance[free, None] * known
-    problem = _Problem(measurement, series, y, free, scale)
+    problem = _RefitProblem(measurement, series, y, free, scale)
     begin = np.linalg.lstsq(scale, start[free] - measurement.nominal[free], rcond=None)[
         0
     ]
@@ -76,7 +76,7 @@ def refit(
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Problem:
+class _RefitProblem:
     """Readings to fit over z: theta[free] = nominal + scale @ z."""
 
     measurement: Measurement

@@ -46,7 +46,7 @@ ALIKE, STRAIGHTER = 3e-3, 0.9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Plan:
+class StagePlan:
     """Stages in order, the time they take (s), the goal's value after them, and the
     accuracy (K,) after each.
     """
@@ -95,12 +95,12 @@ class Planned:
                   no option helps)
     """
 
-    best: Plan
+    best: StagePlan
     reached: bool
-    front: tuple[Plan, ...]
-    alternatives: tuple[Plan, ...]
+    front: tuple[StagePlan, ...]
+    alternatives: tuple[StagePlan, ...]
     bound: bounding.Bounded
-    most_accurate: Plan
+    most_accurate: StagePlan
     next_gain: tuple[str, float] | None
 
     @property
@@ -131,7 +131,7 @@ def plan(
     """
     n = goal.factors.shape[2]
     start = np.eye(n) if covariance is None else covariance
-    search = _Search(tuple(options), goal, budget, rng, stages, beam, progress)
+    search = _PlanSearch(tuple(options), goal, budget, rng, stages, beam, progress)
     found = search.run(start)
     if not found:
         cheapest = min(
@@ -173,7 +173,7 @@ def plan(
 
 
 @dataclasses.dataclass(eq=False)
-class _Search:
+class _PlanSearch:
     options: tuple[Option, ...]
     goal: Goal
     budget: float
@@ -181,19 +181,19 @@ class _Search:
     stages: int
     beam: int
     progress: Callable[[float], None] | None
-    seen: dict[tuple[tuple[str, int], ...], Plan] = dataclasses.field(
+    seen: dict[tuple[tuple[str, int], ...], StagePlan] = dataclasses.field(
         default_factory=dict
     )
 
-    def empty(self, start: Array) -> Plan:
+    def empty(self, start: Array) -> StagePlan:
         """Nothing measured."""
-        return Plan((), 0.0, self.goal.value(start), (self.goal.accuracy(start),))
+        return StagePlan((), 0.0, self.goal.value(start), (self.goal.accuracy(start),))
 
-    def run(self, start: Array) -> list[Plan]:
+    def run(self, start: Array) -> list[StagePlan]:
         """Promising plans, best first."""
         carried = [self.empty(start)]
         for depth in range(self.stages):
-            grown: dict[tuple[str, ...], Plan] = {}
+            grown: dict[tuple[str, ...], StagePlan] = {}
             for k, parent in enumerate(carried):
                 for child in self._children(parent, start):
                     self.seen[
@@ -214,7 +214,7 @@ class _Search:
             )[: self.beam + 2]
         return sorted(self.seen.values(), key=lambda p: p.value)
 
-    def _rank(self, plan: Plan) -> float:
+    def _rank(self, plan: StagePlan) -> float:
         """Log of the value, and what the time spent could have bought at the usual rate
         (value ~ 1 / sqrt(time)).
         """
@@ -224,7 +224,7 @@ class _Search:
         if self.progress is not None:
             self.progress(0.8 * share)
 
-    def _children(self, parent: Plan, start: Array) -> list[Plan]:
+    def _children(self, parent: StagePlan, start: Array) -> list[StagePlan]:
         left = self.budget - parent.seconds
         done = set(parent.names)
         before = parent.stages[-1].known if parent.stages else start
@@ -253,13 +253,13 @@ class _Search:
 
     def _with(
         self,
-        parent: Plan,
+        parent: StagePlan,
         option: Option,
         count: int,
         before: Array | Known,
         chances: Array,
         left: float = np.inf,
-    ) -> Plan:
+    ) -> StagePlan:
         """A further stage of at most `left` seconds for its readings, at a first look."""
         criterion = self.goal.criterion(self._more(option))
         held = inverse(known(before).square)
@@ -271,8 +271,8 @@ class _Search:
         """Unknowns of an option beside the machine's."""
         return int(option.candidates.blocks.shape[2] - self.goal.factors.shape[2])
 
-    def _grown(self, parent: Plan, stage: Stage) -> Plan:
-        return Plan(
+    def _grown(self, parent: StagePlan, stage: Stage) -> StagePlan:
+        return StagePlan(
             (*parent.stages, stage),
             parent.seconds + stage.seconds,
             self.goal.value(stage.covariance),
@@ -281,11 +281,11 @@ class _Search:
 
     # -- working out -------------------------------------------------------------------
 
-    def exactly(self, found: Sequence[Plan], start: Array) -> list[Plan]:
+    def exactly(self, found: Sequence[StagePlan], start: Array) -> list[StagePlan]:
         """The best sequences worked out, with time moved between their stages; each
         sequence once.
         """
-        sequences: dict[tuple[str, ...], Plan] = {}
+        sequences: dict[tuple[str, ...], StagePlan] = {}
         for p in found:
             sequences.setdefault(tuple(sorted(p.names)), p)
         told = []
@@ -294,7 +294,7 @@ class _Search:
             self._told(1.0 + 0.25 * (k + 1) / EXACT)
         return told
 
-    def checked(self, plan: Plan, start: Array) -> Plan:
+    def checked(self, plan: StagePlan, start: Array) -> StagePlan:
         """A plan told by many other machines than it was chosen for."""
         made, before = self.empty(start), known(start)
         for k, s in enumerate(plan.stages):
@@ -305,7 +305,9 @@ class _Search:
             before = made.stages[-1].known
         return made
 
-    def tried(self, hopeful: Sequence[dict[int, float]], start: Array) -> list[Plan]:
+    def tried(
+        self, hopeful: Sequence[dict[int, float]], start: Array
+    ) -> list[StagePlan]:
         """Plans of combinations with relaxed numbers of readings, rounded so that the
         time pays for them.
         """
@@ -346,11 +348,11 @@ class _Search:
             before = self._worked(ordered, start).stages[-1].known
         return ordered
 
-    def cheaper(self, exact: Sequence[Plan], start: Array) -> list[Plan]:
+    def cheaper(self, exact: Sequence[StagePlan], start: Array) -> list[StagePlan]:
         """Plans that reach the goal, or seem to, with as few readings as still reach
         it: of every combination of measurements the shortest, and those worked out.
         """
-        shortest: dict[tuple[str, ...], Plan] = {}
+        shortest: dict[tuple[str, ...], StagePlan] = {}
         for p in sorted(self.seen.values(), key=lambda p: p.seconds):
             if p.value <= NEAR:
                 shortest.setdefault(tuple(sorted(p.names)), p)
@@ -360,7 +362,7 @@ class _Search:
             for p in [*near, *(p for p in exact if p.value <= 1.0)]
         ]
 
-    def _trimmed(self, plan: Plan, start: Array) -> Plan:
+    def _trimmed(self, plan: StagePlan, start: Array) -> StagePlan:
         """A plan without readings that the goal can do without, in the stage where they
         take the longest first.
         """
@@ -388,8 +390,8 @@ class _Search:
         self,
         steps: Sequence[tuple[Option, int]],
         start: Array,
-        like: Plan | None = None,
-    ) -> Plan:
+        like: StagePlan | None = None,
+    ) -> StagePlan:
         """A sequence with stated numbers of readings, exactly.
 
         Each stage's readings are chosen with what is known before it, and with what the
@@ -430,7 +432,7 @@ class _Search:
             ),
         )
 
-    def _moved(self, plan: Plan, start: Array) -> Plan:
+    def _moved(self, plan: StagePlan, start: Array) -> StagePlan:
         """Readings chosen anew beside those of the later stages, the time that is left
         spent, and time moved from one stage to another, while that helps.
         """
@@ -489,7 +491,7 @@ class _Search:
                 filled[k] = (filled[k][0], full[-1])
         return filled
 
-    def next_gain(self, best: Plan, start: Array) -> tuple[str, float] | None:
+    def next_gain(self, best: StagePlan, start: Array) -> tuple[str, float] | None:
         """The option whose further stage would gain most, and its relative gain."""
         before = best.stages[-1].known if best.stages else start
         gains = []
@@ -507,7 +509,7 @@ class _Search:
         return max(gains, key=lambda g: g[1], default=None)
 
 
-def _better(one: Plan, other: Plan) -> bool:
+def _better(one: StagePlan, other: StagePlan) -> bool:
     """Whether one plan is more accurate, or as accurate with the straighter readings:
     rough before fine.
     """
@@ -517,7 +519,7 @@ def _better(one: Plan, other: Plan) -> bool:
     return one.value < other.value * (1 - GAIN)
 
 
-def _best(plans: Sequence[Plan]) -> Plan:
+def _best(plans: Sequence[StagePlan]) -> StagePlan:
     """The most accurate plan; of those that are alike, the one of the straightest
     readings.
     """
@@ -527,7 +529,7 @@ def _best(plans: Sequence[Plan]) -> Plan:
     )
 
 
-def _of(like: Plan | None, steps: Sequence[tuple[Option, int]]) -> list[Stage]:
+def _of(like: StagePlan | None, steps: Sequence[tuple[Option, int]]) -> list[Stage]:
     """The stages of a like plan that measure what these steps do, in their order; none
     where it has not all of them.
     """
@@ -548,15 +550,15 @@ def _spent(steps: Sequence[tuple[Option, int]]) -> float:
     return sum(o.mounting + _time(o, c) for o, c in steps)
 
 
-def _front(plans: Sequence[Plan]) -> list[Plan]:
+def _front(plans: Sequence[StagePlan]) -> list[StagePlan]:
     """Plans of which none is both shorter and more accurate, shortest first."""
-    kept: list[Plan] = []
+    kept: list[StagePlan] = []
     for p in sorted(plans, key=lambda p: (p.seconds, p.value)):
         if not kept or p.value < kept[-1].value * (1 - 1e-9):
             kept.append(p)
     return kept
 
 
-def chosen_of(plan: Plan) -> list[Index]:
+def chosen_of(plan: StagePlan) -> list[Index]:
     """Chosen candidates of each stage."""
     return [s.chosen for s in plan.stages]

@@ -1,3 +1,124 @@
-"""The types of result.json: what studies write and reports read."""
+"""The types of result.json: what studies write and reports read.
 
-from oed.result.study import *  # noqa: F403
+Field names are fixed by the contract; values are SI unless a `unit` stands beside them.
+"""
+
+from oed.result.design import (
+    CriterionComparison,
+    DesignSection,
+    HowManySummary,
+    PlannedReading,
+    PlanScore,
+    PolishSummary,
+    RobustSummary,
+    WorkingOrder,
+)
+from oed.result.fit import (
+    EstimateSection,
+    Marginal,
+    ParameterEstimate,
+    PosteriorSection,
+)
+from oed.result.gap import (
+    AnswerRecord,
+    ClosureRecord,
+    CoefficientRecord,
+    EffectNote,
+    GapSection,
+    PlaceRecord,
+    SizeRecord,
+    Spot,
+    Trace,
+)
+from oed.result.gap_before import (
+    ChosenRun,
+    ChosenRuns,
+    DetectabilityRecord,
+    DetectabilityTable,
+    GapBeforeSection,
+    RivalRecord,
+    SeparationRecord,
+    SharedRecord,
+)
+from oed.result.identifiability import (
+    IdentifiabilityFinding,
+    IdentifiabilitySection,
+    KappaMap,
+)
+from oed.result.plan import (
+    AlternativePlan,
+    PlanSection,
+    Sd,
+    SequenceRecord,
+    StageRecord,
+)
+from oed.result.prediction import (
+    ComponentAccuracy,
+    HeldOutSection,
+    MapPoint,
+    PredictionSection,
+    SpreadRecord,
+)
+from oed.result.record import Record
+from oed.result.study import (
+    SCHEMA,
+    Claim,
+    Drawing,
+    MachineInfo,
+    Polyline,
+    SetupInfo,
+    StudyResult,
+)
+
+__all__ = [
+    "SCHEMA",
+    "AlternativePlan",
+    "AnswerRecord",
+    "ChosenRun",
+    "ChosenRuns",
+    "Claim",
+    "ClosureRecord",
+    "CoefficientRecord",
+    "ComponentAccuracy",
+    "CriterionComparison",
+    "DesignSection",
+    "DetectabilityRecord",
+    "DetectabilityTable",
+    "Drawing",
+    "EffectNote",
+    "EstimateSection",
+    "GapBeforeSection",
+    "GapSection",
+    "HeldOutSection",
+    "HowManySummary",
+    "IdentifiabilityFinding",
+    "IdentifiabilitySection",
+    "KappaMap",
+    "MachineInfo",
+    "MapPoint",
+    "Marginal",
+    "ParameterEstimate",
+    "PlaceRecord",
+    "PlanScore",
+    "PlanSection",
+    "PlannedReading",
+    "PolishSummary",
+    "Polyline",
+    "PosteriorSection",
+    "PredictionSection",
+    "Record",
+    "RivalRecord",
+    "RobustSummary",
+    "Sd",
+    "SeparationRecord",
+    "SequenceRecord",
+    "SetupInfo",
+    "SharedRecord",
+    "SizeRecord",
+    "Spot",
+    "SpreadRecord",
+    "StageRecord",
+    "StudyResult",
+    "Trace",
+    "WorkingOrder",
+]

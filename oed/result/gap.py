@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import msgspec
 
-
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Base: frozen, unknown fields refused."""
+from oed.result.record import Record
 
 
-class Answer(Part, frozen=True):
+class AnswerRecord(Record, frozen=True):
     """One explanation: effects that act together (none: no gap; `unknown`: a shape that
     no known effect has).
 
@@ -27,7 +25,7 @@ class Answer(Part, frozen=True):
     classes: list[list[str]] = []
 
 
-class Where(Part, frozen=True):
+class PlaceRecord(Record, frozen=True):
     """A place of the gap: `leg 1`, `run ID`, `time A-B` (s), `phase A-B` (deg),
     `direction +1`; strength: its share.
     """
@@ -37,7 +35,7 @@ class Where(Part, frozen=True):
     strength: float | None = None
 
 
-class Closure(Part, frozen=True):
+class ClosureRecord(Record, frozen=True):
     """How far the gap shrinks on readings kept out: (s0 - s1) / (s0 - s_noise), 95 %
     interval, chance of harm.
     """
@@ -53,7 +51,7 @@ class Closure(Part, frozen=True):
     n: int
 
 
-class About(Part, frozen=True):
+class EffectNote(Record, frozen=True):
     """An effect in words; `missing`: why these readings cannot test it, `column`: what
     would have to be recorded.
     """
@@ -66,7 +64,7 @@ class About(Part, frozen=True):
     column: str = ""
 
 
-class Coefficient(Part, frozen=True):
+class CoefficientRecord(Record, frozen=True):
     """A coefficient of a selected effect, SI; `prior_sd` is the size that was expected
     of it.
     """
@@ -80,7 +78,7 @@ class Coefficient(Part, frozen=True):
     prior_sd: float | None
 
 
-class Size(Part, frozen=True):
+class SizeRecord(Record, frozen=True):
     """Size of a selected effect in the readings, rms by channel in its fine unit;
     detectability sqrt(lambda).
     """
@@ -90,7 +88,7 @@ class Size(Part, frozen=True):
     detectability: float | None
 
 
-class Trace(Part, frozen=True):
+class Trace(Record, frozen=True):
     """One channel of one run: residual before and after, and what the effects and a
     remainder of unknown form explain of it, each as calibration leaves it, in `unit`.
 
@@ -117,7 +115,7 @@ class Trace(Part, frozen=True):
     radius_mm: float | None = None
 
 
-class Spot(Part, frozen=True):
+class Spot(Record, frozen=True):
     """A place of the tool (base frame, mm) with the rms residual of its readings,
     before and after.
     """
@@ -127,7 +125,7 @@ class Spot(Part, frozen=True):
     after: float
 
 
-class Gap(Part, frozen=True):
+class GapSection(Record, frozen=True):
     """The diagnosis of one set of readings.
 
     verdict   none, effect, class (one of several that cannot be told apart), mixture
@@ -145,19 +143,19 @@ class Gap(Part, frozen=True):
     """
 
     verdict: str
-    answers: list[Answer]
-    set95: list[Answer]
-    where: list[Where]
-    closure: list[Closure]
+    answers: list[AnswerRecord]
+    set95: list[AnswerRecord]
+    where: list[PlaceRecord]
+    closure: list[ClosureRecord]
     not_testable: list[str]
     confusable: list[list[str]]
 
     selected: list[str]
     tried: list[str]
     marginal: dict[str, float]
-    about: dict[str, About]
-    coefficients: list[Coefficient]
-    sizes: list[Size]
+    about: dict[str, EffectNote]
+    coefficients: list[CoefficientRecord]
+    sizes: list[SizeRecord]
     noise: list[str]
     units: dict[str, str]  # of each channel
     rms_before: dict[str, float]

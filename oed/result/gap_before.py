@@ -8,14 +8,10 @@ has absorbed what it can. Sizes in readings are in the fine unit of their channe
 
 from __future__ import annotations
 
-import msgspec
+from oed.result.record import Record
 
 
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Base: frozen, unknown fields refused."""
-
-
-class Shared(Part, frozen=True):
+class SharedRecord(Record, frozen=True):
     """A combination of an effect's coefficients that a rival imitates: sqrt(lambda)
     before and after it is absorbed.
     """
@@ -27,7 +23,7 @@ class Shared(Part, frozen=True):
     angle_deg: float
 
 
-class Rival(Part, frozen=True):
+class RivalRecord(Record, frozen=True):
     """How well an effect can be told from another: sqrt(lambda_k|j), smallest principal
     angle.
     """
@@ -35,10 +31,10 @@ class Rival(Part, frozen=True):
     name: str
     apart: float
     angle_deg: float
-    shared: list[Shared]
+    shared: list[SharedRecord]
 
 
-class Detectable(Part, frozen=True):
+class DetectabilityRecord(Record, frozen=True):
     """What could be found of one effect.
 
     detectability  at its expected size, over the values of its constants from `low` to
@@ -63,11 +59,11 @@ class Detectable(Part, frozen=True):
     least: dict[str, float | None]
     median: dict[str, float | None]
     sizes: dict[str, float | None]
-    rivals: list[Rival]
+    rivals: list[RivalRecord]
     not_testable: str | None
 
 
-class Table(Part, frozen=True):
+class DetectabilityTable(Record, frozen=True):
     """All effects over one plan of `readings` readings.
 
     names, apart, angles_deg   (K), (K x K): row after column is absorbed; detectability
@@ -78,7 +74,7 @@ class Table(Part, frozen=True):
     """
 
     readings: int
-    effects: list[Detectable]
+    effects: list[DetectabilityRecord]
     names: list[str]
     apart: list[list[float]]
     angles_deg: list[list[float]]
@@ -87,7 +83,7 @@ class Table(Part, frozen=True):
     exact: list[list[str]]
 
 
-class ChosenRun(Part, frozen=True):
+class ChosenRun(Record, frozen=True):
     """A run to take, under its condition (SI)."""
 
     setup: str
@@ -96,7 +92,7 @@ class ChosenRun(Part, frozen=True):
     seconds: float
 
 
-class Told(Part, frozen=True):
+class SeparationRecord(Record, frozen=True):
     """A combination of an effect's coefficients against a rival: sqrt(lambda) of the
     chosen runs, and of the readings planned without [gap.design] (null where they
     cannot test it).
@@ -110,7 +106,7 @@ class Told(Part, frozen=True):
     before: float | None
 
 
-class Chosen(Part, frozen=True):
+class ChosenRuns(Record, frozen=True):
     """Runs chosen to tell effects apart, `kept` ones among them.
 
     apart, bound   least sqrt(lambda_k|j) over all pairs; no plan under the rules
@@ -132,14 +128,14 @@ class Chosen(Part, frozen=True):
     share: float
     volume: float
     seconds: float
-    told: list[Told]
-    table: Table
+    told: list[SeparationRecord]
+    table: DetectabilityTable
 
 
-class GapBefore(Part, frozen=True):
+class GapBeforeSection(Record, frozen=True):
     """What the planned readings could find, and the runs that [gap.design] chose."""
 
-    table: Table
+    table: DetectabilityTable
     units: dict[str, str]
-    chosen: Chosen | None
+    chosen: ChosenRuns | None
     words: list[str]

@@ -4,21 +4,17 @@ other sections.
 
 from __future__ import annotations
 
-import msgspec
+from oed.result.record import Record
 
 
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Base: frozen, unknown fields refused."""
-
-
-class Sd(Part, frozen=True):
+class Sd(Record, frozen=True):
     """Standard deviation of a parameter, in its display unit."""
 
     sd: float
     unit: str
 
 
-class Stage(Part, frozen=True):
+class StageRecord(Record, frozen=True):
     """One stage of the plan: measurement, what it identifies, its cost (min).
 
     The fields with defaults are those of planned stages. Accuracies are root mean
@@ -58,7 +54,7 @@ class Stage(Part, frozen=True):
     coverage: float | None = None  # of their true parameters, inside 95 % intervals
 
 
-class Way(Part, frozen=True):
+class AlternativePlan(Record, frozen=True):
     """A plan in short: measurements in order, readings (or runs) of each, and why it is
     not the plan, in words.
 
@@ -75,7 +71,7 @@ class Way(Part, frozen=True):
     why: str = ""
 
 
-class Sequence(Part, frozen=True):
+class SequenceRecord(Record, frozen=True):
     """A sequence that was asked for, and the best plan found in its time. It takes all
     readings of each measurement, or, where they take longer than the budget, the best
     ones within it.
@@ -86,20 +82,20 @@ class Sequence(Part, frozen=True):
     """
 
     name: str
-    way: Way
+    way: AlternativePlan
     rank: int
     parameters: int
     kappa: float
     weakest: float
     observability: dict[str, float]
     lost: float
-    plan: Way
+    plan: AlternativePlan
     gain: dict[str, float]
     bound: float
     words: str = ""
 
 
-class Plan(Part, frozen=True):
+class PlanSection(Record, frozen=True):
     """The plan as stages. The fields with defaults are those of plans that were
     searched for.
 
@@ -113,9 +109,9 @@ class Plan(Part, frozen=True):
                     first
     """
 
-    stages: list[Stage]
+    stages: list[StageRecord]
     cost: float
-    alternatives: list[str | Way]
+    alternatives: list[str | AlternativePlan]
     budget_min: float | None = None
     price: float = 0.0
     value: float | None = None
@@ -128,8 +124,8 @@ class Plan(Part, frozen=True):
     bound: float | None = None
     loss: float | None = None
     lines: int | None = None
-    front: list[Way] = []
+    front: list[AlternativePlan] = []
     stop: str = ""
-    compared: list[Sequence] = []
+    compared: list[SequenceRecord] = []
     after: str = ""  # what was known and done before, in words
     virtual_machines: int = 0

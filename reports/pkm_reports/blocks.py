@@ -51,7 +51,7 @@ class Code:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Column:
+class TableColumn:
     """A column: numbers stand right and never wrap, words stand left; `wide` ones take
     the room that is left.
     """
@@ -66,7 +66,7 @@ class Table:
     """Cells as text, one row a line; `marks` gives each row its meaning (see MARKS)."""
 
     kind: ClassVar[str] = "table"
-    columns: Sequence[Column]
+    columns: Sequence[TableColumn]
     rows: Sequence[Sequence[str]]
     caption: str
     marks: Sequence[str] = ()
@@ -98,14 +98,14 @@ class Section:
     blocks: Sequence[Block]
 
 
-def text_column(*titles: str) -> list[Column]:
+def text_column(*titles: str) -> list[TableColumn]:
     """Columns of words."""
-    return [Column(title) for title in titles]
+    return [TableColumn(title) for title in titles]
 
 
-def number_column(*titles: str) -> list[Column]:
+def number_column(*titles: str) -> list[TableColumn]:
     """Columns of numbers."""
-    return [Column(title, number=True) for title in titles]
+    return [TableColumn(title, number=True) for title in titles]
 
 
 def transposed(columns: Sequence[Sequence[str]]) -> list[list[str]]:

@@ -25,7 +25,7 @@ KINDS = ("machines", "instruments", "effects", "criteria")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Entry:
+class CatalogueEntry:
     """One line of the catalogue: `where` is the long name that a study may use as well."""
 
     name: str
@@ -34,16 +34,16 @@ class Entry:
     where: str
 
 
-def listing(kind: str) -> list[Entry]:
+def listing(kind: str) -> list[CatalogueEntry]:
     """The catalogue of one of KINDS, by name."""
     if kind == "criteria":
         return [
-            Entry(c.name, c.about, c.source, f"oed.criteria:{c.name}")
+            CatalogueEntry(c.name, c.about, c.source, f"oed.criteria:{c.name}")
             for c in _criteria().values()
         ]
     found = _found(kind)
     return [
-        Entry(name, item.about, item.source, where)
+        CatalogueEntry(name, item.about, item.source, where)
         for name, (where, item) in sorted(found.items())
     ]
 

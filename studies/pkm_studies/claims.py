@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from oed.result.study import Claim
+from oed.result import Claim
 from pkm_studies.errors import shorten, suggest
 from pkm_studies.study.load import ClaimTable, StudyFile
 

@@ -19,7 +19,7 @@ import typer
 from pkm_studies.errors import InputError, shorten
 
 if TYPE_CHECKING:
-    from oed.result.study import Claim, StudyResult
+    from oed.result import Claim, StudyResult
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 #: errors of the kernel that speak of the input, by module: looked for only where the

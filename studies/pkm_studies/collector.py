@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from oed.result.study import Claim
+    from oed.result import Claim
     from pkm_studies.study.load import Study
 
 SUFFIX = ".study.toml"
@@ -49,13 +49,13 @@ def pytest_collect_file(
 ) -> pytest.Collector | None:
     """Study files, by their suffix."""
     return (
-        StudyFile.from_parent(parent, path=file_path)
+        StudyCollector.from_parent(parent, path=file_path)
         if file_path.name.endswith(SUFFIX)
         else None
     )
 
 
-class StudyFile(pytest.File):
+class StudyCollector(pytest.File):
     """A study: runs at most once, at its first claim."""
 
     _outcome: dict[str, Claim] | Exception | None = None
@@ -98,7 +98,7 @@ class ClaimItem(pytest.Item):
         """Measure the claim."""
         from pkm_studies.errors import SourceAbsentError
 
-        assert isinstance(self.parent, StudyFile)
+        assert isinstance(self.parent, StudyCollector)
         try:
             claim = self.parent.claims(self.study)[self.name]
         except SourceAbsentError as absent:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pkm_studies.progress import Progress, Silent
 
 if TYPE_CHECKING:
-    from oed.result.study import Plan
+    from oed.result import PlanSection
 
 
 class Lines(Silent):
@@ -73,7 +73,7 @@ def _rich() -> Any:
     return Progress(*columns, console=Console(stderr=True), transient=True)
 
 
-def stages(plan: Plan) -> None:
+def stages(plan: PlanSection) -> None:
     """The plan as a table, with what to know beside it, on stdout."""
     from rich.console import Console
     from rich.table import Table

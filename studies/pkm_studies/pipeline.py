@@ -14,7 +14,7 @@ import oed
 from oed import explain, identify, posterior, predict, result, simulate, units
 from oed.arrays import Array
 from oed.measurement import Measurement, Series
-from oed.result.study import StudyResult
+from oed.result import StudyResult
 from pkm_studies import claims, files, stored
 from pkm_studies.progress import Progress, Silent
 from pkm_studies.resolve import gap as resolve_gap
@@ -269,7 +269,7 @@ class _Job:
 
     # -- stages ------------------------------------------------------------------------
 
-    def design(self) -> choose.Chosen | None:
+    def design(self) -> choose.ChosenDesign | None:
         """The plan, where the study asks for one; from here on the measurement has the
         set-ups that it uses.
         """
@@ -300,7 +300,7 @@ class _Job:
             if self.resolved.dataset is None:
                 self.measurement = self.made.measurement
 
-    def _note_moved(self, chosen: choose.Chosen) -> None:
+    def _note_moved(self, chosen: choose.ChosenDesign) -> None:
         for name, values in (chosen.polished.setups if chosen.polished else {}).items():
             told = ", ".join(f"{k} = {v:.6g}" for k, v in values.items())
             self.warnings.append(
@@ -308,7 +308,7 @@ class _Job:
                 " readings are fitted"
             )
 
-    def planned(self, chosen: choose.Chosen | None) -> tuple[Series, ...]:
+    def planned(self, chosen: choose.ChosenDesign | None) -> tuple[Series, ...]:
         """The chosen plan, or the first given one. Raises InputError where there is
         none.
         """
@@ -362,7 +362,7 @@ class _Job:
         return planned.series, truth, y, planned.covariates, told
 
     def _readings(
-        self, chosen: choose.Chosen | None
+        self, chosen: choose.ChosenDesign | None
     ) -> tuple[
         tuple[Series, ...],
         Array | None,
@@ -398,7 +398,7 @@ class _Job:
             self.warnings.append(f"{count} rows without a reading were left out")
 
     def _identifiability(
-        self, chosen: choose.Chosen | None, series: Sequence[Series]
+        self, chosen: choose.ChosenDesign | None, series: Sequence[Series]
     ) -> explain.Seen:
         self.progress.stage("identifiability")
         scaling = self.study.design.scaling if self.study.design else "length"
@@ -419,7 +419,7 @@ class _Job:
         return seen
 
     def _design_sections(
-        self, chosen: choose.Chosen | None, seen: explain.Seen
+        self, chosen: choose.ChosenDesign | None, seen: explain.Seen
     ) -> None:
         if chosen is not None:
             self.sections["design"] = score.section(self.resolved, chosen, seen)
@@ -586,7 +586,7 @@ class _Job:
 
     def _finish(
         self,
-        chosen: choose.Chosen | None,
+        chosen: choose.ChosenDesign | None,
         *,
         report: bool,
         only: tuple[str, ...] | None = None,

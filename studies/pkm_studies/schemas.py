@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 
 from oed import units
-from oed.result.study import StudyResult
-from pkm_studies.study.load import Part, StudyFile
+from oed.result import StudyResult
+from pkm_studies.study.load import StudyFile, StudyTable
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Document = dict[str, Any]
@@ -18,7 +18,7 @@ Document = dict[str, Any]
 def study() -> Document:
     """Schema of `*.study.toml`."""
     made = _of(StudyFile, "A planning study")
-    for part in _parts(Part):
+    for part in _parts(StudyTable):
         if part.rest is not None and part.__name__ in made["$defs"]:
             _open(made["$defs"][part.__name__], part)
     return made
@@ -76,13 +76,13 @@ def _of(kind: type, title: str) -> Document:
     return {"$schema": DIALECT, "title": title, **made}
 
 
-def _parts(base: type[Part]) -> Iterator[type[Part]]:
+def _parts(base: type[StudyTable]) -> Iterator[type[StudyTable]]:
     for part in base.__subclasses__():
         yield part
         yield from _parts(part)
 
 
-def _open(schema: Document, part: type[Part]) -> None:
+def _open(schema: Document, part: type[StudyTable]) -> None:
     """Fields of free name stand in the table itself, not in a table named as the
     struct's field.
     """

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from oed.measurement import Measurement, Series
-from oed.result.study import StudyResult
+from oed.result import StudyResult
 from pkm_studies import files
 from pkm_studies.errors import Place
 from pkm_studies.stages.plan import files as plan_files

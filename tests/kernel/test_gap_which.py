@@ -384,8 +384,8 @@ def test_probabilities_of_answers_that_say_the_same_are_added() -> None:
 
 def _group(
     members: list[tuple[str, ...]], unknown: bool, probability: float
-) -> answering.Group:
-    return answering.Group(None, tuple(members), unknown, probability)
+) -> answering.AnswerGroup:
+    return answering.AnswerGroup(None, tuple(members), unknown, probability)
 
 
 def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:

@@ -9,7 +9,7 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.design.how_many import Goal, HowMany
+from oed.design.how_many import AccuracyGoal, SizeCurve
 
 
 def test_equal_readings_follow_the_square_root_law() -> None:
@@ -17,8 +17,8 @@ def test_equal_readings_follow_the_square_root_law() -> None:
     of two unit directions.
     """
     rows = np.tile(np.eye(2), (40, 1))[:, None, :]
-    goal = Goal(("a", "b"), np.eye(2)[:, None, :] / 0.35)
-    problem = HowMany(rows, np.eye(2), goal)
+    goal = AccuracyGoal(("a", "b"), np.eye(2)[:, None, :] / 0.35)
+    problem = SizeCurve(rows, np.eye(2), goal)
     for point in problem.curve([2, 8, 20]):
         exact = 1.0 / np.sqrt(1.0 + point.size / 2) / 0.35
         assert point.accuracy == pytest.approx([exact, exact], rel=1e-9)
@@ -38,12 +38,12 @@ def test_no_subset_beats_the_bounds_nor_the_fewest(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows, prior = rng.standard_normal((10, 1, 3)), np.eye(3)
     factors = rng.standard_normal((2, 2, 3))
-    half = Goal(("a", "b"), factors)
+    half = AccuracyGoal(("a", "b"), factors)
     scale = half.accuracy(
         prior + 0.4 * np.einsum("ckn,ckm->nm", rows, rows)
     )  # reachable with some of the ten
-    goal = Goal(("a", "b"), factors / scale[:, None, None])
-    problem = HowMany(rows, prior, goal, starts=6)
+    goal = AccuracyGoal(("a", "b"), factors / scale[:, None, None])
+    problem = SizeCurve(rows, prior, goal, starts=6)
 
     def accuracies(size: int) -> np.ndarray:
         plans = [rows[list(s), 0] for s in itertools.combinations(range(10), size)]
@@ -61,8 +61,8 @@ def test_no_subset_beats_the_bounds_nor_the_fewest(seed: int) -> None:
 
 def test_what_cannot_be_reached_is_said() -> None:
     rows = np.tile(np.eye(2), (3, 1))[:, None, :]
-    found = HowMany(
-        rows, np.eye(2), Goal(("a", "b"), np.eye(2)[:, None, :] / 0.01)
+    found = SizeCurve(
+        rows, np.eye(2), AccuracyGoal(("a", "b"), np.eye(2)[:, None, :] / 0.01)
     ).fewest(most=6)
     assert found.size is None
     assert not found.proven

@@ -195,13 +195,13 @@ def test_a_machine_that_no_reading_can_follow_bounds_every_plan() -> None:
 def test_of_equally_good_orders_the_one_of_straighter_readings_is_taken() -> None:
     options, goal = small.catalogue(np.random.default_rng(0), options=2)
     made = search.plan(options, goal, 1e4, np.random.default_rng(0), stages=2).best
-    again = search.Plan(
+    again = search.StagePlan(
         made.stages[::-1], made.seconds, made.value * 1.001, made.accuracy
     )
     bent = [
         dataclasses.replace(s, cut_off=np.full(len(s.chosen), 0.5)) for s in made.stages
     ]
-    curved = search.Plan(tuple(bent), made.seconds, made.value, made.accuracy)
+    curved = search.StagePlan(tuple(bent), made.seconds, made.value, made.accuracy)
     assert (made.bent, curved.bent) == (0.0, 0.5)
     assert search._best([curved, again]) is again
     assert search._better(again, curved)

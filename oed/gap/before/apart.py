@@ -25,7 +25,7 @@ import dataclasses
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.design.objective import Line
+from oed.design.objective import Tangent
 
 #: least lambda that is told from none: its logarithm must stay finite
 LEAST = 1e-9
@@ -130,7 +130,7 @@ class Separation:
         """The compound, smoothed."""
         return float(self.worth(self.at(active, weights), self.sharp))
 
-    def line(self, active: Index, weights: Array) -> Line:
+    def line(self, active: Index, weights: Array) -> Tangent:
         """The tangent of the shares' mean of the log lambdas: above their minimum
         everywhere.
         """
@@ -144,7 +144,7 @@ class Separation:
             shares = self._shares(logs)
             slopes = slopes + (1.0 - self.share) * shares @ table
             offset += (1.0 - self.share) * float(shares @ logs)
-        return Line(
+        return Tangent(
             float(self.worth(m)),
             slopes,
             0.0,
@@ -235,7 +235,7 @@ class Separation:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Judge:
+class SeparationJudge:
     """Plans judged by the compound; rung 0 smooths the minimum, so that an exchange may
     help several targets.
     """
@@ -268,9 +268,9 @@ class Judge:
         """No faster way is known."""
         return None
 
-    def take(self, pool: Index) -> Judge:
+    def take(self, pool: Index) -> SeparationJudge:
         """Over some of the candidates."""
-        return Judge(self.separation.sample(pool))
+        return SeparationJudge(self.separation.sample(pool))
 
 
 def _sharpness(rung: int) -> float:

@@ -75,7 +75,7 @@ def ideal_power(
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Shared:
+class SharedSignature:
     """A combination of an effect's coefficients that a rival imitates.
 
     combination  {coefficient: share}, in prior standard deviations, the largest 1;
@@ -93,7 +93,7 @@ class Shared:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Rival:
+class EffectRival:
     """How well an effect can be told from another.
 
     apart   sqrt(lambda_k|j) expected over the effect's prior, the rival at its most
@@ -107,7 +107,7 @@ class Rival:
     name: str
     apart: float
     angle: float
-    shared: tuple[Shared, ...] = ()
+    shared: tuple[SharedSignature, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,7 +142,7 @@ class Detectability:
     least: Mapping[str, float] = dataclasses.field(default_factory=dict)
     median: Mapping[str, float] = dataclasses.field(default_factory=dict)
     sizes: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    rivals: tuple[Rival, ...] = ()
+    rivals: tuple[EffectRival, ...] = ()
     not_testable: str | None = None
 
     @property
@@ -448,7 +448,7 @@ def _sizes(
     return found
 
 
-def _rival(table: _Table, name: str, other: str, apart: float) -> Rival:
+def _rival(table: _Table, name: str, other: str, apart: float) -> EffectRival:
     forms = table.forms[name]
     nearest = [table.worst(f, other) for f in forms]
     traces = [
@@ -458,7 +458,7 @@ def _rival(table: _Table, name: str, other: str, apart: float) -> Rival:
     smallest = min(float(angle[0]) if len(angle) else 90.0 for angle in angles)
     k = int(np.argmin(traces))
     shared = _shared(table, forms[k], nearest[k], apart)
-    return Rival(other, max(float(np.mean(traces)), 0.0) ** 0.5, smallest, shared)
+    return EffectRival(other, max(float(np.mean(traces)), 0.0) ** 0.5, smallest, shared)
 
 
 def _angles(table: _Table, form: _Form, rival: _Form) -> tuple[Array, Array]:
@@ -484,7 +484,7 @@ def _root(gram: Array, at: Index) -> Array:
 
 def _shared(
     table: _Table, form: _Form, rival: _Form, apart: float
-) -> tuple[Shared, ...]:
+) -> tuple[SharedSignature, ...]:
     """Combinations of the textbook coefficients that are visible and not told from the
     rival, or the same as its.
     """
@@ -502,7 +502,7 @@ def _shared(
             share = v / v[np.argmax(np.abs(v))]
             combination = {n: float(s) for n, s in zip(names, share, strict=True)}
             found.append(
-                Shared(
+                SharedSignature(
                     combination,
                     in_words(combination),
                     float(np.sqrt(seen)),

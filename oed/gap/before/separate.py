@@ -26,7 +26,7 @@ from oed.design.relaxation import Relaxed
 from oed.design.rules import Rules
 from oed.design.search import greedy, search
 from oed.effect import Effect
-from oed.gap.before.apart import SHARP, Judge, Separation, Target
+from oed.gap.before.apart import SHARP, Separation, SeparationJudge, Target
 from oed.gap.before.detect import ROOM, in_words
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
@@ -47,7 +47,7 @@ GAP = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
-class Told:
+class PairSeparation:
     """How well a plan tells a combination of an effect's coefficients from a rival.
 
     effect, rival   names;  words: the combination, at one prior standard deviation of
@@ -64,7 +64,7 @@ class Told:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Choice:
+class RunChoice:
     """Chosen runs.
 
     runs        (n,) which candidates, ascending
@@ -81,7 +81,7 @@ class Choice:
     runs: Index
     apart: float
     bound: float
-    told: tuple[Told, ...]
+    told: tuple[PairSeparation, ...]
     value: float
     above: float
     volume: float
@@ -242,12 +242,12 @@ class Pool:
         m = self.base[:n, :n] + self.grams[runs][:, :n, :n].sum(axis=0)
         return float(np.linalg.slogdet(m)[1]) + self.scale
 
-    def told(self, runs: Index) -> tuple[Told, ...]:
+    def told(self, runs: Index) -> tuple[PairSeparation, ...]:
         """What a plan of these runs tells, ascending: each combination from each rival,
         at the worst constants.
         """
         lam = self.lambdas(runs)
-        found: dict[tuple[str, str, str], Told] = {}
+        found: dict[tuple[str, str, str], PairSeparation] = {}
         everything = self.separation(
             range(len(self.aims)), 0.0, np.empty(0, dtype=np.intp)
         )
@@ -263,7 +263,7 @@ class Pool:
             )
             key = (aim.effect, aim.rival, aim.words)
             if key not in found or value**0.5 < found[key].apart:
-                found[key] = Told(*key, seen, float(value) ** 0.5)
+                found[key] = PairSeparation(*key, seen, float(value) ** 0.5)
         return tuple(sorted(found.values(), key=lambda x: x.apart))
 
 
@@ -275,7 +275,7 @@ def choose(
     share: float = SHARE,
     kept: Index | None = None,
     rounds: int = 12,
-) -> Choice:
+) -> RunChoice:
     """Choose runs of the pool under the rules (number of runs, or a budget; set-ups),
     besides those `kept`.
 
@@ -328,11 +328,11 @@ def _choice(
     rules: Rules,
     *,
     proven: bool,
-) -> Choice:
+) -> RunChoice:
     whole = np.sort(np.concatenate([runs, kept]))
     everything = pool.separation(range(len(pool.aims)), share, kept[:0])
     told, shift = pool.told(whole), share * pool.scale / everything.size
-    return Choice(
+    return RunChoice(
         runs=whole,
         apart=told[0].apart,
         bound=max(float(np.exp(0.5 * top)), told[0].apart),
@@ -383,7 +383,7 @@ def _searched(
     for _ in range(JOINS):
         found = pool.separation(aims, share, kept).sample(free)
         lead = _relaxed(found, inner)
-        judge = Judge(found)
+        judge = SeparationJudge(found)
         starts = [greedy(judge, inner, 0.0, rung) for rung in (0, 1)]
         runs = free[
             search(

@@ -31,7 +31,7 @@ HELD = 0.95
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Group:
+class AnswerGroup:
     """Hypotheses that one stands for: a class for each of its effects, whether an
     unknown is beside them.
     """
@@ -44,13 +44,13 @@ class Group:
 
 def gathered(
     made: Sequence[Search], hypotheses: Sequence[Hypothesis], shares: Array
-) -> list[Group]:
+) -> list[AnswerGroup]:
     """Hypotheses, best first, with their probabilities: one that stands for another is
     counted with it.
     """
     left = dict(zip([h.key for h in hypotheses], shares, strict=True))
     scores = {h.key: h.score for h in hypotheses}
-    groups: list[Group] = []
+    groups: list[AnswerGroup] = []
     for h in hypotheses:
         if h.key not in left or (left[h.key] < TOLD and groups):
             continue
@@ -59,11 +59,11 @@ def gathered(
         for key in list(left):
             if key[1] == h.unknown and _stands_for(key[0], members):
                 total += left.pop(key)
-        groups.append(Group(h, members, h.unknown, float(total)))
+        groups.append(AnswerGroup(h, members, h.unknown, float(total)))
     return groups
 
 
-def told(groups: Sequence[Group]) -> tuple[tuple[Answer, ...], Hypothesis]:
+def told(groups: Sequence[AnswerGroup]) -> tuple[tuple[Answer, ...], Hypothesis]:
     """Answers by probability, none first only where it is sure; and the best hypothesis
     of the first answer.
     """
@@ -128,11 +128,11 @@ def _stands_for(effects: frozenset[str], members: Sequence[tuple[str, ...]]) -> 
     )
 
 
-def held(groups: Sequence[Group]) -> tuple[Answer, ...]:
+def held(groups: Sequence[AnswerGroup]) -> tuple[Answer, ...]:
     """The fewest sets of named effects that together have 95 %, by probability; an
     unknown remainder is told beside them where it has most of theirs.
     """
-    sets: list[list[Group]] = []
+    sets: list[list[AnswerGroup]] = []
     for group in sorted(groups, key=lambda g: -g.probability):
         names = frozenset(m[0] for m in group.members)
         same = (s for s in sets if names and _stands_for(names, s[0].members))

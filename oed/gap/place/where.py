@@ -93,7 +93,7 @@ def where(
     beyond = np.maximum(energy - scan.rank, 0.0)
     total = max(float(scores @ scores) - len(problem), float(beyond.max()), 1e-300)
     found = [
-        _Found(look, float(score), float(p), float(e / total))
+        _Candidate(look, float(score), float(p), float(e / total))
         for look, score, p, e in zip(looks, own, corrected, beyond, strict=True)
     ]
     sharp = [_sharp(problem, root, scores, f) for f in _told(found)]
@@ -263,7 +263,7 @@ def _against(own: Array, least: Array) -> Array:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class _Found:
+class _Candidate:
     """A look with the log of its own p-value, the corrected p-value and its share of
     the energy.
     """
@@ -278,19 +278,19 @@ class _Found:
         return Block(self.look.place, self.p, min(self.strength, 1.0))
 
 
-def _told(found: Sequence[_Found]) -> list[_Found]:
+def _told(found: Sequence[_Candidate]) -> list[_Candidate]:
     """The best look of each place; of overlapping places the best, shifts that last to
     the end before nearly equals.
     """
     end = max((max(f.look.cells) for f in found if f.look.kind == "time"), default=0)
 
-    def badness(f: _Found) -> float:
+    def badness(f: _Candidate) -> float:
         return f.own - (
             LASTING if f.look.kind == "time" and end in f.look.cells else 0.0
         )
 
     ranked = sorted(found, key=badness)
-    kept: list[_Found] = []
+    kept: list[_Candidate] = []
     for f in ranked:
         same = [k for k in kept if k.look.kind == f.look.kind]
         if f.look.kind in ("leg", "set-up"):
@@ -305,7 +305,9 @@ def _told(found: Sequence[_Found]) -> list[_Found]:
     return sorted(kept, key=lambda f: f.own)
 
 
-def _sharp(problem: GapProblem, root: _Root, scores: Array, found: _Found) -> _Found:
+def _sharp(
+    problem: GapProblem, root: _Root, scores: Array, found: _Candidate
+) -> _Candidate:
     """A likely window of the session with its ends moved, by up to a cell, to where it
     explains most.
     """
@@ -346,8 +348,8 @@ def _sharp(problem: GapProblem, root: _Root, scores: Array, found: _Found) -> _F
 
 
 def _heated(
-    problem: GapProblem, root: _Root, scores: Array, told: Sequence[_Found]
-) -> list[_Found]:
+    problem: GapProblem, root: _Root, scores: Array, told: Sequence[_Candidate]
+) -> list[_Candidate]:
     """With the stretches in which the tool was warmed, if they explain more, in place
     of windows of the session.
     """

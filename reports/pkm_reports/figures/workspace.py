@@ -22,7 +22,7 @@ CLOSE_LEVELS: Final = 8
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Plan:
+class MapLayout:
     """Which commands are the axes, which one makes the panels, and at which of its
     values.
     """
@@ -79,7 +79,7 @@ def rows(prediction: Mapping[str, Any]) -> list[str]:
     return (kept or list(parts))[:MOST_ROWS]
 
 
-def choose(commands: Mapping[str, Array]) -> Plan:
+def choose(commands: Mapping[str, Array]) -> MapLayout:
     """Polar axes for psi and theta; otherwise the first two commands that vary."""
     varying = [k for k, v in commands.items() if np.ptp(v) > 0] + [
         k for k, v in commands.items() if np.ptp(v) == 0
@@ -88,19 +88,19 @@ def choose(commands: Mapping[str, Array]) -> Plan:
     rest = [k for k in varying if k not in axes]
     levels = np.unique(commands[rest[0]]) if rest else np.zeros(0)
     if not rest or len(levels) > CLOSE_LEVELS:
-        return Plan(*axes, None, [np.nan])
+        return MapLayout(*axes, None, [np.nan])
     picked = np.unique(
         np.linspace(0, len(levels) - 1, min(MOST_LEVELS, len(levels)))
         .round()
         .astype(int)
     )
-    return Plan(*axes, rest[0], levels[picked].tolist())
+    return MapLayout(*axes, rest[0], levels[picked].tolist())
 
 
 def _row(
     figure: Figure,
     row: Any,
-    plan: Plan,
+    plan: MapLayout,
     commands: Mapping[str, Array],
     name: str,
     prediction: Mapping[str, Any],
@@ -144,7 +144,7 @@ def _row(
         getattr(bar.ax, f"{along}axis").set_major_locator(MaxNLocator(5))
 
 
-def _level(plan: Plan, level: float) -> str:
+def _level(plan: MapLayout, level: float) -> str:
     if plan.panel is None:
         return "all poses"
     stem, _, unit = plan.panel.rpartition("_")
@@ -165,7 +165,7 @@ def _norm(values: Array) -> Normalize:
 
 
 def _panel(
-    axes: Any, across: Array, up: Array, values: Array, plan: Plan, norm: Normalize
+    axes: Any, across: Array, up: Array, values: Array, plan: MapLayout, norm: Normalize
 ) -> Any:
     if plan.polar:
         across = np.radians(across)
@@ -225,7 +225,7 @@ def _polar(axes: Any, up: Array) -> None:
     axes.spines["polar"].set_visible(False)
 
 
-def _cartesian(axes: Axes, plan: Plan) -> None:
+def _cartesian(axes: Axes, plan: MapLayout) -> None:
     axes.grid(False)
     same = plan.across.rpartition("_")[2] == plan.up.rpartition("_")[2]
     if same:

@@ -12,10 +12,10 @@ import numpy as np
 from pkm_reports import style, words
 from pkm_reports.blocks import (
     Block,
-    Column,
     Paragraph,
     Picture,
     Table,
+    TableColumn,
     absent,
     number_column,
 )
@@ -126,7 +126,7 @@ def _bars(part: Part) -> str:
 
 
 def _table(parts: Mapping[str, Part]) -> Table:
-    columns = [Column("Component"), Column("Correctable")]
+    columns = [TableColumn("Component"), TableColumn("Correctable")]
     states = STATES[:2] if accuracy.same(parts) else STATES
     for state in states:
         columns += number_column(f"{state}: rms", "p95", "max")
@@ -174,7 +174,7 @@ def _realised(part: Part) -> Table:
             ]
         )
     columns = [
-        Column("Component"),
+        TableColumn("Component"),
         *number_column("Rms", "p95", "max", "Predicted rms", "Realised / predicted"),
     ]
     caption = "What a virtual machine with known errors showed after compensation."

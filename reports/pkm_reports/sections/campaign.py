@@ -13,12 +13,12 @@ from typing import Any, Final
 from pkm_reports import words
 from pkm_reports.blocks import (
     Block,
-    Column,
     Items,
     Notice,
     Paragraph,
     Picture,
     Table,
+    TableColumn,
     number_column,
     transposed,
 )
@@ -218,35 +218,38 @@ def _order(plan: Part) -> Table:
     """The stages in order: when, what, how much of it, what it sees."""
     steps = plan["stages"]
     operators = any(s.get("operator") for s in steps)
-    told: list[tuple[Column, list[str]]] = [
-        (Column("Stage", number=True), [str(k) for k in range(1, len(steps) + 1)]),
-        (Column("Minutes", number=True), [_span(s) for s in steps]),
-        (Column("Measurement", wide=True), [str(s["measurement"]) for s in steps]),
+    told: list[tuple[TableColumn, list[str]]] = [
+        (TableColumn("Stage", number=True), [str(k) for k in range(1, len(steps) + 1)]),
+        (TableColumn("Minutes", number=True), [_span(s) for s in steps]),
+        (TableColumn("Measurement", wide=True), [str(s["measurement"]) for s in steps]),
         (
-            Column("Set-ups", wide=True),
+            TableColumn("Set-ups", wide=True),
             [words.listing(map(str, s["setups"])) for s in steps],
         ),
         *(
             [
                 (
-                    Column("Operator"),
+                    TableColumn("Operator"),
                     [str(s.get("operator") or words.MISSING) for s in steps],
                 )
             ]
             if operators
             else []
         ),
-        (Column("Readings", number=True), [str(s["readings"]) for s in steps]),
-        (Column("Lost, expected", number=True), [_lost(s) for s in steps]),
-        (Column("Rank alone", number=True), [str(s["identifies"]) for s in steps]),
+        (TableColumn("Readings", number=True), [str(s["readings"]) for s in steps]),
+        (TableColumn("Lost, expected", number=True), [_lost(s) for s in steps]),
+        (TableColumn("Rank alone", number=True), [str(s["identifies"]) for s in steps]),
         (
-            Column("Rank so far", number=True),
+            TableColumn("Rank so far", number=True),
             [_or_missing(s.get("rank")) for s in steps],
         ),
     ]
     if any(s.get("price") for s in steps):
         told.append(
-            (Column("Price", number=True), [words.plain(s.get("price")) for s in steps])
+            (
+                TableColumn("Price", number=True),
+                [words.plain(s.get("price")) for s in steps],
+            )
         )
     return Table(
         [c for c, _ in told],
@@ -315,11 +318,11 @@ def _identified(plan: Part, machine: Part) -> Table:
         )
         before = after
     columns = [
-        Column("Stage", number=True),
-        Column("Measurement"),
-        Column("Improved most", wide=True),
+        TableColumn("Stage", number=True),
+        TableColumn("Measurement"),
+        TableColumn("Improved most", wide=True),
     ]
-    columns.append(Column("Still held", wide=True))
+    columns.append(TableColumn("Still held", wide=True))
     caption = (
         "What each stage identifies: the parameters whose standard deviations it"
         " improves most, with the factor against their tolerances or the stage before."
@@ -380,7 +383,7 @@ def _accuracy(plan: Part) -> Table:
         rows.append(["most accurate plan found", *_cells(plan, "best_reachable", keys)])
         marks.append("")
     columns = [
-        Column("", wide=True),
+        TableColumn("", wide=True),
         *number_column(*[words.heading(key) for key in keys]),
     ]
     return Table(
@@ -475,10 +478,10 @@ def _rejected(plan: Part) -> list[Block]:
         for w in ways
     ]
     columns = [
-        Column("Plan (readings or runs)", wide=True),
+        TableColumn("Plan (readings or runs)", wide=True),
         *number_column("Minutes", "Value"),
     ]
-    columns.append(Column("Why not", wide=True))
+    columns.append(TableColumn("Why not", wide=True))
     judged = (
         "error of the worst component over what is wanted of it"
         if plan.get("goal")
@@ -539,7 +542,7 @@ def _seen(compared: Sequence[Part]) -> Table:
         [words.plain(s.get("lost"), 2) for s in compared],
     ]
     columns = [
-        Column("Sequence", wide=True),
+        TableColumn("Sequence", wide=True),
         *number_column("Readings", "Minutes", "Rank", "κ", "Weakest", *names, "Lost"),
     ]
     caption = (
@@ -579,7 +582,7 @@ def _side_by_side(compared: Sequence[Part]) -> Table:
             rows.append(["… times as accurate", "", "", "", *factors])
             marks.append("chosen")
     columns = [
-        Column("Sequence", wide=True),
+        TableColumn("Sequence", wide=True),
         *number_column("Minutes", "Value", "Bound"),
     ]
     columns += number_column(*[words.heading(key) for key in keys])

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from pkm_reports import words
-from pkm_reports.blocks import Block, Column, Picture, Table, absent, number_column
+from pkm_reports.blocks import Block, Picture, Table, TableColumn, absent, number_column
 from pkm_reports.figures import held_out
 
 ANCHOR: Final = "held-out"
@@ -68,8 +68,8 @@ def _table(sets: list[Mapping[str, Any]]) -> Table:
         for s in sets
     ]
     columns = [
-        Column("Readings", wide=True),
-        Column("Channel"),
+        TableColumn("Readings", wide=True),
+        TableColumn("Channel"),
         *number_column("Number", "Rms", "Rms, unadjusted", "Inside 95 % interval"),
     ]
     marks = [

@@ -8,10 +8,10 @@ from typing import Any, Final
 from pkm_reports import words
 from pkm_reports.blocks import (
     Block,
-    Column,
     Paragraph,
     Picture,
     Table,
+    TableColumn,
     absent,
     number_column,
     transposed,
@@ -113,9 +113,9 @@ def _words(groups: Sequence[Part]) -> Table:
         for g in groups
     ]
     columns = [
-        Column("Verdict"),
-        Column("What", wide=True),
-        Column("What would bring it back", wide=True),
+        TableColumn("Verdict"),
+        TableColumn("What", wide=True),
+        TableColumn("What would bring it back", wide=True),
     ]
     kinds = [g["kind"] for g in groups]
     told = [
@@ -137,8 +137,8 @@ def _directions(
         return []
     rows = [[str(k + 1), words.combination(dict(v))] for k, v in enumerate(vectors)]
     columns = [
-        Column(noun.capitalize(), number=True),
-        Column("Coefficients of the parameters (SI units)", wide=True),
+        TableColumn(noun.capitalize(), number=True),
+        TableColumn("Coefficients of the parameters (SI units)", wide=True),
     ]
     return [
         Table(
@@ -166,9 +166,9 @@ def _variants(variants: Mapping[str, Part], part: Part | None) -> Table:
         [_lost(v) for v in entries.values()],
     ]
     columns = [
-        Column("Variant"),
+        TableColumn("Variant"),
         *number_column("Rank", "Lost", "κ"),
-        Column("What is lost", wide=True),
+        TableColumn("What is lost", wide=True),
     ]
     best = max(variants.items(), key=lambda item: item[1]["rank"] - item[1]["n"])
     lost = best[1]["n"] - best[1]["rank"]

@@ -10,11 +10,11 @@ import numpy as np
 from pkm_reports import style, words
 from pkm_reports.blocks import (
     Block,
-    Column,
     Notice,
     Paragraph,
     Picture,
     Table,
+    TableColumn,
     absent,
     number_column,
 )
@@ -130,10 +130,10 @@ def _pull(value: Part) -> float:
 def _table(values: Mapping[str, Part]) -> Table:
     rows = [_row(name, v) for name, v in values.items()]
     columns = [
-        Column("Parameter"),
+        TableColumn("Parameter"),
         *number_column("Value", "sd", "Nominal", "Tolerance"),
-        Column("Unit"),
-        Column("Verdict"),
+        TableColumn("Unit"),
+        TableColumn("Verdict"),
     ]
     known = any(v.get("truth") is not None for v in values.values())
     if known:

@@ -10,11 +10,11 @@ import numpy as np
 from pkm_reports import words
 from pkm_reports.blocks import (
     Block,
-    Column,
     Items,
     Paragraph,
     Picture,
     Table,
+    TableColumn,
     number_column,
     text_column,
     transposed,
@@ -74,7 +74,7 @@ def _readings(design: Part) -> list[Block]:
     commands = list(dict.fromkeys(key for pose in poses for key in pose["command"]))
     readings = list(dict.fromkeys(key for pose in poses for key in pose["reading"]))
     columns = [
-        Column("No.", number=True),
+        TableColumn("No.", number=True),
         *text_column("Set-up", "Run"),
         *number_column("Order in run", *[words.heading(c) for c in commands]),
         *number_column(*[f"{words.heading(r)}, nominal" for r in readings]),
@@ -132,12 +132,12 @@ def _stages(plan: Part) -> list[Block]:
         [words.numbers(s.get("predicted") or {}, 3) for s in stages],
     ]
     columns = [
-        Column("Stage", number=True),
-        Column("Measurement"),
-        Column("Set-ups", wide=True),
+        TableColumn("Stage", number=True),
+        TableColumn("Measurement"),
+        TableColumn("Set-ups", wide=True),
     ]
     columns += number_column("Readings", "Identifies", "Cost [min]", "κ")
-    columns.append(Column("Predicted afterwards", wide=True))
+    columns.append(TableColumn("Predicted afterwards", wide=True))
     caption = (
         f"The plan as stages, in order; together {words.quantity(plan['cost'], 'min')}"
         " of machine time."

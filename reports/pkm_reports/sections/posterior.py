@@ -12,11 +12,11 @@ import numpy as np
 from pkm_reports import words
 from pkm_reports.blocks import (
     Block,
-    Column,
     Notice,
     Paragraph,
     Picture,
     Table,
+    TableColumn,
     absent,
     number_column,
     transposed,
@@ -116,8 +116,8 @@ def _directions(part: Part) -> list[Block]:
     if not names or short == names:
         return []
     columns = [
-        Column("Label"),
-        Column("Direction", wide=True),
+        TableColumn("Label"),
+        TableColumn("Direction", wide=True),
         *number_column("Mean", "sd"),
     ]
     spread = [words.fixed(x, 2) for x in np.std(draws, axis=0)]
@@ -148,9 +148,9 @@ def _marginals(marginals: Mapping[str, Part]) -> list[Block]:
             [name, *numbers, words.unit(str(m["unit"])), words.fixed(m["rhat"], 3), ess]
         )
     columns = [
-        Column("Parameter"),
+        TableColumn("Parameter"),
         *number_column("Mean", "sd", "2.5 %", "97.5 %"),
-        Column("Unit"),
+        TableColumn("Unit"),
     ]
     columns += number_column("R-hat", "ESS")
     return [

@@ -8,7 +8,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from pkm_reports import words
-from pkm_reports.blocks import Block, Code, Column, Items, Paragraph, Table, text_column
+from pkm_reports.blocks import (
+    Block,
+    Code,
+    Items,
+    Paragraph,
+    Table,
+    TableColumn,
+    text_column,
+)
 
 ANCHOR: Final = "record"
 TITLE: Final = "Record"
@@ -51,13 +59,13 @@ def _setups(setups: Sequence[Part]) -> list[Block]:
         for s in setups
     ]
     columns = [
-        Column("Set-up"),
-        Column("Instrument", wide=True),
-        Column("Settings", wide=True),
+        TableColumn("Set-up"),
+        TableColumn("Instrument", wide=True),
+        TableColumn("Settings", wide=True),
     ]
     columns += [
         *text_column("Noise (1 sigma)"),
-        Column("Unknowns and tolerances", wide=True),
+        TableColumn("Unknowns and tolerances", wide=True),
     ]
     return [
         Table(
@@ -78,7 +86,7 @@ def _machine(info: Part) -> list[Block]:
         k for k in keys if all(isinstance(row.get(k), (int, float)) for row in table)
     }
     columns = [
-        Column(words.heading(k), number=k in numeric, wide=k in ("about", "text"))
+        TableColumn(words.heading(k), number=k in numeric, wide=k in ("about", "text"))
         for k in keys
     ]
     rows = [[_cell(key, row.get(key)) for key in keys] for row in table]
@@ -110,4 +118,4 @@ def _versions(result: Part) -> Table:
         if k != "pkm-oed"
     ]
     caption = "Seed and versions: the same ones give the same numbers."
-    return Table([Column("What"), Column("Value", wide=True)], rows, caption)
+    return Table([TableColumn("What"), TableColumn("Value", wide=True)], rows, caption)

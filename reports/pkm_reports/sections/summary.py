@@ -8,11 +8,11 @@ from typing import Any
 from pkm_reports import words
 from pkm_reports.blocks import (
     Block,
-    Column,
     Items,
     Notice,
     Paragraph,
     Table,
+    TableColumn,
     transposed,
 )
 
@@ -51,12 +51,12 @@ def _claims(claims: list[Mapping[str, Any]]) -> list[Block]:
         ]
     )
     told = any(isinstance(c["measured"], str) for c in claims)
-    measured = Column("Measured", number=not told, wide=told)
+    measured = TableColumn("Measured", number=not told, wide=told)
     columns = [
-        Column("Claim"),
+        TableColumn("Claim"),
         measured,
-        Column("Wanted", wide=True),
-        Column("Verdict"),
+        TableColumn("Wanted", wide=True),
+        TableColumn("Verdict"),
     ]
     marks = ["good" if c["met"] else "bad" for c in claims]
     caption = (

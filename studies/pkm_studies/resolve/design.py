@@ -19,9 +19,10 @@ from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve import grids, naming, quantities
 from pkm_studies.resolve import limits as resolve_limits
-from pkm_studies.resolve.grids import Circles, Plan
+from pkm_studies.resolve.grids import Circles, ReferencePlan
+from pkm_studies.study.fields import CriterionName
 from pkm_studies.study.load import KappaTable, Study
-from pkm_studies.study.tables import CriterionName, Design
+from pkm_studies.study.tables import DesignTable
 
 #: share of what an instrument holds by which a candidate's reading may differ from it
 UNHELD = 0.01
@@ -55,7 +56,7 @@ class Asked:
 
 
 def asked(
-    study: Study, measurement: Measurement, references: Sequence[Plan]
+    study: Study, measurement: Measurement, references: Sequence[ReferencePlan]
 ) -> Asked | None:
     """What the study's [design] asks for; None without one. `measurement` holds all
     set-ups.
@@ -75,7 +76,7 @@ def asked(
     )
 
 
-def _sound(study: Study, said: Design, place: Place) -> None:
+def _sound(study: Study, said: DesignTable, place: Place) -> None:
     """Fields that need each other."""
     for name in said.compound:
         naming.known(name, KNOWN, place.key("compound").key(name), "criterion")
@@ -124,7 +125,7 @@ def _sound(study: Study, said: Design, place: Place) -> None:
         )
 
 
-def _needs(study: Study, said: Design, name: str, place: Place) -> None:
+def _needs(study: Study, said: DesignTable, name: str, place: Place) -> None:
     if name in ("I", "G") and study.prediction is None:
         raise place.error(
             "accuracy over which workspace?", "add a [prediction] table", name
@@ -147,7 +148,9 @@ def _unknown(measurement: Measurement) -> list[str]:
     ]
 
 
-def _interest(said: Design, measurement: Measurement, place: Place) -> tuple[str, ...]:
+def _interest(
+    said: DesignTable, measurement: Measurement, place: Place
+) -> tuple[str, ...]:
     free = _unknown(measurement)
     if not said.interest:
         return tuple(n for n in free if "." not in n)
@@ -155,7 +158,7 @@ def _interest(said: Design, measurement: Measurement, place: Place) -> tuple[str
 
 
 def _combination(
-    said: Design, measurement: Measurement, place: Place
+    said: DesignTable, measurement: Measurement, place: Place
 ) -> dict[str, float]:
     free = _unknown(measurement)
     for name in said.combination:
@@ -165,7 +168,9 @@ def _combination(
     return dict(said.combination)
 
 
-def _accuracy(said: Design, measurement: Measurement, place: Place) -> dict[str, float]:
+def _accuracy(
+    said: DesignTable, measurement: Measurement, place: Place
+) -> dict[str, float]:
     machine = measurement.machine
     known = {c.name: c.unit for c in machine.components}
     if said.accuracy:
@@ -176,7 +181,7 @@ def _accuracy(said: Design, measurement: Measurement, place: Place) -> dict[str,
     }
 
 
-def _apart(said: Design, measurement: Measurement, place: Place) -> Array | None:
+def _apart(said: DesignTable, measurement: Measurement, place: Place) -> Array | None:
     if not said.apart:
         return None
     values = quantities.read(said.apart, grids.wanted(measurement.machine), place)
@@ -185,9 +190,9 @@ def _apart(said: Design, measurement: Measurement, place: Place) -> Array | None
 
 def _kept(
     study: Study,
-    said: Design,
+    said: DesignTable,
     measurement: Measurement,
-    references: Sequence[Plan],
+    references: Sequence[ReferencePlan],
     place: Place,
 ) -> tuple[Series, ...]:
     if said.keep is not None:
@@ -204,7 +209,7 @@ def _kept(
     )
 
 
-def _free(said: Design, measurement: Measurement, place: Place) -> Ranges:
+def _free(said: DesignTable, measurement: Measurement, place: Place) -> Ranges:
     if said.polish is None:
         return {}
     found: dict[str, dict[str, tuple[float, float]]] = {}
@@ -299,7 +304,7 @@ def _unheld(measurement: Measurement, series: Series, place: Place) -> list[str]
     ]
 
 
-def references(study: Study, measurement: Measurement) -> tuple[Plan, ...]:
+def references(study: Study, measurement: Measurement) -> tuple[ReferencePlan, ...]:
     """The given plans."""
     plans: dict[str, list[Series]] = {}
     for i, table in enumerate(study.design.reference if study.design else []):
@@ -308,7 +313,7 @@ def references(study: Study, measurement: Measurement) -> tuple[Plan, ...]:
         series, _ = grids.grid(table, measurement, place, strict=True)
         plans.setdefault(table.name, []).append(series)
     return tuple(
-        Plan(name=name, series=tuple(series)) for name, series in plans.items()
+        ReferencePlan(name=name, series=tuple(series)) for name, series in plans.items()
     )
 
 

@@ -20,7 +20,7 @@ from oed.machine import Machine
 from oed.measurement import Measurement, Series
 from pkm_studies import catalogue
 from pkm_studies.errors import InputError, Place, suggest
-from pkm_studies.study.gap import Acting, Conditions, Gap
+from pkm_studies.study.gap import ActingTable, ConditionsTable, GapTable
 from pkm_studies.study.load import Study
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class GapAsked:
     effects: tuple[Effect, ...]
     gravity: tuple[float, float, float]
     acting: tuple[ActingEffect, ...]
-    conditions: Conditions
+    conditions: ConditionsTable
 
 
 def asked(study: Study, machine: Machine, *, always: bool = False) -> GapAsked | None:
@@ -65,7 +65,7 @@ def asked(study: Study, machine: Machine, *, always: bool = False) -> GapAsked |
     if said is None:
         if not always:
             return None
-        said = Gap()
+        said = GapTable()
     place = study.place.key("gap")
     if not np.linalg.norm(said.gravity) > 0.0:
         raise place.key("gravity").error(
@@ -82,7 +82,7 @@ def asked(study: Study, machine: Machine, *, always: bool = False) -> GapAsked |
     )
 
 
-def _effects(study: Study, said: Gap, place: Place) -> tuple[Effect, ...]:
+def _effects(study: Study, said: GapTable, place: Place) -> tuple[Effect, ...]:
     """Effects in the order named; of two with one name, the later (a user's own in
     place of the library's).
     """
@@ -110,7 +110,9 @@ def _effects(study: Study, said: Gap, place: Place) -> tuple[Effect, ...]:
     return kept
 
 
-def _acting(study: Study, said: Acting, machine: Machine, place: Place) -> ActingEffect:
+def _acting(
+    study: Study, said: ActingTable, machine: Machine, place: Place
+) -> ActingEffect:
     effect: Effect = catalogue.effect(said.effect, study.folder, place.key("effect"))
     reason = effect.unfit(machine)
     if reason is not None:
@@ -142,7 +144,7 @@ def _acting(study: Study, said: Acting, machine: Machine, place: Place) -> Actin
 
 
 def covariates(
-    measurement: Measurement, series: Sequence[Series], said: Conditions
+    measurement: Measurement, series: Sequence[Series], said: ConditionsTable
 ) -> pd.DataFrame:
     """Time, direction, feed, payload, repeat and temperatures (SI) of planned readings,
     one row a reading.

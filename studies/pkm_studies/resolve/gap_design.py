@@ -21,9 +21,9 @@ from oed.gap.before.runs import Run
 from oed.measurement import Measurement, Series
 from pkm_studies import catalogue
 from pkm_studies.errors import Place, suggest
-from pkm_studies.resolve.grids import Plan
-from pkm_studies.study.gap import Conditions
-from pkm_studies.study.gap_design import PLAN, GapDesign, RunCondition
+from pkm_studies.resolve.grids import ReferencePlan
+from pkm_studies.study.gap import ConditionsTable
+from pkm_studies.study.gap_design import PLAN, GapDesignTable, RunCondition
 from pkm_studies.study.load import Study
 
 MINUTE = units.factor("min")
@@ -51,8 +51,8 @@ class GapDesignAsked:
     kept: tuple[int, ...]
     rules: Rules | None
     place: Place
-    said: GapDesign
-    timing: Conditions
+    said: GapDesignTable
+    timing: ConditionsTable
 
     @property
     def follows(self) -> bool:
@@ -61,7 +61,7 @@ class GapDesignAsked:
 
 
 def asked(
-    study: Study, references: Sequence[Plan], measurement: Measurement
+    study: Study, references: Sequence[ReferencePlan], measurement: Measurement
 ) -> GapDesignAsked | None:
     """What the study asks; None where it has no [gap.design]. `measurement` has all
     set-ups.
@@ -156,10 +156,10 @@ def _effects(
 
 
 def _runs(
-    said: GapDesign,
-    plans: Mapping[str, Plan],
+    said: GapDesignTable,
+    plans: Mapping[str, ReferencePlan],
     measurement: Measurement,
-    timing: Conditions,
+    timing: ConditionsTable,
     place: Place,
 ) -> tuple[tuple[Run, ...], int]:
     """Runs of the plan kept, then every run of the named plans under every condition;
@@ -205,7 +205,7 @@ def _runs(
     return (*kept, *free), len(kept)
 
 
-def _step(measurement: Measurement, series: Series, timing: Conditions) -> float:
+def _step(measurement: Measurement, series: Series, timing: ConditionsTable) -> float:
     """Time of one reading, s."""
     return (
         measurement.setups[series.setup].instrument.cost.reading
@@ -276,11 +276,11 @@ def _si(condition: RunCondition) -> dict[str, float]:
 
 
 def _rules(
-    said: GapDesign,
+    said: GapDesignTable,
     runs: Sequence[Run],
     kept: int,
     measurement: Measurement,
-    timing: Conditions,
+    timing: ConditionsTable,
     place: Place,
 ) -> Rules:
     """Rules of the runs added to those `kept`, the first of `runs`, whose set-ups are

@@ -29,7 +29,7 @@ SLACK = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Plan:
+class ReferencePlan:
     """A named plan: readings in one or more set-ups."""
 
     name: str

@@ -15,13 +15,13 @@ from oed.design.clearance import Capsule, Surroundings, cup_place
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities
-from pkm_studies.study.tables import Cone, Limits
+from pkm_studies.study.tables import ConeTable, LimitsTable
 
 UNLIKELY = "leave the travel of the instrument on too many machines within tolerances"
 
 
 def limited(
-    said: Limits,
+    said: LimitsTable,
     measurement: Measurement,
     series: Series,
     place: Place,
@@ -57,7 +57,7 @@ def limited(
 
 
 def _likely(
-    said: Limits, measurement: Measurement, series: Series, place: Place
+    said: LimitsTable, measurement: Measurement, series: Series, place: Place
 ) -> Mask:
     """Which held readings (n,) stay within the travel with the wanted probability."""
     if said.travel_mm is None:
@@ -72,7 +72,7 @@ def _likely(
 
 
 def _limits(
-    said: Limits, measurement: Measurement, setup: str, place: Place
+    said: LimitsTable, measurement: Measurement, setup: str, place: Place
 ) -> feasible.Limits:
     """The limits that go for a set-up."""
     chosen = measurement.setups[setup]
@@ -97,7 +97,7 @@ def _limits(
 
 
 def _joints(
-    said: Limits, measurement: Measurement, place: Place
+    said: LimitsTable, measurement: Measurement, place: Place
 ) -> dict[str, tuple[float, float]]:
     known = {c.name: c.unit for c in measurement.machine.joints}
     found = {}
@@ -110,7 +110,7 @@ def _joints(
     return found
 
 
-def _cone(said: Cone | None, place: Place) -> feasible.Cone | None:
+def _cone(said: ConeTable | None, place: Place) -> feasible.Cone | None:
     if said is None:
         return None
     if not any(said.axis):
@@ -120,7 +120,9 @@ def _cone(said: Cone | None, place: Place) -> feasible.Cone | None:
     return feasible.Cone(said.axis, math.radians(said.half_angle_deg))
 
 
-def _surroundings(said: Limits, has_cup: bool, place: Place) -> Surroundings | None:
+def _surroundings(
+    said: LimitsTable, has_cup: bool, place: Place
+) -> Surroundings | None:
     obstacles = [
         Capsule(_si(s.at_mm), _si(s.at_mm), _m(s.radius_mm)) for s in said.spheres
     ]

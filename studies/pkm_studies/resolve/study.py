@@ -31,7 +31,7 @@ from pkm_studies.resolve import plan as resolve_plan
 from pkm_studies.resolve.design import Asked
 from pkm_studies.resolve.gap import GapAsked
 from pkm_studies.resolve.gap_design import GapDesignAsked
-from pkm_studies.resolve.grids import Circles, Plan
+from pkm_studies.resolve.grids import Circles, ReferencePlan
 from pkm_studies.resolve.plan import PlanAsked
 from pkm_studies.study.load import SetupTable, Study
 
@@ -70,7 +70,7 @@ class Resolved:
     refused: Mapping[str, int]
     asked: Asked | None
     plan: PlanAsked | None
-    references: tuple[Plan, ...]
+    references: tuple[ReferencePlan, ...]
     kappa: tuple[Circles, ...]
     truth: Mapping[str, float]
     dataset: Dataset | None
@@ -420,7 +420,7 @@ def _used(
     study: Study,
     candidates: Sequence[Series],
     asked: Asked | None,
-    references: Sequence[Plan],
+    references: Sequence[ReferencePlan],
     setups: Mapping[str, Setup],
 ) -> Iterable[str]:
     used = {s.setup for s in candidates}

@@ -110,7 +110,7 @@ def drawing(measurement: Measurement, series: Sequence[Series]) -> result.Drawin
     kinematics, machine = measurement.kinematics, measurement.machine
     x, q = kinematics.inverse(machine.home_command)
     lines = [
-        result.Line("machine", _points(line))
+        result.Polyline("machine", _points(line))
         for line in kinematics.skeleton(x[0], q[0], machine.nominal)
     ]
     tips, owners, bars = [], [], []

@@ -16,7 +16,7 @@ def sentences(sections: Mapping[str, Any]) -> list[str]:
     """Up to five sentences out of the sections that are there, the most useful first; a
     diagnosis' own before them.
     """
-    found: result.Gap | None = sections.get("gap")
+    found: result.GapSection | None = sections.get("gap")
     told = [
         *plan_words.sentences(sections.get("plan")),
         *_told_apart(sections.get("gap_before")),
@@ -31,14 +31,14 @@ def sentences(sections: Mapping[str, Any]) -> list[str]:
     return [*(found.words if found is not None else []), *told[:MOST]]
 
 
-def _told_apart(found: result.GapBefore | None) -> list[str]:
+def _told_apart(found: result.GapBeforeSection | None) -> list[str]:
     """What the runs of [gap.design] tell apart."""
     return found.words[:1] if found is not None and found.chosen is not None else []
 
 
 def predicted(sections: Mapping[str, Any]) -> dict[str, float]:
     """Predicted rms of each component after the plan, in its fine unit."""
-    section: result.Prediction | None = sections.get("prediction")
+    section: result.PredictionSection | None = sections.get("prediction")
     if section is None:
         return {}
     return {
@@ -46,7 +46,7 @@ def predicted(sections: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def _accuracy(section: result.Prediction | None) -> list[str]:
+def _accuracy(section: result.PredictionSection | None) -> list[str]:
     if section is None:
         return []
     parts = [
@@ -66,7 +66,7 @@ def _accuracy(section: result.Prediction | None) -> list[str]:
     return [f"Predicted residual accuracy, {how}: {'; '.join(parts)}."]
 
 
-def _held_out(sections: list[result.HeldOut]) -> list[str]:
+def _held_out(sections: list[result.HeldOutSection]) -> list[str]:
     if not sections:
         return []
     parts = [
@@ -77,7 +77,7 @@ def _held_out(sections: list[result.HeldOut]) -> list[str]:
     return [f"Readings kept out of the fit are predicted to {'; '.join(parts)}."]
 
 
-def _rank(section: result.Identifiability | None) -> list[str]:
+def _rank(section: result.IdentifiabilitySection | None) -> list[str]:
     if section is None:
         return []
     lost = section.n - section.rank
@@ -91,7 +91,7 @@ def _rank(section: result.Identifiability | None) -> list[str]:
     ]
 
 
-def _design(section: result.Design | None) -> list[str]:
+def _design(section: result.DesignSection | None) -> list[str]:
     if section is None:
         return []
     d = section.criterion == "D"
@@ -118,7 +118,7 @@ def _design(section: result.Design | None) -> list[str]:
     ]
 
 
-def _gain(section: result.Design | None) -> list[str]:
+def _gain(section: result.DesignSection | None) -> list[str]:
     """How much more accurate the machine becomes than with the first reference plan."""
     if section is None or len(section.plans) < 2 or not section.plans[0].gain:
         return []
@@ -130,7 +130,7 @@ def _gain(section: result.Design | None) -> list[str]:
     ]
 
 
-def _fit(section: result.Estimate | None) -> list[str]:
+def _fit(section: result.EstimateSection | None) -> list[str]:
     if section is None:
         return []
     parts = [
@@ -143,7 +143,7 @@ def _fit(section: result.Estimate | None) -> list[str]:
     ]
 
 
-def _posterior(section: result.Posterior | None) -> list[str]:
+def _posterior(section: result.PosteriorSection | None) -> list[str]:
     if section is None:
         return []
     values = section.marginals.values()

@@ -8,17 +8,11 @@ from typing import Annotated
 
 import msgspec
 
-from pkm_studies.study.gap_design import GapDesign
-
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+from pkm_studies.study.fields import NotNegative, Positive, StudyTable
+from pkm_studies.study.gap_design import GapDesignTable
 
 
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base: frozen, unknown fields refused."""
-
-
-class Warming(Part, frozen=True, kw_only=True):
+class WarmingTable(StudyTable, frozen=True, kw_only=True):
     """A body that warms by `rise_C` above its state at time 0, with time constant
     `after_min`.
     """
@@ -27,7 +21,7 @@ class Warming(Part, frozen=True, kw_only=True):
     after_min: Positive
 
 
-class Conditions(Part, frozen=True, kw_only=True):
+class ConditionsTable(StudyTable, frozen=True, kw_only=True):
     """[gap.conditions]: how a virtual machine is read. Repeats and directions are those
     of each [[setup]].
 
@@ -52,10 +46,10 @@ class Conditions(Part, frozen=True, kw_only=True):
     payload: (
         NotNegative | Annotated[list[NotNegative], msgspec.Meta(min_length=1)] | None
     ) = msgspec.field(default=None, name="payload_N")
-    temperature: dict[str, Warming] = {}
+    temperature: dict[str, WarmingTable] = {}
 
 
-class Acting(Part, frozen=True, kw_only=True):
+class ActingTable(StudyTable, frozen=True, kw_only=True):
     """[[gap.acting]]: an effect that the virtual machine has.
 
     size          of its coefficients, in their prior standard deviations; drawn with
@@ -75,7 +69,7 @@ class Acting(Part, frozen=True, kw_only=True):
     constants: dict[str, float] = {}
 
 
-class Gap(Part, frozen=True, kw_only=True):
+class GapTable(StudyTable, frozen=True, kw_only=True):
     """[gap]: which effects the diagnosis of readings tries.
 
     effects  names of `oed list effects` or files of your own (`my.py:effect`); "all"
@@ -87,6 +81,6 @@ class Gap(Part, frozen=True, kw_only=True):
     effects: list[str] = msgspec.field(default_factory=lambda: ["all"])
     without: list[str] = []
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    conditions: Conditions = Conditions()
-    acting: list[Acting] = []
-    design: GapDesign | None = None
+    conditions: ConditionsTable = ConditionsTable()
+    acting: list[ActingTable] = []
+    design: GapDesignTable | None = None

@@ -8,20 +8,13 @@ from typing import Annotated, Literal
 
 import msgspec
 
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
-Count = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
-
+from pkm_studies.study.fields import NotNegative, Positive, RunCount, StudyTable
 
 #: `keep` with this name is the plan that [plan] makes
 PLAN = "plan"
 
 
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base: frozen, unknown fields refused."""
-
-
-class RunCondition(Part, frozen=True, kw_only=True):
+class RunCondition(StudyTable, frozen=True, kw_only=True):
     """How a run can be taken; what is not given is not known, and effects that need it
     cannot be looked for.
 
@@ -36,7 +29,7 @@ class RunCondition(Part, frozen=True, kw_only=True):
     start_min: NotNegative | None = None
 
 
-class GapDesign(Part, frozen=True, kw_only=True):
+class GapDesignTable(StudyTable, frozen=True, kw_only=True):
     """[gap.design]: runs chosen so that the wanted effects can be told from one
     another.
 
@@ -65,7 +58,7 @@ class GapDesign(Part, frozen=True, kw_only=True):
     conditions: Annotated[list[RunCondition], msgspec.Meta(min_length=1)] = (
         msgspec.field(default_factory=lambda: [RunCondition()])
     )
-    runs: Count | None = None
+    runs: RunCount | None = None
     budget_min: Positive | None = None
     share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.1
-    starts: Count = 12
+    starts: RunCount = 12

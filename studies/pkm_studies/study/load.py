@@ -11,12 +11,12 @@ from typing import Any
 from pkm_studies import files
 from pkm_studies.errors import Place, shorten
 from pkm_studies.study import decode
+from pkm_studies.study.fields import StudyTable as StudyTable
 from pkm_studies.study.tables import Axis as Axis
 from pkm_studies.study.tables import ClaimTable as ClaimTable
 from pkm_studies.study.tables import GridTable as GridTable
 from pkm_studies.study.tables import KappaTable as KappaTable
-from pkm_studies.study.tables import Part as Part
-from pkm_studies.study.tables import Readings as Readings
+from pkm_studies.study.tables import ReadingsTable as ReadingsTable
 from pkm_studies.study.tables import SetupTable as SetupTable
 from pkm_studies.study.tables import Span as Span
 from pkm_studies.study.tables import StudyFile as StudyFile
@@ -120,7 +120,7 @@ def _one_by_one(said: StudyFile, place: Place) -> None:
         _readings(said.readings, place.key("readings"))
 
 
-def _readings(said: Readings, place: Place) -> None:
+def _readings(said: ReadingsTable, place: Place) -> None:
     ways = [
         w
         for w, given in (

@@ -7,34 +7,25 @@ unit at the end (`length_mm`), collect them in the field named by `rest`.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import msgspec
 
-from pkm_studies.study.gap import Gap as Gap
-
-Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9][A-Za-z0-9_-]*$")]
-Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
-Whole = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
-Triple = tuple[float, float, float]
-CriterionName = Literal[
-    "D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5"
-]
-#: readings chosen where neither a number nor a budget is given
-READINGS = 30
-
-
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base: frozen, unknown fields refused. `rest` names the field that collects fields
-    of free name.
-    """
-
-    rest: ClassVar[str | None] = None
+from pkm_studies.study.fields import (
+    READINGS,
+    Count,
+    CriterionName,
+    Name,
+    NotNegative,
+    Positive,
+    StudyTable,
+    Triple,
+    Whole,
+)
+from pkm_studies.study.gap import GapTable as GapTable
 
 
-class Span(Part, frozen=True, kw_only=True):
+class Span(StudyTable, frozen=True, kw_only=True):
     """Evenly spaced values, in the unit of the field: `{ from = 0, to = 360, count =
     12, endpoint = false }`.
     """
@@ -45,7 +36,7 @@ class Span(Part, frozen=True, kw_only=True):
     endpoint: bool = True
 
 
-class Range(Part, frozen=True, kw_only=True):
+class Range(StudyTable, frozen=True, kw_only=True):
     """Lowest and highest value, in the unit of the field."""
 
     from_: float = msgspec.field(name="from")
@@ -57,7 +48,7 @@ class Range(Part, frozen=True, kw_only=True):
 Axis = float | list[float] | Span | Literal["hold"]
 
 
-class GridTable(Part, frozen=True, kw_only=True):
+class GridTable(StudyTable, frozen=True, kw_only=True):
     """[[design.candidates]]: poses of one set-up, all values of each coordinate
     combined.
     """
@@ -69,7 +60,7 @@ class GridTable(Part, frozen=True, kw_only=True):
     coordinates: dict[str, Axis] = {}
 
 
-class MachineTable(Part, frozen=True, kw_only=True):
+class MachineTable(StudyTable, frozen=True, kw_only=True):
     """[machine]: which model, with which numbers. `fixed` replaces the model's list of
     parameters held.
     """
@@ -79,7 +70,7 @@ class MachineTable(Part, frozen=True, kw_only=True):
     fixed: list[str] | None = None
 
 
-class SetupTable(Part, frozen=True, kw_only=True):
+class SetupTable(StudyTable, frozen=True, kw_only=True):
     """[[setup]]: an instrument as mounted. `tolerance` are the standard deviations of
     its unknowns.
 
@@ -99,7 +90,7 @@ class SetupTable(Part, frozen=True, kw_only=True):
     settings: dict[str, float] = {}
 
 
-class Noise(Part, frozen=True, kw_only=True):
+class NoiseTable(StudyTable, frozen=True, kw_only=True):
     """[noise]: standard deviation of each channel, for all set-ups or in a table named
     as the set-up.
     """
@@ -109,7 +100,7 @@ class Noise(Part, frozen=True, kw_only=True):
     sigma: dict[str, float | dict[str, float]] = {}
 
 
-class ToleranceTable(Part, frozen=True, kw_only=True):
+class ToleranceTable(StudyTable, frozen=True, kw_only=True):
     """[[prior.tolerance]]: a standard deviation for the parameters whose names match;
     later tables win.
     """
@@ -119,7 +110,7 @@ class ToleranceTable(Part, frozen=True, kw_only=True):
     sigma: dict[str, float] = {}
 
 
-class Prior(Part, frozen=True, kw_only=True):
+class PriorTable(StudyTable, frozen=True, kw_only=True):
     """[prior]."""
 
     tolerance: list[ToleranceTable] = []
@@ -134,21 +125,21 @@ class ReferenceTable(GridTable, frozen=True, kw_only=True):
     name: str
 
 
-class Cone(Part, frozen=True, kw_only=True):
+class ConeTable(StudyTable, frozen=True, kw_only=True):
     """Directions within `half_angle_deg` of `axis` (any length)."""
 
     axis: Triple
     half_angle_deg: Positive
 
 
-class Sphere(Part, frozen=True, kw_only=True):
+class SphereTable(StudyTable, frozen=True, kw_only=True):
     """An obstacle: a sphere in the base frame."""
 
     at_mm: Triple
     radius_mm: Positive
 
 
-class Rod(Part, frozen=True, kw_only=True):
+class RodTable(StudyTable, frozen=True, kw_only=True):
     """An obstacle: all points within `radius_mm` of a straight line, in the base frame."""
 
     from_mm: Triple
@@ -156,7 +147,7 @@ class Rod(Part, frozen=True, kw_only=True):
     radius_mm: Positive
 
 
-class Limits(Part, frozen=True, kw_only=True):
+class LimitsTable(StudyTable, frozen=True, kw_only=True):
     """[design.limits]: candidates that break one are left out, and counted. What is not
     given is not asked.
 
@@ -186,17 +177,17 @@ class Limits(Part, frozen=True, kw_only=True):
     singularity: Positive | None = None
     travel_mm: NotNegative | None = None
     travel_chance: Positive | None = None
-    cup_cone: Cone | None = None
-    tool_cone: Cone | None = None
-    spheres: list[Sphere] = []
-    rods: list[Rod] = []
+    cup_cone: ConeTable | None = None
+    tool_cone: ConeTable | None = None
+    spheres: list[SphereTable] = []
+    rods: list[RodTable] = []
     links_mm: Positive | None = None
     bar_mm: Positive | None = None
     margin_mm: NotNegative = 0.0
     ignore: list[int] = []
 
 
-class Polish(Part, frozen=True, kw_only=True):
+class PolishTable(StudyTable, frozen=True, kw_only=True):
     """[design.polish]: chosen poses moved, off the grid, to a local optimum.
 
     free       set-up: { setting or tool_x, tool_y, tool_z with its unit: [lowest,
@@ -210,7 +201,7 @@ class Polish(Part, frozen=True, kw_only=True):
     iterations: Count = 500
 
 
-class Order(Part, frozen=True, kw_only=True):
+class OrderTable(StudyTable, frozen=True, kw_only=True):
     """[design.order]: the order of reading; without this table, a short way by the
     joints within each set-up.
 
@@ -234,7 +225,7 @@ class Order(Part, frozen=True, kw_only=True):
     change_settings_min: NotNegative = 5.0
 
 
-class Robust(Part, frozen=True, kw_only=True):
+class RobustTable(StudyTable, frozen=True, kw_only=True):
     """[design.robust]: a plan that serves many machines, not only the nominal one.
 
     Scenarios of parameters and set-ups are drawn from the tolerances; the plan is
@@ -247,7 +238,7 @@ class Robust(Part, frozen=True, kw_only=True):
     scenarios: Annotated[int, msgspec.Meta(ge=2, le=1000)] = 20
 
 
-class HowManyTable(Part, frozen=True, kw_only=True):
+class HowManyTable(StudyTable, frozen=True, kw_only=True):
     """[design.how_many]: predicted accuracy against the number of readings, over the
     workspace of [prediction].
 
@@ -262,7 +253,7 @@ class HowManyTable(Part, frozen=True, kw_only=True):
     most: Count = 100
 
 
-class Design(Part, frozen=True, kw_only=True):
+class DesignTable(StudyTable, frozen=True, kw_only=True):
     """[design]: how many readings to choose from the candidates, by which criterion,
     under which rules.
 
@@ -313,10 +304,10 @@ class Design(Part, frozen=True, kw_only=True):
     starts: Count = 20
     candidates: list[GridTable] = []
     reference: list[ReferenceTable] = []
-    limits: Limits | None = None
-    polish: Polish | None = None
-    order: Order = Order()
-    robust: Robust | None = None
+    limits: LimitsTable | None = None
+    polish: PolishTable | None = None
+    order: OrderTable = OrderTable()
+    robust: RobustTable | None = None
     how_many: HowManyTable | None = None
 
     @property
@@ -339,7 +330,7 @@ class Design(Part, frozen=True, kw_only=True):
         return "compound" if self.compound else self.criterion
 
 
-class MeasuredTable(Part, frozen=True, kw_only=True):
+class MeasuredTable(StudyTable, frozen=True, kw_only=True):
     """[[plan.measurement]]: a measurement as it can be ordered; the grid's fields are
     those of [[design.candidates]].
 
@@ -375,7 +366,7 @@ class MeasuredTable(Part, frozen=True, kw_only=True):
         return [*([self.setup] if self.setup is not None else []), *self.setups]
 
 
-class Plan(Part, frozen=True, kw_only=True):
+class PlanTable(StudyTable, frozen=True, kw_only=True):
     """[plan]: which measurements to do, in which order, over the workspace of
     [prediction].
 
@@ -399,7 +390,7 @@ class Plan(Part, frozen=True, kw_only=True):
     measurement: list[MeasuredTable] = []
 
 
-class KappaTable(Part, frozen=True, kw_only=True):
+class KappaTable(StudyTable, frozen=True, kw_only=True):
     """[[kappa]]: condition number over m circles of n points. The range, `z_mm = {
     from, to }`, spaces the circles.
     """
@@ -413,7 +404,7 @@ class KappaTable(Part, frozen=True, kw_only=True):
     coordinates: dict[str, Range] = {}
 
 
-class Readings(Part, frozen=True, kw_only=True):
+class ReadingsTable(StudyTable, frozen=True, kw_only=True):
     """[readings]: from files, from a named source of data, or from a virtual machine."""
 
     files: list[str] = []
@@ -426,7 +417,7 @@ class Readings(Part, frozen=True, kw_only=True):
     predict: list[str] = []
 
 
-class Identify(Part, frozen=True, kw_only=True):
+class IdentifyTable(StudyTable, frozen=True, kw_only=True):
     """[identify]: parameters freed in turn, by name or pattern."""
 
     stages: Annotated[list[list[str]], msgspec.Meta(min_length=1)] = msgspec.field(
@@ -435,7 +426,7 @@ class Identify(Part, frozen=True, kw_only=True):
     max_iterations: Count = 50
 
 
-class Posterior(Part, frozen=True, kw_only=True):
+class PosteriorTable(StudyTable, frozen=True, kw_only=True):
     """[posterior]: how long to sample. `steps` is the most; sampling stops at `ess` a
     parameter.
     """
@@ -447,7 +438,7 @@ class Posterior(Part, frozen=True, kw_only=True):
     thin: Count | None = None
 
 
-class Prediction(Part, frozen=True, kw_only=True):
+class PredictionTable(StudyTable, frozen=True, kw_only=True):
     """[prediction]: residual accuracy over a grid of the workspace, against a
     reference.
     """
@@ -458,7 +449,7 @@ class Prediction(Part, frozen=True, kw_only=True):
     coordinates: dict[str, Axis] = {}
 
 
-class Report(Part, frozen=True, kw_only=True):
+class ReportTable(StudyTable, frozen=True, kw_only=True):
     """[report]."""
 
     html: bool = True
@@ -466,7 +457,7 @@ class Report(Part, frozen=True, kw_only=True):
     corner: Count = 6
 
 
-class ClaimTable(Part, frozen=True, kw_only=True):
+class ClaimTable(StudyTable, frozen=True, kw_only=True):
     """[expect]: what a result must be. `of` is a dotted path into result.json."""
 
     of: str
@@ -476,7 +467,7 @@ class ClaimTable(Part, frozen=True, kw_only=True):
     contains: str | None = None
 
 
-class StudyFile(Part, frozen=True, kw_only=True):
+class StudyFile(StudyTable, frozen=True, kw_only=True):
     """A study file, schema 1."""
 
     schema: Literal[1]
@@ -487,15 +478,15 @@ class StudyFile(Part, frozen=True, kw_only=True):
     slow: bool = False
     machine: MachineTable
     setup: Annotated[list[SetupTable], msgspec.Meta(min_length=1)]
-    noise: Noise = Noise()
-    prior: Prior = Prior()
-    design: Design | None = None
-    plan: Plan | None = None
+    noise: NoiseTable = NoiseTable()
+    prior: PriorTable = PriorTable()
+    design: DesignTable | None = None
+    plan: PlanTable | None = None
     kappa: list[KappaTable] = []
-    readings: Readings | None = None
-    identify: Identify = Identify()
-    posterior: Posterior = Posterior()
-    prediction: Prediction | None = None
-    gap: Gap | None = None
-    report: Report = Report()
+    readings: ReadingsTable | None = None
+    identify: IdentifyTable = IdentifyTable()
+    posterior: PosteriorTable = PosteriorTable()
+    prediction: PredictionTable | None = None
+    gap: GapTable | None = None
+    report: ReportTable = ReportTable()
     expect: dict[Name, ClaimTable] = {}

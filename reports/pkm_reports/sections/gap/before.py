@@ -10,11 +10,11 @@ from typing import Any, Final
 from pkm_reports import words
 from pkm_reports.blocks import (
     Block,
-    Column,
     Items,
     Paragraph,
     Picture,
     Table,
+    TableColumn,
     number_column,
 )
 from pkm_reports.figures.gap import confusable
@@ -59,7 +59,7 @@ def blocks(result: Part) -> list[Block]:
 
 def _runs(chosen: Part) -> Block:
     known = [c for c in CONDITIONS if any(c in r["condition"] for r in chosen["runs"])]
-    columns = [Column("Set-up"), Column("Run", wide=True)]
+    columns = [TableColumn("Set-up"), TableColumn("Run", wide=True)]
     titles = [
         f"{c.capitalize()} [{CONDITIONS[c]}]" if CONDITIONS[c] else c.capitalize()
         for c in known
@@ -113,8 +113,8 @@ def _told(chosen: Part) -> Block:
         rows.append([*row, words.num(t["seen"])])
         marks.append("good" if t["apart"] >= confusable.LIMIT else "")
     columns = [
-        Column("Effect", wide=True),
-        Column("Told from"),
+        TableColumn("Effect", wide=True),
+        TableColumn("Told from"),
         *number_column("Before", "Now", "Without the rival"),
     ]
     limit = words.plain(confusable.LIMIT)
@@ -172,9 +172,9 @@ def _sizes(tested: list[Part], table: Part, units: Mapping[str, str], of: str) -
         marks.append("good" if e["visible"] else "bad")
     titles = ("Expected rms", "Absorbed", "Seen", "Chance", "Least rms")
     columns = [
-        Column("Effect", wide=True),
+        TableColumn("Effect", wide=True),
         *number_column(*titles),
-        Column("Hardest rival", wide=True),
+        TableColumn("Hardest rival", wide=True),
     ]
     caption = (
         f"What {of} ({words.count(table['readings'], 'reading')}) could find. Absorbed:"
@@ -212,9 +212,9 @@ def _imitated(tested: list[Part], of: str) -> list[Block]:
     if not rows:
         return []
     columns = [
-        Column("Effect"),
-        Column("Coefficients", wide=True),
-        Column("Imitated by"),
+        TableColumn("Effect"),
+        TableColumn("Coefficients", wide=True),
+        TableColumn("Imitated by"),
     ]
     columns += number_column("Seen", "Then")
     cut = f" The {len(rows)} nearest of {len(found)}." if len(found) > len(rows) else ""

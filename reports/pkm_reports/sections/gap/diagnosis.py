@@ -10,11 +10,11 @@ from typing import Any, Final
 from pkm_reports import words
 from pkm_reports.blocks import (
     Block,
-    Column,
     Items,
     Paragraph,
     Picture,
     Table,
+    TableColumn,
     number_column,
 )
 from pkm_reports.figures.gap import causes as gap_causes
@@ -92,8 +92,11 @@ def _answers(gap: Part) -> list[Block]:
     found = gap.get("answers") or []
     if not found:
         return []
-    columns = [Column("Explanation", wide=True), Column("Probability", number=True)]
-    columns.append(Column("Cannot be told from", wide=True))
+    columns = [
+        TableColumn("Explanation", wide=True),
+        TableColumn("Probability", number=True),
+    ]
+    columns.append(TableColumn("Cannot be told from", wide=True))
     caption = (
         "Explanations of the gap. What acts beside a named effect and could be any of"
         " many is told as unknown."
@@ -160,11 +163,11 @@ def _sizes(gap: Part) -> list[Block]:
     if not rows:
         return []
     columns = [
-        Column("Effect"),
-        Column("What it is", wide=True),
-        Column("Size, rms", number=True),
+        TableColumn("Effect"),
+        TableColumn("What it is", wide=True),
+        TableColumn("Size, rms", number=True),
     ]
-    columns.append(Column("Detectability", number=True))
+    columns.append(TableColumn("Detectability", number=True))
     caption = (
         "Effects found, with their size in the readings. Detectability: what"
         " calibration leaves of the effect, as a multiple of the noise over all"
@@ -208,8 +211,8 @@ def _coefficients(gap: Part) -> list[Block]:
         return []
     titles = ("Value [SI]", "Sd [SI]", "In expected sizes")
     columns = [
-        Column("Effect"),
-        Column("Coefficient", wide=True),
+        TableColumn("Effect"),
+        TableColumn("Coefficient", wide=True),
         *number_column(*titles),
     ]
     caption = (
@@ -317,7 +320,7 @@ def _places(gap: Part) -> list[Block]:
         for w in found
     ]
     columns = [
-        Column("Where", wide=True),
+        TableColumn("Where", wide=True),
         *number_column("p-value", "Share of the gap"),
     ]
     caption = (
@@ -395,7 +398,9 @@ def _closure(gap: Part) -> list[Block]:
         " unseen runs also show what the geometry could not learn from the others."
     )
     return [
-        Table([Column("Kept out", wide=True), *number_column(*titles)], rows, caption)
+        Table(
+            [TableColumn("Kept out", wide=True), *number_column(*titles)], rows, caption
+        )
     ]
 
 
@@ -459,9 +464,9 @@ def _untested(gap: Part) -> list[Block]:
     if not rows:
         return []
     columns = [
-        Column("Effect"),
-        Column("Why not", wide=True),
-        Column("Record in the readings", wide=True),
+        TableColumn("Effect"),
+        TableColumn("Why not", wide=True),
+        TableColumn("Record in the readings", wide=True),
     ]
     return [
         Table(

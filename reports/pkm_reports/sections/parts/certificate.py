@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from pkm_reports import words
-from pkm_reports.blocks import Block, Column, Paragraph, Table
+from pkm_reports.blocks import Block, Paragraph, Table, TableColumn
 
 Part = Mapping[str, Any]
 #: what a criterion asks for
@@ -36,7 +36,10 @@ MEANING: Final = {
 def blocks(design: Part) -> list[Block]:
     """Sentence, numbers, refusals."""
     rows = [[name, text] for name, text in _facts(design) if text]
-    columns = [Column("Quantity"), Column("Of the chosen readings", wide=True)]
+    columns = [
+        TableColumn("Quantity"),
+        TableColumn("Of the chosen readings", wide=True),
+    ]
     told = Table(columns, rows, _caption(design))
     return [Paragraph(sentence(design)), told, *_refused(design)]
 
@@ -177,7 +180,10 @@ def _refused(design: Part) -> list[Block]:
             )
         ]
     rows = [[str(count), words.pretty(reason)] for reason, count in refused]
-    columns = [Column("Candidates", number=True), Column("which …", wide=True)]
+    columns = [
+        TableColumn("Candidates", number=True),
+        TableColumn("which …", wide=True),
+    ]
     most = f"Most, {refused[0][1]}, {words.pretty(refused[0][0])}."
     return [
         Table(

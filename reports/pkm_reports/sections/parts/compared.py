@@ -8,7 +8,14 @@ from typing import Any, Final
 import numpy as np
 
 from pkm_reports import words
-from pkm_reports.blocks import Block, Column, Paragraph, Picture, Table, number_column
+from pkm_reports.blocks import (
+    Block,
+    Paragraph,
+    Picture,
+    Table,
+    TableColumn,
+    number_column,
+)
 from pkm_reports.figures import compared
 from pkm_reports.sections.parts import certificate
 
@@ -34,7 +41,7 @@ def blocks(design: Part) -> list[Block]:
     own = [_own(entry) for entry in entries]
     cross = [_cross(entry, names) for entry in entries]
     columns = [
-        Column("Criterion"),
+        TableColumn("Criterion"),
         *number_column("Value", "Bound", "Certified", f"Gain over {names[0]}"),
     ]
     others = number_column(*[f"made for {name}" for name in names])
@@ -61,7 +68,7 @@ def blocks(design: Part) -> list[Block]:
     return [
         *made,
         Table(columns, own, about),
-        Table([Column("By"), *others], rows, values),
+        Table([TableColumn("By"), *others], rows, values),
     ]
 
 

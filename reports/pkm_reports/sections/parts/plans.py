@@ -9,7 +9,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pkm_reports import words
-from pkm_reports.blocks import Block, Column, Picture, Table, number_column, transposed
+from pkm_reports.blocks import (
+    Block,
+    Picture,
+    Table,
+    TableColumn,
+    number_column,
+    transposed,
+)
 from pkm_reports.figures import predicted
 from pkm_reports.sections.parts import certificate
 
@@ -58,7 +65,10 @@ def _scores(design: Part, plans: Sequence[Part]) -> Table:
         ],
     ]
     cells = [[str(p["name"]) for p in plans], *[texts for _, texts in told]]
-    columns = [Column("Plan", wide=True), *number_column(*[title for title, _ in told])]
+    columns = [
+        TableColumn("Plan", wide=True),
+        *number_column(*[title for title, _ in told]),
+    ]
     return Table(
         columns, transposed(cells), _compared(design, plans), _marks(design, plans)
     )
@@ -155,7 +165,7 @@ def _accuracy(design: Part, plans: Sequence[Part]) -> Table:
             )
             marked.append(mark)
     columns = [
-        Column("Plan", wide=True),
+        TableColumn("Plan", wide=True),
         *number_column(*[words.heading(key) for key in keys]),
     ]
     caption = "Predicted rms errors, plan by plan"

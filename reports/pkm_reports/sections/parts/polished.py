@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pkm_reports import words
-from pkm_reports.blocks import Block, Column, Paragraph, Table
+from pkm_reports.blocks import Block, Paragraph, Table, TableColumn
 from pkm_reports.sections.parts import certificate
 
 
@@ -37,6 +37,10 @@ def blocks(design: Mapping[str, Any]) -> list[Block]:
             f" {words.count(len(moved), 'set-up')} moved."
         )
         made.append(
-            Table([Column("Set-up"), Column("Set it to", wide=True)], rows, caption)
+            Table(
+                [TableColumn("Set-up"), TableColumn("Set it to", wide=True)],
+                rows,
+                caption,
+            )
         )
     return made

@@ -21,7 +21,7 @@ from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, named
 from oed.measurement import Measurement, Series
 from pkm_studies.resolve.study import Resolved
-from pkm_studies.study.tables import Design
+from pkm_studies.study.tables import DesignTable
 
 #: criteria to which a column that no reading touches is one more eigenvalue
 EIGENVALUES = ("E", "kappa", "O2", "O3", "O4", "O5")
@@ -40,7 +40,7 @@ class Pieces(TypedDict, total=False):
 class Aims:
     """The criteria of one study."""
 
-    def __init__(self, resolved: Resolved, design: Design) -> None:
+    def __init__(self, resolved: Resolved, design: DesignTable) -> None:
         self.resolved, self.design = resolved, design
 
     @functools.cached_property

@@ -20,11 +20,11 @@ from pkm_studies.resolve.grids import Circles
 from pkm_studies.resolve.study import Resolved
 from pkm_studies.stages.design import how_many, order, polish, robust, search
 from pkm_studies.stages.design.aims import Aims
-from pkm_studies.study.tables import Design
+from pkm_studies.study.tables import DesignTable
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Chosen:
+class ChosenDesign:
     """The plan, in working order, and how it was found.
 
     measurement  with the set-ups that it uses, as polished
@@ -43,14 +43,14 @@ class Chosen:
     kept: int
     candidates: int
     loose: bool
-    compared: tuple[result.Compared, ...]
-    polished: result.Polished | None
-    order: result.Ordered
-    robust: result.Robust | None
-    how_many: result.HowMany | None
+    compared: tuple[result.CriterionComparison, ...]
+    polished: result.PolishSummary | None
+    order: result.WorkingOrder
+    robust: result.RobustSummary | None
+    how_many: result.HowManySummary | None
 
 
-def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
+def choose(resolved: Resolved, rng: np.random.Generator) -> ChosenDesign | None:
     """The best plan found, or None where the study asks for none. Raises InputError for
     what cannot be done.
     """
@@ -84,7 +84,7 @@ def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
         smoother = polish.polished(resolved, aims, measurement, series, asked.kept)
         measurement, series = smoother.measurement, smoother.series
     arranged = order.arrange(resolved, measurement, asked.kept, series, rng)
-    return Chosen(
+    return ChosenDesign(
         measurement=measurement,
         series=arranged.series,
         scheduled=arranged.scheduled,
@@ -102,8 +102,8 @@ def choose(resolved: Resolved, rng: np.random.Generator) -> Chosen | None:
 
 
 def _problem(
-    resolved: Resolved, design: Design, aims: Aims, place: Place
-) -> search.Problem:
+    resolved: Resolved, design: DesignTable, aims: Aims, place: Place
+) -> search.DesignProblem:
     """Candidates with what is held, and the rules."""
     asked, measurement = resolved.asked, resolved.measurement
     assert asked is not None
@@ -133,7 +133,9 @@ def _problem(
     )
     mounted = {s.setup for s in asked.kept}
     taken = tuple(k for k, name in enumerate(found.setups) if name in mounted)
-    return search.Problem(found, dataclasses.replace(rules, taken=taken), design.starts)
+    return search.DesignProblem(
+        found, dataclasses.replace(rules, taken=taken), design.starts
+    )
 
 
 def _held(aims: Aims, measurement: Measurement, kept: tuple[Series, ...]) -> Array:
@@ -145,7 +147,7 @@ def _held(aims: Aims, measurement: Measurement, kept: tuple[Series, ...]) -> Arr
 
 
 def _best(
-    problem: search.Problem,
+    problem: search.DesignProblem,
     aims: Aims,
     name: str,
     rng: np.random.Generator,
@@ -163,12 +165,12 @@ def _best(
 
 
 def _compared(
-    problem: search.Problem,
+    problem: search.DesignProblem,
     aims: Aims,
     main: Choice,
     rng: np.random.Generator,
     place: Place,
-) -> tuple[result.Compared, ...]:
+) -> tuple[result.CriterionComparison, ...]:
     """Designs for further criteria, each plan scored by each criterion; the main one
     first.
     """
@@ -185,7 +187,7 @@ def _compared(
         judged = {n: problem.judged(criterion, c.indices) for n, c in choices.items()}
         c = choices[name]
         made.append(
-            result.Compared(
+            result.CriterionComparison(
                 name=name,
                 value=c.value,
                 bound=c.bound,
@@ -224,12 +226,12 @@ def kappa_map(circles: Circles, scaling: Scaling) -> result.KappaMap:
 
 def plan(
     resolved: Resolved, seen: explain.Seen, predicted: Mapping[str, float]
-) -> result.Plan:
+) -> result.PlanSection:
     """The readings as one stage, with its cost in minutes."""
     measurement = seen.measurement
     setups = list(dict.fromkeys(s.setup for s in seen.series))
     cost = seconds(measurement, seen.series)
-    stage = result.Stage(
+    stage = result.StageRecord(
         measurement=", ".join(
             dict.fromkeys(measurement.setups[n].instrument.name for n in setups)
         ),
@@ -240,7 +242,9 @@ def plan(
         kappa=criteria.kappa(seen.verdict.identifiable),
         predicted=dict(predicted),
     )
-    return result.Plan([stage], stage.cost, [p.name for p in resolved.references])
+    return result.PlanSection(
+        [stage], stage.cost, [p.name for p in resolved.references]
+    )
 
 
 def seconds(measurement: Measurement, series: Sequence[Series]) -> float:

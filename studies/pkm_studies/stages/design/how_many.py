@@ -12,22 +12,22 @@ from oed import result, units
 from oed.arrays import Array
 from oed.design.blocks import information
 from oed.design.exchange import Choice
-from oed.design.how_many import Goal, HowMany
+from oed.design.how_many import AccuracyGoal, SizeCurve
 from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities
 from pkm_studies.stages.design.aims import Aims
-from pkm_studies.stages.design.search import Problem
+from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.study.tables import HowManyTable
 
 
 def curve(
-    problem: Problem,
+    problem: DesignProblem,
     aims: Aims,
     chosen: Choice,
     said: HowManyTable,
     seed: int,
     place: Place,
-) -> result.HowMany:
+) -> result.HowManySummary:
     """The curve over the candidates (over the chosen set-ups', where not all can be
     mounted).
 
@@ -49,10 +49,10 @@ def curve(
         cost=None,
         setup_cost=None,
     )
-    asked = HowMany(
+    asked = SizeCurve(
         c.blocks[pool] @ basis,
         basis.T @ c.held @ basis,
-        Goal(names, factors @ basis),
+        AccuracyGoal(names, factors @ basis),
         (seed,),
         rules=rules,
     )
@@ -70,7 +70,7 @@ def curve(
         np.array([p.bound for p in points]),
     )
     keys = [f"{n}_{fine[n]}" for n in names]
-    told = result.HowMany(
+    told = result.HowManySummary(
         wanted={f"{n}_{fine[n]}": units.number(v, fine[n]) for n, v in wanted.items()},
         sizes=[p.size for p in points],
         accuracy={key: column(reached, k) for k, key in enumerate(keys)},
@@ -79,7 +79,9 @@ def curve(
     return _fewest(told, asked, min(said.most, len(pool))) if wanted else told
 
 
-def _fewest(told: result.HowMany, asked: HowMany, most: int) -> result.HowMany:
+def _fewest(
+    told: result.HowManySummary, asked: SizeCurve, most: int
+) -> result.HowManySummary:
     found = asked.fewest(most)
     if found.size is None:
         short = [
@@ -103,7 +105,7 @@ def _fewest(told: result.HowMany, asked: HowMany, most: int) -> result.HowMany:
             f"{found.size} readings reach it; no plan of fewer than {found.at_least}"
             " can."
         )
-    return result.HowMany(
+    return result.HowManySummary(
         told.wanted,
         told.sizes,
         told.accuracy,
@@ -115,16 +117,18 @@ def _fewest(told: result.HowMany, asked: HowMany, most: int) -> result.HowMany:
     )
 
 
-def _reached(aims: Aims, problem: Problem, chosen: Choice) -> dict[str, float]:
+def _reached(aims: Aims, problem: DesignProblem, chosen: Choice) -> dict[str, float]:
     """Accuracy, SI, that the chosen plan reaches in each component that moves at all."""
     names, factors = _factors(aims, problem, {})
     c = problem.candidates
-    told = Goal(names, factors).accuracy(c.held + information(c.blocks[chosen.indices]))
+    told = AccuracyGoal(names, factors).accuracy(
+        c.held + information(c.blocks[chosen.indices])
+    )
     return {n: float(v) for n, v in zip(names, told, strict=True)}
 
 
 def _factors(
-    aims: Aims, problem: Problem, unit: dict[str, float]
+    aims: Aims, problem: DesignProblem, unit: dict[str, float]
 ) -> tuple[tuple[str, ...], Array]:
     """Components with factors (K, r, n) over the candidates' columns, in units of
     `unit` (SI where none is told).

@@ -20,7 +20,7 @@ from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve import grids
 from pkm_studies.resolve.study import Resolved
-from pkm_studies.study.tables import Axis, Design, Order
+from pkm_studies.study.tables import Axis, DesignTable, OrderTable
 
 #: run label of thermal reference readings
 REFERENCE = "reference"
@@ -36,7 +36,7 @@ class Arranged:
 
     series: tuple[Series, ...]
     scheduled: tuple[Series, ...]
-    told: result.Ordered
+    told: result.WorkingOrder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +76,7 @@ def arrange(
         for n in names
     }
     everything = [n for n in mounted if n not in names] + names
-    told = result.Ordered(
+    told = result.WorkingOrder(
         setups=everything,
         before_s=sum(w.before for w in ways.values()),
         after_s=sum(w.after for w in ways.values()),
@@ -103,7 +103,10 @@ def _added(series: Series) -> Series:
 
 
 def _setups(
-    measurement: Measurement, names: list[str], said: Order, rng: np.random.Generator
+    measurement: Measurement,
+    names: list[str],
+    said: OrderTable,
+    rng: np.random.Generator,
 ) -> tuple[list[str], float]:
     """Set-ups in the order of least re-mounting, and the time for that, s."""
     changes = order.Changes(
@@ -120,7 +123,7 @@ def _way(
     measurement: Measurement,
     setup: str,
     parts: list[Series],
-    design: Design,
+    design: DesignTable,
     rng: np.random.Generator,
     place: Place,
 ) -> _Way:
@@ -220,10 +223,10 @@ def _joined(measurement: Measurement, setup: str, parts: list[Series]) -> Series
 def _referenced(
     measurement: Measurement,
     whole: Series,
-    path: order.Path,
+    path: order.Route,
     speeds: Sequence[float],
     reading: float,
-    said: Order,
+    said: OrderTable,
     place: Place,
 ) -> tuple[Series, float]:
     """The readings in time with those of the reference between, and when the last one
@@ -259,7 +262,7 @@ def _referenced(
 def _command(
     measurement: Measurement,
     whole: Series,
-    path: order.Path,
+    path: order.Route,
     axes: Mapping[str, Axis],
     place: Place,
 ) -> Array:

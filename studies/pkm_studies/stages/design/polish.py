@@ -24,12 +24,12 @@ POWER = 8
 
 
 @dataclasses.dataclass(frozen=True)
-class Polished:
+class PolishedPlan:
     """Readings as polished, with their set-ups as they are now."""
 
     measurement: Measurement
     series: tuple[Series, ...]
-    told: result.Polished
+    told: result.PolishSummary
 
 
 def polished(
@@ -38,7 +38,7 @@ def polished(
     measurement: Measurement,
     series: Sequence[Series],
     kept: Sequence[Series],
-) -> Polished:
+) -> PolishedPlan:
     """The chosen readings polished beside the kept ones, or as they are where that does
     not better the criterion.
     """
@@ -74,11 +74,13 @@ def polished(
             if found.value_after == found.value_before
             else "polishing does not better the criterion"
         )
-        return Polished(
-            measurement, tuple(series), result.Polished(value, value, words, {})
+        return PolishedPlan(
+            measurement, tuple(series), result.PolishSummary(value, value, words, {})
         )
-    told = result.Polished(value, new, found.words, _moved(found.measurement, free))
-    return Polished(found.measurement, found.series, told)
+    told = result.PolishSummary(
+        value, new, found.words, _moved(found.measurement, free)
+    )
+    return PolishedPlan(found.measurement, found.series, told)
 
 
 def _free(

@@ -16,21 +16,21 @@ from oed.design.exchange import Choice
 from oed.kinematics import AssemblyError
 from pkm_studies.errors import Place
 from pkm_studies.stages.design.aims import Aims
-from pkm_studies.stages.design.search import Problem
-from pkm_studies.study.tables import Robust
+from pkm_studies.stages.design.search import DesignProblem
+from pkm_studies.study.tables import RobustTable
 
 #: machines drawn for each scenario until one reaches all candidates
 TRIES = 5
 
 
 def choose(
-    problem: Problem,
+    problem: DesignProblem,
     aims: Aims,
     nominal: Choice,
-    said: Robust,
+    said: RobustTable,
     rng: np.random.Generator,
     place: Place,
-) -> tuple[Choice, result.Robust]:
+) -> tuple[Choice, result.RobustSummary]:
     """The robust plan over the set-ups that the nominal one mounts, and what it gains
     over that one.
 
@@ -65,7 +65,7 @@ def choose(
             str(error), "choose D, Ds, A, c, I or O5, or leave the table out"
         ) from error
     others = _values(blocks, criterion, prior, np.searchsorted(pool, nominal.indices))
-    told = result.Robust(
+    told = result.RobustSummary(
         risk=said.risk,
         level=said.level,
         scenarios=said.scenarios,
@@ -88,7 +88,11 @@ def choose(
 
 
 def _scenarios(
-    problem: Problem, aims: Aims, count: int, rng: np.random.Generator, place: Place
+    problem: DesignProblem,
+    aims: Aims,
+    count: int,
+    rng: np.random.Generator,
+    place: Place,
 ) -> Array:
     """Blocks (S, C, k, n) of the same commands on drawn machines; the nominal one
     first.

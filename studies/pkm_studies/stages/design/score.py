@@ -15,11 +15,13 @@ from pkm_studies.resolve.study import Resolved
 from pkm_studies.stages import describe
 from pkm_studies.stages.design import choose
 from pkm_studies.stages.design.aims import EIGENVALUES, Aims, gains
-from pkm_studies.stages.design.choose import Chosen
+from pkm_studies.stages.design.choose import ChosenDesign
 from pkm_studies.stages.headline import percent
 
 
-def section(resolved: Resolved, chosen: Chosen, seen: explain.Seen) -> result.Design:
+def section(
+    resolved: Resolved, chosen: ChosenDesign, seen: explain.Seen
+) -> result.DesignSection:
     """The design with the given plans scored beside it."""
     design, choice, aims = chosen.aims.design, chosen.choice, chosen.aims
     plans = _plans(resolved, chosen, seen)
@@ -30,7 +32,7 @@ def section(resolved: Resolved, chosen: Chosen, seen: explain.Seen) -> result.De
     )
     polished = moved is not None
     shared = choice.columns - int(resolved.measurement.free.sum())
-    return result.Design(
+    return result.DesignSection(
         criterion=design.judged_by,
         n=plans[0].n,
         value=moved.after if moved else plans[0].value if chosen.kept else choice.value,
@@ -60,7 +62,7 @@ def section(resolved: Resolved, chosen: Chosen, seen: explain.Seen) -> result.De
     )
 
 
-def words(chosen: Chosen, shared: int = 0) -> str:
+def words(chosen: ChosenDesign, shared: int = 0) -> str:
     """How good the choice is known to be, in one sentence or two."""
     choice = chosen.choice
     kind = "runs" if chosen.aims.design.whole_runs else "readings"
@@ -112,7 +114,7 @@ def words(chosen: Chosen, shared: int = 0) -> str:
     )
 
 
-def _sturdy(robust: result.Robust, what: str) -> str:
+def _sturdy(robust: result.RobustSummary, what: str) -> str:
     risk = {
         "mean": "on average",
         "cvar": f"over the worst {percent(robust.level)} %",
@@ -131,7 +133,7 @@ def _sturdy(robust: result.Robust, what: str) -> str:
 
 
 def _plans(
-    resolved: Resolved, chosen: Chosen, seen: explain.Seen
+    resolved: Resolved, chosen: ChosenDesign, seen: explain.Seen
 ) -> list[result.PlanScore]:
     """The chosen plan and the given ones that can be compared with it: those that see
     as much, or, where tolerances count, all.
@@ -231,7 +233,9 @@ def _against(
     )
 
 
-def poses(measurement: Measurement, series: Sequence[Series]) -> list[result.Pose]:
+def poses(
+    measurement: Measurement, series: Sequence[Series]
+) -> list[result.PlannedReading]:
     """The readings as poses to command, in working order."""
     table = []
     nominal = measurement.nominal
@@ -246,7 +250,7 @@ def poses(measurement: Measurement, series: Sequence[Series]) -> list[result.Pos
                 for c, v in zip(channels, y[k], strict=True)
             }
             table.append(
-                result.Pose(
+                result.PlannedReading(
                     s.setup,
                     str(run),
                     seen[run],

@@ -23,7 +23,7 @@ from oed.design.rules import SUBSETS, Rules
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Problem:
+class DesignProblem:
     """Candidates, the rules of a plan, and rounds of search."""
 
     candidates: Candidates
@@ -94,7 +94,9 @@ class Problem:
         return value, criterion.told(value, len(chosen))
 
 
-def best(problem: Problem, criterion: Criterion, rng: np.random.Generator) -> Choice:
+def best(
+    problem: DesignProblem, criterion: Criterion, rng: np.random.Generator
+) -> Choice:
     """The best plan found, with what is known of how good it is. Raises ValueError
     where there is none.
     """
@@ -119,7 +121,9 @@ def best(problem: Problem, criterion: Criterion, rng: np.random.Generator) -> Ch
     return _certified(problem, criterion, chosen)
 
 
-def _combinations(problem: Problem, criterion: Criterion) -> list[tuple[int, ...]]:
+def _combinations(
+    problem: DesignProblem, criterion: Criterion
+) -> list[tuple[int, ...]]:
     """Combinations worth an exchange: the best few of the most set-ups, or the best of
     each number within a budget.
     """
@@ -145,7 +149,7 @@ def _smooth(criterion: Criterion) -> Criterion:
 
 
 def _within(
-    problem: Problem, criterion: Criterion, some: Index, rng: np.random.Generator
+    problem: DesignProblem, criterion: Criterion, some: Index, rng: np.random.Generator
 ) -> Index:
     """The best plan within a combination of set-ups."""
     c, rules = problem.candidates, problem.rules
@@ -165,7 +169,7 @@ def _within(
     return np.asarray(pool[found.indices])
 
 
-def _certified(problem: Problem, criterion: Criterion, chosen: Index) -> Choice:
+def _certified(problem: DesignProblem, criterion: Criterion, chosen: Index) -> Choice:
     """A plan with its bound over all combinations of set-ups, where one is known."""
     c, (value, number) = problem.candidates, problem.judged(criterion, chosen)
     told = Choice(

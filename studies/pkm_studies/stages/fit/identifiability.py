@@ -13,10 +13,10 @@ Readings = tuple[Measurement, Sequence[Series]]
 
 def section(
     seen: explain.Seen, scaling: Scaling, others: Mapping[str, Readings]
-) -> result.Identifiability:
+) -> result.IdentifiabilitySection:
     """The verdict, its singular values and its words."""
     verdict = seen.verdict
-    return result.Identifiability(
+    return result.IdentifiabilitySection(
         parameters=list(verdict.names),
         n=len(verdict.names),
         rank=verdict.rank,
@@ -26,7 +26,7 @@ def section(
         combinations=verdict.named(verdict.combinations),
         lost=verdict.named(verdict.lost),
         words=[
-            result.Group(f.kind, f.text, list(f.remedies))
+            result.IdentifiabilityFinding(f.kind, f.text, list(f.remedies))
             for f in explain.explain(seen, others)
         ],
     )
@@ -37,7 +37,7 @@ def variants(
     series: Sequence[Series],
     references: Mapping[str, Readings],
     scaling: Scaling,
-) -> dict[str, result.Identifiability]:
+) -> dict[str, result.IdentifiabilitySection]:
     """Verdicts beside the main one: each reference plan, and each instrument of the
     plan alone.
     """

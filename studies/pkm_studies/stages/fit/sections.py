@@ -19,7 +19,7 @@ def estimate_section(
     series: Sequence[Series],
     estimate: identify.Estimate,
     truth: Array | None,
-) -> result.Estimate:
+) -> result.EstimateSection:
     """Identified parameters in display units, residuals in the fine unit of the
     readings.
     """
@@ -32,7 +32,7 @@ def estimate_section(
     factor = np.array([units.factor(units.FINE[c.unit]) for c in channels])
     after, before = estimate.residuals / factor, estimate.before / factor
     labels = np.array([c.name for c in channels])
-    return result.Estimate(
+    return result.EstimateSection(
         parameters=_values(measurement, estimate, truth),
         rms_before={n: _rms(before[labels == n]) for n in dict.fromkeys(labels)},
         rms_after={n: _rms(after[labels == n]) for n in dict.fromkeys(labels)},
@@ -57,13 +57,13 @@ def estimate_section(
 
 def _values(
     measurement: Measurement, estimate: identify.Estimate, truth: Array | None
-) -> dict[str, result.Value]:
+) -> dict[str, result.ParameterEstimate]:
     found = {}
     for k, p in enumerate(measurement.parameters):
         if estimate.prior_sd[k] == 0.0:
             continue
         unit, share = units.display(p.unit), float(estimate.shrinkage[k])
-        found[p.name] = result.Value(
+        found[p.name] = result.ParameterEstimate(
             value=units.number(estimate.theta[k], unit),
             sd=units.number(estimate.sd[k], unit),
             unit=unit,
@@ -95,7 +95,7 @@ def posterior_section(
     estimate: identify.Estimate,
     drawn: posterior.Posterior,
     corner: int,
-) -> result.Posterior:
+) -> result.PosteriorSection:
     """Marginals in display units, and draws along the worst-seen directions."""
     marginals = {}
     for k, p in enumerate(measurement.parameters):
@@ -114,7 +114,7 @@ def posterior_section(
             unit=unit,
         )
     directions, table = _worst(measurement, estimate, drawn, corner)
-    return result.Posterior(
+    return result.PosteriorSection(
         marginals=marginals,
         acceptance=drawn.acceptance,
         draws=len(drawn.flat),

@@ -33,7 +33,7 @@ MOST = 6
 class Before:
     """The section, and the readings of the chosen runs as a CSV to fill in."""
 
-    section: result.GapBefore
+    section: result.GapBeforeSection
     poses_csv: str | None
 
 
@@ -57,8 +57,10 @@ def foresee(
     if designed is not None:
         chosen, csv = _chosen(*designed, planned, effects, gravity, rng)
     fine = _fine(measurement) | (_fine(designed[0]) if designed is not None else {})
-    made = result.GapBefore(_table(planned, effects, rng, fine), fine, chosen, [])
-    return Before(result.GapBefore(made.table, fine, chosen, _words(made)), csv)
+    made = result.GapBeforeSection(
+        _table(planned, effects, rng, fine), fine, chosen, []
+    )
+    return Before(result.GapBeforeSection(made.table, fine, chosen, _words(made)), csv)
 
 
 def _fine(measurement: Measurement) -> dict[str, str]:
@@ -78,10 +80,10 @@ def _table(
     effects: Sequence[Effect],
     rng: np.random.Generator,
     fine: Mapping[str, str],
-) -> result.Table:
+) -> result.DetectabilityTable:
     found = detect.detect(planned, stated(planned), effects, rng)
     about = {e.name: e.about for e in effects}
-    return result.Table(
+    return result.DetectabilityTable(
         readings=len(planned),
         effects=[_row(row, about[row.effect], fine) for row in found.effects],
         names=list(found.names),
@@ -95,8 +97,8 @@ def _table(
 
 def _row(
     row: detect.Detectability, about: str, fine: Mapping[str, str]
-) -> result.Detectable:
-    return result.Detectable(
+) -> result.DetectabilityRecord:
+    return result.DetectabilityRecord(
         name=row.effect,
         about=about,
         columns=row.columns,
@@ -115,12 +117,12 @@ def _row(
     )
 
 
-def _rival(rival: detect.Rival) -> result.Rival:
+def _rival(rival: detect.EffectRival) -> result.RivalRecord:
     shared = [
-        result.Shared(s.words, dict(s.combination), s.seen, s.apart, s.angle)
+        result.SharedRecord(s.words, dict(s.combination), s.seen, s.apart, s.angle)
         for s in rival.shared
     ]
-    return result.Rival(rival.name, rival.apart, rival.angle, shared)
+    return result.RivalRecord(rival.name, rival.apart, rival.angle, shared)
 
 
 def _known(value: float) -> float | None:
@@ -137,7 +139,7 @@ def _chosen(
     effects: Sequence[Effect],
     gravity: tuple[float, float, float],
     rng: np.random.Generator,
-) -> tuple[result.Chosen, str]:
+) -> tuple[result.ChosenRuns, str]:
     assert asked.rules is not None  # a plan that is followed is made by now
     problem, rows = runs.prepared(measurement, asked.runs, gravity=gravity)
     kept = np.array(asked.kept, dtype=np.intp)
@@ -164,11 +166,13 @@ def _chosen(
     )
     own = problem_of.planned(measurement, series, timed, gravity=gravity)
     told = [
-        result.Told(t.effect, t.rival, t.words, t.seen, t.apart, before.get(_key(t)))
+        result.SeparationRecord(
+            t.effect, t.rival, t.words, t.seen, t.apart, before.get(_key(t))
+        )
         for t in found.told
     ]
     worst = [t.before for t in told]
-    made = result.Chosen(
+    made = result.ChosenRuns(
         candidates=len(asked.runs) - len(asked.kept),
         kept=len(asked.kept),
         runs=[
@@ -216,7 +220,7 @@ def _clock(covariates: pd.DataFrame, asked: GapDesignAsked) -> np.ndarray:
     return np.concatenate(times)
 
 
-def _key(told: separate.Told) -> tuple[str, str, str]:
+def _key(told: separate.PairSeparation) -> tuple[str, str, str]:
     return told.effect, told.rival, told.words
 
 
@@ -249,7 +253,7 @@ def _csv(
 # -- words -----------------------------------------------------------------------------
 
 
-def _words(made: result.GapBefore) -> list[str]:
+def _words(made: result.GapBeforeSection) -> list[str]:
     table = made.table if made.chosen is None else made.chosen.table
     who = "The planned readings" if made.chosen is None else "The chosen runs"
     told = _design_words(made.chosen) if made.chosen is not None else []
@@ -278,7 +282,7 @@ def _words(made: result.GapBefore) -> list[str]:
     return told
 
 
-def _design_words(chosen: result.Chosen) -> list[str]:
+def _design_words(chosen: result.ChosenRuns) -> list[str]:
     pairs = sorted(
         {" and ".join(sorted((spoken(t.effect), spoken(t.rival)))) for t in chosen.told}
     )
@@ -298,5 +302,5 @@ def _first(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _names(effects: Sequence[result.Detectable], lead: str) -> str:
+def _names(effects: Sequence[result.DetectabilityRecord], lead: str) -> str:
     return lead + listed([spoken(e.name) for e in effects]) if effects else ""

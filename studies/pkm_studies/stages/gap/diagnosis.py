@@ -43,18 +43,18 @@ def diagnose(
     return diagnosed(prepared, asked.effects, rng)
 
 
-def section(found: Diagnosis, effects: Sequence[Effect]) -> result_gap.Gap:
+def section(found: Diagnosis, effects: Sequence[Effect]) -> result_gap.GapSection:
     """The diagnosis in display units and words."""
     about = {e.name: _about(e, found) for e in effects}
     fine, labels = _channels(found)
     factor = np.array([units.factor(fine[n]) for n in labels])
     spots, spots_unit = gap_traces.spots(found)
-    made = result_gap.Gap(
+    made = result_gap.GapSection(
         verdict=found.verdict,
         answers=[_answer(a) for a in found.answers],
         set95=[_answer(a) for a in found.set95],
         where=[
-            result_gap.Where(b.block, float(b.p_value), known(b.strength))
+            result_gap.PlaceRecord(b.block, float(b.p_value), known(b.strength))
             for b in found.where
         ],
         closure=[_closure(c) for c in found.closure],
@@ -89,9 +89,11 @@ def known(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _answer(answer: Answer) -> result_gap.Answer:
+def _answer(answer: Answer) -> result_gap.AnswerRecord:
     classes = [list(c) for c in answer.classes]
-    return result_gap.Answer(list(answer.effects), float(answer.probability), classes)
+    return result_gap.AnswerRecord(
+        list(answer.effects), float(answer.probability), classes
+    )
 
 
 def _selected(found: Diagnosis) -> list[str]:
@@ -100,8 +102,8 @@ def _selected(found: Diagnosis) -> list[str]:
     return [n for n in best if n != UNKNOWN]
 
 
-def _closure(c: Closure) -> result_gap.Closure:
-    return result_gap.Closure(
+def _closure(c: Closure) -> result_gap.ClosureRecord:
+    return result_gap.ClosureRecord(
         split=c.split,
         value=known(c.value),
         low=known(c.low),
@@ -114,10 +116,10 @@ def _closure(c: Closure) -> result_gap.Closure:
     )
 
 
-def _about(effect: Effect, found: Diagnosis) -> result_gap.About:
+def _about(effect: Effect, found: Diagnosis) -> result_gap.EffectNote:
     missing = found.not_testable.get(effect.name, "")
     column = gap_words.column(effect, found.problem.states) if missing else ""
-    return result_gap.About(
+    return result_gap.EffectNote(
         effect.about, effect.remedy, effect.exposed_by, effect.source, missing, column
     )
 
@@ -140,14 +142,14 @@ def _by_channel(values: Array, labels: np.ndarray) -> dict[str, float]:
     }
 
 
-def _size(size: Size, fine: dict[str, str]) -> result_gap.Size:
+def _size(size: Size, fine: dict[str, str]) -> result_gap.SizeRecord:
     rms = {n: units.number(v, fine[n]) for n, v in size.rms.items()}
-    return result_gap.Size(size.effect, rms, known(size.detectability))
+    return result_gap.SizeRecord(size.effect, rms, known(size.detectability))
 
 
 def _coefficients(
     found: Diagnosis, effects: Sequence[Effect]
-) -> list[result_gap.Coefficient]:
+) -> list[result_gap.CoefficientRecord]:
     """Coefficients with what was expected of each; effects give no unit beyond SI."""
     scales = {
         (e.name, c.name): c.scale
@@ -156,7 +158,7 @@ def _coefficients(
         for c in _columns(e, found)
     }
     return [
-        result_gap.Coefficient(
+        result_gap.CoefficientRecord(
             c.effect,
             c.name,
             c.label,

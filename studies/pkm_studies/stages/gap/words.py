@@ -12,7 +12,7 @@ import msgspec
 from oed.effect import Effect, State
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
-from oed.result.gap import Closure, Gap, Where
+from oed.result.gap import ClosureRecord, GapSection, PlaceRecord
 
 #: a place counts as found below this p-value
 FOUND = 0.05
@@ -39,7 +39,7 @@ SPLITS = {
 }
 
 
-def told(gap: Gap) -> Gap:
+def told(gap: GapSection) -> GapSection:
     """The diagnosis with its sentences."""
     words = [
         *_verdict(gap),
@@ -99,7 +99,7 @@ def percent(share: float) -> str:
     return "under 1 %" if 0.0 < share < 0.005 else f"{100.0 * share:.0f} %"
 
 
-def _verdict(gap: Gap) -> list[str]:
+def _verdict(gap: GapSection) -> list[str]:
     best = gap.answers[0]
     chance = f"(probability {percent(best.probability)})"
     if gap.verdict == "none":
@@ -132,7 +132,7 @@ def _verdict(gap: Gap) -> list[str]:
     ]
 
 
-def _likeness(gap: Gap) -> list[str]:
+def _likeness(gap: GapSection) -> list[str]:
     """What the unknown is like: its likeliest form, and the others that are likely
     enough to matter.
     """
@@ -147,7 +147,7 @@ def _likeness(gap: Gap) -> list[str]:
     )
 
 
-def _second(gap: Gap) -> list[str]:
+def _second(gap: GapSection) -> list[str]:
     """The next explanation, where it is likely enough to matter."""
     if len(gap.answers) < 2 or gap.answers[1].probability < MATTERS:
         return []
@@ -164,13 +164,13 @@ def _second(gap: Gap) -> list[str]:
     ]
 
 
-def _classes(gap: Gap) -> str:
+def _classes(gap: GapSection) -> str:
     """What cannot be told apart: `a or b`, and with it further effects of the answer."""
     classes = gap.answers[0].classes or [[n] for n in gap.answers[0].effects]
     return listed([listed([spoken(n) for n in c], "or") for c in classes], "and")
 
 
-def _sizes(gap: Gap) -> str:
+def _sizes(gap: GapSection) -> str:
     """`: 12.3 um rms of length`, for each selected effect."""
     parts = []
     for size in gap.sizes:
@@ -195,7 +195,7 @@ def _number(value: float) -> str:
     )
 
 
-def _places(gap: Gap) -> list[str]:
+def _places(gap: GapSection) -> list[str]:
     if gap.verdict == "none" or not gap.where:
         return []
     found = [
@@ -218,7 +218,7 @@ def _places(gap: Gap) -> list[str]:
     return [f"It shows most in {listed([_place(w) for w in found[:MOST_PLACES]])}."]
 
 
-def _place(where: Where) -> str:
+def _place(where: PlaceRecord) -> str:
     kind, _, rest = where.block.partition(" ")
     name = "all legs alike" if where.block == ALL_LEGS else where.block
     if kind == "time":
@@ -238,7 +238,7 @@ def _clock(seconds: str) -> str:
         return seconds
 
 
-def _closures(gap: Gap) -> list[str]:
+def _closures(gap: GapSection) -> list[str]:
     if gap.verdict == "none":
         return []
     parts = [p for p in (_closed(c) for c in gap.closure) if p]
@@ -247,13 +247,13 @@ def _closures(gap: Gap) -> list[str]:
     return [f"With {_subject(gap)} in the model, the gap shrinks by {listed(parts)}."]
 
 
-def _subject(gap: Gap) -> str:
+def _subject(gap: GapSection) -> str:
     return (
         listed([spoken(n) for n in gap.selected]) if gap.selected else "the remainder"
     )
 
 
-def _closed(c: Closure) -> str:
+def _closed(c: ClosureRecord) -> str:
     if c.value is None:
         return ""
     # near the whole, digits enough to tell that something is left
@@ -290,7 +290,7 @@ def _bound(value: float, digits: int) -> str:
     return "under -100" if value < -1.0 else _share(value, digits)
 
 
-def _untested(gap: Gap) -> list[str]:
+def _untested(gap: GapSection) -> list[str]:
     """What could not be tested for want of a column; effects that do not fit the
     machine are left out.
     """
@@ -304,7 +304,7 @@ def _untested(gap: Gap) -> list[str]:
     return [f"Not tested, for want of a column in the readings: {'; '.join(parts)}."]
 
 
-def _next(gap: Gap) -> list[str]:
+def _next(gap: GapSection) -> list[str]:
     """What the diagnosis says; remedy and exposing reading of the effects in question
     where it does not.
     """

@@ -15,8 +15,8 @@ from oed import criteria, explain, result
 from oed.arrays import Array
 from oed.planning import stage as staging
 from oed.planning.known import Known
-from oed.planning.search import Plan as Found
 from oed.planning.search import Planned
+from oed.planning.search import StagePlan as Found
 from oed.planning.stage import Stage
 from pkm_studies.errors import InputError
 from pkm_studies.stages.plan.plan import ANY, Task
@@ -26,7 +26,7 @@ from pkm_studies.stages.plan.words import better, no_more
 SAME = 1e-6
 
 
-def compared(task: Task, names: Sequence[str], found: Planned) -> result.Sequence:
+def compared(task: Task, names: Sequence[str], found: Planned) -> result.SequenceRecord:
     """The sequence's ranks, indices, time and accuracy, and the best plan in its time.
     Raises InputError.
     """
@@ -40,7 +40,7 @@ def compared(task: Task, names: Sequence[str], found: Planned) -> result.Sequenc
     s = seen.verdict.identifiable
     own, other = task.accuracy(task.left(asked)), task.accuracy(task.left(best))
     chosen = sum(len(stage.chosen) for stage in asked.stages)
-    return result.Sequence(
+    return result.SequenceRecord(
         name=", then ".join(names),
         way=task.way(asked),
         rank=seen.verdict.rank,

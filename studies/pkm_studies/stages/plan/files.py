@@ -30,7 +30,7 @@ HEADER = [
 MORE = ["begin_min", "end_min", "price", "operator"]
 
 
-def stages_csv(plan: result.Plan) -> str:
+def stages_csv(plan: result.PlanSection) -> str:
     """One row a stage, its set-ups in working order; times where the plan was searched
     for.
     """

@@ -21,8 +21,7 @@ from oed.planning import goal as goals
 from oed.planning import search
 from oed.planning.goal import Goal
 from oed.planning.option import Option
-from oed.planning.search import Plan as Found
-from oed.planning.search import Planned
+from oed.planning.search import Planned, StagePlan
 from oed.planning.stage import Stage
 from pkm_studies.errors import Place
 from pkm_studies.progress import Progress
@@ -30,8 +29,8 @@ from pkm_studies.resolve.plan import PlanAsked
 from pkm_studies.resolve.study import Resolved
 from pkm_studies.stages.design import order
 from pkm_studies.stages.plan.learned import Learned
-from pkm_studies.study.tables import Design
-from pkm_studies.study.tables import Plan as Said
+from pkm_studies.study.tables import DesignTable
+from pkm_studies.study.tables import PlanTable as Said
 
 #: share of its standard deviation before above which a parameter counts as not told
 HELD = 0.95
@@ -45,7 +44,7 @@ class Made:
     them, and all together.
     """
 
-    section: result.Plan
+    section: result.PlanSection
     measurement: Measurement
     series: tuple[Series, ...]
     scheduled: tuple[tuple[Series, ...], ...]
@@ -108,13 +107,13 @@ class Task:
             for n, v in zip(self.everything.names, told, strict=True)
         }
 
-    def left(self, plan: Found) -> Array:
+    def left(self, plan: StagePlan) -> Array:
         """Covariance after a plan."""
         return plan.stages[-1].covariance if plan.stages else self.start
 
-    def way(self, plan: Found, why: str = "") -> result.Way:
+    def way(self, plan: StagePlan, why: str = "") -> result.AlternativePlan:
         """A plan in short."""
-        return result.Way(
+        return result.AlternativePlan(
             names=list(plan.names),
             readings=[len(s.chosen) for s in plan.stages],
             minutes=plan.seconds / 60.0,
@@ -215,7 +214,7 @@ def _task(
     )
 
 
-def _worthwhile(task: Task, found: Planned) -> Found:
+def _worthwhile(task: Task, found: Planned) -> StagePlan:
     """The plan, without last stages that are not worth it: a plan of fewer stages that
     is nearly as accurate.
     """
@@ -232,9 +231,9 @@ def _worthwhile(task: Task, found: Planned) -> Found:
 
 
 def _section(
-    task: Task, found: Planned, best: Found
-) -> tuple[result.Plan, list[order.Arranged], Measurement]:
-    stages: list[result.Stage] = []
+    task: Task, found: Planned, best: StagePlan
+) -> tuple[result.PlanSection, list[order.Arranged], Measurement]:
+    stages: list[result.StageRecord] = []
     arranged: list[order.Arranged] = []
     clock = 0.0
     for k, stage in enumerate(best.stages):
@@ -248,7 +247,7 @@ def _section(
             _stage(task, stage, ordered, clock, explain.look(sofar, readings))
         )
         clock += stage.seconds / 60.0
-    told = result.Plan(
+    told = result.PlanSection(
         stages=stages,
         cost=best.seconds / 60.0,
         alternatives=[],
@@ -283,11 +282,11 @@ def _arranged(task: Task, stage: Stage, number: int) -> order.Arranged:
     """
     study = task.resolved.study
     table = next(t for t in task.said.measurement if t.name == stage.option.name)
-    usual = study.design.order if study.design else Design().order
+    usual = study.design.order if study.design else DesignTable().order
     ordering = dataclasses.replace(
         task.resolved,
         study=msgspec.structs.replace(
-            study, design=Design(order=usual, whole_runs=table.whole_runs)
+            study, design=DesignTable(order=usual, whole_runs=table.whole_runs)
         ),
     )
     rng = np.random.default_rng([*task.seed, number])
@@ -296,11 +295,11 @@ def _arranged(task: Task, stage: Stage, number: int) -> order.Arranged:
 
 def _stage(
     task: Task, stage: Stage, ordered: order.Arranged, begin: float, sofar: explain.Seen
-) -> result.Stage:
+) -> result.StageRecord:
     own = explain.look(stage.option.measurement, stage.series)
     lengths = stage.cut_off[_lengths(stage)]
     told = task.accuracy(stage.covariance)
-    return result.Stage(
+    return result.StageRecord(
         measurement=stage.option.name,
         setups=ordered.told.setups,
         readings=sum(len(s) for s in stage.series),
@@ -379,12 +378,12 @@ def _held(task: Task, stage: Stage, sofar: explain.Seen) -> list[str]:
 
 def _virtual(
     task: Task,
-    best: Found,
-    stages: list[result.Stage],
+    best: StagePlan,
+    stages: list[result.StageRecord],
     rng: np.random.Generator,
     progress: Progress,
     start: Array | None,
-) -> list[result.Stage]:
+) -> list[result.StageRecord]:
     """The stages with what virtual machines make of them, drawn from what was learned
     (`start`), or the tolerances.
     """

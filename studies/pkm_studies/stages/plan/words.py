@@ -14,8 +14,8 @@ from oed.arrays import Array
 from oed.design.criterion.protocol import inverse
 from oed.planning import stage as staging
 from oed.planning.option import Option
-from oed.planning.search import Plan as Found
 from oed.planning.search import Planned
+from oed.planning.search import StagePlan as Found
 from pkm_studies.stages.plan.plan import ANY, Task
 
 #: plans tried without one of the plan's measurements, the most
@@ -26,7 +26,9 @@ LOST = 0.05
 NARROW = 2
 
 
-def alternatives(task: Task, found: Planned, best: Found) -> list[result.Way]:
+def alternatives(
+    task: Task, found: Planned, best: Found
+) -> list[result.AlternativePlan]:
     """Other sequences, each with why it is not the plan: those found, and the best ones
     without each measurement.
     """
@@ -262,7 +264,7 @@ def _time(one: float, other: float) -> str:
     return f"in {abs(one - other) / 60.0:.0f} min {'less' if one < other else 'more'}"
 
 
-def sentences(section: result.Plan | None) -> Sequence[str]:
+def sentences(section: result.PlanSection | None) -> Sequence[str]:
     """The plan as headline sentences; none where it was not searched for."""
     if section is None or section.value is None or not section.stages:
         return []

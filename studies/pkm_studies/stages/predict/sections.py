@@ -28,7 +28,7 @@ def section(
     rng: np.random.Generator,
     estimate: identify.Estimate | None,
     realised: dict[str, predict.Spread] | None,
-) -> result.Prediction:
+) -> result.PredictionSection:
     """Prediction from the plan (tolerances only), or with what was identified."""
     keep = len(measurement.machine.parameters)
     tolerance = measurement.tolerance
@@ -59,13 +59,13 @@ def _told(
     foreseen: predict.Prediction,
     mode: str,
     realised: dict[str, predict.Spread] | None,
-) -> result.Prediction:
+) -> result.PredictionSection:
     components = {c.name: c for c in measurement.machine.components}
     fine = {n: units.FINE[c.unit] for n, c in components.items()}
-    return result.Prediction(
+    return result.PredictionSection(
         reference=foreseen.reference,
         components={
-            n: result.Component(
+            n: result.ComponentAccuracy(
                 compensatable=components[n].compensatable,
                 before=_spread(foreseen.before[n], fine[n]),
                 after=_spread(foreseen.after[n], fine[n]),
@@ -147,7 +147,7 @@ def held_out(
     y: Array,
     drawn: Posterior,
     rng: np.random.Generator,
-) -> list[result.HeldOut]:
+) -> list[result.HeldOutSection]:
     """Readings that the fit never saw, against their 95 % predictive intervals, set-up
     by set-up.
 
@@ -182,7 +182,7 @@ def held_out(
             residual, raw = after[mine], (read - centre)[mine]
             inside = (residual >= low[mine]) & (residual <= high[mine])
             found.append(
-                result.HeldOut(
+                result.HeldOutSection(
                     name=s.setup,
                     channel=channel.name,
                     n=len(residual),
@@ -238,8 +238,8 @@ class _NoiseFactors:
         return np.ones(len(take))
 
 
-def _spread(spread: predict.Spread, unit: str) -> result.Spread:
-    return result.Spread(
+def _spread(spread: predict.Spread, unit: str) -> result.SpreadRecord:
+    return result.SpreadRecord(
         units.number(spread.rms, unit),
         units.number(spread.p95, unit),
         units.number(spread.largest, unit),

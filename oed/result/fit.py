@@ -1,0 +1,64 @@
+"""Estimate and posterior: the `estimate` and `posterior` sections of result.json."""
+
+from __future__ import annotations
+
+from oed.result.record import Record
+
+
+class ParameterEstimate(Record, frozen=True):
+    """An identified parameter, in its display unit."""
+
+    value: float
+    sd: float
+    unit: str
+    nominal: float
+    prior_sd: float
+    identified: (
+        str  # seen | weak | prior  (how much the readings tightened the tolerance)
+    )
+    truth: float | None = None  # of a virtual machine
+
+
+class EstimateSection(Record, frozen=True):
+    """Least squares with tolerance priors. rms and residuals are in the fine unit of
+    their channel, `units`.
+    """
+
+    parameters: dict[str, ParameterEstimate]
+    rms_before: dict[str, float]
+    rms_after: dict[str, float]
+    units: dict[str, str]  # of each channel
+    channels: list[str]  # of each residual
+    readings: int
+    dof: float
+    chi2: float
+    iterations: list[dict[str, float]]
+    warnings: list[str]
+    residuals: list[float]  # of each reading, after
+    residuals_before: list[float]
+
+
+class Marginal(Record, frozen=True):
+    """Posterior of one parameter, in its display unit."""
+
+    mean: float
+    sd: float
+    q025: float
+    q975: float
+    rhat: float
+    ess: float
+    unit: str
+
+
+class PosteriorSection(Record, frozen=True):
+    """Sampler summary. `posterior.nc` holds the draws."""
+
+    marginals: dict[str, Marginal]
+    acceptance: float
+    draws: int
+    walkers: int
+    autocorrelation: float
+    directions: list[str]  # names of the worst-seen directions shown in the corner plot
+    corner: list[
+        list[float]
+    ]  # thinned draws [draw][direction], in prior standard deviations

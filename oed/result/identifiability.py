@@ -1,0 +1,40 @@
+"""What the readings of a plan can see: the `identifiability` sections of result.json."""
+
+from __future__ import annotations
+
+from oed.result.record import Record
+
+
+class IdentifiabilityFinding(Record, frozen=True):
+    """One line of the identifiability verdict in words."""
+
+    kind: str  # seen | combination | lost | weak
+    text: str
+    remedies: list[str] = []
+
+
+class IdentifiabilitySection(Record, frozen=True):
+    """What the plan's readings can see. Combinations and lost directions are
+    {parameter: coefficient}, SI.
+    """
+
+    parameters: list[str]
+    n: int
+    rank: int
+    tolerance: float  # singular values below this share of the largest count as zero
+    scaling: str
+    singular_values: list[float]
+    combinations: list[dict[str, float]]
+    lost: list[dict[str, float]]
+    words: list[IdentifiabilityFinding]
+
+
+class KappaMap(Record, frozen=True):
+    """Condition number over the number of circles and of points on each, for one
+    parametrisation.
+    """
+
+    title: str
+    circles: list[int]
+    points: list[int]
+    kappa: list[list[float]]  # [circle][point]

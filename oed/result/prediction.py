@@ -1,0 +1,69 @@
+"""Residual accuracy: the `prediction` and `held_out` sections of result.json."""
+
+from __future__ import annotations
+
+from oed.result.record import Record
+
+
+class SpreadRecord(Record, frozen=True):
+    """Error of one pose component over the workspace: rms, 95th percentile, largest, in
+    `unit`.
+    """
+
+    rms: float
+    p95: float
+    max: float
+    unit: str
+
+
+class ComponentAccuracy(Record, frozen=True):
+    """Residual accuracy of one pose component. `known` is what remains once a further
+    axis corrects it too.
+    """
+
+    compensatable: bool
+    before: SpreadRecord
+    after: SpreadRecord
+    known: SpreadRecord
+    budget: dict[str, float]  # share of the variance of `known`, by source
+
+
+class MapPoint(Record, frozen=True):
+    """1-sigma prediction at one workspace pose (user units), by component."""
+
+    command: dict[str, float]
+    before: dict[str, float]
+    after: dict[str, float]
+
+
+class PredictionSection(Record, frozen=True):
+    """Residual accuracy over the workspace, against a stated reference (absolute, home
+    or best_fit).
+    """
+
+    reference: str
+    components: dict[str, ComponentAccuracy]
+    unit: dict[str, str]
+    poses: int
+    map: list[MapPoint]
+    mode: str  # "plan" (priors only) or "identified" (with the estimate)
+    realised: dict[str, SpreadRecord] | None = (
+        None  # of virtual machines after compensation
+    )
+    realised_share: dict[str, float] = {}  # their rms over the predicted one
+
+
+class HeldOutSection(Record, frozen=True):
+    """Prediction of readings kept out of the fit; the new set-up's own unknowns are
+    adjusted, but not in `rms_raw`.
+    """
+
+    name: str
+    channel: str
+    n: int
+    rms: float
+    rms_raw: float
+    unit: str
+    coverage: float  # share of readings inside their 95 % predictive interval
+    residuals: list[float]
+    half_widths: list[float]  # of the 95 % predictive interval

@@ -1,0 +1,28 @@
+"""What the tables of a study file are made of: their base, and kinds of numbers."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+import msgspec
+
+Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
+RunCount = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
+Whole = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+Triple = tuple[float, float, float]
+CriterionName = Literal[
+    "D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5"
+]
+#: readings chosen where neither a number nor a budget is given
+READINGS = 30
+
+
+class StudyTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base: frozen, unknown fields refused. `rest` names the field that collects fields
+    of free name.
+    """
+
+    rest: ClassVar[str | None] = None
