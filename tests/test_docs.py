@@ -22,7 +22,7 @@ LARGEST = 60_000  # bytes of a picture
 
 
 class Block(NamedTuple):
-    """A fenced block: its language, the file it stands for ("" if none), its text."""
+    """A fenced block: its language, the file it quotes ("" if none), its text."""
 
     language: str
     file: str
@@ -30,24 +30,27 @@ class Block(NamedTuple):
 
 
 class Command(NamedTuple):
-    """A line after `$`, and the lines of its output that are shown."""
+    """A line after `$`, and the lines of its output that the page shows."""
 
     line: str
     shown: list[str]
 
 
 def blocks(page: Path) -> list[Block]:
-    return [Block(*found) for found in BLOCK.findall(page.read_text(encoding="utf-8"))]
+    return [
+        Block(*groups) for groups in BLOCK.findall(page.read_text(encoding="utf-8"))
+    ]
 
 
 def commands(console: str) -> list[Command]:
-    told: list[Command] = []
+    """The commands of a console block, each with its output."""
+    listing: list[Command] = []
     for line in console.splitlines():
         if line.startswith("$ "):
-            told.append(Command(line[2:], []))
+            listing.append(Command(line[2:], []))
         else:
-            told[-1].shown.append(line)
-    return told
+            listing[-1].shown.append(line)
+    return listing
 
 
 def matches(shown: str, line: str) -> bool:
@@ -60,14 +63,12 @@ def matches(shown: str, line: str) -> bool:
 
 def missing(shown: list[str], output: str) -> list[str]:
     """Shown lines that the output does not have, in this order."""
-    rest = iter(output.splitlines())
-    return [line for line in shown if not any(matches(line, found) for found in rest)]
+    lines = iter(output.splitlines())
+    return [text for text in shown if not any(matches(text, line) for line in lines)]
 
 
 def execute(line: str, folder: Path) -> str:
-    """Output of a command as a user types it, with this Python and the commands beside
-    it first on the path.
-    """
+    """Output of a command as a user types it, with this Python first on the path."""
     places = [
         str(Path(sys.executable).parent),
         sysconfig.get_path("scripts"),
@@ -104,15 +105,15 @@ def test_a_missing_line_is_noticed() -> None:
     assert missing(["c", "a"], "a\nb\nc") == ["a"]
 
 
-def test_the_tutorial_shows_the_files_that_are_beside_it() -> None:
+def test_the_tutorial_quotes_its_files() -> None:
     shown = {b.file: b.text for b in blocks(TUTORIAL) if b.file}
-    kept = {
+    files = {
         p.name: p.read_text(encoding="utf-8")
         for p in (DOCS / "tutorial").iterdir()
         if p.is_file()
     }
-    assert shown == kept
-    assert len(kept["my_machine.py"].splitlines()) < 100
+    assert shown == files
+    assert len(files["my_machine.py"].splitlines()) < 100
 
 
 def test_the_tutorial_runs_as_written(tmp_path: Path) -> None:
@@ -130,9 +131,7 @@ def test_the_tutorial_runs_as_written(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", GALLERY, ids=lambda p: p.stem)
 def test_gallery(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each example runs through, its asserts met, and writes its picture into the
-    folder it is told.
-    """
+    """Each example runs, its asserts hold, and it writes its picture into a folder."""
     monkeypatch.setattr(sys, "argv", [str(path), str(tmp_path)])
     monkeypatch.syspath_prepend(str(path.parent))
     runpy.run_path(str(path), run_name="__main__")

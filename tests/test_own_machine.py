@@ -1,6 +1,4 @@
-"""A user's own machine with a mistake in it is told as bad input: which function, what
-is wrong, what to do.
-"""
+"""Errors for a mistake in a user's own machine name the function and a remedy."""
 
 from pathlib import Path
 
@@ -14,8 +12,8 @@ TUTORIAL = Path(__file__).resolve().parents[1] / "docs" / "tutorial"
 GUESS = "return target(c), [INWARD[i] + 1.0 for i in LIMBS]"
 
 
-def told(folder: Path, old: str, new: str) -> str:
-    """What is said about the tutorial's machine with one thing changed."""
+def refusal(folder: Path, old: str, new: str) -> str:
+    """The error that the tutorial's machine with one change raises."""
     text = (TUTORIAL / "my_machine.py").read_text(encoding="utf-8")
     assert old in text
     (folder / "my_machine.py").write_text(text.replace(old, new, 1), encoding="utf-8")
@@ -42,8 +40,8 @@ def told(folder: Path, old: str, new: str) -> str:
             "closure asks for 'turn', which the machine has not",
         ),
         (
-            "(_, elbow, joint) in zip(LIMBS, limbs,",
-            "(_, elbow, joint) in zip(LIMBS[:2], limbs[:2],",
+            'p[f"rod{i}"] for i in LIMBS]',
+            'p[f"rod{i}"] for i in LIMBS[:2]]',
             (
                 "2 equations, not 3; there must be one for each: 3 pose + 3 joint - 3"
                 " command coordinates"
@@ -81,14 +79,16 @@ def told(folder: Path, old: str, new: str) -> str:
     ],
 )
 def test_a_mistake_is_named(old: str, new: str, words: str, tmp_path: Path) -> None:
-    message = told(tmp_path, old, new)
+    message = refusal(tmp_path, old, new)
     assert words in message
     assert "machine.model" in message
     assert "\n" not in message
 
 
-def test_poses_that_the_bar_cannot_lead_are_told(tmp_path: Path) -> None:
-    """A bar holds its length: 100 mm at a radius of 40 to 100 mm is no reading of it."""
+def test_poses_where_the_bar_cannot_hold_its_length_give_a_warning(
+    tmp_path: Path,
+) -> None:
+    """A bar holds its length, so 100 mm cannot be read at a radius of 40 mm."""
     for name in ("my_machine.py", "circles.study.toml"):
         text = (TUTORIAL / name).read_text(encoding="utf-8")
         (tmp_path / name).write_text(

@@ -1,4 +1,4 @@
-"""What the diagnosis found; then, as this machine is virtual, whether it is so."""
+"""The effect that the diagnosis names, compared with the virtual machine's truth."""
 
 import json
 from pathlib import Path
@@ -7,16 +7,12 @@ gap = json.loads(Path("cause/result.json").read_text(encoding="utf-8"))["gap"]
 truth = json.loads(Path("circles.truth.json").read_text(encoding="utf-8"))["effects"][0]
 
 print(f"{', '.join(gap['selected'])}, in {gap['where'][0]['block']}")
-print(
-    f"rms {gap['rms_before']['length']:.2f} um before, {gap['rms_after']['length']:.2f}"
-    " um after"
-)
-found = {c["name"]: c for c in gap["coefficients"]}
+before, after = gap["rms_before"]["length"], gap["rms_after"]["length"]
+print(f"rms {before:.2f} um before, {after:.2f} um after")
+estimates = {c["name"]: c for c in gap["coefficients"]}
 for name, true in truth["coefficients"].items():
-    value, sd = found[name]["value"], found[name]["sd"]
-    print(
-        f"{name}: {1e3 * value:.4f} mrad, sd {1e3 * sd:.4f}; in truth"
-        f" {1e3 * true['value']:.4f}"
-    )
-    assert abs(value - true["value"]) < 4.0 * sd
+    value, sd = 1e3 * estimates[name]["value"], 1e3 * estimates[name]["sd"]
+    true_value = 1e3 * true["value"]
+    print(f"{name}: {value:.4f} mrad, sd {sd:.4f}; in truth {true_value:.4f}")
+    assert abs(value - true_value) < 4.0 * sd
 assert gap["selected"] == [truth["effect"]] == ["gear_runout"]

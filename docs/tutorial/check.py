@@ -1,4 +1,4 @@
-"""Does the machine assemble where it should, and the way the real one stands?"""
+"""Does the machine assemble where it should, and as the real one stands?"""
 
 import numpy as np
 from my_machine import INWARD, LIMBS, machine
@@ -30,16 +30,12 @@ gap = [
     machine.closure(named(machine.pose, xi), named(machine.joints, qi), p)
     for xi, qi in zip(x, q, strict=True)
 ]
-print(
-    f"{len(command)} poses, largest gap of a rod:"
-    f" {np.abs(np.array(gap, dtype=float)).max():.0e} m"
-)
+largest = np.abs(np.array(gap, dtype=float)).max()
+print(f"{len(command)} poses, largest gap of a rod: {largest:.0e} m")
 
 again = kinematics.forward(q, machine.nominal, x + 0.005)
 print(f"forward after inverse: {np.abs(again - x).max():.0e}")
-print(
-    "distance to singular poses (1 / condition number):"
-    f" {kinematics.singularity(x, q, machine.nominal).min():.3f}"
-)
+distance = kinematics.singularity(x, q, machine.nominal).min()
+print(f"distance to singular poses (1 / condition number): {distance:.3f}")
 lower, upper = np.array([[c.lower, c.upper] for c in machine.joints]).T
 print("all joints in range:", bool(((lower < q) & (q < upper)).all()))

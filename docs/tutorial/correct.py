@@ -1,6 +1,4 @@
-"""Joints for the controller from an identified machine; then, as this machine is
-virtual, its true error.
-"""
+"""Joint values for the controller, and the virtual machine's true error with them."""
 
 import json
 from pathlib import Path
@@ -11,13 +9,12 @@ from my_machine import machine
 from oed import compensate, units
 from oed.kinematics import Kinematics
 
-found = json.loads(Path("fit/result.json").read_text(encoding="utf-8"))["estimate"][
-    "parameters"
-]
-identified = machine.nominal  # parameters held stay there
-for name, told in found.items():
+result = json.loads(Path("fit/result.json").read_text(encoding="utf-8"))
+identified = machine.nominal  # fixed parameters stay there
+for name, estimate in result["estimate"]["parameters"].items():
     if "." not in name:  # "centre.cup_x" belongs to the set-up
-        identified[machine.index(name)] = units.to_si(told["value"], told["unit"])
+        value = units.to_si(estimate["value"], estimate["unit"])
+        identified[machine.index(name)] = value
 kinematics = Kinematics(machine)
 
 axes = np.meshgrid(
@@ -35,16 +32,13 @@ print(
 truth = json.loads(Path("readings.truth.json").read_text(encoding="utf-8"))
 true = np.array([truth[p.name]["value"] for p in machine.parameters])
 home = machine.home_command[None]
-for name, q, believed in (
+for name, q, model in (
     ("before", before, machine.nominal),
     ("after", after, identified),
 ):
+    q_home = compensate.joints(kinematics, home, model)
     error = compensate.pose_error(kinematics, command, q, true)
-    error = error - compensate.pose_error(
-        kinematics, home, compensate.joints(kinematics, home, believed), true
-    )
+    error = error - compensate.pose_error(kinematics, home, q_home, true)
     x, y, phi = np.sqrt(np.mean(error[:, [0, 1, 5]] ** 2, axis=0))
-    print(
-        f"{name}: x {x * 1e6:.1f} um, y {y * 1e6:.1f} um, phi"
-        f" {np.rad2deg(phi) * 3600:.1f} arcsec rms"
-    )
+    turn = np.rad2deg(phi) * 3600
+    print(f"{name}: x {x * 1e6:.1f} um, y {y * 1e6:.1f} um, phi {turn:.1f} arcsec rms")

@@ -1,44 +1,34 @@
-"""Gears that do not run true: a pinion off its centre moves its crank once a turn of
-the pinion, back and forth.
-"""
+"""Eccentric pinions: each moves its crank back and forth once per pinion turn."""
 
 import numpy as np
 
 from oed.effect import Column, Effect
 
-RUNOUT = 0.1e-3  # rad of the crank: a pinion of quality 8, 15 um off on a wheel of 150 mm (ISO 1328-2)
+#: rad of the crank: quality 8, 15 um on a wheel of 150 mm (ISO 1328-2)
+RUNOUT = 0.1e-3
 
 
 def columns(state, ratio):
-    """For each motor, sine and cosine of the pinion's angle; a coefficient is worth
-    RUNOUT, more or less.
-    """
+    """Sine and cosine of each pinion's angle; RUNOUT is the coefficients' prior sd."""
     for i in state.limbs:
-        pinion = ratio * state.joints[:, i]
-        yield Column(
-            f"motor {i + 1} sine", RUNOUT, f"leg {i + 1}", joints={i: np.sin(pinion)}
-        )
-        yield Column(
-            f"motor {i + 1} cosine", RUNOUT, f"leg {i + 1}", joints={i: np.cos(pinion)}
-        )
+        pinion, where = ratio * state.joints[:, i], f"leg {i + 1}"
+        sine, cosine = {i: np.sin(pinion)}, {i: np.cos(pinion)}
+        yield Column(f"motor {i + 1} sine", RUNOUT, where, joints=sine)
+        yield Column(f"motor {i + 1} cosine", RUNOUT, where, joints=cosine)
+
+
+def unfit(machine):
+    turning = any(joint.unit == "rad" for joint in machine.joints)
+    return None if turning else "its drives have no gears"
 
 
 effect = Effect(
     name="gear_runout",
     source="ISO 1328-2 (runout of gears)",
-    about="pinions that do not run true",
+    about="eccentric pinions",
     columns=columns,
-    constants={
-        "ratio": (6.0, 8.0, 10.0)
-    },  # of those that the supplier has; the readings tell which
-    remedy=(
-        "replace the pinion, or correct the motor's angle by a table over a turn of the"
-        " pinion"
-    ),
+    constants={"ratio": (6.0, 8.0, 10.0)},  # the supplier's; the readings decide
+    remedy="replace the pinion, or correct the motor's angle by a table over its turn",
     exposed_by="circles read every few degrees",
-    unfit=lambda machine: (
-        None
-        if any(c.unit == "rad" for c in machine.joints)
-        else "its drives have no gears"
-    ),
+    unfit=unfit,
 )

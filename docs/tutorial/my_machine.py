@@ -1,10 +1,8 @@
-"""A planar 3-RRR robot: three motors, three cranks, three rods, one plate that slides
-on a table.
+"""A planar 3-RRR robot: motors, cranks and rods move a plate on a table.
 
-Limb i has its motor at B_i. The motor turns a crank, and a rod joins the crank's end
-(the elbow E_i) to the plate at A_i. Zero when assembled:
+Motor B_i turns crank i; a rod joins the crank's end E_i, the elbow, to the plate at A_i:
 
-    |A_i - E_i| - rod_i,    E_i = B_i + crank_i (cos(q_i + zero_i), sin(q_i + zero_i)).
+    0 = |A_i - E_i| - rod_i,  E_i = B_i + crank_i (cos(q_i + zero_i), sin(q_i + zero_i))
 """
 
 import math
@@ -18,6 +16,7 @@ BASE, PLATE, CRANK, ROD = 0.350, 0.100, 0.200, 0.220  # m, from the drawing
 ANGLE = {1: math.radians(210.0), 2: math.radians(330.0), 3: math.radians(90.0)}
 INWARD = {i: ANGLE[i] - math.pi for i in LIMBS}  # from a motor to the middle
 TURN = math.radians(20.0)
+POSE = {"x": "m", "y": "m", "phi": "rad"}
 
 
 def on_circle(radius, angle):
@@ -34,21 +33,14 @@ def limb(x, q, p, i):
 
 
 def closure(x, q, p):
-    limbs = [limb(x, q, p, i) for i in LIMBS]
-    return [
-        ca.norm_2(joint - elbow) - p[f"rod{i}"]
-        for i, (_, elbow, joint) in zip(LIMBS, limbs, strict=True)
-    ]
+    limbs = {i: limb(x, q, p, i) for i in LIMBS}
+    return [ca.norm_2(limbs[i][2] - limbs[i][1]) - p[f"rod{i}"] for i in LIMBS]
 
 
 def platform(x):
-    """Rotation (3 x 3) and tool point (3,): the tool is in the middle of the plate, z =
-    0 is the table.
-    """
+    """Rotation (3 x 3) and tool point (3,), in the plate's middle; the table is z = 0."""
     c, s = ca.cos(x["phi"]), ca.sin(x["phi"])
-    rotation = ca.vertcat(
-        ca.horzcat(c, -s, 0.0), ca.horzcat(s, c, 0.0), ca.horzcat(0.0, 0.0, 1.0)
-    )
+    rotation = ca.blockcat([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return rotation, ca.vertcat(x["x"], x["y"], 0.0)
 
 
@@ -57,14 +49,11 @@ def target(c):
 
 
 def guess(c):
-    """The commanded pose, all elbows to the left of the line to the middle; Newton does
-    the rest.
-    """
+    """The commanded pose with all elbows to the left of the line to the middle."""
     return target(c), [INWARD[i] + 1.0 for i in LIMBS]
 
 
 def skeleton(x, q, p):
-    """For drawings: cranks with rods, and the plate."""
     limbs = [[ca.vertcat(point, 0.0) for point in limb(x, q, p, i)] for i in LIMBS]
     return [*limbs, [limbs[k][2] for k in (0, 1, 2, 0)]]
 
@@ -75,14 +64,10 @@ for i in LIMBS:
         Parameter(f"crank{i}", CRANK, 0.1e-3, "m", f"length of crank {i}"),
         Parameter(f"rod{i}", ROD, 0.1e-3, "m", f"length of rod {i}"),
         Parameter(f"zero{i}", 0.0, 5.0e-3, "rad", f"zero of motor {i}"),
-    ]
-    parameters += [
-        Parameter(f"db{i}{k}", 0.0, 0.2e-3, "m", f"{k} error of motor {i}")
-        for k in "xy"
-    ]
-    parameters += [
-        Parameter(f"da{i}{k}", 0.0, 0.1e-3, "m", f"{k} error of plate joint {i}")
-        for k in "xy"
+        Parameter(f"db{i}x", 0.0, 0.2e-3, "m", f"x error of motor {i}"),
+        Parameter(f"db{i}y", 0.0, 0.2e-3, "m", f"y error of motor {i}"),
+        Parameter(f"da{i}x", 0.0, 0.1e-3, "m", f"x error of plate joint {i}"),
+        Parameter(f"da{i}y", 0.0, 0.1e-3, "m", f"y error of plate joint {i}"),
     ]
     place = (PLATE * math.cos(ANGLE[i]), PLATE * math.sin(ANGLE[i]), 0.0)
     joints_of_plate.append(((f"da{i}x", f"da{i}y", ""), place))  # nothing moves along z
@@ -91,7 +76,7 @@ machine = Machine(
     name="my_machine",
     source="drawing of my machine",
     about="planar 3-RRR robot: x, y and a turn by three motors",
-    pose=(Coordinate("x", "m"), Coordinate("y", "m"), Coordinate("phi", "rad")),
+    pose=tuple(Coordinate(name, unit) for name, unit in POSE.items()),
     joints=tuple(Coordinate(f"q{i}", "rad", INWARD[i], INWARD[i] + 2.0) for i in LIMBS),
     command=(
         Coordinate("r", "m", 0.0, 0.120),
@@ -100,11 +85,7 @@ machine = Machine(
     ),
     home={"r": 0.0, "az": 0.0, "phi": 0.0},
     parameters=tuple(parameters),
-    components=(
-        Component("x", "m", True),
-        Component("y", "m", True),
-        Component("phi", "rad", True),
-    ),
+    components=tuple(Component(name, unit, True) for name, unit in POSE.items()),
     lever=BASE,
     closure=closure,
     platform=platform,
@@ -112,7 +93,7 @@ machine = Machine(
     target=target,
     guess=guess,
     read_error=lambda c, twist: [twist[0], twist[1], twist[5]],
-    skeleton=skeleton,
+    skeleton=skeleton,  # for drawings: cranks with rods, and the plate
     frame=("db1x", "db1y", "db2y"),  # these three only choose the base frame
     groups=(PointGroup("plate joints", "the tool point", tuple(joints_of_plate)),),
 )

@@ -1,4 +1,4 @@
-"""A closure that does not assemble, on purpose: what the tool says."""
+"""Machines that do not assemble, on purpose, and the errors that they raise."""
 
 import dataclasses
 
@@ -48,9 +48,5 @@ attempt(
 
 right = starting_at([INWARD[i] - 1.0 for i in LIMBS])
 print("-- every elbow to the right: no error, another machine")
-print(
-    "cranks at home:",
-    np.rad2deg(
-        right.inverse(machine.home_command)[1][0] - [INWARD[i] for i in LIMBS]
-    ).round(2),
-)
+cranks = right.inverse(machine.home_command)[1][0] - [INWARD[i] for i in LIMBS]
+print("cranks at home:", np.rad2deg(cranks).round(2))
