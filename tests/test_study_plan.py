@@ -156,9 +156,9 @@ def test_stages_follow_each_other_and_say_what_they_leave(planned: StudyResult) 
     assert first.operator == "workshop"
     assert last.rank == 6
     assert (
-        "z1 + z2" in " ".join(last.held)
-        or {"z1", "z2"} <= set(last.held)
-        or "z2 + z1" in " ".join(last.held)
+        "z1 + z2" in " ".join(last.unidentified)
+        or {"z1", "z2"} <= set(last.unidentified)
+        or "z2 + z1" in " ".join(last.unidentified)
     )
     assert all(
         last.parameters[n].sd <= sd.sd * (1 + 1e-9)
@@ -171,13 +171,15 @@ def test_sequences_stand_beside_the_plan_of_their_time(planned: StudyResult) -> 
     assert planned.plan is not None
     alone = next(c for c in planned.plan.compared if c.name == "RM 5")
     assert alone.rank == 6
-    assert alone.way.names == ["RM 5"]
+    assert alone.sequence.names == ["RM 5"]
     for c in planned.plan.compared:
-        least = min(v for v, _ in everything(c.way.minutes * 60.0 * (1 + 1e-9)))
-        assert c.plan.value <= c.way.value * (1 + 1e-9)
-        assert c.plan.minutes <= c.way.minutes * (1 + 1e-6) or c.plan.minutes <= 110.0
+        least = min(v for v, _ in everything(c.sequence.minutes * 60.0 * (1 + 1e-9)))
+        assert c.plan.value <= c.sequence.value * (1 + 1e-9)
+        assert (
+            c.plan.minutes <= c.sequence.minutes * (1 + 1e-6) or c.plan.minutes <= 110.0
+        )
         assert c.bound <= c.plan.value * (1 + 1e-9)
-        assert c.way.value >= least * 0.98
+        assert c.sequence.value >= least * 0.98
 
 
 def test_files_hold_the_stages_and_their_poses(
@@ -361,8 +363,8 @@ def test_in_the_time_of_the_papers_circles_a_gauge_and_bars_are_three_times_as_a
     plan = pipeline.plan_stages(study.parse(text, path), tmp_path).plan
     assert plan is not None
     (paper,) = plan.compared
-    assert plan.cost <= paper.way.minutes * (1 + 1e-9)
-    gain = {k: v / plan.accuracy[k] for k, v in paper.way.accuracy.items()}
+    assert plan.cost <= paper.sequence.minutes * (1 + 1e-9)
+    gain = {k: v / plan.accuracy[k] for k, v in paper.sequence.accuracy.items()}
     assert gain["z_um"] >= 3.0
     assert min(gain.values()) >= 1.5
     for stage in plan.stages:

@@ -74,12 +74,15 @@ def test_the_cause_takes_its_time_from_the_plan(tmp_path: Path) -> None:
     assert plan.budget_min == pytest.approx(120.0)
     assert plan.cost <= 120.0
     chosen = before.chosen
-    assert chosen.kept == 3  # the lines of the plan
-    assert sum(r.seconds for r in chosen.runs[chosen.kept :]) <= 1800.0 + 1e-6
+    assert chosen.retained == 3  # the lines of the plan
+    assert sum(r.seconds for r in chosen.runs[chosen.retained :]) <= 1800.0 + 1e-6
     # without a second payload the plan's own lines say next to nothing of gravity
     assert chosen.before < 1.0
-    assert chosen.apart > 4.0
-    assert {r.condition["payload"] for r in chosen.runs[chosen.kept :]} == {0.0, 1000.0}
+    assert chosen.separation > 4.0
+    assert {r.condition["payload"] for r in chosen.runs[chosen.retained :]} == {
+        0.0,
+        1000.0,
+    }
     assert (tmp_path / "gap_poses.csv").is_file()
 
 
@@ -88,10 +91,10 @@ def test_without_a_time_of_its_own_it_has_what_the_plan_leaves(tmp_path: Path) -
     plan, chosen = found.plan, found.gap_before.chosen
     assert plan.budget_min == pytest.approx(150.0)
     assert (
-        plan.cost + sum(r.seconds for r in chosen.runs[chosen.kept :]) / 60.0
+        plan.cost + sum(r.seconds for r in chosen.runs[chosen.retained :]) / 60.0
         <= 150.0 + 1e-6
     )
-    assert len(chosen.runs) > chosen.kept
+    assert len(chosen.runs) > chosen.retained
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,7 @@ def test_a_plan_is_added_to() -> None:
     tables = GRID.format(name="cup").replace("1086", "1106") + KEPT
     resolved, found = chosen(text(KNOWN + 'keep = "before"\n', tables=tables))
     made = section(resolved, found)
-    assert (made.n, made.kept) == (11, 8)
+    assert (made.n, made.retained) == (11, 8)
     assert [p.run for p in made.poses] == ["1"] * 8 + ["added"] * 3
     m, old = resolved.measurement, resolved.references[0].series
     held = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]

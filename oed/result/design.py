@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from oed.result.record import Record
+from collections.abc import Mapping, Sequence
+
+import msgspec
+
+from oed.result.record import Number, Record
 
 
 class PlannedReading(Record, frozen=True):
@@ -31,9 +35,8 @@ class PlanScore(Record, frozen=True):
     #: predicted rms of each pose component (`z_um`) over the workspace, once all that
     #: is known of it is corrected
     predicted: dict[str, float] = {}
-    gain: dict[
-        str, float
-    ] = {}  # factor by which each is better than that of the first reference plan
+    #: factor by which each is better than that of the first reference plan
+    gain: dict[str, float] = {}
 
 
 class CriterionComparison(Record, frozen=True):
@@ -45,7 +48,7 @@ class CriterionComparison(Record, frozen=True):
     efficiency: float | None
     proven: bool
     gain: float  # phi of this design over phi of the main one, by this criterion: 1 or more
-    values: dict[str, float]  # by this criterion, of the design for each criterion
+    values: Mapping[str, Number]  # by this criterion, of the design for each criterion
 
 
 class PolishSummary(Record, frozen=True):
@@ -87,8 +90,8 @@ class RobustSummary(Record, frozen=True):
     bound: float
     efficiency: float
     nominal: float  # of the plan for the nominal machine, by the same risk
-    values: list[float]
-    nominal_values: list[float]
+    values: Sequence[Number]
+    nominal_values: Sequence[Number]
 
 
 class HowManySummary(Record, frozen=True):
@@ -101,15 +104,15 @@ class HowManySummary(Record, frozen=True):
 
     wanted: dict[str, float]
     sizes: list[int]
-    accuracy: dict[str, list[float]]
-    bound: dict[str, list[float]]
+    accuracy: Mapping[str, Sequence[Number]]
+    bound: Mapping[str, Sequence[Number]]
     fewest: int | None = None
     at_least: int | None = None
     most: int | None = None
     words: str = ""
 
 
-class DesignSection(Record, frozen=True):
+class DesignSection(Record, frozen=True, kw_only=True):
     """The chosen readings.
 
     value, bound, efficiency are of the chosen readings under the study's rules: nothing
@@ -120,14 +123,14 @@ class DesignSection(Record, frozen=True):
     criterion: str
     n: int
     value: float
-    bound: float | None
-    efficiency: float | None
+    bound: float | None = None
+    efficiency: float | None = None
     kappa: float
     observability: dict[str, float]
-    poses: list[PlannedReading]
+    poses: list[PlannedReading] = []
     scaling: str
     candidates: int
-    plans: list[PlanScore]
+    plans: list[PlanScore] = []
     words: str = ""  # how good the choice is known to be, as a sentence
     directions: int = 0  # that the candidates see and the criterion is told over, of `columns` unknowns
     columns: int = 0
@@ -137,7 +140,8 @@ class DesignSection(Record, frozen=True):
     proven: bool = False
     compound: dict[str, float] = {}  # shares of the criteria
     setups: list[str] = []  # used, in working order
-    kept: int = 0  # readings that belonged to the plan before
+    #: readings that belonged to the plan before
+    retained: int = msgspec.field(default=0, name="kept")
     cost_min: float | None = None  # mounting and reading
     refused: dict[str, int] = {}  # candidates left out, by reason
     compared: list[CriterionComparison] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oed.result.record import Record
+from oed.result.record import Number, Record
 
 
 class ParameterEstimate(Record, frozen=True):
@@ -39,14 +39,17 @@ class EstimateSection(Record, frozen=True):
 
 
 class Marginal(Record, frozen=True):
-    """Posterior of one parameter, in its display unit."""
+    """Posterior of one parameter, in its display unit.
+
+    rhat, ess    None for a parameter that is not sampled
+    """
 
     mean: float
     sd: float
     q025: float
     q975: float
-    rhat: float
-    ess: float
+    rhat: Number
+    ess: Number
     unit: str
 
 

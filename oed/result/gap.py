@@ -150,20 +150,20 @@ class GapSection(Record, frozen=True):
     not_testable: list[str]
     confusable: list[list[str]]
 
-    selected: list[str]
-    tried: list[str]
-    marginal: dict[str, float]
-    about: dict[str, EffectNote]
-    coefficients: list[CoefficientRecord]
-    sizes: list[SizeRecord]
-    noise: list[str]
-    units: dict[str, str]  # of each channel
-    rms_before: dict[str, float]
-    rms_after: dict[str, float]
-    traces: list[Trace]
-    spots: list[Spot]
-    spots_unit: str
-    words: list[str]
-    next: list[str]
+    selected: list[str] = []
+    tried: list[str] = []
+    marginal: dict[str, float] = {}
+    about: dict[str, EffectNote] = {}
+    coefficients: list[CoefficientRecord] = []
+    sizes: list[SizeRecord] = []
+    noise: list[str] = []
+    units: dict[str, str] = {}  # of each channel
+    rms_before: dict[str, float] = {}
+    rms_after: dict[str, float] = {}
+    traces: list[Trace] = []
+    spots: list[Spot] = []
+    spots_unit: str = "um"
+    words: list[str] = []
+    next: list[str] = []
     constants: dict[str, dict[str, float]] = {}
     unknown: dict[str, float] = {}

@@ -8,18 +8,23 @@ has absorbed what it can. Sizes in readings are in the fine unit of their channe
 
 from __future__ import annotations
 
+import msgspec
+
 from oed.result.record import Record
 
 
 class SharedRecord(Record, frozen=True):
-    """A combination of an effect's coefficients that a rival imitates: sqrt(lambda)
-    before and after it is absorbed.
+    """A combination of an effect's coefficients that a rival imitates.
+
+    detectability    sqrt(lambda) where nothing else acts
+    separation       sqrt(lambda) once the rival absorbs what it can
+    angle_deg        principal angle between the combination and the rival
     """
 
     words: str
     combination: dict[str, float]
-    seen: float
-    apart: float
+    detectability: float = msgspec.field(name="seen")
+    separation: float = msgspec.field(name="apart")
     angle_deg: float
 
 
@@ -29,7 +34,7 @@ class RivalRecord(Record, frozen=True):
     """
 
     name: str
-    apart: float
+    separation: float = msgspec.field(name="apart")
     angle_deg: float
     shared: list[SharedRecord]
 
@@ -76,7 +81,7 @@ class DetectabilityTable(Record, frozen=True):
     readings: int
     effects: list[DetectabilityRecord]
     names: list[str]
-    apart: list[list[float]]
+    separation: list[list[float]] = msgspec.field(name="apart")
     angles_deg: list[list[float]]
     classes: list[list[str]]
     absorbed: list[list[str]]
@@ -101,8 +106,8 @@ class SeparationRecord(Record, frozen=True):
     effect: str
     rival: str
     words: str
-    seen: float
-    apart: float
+    detectability: float = msgspec.field(name="seen")
+    separation: float = msgspec.field(name="apart")
     before: float | None
 
 
@@ -118,9 +123,9 @@ class ChosenRuns(Record, frozen=True):
     """
 
     candidates: int
-    kept: int
+    retained: int = msgspec.field(name="kept")
     runs: list[ChosenRun]
-    apart: float
+    separation: float = msgspec.field(name="apart")
     bound: float
     before: float | None
     efficiency: float
@@ -128,7 +133,7 @@ class ChosenRuns(Record, frozen=True):
     share: float
     volume: float
     seconds: float
-    told: list[SeparationRecord]
+    separations: list[SeparationRecord] = msgspec.field(name="told")
     table: DetectabilityTable
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from oed.result.record import Record
+from collections.abc import Sequence
+
+from oed.result.record import Number, Record
 
 
 class IdentifiabilityFinding(Record, frozen=True):
@@ -37,4 +39,4 @@ class KappaMap(Record, frozen=True):
     title: str
     circles: list[int]
     points: list[int]
-    kappa: list[list[float]]  # [circle][point]
+    kappa: Sequence[Sequence[Number]]  # [circle][point]

@@ -4,6 +4,8 @@ other sections.
 
 from __future__ import annotations
 
+import msgspec
+
 from oed.result.record import Record
 
 
@@ -45,9 +47,8 @@ class StageRecord(Record, frozen=True):
     )
     rank: int | None = None  # of all readings so far, over the machine's parameters
     parameters: dict[str, Sd] = {}  # after the stage
-    held: list[
-        str
-    ] = []  # what is still as it was before any reading: no stage frees what it cannot see
+    #: parameters and combinations that no reading so far determines
+    unidentified: list[str] = msgspec.field(default_factory=list, name="held")
     accuracy: dict[str, float] = {}
     realised: dict[str, float] = {}  # of virtual machines, over the predicted one
     realised_lost: float | None = None  # candidates that virtual machines lost
@@ -82,7 +83,7 @@ class SequenceRecord(Record, frozen=True):
     """
 
     name: str
-    way: AlternativePlan
+    sequence: AlternativePlan = msgspec.field(name="way")
     rank: int
     parameters: int
     kappa: float

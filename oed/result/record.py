@@ -1,8 +1,11 @@
-"""The base of every record of result.json."""
+"""The base of every record of result.json, and its numbers that may be missing."""
 
 from __future__ import annotations
 
 import msgspec
+
+#: a number that is null in the file where it is not finite: JSON has no NaN
+Number = float | None
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -65,23 +65,23 @@ class SetupInfo(Record, frozen=True):
     unknowns: dict[str, float]
 
 
-class StudyResult(Record, frozen=True):
+class StudyResult(Record, frozen=True, kw_only=True):
     """The whole result of one study; sections of stages that did not run are null."""
 
     schema: int
     version: str
     study: str
-    title: str
-    question: str
+    title: str = ""
+    question: str = ""
     seed: int
     seconds: (
         float  # wall time; the only entry that differs between two runs with one seed
     )
     machine: MachineInfo
-    setups: list[SetupInfo]
-    study_text: str
-    versions: dict[str, str]
-    headline: list[str]  # the five numbers that matter, as sentences
+    setups: list[SetupInfo] = []
+    study_text: str = ""
+    versions: dict[str, str] = {}
+    headline: list[str] = []  # the five numbers that matter, as sentences
     identifiability: IdentifiabilitySection | None = None
     identifiability_of: dict[
         str, IdentifiabilitySection

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from oed import result
@@ -146,13 +146,22 @@ def _fit(section: result.EstimateSection | None) -> list[str]:
 def _posterior(section: result.PosteriorSection | None) -> list[str]:
     if section is None:
         return []
-    values = section.marginals.values()
-    least, worst = min(m.ess for m in values), max(m.rhat for m in values)
+    marginals = section.marginals.values()
+    sizes = _finite([m.ess for m in marginals])
+    ratios = _finite([m.rhat for m in marginals])
+    if not sizes or not ratios:
+        return []
+    least, worst = min(sizes), max(ratios)
     draws = section.draws
     return [
         f"The posterior has {draws} draws: effective sample size {least:.0f} or more,"
         f" R-hat {worst:.3f} or less."
     ]
+
+
+def _finite(values: Iterable[float | None]) -> list[float]:
+    """The finite ones; a parameter that is not sampled has no R-hat."""
+    return [v for v in values if v is not None and math.isfinite(v)]
 
 
 def number(value: float) -> str:

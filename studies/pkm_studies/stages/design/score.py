@@ -51,7 +51,7 @@ def section(
         proven=choice.proven and not polished,
         compound=dict(aims.design.compound),
         setups=chosen.order.setups,
-        kept=chosen.kept,
+        retained=chosen.kept,
         cost_min=choose.seconds(chosen.measurement, chosen.series) / 60.0,
         refused=dict(resolved.refused),
         compared=list(chosen.compared),

@@ -87,7 +87,7 @@ def _table(
         readings=len(planned),
         effects=[_row(row, about[row.effect], fine) for row in found.effects],
         names=list(found.names),
-        apart=found.apart.tolist(),
+        separation=found.apart.tolist(),
         angles_deg=found.angles.tolist(),
         classes=[list(c) for c in found.classes],
         absorbed=[list(pair) for pair in found.absorbed],
@@ -174,12 +174,12 @@ def _chosen(
     worst = [t.before for t in told]
     made = result.ChosenRuns(
         candidates=len(asked.runs) - len(asked.kept),
-        kept=len(asked.kept),
+        retained=len(asked.kept),
         runs=[
             result.ChosenRun(r.setup, r.name, dict(r.condition), r.seconds)
             for r in taken
         ],
-        apart=found.apart,
+        separation=found.apart,
         bound=found.bound,
         before=(
             None
@@ -191,7 +191,7 @@ def _chosen(
         share=asked.said.share,
         volume=found.volume,
         seconds=found.seconds,
-        told=told,
+        separations=told,
         table=_table(own, effects, rng, _fine(measurement)),
     )
     return made, _csv(measurement, series, covariates)
@@ -284,17 +284,20 @@ def _words(made: result.GapBeforeSection) -> list[str]:
 
 def _design_words(chosen: result.ChosenRuns) -> list[str]:
     pairs = sorted(
-        {" and ".join(sorted((spoken(t.effect), spoken(t.rival)))) for t in chosen.told}
+        {
+            " and ".join(sorted((spoken(t.effect), spoken(t.rival))))
+            for t in chosen.separations
+        }
     )
     share = (
         "no plan is better" if chosen.proven else f"no plan exceeds {chosen.bound:.1f}"
     )
     before = "" if chosen.before is None else f" from {chosen.before:.1f}"
-    kept = f", beside {chosen.kept} kept ones," if chosen.kept else ""
+    kept = f", beside {chosen.retained} kept ones," if chosen.retained else ""
     return [
-        f"{len(chosen.runs) - chosen.kept} of {chosen.candidates} candidate runs{kept}"
+        f"{len(chosen.runs) - chosen.retained} of {chosen.candidates} candidate runs{kept}"
         f" raise the least distinguishability of {'; '.join(pairs[:MOST])}{before} to"
-        f" {chosen.apart:.1f} ({share})."
+        f" {chosen.separation:.1f} ({share})."
     ]
 
 

@@ -42,7 +42,7 @@ def compared(task: Task, names: Sequence[str], found: Planned) -> result.Sequenc
     chosen = sum(len(stage.chosen) for stage in asked.stages)
     return result.SequenceRecord(
         name=", then ".join(names),
-        way=task.way(asked),
+        sequence=task.way(asked),
         rank=seen.verdict.rank,
         parameters=len(seen.names),
         kappa=criteria.kappa(s),

@@ -324,7 +324,7 @@ def _stage(
         ),
         rank=sofar.verdict.rank,
         parameters=_parameters(stage),
-        held=_held(task, stage, sofar),
+        unidentified=_held(task, stage, sofar),
         accuracy=told,
     )
 
