@@ -148,7 +148,7 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
         problem.measurement,
         problem.series,
     )
-    g, h = 2.0 * problem.of(found.columns), problem.slopes
+    g, h = 2.0 * problem.in_noise_units(found.columns), problem.slopes
     noise = np.eye(len(problem))
     spread = noise + h @ h.T
     beta, sd = _posterior(g, spread, problem.residual)

@@ -19,7 +19,7 @@ from effects_sample import (
 )
 from kernel.cases import CASES
 
-from oed.gap.data.signature import exact, signature, untestable
+from oed.gap.data.signature import exact_readings, signature, untestable
 from pkm_studies import catalogue
 from pkm_studies.errors import InputError
 
@@ -122,7 +122,9 @@ def test_the_signature_is_the_slope_of_the_exact_machine(
     for size in (4.0, 2.0):
         factors = {n: size * d for n, d in zip(found.names, drawn, strict=True)}
         real = (
-            exact(s.measurement, s.series, theta, s.states, [(effect, point, factors)])
+            exact_readings(
+                s.measurement, s.series, theta, s.states, [(effect, point, factors)]
+            )
             - zero
         )
         first = found.columns @ (size * drawn)

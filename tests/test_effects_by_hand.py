@@ -12,7 +12,7 @@ from effects_sample import columns, effect_of, session, small
 from kernel.cases import CASES
 from scipy.spatial.transform import Rotation
 
-from oed.gap.data.signature import exact
+from oed.gap.data.signature import exact_readings
 from oed.gap.data.state import states
 from oed.measurement import Measurement
 from pkm_models.effects import terms
@@ -471,7 +471,7 @@ def test_frame_bending_displaces_what_a_camera_sees(
             * more
         )
         seen = (
-            exact(
+            exact_readings(
                 m,
                 [series],
                 theta,

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from effects_sample import HOURS, ROUND, columns, effect_of, session, small
 
-from oed.gap.data.signature import exact, signature
+from oed.gap.data.signature import exact_readings, signature
 from oed.gap.data.state import states
 from pkm_models.effects import terms
 
@@ -175,7 +175,7 @@ def test_mount_drift_is_a_cup_elsewhere_at_the_end() -> None:
     s = session("a3_head")
     m, theta = s.measurement, s.measurement.nominal
     name = "ball_bar cup_x"
-    drifted = exact(
+    drifted = exact_readings(
         m, s.series, theta, s.states, [(effect_of("mount_drift"), {}, {name: 1.0})]
     )
     away = theta.copy()
@@ -251,7 +251,7 @@ def test_step_of_a_mount_is_a_cup_or_a_camera_elsewhere_meanwhile() -> None:
         away[m.names.index(unknown)] += size
         moved = m.readings(s.series, away)
         assert np.abs(moved - start)[mine & meanwhile].max() > 1e-6
-        knocked = exact(
+        knocked = exact_readings(
             m,
             s.series,
             theta,

@@ -23,8 +23,8 @@ from scipy import linalg
 from oed.effect import Effect
 from oed.gap.data import state as states_of
 from oed.gap.data.diagnosis import UNKNOWN, Answer, Diagnosis
-from oed.gap.data.problem import GapProblem, planned, prepare
-from oed.gap.data.signature import exact, signature
+from oed.gap.data.problem import GapProblem, assemble, prepare
+from oed.gap.data.signature import exact_readings, signature
 from oed.gap.diagnose import diagnose
 from oed.gap.forms import library
 from oed.instrument import mount
@@ -398,14 +398,16 @@ def planar(seed: int) -> Planar:
     series, rows = lines(m, ("fitted", FITTED), ("unseen", UNSEEN))
     states = states_of.states(m, tuple(series), rows, theta)
     root = m.noise(series).root
-    y = exact(m, series, theta, states, [(effect_of(n), c, f) for n, c, f in ACTING])
+    y = exact_readings(
+        m, series, theta, states, [(effect_of(n), c, f) for n, c, f in ACTING]
+    )
     y = y + root @ rng.standard_normal(root.shape[1])
     count = rows["setup"].map(READS).to_numpy()
     held = np.repeat(rows["run"].str.startswith("unseen").to_numpy(), count)
     fitted, known = lines(m, ("fitted", FITTED))
     problem = prepare(m, fitted, y[~held], known)
     found = diagnose(problem, [effect_of(n) for n in NAMES], np.random.default_rng(1))
-    return Planar(found, planned(m, series, rows, problem.theta, y), held)
+    return Planar(found, assemble(m, series, rows, problem.theta, y), held)
 
 
 def predicted(case: Planar) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -446,7 +448,10 @@ def corrected(
             effect, point, w.states, w.responses, w.measurement, w.series, w.sigma
         )
         columns = (
-            3.0 * w.of(made.columns)[:, [(effect.name, n) in named for n in made.names]]
+            3.0
+            * w.in_noise_units(made.columns)[
+                :, [(effect.name, n) in named for n in made.names]
+            ]
         )
         plain = plain + columns @ columns.T
     return plain

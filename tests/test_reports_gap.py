@@ -57,7 +57,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     job = pipeline._Job(load(path), path.parent, 3, pipeline.Silent(), None)
     series, truth, y, covariates, _ = job.virtual(job.planned(None))
     found = gap_fixture.diagnosis(
-        problem.planned(job.measurement, series, covariates, truth, y)
+        problem.assemble(job.measurement, series, covariates, truth, y)
     )
     made = stage.section(found, job.resolved.gap.effects)
     decoded: dict[str, Any] = json.loads(msgspec.json.encode(made))

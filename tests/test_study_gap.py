@@ -456,7 +456,7 @@ def _diagnosed(tmp_path: Path) -> Diagnosis:
     job = pipeline._Job(load(path), tmp_path, 3, pipeline.Silent(), None)
     series, truth, y, covariates, _ = job.virtual(job.planned(None))
     return gap_fixture.diagnosis(
-        problem.planned(job.measurement, series, covariates, truth, y)
+        problem.assemble(job.measurement, series, covariates, truth, y)
     )
 
 

@@ -157,7 +157,7 @@ def runs_of(problem: GapProblem) -> Runs:
     they leave, and by repeats.
     """
     metric = Metric(problem, stated(problem))
-    left = problem.residual - problem.slopes @ metric.fitted(problem.residual)
+    left = problem.residual - problem.slopes @ metric.fit(problem.residual)
     rows, phase = problem.rows, problem.rows["phase"].to_numpy(dtype=float)
     names = [
         c

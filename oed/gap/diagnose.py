@@ -326,7 +326,7 @@ def _by_channel(problem: GapProblem, signal: Array) -> dict[str, float]:
 
 def _left(problem: GapProblem, metric: Metric, residual: Array) -> Array:
     """What the parameters leave of a residual (N,) where they are fitted to it."""
-    return residual - problem.slopes @ metric.fitted(residual)
+    return residual - problem.slopes @ metric.fit(residual)
 
 
 # -- searches --------------------------------------------------------------------------
@@ -492,7 +492,7 @@ def _worth(
     problem: GapProblem, columns: Array, pairs: Sequence[tuple[NoiseLaw, float]]
 ) -> list[float]:
     """Log evidence beside columns (N, k) under each law, with its log prior."""
-    slopes = evidence.compressed(problem, columns)
+    slopes = evidence.compress(problem, columns)
     return [evidence.log_evidence(problem, law, slopes) + prior for law, prior in pairs]
 
 

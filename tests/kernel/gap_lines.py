@@ -56,7 +56,7 @@ def readings(
             "feed": np.repeat([1 / 60.0, 3 / 60.0], LINES * n // 2),
         }
     )
-    made = problems.planned(
+    made = problems.assemble(
         measurement, (series,), covariates if timed else covariates.drop(columns="time")
     )
     rng = np.random.default_rng(seed)
@@ -90,7 +90,7 @@ def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> GapProblem:
             "time": 40.0 * np.arange(len(series)),
         }
     )
-    made = problems.planned(measurement, (series,), covariates)
+    made = problems.assemble(measurement, (series,), covariates)
     return made.with_residual(np.random.default_rng(seed).standard_normal(len(made)))
 
 

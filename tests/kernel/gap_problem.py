@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from oed.gap.data.diagnosis import Block
-from oed.gap.data.problem import GapProblem, planned
+from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.place.where import where
 from oed.instrument import mount
 from oed.measurement import Measurement
@@ -50,7 +50,7 @@ def circles(
     covariates = pd.DataFrame(rows)
     covariates["time"] = 6.0 * np.arange(len(covariates))
     series = measurement.series("bar", np.vstack(commands), run=list(covariates["run"]))
-    return planned(measurement, [series], covariates)
+    return assemble(measurement, [series], covariates)
 
 
 def law(problem: GapProblem) -> NoiseLaw:
@@ -89,7 +89,7 @@ def in_joint(problem: GapProblem, limb: int, change: np.ndarray) -> np.ndarray:
     total = np.zeros(len(problem))
     for slope, place in zip(response.joints, series.index.T, strict=True):
         total += slope[:, 0, limb] * change[place]
-    return problem.of(total)
+    return problem.in_noise_units(total)
 
 
 def sized(change: np.ndarray, covariance: np.ndarray, size: float) -> np.ndarray:

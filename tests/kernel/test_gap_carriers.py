@@ -42,7 +42,7 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
         name="hum", source="test", about="hum", columns=_hum, needs=("time",)
     )
     made = problem.signature(effect, {})
-    wanted = dict(zip(made.names, problem.of(made.columns).T, strict=True))
+    wanted = dict(zip(made.names, problem.in_noise_units(made.columns).T, strict=True))
     form = carriers.at_poses(
         problem, [np.sin(2.0 * np.pi * s.time / PERIOD) for s in problem.states]
     )[..., None]

@@ -14,7 +14,7 @@ import pytest
 from kernel import a3_plans, gap_a3
 from oed.gap.cause import classes
 from oed.gap.cause.which import Hypothesis, Search
-from oed.gap.data.problem import GapProblem, planned
+from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.data.signature import signature
 from oed.gap.forms import library
 from oed.instrument import Setup, mount
@@ -68,14 +68,14 @@ def readings(bars: tuple[Bar, ...]) -> GapProblem:
             {"setup": name, "run": r, "order": 1 + k % POINTS, "direction": 1}
             for k, r in enumerate(runs)
         ]
-    return planned(m, series, pd.DataFrame(rows))
+    return assemble(m, series, pd.DataFrame(rows))
 
 
 def columns(p: GapProblem, effect) -> np.ndarray:
     made = signature(
         effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma
     )
-    return p.of(made.columns)
+    return p.in_noise_units(made.columns)
 
 
 def metric(p: GapProblem) -> np.ndarray:
@@ -93,7 +93,7 @@ def left(p: GapProblem, known: Collection[str] = ()) -> tuple[float, float]:
     made = signature(
         bar_length.effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma
     )
-    wrong = p.of(made.columns)[:, [n not in known for n in made.names]]
+    wrong = p.in_noise_units(made.columns)[:, [n not in known for n in made.names]]
     m = metric(p)
     inner, cross = wrong.T @ m @ wrong, wrong.T @ m @ change
     whole = float(change @ m @ change)

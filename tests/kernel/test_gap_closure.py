@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from kernel import gap_problem as case
 from oed.gap.cause.closure import closure, expected_gain, oracle_closure
-from oed.gap.data.problem import GapProblem, planned
+from oed.gap.data.problem import GapProblem, assemble
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.noise.law import stated
@@ -272,7 +272,7 @@ def test_where_all_runs_repeat_one_path_each_is_held_out(
 def test_one_run_cannot_be_held_out_whole(rng: np.random.Generator) -> None:
     full = case.circles(12, (1.16,))
     (series,) = full.series
-    problem = planned(
+    problem = assemble(
         full.measurement,
         [series.take(np.arange(12))],
         full.rows.iloc[:12][["setup", "run", "order"]],
@@ -295,7 +295,7 @@ def test_short_runs_make_five_folds(rng: np.random.Generator) -> None:
     labels = [f"d{k // 2}" for k in range(40)]
     series = measurement.series("calliper", commands, run=labels)
     table = pd.DataFrame({"setup": "calliper", "run": series.run, "order": 2})
-    problem = planned(measurement, [series], table)
+    problem = assemble(measurement, [series], table)
     r = problem.with_residual(rng.standard_normal(len(problem)))
     for split in SPLITS:
         found = closure(

@@ -34,7 +34,7 @@ def dense(p, law):
 
 def columns(p, effect, **constants):
     made = signature(effect, constants, p.states, p.responses, p.measurement, p.series)
-    return p.of(made.columns), made
+    return p.in_noise_units(made.columns), made
 
 
 def test_size_needed_for_90_percent_at_1_percent():

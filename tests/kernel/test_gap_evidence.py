@@ -45,7 +45,7 @@ def test_metric_is_the_inverse_covariance(problem: GapProblem) -> None:
         metric.gram(u, v), u.T @ np.linalg.solve(dense, v), rtol=1e-8, atol=1e-10
     )
     assert metric.log_det == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-8)
-    fitted = metric.fitted(problem.residual)
+    fitted = metric.fit(problem.residual)
     noise = dense - problem.slopes @ problem.slopes.T
     inner = np.eye(problem.slopes.shape[1]) + problem.slopes.T @ np.linalg.solve(
         noise, problem.slopes
@@ -112,7 +112,7 @@ def test_columns_one_after_the_other(problem: GapProblem) -> None:
     )
     found = evidence.grams(problem, Metric(problem, law), columns)
     first, second, third = np.array([0, 3]), np.array([1]), np.array([2, 4, 5])
-    left = found.given(first, 0.3).given(second, 1.0)
+    left = found.select(first, 0.3).select(second, 1.0)
     told = left.base + left.log_evidences([third], np.array([3.0]))[0, 0]
     scaled = np.hstack(
         [0.3 * columns[:, first], columns[:, second], 3.0 * columns[:, third]]
@@ -124,7 +124,7 @@ def test_what_is_taken_out_stays_out(problem: GapProblem) -> None:
     law = _law(problem)
     columns = np.random.default_rng(5).standard_normal((len(problem), 4))
     columns[:, 3] = columns[:, 0] - 2.0 * columns[:, 1]
-    left = evidence.grams(problem, Metric(problem, law), columns).without(
+    left = evidence.grams(problem, Metric(problem, law), columns).project_out(
         np.array([0, 1])
     )
     assert np.abs(left.gram[3]).max() < 1e-8
@@ -143,7 +143,7 @@ def test_residual_does_not_depend_on_where_the_fit_ended(problem: GapProblem) ->
     )
     rows = problem.rows.drop_duplicates(["run", "order"]).reset_index(drop=True)
     near, far = (
-        problems.planned(measurement, series, rows, measurement.nominal + shift, y)
+        problems.assemble(measurement, series, rows, measurement.nominal + shift, y)
         for shift in (0.0, 0.02 * measurement.tolerance)
     )
     scale = np.abs(near.residual).max()

@@ -42,7 +42,7 @@ def pool(
 
 
 def columns(p, effect):
-    return p.of(
+    return p.in_noise_units(
         signature(effect, {}, p.states, p.responses, p.measurement, p.series).columns
     )
 

@@ -13,7 +13,7 @@ from scipy import special, stats
 from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
 from kernel.gap_problem import Machines, first
-from oed.gap.data.problem import planned
+from oed.gap.data.problem import assemble
 from oed.gap.data.tail import log_tail
 from oed.gap.place import regions as looking
 from oed.gap.place import where as scan
@@ -345,7 +345,7 @@ def test_readings_without_covariates_and_with_several_channels(
         series = dataclasses.replace(series, run=labels)
     order = pd.Series(series.run).groupby(series.run).cumcount() + 2
     table = pd.DataFrame({"setup": setup, "run": series.run, "order": order})
-    problem = planned(measurement, [series], table)
+    problem = assemble(measurement, [series], table)
     r = problem.residual + rng.standard_normal(len(problem))
     found = where(problem.with_residual(r), stated(problem), rng, draws=100)
     names = {b.block for b in found}

@@ -309,7 +309,7 @@ def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
     assert found.answers[0].effects == ("slip",)
     assert dataclasses.replace(found.law, level=1.0) == law
     (alone,) = diagnosing._under(problem, EFFECTS, law)
-    nothing = evidence.compressed(problem, np.zeros((len(problem), 0)))
+    nothing = evidence.compress(problem, np.zeros((len(problem), 0)))
     assert alone.grams.base == pytest.approx(
         evidence.log_evidence(problem, law, nothing)
     )
@@ -422,7 +422,7 @@ def test_level_is_that_of_what_is_left() -> None:
     problem = readings(9)
     search = _search(problem.with_residual(3.0 * problem.residual))
     assert search.level(search.run()[0]) == pytest.approx(3.0, rel=0.1)
-    assert evidence.level(search.grams) == pytest.approx(3.0, rel=0.1)
+    assert evidence.noise_level(search.grams) == pytest.approx(3.0, rel=0.1)
 
 
 def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(

@@ -204,7 +204,7 @@ class Embedding:
     def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
         self._metric = Metric(problem, law)
         self._basis, size, _ = np.linalg.svd(
-            self._metric.white(problem.slopes), full_matrices=False
+            self._metric.whiten(problem.slopes), full_matrices=False
         )
         self._lost = 1.0 - 1.0 / np.sqrt(1.0 + size**2)
 
@@ -212,7 +212,7 @@ class Embedding:
         """Values (N, k), in units of the stated noise, whitened by the noise law:
         before calibration.
         """
-        return self._metric.white(values)
+        return self._metric.whiten(values)
 
     def __call__(self, values: Array) -> Array:
         """The same after calibration: (I + X X^T)^-1/2 of the whitened, X the whitened
@@ -254,7 +254,7 @@ class _Table:
         )
         for effect in effects:
             for made in self._signatures(problem, effect):
-                columns = problem.of(made.columns)
+                columns = problem.in_noise_units(made.columns)
                 raw = float(np.sum(embedding.white(columns) ** 2))
                 at = np.arange(start, start + columns.shape[1])
                 self.forms.setdefault(effect.name, []).append(_Form(made, at, raw))
@@ -308,7 +308,7 @@ def detect(
     room: float = ROOM,
     apart: float = APART,
 ) -> Detection:
-    """What readings as planned (`oed.gap.data.problem.planned`) could find, with a noise
+    """What readings as planned (`oed.gap.data.problem.assemble`) could find, with a noise
     law.
 
     `apart` is the sqrt(lambda_k|j) below which two effects count as one class. Raises

@@ -12,7 +12,7 @@ import pandas as pd
 
 from oed.arrays import Array, Index
 from oed.gap.data import state
-from oed.gap.data.problem import GapProblem, planned
+from oed.gap.data.problem import GapProblem, assemble
 from oed.measurement import Measurement, Series
 
 #: covariates that a condition may state, beside temperatures `temp_<body>`
@@ -111,6 +111,6 @@ def prepared(
     order of `runs`.
     """
     series, covariates = lay_out(measurement, runs)
-    problem = planned(measurement, series, covariates, gravity=gravity)
+    problem = assemble(measurement, series, covariates, gravity=gravity)
     at = problem.rows.groupby(["setup", "run"], sort=False).indices
     return problem, tuple(np.asarray(at[r.setup, r.name], dtype=np.intp) for r in runs)

@@ -140,7 +140,7 @@ class Pool:
             for made in _signatures(problem, effect):
                 at = np.arange(start, start + made.columns.shape[1])
                 self._forms.setdefault(effect.name, []).append((made, at))
-                blocks.append(problem.of(made.columns))
+                blocks.append(problem.in_noise_units(made.columns))
                 start += made.columns.shape[1]
         self._gram(np.hstack(blocks))
         names = [e.name for e in effects]

@@ -43,7 +43,7 @@ def of(
     found = []
     for i, effect in enumerate(h.effects):
         others = [j for j in range(len(h.effects)) if j != i]
-        left = search.grams.without(
+        left = search.grams.project_out(
             np.concatenate(
                 [
                     np.empty(0, dtype=np.intp),

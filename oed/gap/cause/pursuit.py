@@ -72,7 +72,7 @@ def _pursued(
     while len(chosen) < MOST:
         found = evidence.grams(problem, Metric(problem, law), processes.columns)
         for k, size in zip(chosen, sizes, strict=True):
-            found = found.given(choices[k], size)
+            found = found.select(choices[k], size)
         told = found.log_evidences(choices, UNKNOWN_SIZES) + weights[:, None]
         told[chosen] = -np.inf
         row, column = np.unravel_index(int(np.argmax(told)), told.shape)

@@ -139,7 +139,7 @@ class Search:
             np.hstack([library.columns, processes.columns]),
         )
         offset = library.columns.shape[1]
-        self._own = self.grams.part(np.arange(offset))
+        self._own = self.grams.subset(np.arange(offset))
         self._atoms = [a.columns for a in library.atoms]
         self._weights = np.array([a.log_weight for a in library.atoms])
         self._owner = np.array([a.effect for a in library.atoms])
@@ -152,7 +152,7 @@ class Search:
         self._found: list[Hypothesis] = []
         self._processes = [a.columns + offset for a in processes.atoms]
         self._process_groups = (
-            evidence.by_count(self._processes) if self._processes else []
+            evidence.group_by_count(self._processes) if self._processes else []
         )
         self._process_shares = (
             np.array([a.log_weight for a in processes.atoms])[:, None]
@@ -184,15 +184,15 @@ class Search:
         """Grams with these forms selected."""
         found = self.grams
         for atom, size in zip(atoms, sizes, strict=True):
-            found = found.given(self._atoms[atom], size)
+            found = found.select(self._atoms[atom], size)
         return found
 
     def level(self, h: Hypothesis) -> float:
         """Noise level that a hypothesis leaves."""
         found = self.given(h.atoms, h.sizes)
         if h.process is not None:
-            found = found.given(self._processes[h.process], h.process_size)
-        return evidence.level(found)
+            found = found.select(self._processes[h.process], h.process_size)
+        return evidence.noise_level(found)
 
     def law_at(self, level: float) -> NoiseLaw:
         """The law at a level, and how many readings are far off."""
@@ -270,14 +270,14 @@ class Search:
             log_prior=self._prior(len(effects), False),
         )
         left = self._selected(found)
-        whole, least = left.base + found.log_evidence, self._least(found, left.rest)
+        whole, least = left.base + found.log_evidence, self._least(found, left.energy)
         return dataclasses.replace(found, log_evidence=whole, least=least)
 
     def _least(self, h: Hypothesis, rest: float) -> float:
         """Share of what the effects of a set explain, all but `rest`, that is lost
         without the least of them.
         """
-        whole = self.grams.rest - rest
+        whole = self.grams.energy - rest
         if len(h.effects) < 2 or whole <= 0.0:
             return 1.0
         gains = []
@@ -288,7 +288,7 @@ class Search:
                 atoms=tuple(h.atoms[j] for j in others),
                 sizes=tuple(h.sizes[j] for j in others),
             )
-            gains.append(self._selected(kept).rest - rest)
+            gains.append(self._selected(kept).energy - rest)
         return float(min(gains) / whole)
 
     def _beside(
@@ -301,10 +301,10 @@ class Search:
         if key not in self._known:
             used = [self._atoms[k] for k in others]
             mine = np.unique(np.concatenate([self._atoms[k] for k in self._of[effect]]))
-            part = self.grams.part(np.concatenate([*used, mine]))
+            part = self.grams.subset(np.concatenate([*used, mine]))
             start = 0
             for columns, size in zip(used, sizes, strict=True):
-                part = part.given(np.arange(start, start + len(columns)), size)
+                part = part.select(np.arange(start, start + len(columns)), size)
                 start += len(columns)
             places = [
                 start + np.searchsorted(mine, self._atoms[k]) for k in self._of[effect]
@@ -331,12 +331,12 @@ class Search:
         plain, apart = self._selected(known), list(self._apart(selected))
         told = self._remainders(plain, apart)
         row, column = np.unravel_index(int(np.argmax(told)), told.shape)
-        size, level = float(UNKNOWN_SIZES[column]), evidence.level(plain) ** 2
+        size, level = float(UNKNOWN_SIZES[column]), evidence.noise_level(plain) ** 2
         gram, b = next(
             (g[n == row][0], p[n == row][0]) for n, g, p in apart if row in n
         )
-        rest = evidence.carried(gram / level, b / level, size * np.sqrt(level))
-        mine = evidence.carried(
+        rest = evidence.excess_energy(gram / level, b / level, size * np.sqrt(level))
+        mine = evidence.excess_energy(
             self.grams.gram[np.ix_(selected, selected)] / level,
             self.grams.b[selected] / level,
             sizes * np.sqrt(level),
@@ -358,7 +358,9 @@ class Search:
         """Log evidence (processes, sizes) of each process beside selected effects."""
         told = np.empty((len(self._processes), len(UNKNOWN_SIZES)))
         for numbers, gram, b in apart:
-            told[numbers] = plain.log_ratio(*evidence.explained(gram, b, UNKNOWN_SIZES))
+            told[numbers] = plain.log_ratio(
+                *evidence.explained_energy(gram, b, UNKNOWN_SIZES)
+            )
         return np.asarray(told + self._process_shares)
 
     def likeness(self, h: Hypothesis) -> dict[str, float]:
@@ -379,9 +381,9 @@ class Search:
     def _selected(self, h: Hypothesis) -> Grams:
         """Grams of the columns of a set of effects alone, these selected."""
         columns = [self._atoms[k] for k in h.atoms]
-        found, start = self.grams.part(np.concatenate([_NONE, *columns])), 0
+        found, start = self.grams.subset(np.concatenate([_NONE, *columns])), 0
         for mine, size in zip(columns, h.sizes, strict=True):
-            found = found.given(np.arange(start, start + len(mine)), size)
+            found = found.select(np.arange(start, start + len(mine)), size)
             start += len(mine)
         return found
 
@@ -437,7 +439,7 @@ class Search:
         for base in bases:
             found = self._own
             for atom, size in zip(base.atoms, base.sizes, strict=True):
-                found = found.given(self._atoms[atom], size)
+                found = found.select(self._atoms[atom], size)
             for effect, (gain, atom, size) in self.screen(found, base.effects).items():
                 key, told = frozenset((*base.effects, effect)), base.log_evidence + gain
                 if key not in tried or tried[key][0] < told:

@@ -1,6 +1,4 @@
-"""What a diagnosis says: the verdict, its answers with probabilities, where, how far,
-and what to do next.
-"""
+"""Types of a diagnosis: verdict, answers with probabilities, places, closure, advice."""
 
 from __future__ import annotations
 
@@ -18,11 +16,13 @@ UNKNOWN = "unknown"
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Answer:
-    """One explanation: effects acting together (none: no gap; `unknown` for a shape no
-    effect has), its probability.
+    """One explanation of the residuals.
 
-    classes  for each effect the names that these readings cannot tell it from, itself
-             among them
+    effects        effects that act together; none for no gap, `unknown` for a form that
+                   no effect of the library has
+    probability    posterior probability
+    classes        for each effect the names that these readings cannot distinguish from
+                   it, itself among them
     """
 
     effects: tuple[str, ...]
@@ -32,9 +32,7 @@ class Answer:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Coefficient:
-    """A coefficient of a selected effect: posterior mean and standard deviation in its
-    own unit.
-    """
+    """A coefficient of a selected effect: posterior mean and sd in its own unit."""
 
     effect: str
     name: str
@@ -45,9 +43,11 @@ class Coefficient:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Size:
-    """How large an effect is in these readings: root mean square, SI, by channel;
-    before and after what the geometry absorbs (in units of the noise: detectability
-    sqrt(lambda)).
+    """How large an effect is in these readings.
+
+    effect           name of the effect
+    rms              {channel: root mean square, SI}, before the geometry absorbs
+    detectability    sqrt(lambda), in units of the noise, after the geometry absorbs
     """
 
     effect: str
@@ -57,22 +57,31 @@ class Size:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Block:
-    """Where a gap lies: `leg K` from 1, `run ID`, `time A-B` in s, `phase A-B` in deg,
-    `direction +1`; corrected p.
+    """Where a gap lies.
+
+    block       `leg K` from 1, `run ID`, `time A-B` in s, `phase A-B` in deg,
+                `direction +1`
+    p_value     corrected for the number of places
+    strength    share of the gap's energy that the block holds
     """
 
     block: str
     p_value: float
-    strength: float = 0.0  # share of the gap's energy that the block holds
+    strength: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Closure:
-    """How far the gap shrinks on held-out readings: C = (S0 - S1) / (S0 - Snoise), 95 %
-    interval, chance of harm.
+    """How far the gap shrinks on held-out readings: C = (S0 - S1) / (S0 - Snoise).
 
-    S: mean squared residual, standardised by its predictive covariance. `n` readings
-    were held out.
+    split        what is held out: parts of every run, or whole runs
+    value        C
+    low, high    95 % interval of C
+    p_worse      probability that the correction does harm
+    s0, s1       mean squared residuals without and with the effects, standardised by
+                 the predictive covariance
+    s_noise      expectation of s0 without a gap
+    n            number of readings held out
     """
 
     split: Literal["within", "whole"]
@@ -90,24 +99,28 @@ class Closure:
 class Diagnosis:
     """A diagnosis of one set of readings.
 
-    verdict        none, effect, class (which of several cannot be told), mixture (an
-                   effect and an unknown remainder, or several effects), unknown
-    answers        by probability, none first only where it is sure, see `answers`
-    set95          the fewest sets of named effects that together have 95 %, see
-                   `answers`
-    marginal       {effect: probability that it acts}
-    law            noise as estimated;  noise_words: the same in words
-    constants      {effect: its constants' values in the form that suits the readings
-                   best}
-    coefficients, sizes   of the selected effects
-    explained      (N,) part of the residual that the selected effects explain, SI
-    unexplained    (N,) part that an unknown remainder explains, SI
-    likeness       {what the unknown remainder is like, in words: probability}, the
-                   likeliest first; empty without one
-    before, after  (N,) residuals of the calibration without and with the selected
-                   effects, SI
-    where, closure, not_testable {effect: why}, confusable (groups of names), next
-    (sentences)
+    problem         the residuals that it is of
+    verdict         none, effect, class (several that are indistinguishable), mixture
+                    (several effects, or one and an unknown remainder), unknown
+    answers         by probability; no gap first only where it is sure
+    set95           the 95 % credible set of effects
+    marginal        {effect: probability that it acts}
+    law             noise law as estimated
+    noise_words     the same in words
+    constants       {effect: its constants in the form that suits the readings best}
+    coefficients    of the selected effects
+    sizes           of the selected effects
+    explained       (N,) part of the residual that the selected effects explain, SI
+    unexplained     (N,) part that an unknown remainder explains, SI
+    likeness        {form of the unknown remainder in words: probability}, the likeliest
+                    first; empty without a remainder
+    before, after   (N,) residuals of the calibration without and with the selected
+                    effects, SI
+    where           blocks in which the gap lies
+    closure         how far it shrinks on held-out readings
+    not_testable    {effect: why these readings cannot test it}
+    confusable      groups of effects that these readings cannot distinguish
+    next            advice, in sentences
     """
 
     problem: GapProblem

@@ -1,12 +1,15 @@
-"""Evidence in closed form. With Gram matrix A = G^T M G and b = G^T M r, coefficients
-N(0, t^2) in units of the noise,
+"""Log evidence of columns with Gaussian coefficients, in closed form.
 
-    2 log p(r | G, t) - 2 log p(r | no gap) = -log |1 + t^2 A| - (N + 2a) log(1 - gain /
-    (2b0 + r^T M r)), gain = b^T (1 / t^2 + A)^-1 b,
+With Gram matrix A = G^T M G and b = G^T M r, coefficients N(0, t^2) in units of the
+noise,
 
-where the noise's level s has been integrated out: s^2 is inverse gamma (a, b0), and all
-prior variances go with it. Columns selected before are taken out by the Schur
-complement, so that each step of a search is of this form again.
+    2 log p(r | G, t) - 2 log p(r | no gap) =
+        -log |1 + t^2 A| - (N + 2a) log(1 - gain / (2 b0 + r^T M r)),
+    gain = b^T (1 / t^2 + A)^-1 b.
+
+The noise level s is integrated out: s^2 is inverse gamma (a, b0), and all prior
+variances scale with it. The Schur complement takes out columns selected before, so that
+each step of a search is of this form again.
 """
 
 from __future__ import annotations
@@ -28,6 +31,8 @@ SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0])
 #: energy of a direction of columns, at their prior scales, that is far below the noise
 #: at the largest size too
 UNSEEN = 1e-4
+#: size of a direction of columns, in units of the noise, below which `compress` drops it
+FAINT = 0.03
 #: inverse gamma prior of the squared noise level: its stated value to within a factor
 #: of about two
 SHAPE, RATE = 2.0, 2.0
@@ -35,155 +40,166 @@ SHAPE, RATE = 2.0, 2.0
 
 @dataclasses.dataclass(frozen=True)
 class Grams:
-    """Gram matrix (K, K), projections b (K,), and what the residual has left; `size`
-    readings.
+    """Inner products of K columns and of the residual, in a metric.
 
-    log_det of Sigma + H Lambda H^T;  rest: r^T M r;  base: log evidence of no further
-                                      column
+    gram     (K, K) Gram matrix of the columns
+    b        (K,) projections of the residual on the columns
+    energy   r^T M r of the residual
+    size     number of readings
+    base     log evidence of no further column
     """
 
     gram: Array
     b: Array
-    rest: float
+    energy: float
     size: int
     base: float
 
-    def part(self, columns: Index) -> Grams:
+    def subset(self, columns: Index) -> Grams:
         """Grams of some columns alone."""
-        return dataclasses.replace(
-            self, gram=self.gram[np.ix_(columns, columns)], b=self.b[columns]
-        )
+        gram = self.gram[np.ix_(columns, columns)]
+        return dataclasses.replace(self, gram=gram, b=self.b[columns])
 
-    def given(self, columns: Index, size: float) -> Grams:
-        """With `columns` selected, their coefficients N(0, size^2)."""
+    def select(self, columns: Index, size: float) -> Grams:
+        """Grams with `columns` in the model, their coefficients N(0, size^2)."""
         if not len(columns):
             return self
-        inner = self.gram[np.ix_(columns, columns)] + np.eye(len(columns)) / size**2
+        precision = np.eye(len(columns)) / size**2
+        inner = self.gram[np.ix_(columns, columns)] + precision
         factor = linalg.cholesky(inner, lower=True)
         half = linalg.solve_triangular(factor, self.gram[columns], lower=True)
-        told = linalg.solve_triangular(factor, self.b[columns], lower=True)
-        gain = float(told @ told)
-        log_det = 2.0 * float(np.log(np.diag(factor)).sum()) + 2.0 * len(
-            columns
-        ) * np.log(size)
+        projected = linalg.solve_triangular(factor, self.b[columns], lower=True)
+        gain = float(projected @ projected)
+        log_sizes = 2.0 * len(columns) * np.log(size)
+        log_det = 2.0 * float(np.log(np.diag(factor)).sum()) + log_sizes
+        ratio = self.log_ratio(np.array(gain), np.array(log_det)).item()
         return Grams(
             gram=self.gram - half.T @ half,
-            b=self.b - half.T @ told,
-            rest=self.rest - gain,
+            b=self.b - half.T @ projected,
+            energy=self.energy - gain,
             size=self.size,
-            base=self.base + self.log_ratio(np.array(gain), np.array(log_det)).item(),
+            base=self.base + ratio,
         )
 
-    def without(self, columns: Index) -> Grams:
-        """With what `columns` could explain taken out of all others, as for
-        coefficients without a prior.
-        """
+    def project_out(self, columns: Index) -> Grams:
+        """Grams without what `columns` can explain, their coefficients unbounded."""
         if not len(columns):
             return self
         root = inverse_root(self.gram[np.ix_(columns, columns)])
         half = root.T @ self.gram[columns]
-        told = root.T @ self.b[columns]
-        return dataclasses.replace(
-            self, gram=self.gram - half.T @ half, b=self.b - half.T @ told
-        )
+        projected = root.T @ self.b[columns]
+        gram = self.gram - half.T @ half
+        return dataclasses.replace(self, gram=gram, b=self.b - half.T @ projected)
 
     def log_ratio(self, gain: Array, log_det: Array) -> Array:
-        """Log evidence of columns that explain `gain` of the rest, over that of none."""
-        left = np.maximum(1.0 - gain / (2.0 * RATE + self.rest), 1e-300)
-        return np.asarray(-0.5 * log_det - (0.5 * self.size + SHAPE) * np.log(left))
+        """Log evidence of columns that explain `gain` of the energy, over no column."""
+        share = np.maximum(1.0 - gain / (2.0 * RATE + self.energy), 1e-300)
+        power = 0.5 * self.size + SHAPE
+        return np.asarray(-0.5 * log_det - power * np.log(share))
 
-    def log_evidences(self, choices: Sequence[Index], sizes: Array = SIZES) -> Array:
-        """Log evidence (atoms, sizes) of each choice of columns at each prior size,
-        over no further column.
-        """
-        found = np.zeros((len(choices), len(sizes)))
-        for at, rows in by_count(choices):
-            found[at] = self.log_ratio(
-                *explained(
-                    self.gram[rows[:, :, None], rows[:, None, :]], self.b[rows], sizes
-                )
-            )
-        return found
+    def log_evidences(
+        self,
+        choices: Sequence[Index],
+        sizes: Array = SIZES,
+    ) -> Array:
+        """Log evidence (choices, sizes) of each choice of columns, over no column."""
+        table = np.zeros((len(choices), len(sizes)))
+        for numbers, rows in group_by_count(choices):
+            grams = self.gram[rows[:, :, None], rows[:, None, :]]
+            gain, log_det = explained_energy(grams, self.b[rows], sizes)
+            table[numbers] = self.log_ratio(gain, log_det)
+        return table
 
 
 def inverse_root(gram: Array) -> Array:
-    """R (k, m) with R R^T the pseudo-inverse of a Gram matrix (k, k), without
-    directions that no size makes visible.
+    """R (k, m) with R R^T the pseudo-inverse of a Gram matrix (k, k).
+
+    Directions that no size makes visible are left out.
     """
     values, vectors = np.linalg.eigh(gram)
-    kept = values > max(1e-9 * float(values.max(initial=0.0)), UNSEEN)
-    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]))
+    largest = float(values.max(initial=0.0))
+    visible = values > max(1e-9 * largest, UNSEEN)
+    return np.asarray(vectors[:, visible] / np.sqrt(values[visible]))
 
 
-def by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
-    """Choices of columns, those with as many together: their numbers (a,) and their
-    columns (a, d).
+def group_by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
+    """Choices of columns grouped by their number of columns.
+
+    Each group has the numbers (a,) of its choices and their columns (a, d).
     """
-    counts = np.array([len(c) for c in choices], dtype=int)
-    groups = [np.flatnonzero(counts == count) for count in np.unique(counts)]
-    return [(at, np.array([choices[int(k)] for k in at])) for at in groups]
+    counts = np.array([len(choice) for choice in choices], dtype=int)
+    groups = []
+    for count in np.unique(counts):
+        numbers = np.flatnonzero(counts == count)
+        groups.append((numbers, np.array([choices[int(k)] for k in numbers])))
+    return groups
 
 
-def explained(gram: Array, b: Array, sizes: Array) -> tuple[Array, Array]:
-    """What columns of Gram matrices (a, d, d) and projections b (a, d) explain at each
-    prior size, and log determinants: (a, sizes) each.
+def explained_energy(
+    gram: Array,
+    b: Array,
+    sizes: Array,
+) -> tuple[Array, Array]:
+    """Energy that columns explain at each prior size, and log determinants.
+
+    For Gram matrices (a, d, d) and projections b (a, d), both results are (a, sizes).
     """
     values, vectors = np.linalg.eigh(gram)
     values = np.maximum(values, 0.0)
-    told = np.einsum("akj,ak->aj", vectors, b) ** 2
-    wide = 1.0 + values[:, None, :] * sizes[None, :, None] ** 2
-    return (told[:, None, :] * sizes[None, :, None] ** 2 / wide).sum(axis=2), np.log(
-        wide
-    ).sum(axis=2)
+    energy = np.einsum("akj,ak->aj", vectors, b) ** 2
+    variance = sizes[None, :, None] ** 2
+    inflation = 1.0 + values[:, None, :] * variance
+    gain = (energy[:, None, :] * variance / inflation).sum(axis=2)
+    return gain, np.log(inflation).sum(axis=2)
 
 
-def carried(gram: Array, b: Array, sizes: Array | float) -> float:
-    """Energy b^T C A C b, C = (A + 1 / sizes^2)^-1, of what columns are found to
-    explain, beyond what they would of mere noise: the trace of C A.
+def excess_energy(gram: Array, b: Array, sizes: Array | float) -> float:
+    """Energy that columns explain beyond what they explain of mere noise.
+
+    It is b^T C A C b - tr(C A) with C = (A + 1 / sizes^2)^-1, at least 0.
     """
-    spread = np.linalg.inv(gram + np.eye(len(b)) / np.square(sizes))
-    mean = spread @ b
-    return max(float(mean @ gram @ mean) - float(np.trace(spread @ gram)), 0.0)
+    precision = np.eye(len(b)) / np.square(sizes)
+    covariance = np.linalg.inv(gram + precision)
+    mean = covariance @ b
+    noise = float(np.trace(covariance @ gram))
+    return max(float(mean @ gram @ mean) - noise, 0.0)
 
 
-class Parts:
-    """Columns (N, K) in a metric, of which some at a time are wanted as Grams."""
+class WhitenedColumns:
+    """Columns (N, K) in a metric, of which a slice at a time is wanted as Grams."""
 
     def __init__(self, problem: GapProblem, metric: Metric, columns: Array) -> None:
         self._columns = metric.parts(columns)
         self._residual = metric.parts(problem.residual[:, None])
         self._size = metric.size
-        self._rest = float(
-            sum(
-                s * (r**2).sum()
-                for s, r in zip((1.0, -1.0), self._residual, strict=True)
-            )
-        )
-        self._base = _student(metric.log_det, self._rest, metric.size)
+        white, absorbed = self._residual
+        self._energy = float((white**2).sum() - (absorbed**2).sum())
+        self._base = _log_student(metric.log_det, self._energy, metric.size)
 
-    def grams(self, some: slice = slice(None)) -> Grams:
-        """Of some columns; `base` is the log evidence of no gap, of the readings in
-        units of their noise.
-        """
-        white, absorbed = (part[:, some] for part in self._columns)
-        gram = white.T @ white - absorbed.T @ absorbed
-        b = white.T @ self._residual[0] - absorbed.T @ self._residual[1]
-        return Grams(gram, b[:, 0], self._rest, self._size, self._base)
+    def grams(self, columns: slice = slice(None)) -> Grams:
+        """Grams of a slice of the columns; `base` is the log evidence of no gap."""
+        white, absorbed = (part[:, columns] for part in self._columns)
+        white_residual, absorbed_residual = self._residual
+        return Grams(
+            gram=white.T @ white - absorbed.T @ absorbed,
+            b=(white.T @ white_residual - absorbed.T @ absorbed_residual)[:, 0],
+            energy=self._energy,
+            size=self._size,
+            base=self._base,
+        )
 
 
 def grams(problem: GapProblem, metric: Metric, columns: Array) -> Grams:
-    """Of columns (N, K) in a metric; `base` is the log evidence of no gap, of the
-    readings in units of their noise.
-    """
-    return Parts(problem, metric, columns).grams()
+    """Grams of columns (N, K) in a metric; `base` is the log evidence of no gap."""
+    return WhitenedColumns(problem, metric, columns).grams()
 
 
-def _student(log_det: float, rest: float, size: int) -> float:
-    """Log density of readings with r^T C^-1 r = rest, their level integrated out."""
+def _log_student(log_det: float, energy: float, size: int) -> float:
+    """Log density of readings with r^T C^-1 r = energy, their level integrated out."""
     half = 0.5 * size + SHAPE
     return float(
         -0.5 * log_det
-        - half * np.log(RATE + 0.5 * rest)
+        - half * np.log(RATE + 0.5 * energy)
         + special.gammaln(half)
         - special.gammaln(SHAPE)
         + SHAPE * np.log(RATE)
@@ -191,33 +207,38 @@ def _student(log_det: float, rest: float, size: int) -> float:
     )
 
 
-def compressed(problem: GapProblem, columns: Array) -> Array:
-    """Columns (N, k') with the same covariance as [H Lambda^1/2, columns], without what
-    is far below the noise.
+def compress(problem: GapProblem, columns: Array) -> Array:
+    """Columns (N, k') with the same covariance as [H Lambda^1/2, columns].
+
+    Directions far below the noise are left out.
     """
     both = np.hstack([problem.slopes, columns])
-    left, values, _ = np.linalg.svd(both, full_matrices=False)
-    kept = values > 0.03
-    return np.asarray(left[:, kept] * values[kept])
+    directions, sizes, _ = np.linalg.svd(both, full_matrices=False)
+    visible = sizes > FAINT
+    return np.asarray(directions[:, visible] * sizes[visible])
 
 
 def log_evidence(problem: GapProblem, law: NoiseLaw, columns: Array) -> float:
-    """Log evidence of the readings, the law's level integrated out: r ~ N(0, s^2 (Sigma
-    + columns columns^T)).
+    """Log evidence of the readings under a law, its level integrated out.
 
-    `columns` (N, k) hold the parameters' slopes too, as from `compressed`.
+    The readings are r ~ N(0, s^2 (Sigma + columns columns^T)). `columns` (N, k) hold
+    the parameters' slopes too, as from `compress`.
     """
     whitener = Whitener(problem, law)
     white = whitener.white(np.column_stack([problem.residual, columns]))
     full = white.T @ white
-    factor = linalg.cholesky(
-        full[1:, 1:] + np.eye(columns.shape[1]), lower=True, check_finite=False
+    inner = full[1:, 1:] + np.eye(columns.shape[1])
+    factor = linalg.cholesky(inner, lower=True, check_finite=False)
+    projected = linalg.solve_triangular(
+        factor, full[1:, 0], lower=True, check_finite=False
     )
-    told = linalg.solve_triangular(factor, full[1:, 0], lower=True, check_finite=False)
-    log_det = whitener.log_det + 2.0 * float(np.log(np.diag(factor)).sum())
-    return _student(log_det, float(full[0, 0] - told @ told), whitener.size)
+    log_factor = float(np.log(np.diag(factor)).sum())
+    log_det = whitener.log_det + 2.0 * log_factor
+    energy = float(full[0, 0] - projected @ projected)
+    return _log_student(log_det, energy, whitener.size)
 
 
-def level(found: Grams) -> float:
-    """Noise level where what is left has been explained: the mode of s."""
-    return float(np.sqrt((RATE + 0.5 * found.rest) / (0.5 * found.size + SHAPE)))
+def noise_level(grams: Grams) -> float:
+    """Noise level of what is not explained: the mode of s."""
+    energy = RATE + 0.5 * grams.energy
+    return float(np.sqrt(energy / (0.5 * grams.size + SHAPE)))

@@ -1,6 +1,4 @@
-"""The metric of a diagnosis: inner products of changes of the readings, after the
-parameters have absorbed what they can.
-"""
+"""Inner products of changes of the readings, less what the parameters absorb."""
 
 from __future__ import annotations
 
@@ -13,42 +11,40 @@ from oed.noise.law import NoiseLaw, Whitener
 
 
 class Metric:
-    """Inner products of changes of the readings after the parameters have absorbed what
-    they can.
+    """Inner products <u, v> = u^T M v with M = (Sigma + H Lambda H^T)^-1.
 
-    u, v (N, k) in units of the stated noise: <u, v> = u^T M v with M = (Sigma + H
-    Lambda H^T)^-1.
+    u, v are (N, k) changes of the readings in units of the stated noise.
     """
 
     def __init__(
         self, problem: GapProblem, law: NoiseLaw, rows: Index | None = None
     ) -> None:
-        """`rows`: the readings that count (all by default); vectors given are still of
-        all N readings.
+        """Factor M for the readings `rows`, all by default.
+
+        Vectors passed to the methods still have all N readings.
         """
         self._whitener = Whitener(problem, law, rows)
         self.size = self._whitener.size
-        white = self.white(problem.slopes)
+        white = self.whiten(problem.slopes)
         inner = np.eye(white.shape[1]) + white.T @ white
         self._root = linalg.cholesky(inner, lower=True, check_finite=False)
         self._absorb = linalg.solve_triangular(
             self._root, white.T, lower=True, check_finite=False
         )
         #: log determinant of Sigma + H Lambda H^T
-        self.log_det = self._whitener.log_det + 2.0 * float(
-            np.log(np.diag(self._root)).sum()
-        )
+        log_root = float(np.log(np.diag(self._root)).sum())
+        self.log_det = self._whitener.log_det + 2.0 * log_root
 
-    def white(self, values: Array) -> Array:
+    def whiten(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened by the noise alone, run after run."""
         return self._whitener.white(values)
 
     def parts(self, values: Array) -> tuple[Array, Array]:
-        """What inner products need of values (N, k): <u, v> = u0^T v0 - u1^T v1."""
-        white = self.white(values)
+        """Parts (u0, u1) of values u (N, k): <u, v> = u0^T v0 - u1^T v1."""
+        white = self.whiten(values)
         return white, self._absorb @ white
 
-    def fitted(self, values: Array) -> Array:
+    def fit(self, values: Array) -> Array:
         """Parameters (n,), in prior standard deviations, that explain values (N,) best."""
         _, absorbed = self.parts(values)
         return np.asarray(
@@ -59,5 +55,6 @@ class Metric:
 
     def gram(self, u: Array, v: Array) -> Array:
         """Inner products (k, l) of (N, k) and (N, l)."""
-        (u0, u1), (v0, v1) = self.parts(u), self.parts(v)
+        u0, u1 = self.parts(u)
+        v0, v1 = self.parts(v)
         return np.asarray(u0.T @ v0 - u1.T @ v1)

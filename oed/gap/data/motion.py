@@ -1,9 +1,8 @@
-"""How the joints move along each run: rate, acceleration, sense, and how far each has
-gone since it last turned back.
+"""Rate, acceleration, sense and distance since reversal of the joints along each run.
 
-A run is a smooth path through its poses, closed where it ends as near to its start as
-one pose is to the next; a closed one is entered rolling. Between two readings a joint
-may turn back: where it does is told by the path, not by the steps.
+A run is a smooth path through its poses. It is closed where it ends as near to its
+start as one pose is to the next; a closed run is entered rolling. A joint may turn back
+between two readings, so that the path locates the reversal, not the steps.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from oed.arrays import Array, Index
 
 #: poses of a run from which on a path is laid through them
 LEAST = 4
-#: turn of the tool's way at the poses, in the middle of a run's, beyond which poses are
-#: points and no path, rad
+#: median turn of the tool's direction at the poses beyond which poses are points and no
+#: path, rad
 CORNER = np.deg2rad(50.0)
 #: distance from end to start of a closed run, in steps between its poses
 CLOSED = 1.5
@@ -27,8 +26,12 @@ CLOSED = 1.5
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Motion:
-    """sense, rate, acceleration, reversal (m, nq) as in `State`; rates are NaN where
-    the feed is not known.
+    """Motion of the joints at every pose, (m, nq) each, as in `State`.
+
+    sense           sign of the joint's motion
+    rate            per second; NaN where the feed is not known
+    acceleration    per second squared; NaN where the feed is not known
+    reversal        distance since the joint last turned back
     """
 
     sense: Array
@@ -38,13 +41,21 @@ class Motion:
 
 
 def motion(
-    q: Array, tip: Array, run: NDArray[np.str_], order: Array, feed: Array, still: Index
+    q: Array,
+    tip: Array,
+    run: NDArray[np.str_],
+    order: Array,
+    feed: Array,
+    still: Index,
 ) -> Motion:
-    """Motion of joints q (m, nq) with the tool at tip (m, 3), from the order of poses
-    in each run and its feed; poses `still` are stood at.
+    """Motion of joints q (m, nq) from the order of poses in each run and its feed.
+
+    The tool is at tip (m, 3); at the poses `still` the machine stands.
     """
-    sense, reversal = np.zeros(q.shape), np.zeros(q.shape)
-    rate, acceleration = np.full(q.shape, np.nan), np.full(q.shape, np.nan)
+    sense = np.zeros(q.shape)
+    reversal = np.zeros(q.shape)
+    rate = np.full(q.shape, np.nan)
+    acceleration = np.full(q.shape, np.nan)
     rate[still] = acceleration[still] = 0.0
     moving = np.setdiff1d(np.arange(len(q)), still)
     for label in dict.fromkeys(run[moving]):
@@ -53,88 +64,112 @@ def motion(
         if len(at) < 2:
             rate[at] = acceleration[at] = 0.0
             continue
-        way, closed = _way(tip[at])
-        path = _path(q[at], tip[at], way, closed)
+        length, closed = _path_length(tip[at])
+        places = length[: len(at)]
+        path = _path(q[at], tip[at], length, closed)
         if path is None:
-            slope = np.gradient(q[at], way[: len(at)], axis=0)
-            bend = np.gradient(slope, way[: len(at)], axis=0)
+            slope = np.gradient(q[at], places, axis=0)
+            curvature = np.gradient(slope, places, axis=0)
             sense[at] = _sense(slope)
-            reversal[at] = _stepped(q[at], sense[at])
+            reversal[at] = _since_reversal_by_steps(q[at], sense[at])
         else:
-            slope, bend = path(way[: len(at)], 1), path(way[: len(at)], 2)
+            slope = path(places, 1)
+            curvature = path(places, 2)
             sense[at] = _sense(slope)
-            reversal[at] = _since(path, way, len(at), closed)
-        rate[at], acceleration[at] = slope * feed[at, None], bend * feed[at, None] ** 2
+            reversal[at] = _since_reversal(path, length, len(at), closed)
+        speed = feed[at, None]
+        rate[at] = slope * speed
+        acceleration[at] = curvature * speed**2
     return Motion(sense, rate, acceleration, reversal)
 
 
-def _way(tip: Array) -> tuple[Array, bool]:
-    """Length of path at k poses, and back at the first where the run is closed (then k
-    + 1 values).
+def _path_length(tip: Array) -> tuple[Array, bool]:
+    """Length of path at k poses, and whether the run is closed.
+
+    A closed run has k + 1 values: the last is the length back at the first pose.
     """
-    steps = np.maximum(np.linalg.norm(np.diff(tip, axis=0), axis=1), 1e-9)
+    steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
+    steps = np.maximum(steps, 1e-9)
     last = float(np.linalg.norm(tip[0] - tip[-1]))
-    closed = len(tip) >= 2 * LEAST and 1e-6 < last < CLOSED * float(np.median(steps))
-    return (
-        np.concatenate([[0.0], np.cumsum([*steps, last] if closed else steps)]),
-        closed,
-    )
+    near = 1e-6 < last < CLOSED * float(np.median(steps))
+    closed = len(tip) >= 2 * LEAST and near
+    lengths = np.cumsum([*steps, last] if closed else steps)
+    return np.concatenate([[0.0], lengths]), closed
 
 
-def _path(q: Array, tip: Array, way: Array, closed: bool) -> CubicSpline | None:
-    """Joints over the length of path; None where the poses are too few, or points to be
-    reached in any order.
-    """
+def _path(
+    q: Array,
+    tip: Array,
+    length: Array,
+    closed: bool,
+) -> CubicSpline | None:
+    """Joints over the length of path; None where the poses are points and no path."""
     step = np.diff(tip, axis=0)
     size = np.linalg.norm(step, axis=1)
     if len(q) < LEAST or size.min() < 1e-6:
         return None
-    turn = np.arccos(
-        np.clip((step[1:] * step[:-1]).sum(axis=1) / (size[1:] * size[:-1]), -1.0, 1.0)
-    )
+    cosine = (step[1:] * step[:-1]).sum(axis=1) / (size[1:] * size[:-1])
+    turn = np.arccos(np.clip(cosine, -1.0, 1.0))
     if np.median(turn) > CORNER:
         return None
-    return (
-        CubicSpline(way, np.vstack([q, q[:1]]), bc_type="periodic")
-        if closed
-        else CubicSpline(way, q)
-    )
+    if closed:
+        around = np.vstack([q, q[:1]])
+        return CubicSpline(length, around, bc_type="periodic")
+    return CubicSpline(length, q)
 
 
 def _sense(slope: Array) -> Array:
-    """Sign of each joint's motion (k, nq) at its poses, kept where it stands still."""
+    """Sign of each joint's motion (k, nq); where it stands still, of its last motion."""
     size = np.abs(slope)
-    sign = np.where(size > 1e-6 * max(float(size.max()), 1e-12), np.sign(slope), 0.0)
-    for k in range(1, len(sign)):
-        sign[k] = np.where(sign[k] == 0.0, sign[k - 1], sign[k])
-    for k in range(len(sign) - 2, -1, -1):
-        sign[k] = np.where(sign[k] == 0.0, sign[k + 1], sign[k])
+    least = 1e-6 * max(float(size.max()), 1e-12)
+    sign = np.where(size > least, np.sign(slope), 0.0)
+    count = len(sign)
+    for k in range(1, count):
+        _fill(sign, k, k - 1)
+    for k in range(count - 2, -1, -1):
+        _fill(sign, k, k + 1)
     return sign
 
 
-def _since(path: CubicSpline, way: Array, count: int, closed: bool) -> Array:
-    """Distance (count, nq) gone since the path last turned back; before an open run's
-    first turn, far away.
+def _fill(sign: Array, k: int, neighbour: int) -> None:
+    """Replace zeros in row k by the neighbouring row's signs."""
+    sign[k] = np.where(sign[k] == 0.0, sign[neighbour], sign[k])
+
+
+def _since_reversal(
+    path: CubicSpline,
+    length: Array,
+    count: int,
+    closed: bool,
+) -> Array:
+    """Distance (count, nq) since the path last turned back.
+
+    Before an open run's first turn it is infinite.
     """
-    places = way[:count]
+    places = length[:count]
     q = path(places)
-    gone = np.full(q.shape, np.inf)
-    for joint, found in enumerate(path.derivative().roots(extrapolate=False)):
-        turns = np.unique(found[np.isfinite(found)])
+    distance = np.full(q.shape, np.inf)
+    roots = path.derivative().roots(extrapolate=False)
+    for joint, turns in enumerate(roots):
+        turns = np.unique(turns[np.isfinite(turns)])
         if closed and turns.size:
-            turns = np.concatenate([[turns[-1] - way[-1]], turns])
+            before_start = turns[-1] - length[-1]
+            turns = np.concatenate([[before_start], turns])
         last = np.searchsorted(turns, places, side="right") - 1
-        some = last >= 0
-        gone[some, joint] = np.abs(q[some, joint] - path(turns[last[some]])[:, joint])
-    return gone
+        turned = last >= 0
+        at_turn = path(turns[last[turned]])[:, joint]
+        distance[turned, joint] = np.abs(q[turned, joint] - at_turn)
+    return distance
 
 
-def _stepped(q: Array, sense: Array) -> Array:
-    """Distance (k, nq) gone since the last change of sense, by steps; a run's start
-    counts as none, far away.
+def _since_reversal_by_steps(q: Array, sense: Array) -> Array:
+    """Distance (k, nq) since the last change of sense, summed over steps.
+
+    Before a run's first change of sense it is infinite.
     """
     step = np.abs(np.diff(q, axis=0, prepend=q[:1]))
-    gone = np.full(q.shape, np.inf)
+    distance = np.full(q.shape, np.inf)
     for k in range(1, len(q)):
-        gone[k] = np.where(sense[k] == sense[k - 1], gone[k - 1] + step[k], step[k])
-    return gone
+        onward = sense[k] == sense[k - 1]
+        distance[k] = np.where(onward, distance[k - 1] + step[k], step[k])
+    return distance

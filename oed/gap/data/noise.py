@@ -1,4 +1,4 @@
-"""Noise law and outliers of the residuals, beside columns that may hold a gap."""
+"""Noise law and outliers of the residuals while columns in the model hold any gap."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from oed.arrays import Array
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
-from oed.noise import estimate, outliers
+from oed.noise import estimate
 from oed.noise.law import NoiseLaw
-from oed.noise.outliers import Outliers
+from oed.noise.outliers import Outliers, detect
 
 
 def fit_law(
@@ -18,13 +18,14 @@ def fit_law(
     start: NoiseLaw | None = None,
     size: float | Array = 1.0,
 ) -> tuple[NoiseLaw, float]:
-    """The law that explains the residual best beside columns (N, k) of prior N(0,
-    size^2), and the log of the prior mass about it.
+    """The law of largest posterior density, and the log of the prior mass about it.
+
+    Columns (N, k) are in the model, their coefficients N(0, size^2).
     """
-    wide = evidence.compressed(problem, columns * size)
+    compressed = evidence.compress(problem, columns * size)
 
     def log_evidence(law: NoiseLaw) -> float:
-        return evidence.log_evidence(problem, law, wide)
+        return evidence.log_evidence(problem, law, compressed)
 
     return estimate.fit(problem, log_evidence, start)
 
@@ -32,13 +33,13 @@ def fit_law(
 def detect_outliers(
     problem: GapProblem, law: NoiseLaw, columns: Array
 ) -> Outliers | None:
-    """Outliers under a law, beside columns (N, k) of prior N(0, 1)."""
+    """Outliers under a law, with columns (N, k) of prior N(0, 1) in the model."""
     covariance = columns @ columns.T + problem.slopes @ problem.slopes.T
     for number, members in enumerate(problem.blocks):
         covariance[np.ix_(members, members)] += law.block(problem, number)
-    return outliers.detect(problem.residual, covariance)
+    return detect(problem.residual, covariance)
 
 
-def without_outliers(problem: GapProblem, found: Outliers | None) -> GapProblem:
-    """The residuals with their outliers pulled in, if there are any."""
-    return problem if found is None else problem.with_residual(found.residual)
+def without_outliers(problem: GapProblem, outliers: Outliers | None) -> GapProblem:
+    """The problem with pseudo-residuals in place of the outliers, if there are any."""
+    return problem if outliers is None else problem.with_residual(outliers.residual)

@@ -1,14 +1,13 @@
-"""Residuals made ready for a diagnosis: what calibration leaves, with what it may still
-absorb.
+"""Residuals of a calibration in units of their noise, with what it may still absorb.
 
 With theta_hat the fitted parameters, H their slopes and N(nominal, Lambda) their prior,
 readings are, to first order,
 
     y = f(theta_hat) + H (theta - theta_hat) + G beta + e,      so that
-    r = y - f(theta_hat) + H (theta_hat - nominal) ~ N(G beta, Sigma + H Lambda H^T):
+    r = y - f(theta_hat) + H (theta_hat - nominal) ~ N(G beta, Sigma + H Lambda H^T).
 
-whatever value of theta the fit ended at, what the parameters can explain is taken out
-by Lambda, not by the fit.
+Whatever value of theta the fit ended at, Lambda takes out what the parameters can
+explain, not the fit.
 """
 
 from __future__ import annotations
@@ -20,11 +19,12 @@ import numpy as np
 import pandas as pd
 
 from oed import identify
-from oed.arrays import Array
+from oed.arrays import Array, Index
 from oed.effect import Effect, State
 from oed.gap.data import state as states_of
 from oed.gap.data.signature import Signature, signature
 from oed.measurement import Measurement, Response, Series
+from oed.noise.covariance import Noise
 from oed.noise.runs import Runs
 
 
@@ -32,15 +32,17 @@ from oed.noise.runs import Runs
 class GapProblem(Runs):
     """N readings in units of their stated noise, and the n parameters that absorb.
 
-    measurement, series, theta   what was fitted, and the fit (n_all,), SI
-    states, responses            one a series
-    sigma (N,)                   stated noise, SI
-    residual (N,)                r over sigma
-    slopes (N, n)                H over sigma, per prior standard deviation of each free
-                                 parameter
-    names (n,)                   of those parameters
-    rows                         one row a reading of a channel: setup, run, order,
-                                 channel, covariates, phase
+    measurement    what was fitted
+    series         the readings' series
+    theta          (n_all,) fitted parameters, SI
+    states         the machine's state, one a series
+    responses      slopes of the readings, one a series
+    sigma          (N,) stated noise, SI
+    residual       (N,) r over sigma
+    slopes         (N, n) H over sigma, per prior standard deviation of each parameter
+    names          (n,) of those parameters
+    rows           one row a reading of a channel: setup, run, order, channel,
+                   covariates, phase
     """
 
     measurement: Measurement
@@ -55,20 +57,34 @@ class GapProblem(Runs):
     rows: pd.DataFrame
 
     def signature(
-        self, effect: Effect, constants: Mapping[str, float], *, textbook: bool = False
+        self,
+        effect: Effect,
+        constants: Mapping[str, float],
+        *,
+        textbook: bool = False,
     ) -> Signature:
-        """An effect's signature in these readings at its constants, SI; without columns
-        that adapt, if `textbook`.
-        """
-        told = (self.states, self.responses, self.measurement, self.series)
-        return signature(effect, constants, *told, self.sigma, textbook=textbook)
+        """An effect's signature in these readings at its constants, SI.
 
-    def of(self, values: Array) -> Array:
+        `textbook` leaves out the columns that only let the form adapt.
+        """
+        return signature(
+            effect,
+            constants,
+            self.states,
+            self.responses,
+            self.measurement,
+            self.series,
+            self.sigma,
+            textbook=textbook,
+        )
+
+    def in_noise_units(self, values: Array) -> Array:
         """Changes of the readings (N, ...), SI, in units of their stated noise."""
-        return values / self.sigma.reshape(-1, *[1] * (values.ndim - 1))
+        trailing = [1] * (values.ndim - 1)
+        return values / self.sigma.reshape(-1, *trailing)
 
     def with_residual(self, residual: Array) -> GapProblem:
-        """The same readings with other residuals (N,), in units of their stated noise."""
+        """The same readings with other residuals (N,), in units of the stated noise."""
         return dataclasses.replace(self, residual=residual)
 
 
@@ -81,19 +97,20 @@ def prepare(
     gravity: tuple[float, float, float] = states_of.DOWN,
     stages: Sequence[Sequence[str]] = (("*",),),
 ) -> GapProblem:
-    """Fit the calibration parameters to readings y (N,), SI, and lay out what is left.
+    """Fit the calibration to readings y (N,), SI, and assemble its residuals.
 
     `covariates` has one row a reading of the series, as in a Dataset. Raises
     IdentificationError.
     """
     series = tuple(series)
-    found = identify.identify(
+    estimate = identify.identify(
         measurement, series, y, stages=stages, estimate_noise=False
     )
-    return planned(measurement, series, covariates, found.theta, y, gravity=gravity)
+    theta = estimate.theta
+    return assemble(measurement, series, covariates, theta, y, gravity=gravity)
 
 
-def planned(
+def assemble(
     measurement: Measurement,
     series: Sequence[Series],
     covariates: pd.DataFrame,
@@ -102,47 +119,68 @@ def planned(
     *,
     gravity: tuple[float, float, float] = states_of.DOWN,
 ) -> GapProblem:
-    """The problem of readings y (N,) at parameters theta (n,); of readings only
-    planned, with residuals of 0.
+    """The problem of readings y (N,) at parameters theta (n,).
+
+    Parameters are nominal by default; without y the readings are only planned, and
+    their residuals are 0.
     """
     series = tuple(s.parted() for s in series)
     theta = measurement.nominal if theta is None else theta
     jacobian = measurement.jacobian(series, theta)
     y = measurement.readings(series, theta) if y is None else y
     noise = measurement.noise(series)
+    sigma = noise.sigma
     free = np.flatnonzero(measurement.free)
-    left = (
-        y
-        - measurement.readings(series, theta)
-        + jacobian @ (theta - measurement.nominal)
-    )
-    made = tuple(states_of.states(measurement, series, covariates, theta, gravity))
-    rows = _rows(measurement, series, covariates, made)
-    blocks = tuple(rows.groupby(["setup", "run"], sort=False).indices.values())
-    covariance = None if noise.root is None else (noise.root @ noise.root.T).tocsr()
-    base = [None if covariance is None else covariance[b][:, b].toarray() / np.outer(noise.sigma[b], noise.sigma[b])
-            for b in blocks]  # fmt: skip
-    along = np.zeros(len(rows))
-    for b in blocks:
-        along[b] = rows["order"].to_numpy(dtype=float)[b]
+    off_nominal = jacobian @ (theta - measurement.nominal)
+    residual = y - measurement.readings(series, theta) + off_nominal
+    states = tuple(states_of.states(measurement, series, covariates, theta, gravity))
+    rows = _rows(measurement, series, covariates, states)
+    runs = rows.groupby(["setup", "run"], sort=False).indices.values()
+    blocks = tuple(np.asarray(members, dtype=np.intp) for members in runs)
     kinds = rows["instrument"] + "." + rows["channel"]
+    tolerance = measurement.tolerance[free]
     return GapProblem(
         measurement=measurement,
         series=series,
         theta=theta,
-        states=made,
+        states=states,
         responses=tuple(measurement.response(s, theta) for s in series),
-        sigma=noise.sigma,
-        residual=left / noise.sigma,
-        slopes=jacobian[:, free] * measurement.tolerance[free] / noise.sigma[:, None],
+        sigma=sigma,
+        residual=residual / sigma,
+        slopes=jacobian[:, free] * tolerance / sigma[:, None],
         names=tuple(measurement.names[k] for k in free),
-        base=tuple(base),
-        blocks=tuple(np.asarray(b, dtype=np.intp) for b in blocks),
-        along=along,
+        base=_stated_correlations(noise, blocks),
+        blocks=blocks,
+        along=_numbers_in_runs(rows, blocks),
         group=pd.factorize(kinds)[0].astype(np.intp),
         phase=rows["phase"].to_numpy(dtype=float),
         rows=rows,
     )
+
+
+def _stated_correlations(
+    noise: Noise,
+    blocks: Sequence[Index],
+) -> tuple[Array | None, ...]:
+    """Stated correlation (k, k) of each run's readings; None if independent."""
+    if noise.root is None:
+        return (None,) * len(blocks)
+    covariance = (noise.root @ noise.root.T).tocsr()
+    correlations = []
+    for members in blocks:
+        block = covariance[members][:, members].toarray()
+        sigma = noise.sigma[members]
+        correlations.append(block / np.outer(sigma, sigma))
+    return tuple(correlations)
+
+
+def _numbers_in_runs(rows: pd.DataFrame, blocks: Sequence[Index]) -> Array:
+    """Number (N,) of each reading in its run."""
+    along = np.zeros(len(rows))
+    order = rows["order"].to_numpy(dtype=float)
+    for members in blocks:
+        along[members] = order[members]
+    return along
 
 
 def _rows(
@@ -154,8 +192,9 @@ def _rows(
     """One row a reading of a channel, in the order of y."""
     parts, start = [], 0
     for s, state in zip(series, states, strict=True):
-        rows = covariates.iloc[start : start + len(s)].reset_index(drop=True)
-        start += len(s)
+        stop = start + len(s)
+        rows = covariates.iloc[start:stop].reset_index(drop=True)
+        start = stop
         instrument = measurement.setups[s.setup].instrument
         rows = rows.assign(
             instrument=instrument.name,
@@ -163,6 +202,7 @@ def _rows(
             reading=np.arange(len(s)),
         )
         channels = [c.name for c in instrument.channels]
-        wide = rows.loc[rows.index.repeat(len(channels))].reset_index(drop=True)
-        parts.append(wide.assign(channel=np.tile(channels, len(s))))
+        repeated = rows.index.repeat(len(channels))
+        table = rows.loc[repeated].reset_index(drop=True)
+        parts.append(table.assign(channel=np.tile(channels, len(s))))
     return pd.concat(parts, ignore_index=True)

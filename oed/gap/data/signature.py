@@ -1,17 +1,18 @@
-"""Signatures: what an effect's coefficients do to the readings, to first order; and
-exactly, for virtual machines.
+"""Change of the readings by an effect's coefficients: to first order, and exactly.
 
 The signature of a coefficient is H delta p of its changes, summed over the poses that a
 reading sees:
 
     G = sum_j y_qj dq_j + y_pj dp_j  +  y_s ds  +  dy.
+
+The exact form serves virtual machines.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -19,12 +20,11 @@ from oed.arrays import Array, Mask
 from oed.effect import Column, Effect, State
 from oed.measurement import Measurement, Response, Series
 
-#: signature below which a coefficient is taken to change nothing, against the noise
-#: (both summed over the readings)
+#: norm of a signature over all readings, in units of the noise, up to which a
+#: coefficient changes nothing
 NOTHING = 1e-6
 
-#: how the reason begins for which an effect cannot be tested where a covariate is
-#: missing
+#: start of the reason for which an effect cannot be tested where a covariate is missing
 LACKS = "the readings do not have "
 
 
@@ -32,13 +32,14 @@ LACKS = "the readings do not have "
 class Signature:
     """An effect's columns in the readings, at one set of constants.
 
-    effect, constants    what it is of
-    columns (N, k)       readings per standard deviation of each coefficient, SI
-    names, labels (k,)   of the coefficients, and the blocks they belong to
-    scales (k,)          prior standard deviations of the coefficients, in their own
-                         units
-    shape (k,)           which columns only let the form adapt
-    textbook             prior share of the form without these
+    effect       name of the effect
+    constants    {constant: value}
+    columns      (N, k) readings per standard deviation of each coefficient, SI
+    names        (k,) of the coefficients
+    labels       (k,) the blocks that they belong to
+    scales       (k,) prior standard deviations of the coefficients, in their own units
+    shape        (k,) which columns only let the form adapt
+    textbook     prior share of the form without these
     """
 
     effect: str
@@ -62,161 +63,200 @@ def signature(
     *,
     textbook: bool = False,
 ) -> Signature:
-    """The effect's signature in the readings of all series, at its `constants`; sigma
-    (N,): their noise, SI.
+    """The effect's signature in the readings of all series, at its `constants`.
 
-    textbook: without the columns that only let the form adapt
+    sigma       (N,) noise of the readings, SI; the measurement's by default
+    textbook    leave out the columns that only let the form adapt
     """
-    sizes = [r.nuisances.shape[0] * r.nuisances.shape[1] for r in responses]
-    ends = np.cumsum([0, *sizes])
-    found: dict[str, Column] = {}
+    ends = np.cumsum([0, *(_count(response) for response in responses)])
+    columns: dict[str, Column] = {}
     values: dict[str, Array] = {}
-    for k, (state, response, s) in enumerate(
-        zip(states, responses, series, strict=True)
-    ):
+    parts = zip(states, responses, series, strict=True)
+    for k, (state, response, s) in enumerate(parts):
+        rows = slice(ends[k], ends[k + 1])
         for column in effect.columns(state, **constants):
             if textbook and column.shape:
                 continue
-            if column.name not in values:
-                found[column.name], values[column.name] = column, np.zeros(ends[-1])
-            values[column.name][ends[k] : ends[k + 1]] += column.scale * _read(
-                column, response, measurement, s
-            )
+            name = column.name
+            if name not in values:
+                columns[name] = column
+                values[name] = np.zeros(ends[-1])
+            change = _read(column, response, measurement, s)
+            values[name][rows] += column.scale * change
     sigma = measurement.sigma(series) if sigma is None else sigma
-    kept = [n for n, v in values.items() if np.linalg.norm(v / sigma) > NOTHING]
+    names = [n for n, v in values.items() if _norm(v, sigma) > NOTHING]
+    table = np.zeros((ends[-1], 0))
+    if names:
+        table = np.column_stack([values[n] for n in names])
     return Signature(
         effect=effect.name,
         constants=dict(constants),
-        columns=(
-            np.column_stack([values[n] for n in kept])
-            if kept
-            else np.zeros((ends[-1], 0))
-        ),
-        names=tuple(kept),
-        labels=tuple(found[n].label for n in kept),
-        scales=np.array([found[n].scale for n in kept]),
-        shape=np.array([found[n].shape for n in kept], dtype=bool),
+        columns=table,
+        names=tuple(names),
+        labels=tuple(columns[n].label for n in names),
+        scales=np.array([columns[n].scale for n in names]),
+        shape=np.array([columns[n].shape for n in names], dtype=bool),
         textbook=effect.textbook,
     )
 
 
+def _count(response: Response) -> int:
+    """Number of a series' readings, all channels counted."""
+    readings, channels = response.nuisances.shape[:2]
+    return int(readings * channels)
+
+
+def _norm(values: Array, sigma: Array) -> float:
+    return float(np.linalg.norm(values / sigma))
+
+
 def _read(
-    column: Column, response: Response, measurement: Measurement, series: Series
+    column: Column,
+    response: Response,
+    measurement: Measurement,
+    series: Series,
 ) -> Array:
     """Change (n channels,) of a series' readings per unit of a coefficient."""
     setup = measurement.setups[series.setup]
     total = np.zeros(response.nuisances.shape[:2])
     index = measurement.machine.index
-    known = (
-        {p.name for p in measurement.machine.parameters} if column.parameters else set()
-    )
+    parameters = _known_parameters(column, measurement)
     for j, place in enumerate(series.index.T):
         for limb, change in column.joints.items():
-            total += response.joints[j][:, :, limb] * change[place, None]
-        for name, change in column.parameters.items():
-            if name in known:
-                total += response.parameters[j][:, :, index(name)] * change[place, None]
+            slopes = response.joints[j][:, :, limb]
+            total += slopes * change[place, None]
+        for name, change in parameters:
+            slopes = response.parameters[j][:, :, index(name)]
+            total += slopes * change[place, None]
     read = series.index[:, 0]
     for k, nuisance in enumerate(setup.nuisances):
         if nuisance.name in column.nuisances:
-            total += (
-                response.nuisances[:, :, k]
-                * column.nuisances[nuisance.name][read, None]
-            )
-    for k, channel in enumerate(setup.instrument.channels):
-        for name in ("*", channel.name):
-            if name in column.reading:
-                total[:, k] += column.reading[name][read]
+            shift = column.nuisances[nuisance.name][read, None]
+            total += response.nuisances[:, :, k] * shift
+    for k, change in _direct_changes(column, measurement, series):
+        total[:, k] += change[read]
     return total.ravel()
 
 
-def exact(
+def _known_parameters(
+    column: Column,
+    measurement: Measurement,
+) -> list[tuple[str, Array]]:
+    """Names and changes of the column's parameters that this machine has."""
+    if not column.parameters:
+        return []
+    known = {p.name for p in measurement.machine.parameters}
+    return [(n, change) for n, change in column.parameters.items() if n in known]
+
+
+def _direct_changes(
+    column: Column,
+    measurement: Measurement,
+    series: Series,
+) -> Iterator[tuple[int, Array]]:
+    """Numbers of the channels that a column changes directly, and the changes (m,)."""
+    channels = measurement.setups[series.setup].instrument.channels
+    for k, channel in enumerate(channels):
+        for name in ("*", channel.name):
+            if name in column.reading:
+                yield k, column.reading[name]
+
+
+def exact_readings(
     measurement: Measurement,
     series: Sequence[Series],
     theta: Array,
     states: Sequence[State],
     acting: Iterable[tuple[Effect, Mapping[str, float], Mapping[str, float]]],
 ) -> Array:
-    """Noise-free readings (N,) of a machine at theta (n,) with effects, through the
-    exact closure.
+    """Noise-free readings (N,) of a machine with effects, through the exact closure.
 
-    acting: (effect, its constants, coefficients by name as factors on their prior
-    standard deviations).
+    theta     (n,) parameters of the machine
+    acting    for each effect its constants and its coefficients by name, as factors on
+              their prior standard deviations
     """
     acting = list(acting)
     parts = []
     for state, s in zip(states, series, strict=True):
         columns = [
-            (c, factors[c.name])
+            (column, factors[column.name])
             for effect, constants, factors in acting
-            for c in effect.columns(state, **constants)
-            if c.name in factors
+            for column in effect.columns(state, **constants)
+            if column.name in factors
         ]
-        parts.append(_exact(measurement, s, theta, columns))
+        parts.append(_exact_series(measurement, s, theta, columns))
     return np.concatenate(parts)
 
 
-def _exact(
+def _exact_series(
     measurement: Measurement,
     series: Series,
     theta: Array,
     columns: list[tuple[Column, float]],
 ) -> Array:
+    """Noise-free readings of one series with columns at factors on their scales."""
     setup, machine = measurement.setups[series.setup], measurement.machine
-    joints, parameters = (
-        np.zeros(series.q.shape),
-        np.zeros((len(series.q), len(machine.parameters))),
-    )
-    nuisances = np.zeros((len(series), len(setup.nuisances)))
-    direct = np.zeros((len(series), len(setup.instrument.channels)))
-    known, read = {p.name for p in machine.parameters}, series.index[:, 0]
+    poses, count = len(series.q), len(series)
+    joints = np.zeros(series.q.shape)
+    parameters = np.zeros((poses, len(machine.parameters)))
+    nuisances = np.zeros((count, len(setup.nuisances)))
+    direct = np.zeros((count, len(setup.instrument.channels)))
+    read = series.index[:, 0]
     for column, factor in columns:
         size = factor * column.scale
         for limb, change in column.joints.items():
             joints[:, limb] += size * change
-        for name, change in column.parameters.items():
-            if name in known:
-                parameters[:, machine.index(name)] += size * change
+        for name, change in _known_parameters(column, measurement):
+            parameters[:, machine.index(name)] += size * change
         for k, nuisance in enumerate(setup.nuisances):
             if nuisance.name in column.nuisances:
                 nuisances[:, k] += size * column.nuisances[nuisance.name][read]
-        for k, channel in enumerate(setup.instrument.channels):
-            for name in ("*", channel.name):
-                if name in column.reading:
-                    direct[:, k] += size * column.reading[name][read]
-    return (
-        measurement.moved(series, theta, joints, parameters, nuisances) + direct.ravel()
-    )
+        for k, change in _direct_changes(column, measurement, series):
+            direct[:, k] += size * change[read]
+    readings = measurement.moved(series, theta, joints, parameters, nuisances)
+    return readings + direct.ravel()
 
 
 def untestable(effect: Effect, states: Sequence[State]) -> str | None:
-    """Why these readings cannot test an effect: what is missing, in words; None where
-    they can.
+    """Why these readings cannot test an effect; None where they can.
+
+    The reason is what is missing, in words.
     """
     reason = effect.unfit(states[0].machine)
     if reason is not None:
         return reason
-    missing = [
-        need
-        for need in effect.needs
-        if not any(_there(part.strip(), states) for part in need.split(" or "))
-    ]
+    missing = [need for need in effect.needs if not _any_recorded(need, states)]
     return LACKS + ", ".join(missing) if missing else None
 
 
-def _there(need: str, states: Sequence[State]) -> bool:
+def _any_recorded(need: str, states: Sequence[State]) -> bool:
+    """Whether one of the alternatives of a need is recorded."""
+    alternatives = need.split(" or ")
+    return any(_recorded(part.strip(), states) for part in alternatives)
+
+
+def _recorded(need: str, states: Sequence[State]) -> bool:
+    """Whether a covariate is recorded with as many values as needed."""
     name, _, wanted = need.partition(":")
     if name.startswith("temp_"):
-        return any(
-            np.isfinite(
-                s.temperature.get(name.removeprefix("temp_"), np.array([np.nan]))
-            ).any()
-            for s in states
-        )
+        return _temperature_recorded(name.removeprefix("temp_"), states)
     values = np.concatenate([getattr(s, name) for s in states])
     values = values[np.isfinite(values)]
     if name == "time":
         return len(np.unique(values)) > 1
-    least = re.search(r"\d+", wanted)
-    number = 2 if wanted.strip() == "both" else int(least.group()) if least else 1
-    return len(np.unique(np.round(values, 9))) >= number
+    distinct = np.unique(np.round(values, 9))
+    return len(distinct) >= _values_needed(wanted)
+
+
+def _temperature_recorded(body: str, states: Sequence[State]) -> bool:
+    unknown = np.array([np.nan])
+    readings = [s.temperature.get(body, unknown) for s in states]
+    return any(bool(np.isfinite(r).any()) for r in readings)
+
+
+def _values_needed(wanted: str) -> int:
+    """Number of distinct values that a need states: "both", a number, or one."""
+    if wanted.strip() == "both":
+        return 2
+    number = re.search(r"\d+", wanted)
+    return int(number.group()) if number else 1

@@ -132,7 +132,7 @@ def _slopes(problem: GapProblem, every: Sequence[Sequence[Array]]) -> Array:
         for k, j in enumerate(_seen(series)):
             slopes[:, :, k] = told[j].reshape(len(slopes), -1)
         parts.append(slopes)
-    return problem.of(UNIT * np.concatenate(parts))
+    return problem.in_noise_units(UNIT * np.concatenate(parts))
 
 
 def tool(problem: GapProblem, legs: Array) -> Array:

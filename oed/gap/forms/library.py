@@ -104,7 +104,7 @@ def build(
             continue
         for form, log_weight, halved in _with_alike(forms, effect.alike):
             start = len(names)
-            blocks.append(problem.of(form.columns))
+            blocks.append(problem.in_noise_units(form.columns))
             names += form.names
             labels += form.labels
             scales.append(form.scales)
@@ -164,7 +164,7 @@ def _seen(
     made: dict[bytes, Signature] = {}
     for point in points:
         form = problem.signature(effect, point, textbook=textbook)
-        if form.names and np.linalg.norm(problem.of(form.columns)) > UNSEEN:
+        if form.names and np.linalg.norm(problem.in_noise_units(form.columns)) > UNSEEN:
             made.setdefault(
                 hashlib.sha1(form.columns.tobytes(), usedforsecurity=False).digest(),
                 form,
@@ -187,8 +187,10 @@ def _best(
     if metric is None or len(forms) <= MANY:
         return list(forms)
     ends = np.cumsum([0, *(len(form.names) for form, _ in forms)])
-    every = evidence.Parts(
-        problem, metric, problem.of(np.hstack([form.columns for form, _ in forms]))
+    every = evidence.WhitenedColumns(
+        problem,
+        metric,
+        problem.in_noise_units(np.hstack([form.columns for form, _ in forms])),
     )
     scores = []
     for (form, log_weight), start, end in zip(forms, ends, ends[1:], strict=False):

@@ -195,7 +195,7 @@ def _told(problem: GapProblem, metric: Metric, bands: Sequence[Band]) -> list[Pe
     for band in bands:
         columns = _waves(band.carriers[0], _both(band.clock, band.frequencies))
         width, name = columns.shape[1], band.names[0]
-        every = evidence.Parts(
+        every = evidence.WhitenedColumns(
             problem, metric, columns.transpose(0, 2, 1).reshape(len(problem), -1)
         )
         for k, frequency in enumerate(band.frequencies):

@@ -84,7 +84,7 @@ def _joint(problem: GapProblem, limb: int, change: Sequence[Array]) -> Array:
         for slope, place in zip(response.joints, series.index.T, strict=True):
             total += slope[:, :, limb, None] * values[place, None, :]
         parts.append(total.reshape(-1, values.shape[1]))
-    return problem.of(UNIT * np.concatenate(parts))
+    return problem.in_noise_units(UNIT * np.concatenate(parts))
 
 
 def _legs(problem: GapProblem) -> Iterator[Look]:

@@ -174,7 +174,7 @@ class _Root:
     def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
         self._metric = Metric(problem, law)
         self._axes, size, _ = np.linalg.svd(
-            self._metric.white(problem.slopes), full_matrices=False
+            self._metric.whiten(problem.slopes), full_matrices=False
         )
         self._shrink = 1.0 - 1.0 / np.hypot(1.0, size)
 
@@ -186,7 +186,7 @@ class _Root:
         """Values whitened by the noise alone, and by what the parameters may do as
         well.
         """
-        white = self._metric.white(values)
+        white = self._metric.whiten(values)
         return white, white - (self._axes * self._shrink) @ (self._axes.T @ white)
 
 

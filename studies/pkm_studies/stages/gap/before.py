@@ -52,7 +52,7 @@ def foresee(
     The noise is that stated: what real runs add to it is not known before there are
     any.
     """
-    planned = problem_of.planned(measurement, series, covariates, gravity=gravity)
+    planned = problem_of.assemble(measurement, series, covariates, gravity=gravity)
     chosen, csv = None, None
     if designed is not None:
         chosen, csv = _chosen(*designed, planned, effects, gravity, rng)
@@ -164,7 +164,7 @@ def _chosen(
         if "time" in covariates
         else covariates.assign(time=_clock(covariates, asked))
     )
-    own = problem_of.planned(measurement, series, timed, gravity=gravity)
+    own = problem_of.assemble(measurement, series, timed, gravity=gravity)
     told = [
         result.SeparationRecord(
             t.effect, t.rival, t.words, t.seen, t.apart, before.get(_key(t))

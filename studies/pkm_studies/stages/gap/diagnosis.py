@@ -37,7 +37,7 @@ def diagnose(
     """The diagnosis of readings y (N,), SI, about fitted parameters theta (n,)."""
     from oed.gap.diagnose import diagnose as diagnosed
 
-    prepared = problem_of.planned(
+    prepared = problem_of.assemble(
         measurement, series, covariates, theta, y, gravity=asked.gravity
     )
     return diagnosed(prepared, asked.effects, rng)

@@ -52,8 +52,8 @@ def _left(found: Diagnosis, part: Array) -> Array:
     """What the parameters leave of a change (N,), SI, of the readings where they are
     fitted to it.
     """
-    problem, change = found.problem, found.problem.of(part)
-    left = change - problem.slopes @ Metric(problem, found.law).fitted(change)
+    problem, change = found.problem, found.problem.in_noise_units(part)
+    left = change - problem.slopes @ Metric(problem, found.law).fit(change)
     return np.asarray(left * problem.sigma)
 
 

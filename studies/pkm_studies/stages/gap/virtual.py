@@ -56,10 +56,10 @@ def readings(
     chosen = [
         (a.effect, a.constants, f) for a, f in zip(asked.acting, factors, strict=True)
     ]
-    y = signature.exact(measurement, series, truth, states, chosen)
+    y = signature.exact_readings(measurement, series, truth, states, chosen)
     told = []
     for k, acting in enumerate(asked.acting):
-        rest = signature.exact(
+        rest = signature.exact_readings(
             measurement, series, truth, states, chosen[:k] + chosen[k + 1 :]
         )
         told.append(_told(acting, factors[k], states, y - rest, planned))
