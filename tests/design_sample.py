@@ -11,9 +11,10 @@ import sample
 
 from oed import explain
 from oed.result import DesignSection
-from pkm_studies.resolve.study import Resolved
-from pkm_studies.stages.design import choose, score
-from pkm_studies.stages.design.choose import ChosenDesign
+from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.stages.design import section as score
+from pkm_studies.stages.design import select as choose
+from pkm_studies.stages.design.select import ChosenDesign
 
 HEAD = """\
 schema = 1
@@ -61,36 +62,36 @@ def text(
     return HEAD + setups + "[design]\n" + design + tables + rest
 
 
-def chosen(text: str, folder: Path = Path()) -> tuple[Resolved, ChosenDesign]:
+def chosen(text: str, folder: Path = Path()) -> tuple[ResolvedStudy, ChosenDesign]:
     resolved = sample.resolved(text, folder)
-    found = choose.choose(resolved, np.random.default_rng(0))
+    found = choose.select_design(resolved, np.random.default_rng(0))
     assert found is not None
     return resolved, found
 
 
-def section(resolved: Resolved, found: ChosenDesign) -> DesignSection:
+def section(resolved: ResolvedStudy, found: ChosenDesign) -> DesignSection:
     assert resolved.study.design is not None
-    return score.section(
+    return score.design_section(
         resolved,
         found,
         explain.look(found.measurement, found.series, resolved.study.design.scaling),
     )
 
 
-def rows(resolved: Resolved) -> np.ndarray:
+def rows(resolved: ResolvedStudy) -> np.ndarray:
     m = resolved.measurement
     return (m.jacobian(resolved.candidates, m.nominal) * m.tolerance / 0.5e-6)[
         :, m.free
     ]
 
 
-def slopes(resolved: Resolved) -> np.ndarray:
+def slopes(resolved: ResolvedStudy) -> np.ndarray:
     """Home-referenced x and z of the tool point over the free parameters (poses, 2, n),
     by differences of poses.
     """
     m, kinematics = resolved.measurement, resolved.measurement.kinematics
-    assert resolved.prediction is not None
-    command = np.vstack([m.machine.home_command, resolved.prediction])
+    assert resolved.prediction_commands is not None
+    command = np.vstack([m.machine.home_command, resolved.prediction_commands])
     x, q = kinematics.inverse(command)
     p, step = m.machine.nominal, 1e-6
     made = []
@@ -106,7 +107,7 @@ def slopes(resolved: Resolved) -> np.ndarray:
     return wide[:, :, m.free] / np.array([30e-6, 20e-6])[:, None]
 
 
-def value(name: str, h: np.ndarray, resolved: Resolved) -> float:
+def value(name: str, h: np.ndarray, resolved: ResolvedStudy) -> float:
     """A criterion of chosen rows with the tolerances, the larger the better."""
     m = h.T @ h + np.eye(h.shape[1])
     w, inverse = np.linalg.eigvalsh(m), np.linalg.inv(m)

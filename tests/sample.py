@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pkm_studies.resolve.study import Resolved, resolve
-from pkm_studies.study.load import parse
+from pkm_studies.resolve.resolved import ResolvedStudy, resolve
+from pkm_studies.study import parse
 
 STUDY = """\
 schema = 1
@@ -84,6 +84,6 @@ def changed(text: str, *changes: tuple[str, str]) -> str:
     return text
 
 
-def resolved(text: str = STUDY, folder: Path = Path()) -> Resolved:
+def resolved(text: str = STUDY, folder: Path = Path()) -> ResolvedStudy:
     """The objects of a study given as text."""
     return resolve(parse(text, folder / "small.study.toml"))

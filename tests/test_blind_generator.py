@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from oed import dataset
-from pkm_studies.resolve import study as resolve
-from pkm_studies.study import load as study
+from pkm_studies import study
+from pkm_studies.resolve import resolved as resolve
 
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
@@ -71,7 +71,7 @@ def stage_of(
 
 def measurement_of(name: str):
     resolved = resolve.resolve(study.load(BLIND / name), readings=[])
-    return resolved.measure(resolved.setups)
+    return resolved.measurement_with(resolved.setups)
 
 
 # -- apart from the toolkit, and of the same machines ----------------------------------

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import claims
-from pkm_studies.study import load as study
+from pkm_studies import claims, study
 
 RESULT = {
     "identifiability": {

@@ -15,7 +15,7 @@ import sample
 
 from pkm_studies import catalogue, cli, files
 from pkm_studies.errors import InputError
-from pkm_studies.study.load import load
+from pkm_studies.study import load
 
 Run = Callable[..., tuple[int, str, str]]
 #: nothing to choose and nothing to fit: a plan is looked at

@@ -18,8 +18,8 @@ from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import calliper, height_probe
 from pkm_models.machines.linear_delta import machine
-from pkm_studies.resolve import study as resolve
-from pkm_studies.study import load as study
+from pkm_studies import study
+from pkm_studies.resolve import resolved as resolve
 
 MM = 1e-3
 ROOT = Path(__file__).resolve().parents[1]

@@ -21,8 +21,8 @@ import pytest
 
 from oed import information
 from oed.design import continuous, exchange, relaxation
-from pkm_studies.resolve.study import resolve
-from pkm_studies.study import load as study
+from pkm_studies import study
+from pkm_studies.resolve.resolved import resolve
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -198,7 +198,7 @@ def test_a3_designs_are_best_in_their_own_criterion() -> None:
         for name, starts in {"D": 60, "E": 5, "kappa": 5}.items()
     }
     plans = {name: of_a3(rows[choice.indices]) for name, choice in found.items()}
-    paper = next(p for p in resolved.references if p.name == "paper 2 x 15")
+    paper = next(p for p in resolved.reference_plans if p.name == "paper 2 x 15")
     plans["paper"] = of_a3(
         information.scaled(m, paper.series, m.nominal, "length")[:, m.free]
     )

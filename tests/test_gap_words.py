@@ -16,7 +16,7 @@ from oed.result.gap import (
     PlaceRecord,
     SizeRecord,
 )
-from pkm_studies.stages.gap import words as gap_words
+from pkm_studies.stages.gap import sentences as gap_words
 
 
 def _gap(

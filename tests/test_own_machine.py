@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from pkm_studies.errors import InputError
-from pkm_studies.resolve.study import resolve
-from pkm_studies.study.load import load
+from pkm_studies.resolve.resolved import resolve
+from pkm_studies.study import load
 
 TUTORIAL = Path(__file__).resolve().parents[1] / "docs" / "tutorial"
 GUESS = "return target(c), [INWARD[i] + 1.0 for i in LIMBS]"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from oed import explain
+from pkm_studies import study
 from pkm_studies.errors import InputError
-from pkm_studies.resolve.study import Resolved, resolve
-from pkm_studies.stages.design import choose
-from pkm_studies.study import load as study
+from pkm_studies.resolve.resolved import ResolvedStudy, resolve
+from pkm_studies.stages.design import select as choose
 
 STUDY = """
 schema = 1
@@ -33,7 +33,7 @@ runs_by = "z"
 """
 
 
-def resolved(protocol: str) -> Resolved:
+def resolved(protocol: str) -> ResolvedStudy:
     return resolve(
         study.parse(STUDY.replace("PROTOCOL", protocol), Path("passes.study.toml"))
     )
@@ -47,7 +47,9 @@ def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long() -> 
     series = six.references[0].series
     assert len(series[0]) == 30
     seconds = [
-        choose.plan(r, explain.look(r.measurement, r.references[0].series), {}).cost
+        choose.single_stage_plan(
+            r, explain.look(r.measurement, r.references[0].series), {}
+        ).cost
         * 60
         for r in (once, six)
     ]

@@ -28,8 +28,8 @@ from pkm_reports.figures.gap import polar as gap_polar
 from pkm_reports.figures.gap import trace as gap_trace
 from pkm_reports.sections.gap import diagnosis as chapter
 from pkm_studies import pipeline
-from pkm_studies.stages.gap import diagnosis as stage
-from pkm_studies.study.load import load
+from pkm_studies.stages.gap import section as stage
+from pkm_studies.study import load
 
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'
 

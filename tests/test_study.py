@@ -13,11 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oed import units
-from pkm_studies import catalogue, schemas, template
+from pkm_studies import catalogue, schemas, study, template
 from pkm_studies.errors import InputError, Place, SourceAbsentError
 from pkm_studies.resolve import quantities
-from pkm_studies.resolve.study import resolve
-from pkm_studies.study import load as study
+from pkm_studies.resolve.resolved import resolve
 
 HERE = Place("x.study.toml")
 
@@ -37,7 +36,7 @@ name = st.from_regex(r"[a-z]+[0-9]?(_[xyz])?", fullmatch=True)
 
 @given(name=name, unit=st.sampled_from(sorted(units.UNITS)), value=st.floats(-1e6, 1e6))
 def test_a_key_gives_its_value_in_si(name: str, unit: str, value: float) -> None:
-    found = quantities.read(
+    found = quantities.read_values(
         {f"{name}_{unit}": value}, {name: units.si_unit(unit)}, HERE
     )
     assert found == {name: pytest.approx(value * units.factor(unit), rel=1e-15)}
@@ -54,8 +53,10 @@ def test_a_unit_of_another_kind_is_refused_with_those_that_fit(
     if units.si_unit(unit) == kind:
         return
     with pytest.raises(InputError) as error:
-        quantities.read({f"{name}_{unit}": 1.0}, {name: kind}, HERE)
-    assert all(f"{name}_{u}" in str(error.value) for u in quantities.allowed(kind))
+        quantities.read_values({f"{name}_{unit}": 1.0}, {name: kind}, HERE)
+    assert all(
+        f"{name}_{u}" in str(error.value) for u in quantities.allowed_units(kind)
+    )
 
 
 @pytest.mark.parametrize(
@@ -69,12 +70,14 @@ def test_a_unit_of_another_kind_is_refused_with_those_that_fit(
 )
 def test_a_key_that_fits_nothing(key: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        quantities.read({key: 1.0}, {"length": "m"}, HERE)
+        quantities.read_values({key: 1.0}, {"length": "m"}, HERE)
 
 
 def test_a_quantity_given_twice_is_refused() -> None:
     with pytest.raises(InputError, match="given twice"):
-        quantities.read({"length_mm": 1.0, "length_um": 1.0}, {"length": "m"}, HERE)
+        quantities.read_values(
+            {"length_mm": 1.0, "length_um": 1.0}, {"length": "m"}, HERE
+        )
 
 
 # -- the file --------------------------------------------------------------------------
@@ -244,7 +247,7 @@ sigma_mm = 2
     assert (cup.sigma, long.sigma) == ((0.5e-6,), (2e-6,))
     assert long.tool == (0.0, 0.0, -0.1)
     assert cup.settings == {"length": 0.3}
-    by_name = {p.name: p for p in found.measure(["cup", "long"]).parameters}
+    by_name = {p.name: p for p in found.measurement_with(["cup", "long"]).parameters}
     assert by_name["dq2"].nominal == pytest.approx(8e-3)
     assert by_name["dq1"].tolerance == pytest.approx(300e-6)
     assert by_name["dq3"].tolerance == pytest.approx(2e-3)
@@ -284,7 +287,7 @@ theta_deg = 5
     assert plan.setups == ("cup", "other")
     assert list(plan.series[0].run) == ["z=1146mm", "z=1146mm", "z=1266mm", "z=1266mm"]
     assert [len(s) for s in plan.series] == [4, 1]
-    assert list(found.measure(plan.setups).setups) == ["cup", "other"]
+    assert list(found.measurement_with(plan.setups).setups) == ["cup", "other"]
 
 
 def test_pairs_are_runs_of_two() -> None:

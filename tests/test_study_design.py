@@ -14,9 +14,8 @@ from design_sample import CUP, EXTRA, GRID, KNOWN, chosen, rows, section, text, 
 
 from oed import information
 from oed.measurement import Series
-from pkm_studies import pipeline
+from pkm_studies import pipeline, study
 from pkm_studies.errors import InputError
-from pkm_studies.study import load as study
 
 # -- criteria: all 56 choices of 3 readings out of 8 -----------------------------------
 

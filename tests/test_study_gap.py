@@ -24,8 +24,8 @@ from pkm_studies import cli, pipeline, schemas
 from pkm_studies.errors import InputError
 from pkm_studies.resolve import gap as resolve_gap
 from pkm_studies.stages.gap import traces as gap_traces
-from pkm_studies.stages.gap import virtual as gap_virtual
-from pkm_studies.study.load import load, parse
+from pkm_studies.stages.gap import virtual_readings as gap_virtual
+from pkm_studies.study import load, parse
 
 Run = Callable[..., tuple[int, str, str]]
 FOLDER = Path(__file__).resolve().parent
@@ -75,7 +75,7 @@ def test_an_effect_of_ones_own_replaces_the_library_s(tmp_path: Path) -> None:
     path = gap_fixture.written(
         tmp_path, sample.STUDY + '[gap]\neffects = ["all", "effects.py:backlash"]\n'
     )
-    asked = resolve_gap.asked(load(path), sample.resolved().machine)
+    asked = resolve_gap.gap_request(load(path), sample.resolved().machine)
     assert asked is not None
     (mine,) = [e for e in asked.effects if e.name == "backlash"]
     assert mine.source == "by hand"
@@ -288,7 +288,7 @@ def test_each_pass_has_a_state_of_its_own(tmp_path: Path) -> None:
     """
     path = gap_fixture.written(tmp_path)
     measurement, series = _planned(path)
-    asked = resolve_gap.asked(load(path), measurement.machine)
+    asked = resolve_gap.gap_request(load(path), measurement.machine)
     made = gap_virtual.laid_out(measurement, series, asked)
     assert [len(s.q) for s in made.series] == [4 * 24 + 1]
     truth = measurement.nominal

@@ -25,10 +25,9 @@ from pkm_models.effects import encoder_scale, gravity
 from pkm_reports import document, sections, style
 from pkm_reports import html as html_writer
 from pkm_reports.figures.gap import confusable
-from pkm_studies import pipeline
+from pkm_studies import pipeline, study
 from pkm_studies.errors import InputError
-from pkm_studies.resolve.study import resolve
-from pkm_studies.study import load as study
+from pkm_studies.resolve.resolved import resolve
 
 HERE = Path("before.study.toml")
 STUDY = """\

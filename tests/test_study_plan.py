@@ -18,10 +18,9 @@ from sample import changed
 from oed import information, predict
 from oed.kinematics import Kinematics
 from oed.result import AlternativePlan, StudyResult
-from pkm_studies import cli, pipeline
+from pkm_studies import cli, pipeline, study
 from pkm_studies.errors import InputError
-from pkm_studies.resolve.study import resolve
-from pkm_studies.study import load as study
+from pkm_studies.resolve.resolved import resolve
 
 LINES = """\
 [[plan.measurement]]
@@ -96,7 +95,7 @@ def everything(budget: float) -> list[tuple[float, dict[str, float]]]:
     found = resolve(study.parse(STUDY, HERE))
     assert found.plan is not None
     assert found.prediction is not None
-    m = found.measure(["rm4", "rm5"])
+    m = found.measurement_with(["rm4", "rm5"])
     maps = predict.error_maps(m.kinematics, found.prediction, "home")
     slopes = maps.raw[:, :2] * m.tolerance[:7]
     before = np.sqrt(np.mean(np.sum(slopes**2, axis=2), axis=0))
@@ -310,7 +309,7 @@ def test_draws_of_a_posterior_tell_what_was_learned_and_machines_are_drawn_from_
     assert rest is not None
     assert "draws of the posterior" in rest.after
     found = resolve(study.parse(STUDY, HERE))
-    base = found.measure(())
+    base = found.measurement_with(())
     with xarray.open_dataset(
         first / "posterior.nc", group="posterior", engine="h5netcdf"
     ) as data:

@@ -8,10 +8,9 @@ import pytest
 from sample import changed
 
 from oed.result import StudyResult
-from pkm_studies import pipeline
+from pkm_studies import pipeline, study
 from pkm_studies.errors import InputError
-from pkm_studies.resolve.study import resolve
-from pkm_studies.study import load as study
+from pkm_studies.resolve.resolved import resolve
 
 STUDY = """\
 schema = 1

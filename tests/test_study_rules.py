@@ -25,9 +25,8 @@ from design_sample import (
 )
 
 from oed import dataset
-from pkm_studies import pipeline
+from pkm_studies import pipeline, study
 from pkm_studies.errors import InputError
-from pkm_studies.study import load as study
 
 # -- rules -----------------------------------------------------------------------------
 
@@ -135,7 +134,7 @@ def test_a_plan_is_added_to() -> None:
     made = section(resolved, found)
     assert (made.n, made.retained) == (11, 8)
     assert [p.run for p in made.poses] == ["1"] * 8 + ["added"] * 3
-    m, old = resolved.measurement, resolved.references[0].series
+    m, old = resolved.measurement, resolved.reference_plans[0].series
     held = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
     h = rows(resolved)
     every = itertools.combinations(range(8), 3)
@@ -153,7 +152,7 @@ def test_a_set_up_of_kept_readings_is_mounted_already() -> None:
     resolved, found = chosen(
         text(KNOWN + 'setups_max = 1\nkeep = "before"\n', tables=tables, setups=THREE)
     )
-    m, old = resolved.measurement, resolved.references[0].series
+    m, old = resolved.measurement, resolved.reference_plans[0].series
     held = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
     h, owner = (
         rows(resolved),
@@ -195,14 +194,14 @@ cup_cone = { axis = [0, 0, -1], half_angle_deg = 60 }
     _, tip, _ = m.kinematics.frames(free.start[:8], np.zeros(3))
     down = np.degrees(np.arccos((np.array([0, 0, 1.286]) - tip)[:, 2] / 0.3))
     joints, cone = (free.q[:8, 0] < 0.38) | (free.q[:8, 0] > 0.8), down > 60
-    assert resolved.refused == {
+    assert resolved.refusals == {
         "leave the travel of joint q1": int(joints.sum()),
         "leave the cone at the cup": int(cone.sum()),
     }
     assert 0 < joints.sum() < 8
     assert 0 < cone.sum() < 8
     assert len(resolved.candidates[0]) == int((~joints & ~cone).sum())
-    assert section(resolved, found).refused == resolved.refused
+    assert section(resolved, found).refused == resolved.refusals
     assert any("leave the cone at the cup" in w for w in resolved.warnings)
 
 
@@ -221,7 +220,7 @@ def test_a_sphere_in_the_way_and_an_unlikely_travel() -> None:
         < 0.040
     )
     assert 0 < near.sum() < 8
-    assert resolved.refused == {"come too near an obstacle": int(near.sum())}
+    assert resolved.refusals == {"come too near an obstacle": int(near.sum())}
     unlikely = "\n[design.limits]\ntravel_mm = 0.001\ntravel_chance = 0.9\n"
     with pytest.raises(
         InputError, match=r"8 leave the travel of the instrument on too many machines"

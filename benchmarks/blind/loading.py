@@ -18,9 +18,9 @@ from oed.effect import Effect
 from oed.gap.data import problem as problem_of
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement
+from pkm_studies import study
 from pkm_studies.resolve import gap as resolve_gap
-from pkm_studies.resolve import study as resolve
-from pkm_studies.study import load as study
+from pkm_studies.resolve import resolved as resolve
 
 HERE = Path(__file__).resolve().parent
 
@@ -92,9 +92,9 @@ def bench(name: str) -> Bench:
     """
     said = study.load(HERE / name)
     found = resolve.resolve(said, readings=[])
-    asked = resolve_gap.asked(said, found.machine, always=True)
+    asked = resolve_gap.gap_request(said, found.machine, always=True)
     assert asked is not None  # it is asked for always
-    return Bench(found.measure(found.setups), asked.effects, asked.gravity)
+    return Bench(found.measurement_with(found.setups), asked.effects, asked.gravity)
 
 
 def prepared(folder: Path, case: Case) -> GapProblem:

@@ -22,15 +22,14 @@ from oed.gap.data import problem as problem_of
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.diagnose import diagnose
 from pkm_reports import style
-from pkm_studies import pipeline
+from pkm_studies import pipeline, study
 from pkm_studies.resolve import gap as resolve_gap
-from pkm_studies.resolve import study as resolve
-from pkm_studies.study import load as study
+from pkm_studies.resolve import resolved as resolve
 
 said = study.load(Path(__file__).with_suffix(".study.toml"))
 found = resolve.resolve(said, readings=[])
-bench = found.measure(found.setups)
-asked = resolve_gap.asked(said, found.machine, always=True)
+bench = found.measurement_with(found.setups)
+asked = resolve_gap.gap_request(said, found.machine, always=True)
 with tempfile.TemporaryDirectory() as folder:
     readings, _ = pipeline.simulate_readings(said, Path(folder) / "circles.csv")
     data = dataset.load(readings, bench)

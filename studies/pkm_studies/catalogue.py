@@ -51,11 +51,11 @@ def listing(kind: str) -> list[CatalogueEntry]:
 def machine(reference: str, folder: Path, place: Place) -> Any:
     """The `oed.machine.Machine` that `reference` names. Raises InputError."""
     from oed.machine import Machine
-    from pkm_studies import soundness
+    from pkm_studies import machine_check as soundness
 
     found = _lookup(reference, "machines", Machine, folder, place)
     if ":" in reference or reference.endswith(".py"):
-        soundness.examine(found, place)
+        soundness.check_machine(found, place)
     return found
 
 

@@ -11,15 +11,15 @@ from pathlib import Path
 from oed.kinematics import AssemblyError
 from pkm_studies import sources
 from pkm_studies.errors import InputError, SourceAbsentError
-from pkm_studies.resolve.study import Resolved, resolve
-from pkm_studies.study.load import Study, load
+from pkm_studies.resolve.resolved import ResolvedStudy, resolve
+from pkm_studies.study import Study, load
 
 
 def check(paths: Sequence[Path]) -> Iterator[tuple[Path, str | InputError]]:
     """For each file what was found, or what is wrong. Readings are checked against the
     studies among the files.
     """
-    known: list[Resolved] = []
+    known: list[ResolvedStudy] = []
     for path in [p for p in paths if p.suffix != ".csv"]:
         yield path, _guarded(partial(_study, path, known))
     for path in [p for p in paths if p.suffix == ".csv"]:
@@ -33,7 +33,7 @@ def _guarded(work: Callable[[], str]) -> str | InputError:
         return error
 
 
-def _study(path: Path, known: list[Resolved]) -> str:
+def _study(path: Path, known: list[ResolvedStudy]) -> str:
     said = load(path)
     try:
         known.append(
@@ -49,7 +49,7 @@ def _study(path: Path, known: list[Resolved]) -> str:
     return _told(said, found)
 
 
-def _told(said: Study, found: Resolved) -> str:
+def _told(said: Study, found: ResolvedStudy) -> str:
     counts = {
         "set-up": len(found.setups),
         "candidate": sum(len(s) for s in found.candidates),
@@ -60,7 +60,7 @@ def _told(said: Study, found: Resolved) -> str:
     return "sound: " + ", ".join(parts) + "".join(f"; {w}" for w in found.warnings)
 
 
-def _readings(path: Path, known: Sequence[Resolved]) -> str:
+def _readings(path: Path, known: Sequence[ResolvedStudy]) -> str:
     naming = [r for r in known if r.study.readings and _names(r.study, path)]
     if not (naming or known):
         rows = sources.check_text(path)
@@ -70,7 +70,7 @@ def _readings(path: Path, known: Sequence[Resolved]) -> str:
         )
     told = []
     for one in naming or known:
-        found = sources.from_files([path], one.measure(one.setups))
+        found = sources.from_files([path], one.measurement_with(one.setups))
         told.append(f"{len(found)} readings fit {one.study.name}")
     return "; ".join(told)
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from oed.result import Claim
 from pkm_studies.errors import shorten, suggest
-from pkm_studies.study.load import ClaimTable, StudyFile
+from pkm_studies.study.tables import ClaimTable, StudyFile
 
 LONGEST = 200
 

@@ -85,7 +85,7 @@ def run(
 ) -> int:
     """Run a study: design, identification, accuracy, report."""
     from pkm_studies import display, files
-    from pkm_studies.study.load import load
+    from pkm_studies.study import load
 
     said = load(study)
     folder = out or Path("out") / said.name
@@ -131,7 +131,7 @@ def simulate(
 ) -> int:
     """Write readings of a virtual machine, and its truth beside them."""
     from pkm_studies import files
-    from pkm_studies.study.load import load
+    from pkm_studies.study import load
 
     said = load(study)
     files.free(out.parent)
@@ -159,7 +159,7 @@ def identify(
 ) -> int:
     """Identify the machine from readings."""
     from pkm_studies import display, files
-    from pkm_studies.study.load import load
+    from pkm_studies.study import load
 
     said = load(study)
     files.free(out)
@@ -194,7 +194,7 @@ def diagnose(
     it shrinks.
     """
     from pkm_studies import display, files
-    from pkm_studies.study.load import load
+    from pkm_studies.study import load
 
     said = load(study)
     files.free(out)
@@ -226,7 +226,7 @@ def plan(
 ) -> int:
     """Plan which measurements to do, in which order; read and fit nothing."""
     from pkm_studies import display, files
-    from pkm_studies.study.load import load
+    from pkm_studies.study import load
 
     said = load(study)
     folder = out or Path("out") / f"{said.name}-plan"
@@ -252,7 +252,7 @@ def report(
     ],
 ) -> int:
     """Write the HTML and PDF report again from result.json."""
-    from pkm_studies import stored
+    from pkm_studies import result_folder as stored
 
     for written in stored.write_report(folder):
         print(f"Report: {written}")

@@ -20,7 +20,7 @@ import pytest
 
 if TYPE_CHECKING:
     from oed.result import Claim
-    from pkm_studies.study.load import Study
+    from pkm_studies.study import Study
 
 SUFFIX = ".study.toml"
 
@@ -63,7 +63,7 @@ class StudyCollector(pytest.File):
     def collect(self) -> Iterator[pytest.Item]:
         """One item a claim. A study that cannot be read is an error of collection."""
         from pkm_studies.errors import InputError
-        from pkm_studies.study.load import load
+        from pkm_studies.study import load
 
         try:
             study = load(self.path)

@@ -71,11 +71,11 @@ class Place:
 
     def error(self, problem: str, remedy: str, value: object = _MISSING) -> InputError:
         """The error to raise for a value at this place."""
-        told = "" if value is _MISSING else tell(value)
+        told = "" if value is _MISSING else quote(value)
         return InputError(problem, remedy, file=self.file, field=self.field, value=told)
 
 
-def tell(value: object) -> str:
+def quote(value: object) -> str:
     """A value of a study as a person wrote it, on one line."""
     if isinstance(value, bool):
         return "true" if value else "false"

@@ -15,23 +15,25 @@ from oed import explain, identify, posterior, predict, result, simulate, units
 from oed.arrays import Array
 from oed.measurement import Measurement, Series
 from oed.result import StudyResult
-from pkm_studies import claims, files, stored
+from pkm_studies import claims, files
+from pkm_studies import result_folder as stored
 from pkm_studies.progress import Progress, Silent
 from pkm_studies.resolve import gap as resolve_gap
 from pkm_studies.resolve import gap_design as resolve_gap_design
-from pkm_studies.resolve.gap_design import GapDesignAsked
-from pkm_studies.resolve.study import Resolved, resolve
+from pkm_studies.resolve.gap_design import GapDesignRequest
+from pkm_studies.resolve.resolved import ResolvedStudy, resolve
 from pkm_studies.stages import describe, headline
-from pkm_studies.stages.design import choose, score
+from pkm_studies.stages.design import section as score
+from pkm_studies.stages.design import select as choose
+from pkm_studies.stages.fit import estimate as fit
 from pkm_studies.stages.fit import identifiability as see
-from pkm_studies.stages.fit import sections as fit
-from pkm_studies.stages.gap import before as gap_before
-from pkm_studies.stages.gap import diagnosis as gap
-from pkm_studies.stages.gap import virtual as gap_virtual
+from pkm_studies.stages.gap import detectability as gap_before
+from pkm_studies.stages.gap import section as gap
+from pkm_studies.stages.gap import virtual_readings as gap_virtual
 from pkm_studies.stages.plan import plan
 from pkm_studies.stages.plan.learned import Learned, learned
-from pkm_studies.stages.predict import sections as foresee
-from pkm_studies.study.load import Study
+from pkm_studies.stages.predict import accuracy as foresee
+from pkm_studies.study import Study
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -171,7 +173,7 @@ class _Job:
         self.study, self.out, self.seed, self.progress = study, out, seed, progress
         self.started = time.perf_counter()
         progress.stage("set-up")
-        self.resolved: Resolved = resolve(study, readings=readings)
+        self.resolved: ResolvedStudy = resolve(study, readings=readings)
         self.measurement: Measurement = self.resolved.measurement
         self.sections: dict[str, Any] = {}
         self.planned_series: tuple[Series, ...] = ()
@@ -204,7 +206,7 @@ class _Job:
                 self.measurement, *held, drawn, self.rng(HELD_OUT)
             )
         if self.made is None:
-            self.sections["plan"] = choose.plan(
+            self.sections["plan"] = choose.single_stage_plan(
                 self.resolved, seen, headline.predicted(self.sections)
             )
         self.sections["drawing"] = describe.drawing(self.measurement, series)
@@ -256,7 +258,7 @@ class _Job:
         series, y, truth, _ = self._readings(chosen)
         self._identifiability(None, series)
         estimate, _ = self._fit(series, y, truth, sample=False)
-        asked = self.resolved.gap or resolve_gap.asked(
+        asked = self.resolved.gap or resolve_gap.gap_request(
             self.study, self.resolved.machine, always=True
         )
         self._gap(series, y, estimate, asked)
@@ -274,7 +276,7 @@ class _Job:
         set-ups that it uses.
         """
         self.progress.stage("design")
-        chosen = choose.choose(self.resolved, self.rng(DESIGN))
+        chosen = choose.select_design(self.resolved, self.rng(DESIGN))
         if chosen is not None:
             self.planned_series, self.measurement = chosen.scheduled, chosen.measurement
             self._note_moved(chosen)
@@ -316,8 +318,8 @@ class _Job:
             return chosen.series
         if self.made is not None:
             return self.made.series
-        if self.resolved.references:
-            return self.resolved.references[0].series
+        if self.resolved.reference_plans:
+            return self.resolved.reference_plans[0].series
         raise self.study.place.key("design").error(
             "the study has neither readings nor a plan",
             "add [[design.candidates]], [[design.reference]], [[plan.measurement]] or"
@@ -334,7 +336,7 @@ class _Job:
         """
         said = self.study.readings
         drawn = (
-            said is None or said.draw or not self.resolved.truth
+            said is None or said.draw or not self.resolved.true_parameters
         )  # a nominal machine would tell nothing
         truth = (
             simulate.draw(self.measurement, self.rng(TRUTH))
@@ -342,7 +344,7 @@ class _Job:
             else self.measurement.nominal
         )
         for k, name in enumerate(self.measurement.names):
-            truth[k] = self.resolved.truth.get(name, truth[k])
+            truth[k] = self.resolved.true_parameters.get(name, truth[k])
         asked = self.resolved.gap
         if asked is None:
             return (
@@ -374,8 +376,8 @@ class _Job:
         """
         data = self.resolved.dataset
         if data is not None:
-            kept_out = self.resolved.predict
-            fitted = self.resolved.fit or tuple(
+            kept_out = self.resolved.held_out_setups
+            fitted = self.resolved.fitted_setups or tuple(
                 n for n in data.setups if n not in kept_out
             )
             mine, rest = data.take(fitted), data.take(kept_out)
@@ -403,8 +405,8 @@ class _Job:
         self.progress.stage("identifiability")
         scaling = self.study.design.scaling if self.study.design else "length"
         plans = {
-            p.name: (self.resolved.measure(p.setups), p.series)
-            for p in self.resolved.references
+            p.name: (self.resolved.measurement_with(p.setups), p.series)
+            for p in self.resolved.reference_plans
         }
         seen = explain.look(self.measurement, series, scaling)
         used = {s.setup for s in series}
@@ -414,7 +416,7 @@ class _Job:
             self.measurement, series, plans, scaling
         )
         self.sections["kappa_maps"] = [
-            choose.kappa_map(c, scaling) for c in self.resolved.kappa
+            choose.kappa_map(c, scaling) for c in self.resolved.kappa_circles
         ]
         return seen
 
@@ -422,7 +424,7 @@ class _Job:
         self, chosen: choose.ChosenDesign | None, seen: explain.Seen
     ) -> None:
         if chosen is not None:
-            self.sections["design"] = score.section(self.resolved, chosen, seen)
+            self.sections["design"] = score.design_section(self.resolved, chosen, seen)
 
     def _fit(
         self,
@@ -439,7 +441,7 @@ class _Job:
             self.measurement,
             series,
             y,
-            stages=self.resolved.stages,
+            stages=self.resolved.identification_stages,
             estimate_noise=self.study.noise.estimate,
             max_iterations=self.study.identify.max_iterations,
         )
@@ -491,7 +493,10 @@ class _Job:
         designed = (
             None
             if wanted is None
-            else (self.resolved.measure({r.setup for r in wanted.runs}), wanted)
+            else (
+                self.resolved.measurement_with({r.setup for r in wanted.runs}),
+                wanted,
+            )
         )
         made = gap_before.foresee(
             self.measurement,
@@ -506,7 +511,7 @@ class _Job:
         if made.poses_csv is not None:
             files.write_whole(self.out / "gap_poses.csv", made.poses_csv)
 
-    def _following(self, wanted: GapDesignAsked) -> GapDesignAsked | None:
+    def _following(self, wanted: GapDesignRequest) -> GapDesignRequest | None:
         """[gap.design] with the plan's readings kept; None where there is no plan,
         since readings were given.
         """
@@ -515,7 +520,7 @@ class _Job:
         left = self.resolved.plan.budget - units.factor("min") * self.made.section.cost
         used = {s.setup for s in self.made.series} | {r.setup for r in wanted.runs}
         return resolve_gap_design.following(
-            wanted, self.made.series, left, self.resolved.measure(used)
+            wanted, self.made.series, left, self.resolved.measurement_with(used)
         )
 
     def _gap(
@@ -523,7 +528,7 @@ class _Job:
         series: Sequence[Series],
         y: Array | None,
         estimate: identify.Estimate | None,
-        asked: resolve_gap.GapAsked | None,
+        asked: resolve_gap.GapRequest | None,
     ) -> None:
         """The diagnosis of what the fit leaves, where the study asks for one and there
         are readings.
@@ -550,7 +555,7 @@ class _Job:
     def _prediction(
         self, series: Sequence[Series], known: identify.Estimate | None
     ) -> None:
-        said, command = self.study.prediction, self.resolved.prediction
+        said, command = self.study.prediction, self.resolved.prediction_commands
         if said is None or command is None:
             return
         self.progress.stage("prediction")
@@ -562,7 +567,7 @@ class _Job:
             reference,
             said.virtual_machines,
             self.rng(MACHINES),
-            self.resolved.stages,
+            self.resolved.identification_stages,
             self.progress,
         )
         foreseen = foresee.section(

@@ -9,7 +9,7 @@ import msgspec
 
 from oed import units
 from oed.result import StudyResult
-from pkm_studies.study.load import StudyFile, StudyTable
+from pkm_studies.study.tables import StudyFile, StudyTable
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Document = dict[str, Any]

@@ -27,7 +27,7 @@ from oed.dataset import Dataset, ReadingsError
 from oed.measurement import Measurement
 from pkm_studies import files
 from pkm_studies.errors import InputError, Place, SourceAbsentError, shorten, suggest
-from pkm_studies.study.load import Study
+from pkm_studies.study import Study
 
 LIMIT = 20_000_000
 Row = dict[str, str]

@@ -19,7 +19,7 @@ from oed.measurement import Measurement
 from pkm_studies import catalogue, files
 from pkm_studies.errors import InputError, Place
 from pkm_studies.resolve.quantities import column
-from pkm_studies.study.load import SUFFIX
+from pkm_studies.study import SUFFIX
 
 #: values a coordinate of the grid that is offered; fewer where these make more poses
 #: than so many

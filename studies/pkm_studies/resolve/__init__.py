@@ -1,1 +1,1 @@
-"""From a study file to the objects of the kernel."""
+"""Turns a study's tables into the kernel's objects, in SI units."""

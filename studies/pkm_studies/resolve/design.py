@@ -1,14 +1,9 @@
-"""What [design] and [[kappa]] say, as objects: candidates, given plans, what is asked
-for; all SI.
-
-Raises InputError, naming file and field, for everything that does not fit the machine
-or the instruments.
-"""
+"""What [design] requests: interest, wanted accuracy, retained readings, free settings."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import get_args
 
 import numpy as np
@@ -16,124 +11,136 @@ import numpy as np
 from oed import units
 from oed.arrays import Array
 from oed.measurement import Measurement, Series
-from pkm_studies.errors import Place, suggest
-from pkm_studies.resolve import grids, naming, quantities
-from pkm_studies.resolve import limits as resolve_limits
-from pkm_studies.resolve.grids import Circles, ReferencePlan
-from pkm_studies.study.fields import CriterionName
-from pkm_studies.study.load import KappaTable, Study
+from pkm_studies.errors import Place
+from pkm_studies.resolve import grids, lookup, quantities
+from pkm_studies.resolve.grids import ReferencePlan
+from pkm_studies.study import Study
 from pkm_studies.study.tables import DesignTable
+from pkm_studies.study.tables.base import CriterionName
 
-#: share of what an instrument holds by which a candidate's reading may differ from it
-UNHELD = 0.01
-#: criteria by their names in the schema, and those that polishing knows
-KNOWN: tuple[str, ...] = get_args(CriterionName)
+#: criteria by their names in the schema
+CRITERIA: tuple[str, ...] = get_args(CriterionName)
+#: criteria that polishing can improve
 POLISHED = ("D", "O1", "Ds", "A", "c", "I", "E", "O3")
+#: remedy for what needs prior tolerances
+USE_PRIOR = 'write scaling = "tolerance" and prior = true'
 
 Ranges = Mapping[str, Mapping[str, tuple[float, float]]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Asked:
-    """What [design] asks for, in SI.
+class DesignRequest:
+    """What [design] means to the kernel, in SI.
 
-    interest     names of the parameters that Ds judges
-    combination  {parameter: coefficient} of c
-    accuracy     {component: wanted accuracy} that I and G scale by; the others do not
-                 count
-    apart        (n_dof,) least distance along each command coordinate, 0 where none is
-                 asked; None: not asked
-    kept         readings that belong to the plan already
-    free         set-up -> setting or tool coordinate -> range, for polishing
+    interest         names of the parameters that Ds judges
+    combination      coefficients of criterion c, by parameter
+    accuracy         wanted accuracy that scales I and G, by component; the others do
+                     not count
+    least_distance   (n_dof,) least distance of two readings along each command
+                     coordinate, 0 where there is none; None: no such rule
+    retained         readings that are part of the plan already
+    free_ranges      what polishing may move: set-up -> setting or tool coordinate ->
+                     lowest and highest value
     """
 
     interest: tuple[str, ...]
     combination: Mapping[str, float]
     accuracy: Mapping[str, float]
-    apart: Array | None
-    kept: tuple[Series, ...]
-    free: Ranges
+    least_distance: Array | None
+    retained: tuple[Series, ...]
+    free_ranges: Ranges
 
 
-def asked(
+def design_request(
     study: Study, measurement: Measurement, references: Sequence[ReferencePlan]
-) -> Asked | None:
-    """What the study's [design] asks for; None without one. `measurement` holds all
-    set-ups.
+) -> DesignRequest | None:
+    """What [design] requests; None without it. `measurement` holds all set-ups.
+
+    Raises InputError for fields that contradict each other or do not fit the machine.
     """
-    said = study.design
-    if said is None:
+    table = study.design
+    if table is None:
         return None
     place = study.place.key("design")
-    _sound(study, said, place)
-    return Asked(
-        interest=_interest(said, measurement, place.key("interest")),
-        combination=_combination(said, measurement, place.key("combination")),
-        accuracy=_accuracy(said, measurement, place.key("accuracy")),
-        apart=_apart(said, measurement, place.key("apart")),
-        kept=_kept(study, said, measurement, references, place),
-        free=_free(said, measurement, place.key("polish").key("free")),
+    _check_fields(study, table, place)
+    return DesignRequest(
+        interest=_interest(table, measurement, place.key("interest")),
+        combination=_combination(table, measurement, place.key("combination")),
+        accuracy=_accuracy(table, measurement, place.key("accuracy")),
+        least_distance=_least_distance(table, measurement, place.key("apart")),
+        retained=_retained(study, table, measurement, references, place),
+        free_ranges=_free_ranges(table, measurement, place.key("polish").key("free")),
     )
 
 
-def _sound(study: Study, said: DesignTable, place: Place) -> None:
-    """Fields that need each other."""
-    for name in said.compound:
-        naming.known(name, KNOWN, place.key("compound").key(name), "criterion")
-    for i, name in enumerate(said.compare):
-        naming.known(name, KNOWN, place.key("compare").item(i), "criterion")
-    if said.compound and said.criterion != "D":
+# -- fields that need each other -------------------------------------------------------
+
+
+def _check_fields(study: Study, table: DesignTable, place: Place) -> None:
+    _check_criteria(study, table, place)
+    _check_prior(table, place)
+    if table.how_many is not None:
+        _check_needs(study, table, "I", place.key("how_many"))
+    polish = table.polish
+    if polish is not None and polish.enabled and table.judged_by not in POLISHED:
+        raise place.key("polish").error(
+            f"criterion {table.judged_by} has no slope to polish along",
+            f"take one of {', '.join(POLISHED)}, or leave polishing out",
+        )
+    if table.keep is not None and table.keep_readings is not None:
+        raise place.key("keep").error(
+            "keep_readings is given as well", "keep one of the two", table.keep
+        )
+
+
+def _check_criteria(study: Study, table: DesignTable, place: Place) -> None:
+    for name in table.compound:
+        at = place.key("compound").key(name)
+        lookup.known_name(name, CRITERIA, at, "criterion")
+    for i, name in enumerate(table.compare):
+        at = place.key("compare").item(i)
+        lookup.known_name(name, CRITERIA, at, "criterion")
+    if table.compound and table.criterion != "D":
         raise place.key("compound").error(
             "a criterion is given as well", "keep criterion or compound"
         )
-    if said.prior and said.scaling != "tolerance":
+    if table.prior and table.scaling != "tolerance":
         raise place.key("prior").error(
             "tolerances enter in their own unit",
-            'write scaling = "tolerance" beside it',
+            'write scaling = "tolerance" as well',
         )
-    field = "compound" if said.compound else "criterion"
-    for key, some in ((field, said.criteria), ("compare", said.compare)):
-        for name in some:
-            _needs(study, said, name, place.key(key))
-    if said.robust is not None and not said.prior:
-        problem = "drawn machines do not all see the same directions without tolerances"
-        raise place.key("robust").error(
-            problem, 'write scaling = "tolerance" and prior = true'
-        )
-    if said.how_many is not None:
-        _needs(study, said, "I", place.key("how_many"))
-    if said.setups_max is not None and not said.prior:
+    field = "compound" if table.compound else "criterion"
+    for name in table.criteria:
+        _check_needs(study, table, name, place.key(field))
+    for name in table.compare:
+        _check_needs(study, table, name, place.key("compare"))
+
+
+def _check_prior(table: DesignTable, place: Place) -> None:
+    """Raises InputError for fields that make sense only with prior tolerances."""
+    if table.prior:
+        return
+    if table.robust is not None:
+        problem = "without tolerances, not all drawn machines see the same directions"
+        raise place.key("robust").error(problem, USE_PRIOR)
+    if table.setups_max is not None:
         problem = (
-            "each set-up brings unknowns of its own: without tolerances, fewer set-ups"
+            "each set-up adds unknown parameters: without tolerances, fewer set-ups"
             " always leave fewer"
         )
-        raise place.key("setups_max").error(
-            problem, 'write scaling = "tolerance" and prior = true', said.setups_max
-        )
-    if (
-        said.polish is not None
-        and said.polish.enabled
-        and said.judged_by not in POLISHED
-    ):
-        problem = f"criterion {said.judged_by} has no slope to polish along"
-        raise place.key("polish").error(
-            problem, f"take one of {', '.join(POLISHED)}, or leave polishing out"
-        )
-    if said.keep is not None and said.keep_readings is not None:
-        raise place.key("keep").error(
-            "keep_readings is given as well", "keep one of the two", said.keep
-        )
+        raise place.key("setups_max").error(problem, USE_PRIOR, table.setups_max)
 
 
-def _needs(study: Study, said: DesignTable, name: str, place: Place) -> None:
+def _check_needs(study: Study, table: DesignTable, name: str, place: Place) -> None:
+    """Raises InputError where a criterion lacks its workspace, prior or combination."""
     if name in ("I", "G") and study.prediction is None:
         raise place.error(
             "accuracy over which workspace?", "add a [prediction] table", name
         )
-    if name in ("I", "G") and not said.prior:
+    if name in ("I", "G") and not table.prior:
         problem = "accuracy depends on the tolerances of what no reading sees"
-        raise place.error(problem, 'write scaling = "tolerance" and prior = true', name)
-    if name == "c" and not said.combination:
+        raise place.error(problem, USE_PRIOR, name)
+    if name == "c" and not table.combination:
         raise place.error(
             "which combination?", "add combination = { PARAMETER = 1.0 }", name
         )
@@ -142,233 +149,83 @@ def _needs(study: Study, said: DesignTable, name: str, place: Place) -> None:
 # -- what is judged --------------------------------------------------------------------
 
 
-def _unknown(measurement: Measurement) -> list[str]:
-    return [
-        n for n, free in zip(measurement.names, measurement.free, strict=True) if free
-    ]
+def _free_parameters(measurement: Measurement) -> list[str]:
+    pairs = zip(measurement.names, measurement.free, strict=True)
+    return [name for name, free in pairs if free]
 
 
 def _interest(
-    said: DesignTable, measurement: Measurement, place: Place
+    table: DesignTable, measurement: Measurement, place: Place
 ) -> tuple[str, ...]:
-    free = _unknown(measurement)
-    if not said.interest:
-        return tuple(n for n in free if "." not in n)
-    return tuple(naming.match(said.interest, free, place))
+    free = _free_parameters(measurement)
+    if not table.interest:
+        return tuple(name for name in free if "." not in name)
+    return tuple(lookup.matching_names(table.interest, free, place))
 
 
 def _combination(
-    said: DesignTable, measurement: Measurement, place: Place
+    table: DesignTable, measurement: Measurement, place: Place
 ) -> dict[str, float]:
-    free = _unknown(measurement)
-    for name in said.combination:
-        naming.known(name, free, place.key(name), "parameter")
-    if said.combination and not any(said.combination.values()):
+    free = _free_parameters(measurement)
+    for name in table.combination:
+        lookup.known_name(name, free, place.key(name), "parameter")
+    if table.combination and not any(table.combination.values()):
         raise place.error("all coefficients are 0", "give one that is not")
-    return dict(said.combination)
+    return dict(table.combination)
 
 
 def _accuracy(
-    said: DesignTable, measurement: Measurement, place: Place
+    table: DesignTable, measurement: Measurement, place: Place
 ) -> dict[str, float]:
     machine = measurement.machine
     known = {c.name: c.unit for c in machine.components}
-    if said.accuracy:
-        return quantities.read(said.accuracy, known, place)
-    return {
-        name: 1.0 if unit == "m" else 1.0 / machine.lever
-        for name, unit in known.items()
-    }
+    if table.accuracy:
+        return quantities.read_values(table.accuracy, known, place)
+    angle = 1.0 / machine.lever
+    return {name: 1.0 if unit == "m" else angle for name, unit in known.items()}
 
 
-def _apart(said: DesignTable, measurement: Measurement, place: Place) -> Array | None:
-    if not said.apart:
+def _least_distance(
+    table: DesignTable, measurement: Measurement, place: Place
+) -> Array | None:
+    if not table.apart:
         return None
-    values = quantities.read(said.apart, grids.wanted(measurement.machine), place)
-    return np.array([values.get(c.name, 0.0) for c in measurement.machine.command])
+    machine = measurement.machine
+    values = quantities.read_values(table.apart, grids.command_units(machine), place)
+    return np.array([values.get(c.name, 0.0) for c in machine.command])
 
 
-def _kept(
+def _retained(
     study: Study,
-    said: DesignTable,
+    table: DesignTable,
     measurement: Measurement,
     references: Sequence[ReferencePlan],
     place: Place,
 ) -> tuple[Series, ...]:
-    if said.keep is not None:
-        plans = {p.name: p for p in references}
-        return plans[
-            naming.known(said.keep, plans, place.key("keep"), "reference plan")
-        ].series
-    if said.keep_readings is None:
+    if table.keep is not None:
+        plans = {plan.name: plan for plan in references}
+        at = place.key("keep")
+        return plans[lookup.known_name(table.keep, plans, at, "reference plan")].series
+    if table.keep_readings is None:
         return ()
     from pkm_studies import sources  # pandas takes a second to import
 
-    return tuple(
-        sources.from_files([study.folder / said.keep_readings], measurement).series
-    )
+    path = study.folder / table.keep_readings
+    return tuple(sources.from_files([path], measurement).series)
 
 
-def _free(said: DesignTable, measurement: Measurement, place: Place) -> Ranges:
-    if said.polish is None:
+def _free_ranges(table: DesignTable, measurement: Measurement, place: Place) -> Ranges:
+    if table.polish is None:
         return {}
-    found: dict[str, dict[str, tuple[float, float]]] = {}
-    for setup, table in said.polish.free.items():
-        chosen = measurement.setups[
-            naming.known(setup, measurement.setups, place.key(setup))
-        ]
-        known = {s.name: s.unit for s in chosen.instrument.settings} | dict.fromkeys(
-            ("tool_x", "tool_y", "tool_z"), "m"
-        )
-        found[setup] = {}
-        for key, ends in table.items():
-            name, unit = quantities.split(key, known, place.key(setup))
-            found[setup][name] = (
-                float(units.to_si(ends[0], unit)),
-                float(units.to_si(ends[1], unit)),
-            )
-    return found
-
-
-# -- grids -----------------------------------------------------------------------------
-
-
-def candidates(
-    study: Study, measurement: Measurement
-) -> tuple[tuple[Series, ...], dict[str, int], tuple[str, ...]]:
-    """A series for each [[design.candidates]]; {reason: candidates refused}; what was
-    left out, in words.
-    """
-    if study.design is None:
-        return (), {}, ()
-    made: list[Series] = []
-    refused: dict[str, int] = {}
-    warnings: list[str] = []
-    for i, table in enumerate(study.design.candidates):
-        place = study.place.key("design").key("candidates").item(i)
-        naming.known(table.setup, measurement.setups, place.key("setup"))
-        series, lost = grids.grid(table, measurement, place, strict=False)
-        if lost:
-            refused["cannot hold their reading"] = (
-                refused.get("cannot hold their reading", 0) + lost
-            )
-            warnings.append(
-                f"{place.field}: {lost} of {lost + len(series)} poses are left out,"
-                f" because {table.setup} cannot hold its reading there"
-            )
-        if study.design.limits is None:
-            warnings += _unheld(measurement, series, place)
-        else:
-            limits, count = study.place.key("design").key("limits"), len(series)
-            series, reasons = resolve_limits.limited(
-                study.design.limits,
-                measurement,
-                series,
-                limits,
-                whole_runs=study.design.whole_runs,
-            )
-            for reason, number in reasons.items():
-                refused[reason] = refused.get(reason, 0) + number
-                warnings.append(
-                    f"{place.field}: {number} of {count} candidates are left out: they"
-                    f" {reason}"
-                )
-            if study.design.limits.travel_mm is None:
-                warnings += _unheld(measurement, series, place)
-        made.append(series)
-    return tuple(made), refused, tuple(warnings)
-
-
-def _unheld(measurement: Measurement, series: Series, place: Place) -> list[str]:
-    """A warning where an instrument that holds its reading (a ball bar) would not hold
-    it at some poses.
-    """
-    setup = measurement.setups[series.setup]
-    if setup.instrument.holds is None:
-        return []
-    wanted = setup.instrument.holds(setup.settings)
-    first = setup.instrument.channels[0]
-    found = measurement.readings([series], measurement.nominal)[:: len(setup.sigma)]
-    far = int(np.count_nonzero(np.abs(found - wanted) > UNHELD * wanted))
-    if not far:
-        return []
-    span = (
-        f"{quantities.told(found.min(), first.unit)} to"
-        f" {quantities.told(found.max(), first.unit)}"
-    )
-    return [
-        f"{place.field}: at {far} of {len(found)} poses {setup.name} would read {span},"
-        " but it holds "
-        f'{quantities.told(wanted, first.unit)}: let one coordinate be "hold", or give'
-        " poses that keep it"
-    ]
-
-
-def references(study: Study, measurement: Measurement) -> tuple[ReferencePlan, ...]:
-    """The given plans."""
-    plans: dict[str, list[Series]] = {}
-    for i, table in enumerate(study.design.reference if study.design else []):
-        place = study.place.key("design").key("reference").item(i)
-        naming.known(table.setup, measurement.setups, place.key("setup"))
-        series, _ = grids.grid(table, measurement, place, strict=True)
-        plans.setdefault(table.name, []).append(series)
-    return tuple(
-        ReferencePlan(name=name, series=tuple(series)) for name, series in plans.items()
-    )
-
-
-def circles(
-    study: Study,
-    table: KappaTable,
-    i: int,
-    measure: Callable[[Iterable[str]], Measurement],
-) -> Circles:
-    """The circles of a [[kappa]] table."""
-    place = study.place.key("kappa").item(i)
-    setups = [s.name for s in study.setup]
-    measurement = measure([naming.known(table.setup, setups, place.key("setup"))])
-    machine = measurement.machine
-    columns = [c.name for c in machine.command]
-    if len(table.coordinates) != 1:
-        example = quantities.column(columns[0], machine.command[0].unit)
-        raise place.error(
-            "one range spaces the circles",
-            f"give one, as in {example} = {{ from = ..., to = ... }}",
-        )
-    key, span = next(iter(table.coordinates.items()))
-    name, unit = quantities.split(key, grids.wanted(machine), place)
-    if table.coordinate is not None and table.coordinate not in columns:
-        raise place.key("coordinate").error(
-            "no such coordinate", suggest(table.coordinate, columns), table.coordinate
-        )
-    rest = [c for c in machine.command if c.name not in (name, table.coordinate)]
-    if len(rest) != 1 or rest[0].unit != "rad":
-        problem = (
-            "besides the range and the held coordinate, one angle must be left to run"
-            " round"
-        )
-        raise place.key("coordinate").error(
-            problem, f"coordinates are {', '.join(columns)}", table.coordinate or ""
-        )
-    lower, upper = (float(units.to_si(v, unit)) for v in (span.from_, span.to))
-    ends = np.zeros((2, len(columns)))
-    ends[:, columns.index(name)] = lower, upper
-    ends[:, [k for k, c in enumerate(columns) if c != name]] = [
-        machine.home[c] for c in columns if c != name
-    ]
-    grids.in_workspace(
-        machine, ends, {name: key}, place, measurement.setups[table.setup].tool
-    )
-    return Circles(
-        title=table.title or f"{table.setup}: circles over {name}",
-        setup=table.setup,
-        circles=tuple(table.circles),
-        points=tuple(table.points),
-        measurement=measurement,
-        across=columns.index(name),
-        around=columns.index(rest[0].name),
-        hold=table.coordinate,
-        lower=lower,
-        upper=upper,
-        place=place,
-    )
+    ranges: dict[str, dict[str, tuple[float, float]]] = {}
+    for name, limits in table.polish.free.items():
+        at = place.key(name)
+        setup = measurement.setups[lookup.known_name(name, measurement.setups, at)]
+        known = {s.name: s.unit for s in setup.instrument.settings}
+        known |= dict.fromkeys(("tool_x", "tool_y", "tool_z"), "m")
+        ranges[name] = {}
+        for key, (low, high) in limits.items():
+            moved, unit = quantities.split_key(key, known, at)
+            ends = float(units.to_si(low, unit)), float(units.to_si(high, unit))
+            ranges[name][moved] = ends
+    return ranges

@@ -20,8 +20,8 @@ from oed.machine import Machine
 from oed.measurement import Measurement, Series
 from pkm_studies import catalogue
 from pkm_studies.errors import InputError, Place, suggest
-from pkm_studies.study.gap import ActingTable, ConditionsTable, GapTable
-from pkm_studies.study.load import Study
+from pkm_studies.study import Study
+from pkm_studies.study.tables import ActingTable, ConditionsTable, GapTable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +48,7 @@ class ActingEffect:
 
 
 @dataclasses.dataclass(frozen=True)
-class GapAsked:
+class GapRequest:
     """What [gap] asks for; gravity is its direction in the base frame."""
 
     effects: tuple[Effect, ...]
@@ -57,7 +57,9 @@ class GapAsked:
     conditions: ConditionsTable
 
 
-def asked(study: Study, machine: Machine, *, always: bool = False) -> GapAsked | None:
+def gap_request(
+    study: Study, machine: Machine, *, always: bool = False
+) -> GapRequest | None:
     """What the study asks of a diagnosis; None where it has no [gap], unless one is
     wanted `always`.
     """
@@ -71,7 +73,7 @@ def asked(study: Study, machine: Machine, *, always: bool = False) -> GapAsked |
         raise place.key("gravity").error(
             "gravity has no direction", "give where it pulls: [0, 0, -1]"
         )
-    return GapAsked(
+    return GapRequest(
         effects=_effects(study, said, place),
         gravity=said.gravity,
         acting=tuple(

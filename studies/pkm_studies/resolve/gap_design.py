@@ -22,9 +22,9 @@ from oed.measurement import Measurement, Series
 from pkm_studies import catalogue
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve.grids import ReferencePlan
-from pkm_studies.study.gap import ConditionsTable
-from pkm_studies.study.gap_design import PLAN, GapDesignTable, RunCondition
-from pkm_studies.study.load import Study
+from pkm_studies.study import Study
+from pkm_studies.study.tables import ConditionsTable, GapDesignTable, RunCondition
+from pkm_studies.study.tables.gap_design import PLAN
 
 MINUTE = units.factor("min")
 FEED = units.factor("mm") / units.factor("min")
@@ -34,7 +34,7 @@ PASS = re.compile(r", (forward|backward) (\d+)$")
 
 
 @dataclasses.dataclass(frozen=True)
-class GapDesignAsked:
+class GapDesignRequest:
     """What [gap.design] asks for.
 
     runs    candidates, each under one condition;  kept  numbers of those taken in any
@@ -60,9 +60,9 @@ class GapDesignAsked:
         return self.rules is None
 
 
-def asked(
+def gap_design_request(
     study: Study, references: Sequence[ReferencePlan], measurement: Measurement
-) -> GapDesignAsked | None:
+) -> GapDesignRequest | None:
     """What the study asks; None where it has no [gap.design]. `measurement` has all
     set-ups.
     """
@@ -89,7 +89,7 @@ def asked(
         timing,
         place,
     )
-    return GapDesignAsked(
+    return GapDesignRequest(
         wanted=wanted,
         rivals=rivals,
         runs=runs,
@@ -102,21 +102,21 @@ def asked(
 
 
 def following(
-    asked: GapDesignAsked,
+    gap_design_request: GapDesignRequest,
     series: Sequence[Series],
     left: float,
     measurement: Measurement,
-) -> GapDesignAsked:
+) -> GapDesignRequest:
     """With the readings of the plan kept that was to be followed.
 
     left: what the plan leaves of its time, s: the budget where the table has neither
     that nor a number of runs. Raises InputError.
     """
-    said, kept = asked.said, []
+    said, kept = gap_design_request.said, []
     if said.runs is None and said.budget_min is None:
         if left < 1.0:
             problem = "the plan leaves no time to find the cause of what it leaves"
-            raise asked.place.error(
+            raise gap_design_request.place.error(
                 problem, "give budget_min, which is taken from the plan's time, or runs"
             )
         said = msgspec.structs.replace(said, budget_min=left / MINUTE)
@@ -125,13 +125,20 @@ def following(
             s,
             PLAN,
             said.conditions[:1],
-            _step(measurement, s, asked.timing),
-            asked.place,
+            _step(measurement, s, gap_design_request.timing),
+            gap_design_request.place,
         )
-    runs = (*kept, *asked.runs)
-    rules = _rules(said, runs, len(kept), measurement, asked.timing, asked.place)
+    runs = (*kept, *gap_design_request.runs)
+    rules = _rules(
+        said,
+        runs,
+        len(kept),
+        measurement,
+        gap_design_request.timing,
+        gap_design_request.place,
+    )
     return dataclasses.replace(
-        asked, runs=runs, kept=tuple(range(len(kept))), rules=rules
+        gap_design_request, runs=runs, kept=tuple(range(len(kept))), rules=rules
     )
 
 

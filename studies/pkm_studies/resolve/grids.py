@@ -1,8 +1,7 @@
-"""Grids of commanded poses: values of each coordinate combined, held by the instrument
-where asked, in runs.
+"""Grids of commanded poses: every combination of coordinate values, grouped in runs.
 
-The coordinate that comes first in the machine's command varies slowest. Commands are
-(n, n_dof) arrays, SI.
+The first coordinate of the machine's command varies slowest. An instrument that holds
+its reading, such as a ball bar, can lead one coordinate. Commands are (n, n_dof), SI.
 """
 
 from __future__ import annotations
@@ -21,16 +20,19 @@ from oed.machine import Coordinate, Machine
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve import quantities
-from pkm_studies.study.load import Axis, GridTable, Span
+from pkm_studies.resolve.quantities import format_value
+from pkm_studies.study.tables import Axis, GridTable, Span
 
-MOST = 200_000  # poses of one grid
+#: most poses of one grid
+MAX_POSES = 200_000
 #: how far beyond its range (m, rad) a joint may be before a pose is refused
 SLACK = 1e-9
+FULL_TURN = 2.0 * math.pi
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReferencePlan:
-    """A named plan: readings in one or more set-ups."""
+    """A named plan that the study gives: readings in one or more set-ups."""
 
     name: str
     series: tuple[Series, ...]
@@ -43,8 +45,14 @@ class ReferencePlan:
 
 @dataclasses.dataclass(frozen=True)
 class Circles:
-    """m circles of n points each for the condition number's map; `measurement` holds
-    the one set-up.
+    """Circles of readings in one set-up, for a map of the condition number.
+
+    circles       numbers of circles to try
+    points        numbers of points on a circle to try
+    across        column of the coordinate that spaces the circles
+    around        column of the angle that runs round each circle
+    hold          coordinate that the instrument leads, if any
+    lower, upper  range of the spacing coordinate, SI
     """
 
     title: str
@@ -52,110 +60,115 @@ class Circles:
     circles: tuple[int, ...]
     points: tuple[int, ...]
     measurement: Measurement
-    across: int  # column of the coordinate that spaces the circles
-    around: int  # column of the angle that runs round each
+    across: int
+    around: int
     hold: str | None
     lower: float
     upper: float
     place: Place
 
     def series(self, m: int, n: int) -> Series:
-        """Readings on m circles from `lower` to `upper` (one: in the middle), n points
-        each from angle 0.
+        """Readings on m circles of n points each; one circle lies in the middle.
 
-        Raises InputError where the instrument cannot hold its reading there.
+        Raises InputError where the instrument cannot hold its reading.
         """
-        levels = (
-            np.linspace(self.lower, self.upper, m)
-            if m > 1
-            else [(self.lower + self.upper) / 2.0]
-        )
-        angles = np.linspace(0.0, 2.0 * math.pi, n, endpoint=False)
+        levels = np.array([(self.lower + self.upper) / 2.0])
+        if m > 1:
+            levels = np.linspace(self.lower, self.upper, m)
+        angles = np.linspace(0.0, FULL_TURN, n, endpoint=False)
         command = np.zeros((m * n, len(self.measurement.machine.command)))
         command[:, self.across] = np.repeat(levels, n)
         command[:, self.around] = np.tile(angles, m)
-        command, _ = held(
+        command, _ = solve_held(
             self.measurement, self.setup, command, self.hold, self.place, strict=True
         )
-        labels = [f"circle {k + 1}" for k in range(m) for _ in range(n)]
-        return series(self.measurement, self.setup, command, labels, self.place)
+        numbers = np.repeat(np.arange(1, m + 1), n)
+        labels = [f"circle {number}" for number in numbers]
+        return planned_series(self.measurement, self.setup, command, labels, self.place)
 
 
-def wanted(machine: Machine) -> dict[str, str]:
-    """Command coordinates with their SI units."""
+def command_units(machine: Machine) -> dict[str, str]:
+    """SI units of the command coordinates, by name."""
     return {c.name: c.unit for c in machine.command}
 
 
-def expand(
+# -- commands --------------------------------------------------------------------------
+
+
+def grid_commands(
     axes: Mapping[str, Axis], machine: Machine, place: Place
 ) -> tuple[Array, str | None, dict[str, str]]:
-    """Commands of a grid; the coordinate to be held, if any (0 in the commands); each
-    coordinate's key.
+    """Commands of a grid, the coordinate to hold, and the key of each coordinate.
 
-    Raises InputError for unknown or missing coordinates, wrong units, and grids that
-    are too large.
+    A coordinate to hold is 0 in the commands. Raises InputError for unknown or missing
+    coordinates, wrong units, and grids that are too large.
     """
     values: dict[str, Array] = {}
     keys: dict[str, str] = {}
     hold: str | None = None
     for key, axis in axes.items():
+        at = place.key(key)
         name, unit = _coordinate(key, axis, machine, place)
         if name in keys:
-            raise place.key(key).error(
-                f"{name} is given twice", f"keep {keys[name]} or {key}"
-            )
+            raise at.error(f"{name} is given twice", f"keep {keys[name]} or {key}")
         keys[name] = key
         if isinstance(axis, str):
             if hold is not None:
-                raise place.key(key).error(
+                raise at.error(
                     "one coordinate at most can be held",
                     f"give {key} or {keys[hold]} values",
                 )
             hold = name
-        values[name] = units.to_si(_numbers(axis, place.key(key)), unit)
-    for c in machine.command:
-        if c.name not in keys:
-            key = quantities.column(c.name, c.unit)
-            raise place.key(key).error(
-                "missing",
-                f'give {key}, or {c.name} = "hold" where the instrument leads the tool',
-            )
-    count = math.prod(len(v) for v in values.values())
-    if count > MOST:
-        raise place.error(
-            f"the grid has {count} poses",
-            f"take at most {MOST}: fewer values a coordinate",
-        )
-    mesh = np.meshgrid(*[values[c.name] for c in machine.command], indexing="ij")
+        values[name] = units.to_si(_axis_values(axis, at), unit)
+    _check_complete(values, machine, place)
+    axis_values = [values[c.name] for c in machine.command]
+    mesh = np.meshgrid(*axis_values, indexing="ij")
     return np.column_stack([m.ravel() for m in mesh]), hold, keys
+
+
+def _check_complete(
+    values: Mapping[str, Array], machine: Machine, place: Place
+) -> None:
+    """Raises InputError for a coordinate without values, and for too many poses."""
+    for c in machine.command:
+        if c.name not in values:
+            key = quantities.column(c.name, c.unit)
+            remedy = (
+                f'give {key}, or {c.name} = "hold" where the instrument leads the tool'
+            )
+            raise place.key(key).error("missing", remedy)
+    count = math.prod(len(v) for v in values.values())
+    if count > MAX_POSES:
+        remedy = f"take at most {MAX_POSES}: fewer values a coordinate"
+        raise place.error(f"the grid has {count} poses", remedy)
 
 
 def _coordinate(
     key: str, axis: Axis, machine: Machine, place: Place
 ) -> tuple[str, str]:
     """Name and unit of a grid's key; a held coordinate needs no unit."""
-    known = wanted(machine)
+    known = command_units(machine)
     if axis == "hold" and key in known:
         return key, known[key]
-    return quantities.split(key, known, place)
+    return quantities.split_key(key, known, place)
 
 
-def _numbers(axis: Axis, place: Place) -> Array:
+def _axis_values(axis: Axis, place: Place) -> Array:
     if isinstance(axis, str):
         return np.zeros(1)
     if isinstance(axis, Span):
-        if axis.count > MOST:
+        if axis.count > MAX_POSES:
             raise place.key("count").error(
-                "too many values", f"take at most {MOST}", axis.count
+                "too many values", f"take at most {MAX_POSES}", axis.count
             )
         return np.linspace(axis.from_, axis.to, axis.count, endpoint=axis.endpoint)
-    numbers = np.atleast_1d(np.asarray(axis, dtype=float))
-    if not numbers.size:
+    values = np.atleast_1d(np.asarray(axis, dtype=float))
+    if not values.size:
         raise place.error("the list is empty", "give at least one value")
-    return numbers
+    return values
 
 
-def in_workspace(
+def check_workspace(
     machine: Machine,
     command: Array,
     keys: Mapping[str, str],
@@ -164,17 +177,15 @@ def in_workspace(
 ) -> None:
     """Raises InputError for the first command outside the machine's workspace."""
     for _, name, value, lower, upper in machine.out_of_range(command, tool)[:1]:
-        unit = wanted(machine)[name]
-        told = f"{quantities.told(lower, unit)} to {quantities.told(upper, unit)}"
-        key = keys.get(name, name)
-        found = quantities.told(value, unit)
-        raise place.key(key).error(
-            f"{found} is outside the workspace of {machine.name}",
-            f"{name} goes from {told}",
+        unit = command_units(machine)[name]
+        span = f"{format_value(lower, unit)} to {format_value(upper, unit)}"
+        raise place.key(keys.get(name, name)).error(
+            f"{format_value(value, unit)} is outside the workspace of {machine.name}",
+            f"{name} goes from {span}",
         )
 
 
-def held(
+def solve_held(
     measurement: Measurement,
     setup: str,
     command: Array,
@@ -183,134 +194,130 @@ def held(
     *,
     strict: bool,
 ) -> tuple[Array, int]:
-    """Commands with one coordinate solved so that the instrument reads what it holds;
-    how many were dropped.
+    """Commands with one coordinate solved for the held reading; the number dropped.
 
-    `strict`: raise InputError where that is impossible at some pose; else only where it
-    is impossible at all.
+    With `strict`, raises InputError where some pose has no solution; otherwise only
+    where no pose has one.
     """
     if hold is None:
         return command, 0
+    place = place.key(hold)
     instrument = measurement.setups[setup].instrument
     if instrument.holds is None:
         problem = f"{instrument.name} holds no reading by design"
-        raise place.key(hold).error(problem, f"give {hold} values with a unit", "hold")
+        raise place.error(problem, f"give {hold} values with a unit", "hold")
     try:
-        solved, found = measurement.hold(setup, command, hold)
+        solved, solvable = measurement.hold(setup, command, hold)
     except AssemblyError as error:
-        raise place.key(hold).error(str(error), "narrow the grid", "hold") from error
-    lost = int((~found).sum())
+        raise place.error(str(error), "narrow the grid", "hold") from error
+    lost = int((~solvable).sum())
     if lost == len(command) or (strict and lost):
-        first = ", ".join(
-            f"{c.name} {quantities.told(v, c.unit)}"
-            for c, v in zip(
-                measurement.machine.command,
-                command[np.flatnonzero(~found)[0]],
-                strict=True,
-            )
+        first = command[np.flatnonzero(~solvable)[0]]
+        others = [
+            f"{c.name} {format_value(value, c.unit)}"
+            for c, value in zip(measurement.machine.command, first, strict=True)
             if c.name != hold
-        )
+        ]
         problem = (
             f"at {lost} of {len(command)} poses no {hold} lets {setup} read what it"
-            f" holds, the first at {first}"
+            f" holds, the first at {', '.join(others)}"
         )
-        raise place.key(hold).error(
-            problem, "move the grid or the teach pose, or take another bar", "hold"
-        )
-    return solved[found], lost
+        remedy = "move the grid or the teach pose, or take another bar"
+        raise place.error(problem, remedy, "hold")
+    return solved[solvable], lost
 
 
-def series(
+# -- series ----------------------------------------------------------------------------
+
+
+def planned_series(
     measurement: Measurement,
     setup: str,
     command: Array,
     run: Sequence[str],
     place: Place,
 ) -> Series:
-    """Readings at commands; raises InputError where a pose is out of reach or a joint
-    out of its range.
+    """Readings at commands, in the passes that the set-up's protocol asks for.
+
+    Raises InputError where a pose is out of reach or a joint out of its range.
     """
     try:
-        made = measurement.series(setup, command, run)
+        series = measurement.series(setup, command, run)
     except AssemblyError as error:
         raise place.error(str(error), "keep to poses the machine can reach") from error
-    in_joint_range(measurement.machine, made, place)
-    return made.passes(measurement.setups[setup].protocol)
+    check_joint_range(measurement.machine, series, place)
+    return series.passes(measurement.setups[setup].protocol)
 
 
-def in_joint_range(machine: Machine, made: Series, place: Place) -> None:
+def check_joint_range(machine: Machine, series: Series, place: Place) -> None:
     """Raises InputError where the joints of a series leave their range."""
     for k, joint in enumerate(machine.joints):
-        low, high = float(made.q[:, k].min()), float(made.q[:, k].max())
-        if low < joint.lower - SLACK or high > joint.upper + SLACK:
-            value = quantities.told(
-                low if low < joint.lower - SLACK else high, joint.unit
-            )
-            told = (
-                f"{quantities.told(joint.lower, joint.unit)} to"
-                f" {quantities.told(joint.upper, joint.unit)}"
-            )
-            problem = f"a pose needs {joint.name} = {value}, outside the joint's range"
-            raise place.error(
-                problem, f"{joint.name} goes from {told}: keep to poses within"
-            )
+        low, high = float(series.q[:, k].min()), float(series.q[:, k].max())
+        too_low = low < joint.lower - SLACK
+        if not too_low and high <= joint.upper + SLACK:
+            continue
+        value = format_value(low if too_low else high, joint.unit)
+        lower, upper = (format_value(v, joint.unit) for v in (joint.lower, joint.upper))
+        raise place.error(
+            f"a pose needs {joint.name} = {value}, outside the joint's range",
+            f"{joint.name} goes from {lower} to {upper}: keep to poses within",
+        )
 
 
-def labels(
+def run_labels(
     command: Array, by: str | None, coordinates: Sequence[Coordinate], place: Place
 ) -> list[str]:
-    """Run of each pose: "1", or one run for each value of the coordinate `by`
-    (`z=1146mm`).
-    """
+    """Run of each pose: "1", or one for each value of coordinate `by` (`z=1146mm`)."""
     if by is None:
         return ["1"] * len(command)
     names = [c.name for c in coordinates]
     if by not in names:
         raise place.key("runs_by").error("no such coordinate", suggest(by, names), by)
     k = names.index(by)
-    told = [
-        quantities.told(v, coordinates[k].unit).replace(" ", "") for v in command[:, k]
-    ]
-    return [f"{by}={t}" for t in told]
+    values = [format_value(value, coordinates[k].unit) for value in command[:, k]]
+    return [f"{by}={value.replace(' ', '')}" for value in values]
 
 
-def grid(
+def grid_series(
     table: GridTable, measurement: Measurement, place: Place, *, strict: bool
 ) -> tuple[Series, int]:
-    """Series of a [[design.candidates]] or [[design.reference]] table; how many poses
-    it dropped (see `held`).
-    """
+    """Series of a grid's table, and the number of poses dropped (see `solve_held`)."""
     machine = measurement.machine
+    setup = measurement.setups[table.setup]
     if table.pairs_mm is not None:
-        command, run = _pairs(table, machine, measurement.setups[table.setup], place)
-        return series(measurement, table.setup, command, run, place), 0
-    command, hold, keys = expand(table.coordinates, machine, place)
-    tool = measurement.setups[table.setup].tool
-    if hold is not None:  # solved below, within its range
-        column = [c.name for c in machine.command].index(hold)
-        command[:, column] = (
-            machine.workspace(tool)[column].lower
-            + machine.workspace(tool)[column].upper
-        ) / 2.0
-    in_workspace(machine, command, keys, place, tool)
-    command, lost = held(measurement, table.setup, command, hold, place, strict=strict)
-    run = labels(command, table.runs_by, machine.command, place)
-    return series(measurement, table.setup, command, run, place), lost
+        command, run = _pairs(table, machine, setup, place)
+        return planned_series(measurement, table.setup, command, run, place), 0
+    command, hold, keys = grid_commands(table.coordinates, machine, place)
+    if hold is not None:
+        command = mid_range(command, hold, machine, setup)
+    check_workspace(machine, command, keys, place, setup.tool)
+    command, lost = solve_held(
+        measurement, table.setup, command, hold, place, strict=strict
+    )
+    run = run_labels(command, table.runs_by, machine.command, place)
+    return planned_series(measurement, table.setup, command, run, place), lost
+
+
+def mid_range(command: Array, hold: str, machine: Machine, setup: Setup) -> Array:
+    """Commands with the held coordinate in the middle of its range, to start solving."""
+    k = [c.name for c in machine.command].index(hold)
+    limits = machine.workspace(setup.tool)[k]
+    started = command.copy()
+    started[:, k] = (limits.lower + limits.upper) / 2.0
+    return started
 
 
 def _pairs(
     table: GridTable, machine: Machine, setup: Setup, place: Place
 ) -> tuple[Array, list[str]]:
-    """Each pair of points is a run of two poses, of which the first is the reference."""
+    """Commands and runs of point pairs: two poses a run, of which the first is zero."""
     if table.coordinates or table.runs_by is not None:
         raise place.key("pairs_mm").error(
             "pairs say all about the poses", "remove the coordinates and runs_by"
         )
-    if (
-        setup.instrument.reference != "run"
-        or any(c.unit != "m" for c in machine.command)
-        or len(machine.command) != 3
-    ):
+    translations = [c.unit == "m" for c in machine.command]
+    compares = setup.instrument.reference == "run"
+    if not compares or not all(translations) or len(translations) != 3:
         problem = (
             "pairs are for instruments that compare two poses, on machines commanded in"
             " x, y, z"
@@ -319,7 +326,6 @@ def _pairs(
     points = units.to_si(np.array(table.pairs_mm, dtype=float), "mm").reshape(-1, 3)
     if not points.size:
         raise place.key("pairs_mm").error("the list is empty", "give at least one pair")
-    in_workspace(
-        machine, points, dict.fromkeys(wanted(machine), "pairs_mm"), place, setup.tool
-    )
+    keys = dict.fromkeys(command_units(machine), "pairs_mm")
+    check_workspace(machine, points, keys, place, setup.tool)
     return points, [f"pair {i // 2 + 1}" for i in range(len(points))]

@@ -17,10 +17,10 @@ from oed.design.candidates import reading_time
 from oed.measurement import Measurement, Series
 from oed.planning.option import Option, option
 from pkm_studies.errors import Place
-from pkm_studies.resolve import grids, naming, quantities
-from pkm_studies.study.gap_design import PLAN
-from pkm_studies.study.load import GridTable, Study
-from pkm_studies.study.tables import MeasuredTable
+from pkm_studies.resolve import grids, lookup, quantities
+from pkm_studies.study import Study
+from pkm_studies.study.tables import GridTable, MeasuredTable
+from pkm_studies.study.tables.gap_design import PLAN
 
 Measure = Callable[[Iterable[str]], Measurement]
 
@@ -67,7 +67,7 @@ def planned(
     names = [t.name for t, _ in tables]
     for i, sequence in enumerate(said.compare):
         for j, name in enumerate(sequence):
-            naming.known(
+            lookup.known_name(
                 name, names, place.key("compare").item(i).item(j), "measurement"
             )
         if len(set(sequence)) < len(sequence):
@@ -79,7 +79,7 @@ def planned(
     there, reserved = {t.name for t, _ in left}, _reserved(study)
     return PlanAsked(
         options=tuple(_option(t, measure, p) for t, p in left),
-        wanted=quantities.read(said.wanted, known, place.key("wanted")),
+        wanted=quantities.read_values(said.wanted, known, place.key("wanted")),
         budget=60.0 * (said.budget_min or 0.0) - reserved,
         reserved=reserved,
         compare=tuple(tuple(s) for s in said.compare if set(s) <= there),
@@ -139,7 +139,7 @@ def _setups(tables: list[tuple[MeasuredTable, Place]], setups: list[str]) -> Non
                 'write setup = "NAME", or setups = ["A", "B"]',
             )
         for name in table.mounted:
-            naming.known(name, setups, field)
+            lookup.known_name(name, setups, field)
             if name in owner:
                 problem = (
                     f"{owner[name]} mounts it as well; what is mounted again stands"
@@ -185,7 +185,7 @@ def _grid(
         pairs_mm=table.pairs_mm,
         coordinates=table.coordinates,
     )
-    made = grids.grid(grid, measurement, place, strict=False)[0]
+    made = grids.grid_series(grid, measurement, place, strict=False)[0]
     if not table.whole_runs:
         return made
     # the readings of a run must follow each other, whichever coordinate varies slowest

@@ -1,4 +1,4 @@
-"""Numbers of a study with the unit in their name (`radius_mm`), turned into SI."""
+"""Converts a study's numbers to SI; the unit is in the key (`radius_mm`)."""
 
 from __future__ import annotations
 
@@ -8,54 +8,52 @@ from oed import units
 from pkm_studies.errors import InputError, Place, suggest
 
 
-def allowed(si: str) -> list[str]:
-    """Units that measure the same kind of quantity as the SI unit."""
-    return [u for u in units.UNITS if units.si_unit(u) == si]
+def allowed_units(si: str) -> list[str]:
+    """Units of the same kind of quantity as the SI unit."""
+    return [unit for unit in units.UNITS if units.si_unit(unit) == si]
 
 
 def column(name: str, si: str) -> str:
-    """How a quantity is usually written: `radius_mm`, `theta_deg`."""
-    return f"{name}_{'deg' if si == 'rad' else units.display(si)}"
+    """The usual key of a quantity: `radius_mm`, `theta_deg`."""
+    return f"{name}_{display_unit(si)}"
 
 
-def split(key: str, wanted: Mapping[str, str], place: Place) -> tuple[str, str]:
-    """Name and unit of a key; `wanted` are the known names with their SI units. Raises
-    InputError.
-    """
+def display_unit(si: str) -> str:
+    """The unit in which a person writes a quantity: degrees for angles."""
+    return "deg" if si == "rad" else units.display(si)
+
+
+def split_key(key: str, known: Mapping[str, str], place: Place) -> tuple[str, str]:
+    """Name and unit of a key; `known` gives each name's SI unit. Raises InputError."""
     stem, _, unit = key.rpartition("_")
-    if stem in wanted and unit in allowed(wanted[stem]):
+    if stem in known and unit in allowed_units(known[stem]):
         return stem, unit
-    if key in wanted and wanted[key] == "1":
+    if key in known and known[key] == "1":
         return key, "1"
-    raise _refused(key, stem, unit, wanted, place)
+    raise _refusal(key, stem, unit, known, place)
 
 
-def _refused(
-    key: str, stem: str, unit: str, wanted: Mapping[str, str], place: Place
+def _refusal(
+    key: str, stem: str, unit: str, known: Mapping[str, str], place: Place
 ) -> InputError:
-    known = [column(name, si) for name, si in wanted.items()]
-    name = stem if stem in wanted else key
-    if name not in wanted:
-        return place.key(key).error("unknown field", suggest(key, known))
-    problem = (
-        f'"{unit}" is no unit for {stem}'
-        if name == stem
-        else "the unit is missing in the name"
-    )
-    return place.key(key).error(
-        problem, "allowed: " + ", ".join(f"{name}_{u}" for u in allowed(wanted[name]))
-    )
+    name = stem if stem in known else key
+    if name not in known:
+        columns = [column(n, si) for n, si in known.items()]
+        return place.key(key).error("unknown field", suggest(key, columns))
+    problem = "the unit is missing in the name"
+    if name == stem:
+        problem = f'"{unit}" is no unit for {stem}'
+    allowed = ", ".join(f"{name}_{u}" for u in allowed_units(known[name]))
+    return place.key(key).error(problem, f"allowed: {allowed}")
 
 
-def read(
-    table: Mapping[str, float], wanted: Mapping[str, str], place: Place
+def read_values(
+    table: Mapping[str, float], known: Mapping[str, str], place: Place
 ) -> dict[str, float]:
-    """SI values by name. `wanted` maps each known name to its SI unit. Raises
-    InputError.
-    """
+    """SI values by name; `known` gives each name's SI unit. Raises InputError."""
     values: dict[str, float] = {}
     for key, value in table.items():
-        name, unit = split(key, wanted, place)
+        name, unit = split_key(key, known, place)
         if name in values:
             raise place.key(key).error(
                 f"{name} is given twice", "keep one of the two", value
@@ -64,7 +62,30 @@ def read(
     return values
 
 
-def told(value: float, si: str) -> str:
-    """An SI value in the unit a person writes it in."""
-    unit = "deg" if si == "rad" else units.display(si)
-    return f"{float(units.from_si(value, unit)):.6g} {unit if unit != '1' else ''}".rstrip()
+def split_tables(
+    table: Mapping[str, float | dict[str, float]],
+) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Plain numbers of a table, and its tables for one set-up each."""
+    numbers: dict[str, float] = {}
+    tables: dict[str, dict[str, float]] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            tables[key] = value
+        else:
+            numbers[key] = value
+    return numbers, tables
+
+
+def format_value(value: float, si: str) -> str:
+    """An SI value as text, in the unit in which a person writes it."""
+    unit = display_unit(si)
+    number = f"{float(units.from_si(value, unit)):.6g}"
+    return number if unit == "1" else f"{number} {unit}"
+
+
+def check_not_negative(value: float, place: Place) -> None:
+    """Raises InputError for a tolerance below 0."""
+    if value < 0.0:
+        raise place.error(
+            "a tolerance is a standard deviation", "give a number >= 0", value
+        )

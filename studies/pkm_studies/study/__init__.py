@@ -1,1 +1,6 @@
-"""Study files: their tables and how they are read."""
+"""A study file as written: its tables, and how they are loaded."""
+
+from pkm_studies.study.loader import SUFFIX as SUFFIX
+from pkm_studies.study.loader import Study as Study
+from pkm_studies.study.loader import load as load
+from pkm_studies.study.loader import parse as parse

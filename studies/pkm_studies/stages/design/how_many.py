@@ -15,14 +15,14 @@ from oed.design.exchange import Choice
 from oed.design.how_many import AccuracyGoal, SizeCurve
 from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities
-from pkm_studies.stages.design.aims import Aims
+from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.study.tables import HowManyTable
 
 
 def curve(
     problem: DesignProblem,
-    aims: Aims,
+    aims: StudyCriteria,
     chosen: Choice,
     said: HowManyTable,
     seed: int,
@@ -39,7 +39,7 @@ def curve(
         pool = np.flatnonzero(np.isin(c.setup, c.setup[chosen.indices]))
         basis = problem.columns(np.unique(c.setup[chosen.indices]))
     components = {x.name: x.unit for x in c.measurement.machine.components}
-    wanted = quantities.read(said.wanted, components, place.key("wanted"))
+    wanted = quantities.read_values(said.wanted, components, place.key("wanted"))
     unit = wanted or _reached(aims, problem, chosen)
     names, factors = _factors(aims, problem, unit)
     rules = dataclasses.replace(
@@ -117,7 +117,9 @@ def _fewest(
     )
 
 
-def _reached(aims: Aims, problem: DesignProblem, chosen: Choice) -> dict[str, float]:
+def _reached(
+    aims: StudyCriteria, problem: DesignProblem, chosen: Choice
+) -> dict[str, float]:
     """Accuracy, SI, that the chosen plan reaches in each component that moves at all."""
     names, factors = _factors(aims, problem, {})
     c = problem.candidates
@@ -128,7 +130,7 @@ def _reached(aims: Aims, problem: DesignProblem, chosen: Choice) -> dict[str, fl
 
 
 def _factors(
-    aims: Aims, problem: DesignProblem, unit: dict[str, float]
+    aims: StudyCriteria, problem: DesignProblem, unit: dict[str, float]
 ) -> tuple[tuple[str, ...], Array]:
     """Components with factors (K, r, n) over the candidates' columns, in units of
     `unit` (SI where none is told).

@@ -19,7 +19,7 @@ from oed.design import candidates, order
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve import grids
-from pkm_studies.resolve.study import Resolved
+from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.study.tables import Axis, DesignTable, OrderTable
 
 #: run label of thermal reference readings
@@ -54,7 +54,7 @@ class _Way:
 
 
 def arrange(
-    resolved: Resolved,
+    resolved: ResolvedStudy,
     measurement: Measurement,
     kept: Sequence[Series],
     series: Sequence[Series],
@@ -271,7 +271,7 @@ def _command(
     """
     if not axes:
         return np.asarray(whole.commands()[path.indices[0]])
-    command, hold, keys = grids.expand(axes, measurement.machine, place)
+    command, hold, keys = grids.grid_commands(axes, measurement.machine, place)
     if len(command) != 1:
         raise place.error(
             "the reference is one pose", "give one value for each coordinate"
@@ -283,8 +283,10 @@ def _command(
             for c in measurement.machine.workspace(measurement.setups[whole.setup].tool)
         }[hold]
         command = np.nan_to_num(command, nan=(limits.lower + limits.upper) / 2.0)
-    grids.in_workspace(
+    grids.check_workspace(
         measurement.machine, command, keys, place, measurement.setups[whole.setup].tool
     )
-    command, _ = grids.held(measurement, whole.setup, command, hold, place, strict=True)
+    command, _ = grids.solve_held(
+        measurement, whole.setup, command, hold, place, strict=True
+    )
     return np.asarray(command[0])

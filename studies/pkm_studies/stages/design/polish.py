@@ -15,9 +15,9 @@ from oed.design import polish, smooth
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities
-from pkm_studies.resolve.study import Resolved
+from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages import describe
-from pkm_studies.stages.design.aims import Aims
+from pkm_studies.stages.design.criteria import StudyCriteria
 
 #: power means that stand for E and O3
 POWER = 8
@@ -33,8 +33,8 @@ class PolishedPlan:
 
 
 def polished(
-    resolved: Resolved,
-    aims: Aims,
+    resolved: ResolvedStudy,
+    aims: StudyCriteria,
     measurement: Measurement,
     series: Sequence[Series],
     kept: Sequence[Series],
@@ -84,16 +84,16 @@ def polished(
 
 
 def _free(
-    resolved: Resolved,
+    resolved: ResolvedStudy,
     measurement: Measurement,
     series: Sequence[Series],
     kept: Sequence[Series],
     place: Place,
 ) -> Mapping[str, Mapping[str, tuple[float, float]]]:
     """What may be moved of the set-ups that the plan uses."""
-    assert resolved.asked is not None
+    assert resolved.design is not None
     stuck = {s.setup for s in kept}
-    for name in resolved.asked.free:
+    for name in resolved.design.free_ranges:
         if name in stuck:
             problem = (
                 f"readings of {name} are kept, which were taken with it as it stands"
@@ -101,18 +101,22 @@ def _free(
             raise place.key("free").key(name).error(problem, "move another set-up")
     used = {s.setup for s in series}
     return {
-        name: ranges for name, ranges in resolved.asked.free.items() if name in used
+        name: ranges
+        for name, ranges in resolved.design.free_ranges.items()
+        if name in used
     }
 
 
-def _held(aims: Aims, measurement: Measurement, kept: Sequence[Series]) -> Array | None:
+def _held(
+    aims: StudyCriteria, measurement: Measurement, kept: Sequence[Series]
+) -> Array | None:
     """Information held beside the polished readings."""
     if kept:
         return aims.information(measurement, kept)
     return np.eye(int(measurement.free.sum())) if aims.design.prior else None
 
 
-def _smooth(name: str, aims: Aims, measurement: Measurement) -> smooth.Smooth:
+def _smooth(name: str, aims: StudyCriteria, measurement: Measurement) -> smooth.Smooth:
     """The criterion as polishing knows it."""
     pieces = aims.pieces(name, measurement)
     if name == "Ds":

@@ -15,7 +15,7 @@ from oed.design.criterion import Criterion
 from oed.design.exchange import Choice
 from oed.kinematics import AssemblyError
 from pkm_studies.errors import Place
-from pkm_studies.stages.design.aims import Aims
+from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.study.tables import RobustTable
 
@@ -25,7 +25,7 @@ TRIES = 5
 
 def choose(
     problem: DesignProblem,
-    aims: Aims,
+    aims: StudyCriteria,
     nominal: Choice,
     said: RobustTable,
     rng: np.random.Generator,
@@ -89,7 +89,7 @@ def choose(
 
 def _scenarios(
     problem: DesignProblem,
-    aims: Aims,
+    aims: StudyCriteria,
     count: int,
     rng: np.random.Generator,
     place: Place,

@@ -35,7 +35,7 @@ def compared(task: Task, names: Sequence[str], found: Planned) -> result.Sequenc
         asked, time = _within(task, names, found), task.budget
     best, bound = _best(task, asked, found, asked.seconds if time is None else time)
     readings = [s for stage in asked.stages for s in stage.series]
-    together = task.resolved.measure({s.setup for s in readings})
+    together = task.resolved.measurement_with({s.setup for s in readings})
     seen = explain.look(together, readings)
     s = seen.verdict.identifiable
     own, other = task.accuracy(task.left(asked)), task.accuracy(task.left(best))

@@ -15,7 +15,7 @@ from oed import result
 from oed.measurement import Measurement, Series
 from pkm_studies.resolve import quantities
 from pkm_studies.stages import describe
-from pkm_studies.stages.design import score
+from pkm_studies.stages.design import section as score
 from pkm_studies.stages.plan.plan import Made
 
 HEADER = [
@@ -85,7 +85,7 @@ def poses_json(made: Made) -> str:
 
 
 def _poses(measurement: Measurement, series: Sequence[Series]) -> list[dict[str, Any]]:
-    told = score.poses(measurement, series)
+    told = score.planned_readings(measurement, series)
     joints = [row for s in series for row in s.q[s.index[:, 0]]]
     names = [
         (quantities.column(j.name, j.unit), j.unit) for j in measurement.machine.joints

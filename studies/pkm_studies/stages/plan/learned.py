@@ -18,7 +18,7 @@ from oed.design.candidates import reading_time
 from oed.machine import Machine
 from pkm_studies.errors import Place
 from pkm_studies.resolve.plan import planned
-from pkm_studies.resolve.study import Resolved, measurer
+from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
 
 FILE = "posterior.nc"
 
@@ -29,13 +29,13 @@ class Learned:
     tolerances; `seconds` spent.
     """
 
-    resolved: Resolved
+    resolved: ResolvedStudy
     covariance: Array
     seconds: float
     words: str
 
 
-def learned(resolved: Resolved, folder: Path, found: Mapping[str, Any]) -> Learned:
+def learned(resolved: ResolvedStudy, folder: Path, found: Mapping[str, Any]) -> Learned:
     """What the result `found` in `folder` knows of the study's machine. Raises
     InputError where it does not fit.
 
@@ -48,7 +48,7 @@ def learned(resolved: Resolved, folder: Path, found: Mapping[str, Any]) -> Learn
             "nothing was identified there", "make it with `oed identify`"
         )
     machine = resolved.machine
-    base = resolved.measure(())
+    base = resolved.measurement_with(())
     free = [n for n, f in zip(base.names, base.free, strict=True) if f]
     estimate = found["estimate"]["parameters"]
     absent = [n for n in free if n not in estimate]
@@ -84,13 +84,15 @@ def learned(resolved: Resolved, folder: Path, found: Mapping[str, Any]) -> Learn
     )
 
 
-def _believing(resolved: Resolved, machine: Machine, done: list[str]) -> Resolved:
+def _believing(
+    resolved: ResolvedStudy, machine: Machine, done: list[str]
+) -> ResolvedStudy:
     """The study about the machine as believed, without the measurements that are done."""
-    measure = measurer(machine, resolved.setups)
+    measure = measurement_factory(machine, resolved.setups)
     return dataclasses.replace(
         resolved,
         machine=machine,
-        measure=measure,
+        measurement_with=measure,
         measurement=measure(resolved.measurement.setups),
         plan=planned(resolved.study, measure, resolved.setups, done),
     )
@@ -128,7 +130,7 @@ def _known(
     )
 
 
-def _seconds(resolved: Resolved, done: Mapping[str, int]) -> float:
+def _seconds(resolved: ResolvedStudy, done: Mapping[str, int]) -> float:
     """Time that readings {set-up: number} took: as the measurement that mounts it
     tells, else as its instrument.
     """
@@ -147,5 +149,8 @@ def _seconds(resolved: Resolved, done: Mapping[str, int]) -> float:
     for name in set(done) - told:
         if name in resolved.setups:
             cost = resolved.setups[name].instrument.cost.setup
-            total += cost + reading_time(resolved.measure([name]), name) * done[name]
+            total += (
+                cost
+                + reading_time(resolved.measurement_with([name]), name) * done[name]
+            )
     return total

@@ -26,7 +26,7 @@ from oed.planning.stage import Stage
 from pkm_studies.errors import Place
 from pkm_studies.progress import Progress
 from pkm_studies.resolve.plan import PlanAsked
-from pkm_studies.resolve.study import Resolved
+from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import order
 from pkm_studies.stages.plan.learned import Learned
 from pkm_studies.study.tables import DesignTable
@@ -59,7 +59,7 @@ class Task:
     tolerances
     """
 
-    resolved: Resolved
+    resolved: ResolvedStudy
     said: Said
     asked: PlanAsked
     goal: Goal
@@ -124,7 +124,7 @@ class Task:
 
 
 def plan(
-    resolved: Resolved,
+    resolved: ResolvedStudy,
     seed: Sequence[int],
     machines: np.random.Generator,
     progress: Progress,
@@ -188,13 +188,16 @@ def plan(
 
 
 def _task(
-    resolved: Resolved, asked: PlanAsked, seed: Sequence[int], known: Learned | None
+    resolved: ResolvedStudy,
+    asked: PlanAsked,
+    seed: Sequence[int],
+    known: Learned | None,
 ) -> Task:
-    study, command = resolved.study, resolved.prediction
+    study, command = resolved.study, resolved.prediction_commands
     assert study.plan is not None
     assert study.prediction is not None
     assert command is not None
-    base = resolved.measure(())
+    base = resolved.measurement_with(())
     maps = predict.error_maps(base.kinematics, command, study.prediction.reference)
     everything = goals.goal_of(base, maps, {})
     n = everything.factors.shape[2]
@@ -238,7 +241,7 @@ def _section(
     clock = 0.0
     for k, stage in enumerate(best.stages):
         ordered = _arranged(task, stage, k)
-        sofar = task.resolved.measure(
+        sofar = task.resolved.measurement_with(
             {s.setup for a in [*arranged, ordered] for s in a.series}
         )
         arranged.append(ordered)
@@ -272,7 +275,7 @@ def _section(
     return (
         told,
         arranged,
-        task.resolved.measure({s.setup for a in arranged for s in a.series}),
+        task.resolved.measurement_with({s.setup for a in arranged for s in a.series}),
     )
 
 
@@ -392,11 +395,11 @@ def _virtual(
     from oed.planning import campaign
 
     progress.stage("virtual machines through the plan")
-    assert task.resolved.prediction is not None
+    assert task.resolved.prediction_commands is not None
     assert task.resolved.study.prediction is not None
     checked = campaign.carry_out(
         best.stages,
-        task.resolved.prediction,
+        task.resolved.prediction_commands,
         task.said.virtual_machines,
         rng,
         reference=task.resolved.study.prediction.reference,

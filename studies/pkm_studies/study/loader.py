@@ -11,15 +11,7 @@ from typing import Any
 from pkm_studies import files
 from pkm_studies.errors import Place, shorten
 from pkm_studies.study import decode
-from pkm_studies.study.fields import StudyTable as StudyTable
-from pkm_studies.study.tables import Axis as Axis
-from pkm_studies.study.tables import ClaimTable as ClaimTable
-from pkm_studies.study.tables import GridTable as GridTable
-from pkm_studies.study.tables import KappaTable as KappaTable
-from pkm_studies.study.tables import ReadingsTable as ReadingsTable
-from pkm_studies.study.tables import SetupTable as SetupTable
-from pkm_studies.study.tables import Span as Span
-from pkm_studies.study.tables import StudyFile as StudyFile
+from pkm_studies.study.tables import ReadingsTable, StudyFile
 
 SCHEMA = 1
 LIMIT = 2_000_000  # bytes

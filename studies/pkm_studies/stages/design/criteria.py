@@ -20,7 +20,7 @@ from oed.design.blocks import seen
 from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, named
 from oed.measurement import Measurement, Series
-from pkm_studies.resolve.study import Resolved
+from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.study.tables import DesignTable
 
 #: criteria to which a column that no reading touches is one more eigenvalue
@@ -37,16 +37,19 @@ class Pieces(TypedDict, total=False):
     factors: Array
 
 
-class Aims:
+class StudyCriteria:
     """The criteria of one study."""
 
-    def __init__(self, resolved: Resolved, design: DesignTable) -> None:
+    def __init__(self, resolved: ResolvedStudy, design: DesignTable) -> None:
         self.resolved, self.design = resolved, design
 
     @functools.cached_property
     def maps(self) -> predict.ErrorMaps | None:
         """Pose error over the workspace of [prediction]; None without one."""
-        said, command = self.resolved.study.prediction, self.resolved.prediction
+        said, command = (
+            self.resolved.study.prediction,
+            self.resolved.prediction_commands,
+        )
         if said is None or command is None:
             return None
         return predict.error_maps(
@@ -102,7 +105,7 @@ class Aims:
         ]
 
     def _interest(self, measurement: Measurement) -> Array:
-        asked = self.resolved.asked
+        asked = self.resolved.design
         assert asked is not None
         wanted = [
             k for k, n in enumerate(self._free(measurement)) if n in asked.interest
@@ -110,7 +113,7 @@ class Aims:
         return np.eye(int(measurement.free.sum()))[:, wanted]
 
     def _combination(self, measurement: Measurement) -> Array:
-        asked = self.resolved.asked
+        asked = self.resolved.design
         assert asked is not None
         row = np.array([asked.combination.get(n, 0.0) for n in self._free(measurement)])
         return (row * self._scale(measurement))[None]
@@ -119,7 +122,7 @@ class Aims:
         """Wanted pose components (poses, components, n) in units of their wanted
         accuracy.
         """
-        asked, maps = self.resolved.asked, self.maps
+        asked, maps = self.resolved.design, self.maps
         assert asked is not None
         assert maps is not None
         kept = [k for k, n in enumerate(maps.names) if n in asked.accuracy]
@@ -190,6 +193,8 @@ class Aims:
         }
 
 
-def gains(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
+def improvement_factors(
+    before: Mapping[str, float], after: Mapping[str, float]
+) -> dict[str, float]:
     """By which factor each component of one prediction is better than of another."""
     return {n: before[n] / v for n, v in after.items() if v > 0.0}

@@ -14,14 +14,14 @@ from oed.gap.data import signature
 from oed.gap.data import state as states_of
 from oed.measurement import Measurement, Series
 from pkm_studies.resolve import gap as resolve_gap
-from pkm_studies.resolve.gap import ActingEffect, GapAsked
+from pkm_studies.resolve.gap import ActingEffect, GapRequest
 
 if TYPE_CHECKING:
     from oed.dataset import Dataset
 
 
 def laid_out(
-    measurement: Measurement, series: Sequence[Series], asked: GapAsked
+    measurement: Measurement, series: Sequence[Series], asked: GapRequest
 ) -> Dataset:
     """The planned readings, still empty, with the covariates that the study's
     conditions give them.
@@ -37,7 +37,7 @@ def readings(
     measurement: Measurement,
     planned: Dataset,
     truth: Array,
-    asked: GapAsked,
+    asked: GapRequest,
     rng: np.random.Generator,
 ) -> tuple[Array, list[dict[str, Any]]]:
     """Noise-free readings y (N,), SI, of a machine at `truth` (n,) with the acting

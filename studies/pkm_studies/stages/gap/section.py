@@ -17,9 +17,9 @@ from oed.gap.data import problem as problem_of
 from oed.gap.data.diagnosis import UNKNOWN, Answer, Closure, Diagnosis, Size
 from oed.measurement import Measurement, Series
 from oed.result import gap as result_gap
-from pkm_studies.resolve.gap import GapAsked
+from pkm_studies.resolve.gap import GapRequest
+from pkm_studies.stages.gap import sentences as gap_words
 from pkm_studies.stages.gap import traces as gap_traces
-from pkm_studies.stages.gap import words as gap_words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,7 +31,7 @@ def diagnose(
     y: Array,
     covariates: pd.DataFrame,
     theta: Array,
-    asked: GapAsked,
+    asked: GapRequest,
     rng: np.random.Generator,
 ) -> Diagnosis:
     """The diagnosis of readings y (N,), SI, about fitted parameters theta (n,)."""

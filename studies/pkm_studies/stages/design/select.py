@@ -17,9 +17,9 @@ from oed.information import Scaling
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve.grids import Circles
-from pkm_studies.resolve.study import Resolved
+from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import how_many, order, polish, robust, search
-from pkm_studies.stages.design.aims import Aims
+from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.study.tables import DesignTable
 
 
@@ -39,7 +39,7 @@ class ChosenDesign:
     series: tuple[Series, ...]
     scheduled: tuple[Series, ...]
     choice: Choice
-    aims: Aims
+    aims: StudyCriteria
     kept: int
     candidates: int
     loose: bool
@@ -50,14 +50,16 @@ class ChosenDesign:
     how_many: result.HowManySummary | None
 
 
-def choose(resolved: Resolved, rng: np.random.Generator) -> ChosenDesign | None:
+def select_design(
+    resolved: ResolvedStudy, rng: np.random.Generator
+) -> ChosenDesign | None:
     """The best plan found, or None where the study asks for none. Raises InputError for
     what cannot be done.
     """
-    design, asked = resolved.study.design, resolved.asked
+    design, asked = resolved.study.design, resolved.design
     if design is None or asked is None or not resolved.candidates:
         return None
-    place, aims = resolved.study.place.key("design"), Aims(resolved, design)
+    place, aims = resolved.study.place.key("design"), StudyCriteria(resolved, design)
     problem = _problem(resolved, design, aims, place)
     choice = _best(
         problem,
@@ -78,19 +80,19 @@ def choose(resolved: Resolved, rng: np.random.Generator) -> ChosenDesign | None:
             problem, aims, choice, design.how_many, seed, place.key("how_many")
         )
     series = problem.candidates.take(choice.indices)
-    measurement = _mounted(resolved, [*asked.kept, *series])
+    measurement = _mounted(resolved, [*asked.retained, *series])
     smoother = None
     if design.polish is not None and design.polish.enabled:
-        smoother = polish.polished(resolved, aims, measurement, series, asked.kept)
+        smoother = polish.polished(resolved, aims, measurement, series, asked.retained)
         measurement, series = smoother.measurement, smoother.series
-    arranged = order.arrange(resolved, measurement, asked.kept, series, rng)
+    arranged = order.arrange(resolved, measurement, asked.retained, series, rng)
     return ChosenDesign(
         measurement=measurement,
         series=arranged.series,
         scheduled=arranged.scheduled,
         choice=choice,
         aims=aims,
-        kept=sum(map(len, asked.kept)),
+        kept=sum(map(len, asked.retained)),
         candidates=len(problem.candidates),
         loose=problem.limited and problem.loose,
         compared=compared,
@@ -102,10 +104,10 @@ def choose(resolved: Resolved, rng: np.random.Generator) -> ChosenDesign | None:
 
 
 def _problem(
-    resolved: Resolved, design: DesignTable, aims: Aims, place: Place
+    resolved: ResolvedStudy, design: DesignTable, aims: StudyCriteria, place: Place
 ) -> search.DesignProblem:
     """Candidates with what is held, and the rules."""
-    asked, measurement = resolved.asked, resolved.measurement
+    asked, measurement = resolved.design, resolved.measurement
     assert asked is not None
     try:
         found = candidates.of(
@@ -119,26 +121,28 @@ def _problem(
         raise place.key("whole_runs").error(
             str(error), "give each run a table of its own"
         ) from error
-    if design.prior or asked.kept:
-        found = found.with_prior(_held(aims, measurement, asked.kept))
+    if design.prior or asked.retained:
+        found = found.with_prior(_held(aims, measurement, asked.retained))
     rules = found.rules(
         size=design.size,
         budget=(
             None
             if design.budget_min is None
-            else 60.0 * design.budget_min - seconds(measurement, asked.kept)
+            else 60.0 * design.budget_min - plan_seconds(measurement, asked.retained)
         ),
         most_setups=design.setups_max,
-        apart=asked.apart,
+        apart=asked.least_distance,
     )
-    mounted = {s.setup for s in asked.kept}
+    mounted = {s.setup for s in asked.retained}
     taken = tuple(k for k, name in enumerate(found.setups) if name in mounted)
     return search.DesignProblem(
         found, dataclasses.replace(rules, taken=taken), design.starts
     )
 
 
-def _held(aims: Aims, measurement: Measurement, kept: tuple[Series, ...]) -> Array:
+def _held(
+    aims: StudyCriteria, measurement: Measurement, kept: tuple[Series, ...]
+) -> Array:
     return (
         aims.information(measurement, kept)
         if kept
@@ -148,7 +152,7 @@ def _held(aims: Aims, measurement: Measurement, kept: tuple[Series, ...]) -> Arr
 
 def _best(
     problem: search.DesignProblem,
-    aims: Aims,
+    aims: StudyCriteria,
     name: str,
     rng: np.random.Generator,
     place: Place,
@@ -166,7 +170,7 @@ def _best(
 
 def _compared(
     problem: search.DesignProblem,
-    aims: Aims,
+    aims: StudyCriteria,
     main: Choice,
     rng: np.random.Generator,
     place: Place,
@@ -200,14 +204,14 @@ def _compared(
     return tuple(made)
 
 
-def _mounted(resolved: Resolved, series: list[Series]) -> Measurement:
+def _mounted(resolved: ResolvedStudy, series: list[Series]) -> Measurement:
     """The machine with the set-ups that a plan uses; with all of them where recorded
     readings are to be fitted.
     """
     said = resolved.study.readings
     if resolved.dataset is not None or (said is not None and not said.simulate):
         return resolved.measurement
-    return resolved.measure({s.setup for s in series})
+    return resolved.measurement_with({s.setup for s in series})
 
 
 def kappa_map(circles: Circles, scaling: Scaling) -> result.KappaMap:
@@ -224,13 +228,13 @@ def kappa_map(circles: Circles, scaling: Scaling) -> result.KappaMap:
     )
 
 
-def plan(
-    resolved: Resolved, seen: explain.Seen, predicted: Mapping[str, float]
+def single_stage_plan(
+    resolved: ResolvedStudy, seen: explain.Seen, predicted: Mapping[str, float]
 ) -> result.PlanSection:
     """The readings as one stage, with its cost in minutes."""
     measurement = seen.measurement
     setups = list(dict.fromkeys(s.setup for s in seen.series))
-    cost = seconds(measurement, seen.series)
+    cost = plan_seconds(measurement, seen.series)
     stage = result.StageRecord(
         measurement=", ".join(
             dict.fromkeys(measurement.setups[n].instrument.name for n in setups)
@@ -243,11 +247,11 @@ def plan(
         predicted=dict(predicted),
     )
     return result.PlanSection(
-        [stage], stage.cost, [p.name for p in resolved.references]
+        [stage], stage.cost, [p.name for p in resolved.reference_plans]
     )
 
 
-def seconds(measurement: Measurement, series: Sequence[Series]) -> float:
+def plan_seconds(measurement: Measurement, series: Sequence[Series]) -> float:
     """Time to mount the set-ups and take the readings of a plan, s."""
     mounting = sum(
         measurement.setups[n].instrument.cost.setup

@@ -11,16 +11,20 @@ import numpy as np
 from oed import criteria, explain, result
 from oed.measurement import Measurement, Series
 from pkm_studies.resolve import quantities
-from pkm_studies.resolve.study import Resolved
+from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages import describe
-from pkm_studies.stages.design import choose
-from pkm_studies.stages.design.aims import EIGENVALUES, Aims, gains
-from pkm_studies.stages.design.choose import ChosenDesign
+from pkm_studies.stages.design import select as choose
+from pkm_studies.stages.design.criteria import (
+    EIGENVALUES,
+    StudyCriteria,
+    improvement_factors,
+)
+from pkm_studies.stages.design.select import ChosenDesign
 from pkm_studies.stages.headline import percent
 
 
-def section(
-    resolved: Resolved, chosen: ChosenDesign, seen: explain.Seen
+def design_section(
+    resolved: ResolvedStudy, chosen: ChosenDesign, seen: explain.Seen
 ) -> result.DesignSection:
     """The design with the given plans scored beside it."""
     design, choice, aims = chosen.aims.design, chosen.choice, chosen.aims
@@ -40,11 +44,11 @@ def section(
         efficiency=None if polished else choice.efficiency,
         kappa=plans[0].kappa,
         observability=plans[0].observability,
-        poses=poses(chosen.measurement, chosen.scheduled),
+        poses=planned_readings(chosen.measurement, chosen.scheduled),
         scaling=design.scaling,
         candidates=chosen.candidates,
         plans=plans,
-        words=words(chosen, shared),
+        words=certificate_text(chosen, shared),
         directions=choice.directions - max(shared, 0),
         columns=choice.columns - max(shared, 0),
         gap=None if polished else choice.gap,
@@ -52,8 +56,8 @@ def section(
         compound=dict(aims.design.compound),
         setups=chosen.order.setups,
         retained=chosen.kept,
-        cost_min=choose.seconds(chosen.measurement, chosen.series) / 60.0,
-        refused=dict(resolved.refused),
+        cost_min=choose.plan_seconds(chosen.measurement, chosen.series) / 60.0,
+        refused=dict(resolved.refusals),
         compared=list(chosen.compared),
         polished=chosen.polished,
         order=chosen.order,
@@ -62,7 +66,7 @@ def section(
     )
 
 
-def words(chosen: ChosenDesign, shared: int = 0) -> str:
+def certificate_text(chosen: ChosenDesign, shared: int = 0) -> str:
     """How good the choice is known to be, in one sentence or two."""
     choice = chosen.choice
     kind = "runs" if chosen.aims.design.whole_runs else "readings"
@@ -133,15 +137,15 @@ def _sturdy(robust: result.RobustSummary, what: str) -> str:
 
 
 def _plans(
-    resolved: Resolved, chosen: ChosenDesign, seen: explain.Seen
+    resolved: ResolvedStudy, chosen: ChosenDesign, seen: explain.Seen
 ) -> list[result.PlanScore]:
     """The chosen plan and the given ones that can be compared with it: those that see
     as much, or, where tolerances count, all.
     """
     aims = chosen.aims
     found = [("chosen", chosen.measurement, seen)]
-    for plan in resolved.references:
-        m = resolved.measure(plan.setups)
+    for plan in resolved.reference_plans:
+        m = resolved.measurement_with(plan.setups)
         other = explain.look(m, plan.series, aims.design.scaling)
         alike = (
             set(plan.setups) <= set(resolved.measurement.setups)
@@ -166,7 +170,7 @@ def _plans(
 
 
 def _columns(
-    resolved: Resolved, aims: Aims, m: Measurement
+    resolved: ResolvedStudy, aims: StudyCriteria, m: Measurement
 ) -> tuple[Measurement, Measurement]:
     """Measurements by which a plan's value is told, and by which it is compared with
     others.
@@ -178,14 +182,20 @@ def _columns(
     if not aims.design.prior or set(aims.design.criteria) & set(EIGENVALUES):
         return m, m
     made = []
-    for others in ([], [n for plan in resolved.references for n in plan.setups]):
-        wide = resolved.measure([*resolved.measurement.setups, *m.setups, *others])
+    for others in ([], [n for plan in resolved.reference_plans for n in plan.setups]):
+        wide = resolved.measurement_with(
+            [*resolved.measurement.setups, *m.setups, *others]
+        )
         made.append(Measurement(m.machine, list({**wide.setups, **m.setups}.values())))
     return made[0], made[1]
 
 
 def _score(
-    name: str, seen: explain.Seen, aims: Aims, value: float, predicted: dict[str, float]
+    name: str,
+    seen: explain.Seen,
+    aims: StudyCriteria,
+    value: float,
+    predicted: dict[str, float],
 ) -> result.PlanScore:
     s = seen.verdict.identifiable
     n = sum(len(x) for x in seen.series)
@@ -207,7 +217,7 @@ def _against(
     plan: result.PlanScore,
     best: result.PlanScore,
     phi: float,
-    aims: Aims,
+    aims: StudyCriteria,
     first: Mapping[str, float],
 ) -> result.PlanScore:
     """With its efficiency against the chosen plan, and its gain against the first given
@@ -229,11 +239,11 @@ def _against(
         kappa=plan.kappa,
         observability=plan.observability,
         predicted=plan.predicted,
-        gain=gains(first, plan.predicted) if first else {},
+        gain=improvement_factors(first, plan.predicted) if first else {},
     )
 
 
-def poses(
+def planned_readings(
     measurement: Measurement, series: Sequence[Series]
 ) -> list[result.PlannedReading]:
     """The readings as poses to command, in working order."""

@@ -19,8 +19,8 @@ from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
 from oed.noise.law import stated
 from oed.result import gap_before as result
-from pkm_studies.resolve.gap_design import GapDesignAsked
-from pkm_studies.stages.gap.words import listed, spoken
+from pkm_studies.resolve.gap_design import GapDesignRequest
+from pkm_studies.stages.gap.sentences import listed, spoken
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,7 +44,7 @@ def foresee(
     effects: Sequence[Effect],
     gravity: tuple[float, float, float],
     rng: np.random.Generator,
-    designed: tuple[Measurement, GapDesignAsked] | None,
+    designed: tuple[Measurement, GapDesignRequest] | None,
 ) -> Before:
     """What readings as planned could find of the effects; the runs of a [gap.design]
     with a measurement of its set-ups.
@@ -134,7 +134,7 @@ def _known(value: float) -> float | None:
 
 def _chosen(
     measurement: Measurement,
-    asked: GapDesignAsked,
+    asked: GapDesignRequest,
     planned: GapProblem,
     effects: Sequence[Effect],
     gravity: tuple[float, float, float],
@@ -197,7 +197,7 @@ def _chosen(
     return made, _csv(measurement, series, covariates)
 
 
-def _clock(covariates: pd.DataFrame, asked: GapDesignAsked) -> np.ndarray:
+def _clock(covariates: pd.DataFrame, asked: GapDesignRequest) -> np.ndarray:
     """Time of each reading (n,) where the runs are taken one after the other, s."""
     seconds = {(r.setup, r.name): r.seconds for r in asked.runs}
     names, cost = (
@@ -225,7 +225,7 @@ def _key(told: separate.PairSeparation) -> tuple[str, str, str]:
 
 
 def _before(
-    planned: GapProblem, asked: GapDesignAsked
+    planned: GapProblem, asked: GapDesignRequest
 ) -> dict[tuple[str, str, str], float]:
     """What the readings planned otherwise tell of the same pairs; nothing where they
     cannot test the effects.

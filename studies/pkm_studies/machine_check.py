@@ -18,7 +18,7 @@ from pkm_studies.errors import Place, shorten
 PLAIN = {f.name: f.default for f in dataclasses.fields(Machine)}["read_error"]
 
 
-def examine(machine: Machine, place: Place) -> None:
+def check_machine(machine: Machine, place: Place) -> None:
     """Raises InputError, naming the function of the machine that does not fit, or why
     its home pose fails.
     """

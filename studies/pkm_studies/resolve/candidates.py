@@ -1,0 +1,180 @@
+"""Candidates of [design], given reference plans, and circles of [[kappa]]."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from oed import units
+from oed.machine import Machine
+from oed.measurement import Measurement, Series
+from pkm_studies.errors import Place, suggest
+from pkm_studies.resolve import grids, limits, lookup, quantities
+from pkm_studies.resolve.grids import Circles, ReferencePlan
+from pkm_studies.resolve.quantities import format_value
+from pkm_studies.study import Study
+from pkm_studies.study.tables import DesignTable, KappaTable
+
+#: largest share by which a reading may differ from what the instrument holds
+HOLD_TOLERANCE = 0.01
+CANNOT_HOLD = "cannot hold their reading"
+
+
+def candidates(
+    study: Study, measurement: Measurement
+) -> tuple[tuple[Series, ...], dict[str, int], tuple[str, ...]]:
+    """One series for each [[design.candidates]], refusals by reason, and warnings.
+
+    Raises InputError where a grid does not fit or no candidate meets the limits.
+    """
+    if study.design is None:
+        return (), {}, ()
+    every: list[Series] = []
+    refusals: Counter[str] = Counter()
+    warnings: list[str] = []
+    place = study.place.key("design")
+    for i, table in enumerate(study.design.candidates):
+        at = place.key("candidates").item(i)
+        lookup.known_name(table.setup, measurement.setups, at.key("setup"))
+        series, lost = grids.grid_series(table, measurement, at, strict=False)
+        if lost:
+            refusals[CANNOT_HOLD] += lost
+            warnings.append(
+                f"{at.field}: {lost} of {lost + len(series)} poses are left out,"
+                f" because {table.setup} cannot hold its reading there"
+            )
+        count = len(series)
+        series, reasons = _within_limits(study.design, measurement, series, place)
+        for reason, number in reasons.items():
+            refusals[reason] += number
+            warnings.append(
+                f"{at.field}: {number} of {count} candidates are left out: they"
+                f" {reason}"
+            )
+        if study.design.limits is None or study.design.limits.travel_mm is None:
+            warnings += _hold_warnings(measurement, series, at)
+        every.append(series)
+    return tuple(every), dict(refusals), tuple(warnings)
+
+
+def _within_limits(
+    table: DesignTable, measurement: Measurement, series: Series, place: Place
+) -> tuple[Series, dict[str, int]]:
+    """The series within [design.limits], and its refusals by reason."""
+    if table.limits is None:
+        return series, {}
+    return limits.within_limits(
+        table.limits,
+        measurement,
+        series,
+        place.key("limits"),
+        whole_runs=table.whole_runs,
+    )
+
+
+def _hold_warnings(measurement: Measurement, series: Series, place: Place) -> list[str]:
+    """A warning where an instrument such as a ball bar cannot hold its reading."""
+    setup = measurement.setups[series.setup]
+    if setup.instrument.holds is None:
+        return []
+    length = setup.instrument.holds(setup.settings)
+    unit = setup.instrument.channels[0].unit
+    nominal = measurement.readings([series], measurement.nominal)
+    readings = nominal[:: len(setup.sigma)]
+    off = np.abs(readings - length) > HOLD_TOLERANCE * length
+    count = int(np.count_nonzero(off))
+    if not count:
+        return []
+    low, high = readings.min(), readings.max()
+    span = f"{format_value(low, unit)} to {format_value(high, unit)}"
+    return [
+        f"{place.field}: at {count} of {len(readings)} poses {setup.name} would read"
+        f" {span}, but it holds {format_value(length, unit)}: let one coordinate be"
+        ' "hold", or give poses that keep it'
+    ]
+
+
+def references(study: Study, measurement: Measurement) -> tuple[ReferencePlan, ...]:
+    """The plans that the study gives; tables of one name make one plan."""
+    tables = study.design.reference if study.design else []
+    plans: dict[str, list[Series]] = {}
+    for i, table in enumerate(tables):
+        place = study.place.key("design").key("reference").item(i)
+        lookup.known_name(table.setup, measurement.setups, place.key("setup"))
+        series, _ = grids.grid_series(table, measurement, place, strict=True)
+        plans.setdefault(table.name, []).append(series)
+    return tuple(
+        ReferencePlan(name=name, series=tuple(series)) for name, series in plans.items()
+    )
+
+
+def circles(
+    study: Study,
+    table: KappaTable,
+    i: int,
+    measurement_with: Callable[[Iterable[str]], Measurement],
+) -> Circles:
+    """The circles of the [[kappa]] table number `i`. Raises InputError."""
+    place = study.place.key("kappa").item(i)
+    setups = [s.name for s in study.setup]
+    name = lookup.known_name(table.setup, setups, place.key("setup"))
+    measurement = measurement_with([name])
+    machine = measurement.machine
+    columns = [c.name for c in machine.command]
+    key, across, (lower, upper) = _spacing(table, machine, place)
+    around = _angle_around(table, machine, across, place)
+    ends = np.tile(machine.home_command, (2, 1))
+    ends[:, columns.index(across)] = lower, upper
+    tool = measurement.setups[table.setup].tool
+    grids.check_workspace(machine, ends, {across: key}, place, tool)
+    return Circles(
+        title=table.title or f"{table.setup}: circles over {across}",
+        setup=table.setup,
+        circles=tuple(table.circles),
+        points=tuple(table.points),
+        measurement=measurement,
+        across=columns.index(across),
+        around=columns.index(around),
+        hold=table.coordinate,
+        lower=lower,
+        upper=upper,
+        place=place,
+    )
+
+
+def _spacing(
+    table: KappaTable, machine: Machine, place: Place
+) -> tuple[str, str, tuple[float, float]]:
+    """Key and name of the coordinate that spaces the circles, and its range, SI."""
+    if len(table.coordinates) != 1:
+        first = machine.command[0]
+        example = (
+            f"{quantities.column(first.name, first.unit)} = {{ from = ..., to = ... }}"
+        )
+        raise place.error("one range spaces the circles", f"give one, as in {example}")
+    key, span = next(iter(table.coordinates.items()))
+    name, unit = quantities.split_key(key, grids.command_units(machine), place)
+    ends = float(units.to_si(span.from_, unit)), float(units.to_si(span.to, unit))
+    return key, name, ends
+
+
+def _angle_around(
+    table: KappaTable, machine: Machine, across: str, place: Place
+) -> str:
+    """The angle that runs round each circle: the one coordinate not used otherwise."""
+    place = place.key("coordinate")
+    columns = [c.name for c in machine.command]
+    if table.coordinate is not None and table.coordinate not in columns:
+        remedy = suggest(table.coordinate, columns)
+        raise place.error("no such coordinate", remedy, table.coordinate)
+    others = [c for c in machine.command if c.name not in (across, table.coordinate)]
+    if len(others) != 1 or others[0].unit != "rad":
+        problem = (
+            "besides the range and the held coordinate, one angle must be left to run"
+            " round"
+        )
+        remedy = f"coordinates are {', '.join(columns)}"
+        raise place.error(problem, remedy, table.coordinate or "")
+    return others[0].name

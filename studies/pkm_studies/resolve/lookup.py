@@ -1,0 +1,34 @@
+"""Looks up names that a study uses; an unknown one raises with the nearest known."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterable, Sequence
+
+from pkm_studies.errors import Place, suggest
+
+
+def known_name(
+    name: str, known: Iterable[str], place: Place, kind: str = "set-up"
+) -> str:
+    """The name, if it is one of `known`. Raises InputError."""
+    names = list(known)
+    if name not in names:
+        listed_as = "set-ups" if kind == "set-up" else "allowed"
+        raise place.error(f"no such {kind}", suggest(name, names, listed_as), name)
+    return name
+
+
+def matching_names(
+    patterns: Sequence[str], known: Iterable[str], place: Place
+) -> list[str]:
+    """Known names that match any of the patterns.
+
+    Raises InputError for a pattern that matches nothing.
+    """
+    names = list(known)
+    for i, pattern in enumerate(patterns):
+        if not fnmatch.filter(names, pattern):
+            remedy = suggest(pattern.strip("*"), names)
+            raise place.item(i).error("no parameter has this name", remedy, pattern)
+    return [n for n in names if any(fnmatch.fnmatchcase(n, p) for p in patterns)]

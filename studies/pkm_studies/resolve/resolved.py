@@ -1,0 +1,159 @@
+"""Turns a study into the kernel's objects: machine, set-ups, grids, readings, requests.
+
+All numbers are SI from here on. A *table* is what the user wrote; a *request* is what
+it means to the kernel. Every misfit raises InputError, which names file and field.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from oed.arrays import Array
+from oed.instrument import Setup
+from oed.machine import Machine
+from oed.measurement import Measurement, Series
+from pkm_studies import catalogue
+from pkm_studies.resolve import candidates, grids, roles, setups, tolerances
+from pkm_studies.resolve import plan as resolve_plan
+from pkm_studies.resolve.design import DesignRequest, design_request
+from pkm_studies.resolve.gap import GapRequest, gap_request
+from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
+from pkm_studies.resolve.grids import Circles, ReferencePlan
+from pkm_studies.resolve.plan import PlanAsked
+from pkm_studies.study import Study
+
+if TYPE_CHECKING:
+    from oed.dataset import Dataset
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ResolvedStudy:
+    """A study as the kernel's objects.
+
+    machine                 the model with the study's numbers and tolerances
+    setups                  every set-up of the study, by name
+    measurement             machine with the set-ups that candidates and readings use;
+                            without both, those of the reference plans, or all
+    measurement_with        the measurement with the set-ups of these names
+    candidates              one series for each [[design.candidates]], within its limits
+    refusals                candidates outside the limits, counted by reason
+    design, plan            what [design] and [plan] request
+    gap, gap_design         what [gap] and [gap.design] request
+    reference_plans         the plans that the study gives
+    kappa_circles           circles of each [[kappa]] map
+    true_parameters         parameters of the virtual machine, SI, by name; those not
+                            named are nominal
+    dataset                 the recorded readings, if any
+    fitted_setups           set-ups whose readings are fitted; None: all others
+    held_out_setups         set-ups whose readings are predicted, not fitted
+    identification_stages   patterns of the parameters freed in turn
+    prediction_commands     (n, n_dof) commands at which accuracy is predicted
+    warnings                sentences about candidates that were dropped
+    """
+
+    study: Study
+    machine: Machine
+    setups: Mapping[str, Setup]
+    measurement: Measurement
+    measurement_with: Callable[[Iterable[str]], Measurement]
+    candidates: tuple[Series, ...]
+    refusals: Mapping[str, int]
+    design: DesignRequest | None
+    plan: PlanAsked | None
+    reference_plans: tuple[ReferencePlan, ...]
+    kappa_circles: tuple[Circles, ...]
+    true_parameters: Mapping[str, float]
+    dataset: Dataset | None
+    fitted_setups: tuple[str, ...] | None
+    held_out_setups: tuple[str, ...]
+    identification_stages: tuple[tuple[str, ...], ...]
+    prediction_commands: Array | None
+    gap: GapRequest | None
+    gap_design: GapDesignRequest | None
+    warnings: tuple[str, ...]
+
+
+def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> ResolvedStudy:
+    """The objects of a study.
+
+    `readings` replaces the files of [readings]; with an empty list, none are read.
+    """
+    machine, mounted = _machine_and_setups(study)
+    measurement_with = measurement_factory(machine, mounted)
+    everything = measurement_with(mounted)
+    pool, refusals, warnings = candidates.candidates(study, everything)
+    references = candidates.references(study, everything)
+    design = design_request(study, everything, references)
+    circles = [
+        candidates.circles(study, table, i, measurement_with)
+        for i, table in enumerate(study.kappa)
+    ]
+    fitted, held_out = roles.reading_roles(study, mounted)
+    roles.check_stages(study, everything)
+    used = roles.used_setups(study, pool, design, references, mounted)
+    return ResolvedStudy(
+        study=study,
+        machine=machine,
+        setups=mounted,
+        measurement=measurement_with(used),
+        measurement_with=measurement_with,
+        candidates=pool,
+        refusals=refusals,
+        design=design,
+        plan=resolve_plan.planned(study, measurement_with, mounted),
+        reference_plans=references,
+        kappa_circles=tuple(circles),
+        true_parameters=roles.true_parameters(study, everything),
+        dataset=roles.dataset(study, everything, readings),
+        fitted_setups=fitted,
+        held_out_setups=held_out,
+        identification_stages=tuple(tuple(s) for s in study.identify.stages),
+        prediction_commands=_prediction_commands(study, machine),
+        gap=gap_request(study, machine),
+        gap_design=gap_design_request(study, references, everything),
+        warnings=warnings,
+    )
+
+
+def measurement_factory(
+    machine: Machine, mounted: Mapping[str, Setup]
+) -> Callable[[Iterable[str]], Measurement]:
+    """A function that gives the measurement with the set-ups of some names, once each."""
+    cache: dict[tuple[str, ...], Measurement] = {}
+
+    def measurement_with(names: Iterable[str]) -> Measurement:
+        """The measurement with these set-ups, in the study's order."""
+        wanted = set(names)
+        key = tuple(name for name in mounted if name in wanted)
+        if key not in cache:
+            cache[key] = Measurement(machine, [mounted[name] for name in key])
+        return cache[key]
+
+    return measurement_with
+
+
+def _machine_and_setups(study: Study) -> tuple[Machine, dict[str, Setup]]:
+    place = study.place.key("machine").key("model")
+    model = catalogue.machine(study.machine.model, study.folder, place)
+    machine = setups.nominal_machine(study, model)
+    mounted = setups.mounted_setups(study, machine)
+    return tolerances.with_tolerances(study, machine, mounted)
+
+
+def _prediction_commands(study: Study, machine: Machine) -> Array | None:
+    if study.prediction is None:
+        return None
+    place = study.place.key("prediction")
+    grid = grids.grid_commands(study.prediction.coordinates, machine, place)
+    command, hold, keys = grid
+    if hold is not None:
+        raise place.key(hold).error(
+            "accuracy is predicted without an instrument",
+            "give values with a unit",
+            "hold",
+        )
+    grids.check_workspace(machine, command, keys, place)
+    return command

@@ -1,0 +1,135 @@
+"""The machine with the study's nominal numbers, and its set-ups as mounted."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed import units
+from oed.instrument import Instrument, Protocol, Setup, mount
+from oed.kinematics import AssemblyError
+from oed.machine import Machine
+from oed.measurement import Measurement
+from pkm_studies import catalogue
+from pkm_studies.errors import Place
+from pkm_studies.resolve import grids, quantities
+from pkm_studies.resolve.quantities import check_not_negative
+from pkm_studies.study import Study
+from pkm_studies.study.tables import SetupTable
+
+
+def nominal_machine(study: Study, model: Machine) -> Machine:
+    """The model with the study's nominal numbers. Raises InputError."""
+    known = {p.name: p.unit for p in model.parameters}
+    place = study.place.key("machine").key("nominal")
+    nominal = quantities.read_values(study.machine.nominal, known, place)
+    parameters = [
+        dataclasses.replace(p, nominal=nominal.get(p.name, p.nominal))
+        for p in model.parameters
+    ]
+    return model.with_parameters(parameters)
+
+
+def mounted_setups(study: Study, machine: Machine) -> dict[str, Setup]:
+    """Every [[setup]] by its name. Raises InputError."""
+    place = study.place.key("setup")
+    return {
+        table.name: _setup(study, table, machine, place.item(i))
+        for i, table in enumerate(study.setup)
+    }
+
+
+def _setup(study: Study, table: SetupTable, machine: Machine, place: Place) -> Setup:
+    instrument = catalogue.instrument(
+        table.instrument, study.folder, place.key("instrument")
+    )
+    reason = instrument.unfit(machine)
+    if reason is not None:
+        raise place.key("instrument").error(
+            f"it cannot read {machine.name}: {reason}", "take another", instrument.name
+        )
+    x, y, z = (float(v) for v in units.to_si(table.tool_mm, "mm"))
+    setup = mount(
+        instrument,
+        table.name,
+        tool=(x, y, z),
+        teach=_teach(table, instrument.reference == "teach", machine, place),
+        tolerances=_tolerances(table, instrument, place),
+        **_settings(table, instrument, place),  # type: ignore[arg-type]
+    )
+    protocol = _protocol(table, instrument, place)
+    setup = dataclasses.replace(setup, protocol=protocol)
+    _check_teach_pose(machine, setup, place)
+    return setup
+
+
+def _settings(
+    table: SetupTable, instrument: Instrument, place: Place
+) -> dict[str, float]:
+    known = {s.name: s.unit for s in instrument.settings}
+    settings = quantities.read_values(table.settings, known, place)
+    for s in instrument.settings:
+        if s.default is None and s.name not in settings:
+            key = quantities.column(s.name, s.unit)
+            raise place.key(key).error(
+                "missing", f"{instrument.name} needs it: {s.about}"
+            )
+    return settings
+
+
+def _tolerances(
+    table: SetupTable, instrument: Instrument, place: Place
+) -> dict[str, float]:
+    place = place.key("tolerance")
+    unknowns = {n.name: n.unit for n in instrument.nuisances}
+    tolerances = quantities.read_values(table.tolerance, unknowns, place)
+    for key, value in table.tolerance.items():
+        check_not_negative(value, place.key(key))
+    return tolerances
+
+
+def _protocol(table: SetupTable, instrument: Instrument, place: Place) -> Protocol:
+    protocol = Protocol(table.repeats, table.both_directions, table.average)
+    if len(protocol.passes) > 1 and instrument.reference == "run":
+        problem = (
+            f"{instrument.name} reads against the first pose of a run, so its runs"
+            " are not repeated here"
+        )
+        remedy = "list the repeated runs in the grids"
+        raise place.key("repeats").error(problem, remedy, table.repeats)
+    return protocol
+
+
+def _teach(
+    table: SetupTable, needs_teaching: bool, machine: Machine, place: Place
+) -> list[float] | None:
+    """The command (n_dof,) at which the instrument was taught, if it is taught."""
+    place = place.key("teach")
+    keys = [quantities.column(c.name, c.unit) for c in machine.command]
+    example = "teach = { " + ", ".join(f"{key} = 0" for key in keys) + " }"
+    if table.teach is None:
+        if needs_teaching:
+            remedy = f"say where {table.instrument} was taught: {example}"
+            raise place.error("missing", remedy)
+        return None
+    if not needs_teaching:
+        raise place.error(f"{table.instrument} is not taught", "remove teach")
+    values = quantities.read_values(table.teach, grids.command_units(machine), place)
+    for c, key in zip(machine.command, keys, strict=True):
+        if c.name not in values:
+            raise place.key(key).error("missing", f"give every coordinate: {example}")
+    return [values[c.name] for c in machine.command]
+
+
+def _check_teach_pose(machine: Machine, setup: Setup, place: Place) -> None:
+    """A teach pose may lie outside the workspace, but the machine must reach it."""
+    if setup.teach is None:
+        return
+    place = place.key("teach")
+    command = np.array([setup.teach])
+    try:
+        series = Measurement(machine, [setup]).series(setup.name, command)
+    except AssemblyError as error:
+        raise place.error(str(error), "give a pose the machine can reach") from error
+    grids.check_joint_range(machine, series, place)

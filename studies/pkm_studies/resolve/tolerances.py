@@ -1,0 +1,148 @@
+"""Tolerances, fixed parameters and noise of machine and set-ups, as the study gives."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+from oed.instrument import Channel, Setup
+from oed.machine import Machine, Parameter
+from pkm_studies.errors import Place, suggest
+from pkm_studies.resolve import lookup, quantities
+from pkm_studies.resolve.quantities import check_not_negative
+from pkm_studies.study import Study
+from pkm_studies.study.tables import ToleranceTable
+
+
+def with_tolerances(
+    study: Study, machine: Machine, setups: dict[str, Setup]
+) -> tuple[Machine, dict[str, Setup]]:
+    """Machine and set-ups with the study's tolerances, fixed parameters and noise.
+
+    Raises InputError for names and units that do not fit.
+    """
+    names = _parameter_units(machine, setups)
+    prior = _prior_tolerances(study, names)
+    fixed = _fixed_parameters(study, names)
+    parameters = [
+        dataclasses.replace(p, tolerance=prior.get(p.name, p.tolerance))
+        for p in machine.parameters
+    ]
+    machine = machine.with_parameters(parameters)
+    if fixed is not None:
+        frame = tuple(p.name for p in machine.parameters if p.name in fixed)
+        machine = dataclasses.replace(machine, frame=frame)
+        prior |= {name: 0.0 for name in fixed}
+    noise = _noise(study, setups)
+    stated = {s.name: _stems(s.tolerance) for s in study.setup}
+    changed = {}
+    for name, setup in setups.items():
+        nuisances = [
+            _with_tolerance(n, name, stated[name], prior) for n in setup.nuisances
+        ]
+        changed[name] = dataclasses.replace(
+            setup, nuisances=tuple(nuisances), sigma=noise[name]
+        )
+    return machine, changed
+
+
+def _stems(table: Mapping[str, float]) -> set[str]:
+    """Names in a table's keys, without their units."""
+    return {key.rpartition("_")[0] for key in table}
+
+
+def _with_tolerance(
+    nuisance: Parameter, setup: str, stated: set[str], prior: Mapping[str, float]
+) -> Parameter:
+    """A set-up's unknown with its tolerance: [[setup]] goes before [prior]."""
+    if nuisance.name in stated:
+        return nuisance
+    tolerance = prior.get(f"{setup}.{nuisance.name}", nuisance.tolerance)
+    return dataclasses.replace(nuisance, tolerance=tolerance)
+
+
+def _parameter_units(machine: Machine, setups: Mapping[str, Setup]) -> dict[str, str]:
+    """SI units of all parameters: the machine's, and `set-up.unknown`."""
+    table = {p.name: p.unit for p in machine.parameters}
+    for setup in setups.values():
+        table |= {f"{setup.name}.{n.name}": n.unit for n in setup.nuisances}
+    return table
+
+
+def _prior_tolerances(study: Study, names: Mapping[str, str]) -> dict[str, float]:
+    """Standard deviations, SI, by parameter; later tables of [prior] win."""
+    place = study.place.key("prior").key("tolerance")
+    tolerances: dict[str, float] = {}
+    for i, table in enumerate(study.prior.tolerance):
+        tolerances |= _matching_tolerances(table, names, place.item(i))
+    return tolerances
+
+
+def _matching_tolerances(
+    table: ToleranceTable, names: Mapping[str, str], place: Place
+) -> dict[str, float]:
+    patterns = place.key("parameters")
+    matched = lookup.matching_names(table.parameters, names, patterns)
+    if not matched:
+        raise patterns.error(
+            "the list is empty", 'name parameters or patterns: ["dq*"]'
+        )
+    example = {names[name]: name for name in matched}  # one for each unit
+    if len(example) > 1:
+        kinds = " and ".join(f"{name} ({unit})" for unit, name in example.items())
+        raise patterns.error(
+            f"parameters of different kinds: {kinds}", "make one table for each kind"
+        )
+    unit = next(iter(example))
+    sigma = quantities.read_values(table.sigma, {"sigma": unit}, place).get("sigma")
+    if sigma is None:
+        key = quantities.column("sigma", unit)
+        raise place.key(key).error("missing", "give the standard deviation")
+    check_not_negative(sigma, place.key(next(iter(table.sigma))))
+    return dict.fromkeys(matched, sigma)
+
+
+def _fixed_parameters(study: Study, names: Mapping[str, str]) -> set[str] | None:
+    if study.machine.fixed is None:
+        return None
+    place = study.place.key("machine").key("fixed")
+    return set(lookup.matching_names(study.machine.fixed, names, place))
+
+
+def _noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, tuple[float, ...]]:
+    """Standard deviations, SI, of each channel, by set-up.
+
+    A number for one set-up goes before one for all, and that before the instrument's.
+    """
+    place = study.place.key("noise")
+    common, special = quantities.split_tables(study.noise.sigma)
+    for name in special:
+        if name not in setups:
+            raise place.key(name).error("no such set-up", suggest(name, setups))
+    channels = [c for s in setups.values() for c in s.instrument.channels]
+    general = _sigma(common, channels, place)
+    noise = {}
+    for name, setup in setups.items():
+        channels = list(setup.instrument.channels)
+        stated = _sigma(special.get(name, {}), channels, place.key(name))
+        sigma = {c.name: c.sigma for c in channels} | general | stated
+        protocol = setup.protocol
+        root = math.sqrt(len(protocol.passes)) if protocol.average else 1.0
+        noise[name] = tuple(sigma[c.name] / root for c in channels)
+    return noise
+
+
+def _sigma(
+    table: Mapping[str, float], channels: list[Channel], place: Place
+) -> dict[str, float]:
+    known = {c.name: c.unit for c in channels}
+    values = quantities.read_values(table, known, place)
+    for key, value in table.items():
+        if value <= 0.0:
+            raise place.key(key).error(
+                "noise must be above 0",
+                "give the standard deviation of one reading",
+                value,
+            )
+    return values

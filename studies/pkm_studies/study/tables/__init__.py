@@ -1,0 +1,37 @@
+"""The tables of a study file as frozen structs."""
+
+from pkm_studies.study.tables.base import StudyTable as StudyTable
+from pkm_studies.study.tables.design import DesignTable as DesignTable
+from pkm_studies.study.tables.design import HowManyTable as HowManyTable
+from pkm_studies.study.tables.design import OrderTable as OrderTable
+from pkm_studies.study.tables.design import PolishTable as PolishTable
+from pkm_studies.study.tables.design import RobustTable as RobustTable
+from pkm_studies.study.tables.file import ClaimTable as ClaimTable
+from pkm_studies.study.tables.file import ReportTable as ReportTable
+from pkm_studies.study.tables.file import StudyFile as StudyFile
+from pkm_studies.study.tables.fit import IdentifyTable as IdentifyTable
+from pkm_studies.study.tables.fit import PosteriorTable as PosteriorTable
+from pkm_studies.study.tables.fit import PredictionTable as PredictionTable
+from pkm_studies.study.tables.fit import ReadingsTable as ReadingsTable
+from pkm_studies.study.tables.gap import ActingTable as ActingTable
+from pkm_studies.study.tables.gap import ConditionsTable as ConditionsTable
+from pkm_studies.study.tables.gap import GapTable as GapTable
+from pkm_studies.study.tables.gap_design import GapDesignTable as GapDesignTable
+from pkm_studies.study.tables.gap_design import RunCondition as RunCondition
+from pkm_studies.study.tables.grids import Axis as Axis
+from pkm_studies.study.tables.grids import GridTable as GridTable
+from pkm_studies.study.tables.grids import KappaTable as KappaTable
+from pkm_studies.study.tables.grids import Range as Range
+from pkm_studies.study.tables.grids import ReferenceTable as ReferenceTable
+from pkm_studies.study.tables.grids import Span as Span
+from pkm_studies.study.tables.limits import ConeTable as ConeTable
+from pkm_studies.study.tables.limits import LimitsTable as LimitsTable
+from pkm_studies.study.tables.limits import RodTable as RodTable
+from pkm_studies.study.tables.limits import SphereTable as SphereTable
+from pkm_studies.study.tables.machine import MachineTable as MachineTable
+from pkm_studies.study.tables.machine import NoiseTable as NoiseTable
+from pkm_studies.study.tables.machine import PriorTable as PriorTable
+from pkm_studies.study.tables.machine import SetupTable as SetupTable
+from pkm_studies.study.tables.machine import ToleranceTable as ToleranceTable
+from pkm_studies.study.tables.plan import MeasuredTable as MeasuredTable
+from pkm_studies.study.tables.plan import PlanTable as PlanTable
