@@ -44,11 +44,11 @@ def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long() -> 
     assert six.setups["cup"].sigma[0] == pytest.approx(
         once.setups["cup"].sigma[0] / np.sqrt(6)
     )
-    series = six.references[0].series
+    series = six.reference_plans[0].series
     assert len(series[0]) == 30
     seconds = [
         choose.single_stage_plan(
-            r, explain.look(r.measurement, r.references[0].series), {}
+            r, explain.look(r.measurement, r.reference_plans[0].series), {}
         ).cost
         * 60
         for r in (once, six)
@@ -66,7 +66,7 @@ def test_kept_passes_hold_what_their_mean_holds() -> None:
         resolved("repeats = 3\nboth_directions = true"),
     )
     seen = [
-        explain.look(r.measurement, r.references[0].series, "tolerance")
+        explain.look(r.measurement, r.reference_plans[0].series, "tolerance")
         for r in (kept, mean)
     ]
     assert len(seen[0].series[0]) == 180

@@ -283,7 +283,7 @@ theta_deg = 5
     )
     found = sample.resolved(text)
     assert list(found.measurement.setups) == ["cup"]
-    (plan,) = found.references
+    (plan,) = found.reference_plans
     assert plan.setups == ("cup", "other")
     assert list(plan.series[0].run) == ["z=1146mm", "z=1146mm", "z=1266mm", "z=1266mm"]
     assert [len(s) for s in plan.series] == [4, 1]
@@ -331,7 +331,7 @@ z_mm = { from = 1146.0, to = 1266.0 }
 coordinate = "theta"
 """
     )
-    (circles,) = sample.resolved(text).kappa
+    (circles,) = sample.resolved(text).kappa_circles
     heights = circles.series(2, 15).commands()[:, 0]
     np.testing.assert_allclose(np.unique(np.round(heights, 9)), [1.146, 1.266])
     np.testing.assert_allclose(circles.series(1, 15).commands()[:, 0], 1.206)
@@ -352,7 +352,7 @@ def test_truth_is_in_si_and_names_the_set_up() -> None:
         ' 0.5\n"cup.cup_y_um" = 3\n'
     )
     found = sample.resolved(text + "[readings.truth.cup]\ncup_x_mm = 0.1\n")
-    assert found.truth == {
+    assert found.true_parameters == {
         "beta1": pytest.approx(math.radians(0.5)),
         "cup.cup_y": pytest.approx(3e-6),
         "cup.cup_x": pytest.approx(1e-4),
@@ -461,8 +461,8 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     path = template.write("fresh", machine, instrument, tmp_path)
     found = resolve(study.load(path))
     assert 20 <= len(found.candidates[0]) <= 1000
-    assert found.prediction is not None
-    assert len(found.prediction) <= 1000
+    assert found.prediction_commands is not None
+    assert len(found.prediction_commands) <= 1000
     # what is commented out is right as well
     text = path.read_text(encoding="utf-8")
     lines = [
@@ -479,4 +479,4 @@ def test_the_schema_knows_tables_with_fields_of_free_name() -> None:
     table = made["$defs"]["SetupTable"]
     assert table["additionalProperties"] == {"type": "number"}
     assert "settings" not in table["properties"]
-    assert made["$defs"]["Design"]["additionalProperties"] is False
+    assert made["$defs"]["DesignTable"]["additionalProperties"] is False

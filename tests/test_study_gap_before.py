@@ -105,7 +105,7 @@ def test_chosen_runs_tell_what_the_published_ones_do_not(
 def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
     table = ran[0]["gap_before"]["table"]
     asked = resolve(study.parse(STUDY, HERE))
-    published = asked.references[0].series[0]
+    published = asked.reference_plans[0].series[0]
     made = [
         runs.Run(
             name=str(r),

@@ -94,9 +94,9 @@ def everything(budget: float) -> list[tuple[float, dict[str, float]]]:
     """
     found = resolve(study.parse(STUDY, HERE))
     assert found.plan is not None
-    assert found.prediction is not None
+    assert found.prediction_commands is not None
     m = found.measurement_with(["rm4", "rm5"])
-    maps = predict.error_maps(m.kinematics, found.prediction, "home")
+    maps = predict.error_maps(m.kinematics, found.prediction_commands, "home")
     slopes = maps.raw[:, :2] * m.tolerance[:7]
     before = np.sqrt(np.mean(np.sum(slopes**2, axis=2), axis=0))
     lines = []
@@ -322,8 +322,8 @@ def test_draws_of_a_posterior_tell_what_was_learned_and_machines_are_drawn_from_
             for p, v in zip(base.machine.parameters, draws.mean(0), strict=True)
         ]
     )
-    assert found.prediction is not None
-    maps = predict.error_maps(Kinematics(believed), found.prediction, "home")
+    assert found.prediction_commands is not None
+    maps = predict.error_maps(Kinematics(believed), found.prediction_commands, "home")
     spread = (draws - draws.mean(axis=0)) @ np.moveaxis(maps.raw, 2, 1)[
         :, :, :2
     ].reshape(len(maps.command), 7, 2)
