@@ -21,7 +21,7 @@ from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library, marks, spots, waves
 from oed.gap.forms.library import Library
-from oed.gap.forms.processes import BROAD, PROCESSES
+from oed.gap.forms.processes.catalogue import BROAD, PROCESSES
 from oed.gap.place import where
 from oed.noise import estimate, outliers
 from oed.noise.law import NoiseLaw
@@ -422,7 +422,7 @@ def _looked_for(processes: Library, problem: GapProblem, law: NoiseLaw) -> Libra
     marks, spots.
     """
     for kind in (waves, marks, spots):
-        processes = kind.added(processes, problem, law)
+        processes = kind.add(processes, problem, law)
     return processes
 
 

@@ -13,7 +13,7 @@ from oed.effect import Column, Effect, State
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, library, spots
-from oed.gap.forms.processes import UNIT
+from oed.gap.forms.processes.base import UNIT
 
 PERIOD = 700.0
 
@@ -46,13 +46,13 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
     form = carriers.at_poses(
         problem, [np.sin(2.0 * np.pi * s.time / PERIOD) for s in problem.states]
     )[..., None]
-    *legs, tool = carriers.every(problem)[len(np.unique(problem.group)) :]
+    *legs, tool = carriers.all_carriers(problem)[len(np.unique(problem.group)) :]
     for i, leg in enumerate(legs):
-        assert carriers.acting(leg, form)[:, 0, 0] == pytest.approx(
+        assert carriers.apply_carrier(leg, form)[:, 0, 0] == pytest.approx(
             wanted[f"leg {i + 1}"], abs=1e-9
         )
     for k in range(3):
-        told = carriers.acting(tool, form)[:, k, 0]
+        told = carriers.apply_carrier(tool, form)[:, k, 0]
         assert told == pytest.approx(
             wanted.get(f"tool {k}", np.zeros(len(problem))), abs=1e-5
         )
@@ -68,7 +68,7 @@ def test_what_a_form_explains_is_that_of_least_squares(
         rng.standard_normal((len(problem), 2, 3)),
         2.0 * rng.standard_normal(len(problem)),
     )
-    tails = carriers.tails(metric, forms, metric.parts(r[:, None]))
+    tails = carriers.log_tails(metric, forms, metric.parts(r[:, None]))
     for k in range(3):
         inverse, G = np.linalg.inv(covariance), forms[:, :, k]
         energy = r @ inverse @ G @ np.linalg.solve(G.T @ inverse @ G, G.T @ inverse @ r)
@@ -87,8 +87,8 @@ def _planted(size: float) -> tuple[GapProblem, np.ndarray]:
     at = carriers.at_poses(problem, [s.tool for s in problem.states])
     reach = np.ptp(at[:, 0], axis=0).max()
     away = ((at - at[40, 0]) ** 2).sum(axis=2)
-    bump = carriers.acting(
-        carriers.every(problem)[-1],
+    bump = carriers.apply_carrier(
+        carriers.all_carriers(problem)[-1],
         np.exp(-0.5 * away / (0.17 * reach) ** 2)[..., None],
     )[:, 0, 0]
     noise = np.linalg.cholesky(covariance) @ np.random.default_rng(5).standard_normal(
@@ -104,8 +104,8 @@ def test_a_fault_at_a_place_is_found_there() -> None:
     problem, place = _planted(10.0)
     law = case.law(problem)
     empty = library.build(problem, ())
-    made = spots.added(empty, problem, law)
-    assert len(made.atoms) == spots.KEPT
+    made = spots.add(empty, problem, law)
+    assert len(made.atoms) == spots.BEST
     assert {a.effect for a in made.atoms} == {spots.NAME}
     best = made.atoms[0]
     assert (

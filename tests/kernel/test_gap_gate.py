@@ -17,7 +17,7 @@ from oed.gap.cause.which import Hypothesis, Search
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.gap.forms.processes import PROCESSES
+from oed.gap.forms.processes.catalogue import PROCESSES
 from oed.gap.place import where
 from oed.noise.law import stated
 

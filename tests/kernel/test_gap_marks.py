@@ -13,7 +13,7 @@ from oed.gap.cause import which
 from oed.gap.cause.which import Search
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.gap.forms import carriers, library, marks, waves
+from oed.gap.forms import bands, carriers, library, marks, waves
 from oed.gap.forms.library import Library
 from oed.noise.law import stated
 
@@ -52,7 +52,7 @@ def _marked(problem: GapProblem, periods: dict[int, float], size: float) -> GapP
 
 def _found(problem: GapProblem) -> tuple[Library, which.Hypothesis]:
     none = library.build(problem, ())
-    made = marks.added(none, problem, stated(problem))
+    made = marks.add(none, problem, stated(problem))
     return made, which.compare([Search(problem, none, made, stated(problem), 0.0)])[0]
 
 
@@ -91,7 +91,7 @@ def test_marks_are_told_and_placed() -> None:
 def test_there_are_none_in_noise(seed: int) -> None:
     made, best = _found(_noisy(seed))
     assert best.key == (frozenset(), False)
-    assert len({a.about for a in made.atoms}) == waves.KEPT
+    assert len({a.about for a in made.atoms}) == waves.PEAKS
 
 
 def test_what_a_fine_wave_explains_is_what_the_metric_says() -> None:
@@ -99,7 +99,7 @@ def test_what_a_fine_wave_explains_is_what_the_metric_says() -> None:
     readings are that many.
     """
     problem = _marked(_noisy(5), {0: 31e-6}, 12.0)
-    legs, (long, place, _) = carriers.joints(problem), waves.travels(problem)
+    legs, (long, place, _) = carriers.joint_carriers(problem), bands.travels(problem)
     size, bin_size = marks._division(float(place[:, :, long].max()))
     energy = marks._energies(
         problem,

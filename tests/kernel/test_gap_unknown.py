@@ -17,7 +17,7 @@ from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, library, waves
 from oed.gap.forms.library import Library
-from oed.gap.forms.processes import PROCESSES
+from oed.gap.forms.processes.catalogue import PROCESSES
 from oed.noise import estimate
 from oed.noise.law import stated
 
@@ -184,7 +184,7 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     dy = (problem.rows["channel"] == "dy").to_numpy()
     hum = np.where(dy, 2.0 * np.sin(2.0 * np.pi * time / 173.0 + 1.0), 0.0)
     none = library.build(problem, ())
-    made = waves.added(
+    made = waves.add(
         none, problem.with_residual(problem.residual + hum), stated(problem)
     )
     assert made.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
@@ -194,7 +194,7 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     best = which.compare([search])[0]
     assert best.key == (frozenset(), True)
     quiet = Search(
-        problem, none, waves.added(none, problem, stated(problem)), stated(problem), 0.0
+        problem, none, waves.add(none, problem, stated(problem)), stated(problem), 0.0
     )
     assert which.compare([quiet])[0].key == (frozenset(), False)
 
@@ -205,7 +205,7 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     ("m", 0.35, "leg 2 in a wave every 350 mm of path"), ("travel_m", 0.005, "leg 2 in a wave every 5 mm of travel"),
 ])  # fmt: skip
 def test_a_wave_in_words(unit: str, period: float, told: str) -> None:
-    assert waves._words(unit, period, "leg 2") == told
+    assert waves._in_words(unit, period, "leg 2") == told
 
 
 def test_what_is_unknown_is_told_by_its_likeliest_form() -> None:
@@ -237,7 +237,7 @@ def _waved(problem: GapProblem, wave: np.ndarray) -> tuple[Library, which.Hypoth
         problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0)
     )
     none = library.build(problem, ())
-    made = waves.added(none, acting, stated(problem))
+    made = waves.add(none, acting, stated(problem))
     return made, which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
 
 
@@ -284,7 +284,7 @@ def test_a_wave_along_the_path_is_found_at_its_period(
     assert "period_m" in made.atoms[best.process].constants
     quiet, none = _waved(problem, np.zeros(len(problem)))
     assert none.key == (frozenset(), False)
-    assert len(set(_periods(quiet, "m"))) == waves.KEPT
+    assert len(set(_periods(quiet, "m"))) == waves.PEAKS
 
 
 @pytest.mark.parametrize(
@@ -312,13 +312,15 @@ def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
     problem = readings(33, uneven=0.03)
     place = carriers.at_poses(problem, [s.joints for s in problem.states])[:, :, 0]
     wave = 2.5 * np.sin(2.0 * np.pi * place / 0.037 + 0.4)[..., None]
-    change = carriers.acting(carriers.joints(problem)[:, 0, None], wave)[:, 0, 0]
+    change = carriers.apply_carrier(carriers.joint_carriers(problem)[:, 0, None], wave)[
+        :, 0, 0
+    ]
     change *= 2.0 / np.sqrt(np.mean(change**2))
     none, acting = (
         library.build(problem, ()),
         problem.with_residual(problem.residual + change),
     )
-    made = waves.added(none, acting, stated(problem))
+    made = waves.add(none, acting, stated(problem))
     assert _periods(made, "travel_m")[0] == pytest.approx(0.037, rel=0.002)
     best = which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
@@ -354,7 +356,7 @@ def test_a_wave_of_all_joints_along_their_travels_is_one_form() -> None:
     problem = readings(33, uneven=0.03)
     place = carriers.at_poses(problem, [s.joints for s in problem.states])
     waves_of = np.sin(2.0 * np.pi * place / 0.037 + np.array([0.4, 2.1]))
-    change = np.einsum("nqj,njq->n", carriers.joints(problem), waves_of)
+    change = np.einsum("nqj,njq->n", carriers.joint_carriers(problem), waves_of)
     change *= 1.0 / np.sqrt(np.mean(change**2))
     made, best = _waved(problem, change)
     assert best.key == (frozenset(), True)
@@ -394,7 +396,7 @@ def test_all_parameters_swing_by_the_order_of_the_readings_where_no_time_is_told
 ):
     problem, rng = readings(9, timed=False), np.random.default_rng(9)
     slopes, gone = (
-        carriers.parameters(problem)[:, :, 0],
+        carriers.parameter_carriers(problem)[:, :, 0],
         np.arange(len(problem)) / len(problem),
     )
     wave = np.sin(2.0 * np.pi * gone / 0.55 + 0.7)
@@ -473,7 +475,7 @@ def test_noise_told_beside_a_wave_does_not_hold_it() -> None:
     wave = np.where(problem.rows["channel"] == "dy", 1.6 * np.sin(angle + 1.0), 0.0)
     acting = problem.with_residual(problem.residual + wave)
     alone, prior = noise.fit_law(acting, np.zeros((len(acting), 0)))
-    none = waves.added(library.build(acting, ()), acting, alone)
+    none = waves.add(library.build(acting, ()), acting, alone)
     made, (beside,) = pursuit.pursued(none, acting, [alone])
     assert alone.wander > 0.5
     assert beside[0].wander < 0.5 * alone.wander
@@ -539,13 +541,13 @@ def test_two_waves_are_told_together() -> None:
     acting = problem.with_residual(problem.residual + both)
     none = library.build(acting, ())
     made, _ = pursuit.pursued(
-        waves.added(none, acting, stated(acting)), acting, [stated(acting)]
+        waves.add(none, acting, stated(acting)), acting, [stated(acting)]
     )
     best = which.compare([Search(acting, none, made, stated(acting), 0.0)])[0]
     assert best.process is not None
     assert made.atoms[best.process].effect == pursuit.NAME
     assert made.atoms[best.process].constants["processes"] >= 2.0
-    kept = waves.added(none, problem, stated(problem))
+    kept = waves.add(none, problem, stated(problem))
     quiet = Search(
         problem,
         none,
@@ -562,14 +564,14 @@ def test_all_parameters_swing_together() -> None:
     """
     problem, rng = readings(9), np.random.default_rng(9)
     time = problem.rows["time"].to_numpy(dtype=float)
-    slopes = carriers.parameters(problem)[:, :, 0]
+    slopes = carriers.parameter_carriers(problem)[:, :, 0]
     wave = np.sin(2.0 * np.pi * time / (0.55 * np.ptp(time)) + 0.7)
     change = _apart(
         problem, [(slopes @ rng.standard_normal(slopes.shape[1])) * wave], [14.0**2]
     )
     acting = problem.with_residual(problem.residual + change)
     none = library.build(problem, ())
-    made = waves.added(none, acting, stated(problem))
+    made = waves.add(none, acting, stated(problem))
     best = which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
     assert best.process is not None
     chosen = made.atoms[best.process]

@@ -17,7 +17,8 @@ from oed.gap.cause import which
 from oed.gap.cause.which import Hypothesis, Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.gap.forms.processes import MOUNTED, PROCESSES, settling_mounted, tool_growing
+from oed.gap.forms.processes.catalogue import PROCESSES
+from oed.gap.forms.processes.time import MOUNTED, settling_mounted, tool_growing
 from oed.noise.law import stated
 
 

@@ -151,7 +151,7 @@ def test_many_constants_keep_the_few_that_explain() -> None:
     law = stated(problem)
     made = library.build(problem, [dense], Metric(problem, law))
     kept = {a.constants["turns"] for a in made.atoms}
-    assert len(kept) == library.KEPT
+    assert len(kept) == library.BEST
     assert min(abs(k - 5.0) for k in kept) < 0.07
     assert max(a.log_weight for a in made.atoms) < -np.log(57.0)
 
@@ -188,7 +188,7 @@ def test_a_large_grid_is_looked_through_whole() -> None:
     made = library.build(problem, [CURL], metric)
     kept = {(a.constants["turns"], a.constants["bend"]) for a in made.atoms}
     assert (TURNS[31], -0.1) in kept
-    assert len(kept) == library.KEPT
+    assert len(kept) == library.BEST
     best = which.compare(
         [Search(problem, made, library.build(problem, ()), stated(problem), 0.0)]
     )[0]

@@ -1,9 +1,8 @@
-"""Every form of every effect that the readings can test, laid out as columns of one
-matrix.
+"""Library of effects: every form that the readings can test, as columns of one matrix.
 
-An effect may act in one limb alone, in all limbs alike or in each as it likes, as in
-the textbook or with its shape adapted, and with other constants: each such form is an
-`Atom`, a choice of columns. All atoms of an effect share its prior probability.
+An effect may act in one limb alone, in all limbs alike or in each independently, in its
+textbook form or an adapted one, and with other constants. Each such form is an `Atom`,
+a choice of columns. All atoms of an effect share its prior probability.
 """
 
 from __future__ import annotations
@@ -24,17 +23,16 @@ from oed.gap.data.signature import Signature, untestable
 
 #: prior share of an effect's forms in which one limb alone has it
 ALONE = 0.4
-#: how much smaller the difference of limbs built alike is expected to be than what they
-#: share
+#: expected difference between limbs built alike, against what they share
 DIFFER = 0.3
-#: signature, in units of the noise over all readings, below which an effect cannot be
-#: seen at all
+#: norm of a signature over all readings, in units of the noise, below which an effect
+#: cannot be tested at all
 UNSEEN = 0.3
-#: blocks of a form beyond which it is not tried in all of them at once
+#: limbs of a form beyond which it is not tried in all of them at once
 BLOCKS = 12
-#: values of the constants beyond which only the best few are kept
-MANY, KEPT = 16, 8
-#: constants in a grid that is looked through in textbook forms
+#: number of constants' values beyond which only the best few forms stay, and how many
+MANY, BEST = 16, 8
+#: constants in a grid that is scanned in textbook forms
 LARGE = 200
 
 
@@ -42,9 +40,11 @@ LARGE = 200
 class Atom:
     """One form of one effect.
 
-    columns     (k,) which of the library's; log_weight: of its prior share among the
-                effect's forms
-    about       what it is, in words
+    effect        name of the effect
+    constants     {constant: value}
+    columns       (k,) numbers of its columns in the library
+    log_weight    log of its prior share among the effect's forms
+    about         the form in words
     """
 
     effect: str
@@ -56,10 +56,14 @@ class Atom:
 
 @dataclasses.dataclass(frozen=True)
 class Library:
-    """Columns (N, K) of all atoms in units of the noise, per prior standard deviation
-    of each coefficient.
+    """Columns of all atoms, per prior standard deviation of each coefficient.
 
-    names, labels (K,), scales (K,)   of the coefficients;  not_testable {effect: why}
+    columns         (N, K) change of the readings, in units of the noise
+    atoms           forms of the effects
+    names           (K,) of the coefficients
+    labels          (K,) the block of each coefficient; "" for none
+    scales          (K,) prior standard deviations of the coefficients
+    not_testable    {effect: why these readings cannot test it}
     """
 
     columns: Array
@@ -80,9 +84,11 @@ class Library:
 
 
 def build(
-    problem: GapProblem, effects: Sequence[Effect], metric: Metric | None = None
+    problem: GapProblem,
+    effects: Sequence[Effect],
+    metric: Metric | None = None,
 ) -> Library:
-    """All atoms of the effects that these readings can test.
+    """Library of all atoms of the effects that these readings can test.
 
     With a metric, an effect of many constants keeps the few that explain most, each
     with its prior weight among all.
@@ -110,147 +116,158 @@ def build(
             scales.append(form.scales)
             atoms += _atoms(form, start, log_weight, halved, effect.about)
     columns = np.hstack(blocks) if blocks else np.zeros((len(problem), 0))
-    joined = np.concatenate(scales) if scales else np.zeros(0)
-    return Library(columns, tuple(atoms), tuple(names), tuple(labels), joined, refused)
+    return Library(
+        columns=columns,
+        atoms=tuple(atoms),
+        names=tuple(names),
+        labels=tuple(labels),
+        scales=np.concatenate(scales) if scales else np.zeros(0),
+        not_testable=refused,
+    )
+
+
+Weighted = tuple[Signature, float]
 
 
 def _forms(
-    problem: GapProblem, effect: Effect, metric: Metric | None
-) -> list[tuple[Signature, float]]:
-    """The effect's signatures over its grid of constants, each with its log prior
-    weight; those that change no reading are left out. With a metric, of many only the
-    best few.
+    problem: GapProblem,
+    effect: Effect,
+    metric: Metric | None,
+) -> list[Weighted]:
+    """The effect's signatures over its grid of constants, with log prior weights.
 
-    A grid of very many is looked through in textbook forms; in it, the first values of
-    all constants but the first have half the weight. Without a metric only these are
-    tried.
+    Those that change no reading are left out. With a metric, only the best few of many
+    stay. A very large grid is scanned in textbook forms; there, the first values of all
+    constants but the first have half the weight, and without a metric only these count.
     """
     grid = effect.grid()
     if len(grid) <= LARGE:
-        return _best(problem, metric, _weighed(_seen(problem, effect, grid), 1.0))
+        forms = _signatures(problem, effect, grid)
+        return _best(problem, metric, _equally_likely(forms))
     name = next(iter(effect.constants))
-    simple = {n: values[0] for n, values in effect.constants.items() if n != name}
+    others = {n: v for n, v in effect.constants.items() if n != name}
+    simple = {n: values[0] for n, values in others.items()}
 
-    def plain(point: Mapping[str, float]) -> bool:
+    def is_simple(point: Mapping[str, float]) -> bool:
         return all(point[n] == value for n, value in simple.items())
 
-    first, rest = [p for p in grid if plain(p)], [p for p in grid if not plain(p)]
+    first = [point for point in grid if is_simple(point)]
     if metric is None:
-        return _weighed(_seen(problem, effect, first), 1.0)
-    weights = {
-        True: math.log(0.5 / len(first)),
-        False: math.log(0.5 / max(len(rest), 1)),
-    }
-    tried = _seen(problem, effect, [*first, *rest], textbook=True)
-    best = _best(
-        problem, metric, [(form, weights[plain(form.constants)]) for form in tried]
-    )
+        return _equally_likely(_signatures(problem, effect, first))
+    further = [point for point in grid if not is_simple(point)]
+    log_first = math.log(0.5 / len(first))
+    log_further = math.log(0.5 / max(len(further), 1))
+    weighted = []
+    for form in _signatures(problem, effect, [*first, *further], textbook=True):
+        log_weight = log_first if is_simple(form.constants) else log_further
+        weighted.append((form, log_weight))
     return [
         (problem.signature(effect, form.constants), log_weight)
-        for form, log_weight in best
+        for form, log_weight in _best(problem, metric, weighted)
     ]
 
 
-def _seen(
+def _signatures(
     problem: GapProblem,
     effect: Effect,
     points: Sequence[Mapping[str, float]],
     *,
     textbook: bool = False,
 ) -> list[Signature]:
-    """The signatures at some constants: those that change a reading, once where
-    constants make no difference.
-    """
-    made: dict[bytes, Signature] = {}
+    """The distinct signatures at some constants that change a reading."""
+    distinct: dict[bytes, Signature] = {}
     for point in points:
         form = problem.signature(effect, point, textbook=textbook)
-        if form.names and np.linalg.norm(problem.in_noise_units(form.columns)) > UNSEEN:
-            made.setdefault(
-                hashlib.sha1(form.columns.tobytes(), usedforsecurity=False).digest(),
-                form,
-            )
-    return list(made.values())
+        columns = problem.in_noise_units(form.columns)
+        if form.names and np.linalg.norm(columns) > UNSEEN:
+            content = hashlib.sha1(form.columns.tobytes(), usedforsecurity=False)
+            distinct.setdefault(content.digest(), form)
+    return list(distinct.values())
 
 
-def _weighed(forms: Sequence[Signature], share: float) -> list[tuple[Signature, float]]:
-    """Forms that have a share of an effect's prior, each as much as another."""
-    return [(form, math.log(share / len(forms))) for form in forms]
+def _equally_likely(forms: Sequence[Signature]) -> list[Weighted]:
+    """Forms that share an effect's prior equally."""
+    return [(form, math.log(1.0 / len(forms))) for form in forms]
 
 
 def _best(
     problem: GapProblem,
     metric: Metric | None,
-    forms: Sequence[tuple[Signature, float]],
-    kept: int = KEPT,
-) -> list[tuple[Signature, float]]:
+    forms: Sequence[Weighted],
+    count: int = BEST,
+) -> list[Weighted]:
     """The forms that explain most of the residual, where there are many and a metric."""
     if metric is None or len(forms) <= MANY:
         return list(forms)
     ends = np.cumsum([0, *(len(form.names) for form, _ in forms)])
-    every = evidence.WhitenedColumns(
-        problem,
-        metric,
-        problem.in_noise_units(np.hstack([form.columns for form, _ in forms])),
+    columns = np.hstack([form.columns for form, _ in forms])
+    whitened = evidence.WhitenedColumns(
+        problem, metric, problem.in_noise_units(columns)
     )
     scores = []
     for (form, log_weight), start, end in zip(forms, ends, ends[1:], strict=False):
-        choices = [a.columns for a in _atoms(form, 0, 0.0)]
-        found = every.grams(slice(start, end)).log_evidences(choices)
-        scores.append(float(found.max()) + log_weight)
-    order = np.argsort(scores)[::-1][:kept]
+        choices = [atom.columns for atom in _atoms(form, 0, 0.0)]
+        grams = whitened.grams(slice(start, end))
+        score = float(grams.log_evidences(choices).max())
+        scores.append(score + log_weight)
+    order = np.argsort(scores)[::-1][:count]
     return [forms[k] for k in sorted(order)]
 
 
 def _with_alike(
-    forms: Sequence[tuple[Signature, float]], alike: bool
+    forms: Sequence[Weighted],
+    alike: bool,
 ) -> Iterator[tuple[Signature, float, bool]]:
-    """Forms, their log weights, and whether limbs that are alike have half of all
-    limbs' share; their form follows.
+    """Forms with their log weights, each followed by its form for limbs built alike.
+
+    The flag says whether limbs built alike have half of the share of all limbs.
     """
+    log_share = math.log(0.5 * (1.0 - ALONE))
     for form, log_weight in forms:
         joined = _alike(form) if alike else None
         yield form, log_weight, joined is not None
         if joined is not None:
-            yield joined, log_weight + math.log(0.5 * (1.0 - ALONE)), False
+            yield joined, log_weight + log_share, False
 
 
 def _alike(form: Signature) -> Signature | None:
-    """The form of limbs that are alike: the sum over limbs of each kind of column, and
-    the limbs' own differences from it in the textbook's columns. None where limbs do
-    not have the same kinds of columns, or are too many.
+    """The form of limbs built alike.
+
+    It is the sum over limbs of each kind of column, and the limbs' differences from it
+    in the textbook's columns. None where limbs do not have the same kinds of columns,
+    or are too many.
     """
-    kinds: dict[str, list[int]] = {}
-    for k, (name, label) in enumerate(zip(form.names, form.labels, strict=True)):
-        kinds.setdefault(name.removeprefix(label).strip(), []).append(k)
+    kinds = _kinds(form)
     limbs = set(form.labels)
-    if (
-        not 2 <= len(limbs) <= BLOCKS
-        or "" in limbs
-        or any({form.labels[k] for k in own} != limbs for own in kinds.values())
-    ):
+    if not 2 <= len(limbs) <= BLOCKS or "" in limbs:
         return None
-    own = [k for k in range(len(form.names)) if not form.shape[k]]
+    if any({form.labels[k] for k in ks} != limbs for ks in kinds.values()):
+        return None
+    textbook = [k for k in range(len(form.names)) if not form.shape[k]]
+    first = [ks[0] for ks in kinds.values()]
+    sums = [form.columns[:, ks].sum(axis=1) for ks in kinds.values()]
+    differences = DIFFER * form.columns[:, textbook]
+    common = [f"all legs {kind}".strip() for kind in kinds]
+    apart = [f"{form.names[k]} apart" for k in textbook]
+    scales = [form.scales[k] for k in first]
+    shape = [form.shape[k] for k in first]
     return dataclasses.replace(
         form,
-        columns=np.column_stack(
-            [
-                *(form.columns[:, ks].sum(axis=1) for ks in kinds.values()),
-                DIFFER * form.columns[:, own],
-            ]
-        ),
-        names=(
-            *(f"all legs {kind}".strip() for kind in kinds),
-            *(f"{form.names[k]} apart" for k in own),
-        ),
-        labels=("",) * len(kinds) + tuple(form.labels[k] for k in own),
-        scales=np.concatenate(
-            [[form.scales[ks[0]] for ks in kinds.values()], DIFFER * form.scales[own]]
-        ),
-        shape=np.array(
-            [*(form.shape[ks[0]] for ks in kinds.values()), *(False for _ in own)],
-            dtype=bool,
-        ),
+        columns=np.column_stack([*sums, differences]),
+        names=(*common, *apart),
+        labels=("",) * len(kinds) + tuple(form.labels[k] for k in textbook),
+        scales=np.concatenate([scales, DIFFER * form.scales[textbook]]),
+        shape=np.array([*shape, *[False] * len(textbook)], dtype=bool),
     )
+
+
+def _kinds(form: Signature) -> dict[str, list[int]]:
+    """Columns by their names without the limb's."""
+    kinds: dict[str, list[int]] = {}
+    for k, (name, label) in enumerate(zip(form.names, form.labels, strict=True)):
+        kind = name.removeprefix(label).strip()
+        kinds.setdefault(kind, []).append(k)
+    return kinds
 
 
 def _atoms(
@@ -260,35 +277,49 @@ def _atoms(
     halved: bool = False,
     about: str = "",
 ) -> list[Atom]:
-    """Forms of one signature: all limbs, if `halved` with half of their share, or one;
-    with or without the columns that adapt.
+    """Atoms of one signature, whose columns begin at `start` in the library.
+
+    All limbs together (with half of their share if `halved`), or one limb; with or
+    without the columns that adapt.
     """
     limbs = list(dict.fromkeys(n for n in form.labels if n))
-    choices: list[tuple[Index, float]] = []
-    everything = np.arange(len(form.names), dtype=np.intp)
-    if len(limbs) > 1 and all(form.labels):
-        alone = ALONE if len(limbs) <= BLOCKS else 1.0
-        if alone < 1.0:
-            choices.append((everything, (1.0 - alone) * (0.5 if halved else 1.0)))
-        choices += [
-            (np.flatnonzero([n == limb for n in form.labels]), alone / len(limbs))
-            for limb in limbs
-        ]
-    else:
-        choices.append((everything, 1.0))
     made = []
-    for rows, share in choices:
-        plain = rows[~form.shape[rows]]
-        forms = (
-            [(rows, 1.0)]
-            if plain.size in (0, rows.size)
-            else [(plain, form.textbook), (rows, 1.0 - form.textbook)]
-        )
-        for chosen, part in forms:
-            weight = log_weight + math.log(share * part)
-            here = {form.labels[c] for c in chosen}
-            told = (
-                f"{about}, {here.pop()}" if len(here) == 1 and len(limbs) > 1 else about
-            )
-            made.append(Atom(form.effect, form.constants, start + chosen, weight, told))
+    for rows, share in _choices(form, limbs, halved):
+        for columns, part in _textbook_and_adapted(form, rows):
+            blocks = {form.labels[c] for c in columns}
+            words = about
+            if len(blocks) == 1 and len(limbs) > 1:
+                words = f"{about}, {blocks.pop()}"
+            at, weight = start + columns, log_weight + math.log(share * part)
+            made.append(Atom(form.effect, form.constants, at, weight, words))
     return made
+
+
+def _choices(
+    form: Signature,
+    limbs: Sequence[str],
+    halved: bool,
+) -> list[tuple[Index, float]]:
+    """Columns of all limbs together and of each limb alone, with their prior shares."""
+    everything = np.arange(len(form.names), dtype=np.intp)
+    if len(limbs) <= 1 or not all(form.labels):
+        return [(everything, 1.0)]
+    choices: list[tuple[Index, float]] = []
+    alone = ALONE if len(limbs) <= BLOCKS else 1.0
+    if alone < 1.0:
+        choices.append((everything, (1.0 - alone) * (0.5 if halved else 1.0)))
+    for limb in limbs:
+        columns = np.flatnonzero([n == limb for n in form.labels])
+        choices.append((columns, alone / len(limbs)))
+    return choices
+
+
+def _textbook_and_adapted(
+    form: Signature,
+    rows: Index,
+) -> list[tuple[Index, float]]:
+    """Columns without and with those that adapt, where there are any, with shares."""
+    plain = rows[~form.shape[rows]]
+    if plain.size in (0, rows.size):
+        return [(rows, 1.0)]
+    return [(plain, form.textbook), (rows, 1.0 - form.textbook)]

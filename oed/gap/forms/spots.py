@@ -1,9 +1,8 @@
-"""A fault at a place of the workspace, as an unknown process: a bump about any place
-that the tool comes to.
+"""Local errors of the workspace, as unknown processes: a bump about any place.
 
-A table that gives way, a cover that rubs, a wrong cell of a compensation table. Where
-is anybody's guess: bumps about places spread over all that were read are looked at, and
-those about the best ones once more about their neighbours.
+A table that gives way, a cover that rubs, a wrong cell of a compensation table: such a
+place may be anywhere that the tool comes to. Bumps about places spread over all that
+were read are tried first, then bumps about the neighbours of the best ones.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import dataclasses
 
 import numpy as np
 
+from oed import units
 from oed.arrays import Array
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
@@ -21,93 +21,107 @@ from oed.gap.forms.library import Library
 from oed.noise.law import NoiseLaw
 
 NAME = "at a place"
-#: places that are looked at; widths of the bumps, as shares of the longest way across
-#: all places; those of a close look
-PLACES, WIDTHS, FINE = 48, (0.12, 0.24), (0.09, 0.12, 0.17, 0.24, 0.34)
-#: best places of each carrier that are looked at closely, and best bumps of all that
-#: are kept
-CLOSE, KEPT = 2, 6
+#: places that are tried
+PLACES = 48
+#: widths of the bumps, as shares of the longest way across all places: of those tried
+#: first, and of the refined ones
+WIDTHS = (0.12, 0.24)
+FINE = (0.09, 0.12, 0.17, 0.24, 0.34)
+#: best places of each carrier that are refined, and best bumps of all that stay
+REFINED, BEST = 2, 6
 #: distance between places, as a share of the longest way, below which they are one
 SAME = 0.02
 
 
-def added(processes: Library, problem: GapProblem, law: NoiseLaw) -> Library:
-    """The processes with the strongest bumps beside them."""
-    metric, at = (
-        Metric(problem, law),
-        carriers.at_poses(problem, [s.tool for s in problem.states]),
-    )
+def add(processes: Library, problem: GapProblem, law: NoiseLaw) -> Library:
+    """Processes together with the strongest bumps."""
+    metric = Metric(problem, law)
+    at = carriers.at_poses(problem, [s.tool for s in problem.states])
     reach = float(np.ptp(at[:, 0], axis=0).max())
     if reach <= 0.0:
         return processes
-    spread = _spread(at[:, 0] / reach)
+    centres = _spread(at[:, 0] / reach)
     residual = metric.parts(problem.residual[:, None])
-    every = carriers.every(problem)
+    every = carriers.all_carriers(problem)
+    names = carriers.carrier_names(problem)
     found = []
-    for on, carrier in zip(carriers.named(problem), every, strict=True):
-        for peak in _peaks(metric, at / reach, spread, carrier, residual):
-            place = ", ".join(
-                f"{1e3 * reach * peak.constants[axis]:.0f}" for axis in "xyz"
-            )
-            found.append(
-                dataclasses.replace(peak, about=f"{on} about the place {place} mm")
-            )
-    return carriers.beside(
-        processes, NAME, [(found, len(spread) * len(WIDTHS) * len(every))], KEPT
-    )
+    for name, carrier in zip(names, every, strict=True):
+        for peak in _peaks(metric, at / reach, centres, carrier, residual):
+            about = f"{name} about the place {_place_in_words(peak, reach)}"
+            found.append(dataclasses.replace(peak, about=about))
+    tried = len(centres) * len(WIDTHS) * len(every)
+    return carriers.add_peaks(processes, NAME, [(found, tried)], BEST)
+
+
+def _place_in_words(peak: Peak, reach: float) -> str:
+    coordinates = [reach * peak.constants[axis] for axis in "xyz"]
+    return ", ".join(f"{units.number(c, 'mm'):.0f}" for c in coordinates) + " mm"
 
 
 def _spread(at: Array) -> Array:
-    """Places (k, 3) far from each other among all (N, 3), the next always the farthest
-    from those before.
+    """Places (k, 3) far from each other among all (N, 3).
+
+    The next one is always the farthest from those before.
     """
-    chosen = [int(np.argmax(((at - at.mean(axis=0)) ** 2).sum(axis=1)))]
-    away = np.linalg.norm(at - at[chosen[0]], axis=1)
-    while len(chosen) < PLACES and away.max() > SAME:
-        chosen.append(int(np.argmax(away)))
-        away = np.minimum(away, np.linalg.norm(at - at[chosen[-1]], axis=1))
+    offset = at - at.mean(axis=0)
+    from_middle = (offset**2).sum(axis=1)
+    chosen = [int(np.argmax(from_middle))]
+    distance = np.linalg.norm(at - at[chosen[0]], axis=1)
+    while len(chosen) < PLACES and distance.max() > SAME:
+        chosen.append(int(np.argmax(distance)))
+        to_last = np.linalg.norm(at - at[chosen[-1]], axis=1)
+        distance = np.minimum(distance, to_last)
     return np.asarray(at[chosen])
 
 
 def _bumps(at: Array, centres: Array, widths: tuple[float, ...]) -> Array:
-    """Bumps (N, J, k) of each width about each centre, centre by centre, at places (N,
-    J, 3).
+    """Bumps (N, J, k) of each width about each centre, at places (N, J, 3).
+
+    Columns run centre by centre.
     """
-    away = ((at[:, :, None] - centres) ** 2).sum(axis=3)
-    return np.asarray(
-        np.exp(-0.5 * away[..., None] / np.square(widths)).reshape(*at.shape[:2], -1)
-    )
+    offset = at[:, :, None] - centres
+    squared = (offset**2).sum(axis=3)[..., None]
+    bumps = np.exp(-0.5 * squared / np.square(widths))
+    return np.asarray(bumps.reshape(*at.shape[:2], -1))
 
 
 def _peaks(
     metric: Metric,
     at: Array,
-    spread: Array,
+    centres: Array,
     carrier: Array,
     residual: tuple[Array, Array],
 ) -> list[Peak]:
-    """The strongest bumps on one carrier (N, c, J)."""
-    coarse = carriers.tails(
-        metric, carriers.acting(carrier, _bumps(at, spread, WIDTHS)), residual
-    )
-    best = np.argsort(coarse.reshape(len(spread), -1).min(axis=1))[:CLOSE]
-    spacing = max(
-        float(np.sort(np.linalg.norm(spread - spread[k], axis=1))[:4][-1]) for k in best
-    )
-    found, read = [], at[:, 0]
+    """The strongest bumps on one carrier (N, c, J), refined in place and width."""
+    coarse = carriers.apply_carrier(carrier, _bumps(at, centres, WIDTHS))
+    tails = carriers.log_tails(metric, coarse, residual)
+    by_centre = tails.reshape(len(centres), -1).min(axis=1)
+    best = np.argsort(by_centre)[:REFINED]
+    spacing = max(_spacing(centres, int(k)) for k in best)
+    strongest = []
     for k in best:
-        near = np.unique(
-            np.round(read[np.linalg.norm(read - spread[k], axis=1) <= spacing], 6),
-            axis=0,
-        )
-        near = near[np.linspace(0, len(near) - 1, min(len(near), PLACES)).astype(int)]
-        bumps = carriers.acting(carrier, _bumps(at, near, FINE))
-        tails = carriers.tails(metric, bumps, residual)
+        near = _neighbours(at[:, 0], centres[k], spacing)
+        bumps = carriers.apply_carrier(carrier, _bumps(at, near, FINE))
+        tails = carriers.log_tails(metric, bumps, residual)
         first = int(np.argmin(tails))
-        place = near[first // len(FINE)]
-        constants = {
-            **dict(zip("xyz", map(float, place), strict=True)),
-            "width": FINE[first % len(FINE)],
-        }
-        found.append(Peak(float(tails[first]), bumps[:, :, first], constants, ""))
-    return found
+        x, y, z = map(float, near[first // len(FINE)])
+        width = FINE[first % len(FINE)]
+        constants = {"x": x, "y": y, "z": z, "width": width}
+        peak = Peak(float(tails[first]), bumps[:, :, first], constants, "")
+        strongest.append(peak)
+    return strongest
+
+
+def _spacing(centres: Array, k: int) -> float:
+    """Distance from a centre to the third nearest of the others, or to the last."""
+    distances = np.linalg.norm(centres - centres[k], axis=1)
+    return float(np.sort(distances)[:4][-1])
+
+
+def _neighbours(places: Array, centre: Array, spacing: float) -> Array:
+    """Distinct places (k, 3) that were read within a distance of a centre."""
+    close = np.linalg.norm(places - centre, axis=1) <= spacing
+    near = np.unique(np.round(places[close], 6), axis=0)
+    last, count = len(near) - 1, min(len(near), PLACES)
+    chosen = np.linspace(0, last, count).astype(int)
+    return np.asarray(near[chosen])

@@ -1,0 +1,119 @@
+"""Processes over time: drift, settling, disturbances for a while, starts of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from oed import smooth
+from oed.arrays import Array
+from oed.effect import Column, State
+from oed.gap.forms.processes.base import (
+    UNIT,
+    cosines,
+    on_joint,
+    on_readings,
+    on_readings_and_tool,
+    on_tool,
+)
+
+#: half-waves over the session of what drifts
+DRIFTS = 12
+#: shares of the session over which a tool's growth is correlated, and modes of it
+REACHES, GROWING = (0.1, 0.2), 20
+#: shares of the session within which what settles has done so; the same after a
+#: set-up's start
+WITHIN, MOUNTED = (0.05, 0.15, 0.5), (0.03, 0.1)
+#: centres and durations of a disturbance, as shares of the session
+CENTRES = [(k + 0.5) / 12.0 for k in range(12)]
+DURATIONS = (0.04, 0.1)
+#: readings within which what acts at a run's start fades
+STARTS = (1.5, 5.0)
+
+
+def over_time(state: State) -> Iterable[Column]:
+    """Drift of the readings."""
+    for k, wave in enumerate(cosines(state.progress, DRIFTS), start=1):
+        yield from on_readings(state, f"time {k}", UNIT / k, wave)
+
+
+def tool_over_time(state: State) -> Iterable[Column]:
+    """Drift of the tool's place."""
+    for k, wave in enumerate(cosines(state.progress, DRIFTS), start=1):
+        yield from on_tool(state, f"time {k}", UNIT / k, wave)
+
+
+def joints_over_time(state: State) -> Iterable[Column]:
+    """Drift of each joint."""
+    for i in state.limbs:
+        for k, wave in enumerate(cosines(state.progress, DRIFTS), start=1):
+            yield on_joint(i, f"time {k}", UNIT / k, wave)
+
+
+def tool_growing(state: State, reach: float) -> Iterable[Column]:
+    """The tool longer and shorter along its axis, as a spindle that warms.
+
+    Its length is a random smooth curve over the session.
+    """
+    at = 2.0 * state.progress - 1.0
+    for k in range(GROWING):
+        length = smooth.curve(at, k, reach=2.0 * reach, count=GROWING, straight=1)
+        change = state.lengthening * length[:, None]
+        joints = {i: change[:, i] for i in state.limbs}
+        yield Column(f"axis time {k}", UNIT, joints=joints)
+
+
+def settling(state: State, within: float) -> Iterable[Column]:
+    """What fades after the session's start, as in any warm-up, in the readings."""
+    fading = np.exp(-state.progress / within)
+    yield from on_readings(state, "settles", UNIT, fading)
+
+
+def tool_settling(state: State, within: float) -> Iterable[Column]:
+    """What fades after the session's start, in the tool's place."""
+    fading = np.exp(-state.progress / within)
+    yield from on_tool(state, "settles", UNIT, fading)
+
+
+def joints_settling(state: State, within: float) -> Iterable[Column]:
+    """What fades after the session's start, in each joint."""
+    fading = np.exp(-state.progress / within)
+    for i in state.limbs:
+        yield on_joint(i, "settles", UNIT, fading)
+
+
+def settling_mounted(state: State, within: float) -> Iterable[Column]:
+    """What fades after each set-up's start, in the readings: warm from the hand, say."""
+    fading = _fading(state, within)
+    yield from on_readings(state, "settles in each set-up", UNIT, fading)
+
+
+def tool_settling_mounted(state: State, within: float) -> Iterable[Column]:
+    """What fades after each set-up's start, in the tool's place."""
+    fading = _fading(state, within)
+    yield from on_tool(state, "settles in each set-up", UNIT, fading)
+
+
+def _fading(state: State, within: float) -> Array:
+    """What fades from the start of a set-up (m,).
+
+    Zeros where there is only one set-up, whose start is the session's.
+    """
+    if np.ptp(state.progress) > 1.0 - 1e-9:
+        return np.zeros(len(state))
+    since = state.progress - state.progress.min()
+    return np.asarray(np.exp(-since / within))
+
+
+def windows(state: State, when: float, lasts: float) -> Iterable[Column]:
+    """A disturbance for a while: a bump at a share of the session."""
+    distance = (state.progress - when) / lasts
+    bump = np.exp(-0.5 * distance**2)
+    yield from on_readings_and_tool(state, "while", UNIT, bump)
+
+
+def run_start(state: State, readings: float) -> Iterable[Column]:
+    """What fades after a run's first readings."""
+    fading = np.exp(-np.maximum(state.order, 0.0) / readings)
+    yield from on_readings_and_tool(state, "start", UNIT, fading)
