@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from sample import changed
 
-from oed.result import StudyResult
+from oed.result import ChosenRun, ChosenRuns, StudyResult
 from pkm_studies import pipeline, study
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.resolved import resolve
@@ -67,37 +67,40 @@ def planned(text: str, out: Path) -> StudyResult:
     return pipeline.plan_stages(study.parse(text, out / "both.study.toml"), out)
 
 
+def new_runs(chosen: ChosenRuns) -> list[ChosenRun]:
+    """The runs that are added to those of the plan."""
+    return chosen.runs[chosen.retained :]
+
+
+def added_seconds(chosen: ChosenRuns) -> float:
+    return sum(run.seconds for run in new_runs(chosen))
+
+
 def test_the_cause_takes_its_time_from_the_plan(tmp_path: Path) -> None:
-    found = planned(STUDY, tmp_path)
-    plan, before = found.plan, found.gap_before
+    result = planned(STUDY, tmp_path)
+    plan, chosen = result.plan, result.gap_before.chosen
     assert plan.budget_min == pytest.approx(120.0)
     assert plan.cost <= 120.0
-    chosen = before.chosen
     assert chosen.retained == 3  # the lines of the plan
-    assert sum(r.seconds for r in chosen.runs[chosen.retained :]) <= 1800.0 + 1e-6
+    assert added_seconds(chosen) <= 1800.0 + 1e-6
     # without a second payload the plan's own lines say next to nothing of gravity
     assert chosen.before < 1.0
     assert chosen.separation > 4.0
-    assert {r.condition["payload"] for r in chosen.runs[chosen.retained :]} == {
-        0.0,
-        1000.0,
-    }
+    payloads = {run.condition["payload"] for run in new_runs(chosen)}
+    assert payloads == {0.0, 1000.0}
     assert (tmp_path / "gap_poses.csv").is_file()
 
 
-def test_without_a_time_of_its_own_it_has_what_the_plan_leaves(tmp_path: Path) -> None:
-    found = planned(changed(STUDY, ("budget_min = 30.0\n", "")), tmp_path)
-    plan, chosen = found.plan, found.gap_before.chosen
+def test_the_cause_has_the_time_that_the_plan_does_not_take(tmp_path: Path) -> None:
+    result = planned(changed(STUDY, ("budget_min = 30.0\n", "")), tmp_path)
+    plan, chosen = result.plan, result.gap_before.chosen
     assert plan.budget_min == pytest.approx(150.0)
-    assert (
-        plan.cost + sum(r.seconds for r in chosen.runs[chosen.retained :]) / 60.0
-        <= 150.0 + 1e-6
-    )
+    assert plan.cost + added_seconds(chosen) / 60.0 <= 150.0 + 1e-6
     assert len(chosen.runs) > chosen.retained
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (("budget_min = 30.0", "budget_min = 150.0"), "gap.design.budget_min = 150"),
         (
@@ -107,14 +110,14 @@ def test_without_a_time_of_its_own_it_has_what_the_plan_leaves(tmp_path: Path) -
     ],
 )
 def test_too_little_time_is_refused(
-    tmp_path: Path, change: tuple[str, str], told: str
+    tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
     with pytest.raises(InputError) as error:
         planned(changed(STUDY, change), tmp_path)
-    assert told in str(error.value)
+    assert message in str(error.value)
 
 
-def test_a_plan_that_is_not_made_is_not_kept(tmp_path: Path) -> None:
+def test_a_plan_that_the_study_does_not_request_is_not_retained(tmp_path: Path) -> None:
     text = STUDY[: STUDY.index("[plan]")] + STUDY[STUDY.index("[[design.reference]]") :]
     with pytest.raises(InputError) as error:
         resolve(study.parse(text, tmp_path / "both.study.toml"))

@@ -1,14 +1,15 @@
-"""What a plan is for: accuracy of pose components after compensation, over a workspace.
+"""Goal of a plan: accuracy of the pose components after compensation over a workspace.
 
-A goal has factors F_k (r, n) over the machine's free parameters in units of their
-tolerances, so that component k keeps a root mean square of sqrt(tr F_k S F_k^T) with
-the covariance S that a plan leaves, in units of the wanted accuracy (or, where none is
-stated, of the accuracy before any reading).
+A goal has factors F_k (r, n) over the machine's free parameters, in units of their
+tolerances. With the covariance S that a plan leaves, component k has the root mean
+square error sqrt(tr F_k S F_k^T), in units of its target accuracy. Without targets, the
+unit is the accuracy before any reading.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -20,80 +21,85 @@ from oed.predict import ErrorMaps
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Goal:
-    """Components with factors (K, r, n). `unit` (K,) is the accuracy, SI, that counts
-    as 1.
+    """Pose components with their weights over the machine's parameters.
 
-    wanted: whether the units are wanted accuracies; then the worst component counts,
-    else their mean square.
+    names        (K,) of the components
+    factors      (K, r, n), in tolerance units and units of `unit`
+    unit         (K,) accuracy that counts as 1, SI
+    has_targets  True: `unit` holds target accuracies, and the worst component counts;
+                 False: the mean square of all components counts
     """
 
     names: tuple[str, ...]
     factors: Array
     unit: Array
-    wanted: bool
+    has_targets: bool
+
+    @property
+    def parameters(self) -> int:
+        """Number n of free machine parameters."""
+        return int(self.factors.shape[2])
 
     def accuracy(self, covariance: Array) -> Array:
-        """Root mean square (K,) of each component in its unit, from a covariance (n, n)
-        in tolerance units.
-        """
-        told = np.einsum(
+        """Root mean square error (K,) in `unit`, from a covariance (n, n)."""
+        variance = np.einsum(
             "krn,nm,krm->k", self.factors, covariance, self.factors, optimize=True
         )
-        return np.asarray(np.sqrt(np.maximum(told, 0.0)))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def value(self, covariance: Array) -> float:
-        """What a plan is judged by, the smaller the better: the worst, or the mean
-        square of the accuracies.
-        """
-        told = self.accuracy(covariance)
-        return float(told.max() if self.wanted else np.sqrt(np.mean(told**2)))
+        """Value by which plans are judged; smaller is better."""
+        return float(self.combine(self.accuracy(covariance)))
 
-    def criterion(self, more: int) -> Criterion:
-        """The same as a criterion of information matrices with `more` columns of set-up
-        unknowns at the end.
-        """
-        wide = np.concatenate(
-            [self.factors, np.zeros((*self.factors.shape[:2], more))], axis=2
-        )
-        if self.wanted:
-            return Worst(wide)
-        return Variance(wide.reshape(-1, wide.shape[2]) / np.sqrt(len(wide)))
+    def combine(self, accuracy: Array) -> Array:
+        """Value (...) of accuracies (..., K): their maximum or root mean square."""
+        if self.has_targets:
+            return np.asarray(accuracy.max(axis=-1))
+        return np.asarray(np.sqrt(np.mean(accuracy**2, axis=-1)))
+
+    def criterion(self, setup_columns: int) -> Criterion:
+        """The goal as a criterion of information matrices (n + setup_columns, ...)."""
+        zeros = np.zeros((*self.factors.shape[:2], setup_columns))
+        factors = np.concatenate([self.factors, zeros], axis=2)
+        if self.has_targets:
+            return Worst(factors)
+        stacked = factors.reshape(-1, factors.shape[2])
+        return Variance(stacked / np.sqrt(len(factors)))
 
 
-def goal_of(
-    measurement: Measurement, maps: ErrorMaps, wanted: dict[str, float]
+def workspace_goal(
+    measurement: Measurement, maps: ErrorMaps, targets: Mapping[str, float]
 ) -> Goal:
-    """A goal about the named components (SI wanted accuracies), or about all of them
-    where none is named.
+    """Goal over the workspace of `maps`, for the components with targets.
 
-    Raises ValueError for a component that the machine does not have, or that no
-    parameter moves.
+    targets  {component: accuracy}, SI; empty: all components that a parameter moves
+
+    Raises ValueError for a component that the machine does not have.
     """
-    keep = len(measurement.machine.parameters)
-    free, tolerance = measurement.free[:keep], measurement.tolerance[:keep]
-    unknown = set(wanted) - set(maps.names)
+    unknown = set(targets) - set(maps.names)
     if unknown:
         raise ValueError(
             f"no pose component {sorted(unknown)}: the machine has {list(maps.names)}"
         )
-    table = np.transpose(maps.raw * tolerance, (1, 0, 2))[:, :, free] / np.sqrt(
-        len(maps.command)
-    )
+    parameters = len(measurement.machine.parameters)
+    free = measurement.free[:parameters]
+    scaled = maps.raw * measurement.tolerance[:parameters]
+    by_component = np.transpose(scaled, (1, 0, 2))[:, :, free]
+    table = by_component / np.sqrt(len(maps.command))
     before = np.sqrt(np.sum(table**2, axis=(1, 2)))
-    names = [
-        n
-        for n in maps.names
-        if (n in wanted if wanted else before[maps.names.index(n)] > 0.0)
-    ]
-    rows = [maps.names.index(n) for n in names]
-    unit = np.array([wanted[n] for n in names]) if wanted else before[rows]
-    return Goal(
-        tuple(names), _triangles(table[rows] / unit[:, None, None]), unit, bool(wanted)
-    )
+    if targets:
+        names = [name for name in maps.names if name in targets]
+    else:
+        moved = zip(maps.names, before > 0.0, strict=True)
+        names = [name for name, is_moved in moved if is_moved]
+    rows = [maps.names.index(name) for name in names]
+    unit = np.array([targets[n] for n in names]) if targets else before[rows]
+    factors = _triangles(table[rows] / unit[:, None, None])
+    return Goal(tuple(names), factors, unit, bool(targets))
 
 
 def _triangles(factors: Array) -> Array:
-    """The same F^T F with no more rows than columns."""
+    """Factors with the same F^T F and no more rows than columns."""
     if factors.shape[1] <= factors.shape[2]:
         return factors
     return np.array([np.linalg.qr(f, mode="r") for f in factors])

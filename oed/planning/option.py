@@ -1,8 +1,7 @@
-"""A catalogue of measurements to plan with.
+"""Measurements which a plan can order: set-ups, candidate readings, times and travel.
 
-An option is a measurement as it can be ordered: set-ups to mount, candidate readings in
-them, what it costs, and how far the instrument can follow a machine that is not yet
-calibrated (a ball bar has +-1 mm of travel).
+An instrument with travel (a ball bar: +-1 mm) reads a machine only while the machine is
+close to where the controller believes it to be.
 """
 
 from __future__ import annotations
@@ -25,66 +24,93 @@ from oed.measurement import Measurement, Series
 class Option:
     """One measurement of the catalogue.
 
-    candidates  readings (or whole runs) over its own set-ups, in units of tolerance and
-                noise
-    counts      numbers of candidates worth trying, ascending; no plan takes more than
-                the last
-    mounting    time to mount all its set-ups, s;  seconds (C,) time of each candidate
-    travel      m or rad: a reading is lost where it lies farther from the expected one
-                (None: any range)
-    price       of doing it, in money, beside the time; operator: who can do it
+    candidates         readings or whole runs (C), in units of tolerance and noise
+    counts             numbers of candidates to try, ascending; the last is the limit
+    mounting_seconds   time to mount all set-ups, s
+    candidate_seconds  time of each candidate, (C,), s
+    travel             largest distance between a reading and its expected value, m or
+                       rad, at which it is still captured; None: unlimited
+    price              cost in money, in addition to the time
+    operator           who can carry it out
     """
 
     name: str
     candidates: Candidates
     counts: tuple[int, ...]
-    mounting: float
-    seconds: Array
+    mounting_seconds: float
+    candidate_seconds: Array
     travel: float | None = None
     price: float = 0.0
     operator: str = ""
 
     @property
     def measurement(self) -> Measurement:
-        """Its set-ups on the machine."""
+        """The set-ups on the machine."""
         return self.candidates.measurement
 
     @property
     def machine_columns(self) -> int:
-        """Columns of the blocks that are the machine's parameters; the others are the
-        option's own unknowns.
-        """
-        return int(
-            self.measurement.free[: len(self.measurement.machine.parameters)].sum()
-        )
+        """Number of columns of the blocks that belong to the machine's parameters."""
+        machine_parameters = len(self.measurement.machine.parameters)
+        return int(self.measurement.free[:machine_parameters].sum())
+
+    @property
+    def setup_columns(self) -> int:
+        """Number of free parameters of the set-ups."""
+        return int(self.measurement.free.sum()) - self.machine_columns
+
+    @property
+    def unknowns(self) -> int:
+        """Number of all columns: machine, set-ups, and errors that a run shares."""
+        return int(self.candidates.blocks.shape[2])
 
     @cached_property
-    def first_channels(self) -> Array:
-        """Slopes (readings, free) of every reading's first channel, SI over tolerances:
-        what the travel is about.
+    def first_channel_slopes(self) -> Array:
+        """Slopes (readings, free) of each reading's first channel, SI over tolerance.
+
+        The travel limits the first channel.
         """
-        measurement, places, start = self.measurement, [], 0
+        measurement = self.measurement
+        rows = []
+        start = 0
         for s in self.series:
             channels = len(measurement.setups[s.setup].sigma)
-            places.append(start + channels * np.arange(len(s)))
+            rows.append(start + channels * np.arange(len(s)))
             start += channels * len(s)
-        rows = (
-            measurement.jacobian(self.series, measurement.nominal)
-            * measurement.tolerance
-        )
-        return np.asarray(rows[np.concatenate(places)][:, measurement.free])
+        jacobian = measurement.jacobian(self.series, measurement.nominal)
+        slopes = jacobian * measurement.tolerance
+        return np.asarray(slopes[np.concatenate(rows)][:, measurement.free])
 
     @property
     def series(self) -> tuple[Series, ...]:
         """All candidate readings."""
         return self.candidates.series
 
-    def taken(self, chosen: Index) -> tuple[Series, ...]:
-        """The chosen candidates' readings."""
+    def series_of(self, chosen: Index) -> tuple[Series, ...]:
+        """The readings of the chosen candidates."""
         return self.candidates.take(chosen)
 
+    def shortest_seconds(self, count: int) -> float:
+        """Time (s) of the `count` shortest candidates, without mounting."""
+        return float(np.sort(self.candidate_seconds)[:count].sum())
 
-def option(
+    @property
+    def least_seconds(self) -> float:
+        """Time (s) of the shortest stage with this measurement, mounting included."""
+        return self.mounting_seconds + self.shortest_seconds(self.counts[0])
+
+    def affordable_counts(self, seconds: float) -> list[int]:
+        """Counts to try that `seconds` pay for, mounting included, and the largest."""
+        time = np.cumsum(np.sort(self.candidate_seconds))
+        reading_time = seconds - self.mounting_seconds
+        affordable = int(np.searchsorted(time, reading_time, side="right"))
+        largest = min(affordable, self.counts[-1])
+        if largest < self.counts[0]:
+            return []
+        return sorted({*(c for c in self.counts if c <= affordable), largest})
+
+
+def build_option(
     machine: Machine,
     setups: Sequence[Setup],
     series: Sequence[Series],
@@ -93,40 +119,44 @@ def option(
     counts: Sequence[int],
     travel: float | None = None,
     whole_runs: bool = False,
-    mounting: float | None = None,
-    reading: float | None = None,
+    mounting_seconds: float | None = None,
+    reading_seconds: float | None = None,
     price: float = 0.0,
     operator: str = "",
 ) -> Option:
-    """An option from set-ups and candidate readings; times (s) are the instruments'
-    unless told.
+    """Build an option from set-ups and candidate readings.
 
-    Raises ValueError where no count is between one and the number of candidates.
+    Without `mounting_seconds` or `reading_seconds`, the instruments' times count.
+
+    Raises ValueError where no count lies between one and the number of candidates, or
+    where a candidate takes no time.
     """
     measurement = Measurement(machine, setups)
-    found = candidates.of(
+    pool = candidates.of(
         measurement, series, measurement.nominal, "tolerance", whole_runs=whole_runs
     )
-    possible = tuple(sorted({int(c) for c in counts if 1 <= c <= len(found)}))
+    possible = tuple(sorted({int(c) for c in counts if 1 <= c <= len(pool)}))
     if not possible:
         raise ValueError(
-            f"measurement {name}: none of {list(counts)} readings can be taken out of"
-            f" {len(found)}"
+            f"measurement {name}: no count in {list(counts)} lies between 1 and the"
+            f" {len(pool)} candidates"
         )
-    seconds = (
-        found.cost if reading is None else reading * found.members[:, 1].astype(float)
-    )
+    seconds = pool.cost
+    if reading_seconds is not None:
+        seconds = reading_seconds * pool.members[:, 1].astype(float)
     if not (seconds > 0.0).all():
         raise ValueError(
-            f"measurement {name}: every reading takes some time, but"
-            f" {float(seconds.min()):g} s are told"
+            f"measurement {name}: every reading takes some time, but one takes"
+            f" {float(seconds.min()):g} s"
         )
+    if mounting_seconds is None:
+        mounting_seconds = float(pool.setup_cost.sum())
     return Option(
         name=name,
-        candidates=found,
+        candidates=pool,
         counts=possible,
-        mounting=float(found.setup_cost.sum()) if mounting is None else mounting,
-        seconds=np.asarray(seconds, dtype=float),
+        mounting_seconds=mounting_seconds,
+        candidate_seconds=np.asarray(seconds, dtype=float),
         travel=travel,
         price=price,
         operator=operator,

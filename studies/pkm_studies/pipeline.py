@@ -30,8 +30,9 @@ from pkm_studies.stages.fit import identifiability as see
 from pkm_studies.stages.gap import detectability as gap_before
 from pkm_studies.stages.gap import section as gap
 from pkm_studies.stages.gap import virtual_readings as gap_virtual
-from pkm_studies.stages.plan import plan
-from pkm_studies.stages.plan.learned import Learned, learned
+from pkm_studies.stages.plan.earlier import EarlierSession, earlier_session
+from pkm_studies.stages.plan.plan import compute_plan
+from pkm_studies.stages.plan.section import PlanOutcome
 from pkm_studies.stages.predict import accuracy as foresee
 from pkm_studies.study import Study
 
@@ -177,7 +178,7 @@ class _Job:
         self.measurement: Measurement = self.resolved.measurement
         self.sections: dict[str, Any] = {}
         self.planned_series: tuple[Series, ...] = ()
-        self.made: plan.Made | None = None
+        self.made: PlanOutcome | None = None
         self.covariates: pd.DataFrame | None = None  # of the readings that are fitted
         self.replaced = bool(readings)
         self.warnings = list(self.resolved.warnings)
@@ -226,7 +227,7 @@ class _Job:
         known = (
             None
             if after is None
-            else learned(self.resolved, after, stored.load_result(after))
+            else earlier_session(self.resolved, after, stored.load_result(after))
         )
         if known is not None:
             self.resolved = known.resolved
@@ -282,7 +283,7 @@ class _Job:
             self._note_moved(chosen)
         return chosen
 
-    def plan(self, known: Learned | None) -> None:
+    def plan(self, known: EarlierSession | None) -> None:
         """The plan of stages, where the study lists measurements; without a design, its
         readings are those planned.
         """
@@ -290,7 +291,7 @@ class _Job:
             return
         self.progress.stage("plan")
         machines = self.rng(CAMPAIGN)
-        self.made = plan.plan(
+        self.made = compute_plan(
             self.resolved, [self.seed, PLAN], machines, self.progress, known
         )
         assert self.made is not None

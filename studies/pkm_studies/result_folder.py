@@ -16,7 +16,7 @@ from oed.result import StudyResult
 from pkm_studies import files
 from pkm_studies.errors import Place
 from pkm_studies.stages.plan import files as plan_files
-from pkm_studies.stages.plan import plan
+from pkm_studies.stages.plan.section import PlanOutcome
 
 
 def write(
@@ -24,7 +24,7 @@ def write(
     made: StudyResult,
     planned: Sequence[Series],
     measurement: Measurement,
-    stages: plan.Made | None,
+    stages: PlanOutcome | None,
     *,
     sheet: bool,
 ) -> None:

@@ -17,12 +17,11 @@ from oed.machine import Machine
 from oed.measurement import Measurement, Series
 from pkm_studies import catalogue
 from pkm_studies.resolve import candidates, grids, roles, setups, tolerances
-from pkm_studies.resolve import plan as resolve_plan
 from pkm_studies.resolve.design import DesignRequest, design_request
 from pkm_studies.resolve.gap import GapRequest, gap_request
 from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
 from pkm_studies.resolve.grids import Circles, ReferencePlan
-from pkm_studies.resolve.plan import PlanAsked
+from pkm_studies.resolve.plan import PlanRequest, plan_request
 from pkm_studies.study import Study
 
 if TYPE_CHECKING:
@@ -62,7 +61,7 @@ class ResolvedStudy:
     candidates: tuple[Series, ...]
     refusals: Mapping[str, int]
     design: DesignRequest | None
-    plan: PlanAsked | None
+    plan: PlanRequest | None
     reference_plans: tuple[ReferencePlan, ...]
     kappa_circles: tuple[Circles, ...]
     true_parameters: Mapping[str, float]
@@ -103,7 +102,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         candidates=pool,
         refusals=refusals,
         design=design,
-        plan=resolve_plan.planned(study, measurement_with, mounted),
+        plan=plan_request(study, measurement_with, mounted),
         reference_plans=references,
         kappa_circles=tuple(circles),
         true_parameters=roles.true_parameters(study, everything),

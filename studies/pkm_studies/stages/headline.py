@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from oed import result
-from pkm_studies.stages.plan import words as plan_words
+from pkm_studies.stages.plan import summary
 
 MOST = 5
 
@@ -18,7 +18,7 @@ def sentences(sections: Mapping[str, Any]) -> list[str]:
     """
     found: result.GapSection | None = sections.get("gap")
     told = [
-        *plan_words.sentences(sections.get("plan")),
+        *summary.sentences(sections.get("plan")),
         *_told_apart(sections.get("gap_before")),
         *_accuracy(sections.get("prediction")),
         *_held_out(sections.get("held_out") or []),

@@ -1,6 +1,4 @@
-"""Files of a plan: stages as CSV, commanded poses with their joints for machines and
-scripts.
-"""
+"""Files of a plan: stages as CSV, commanded poses with their joints as JSON."""
 
 from __future__ import annotations
 
@@ -12,11 +10,13 @@ from typing import Any
 import msgspec
 
 from oed import result
+from oed.arrays import Array
+from oed.machine import Machine
 from oed.measurement import Measurement, Series
 from pkm_studies.resolve import quantities
 from pkm_studies.stages import describe
-from pkm_studies.stages.design import section as score
-from pkm_studies.stages.plan.plan import Made
+from pkm_studies.stages.design.section import planned_readings
+from pkm_studies.stages.plan.section import PlanOutcome
 
 HEADER = [
     "stage",
@@ -27,76 +27,74 @@ HEADER = [
     "cost_min",
     "kappa",
 ]
-MORE = ["begin_min", "end_min", "price", "operator"]
+#: columns of plans with times
+TIMES = ["begin_min", "end_min", "price", "operator"]
 
 
 def stages_csv(plan: result.PlanSection) -> str:
-    """One row a stage, its set-ups in working order; times where the plan was searched
-    for.
-    """
-    timed = any(s.begin_min is not None for s in plan.stages)
-    rows: list[list[object]] = [[*HEADER, *(MORE if timed else [])]]
-    for k, s in enumerate(plan.stages):
-        row = [
-            k + 1,
-            s.measurement,
-            " ".join(s.setups),
-            s.readings,
-            s.identifies,
-            f"{s.cost:.1f}",
-            f"{s.kappa:.4g}",
-        ]
-        begin, end = s.begin_min or 0.0, s.end_min or 0.0
-        rows.append(
-            [
-                *row,
-                *(
-                    [f"{begin:.1f}", f"{end:.1f}", f"{s.price:g}", s.operator]
-                    if timed
-                    else []
-                ),
-            ]
-        )
+    """One row a stage, set-ups in working order; with times where the plan has them."""
+    has_times = any(stage.begin_min is not None for stage in plan.stages)
+    rows: list[list[object]] = [[*HEADER, *(TIMES if has_times else [])]]
+    for number, stage in enumerate(plan.stages, start=1):
+        times = _times(stage) if has_times else []
+        rows.append([number, *_stage_cells(stage), *times])
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
 
 
-def poses_json(made: Made) -> str:
-    """Commanded poses of each stage in working order, with the nominal joints and
-    reading, in user units.
-    """
-    stages = [
-        {
-            "stage": k + 1,
-            "measurement": stage.measurement,
-            "setups": stage.setups,
-            "begin_min": stage.begin_min,
-            "end_min": stage.end_min,
-            "poses": _poses(made.measurement, series),
-        }
-        for k, (stage, series) in enumerate(
-            zip(made.section.stages, made.scheduled, strict=True)
-        )
+def _stage_cells(stage: result.StageRecord) -> list[object]:
+    return [
+        stage.measurement,
+        " ".join(stage.setups),
+        stage.readings,
+        stage.identifies,
+        f"{stage.cost:.1f}",
+        f"{stage.kappa:.4g}",
     ]
-    return msgspec.json.format(
-        msgspec.json.encode({"schema": 1, "stages": stages}), indent=1
-    ).decode()
+
+
+def _times(stage: result.StageRecord) -> list[object]:
+    begin, end = stage.begin_min or 0.0, stage.end_min or 0.0
+    return [f"{begin:.1f}", f"{end:.1f}", f"{stage.price:g}", stage.operator]
+
+
+def poses_json(plan: PlanOutcome) -> str:
+    """Commanded poses of each stage in working order, in user units.
+
+    Each pose has the nominal joints and the nominal reading.
+    """
+    stages = []
+    records = zip(plan.section.stages, plan.scheduled, strict=True)
+    for number, (record, series) in enumerate(records, start=1):
+        stages.append(
+            {
+                "stage": number,
+                "measurement": record.measurement,
+                "setups": record.setups,
+                "begin_min": record.begin_min,
+                "end_min": record.end_min,
+                "poses": _poses(plan.measurement, series),
+            }
+        )
+    content = msgspec.json.encode({"schema": 1, "stages": stages})
+    return msgspec.json.format(content, indent=1).decode()
 
 
 def _poses(measurement: Measurement, series: Sequence[Series]) -> list[dict[str, Any]]:
-    told = score.planned_readings(measurement, series)
+    poses = planned_readings(measurement, series)
     joints = [row for s in series for row in s.q[s.index[:, 0]]]
-    names = [
-        (quantities.column(j.name, j.unit), j.unit) for j in measurement.machine.joints
-    ]
     return [
-        msgspec.to_builtins(pose)
-        | {
-            "joints": {
-                n: describe.shown(float(v), u)
-                for (n, u), v in zip(names, row, strict=True)
-            }
-        }
-        for pose, row in zip(told, joints, strict=True)
+        msgspec.to_builtins(pose) | {"joints": _joints(measurement.machine, row)}
+        for pose, row in zip(poses, joints, strict=True)
     ]
+
+
+def _joints(machine: Machine, values: Array) -> dict[str, float]:
+    """Joint values by name and unit, in user units."""
+    return {
+        quantities.column(joint.name, joint.unit): describe.shown(
+            float(value), joint.unit
+        )
+        for joint, value in zip(machine.joints, values, strict=True)
+    }

@@ -1,0 +1,1 @@
+"""Plans of several stages: how they grow, how they are compared and refined."""

@@ -1,0 +1,84 @@
+"""The planning problem: options, goal, budget, and how a plan grows by a stage."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed.arrays import Array
+from oed.design.criterion.protocol import inverse
+from oed.planning.goal import Goal
+from oed.planning.option import Option
+from oed.planning.sequence.stage_plan import StagePlan
+from oed.planning.stage import travel
+from oed.planning.stage.knowledge import Prior, as_knowledge
+from oed.planning.stage.prediction import Stage, predict_stage
+from oed.planning.stage.selection import select_readings
+from oed.planning.streams import PlanStreams
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PlanProblem:
+    """What to plan.
+
+    budget   time of all stages at most, s;  stages: their number at most
+    start    (n, n) covariance of the machine before, in units of the tolerances
+    streams  random streams of the search
+    """
+
+    options: tuple[Option, ...]
+    goal: Goal
+    budget: float
+    stages: int
+    start: Array
+    streams: PlanStreams
+
+    def empty_plan(self) -> StagePlan:
+        """The plan that measures nothing."""
+        accuracy = self.goal.accuracy(self.start)
+        return StagePlan((), 0.0, self.goal.value(self.start), (accuracy,))
+
+    def extend(self, plan: StagePlan, stage: Stage) -> StagePlan:
+        """A plan with one more stage."""
+        return StagePlan(
+            stages=(*plan.stages, stage),
+            seconds=plan.seconds + stage.seconds,
+            value=self.goal.value(stage.covariance),
+            accuracy=(*plan.accuracy, self.goal.accuracy(stage.covariance)),
+        )
+
+    def capture_probability(self, option: Option, prior: Prior) -> Array:
+        """Probability (C,) that each candidate is captured, on the same machines."""
+        return travel.capture_probability(option, prior, self.streams.capture())
+
+    def first_look(
+        self,
+        plan: StagePlan,
+        option: Option,
+        count: int,
+        probability: Array,
+        seconds: float = np.inf,
+    ) -> StagePlan:
+        """A plan with `count` readings of one more option, predicted with few machines.
+
+        probability  (C,) that each candidate is captured after the plan
+        seconds      time for the readings at most
+        """
+        prior = plan.posterior(self.start)
+        chosen = select_readings(
+            option,
+            count,
+            inverse(as_knowledge(prior).mean_square_error),
+            self.goal.criterion(self.setup_columns(option)),
+            probability,
+            sweeps=0,
+            seconds=seconds,
+        )
+        rng = self.streams.first_look
+        stage = predict_stage(option, chosen, prior, probability, rng, exact=False)
+        return self.extend(plan, stage)
+
+    def setup_columns(self, option: Option) -> int:
+        """Number of an option's unknowns in addition to the machine's."""
+        return option.unknowns - self.goal.parameters

@@ -1,0 +1,1 @@
+"""Virtual machines carried exactly through all stages of a plan."""

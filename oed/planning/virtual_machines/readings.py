@@ -1,0 +1,145 @@
+"""Readings of virtual machines in the stages of a plan, with those out of travel lost."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.arrays import Array, Index, Mask
+from oed.instrument import Setup
+from oed.measurement import Measurement, Series
+from oed.planning.stage.prediction import Stage
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class VirtualReadings:
+    """Captured readings.
+
+    series      of the captured candidates
+    y           (readings,) SI
+    lost_share  share of the chosen candidates that is lost
+    """
+
+    series: tuple[Series, ...]
+    y: Array
+    lost_share: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class VirtualStage:
+    """One stage as it is carried out.
+
+    measurement    all set-ups up to this stage, so that its parameters begin with those
+                   of the stage before
+    series         planned readings
+    candidate      (readings,) candidate that each number belongs to
+    first_channel  (readings,) which numbers are first channels: the travel limits them
+    travel         m or rad; None: unlimited
+    """
+
+    measurement: Measurement
+    series: tuple[Series, ...]
+    candidate: Index
+    first_channel: Mask
+    travel: float | None
+
+    def read(
+        self,
+        truth: Array,
+        expected: Array,
+        controller: Array | None,
+        rng: np.random.Generator,
+    ) -> VirtualReadings:
+        """Readings of a machine with parameters `truth`.
+
+        expected    (n,) parameters for which readings are expected
+        controller  (np,) parameters that the controller uses; None: nominal ones
+        """
+        measurement = self.measurement
+        sent = [self._send(s, controller) for s in self.series]
+        exact = measurement.try_readings(sent, truth)
+        y = exact + measurement.noise(sent).draw(rng, exact.shape)
+        # a pose that cannot be assembled cannot be read
+        lost = np.isnan(exact)
+        if self.travel is not None:
+            deviation = np.abs(exact - measurement.try_readings(sent, expected))
+            lost |= self.first_channel & ~(deviation <= self.travel)
+        complete = np.bincount(self.candidate, lost) == 0
+        captured = complete[self.candidate]
+        return VirtualReadings(
+            series=self._captured_series(sent, captured),
+            y=y[captured],
+            lost_share=float(1.0 - complete.mean()),
+        )
+
+    def _captured_series(
+        self, sent: Sequence[Series], captured: Mask
+    ) -> tuple[Series, ...]:
+        """The captured readings of each series; series without any are left out."""
+        parts = []
+        start = 0
+        for s in sent:
+            channels = len(self.measurement.setups[s.setup].sigma)
+            end = start + channels * len(s)
+            rows = np.flatnonzero(captured[start:end:channels])
+            start = end
+            if len(rows):
+                parts.append(s.take(rows))
+        return tuple(parts)
+
+    def _send(self, series: Series, controller: Array | None) -> Series:
+        """The series with the joints that the controller sends.
+
+        Recorded joints stay as they are.
+        """
+        if controller is None or np.isnan(series.command).any():
+            return series
+        tool = np.array(self.measurement.setups[series.setup].tool)
+        kinematics = self.measurement.kinematics
+        x, q = kinematics.inverse(series.command, controller, tool)
+        return dataclasses.replace(series, q=q, start=x)
+
+
+def virtual_stages(stages: Sequence[Stage]) -> tuple[VirtualStage, ...]:
+    """The stages of a plan, ready to be carried out one after the other."""
+    setups: list[Setup] = []
+    virtual = []
+    for number, stage in enumerate(stages, start=1):
+        measurement = stage.option.measurement
+        # A set-up mounted in two stages stands elsewhere in each: it gets a name and
+        # parameters of its own.
+        for setup in measurement.setups.values():
+            name = _stage_name(number, setup.name)
+            setups.append(dataclasses.replace(setup, name=name))
+        series = tuple(
+            dataclasses.replace(s, setup=_stage_name(number, s.setup))
+            for s in stage.series
+        )
+        channels = _channels(stage)
+        counts = stage.option.candidates.members[stage.chosen, 1]
+        candidate_of_reading = np.repeat(np.arange(len(stage.chosen)), counts)
+        first_channel = np.zeros(channels.sum(), dtype=bool)
+        first_channel[np.cumsum(channels) - channels] = True
+        virtual.append(
+            VirtualStage(
+                measurement=Measurement(measurement.machine, setups),
+                series=series,
+                candidate=np.repeat(candidate_of_reading, channels),
+                first_channel=first_channel,
+                travel=stage.option.travel,
+            )
+        )
+    return tuple(virtual)
+
+
+def _channels(stage: Stage) -> Index:
+    """Number of channels of each planned reading."""
+    setups = stage.option.measurement.setups
+    counts = [np.full(len(s), len(setups[s.setup].sigma)) for s in stage.series]
+    return np.concatenate(counts)
+
+
+def _stage_name(number: int, setup: str) -> str:
+    return f"{number}. {setup}"

@@ -1,0 +1,146 @@
+"""Pose errors of virtual machines over a workspace, exact and predicted."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed import compensate, predict
+from oed.arrays import Array
+from oed.compensate import NO_TOOL, ErrorModel
+from oed.kinematics import Kinematics
+from oed.measurement import Measurement
+
+#: standard deviations to either side of a 95 % interval
+HALF_WIDTH = 1.959964
+#: share of a component's widest interval below which an interval is left out
+STILL = 1e-6
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MachineErrors:
+    """One machine after one stage.
+
+    mean_square    (K,) pose errors over the workspace, SI
+    lost_share     share of the candidates that it lost in the stage
+    coverage       share of its parameters within their 95 % intervals
+    pose_coverage  share of its pose errors within their 95 % intervals
+    """
+
+    mean_square: Array
+    lost_share: float
+    coverage: float
+    pose_coverage: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WorkspaceErrors:
+    """Errors at workspace commands, relative to a reference.
+
+    tolerance  (np,) of the machine's parameters, SI
+    maps       slopes of the errors over the parameters
+    model      nominal poses at the commands;  home: at the home pose
+    """
+
+    kinematics: Kinematics
+    tolerance: Array
+    maps: predict.ErrorMaps
+    model: ErrorModel
+    home: ErrorModel
+    reference: predict.Reference
+
+    @classmethod
+    def of(
+        cls, measurement: Measurement, command: Array, reference: predict.Reference
+    ) -> WorkspaceErrors:
+        """Errors of a measurement's machine at commands (n, n_dof), SI."""
+        kinematics = measurement.kinematics
+        machine = kinematics.machine
+        return cls(
+            kinematics=kinematics,
+            tolerance=measurement.tolerance[: len(machine.parameters)],
+            maps=predict.error_maps(kinematics, command, reference),
+            model=compensate.error_model(kinematics, command),
+            home=compensate.error_model(kinematics, machine.home_command[None]),
+            reference=reference,
+        )
+
+    def predicted(self, covariance: Array) -> Array:
+        """Predicted root mean square errors (K,), SI.
+
+        covariance  (n, n) of the free parameters, in units of their tolerances
+        """
+        free = np.flatnonzero(self.tolerance > 0.0)
+        scale = np.outer(self.tolerance[free], self.tolerance[free])
+        full = np.zeros((len(self.tolerance), len(self.tolerance)))
+        full[np.ix_(free, free)] = covariance * scale
+        return np.asarray(np.sqrt(np.mean(self.variance(full), axis=0)))
+
+    def variance(self, covariance: Array) -> Array:
+        """Variance (n, K) of the components, from a covariance (np, np), SI."""
+        slopes = self.maps.raw
+        variance = np.einsum(
+            "nkp,pq,nkq->nk", slopes, covariance, slopes, optimize=True
+        )
+        return np.asarray(np.maximum(variance, 0.0))
+
+    def evaluate(
+        self,
+        controller: Array,
+        believed: Array,
+        truth: Array,
+        covariance: Array,
+        lost_share: float,
+    ) -> MachineErrors:
+        """Errors of one machine, and how many lie within the intervals of a covariance.
+
+        controller, believed, truth  (np,) parameters, SI
+        covariance                   (np, np) of the believed parameters, SI
+        """
+        errors = self.errors(controller, believed, truth)
+        half = HALF_WIDTH * np.sqrt(self.variance(covariance))
+        # what hardly moves, as the home pose itself, has errors of rounding alone
+        moved = half > STILL * half.max(axis=0)
+        free = self.tolerance > 0.0
+        deviation = np.abs(truth - believed)[free]
+        parameter_half = HALF_WIDTH * np.sqrt(np.diag(covariance))[free]
+        within = (np.abs(errors) <= half)[moved]
+        return MachineErrors(
+            mean_square=np.mean(errors**2, axis=0),
+            lost_share=lost_share,
+            coverage=float((deviation <= parameter_half).mean()),
+            pose_coverage=float(within.mean()),
+        )
+
+    def errors(self, controller: Array, believed: Array, truth: Array) -> Array:
+        """Exact pose errors (n, K), SI, between true and believed machine.
+
+        Both are at the joints that a controller with parameters (np,) sends.
+        """
+        twist, model = self._twist(self.model, controller, believed, truth)
+        home_twist, home = self._twist(self.home, controller, believed, truth)
+        lever = self.kinematics.machine.lever
+        referenced = predict.referenced(
+            twist, home_twist, model, home, self.reference, lever
+        )
+        return self.kinematics.components(self.maps.command, referenced)
+
+    def _twist(
+        self, model: ErrorModel, controller: Array, believed: Array, truth: Array
+    ) -> tuple[Array, ErrorModel]:
+        """Twists (n, 6) from believed to true poses, and the model at believed poses.
+
+        A lost turn at home is zeroed about the axes of the believed machine.
+        """
+        start, q = self.kinematics.inverse(model.command, controller)
+        rotation, point = self._frames(q, believed, start)
+        true_rotation, true_point = self._frames(q, truth, start)
+        twist = compensate.twist_between(rotation, point, true_rotation, true_point)
+        return twist, dataclasses.replace(model, rotation=rotation, point=point)
+
+    def _frames(self, q: Array, p: Array, start: Array) -> tuple[Array, Array]:
+        """Rotations (n, 3, 3) and points (n, 3) of the platform at joints q."""
+        pose = self.kinematics.forward(q, p, start)
+        rotation, point, _ = self.kinematics.frames(pose, NO_TOOL)
+        return rotation, point

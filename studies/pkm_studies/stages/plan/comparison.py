@@ -1,0 +1,155 @@
+"""Sequences of measurements from the study, compared with the best plan of their time.
+
+A sequence takes all readings of each measurement. Where they take longer than the
+budget, it takes the best readings within it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed import criteria, explain, result
+from oed.planning.search import PlanSearchResult
+from oed.planning.sequence.stage_plan import StagePlan
+from oed.planning.stage import travel
+from oed.planning.stage.knowledge import Prior
+from oed.planning.stage.prediction import Stage, predict_stage
+from pkm_studies.errors import InputError
+from pkm_studies.stages.plan.phrases import at_most_better, minutes, more_accurate
+from pkm_studies.stages.plan.streams import plan_streams
+from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask
+
+#: share by which times and values may differ and count as the same
+SAME = 1e-6
+
+
+def compare_sequence(
+    task: PlanTask, names: Sequence[str], search: PlanSearchResult
+) -> result.SequenceRecord:
+    """A sequence's rank, indices, time and accuracy, and the best plan of its time.
+
+    Raises InputError where the time pays for none of its measurements.
+    """
+    sequence = sequence_plan(task, names)
+    seconds = sequence.seconds
+    if seconds > task.budget * (1.0 + SAME):
+        sequence, seconds = _within_budget(task, names, search), task.budget
+    best, bound = _best_plan(task, sequence, search, seconds)
+    readings = [s for stage in sequence.stages for s in stage.series]
+    measurement = task.resolved.measurement_with({s.setup for s in readings})
+    explained = explain.look(measurement, readings)
+    singular_values = explained.verdict.identifiable
+    return result.SequenceRecord(
+        name=", then ".join(names),
+        sequence=task.record(sequence),
+        rank=explained.verdict.rank,
+        parameters=len(explained.names),
+        kappa=criteria.kappa(singular_values),
+        weakest=float(singular_values[-1]),
+        observability=criteria.observability(
+            singular_values, sum(len(s) for s in readings)
+        ),
+        lost=_lost_share(sequence),
+        plan=task.record(best),
+        gain=_gain(task, sequence, best),
+        bound=bound,
+        words=_sentence(task, sequence, best, bound, seconds),
+    )
+
+
+def sequence_plan(task: PlanTask, names: Sequence[str]) -> StagePlan:
+    """All candidates of each measurement, one measurement after the other."""
+    prior: Prior = task.start
+    stages: list[Stage] = []
+    for k, name in enumerate(names):
+        option = task.request.option(name)
+        capture = plan_streams(task.seed).capture()
+        probability = travel.capture_probability(option, prior, capture)
+        everything = np.arange(len(option.candidates))
+        rng = task.stage_generator(k)
+        stages.append(predict_stage(option, everything, prior, probability, rng))
+        prior = stages[-1].posterior
+    covariances = [task.start, *(stage.covariance for stage in stages)]
+    return StagePlan(
+        stages=tuple(stages),
+        seconds=sum(stage.seconds for stage in stages),
+        value=task.goal.value(covariances[-1]),
+        accuracy=tuple(task.goal.accuracy(c) for c in covariances),
+    )
+
+
+def _within_budget(
+    task: PlanTask, names: Sequence[str], search: PlanSearchResult
+) -> StagePlan:
+    """The best plan of these measurements alone within the budget."""
+    options = [task.request.option(name) for name in names]
+    try:
+        own_search = task.search(options=options, stages=len(options), loss=ANY_LOSS)
+    except ValueError as error:
+        raise task.place.key("compare").error(
+            str(error), "give more time, or compare others", list(names)
+        ) from error
+    plans = [own_search.most_accurate]
+    for plan in [search.best, search.most_accurate, *search.alternatives]:
+        if set(plan.names) <= set(names):
+            plans.append(plan)
+    return min(plans, key=lambda plan: plan.value)
+
+
+def _best_plan(
+    task: PlanTask, sequence: StagePlan, search: PlanSearchResult, seconds: float
+) -> tuple[StagePlan, float]:
+    """The most accurate plan in a time, and the bound; the sequence counts as a plan."""
+    if abs(seconds - task.budget) > SAME * task.budget:
+        try:
+            search = task.search(seconds * (1.0 + SAME))
+        except ValueError as error:
+            raise InputError(
+                str(error), "compare a sequence that takes longer", field="plan.compare"
+            ) from error
+    best = min(search.most_accurate, sequence, key=lambda plan: plan.value)
+    return best, search.bound.value
+
+
+def _lost_share(plan: StagePlan) -> float:
+    """Expected share of all chosen candidates that are lost."""
+    chosen = sum(len(stage.chosen) for stage in plan.stages)
+    lost = sum((1.0 - stage.probability).sum() for stage in plan.stages)
+    return float(lost) / chosen
+
+
+def _gain(task: PlanTask, sequence: StagePlan, best: StagePlan) -> dict[str, float]:
+    """Factor by which the best plan is more accurate, for each component."""
+    after = task.accuracy_after(best)
+    return {
+        name: value / after[name]
+        for name, value in task.accuracy_after(sequence).items()
+        if after.get(name, 0.0) > 0.0
+    }
+
+
+def _sentence(
+    task: PlanTask,
+    sequence: StagePlan,
+    best: StagePlan,
+    bound: float,
+    seconds: float,
+) -> str:
+    time = minutes(seconds)
+    if best is sequence or sequence.value < best.value * (1.0 + SAME):
+        loss = max(sequence.value / bound - 1.0, 0.0)
+        return (
+            f"The search finds no better plan of {time}; none is more than"
+            f" {at_most_better(loss)}."
+        )
+    gain = more_accurate(sequence.value, best.value)
+    text = f"In {time}, {', then '.join(best.names)} is {gain}"
+    if task.goal.has_targets and best.value > 1.0 and bound > 1.0:
+        return (
+            f"{text}; the target is out of reach in that time (proven: it is missed by"
+            f" a factor of at least {bound:.3g})."
+        )
+    loss = max(best.value / bound - 1.0, 0.0)
+    return f"{text}; no plan of that time is more than {at_most_better(loss)}."

@@ -1,0 +1,177 @@
+"""Knowledge from an earlier session: machine as identified, its covariance, time spent."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oed import units
+from oed.arrays import Array
+from oed.design.candidates import reading_time
+from oed.machine import Machine
+from oed.measurement import Measurement
+from oed.planning.option import Option
+from pkm_studies.errors import Place
+from pkm_studies.resolve.plan import plan_request
+from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
+
+FILE = "posterior.nc"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EarlierSession:
+    """What an earlier session tells a plan.
+
+    resolved    the study about the machine as identified, without measurements done
+    covariance  (n, n) of the machine's free parameters, in units of their tolerances
+    seconds     time that the session took
+    words       the same as a sentence
+    """
+
+    resolved: ResolvedStudy
+    covariance: Array
+    seconds: float
+    words: str
+
+
+def earlier_session(
+    resolved: ResolvedStudy, folder: Path, stored: Mapping[str, Any]
+) -> EarlierSession:
+    """What the result `stored` in `folder` tells about the study's machine.
+
+    The covariance comes from the draws of the posterior, or, where there are none, from
+    the standard deviations of the estimate.
+
+    Raises InputError where the result does not fit the study.
+    """
+    machine = resolved.machine
+    measurement = resolved.measurement_with(())
+    free = _free_names(measurement)
+    estimate = _estimate(stored, machine.name, free, folder)
+    value, covariance, source = _posterior(folder / FILE, estimate, free)
+    identified = dict(zip(free, value, strict=True))
+    parameters = [
+        dataclasses.replace(p, nominal=float(identified.get(p.name, p.nominal)))
+        for p in machine.parameters
+    ]
+    drawing = stored.get("drawing") or {}
+    done = Counter(str(setup) for setup in drawing.get("reading_of", []))
+    seconds = _session_seconds(resolved, done)
+    tolerance = measurement.tolerance[measurement.free]
+    words = (
+        f"Planned after {', '.join(done) or 'no readings'} ({sum(done.values())}"
+        f" readings, {units.number(seconds, 'min'):.0f} min), with the machine as"
+        f" identified from them ({source})."
+    )
+    return EarlierSession(
+        resolved=_without_done(resolved, machine.with_parameters(parameters), done),
+        covariance=covariance / np.outer(tolerance, tolerance),
+        seconds=seconds,
+        words=words,
+    )
+
+
+def _free_names(measurement: Measurement) -> list[str]:
+    """Names of the free parameters."""
+    pairs = zip(measurement.names, measurement.free, strict=True)
+    return [name for name, is_free in pairs if is_free]
+
+
+def _estimate(
+    stored: Mapping[str, Any], machine: str, free: Sequence[str], folder: Path
+) -> Mapping[str, Any]:
+    """The estimated parameters of a stored result, all of the free ones among them."""
+    place = Place(str(folder / "result.json")).key("estimate")
+    if not stored.get("estimate"):
+        raise place.error("nothing was identified there", "make it with `oed identify`")
+    estimate: Mapping[str, Any] = stored["estimate"]["parameters"]
+    remedy = f"give a result for {machine} of this study"
+    absent = [name for name in free if name not in estimate]
+    if absent:
+        raise place.error(f"it has no estimate of {absent[0]}", remedy)
+    if stored["machine"]["name"] != machine:
+        raise place.error(f"it is about {stored['machine']['name']}", remedy)
+    return estimate
+
+
+def _without_done(
+    resolved: ResolvedStudy, machine: Machine, done: Mapping[str, int]
+) -> ResolvedStudy:
+    """The study about another machine, without the measurements that are done."""
+    measurement_with = measurement_factory(machine, resolved.setups)
+    return dataclasses.replace(
+        resolved,
+        machine=machine,
+        measurement_with=measurement_with,
+        measurement=measurement_with(resolved.measurement.setups),
+        plan=plan_request(resolved.study, measurement_with, resolved.setups, done),
+    )
+
+
+def _posterior(
+    draws: Path, estimate: Mapping[str, Any], free: list[str]
+) -> tuple[Array, Array, str]:
+    """Values (n,), their covariance (n, n), SI, and where they come from."""
+    sample = _read_draws(draws, free) if draws.is_file() else None
+    if sample is not None:
+        covariance = np.atleast_2d(np.cov(sample.T))
+        return sample.mean(axis=0), covariance, "draws of the posterior"
+    value = _column(estimate, free, "value")
+    sd = _column(estimate, free, "sd")
+    source = "standard deviations of the estimate, taken as independent"
+    return value, np.diag(sd**2), source
+
+
+def _column(estimate: Mapping[str, Any], free: list[str], key: str) -> Array:
+    """One number (n,) of each free parameter's estimate, SI."""
+    rows = [estimate[name] for name in free]
+    return np.array([float(units.to_si(row[key], row["unit"])) for row in rows])
+
+
+def _read_draws(path: Path, free: list[str]) -> Array | None:
+    """Draws (draws, n) of the free parameters, SI; None where some are absent."""
+    import xarray  # takes a second to import, and only a plan after a session needs it
+
+    with xarray.open_dataset(path, group="posterior", engine="h5netcdf") as data:
+        names = [str(name) for name in data["parameter"].values]
+        if not set(free) <= set(names):
+            return None
+        theta = np.asarray(data["theta"].values, dtype=float)
+    columns = [names.index(name) for name in free]
+    return theta.reshape(-1, len(names))[:, columns]
+
+
+def _session_seconds(resolved: ResolvedStudy, done: Mapping[str, int]) -> float:
+    """Time (s) that the readings {set-up: number} took.
+
+    It follows the measurement that mounts the set-up, else the set-up's instrument.
+    """
+    total = 0.0
+    options = resolved.plan.options if resolved.plan is not None else ()
+    for option in options:
+        total += _option_seconds(option, done)
+    planned = {name for option in options for name in option.candidates.setups}
+    for name in sorted(set(done) - planned):
+        if name in resolved.setups:
+            mounting = resolved.setups[name].instrument.cost.setup
+            reading = reading_time(resolved.measurement_with([name]), name)
+            total += mounting + reading * done[name]
+    return total
+
+
+def _option_seconds(option: Option, done: Mapping[str, int]) -> float:
+    """Time (s) of the readings that were taken with an option's set-ups."""
+    candidates = option.candidates
+    mounted = [name for name in candidates.setups if done.get(name)]
+    total = option.mounting_seconds if mounted else 0.0
+    for name in mounted:
+        rows = np.flatnonzero(candidates.setup == candidates.setups.index(name))
+        readings = candidates.members[rows, 1].sum()
+        each = option.candidate_seconds[rows].sum() / readings
+        total += float(each) * done[name]
+    return total

@@ -1,0 +1,194 @@
+"""The plan as a section of the result: one record a stage, value, bound and front."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from oed import criteria, explain, result, units
+from oed.arrays import Array
+from oed.measurement import Measurement, Series
+from oed.planning.search import PlanSearchResult
+from oed.planning.sequence.stage_plan import StagePlan
+from oed.planning.stage.prediction import Stage
+from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.stages.design import order
+from pkm_studies.stages.plan.task import PlanTask
+from pkm_studies.study.tables import DesignTable
+
+#: posterior over prior standard deviation from which a parameter counts as unidentified
+UNIDENTIFIED = 0.95
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlanOutcome:
+    """The plan with its readings in working order.
+
+    section      of the result
+    measurement  with all set-ups of the plan
+    series       all readings
+    scheduled    readings of each stage, thermal references among them
+    """
+
+    section: result.PlanSection
+    measurement: Measurement
+    series: tuple[Series, ...]
+    scheduled: tuple[tuple[Series, ...], ...]
+
+
+def plan_outcome(
+    task: PlanTask, search: PlanSearchResult, best: StagePlan
+) -> PlanOutcome:
+    """The plan `best` with its section, without comparisons and texts."""
+    arranged = [_arrange(task, stage, k) for k, stage in enumerate(best.stages)]
+    series = [s for stage in arranged for s in stage.series]
+    judged = search.most_accurate if task.goal.has_targets else best
+    section = result.PlanSection(
+        stages=_stage_records(task, best, arranged),
+        cost=units.number(best.seconds, "min"),
+        alternatives=[],
+        budget_min=units.number(task.budget, "min"),
+        price=best.price,
+        value=best.value,
+        goal=dict(task.table.wanted),
+        reached=search.reached,
+        start_accuracy=task.accuracy(task.start),
+        accuracy=task.accuracy_after(best),
+        best_reachable=task.accuracy_after(search.most_accurate),
+        bound=search.bound.value,
+        loss=max(judged.value / search.bound.value - 1.0, 0.0),
+        lines=search.bound.lines,
+        front=[task.record(plan) for plan in search.front],
+    )
+    return PlanOutcome(
+        section=section,
+        measurement=task.resolved.measurement_with({s.setup for s in series}),
+        series=tuple(series),
+        scheduled=tuple(stage.scheduled for stage in arranged),
+    )
+
+
+def _arrange(task: PlanTask, stage: Stage, number: int) -> order.Arranged:
+    """A stage's readings in working order."""
+    resolved = _with_order(task, stage.option.name)
+    rng = task.stage_generator(number)
+    return order.arrange(resolved, stage.option.measurement, (), stage.series, rng)
+
+
+def _with_order(task: PlanTask, name: str) -> ResolvedStudy:
+    """The study with [design.order] and the whole runs of a measurement alone."""
+    study = task.resolved.study
+    table = next(t for t in task.table.measurement if t.name == name)
+    usual = study.design.order if study.design else DesignTable().order
+    design = DesignTable(order=usual, whole_runs=table.whole_runs)
+    ordered = msgspec.structs.replace(study, design=design)
+    return dataclasses.replace(task.resolved, study=ordered)
+
+
+def _stage_records(
+    task: PlanTask, plan: StagePlan, arranged: Sequence[order.Arranged]
+) -> list[result.StageRecord]:
+    """The stages with their times, one after the other."""
+    records = []
+    readings: list[Series] = []
+    clock = 0.0
+    for stage, ordered in zip(plan.stages, arranged, strict=True):
+        readings.extend(ordered.series)
+        measurement = task.resolved.measurement_with({s.setup for s in readings})
+        cumulative = explain.look(measurement, readings)
+        records.append(_stage_record(task, stage, ordered, clock, cumulative))
+        clock += units.number(stage.seconds, "min")
+    return records
+
+
+def _stage_record(
+    task: PlanTask,
+    stage: Stage,
+    ordered: order.Arranged,
+    begin_min: float,
+    cumulative: explain.Seen,
+) -> result.StageRecord:
+    """One stage; `cumulative` is the verdict on all readings up to it."""
+    verdict = explain.look(stage.option.measurement, stage.series).verdict
+    accuracy = task.accuracy(stage.covariance)
+    duration_min = units.number(stage.seconds, "min")
+    return result.StageRecord(
+        measurement=stage.option.name,
+        setups=ordered.told.setups,
+        readings=sum(len(s) for s in stage.series),
+        identifies=verdict.rank,
+        cost=duration_min,
+        kappa=criteria.kappa(verdict.identifiable),
+        predicted=accuracy,
+        chosen=len(stage.chosen),
+        begin_min=begin_min,
+        end_min=begin_min + duration_min,
+        price=stage.option.price,
+        operator=stage.option.operator,
+        available={
+            "least": float(stage.probability.min()),
+            "mean": float(stage.probability.mean()),
+        },
+        lost=float((1.0 - stage.probability).sum()),
+        cut_off_um=_largest_residual_um(stage),
+        rank=cumulative.verdict.rank,
+        parameters=_standard_deviations(stage),
+        unidentified=_unidentified(task, stage, cumulative),
+        accuracy=accuracy,
+    )
+
+
+def _largest_residual_um(stage: Stage) -> float | None:
+    """Largest linearisation residual of a length, um; None where there is none."""
+    lengths = stage.linearisation_rms[_is_length(stage)]
+    if not lengths.size or not np.isfinite(lengths.max()):
+        return None
+    return units.number(lengths.max(), "um")
+
+
+def _is_length(stage: Stage) -> Array:
+    """Which numbers of a stage's readings (readings,) are lengths."""
+    setups = stage.option.measurement.setups
+    masks = []
+    for s in stage.series:
+        channels = setups[s.setup].instrument.channels
+        is_length = np.array([channel.unit == "m" for channel in channels])
+        masks.append(np.tile(is_length, len(s)))
+    return np.concatenate(masks)
+
+
+def _free_parameters(stage: Stage) -> list[int]:
+    """Positions of the machine's free parameters."""
+    measurement = stage.option.measurement
+    machine_parameters = len(measurement.machine.parameters)
+    return [int(k) for k in np.flatnonzero(measurement.free[:machine_parameters])]
+
+
+def _standard_deviations(stage: Stage) -> dict[str, result.Sd]:
+    """Standard deviation of each free parameter after a stage, in its display unit."""
+    measurement = stage.option.measurement
+    scaled = np.sqrt(np.diag(stage.covariance))
+    table = {}
+    for k, sd in zip(_free_parameters(stage), scaled, strict=True):
+        unit = units.display(measurement.parameters[k].unit)
+        value = float(sd * measurement.tolerance[k])
+        table[measurement.names[k]] = result.Sd(units.number(value, unit), unit)
+    return table
+
+
+def _unidentified(task: PlanTask, stage: Stage, cumulative: explain.Seen) -> list[str]:
+    """Parameters, then combinations of them, that no reading so far determines."""
+    measurement = stage.option.measurement
+    names = [measurement.names[k] for k in _free_parameters(stage)]
+    ratio = np.sqrt(np.diag(stage.covariance) / np.diag(task.start))
+    pairs = zip(names, ratio, strict=True)
+    alone = [name for name, value in pairs if value > UNIDENTIFIED]
+    unit = {p.name: p.unit for p in cumulative.measurement.parameters}
+    combinations = []
+    for terms in cumulative.verdict.named(cumulative.verdict.lost):
+        if set(terms) <= set(names) and not set(terms) <= set(alone):
+            combinations.append(explain.combination(terms, unit))
+    return [*alone, *combinations]

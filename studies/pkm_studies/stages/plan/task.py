@@ -1,0 +1,148 @@
+"""What to plan: options, goal, time and starting knowledge, and the search with them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from oed import predict, result, units
+from oed.arrays import Array
+from oed.planning.goal import Goal, workspace_goal
+from oed.planning.option import Option
+from oed.planning.search import PlanSearchResult, search_plan
+from oed.planning.sequence.beam import BEAM
+from oed.planning.sequence.stage_plan import StagePlan
+from pkm_studies.errors import Place
+from pkm_studies.resolve.plan import PlanRequest
+from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.stages.plan.earlier import EarlierSession
+from pkm_studies.stages.plan.streams import plan_streams
+from pkm_studies.study.tables import PlanTable
+
+#: a loss that any plan keeps: its bound is a single line
+ANY_LOSS = 1e6
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlanTask:
+    """What to plan.
+
+    table           the study's [plan];  request: its objects
+    goal            what plans are judged by
+    all_components  goal over all pose components, to report their accuracy
+    start           (n, n) covariance of the machine's free parameters before, in units
+                    of their tolerances
+    budget          s
+    seed            of the study and the plan stage
+    """
+
+    resolved: ResolvedStudy
+    table: PlanTable
+    request: PlanRequest
+    goal: Goal
+    all_components: Goal
+    start: Array
+    budget: float
+    seed: Sequence[int]
+
+    @property
+    def place(self) -> Place:
+        """The table [plan], for errors."""
+        return self.resolved.study.place.key("plan")
+
+    def search(
+        self,
+        budget: float | None = None,
+        *,
+        stages: int | None = None,
+        beam: int = BEAM,
+        loss: float = 0.05,
+        options: Sequence[Option] | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> PlanSearchResult:
+        """Search for the best plan; by default with the study's time and stages.
+
+        Raises ValueError where the time pays for no measurement.
+        """
+        return search_plan(
+            self.request.options if options is None else options,
+            self.goal,
+            self.budget if budget is None else budget,
+            plan_streams(self.seed),
+            covariance=self.start,
+            stages=self.table.stages if stages is None else stages,
+            beam=beam,
+            loss=loss,
+            progress=progress,
+        )
+
+    def stage_generator(self, stage: int) -> np.random.Generator:
+        """Random numbers about one stage of a plan, counted from 0."""
+        return np.random.default_rng([*self.seed, stage])
+
+    def accuracy(self, covariance: Array) -> dict[str, float]:
+        """Root mean square of each component over the workspace, in its fine unit."""
+        fine = {c.name: units.FINE[c.unit] for c in self.resolved.machine.components}
+        goal = self.all_components
+        values = goal.accuracy(covariance) * goal.unit
+        return {
+            f"{name}_{fine[name]}": units.number(float(value), fine[name])
+            for name, value in zip(goal.names, values, strict=True)
+        }
+
+    def posterior_covariance(self, plan: StagePlan) -> Array:
+        """Covariance (n, n) of the machine after a plan."""
+        return plan.stages[-1].covariance if plan.stages else self.start
+
+    def accuracy_after(self, plan: StagePlan) -> dict[str, float]:
+        """Accuracy of each component after a plan, in its fine unit."""
+        return self.accuracy(self.posterior_covariance(plan))
+
+    def record(self, plan: StagePlan, why: str = "") -> result.AlternativePlan:
+        """A plan in short."""
+        return result.AlternativePlan(
+            names=list(plan.names),
+            readings=[len(stage.chosen) for stage in plan.stages],
+            minutes=units.number(plan.seconds, "min"),
+            value=plan.value,
+            accuracy=self.accuracy_after(plan),
+            why=why,
+        )
+
+
+def plan_task(
+    resolved: ResolvedStudy,
+    request: PlanRequest,
+    seed: Sequence[int],
+    earlier: EarlierSession | None,
+) -> PlanTask:
+    """The task of a study, after an earlier session where there is one."""
+    study, command = resolved.study, resolved.prediction_commands
+    assert study.plan is not None
+    assert study.prediction is not None
+    assert command is not None
+    measurement = resolved.measurement_with(())
+    maps = predict.error_maps(
+        measurement.kinematics, command, study.prediction.reference
+    )
+    all_components = workspace_goal(measurement, maps, {})
+    goal = all_components
+    if request.targets:
+        goal = workspace_goal(measurement, maps, request.targets)
+    start = np.eye(all_components.parameters)
+    budget = request.budget
+    if earlier is not None:
+        start = earlier.covariance
+        budget -= earlier.seconds
+    return PlanTask(
+        resolved=resolved,
+        table=study.plan,
+        request=request,
+        goal=goal,
+        all_components=all_components,
+        start=start,
+        budget=budget,
+        seed=seed,
+    )
