@@ -22,7 +22,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library, marks, spots, waves
 from oed.gap.forms.library import Library
 from oed.gap.forms.processes.catalogue import BROAD, PROCESSES
-from oed.gap.place import where
+from oed.gap.place import locate
 from oed.noise import estimate, outliers
 from oed.noise.law import NoiseLaw
 
@@ -79,7 +79,7 @@ def _placed(
     if found.verdict != "none":
         columns, labels = _carrying(search, best, [s.effect for s in found.sizes])
         sure = UNKNOWN not in found.answers[0].effects
-        told = where.where(
+        told = locate.locate(
             problem, found.law, rng, columns=columns, labels=labels, known=sure
         )
     forms = _forms(search, best) or [

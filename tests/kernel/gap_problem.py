@@ -9,7 +9,7 @@ import pandas as pd
 
 from oed.gap.data.diagnosis import Block
 from oed.gap.data.problem import GapProblem, assemble
-from oed.gap.place.where import where
+from oed.gap.place.locate import locate
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.noise.law import NoiseLaw
@@ -111,7 +111,7 @@ class Machines:
         r = self.root @ rng.standard_normal(len(self.problem))
         if change is not None:
             r += sized(change, self.covariance, size)
-        return where(self.problem.with_residual(r), self.law, rng, draws=100)
+        return locate(self.problem.with_residual(r), self.law, rng, draws=100)
 
 
 def first(blocks: tuple[Block, ...], kind: str) -> str:

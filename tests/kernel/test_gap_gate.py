@@ -18,7 +18,7 @@ from oed.gap.data.diagnosis import UNKNOWN
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.processes.catalogue import PROCESSES
-from oed.gap.place import where
+from oed.gap.place import locate
 from oed.noise.law import stated
 
 BLANK = {
@@ -60,7 +60,9 @@ def test_the_least_p_value_is_uniform_without_a_gap_and_small_where_one_leg_is_o
     def p(size: float) -> float:
         noise = machines.root @ rng.standard_normal(len(problem))
         gap = case.sized(one, machines.covariance, size) if size else 0.0
-        return where.least(problem.with_residual(noise + gap), law, rng, draws=200)
+        return locate.least_p_value(
+            problem.with_residual(noise + gap), law, rng, draws=200
+        )
 
     healthy = [p(0.0) for _ in range(40)]
     assert stats.kstest(healthy, "uniform").pvalue > 0.01
@@ -75,8 +77,10 @@ def test_the_least_p_value_is_that_of_the_places_told(machines: Machines) -> Non
     problem = problem.with_residual(
         machines.root @ rng.standard_normal(len(problem)) + shifted
     )
-    told = where.where(problem, machines.law, np.random.default_rng(1), draws=100)
-    least = where.least(problem, machines.law, np.random.default_rng(1), draws=100)
+    told = locate.locate(problem, machines.law, np.random.default_rng(1), draws=100)
+    least = locate.least_p_value(
+        problem, machines.law, np.random.default_rng(1), draws=100
+    )
     assert told[0].block == "leg 2"
     assert 0.0 < least < 0.05
     assert least == pytest.approx(told[0].p_value)
@@ -107,7 +111,7 @@ def test_only_where_none_would_be_told_its_odds_are_divided(
         calls.append(given)
         return p
 
-    monkeypatch.setattr(where, "least", least)
+    monkeypatch.setattr(locate, "least_p_value", least)
     monkeypatch.setattr(which.Search, "level", lambda search, h: 1.7)
     before = np.array([none, 0.75 * (1.0 - none), 0.25 * (1.0 - none)])
     made = [
@@ -147,7 +151,7 @@ def test_the_gate_leaves_the_draws_of_what_comes_after_alone(
     )
     found = {}
     for p in (0.9, 1e-12):
-        monkeypatch.setattr(where, "least", lambda *given, p=p: p)
+        monkeypatch.setattr(locate, "least_p_value", lambda *given, p=p: p)
         found[p] = diagnosing.diagnose(
             problem, EFFECTS, np.random.default_rng(0), law=stated(problem)
         )

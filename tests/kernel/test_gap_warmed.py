@@ -11,11 +11,10 @@ from scipy import integrate
 
 from kernel import gap_problem as case
 from kernel.gap_problem import Machines
+from oed.gap.data.metric import Embedding
 from oed.gap.data.problem import GapProblem
-from oed.gap.place import regions as looking
-from oed.gap.place import warm_up as warmed
-from oed.gap.place import where as scan
-from oed.gap.place.where import where
+from oed.gap.place import session, warm_up
+from oed.gap.place.locate import locate
 
 #: a session of seven hours
 SLOWLY = 30.0
@@ -80,7 +79,7 @@ def grown(problem: GapProblem, share: np.ndarray) -> np.ndarray:
 def told(
     problem: GapProblem, law, seed: int, *, known: bool = False
 ) -> list[tuple[float, float]]:
-    found = where(problem, law, np.random.default_rng(seed), draws=100, known=known)
+    found = locate(problem, law, np.random.default_rng(seed), draws=100, known=known)
     return [
         tuple(float(v) for v in b.block.removeprefix("time ").split("-"))
         for b in found
@@ -96,11 +95,11 @@ def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
 def test_length_is_that_of_the_heat_balance(rng: np.random.Generator) -> None:
     time = np.sort(rng.uniform(0.0, 20e3, 60))
     stretches = [(2e3, 5e3), (11e3, 11.5e3), (11e3, 25e3)]
-    made = warmed.response(time, *np.array(stretches).T, TAU)
+    made = warm_up.response(time, *np.array(stretches).T, TAU)
     for column, stretch in zip(made.T, stretches, strict=True):
         np.testing.assert_allclose(column, length(time, [stretch]), atol=1e-6)
     assert np.all(
-        warmed.response(np.array([np.nan]), np.zeros(1), np.ones(1), TAU) == 0.0
+        warm_up.response(np.array([np.nan]), np.zeros(1), np.ones(1), TAU) == 0.0
     )
 
 
@@ -109,7 +108,7 @@ def test_readings_of_a_longer_tool_are_those_of_its_joints(
 ) -> None:
     problem = machines.problem
     share = rng.uniform(size=(len(problem.states[0]), 2))
-    made = looking.lengthened(problem, [share])
+    made = session.tool_growth(problem, [share])
     for k in range(2):
         np.testing.assert_allclose(made[:, k], grown(problem, share[:, k]), atol=1e-9)
 
@@ -165,5 +164,5 @@ def test_what_shifts_at_once_is_no_heat(machines: Machines) -> None:
 
 def test_nothing_is_warm_where_no_tool_can_be_seen(machines: Machines) -> None:
     problem = machines.problem.with_residual(np.zeros(len(machines.problem)))
-    root = scan._Root(problem, machines.law)
-    assert warmed.stretches(problem, root.scores, 0.0) == []
+    root = Embedding(problem, machines.law)
+    assert warm_up.intervals(problem, root.scores, 0.0) == []

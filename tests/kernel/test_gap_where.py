@@ -13,11 +13,15 @@ from scipy import special, stats
 from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
 from kernel.gap_problem import Machines, first
+from oed.gap.data.metric import Embedding
 from oed.gap.data.problem import assemble
 from oed.gap.data.tail import log_tail
-from oed.gap.place import regions as looking
-from oed.gap.place import where as scan
-from oed.gap.place.where import where
+from oed.gap.place import scan, session
+from oed.gap.place.family import all_regions
+from oed.gap.place.legs import ALL
+from oed.gap.place.locate import locate
+from oed.gap.place.regions import Region
+from oed.gap.place.scan import Scan
 from oed.noise.law import stated
 
 KINDS = ("leg", "run", "time", "phase", "direction")
@@ -43,13 +47,13 @@ def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(
         rng.standard_normal((len(problem), k)) * 10.0 ** rng.uniform(-3, 3)
         for k in (1, 4, 4)
     ]
-    looks = [looking.Look("x", "", basis) for basis in bases]
-    root = scan._Root(problem, law)
-    found = scan._Scan(root, looks)
+    looks = [Region("x", "", basis) for basis in bases]
+    root = Embedding(problem, law)
+    found = Scan(root, looks)
     energy = found.energy(root.scores(r)[:, None])[:, 0]
     own = log_tail(energy, found.rank)
     assert_allclose(
-        found.least(found.energy(root.scores(r)[:, None]), np.ones(3, dtype=bool)),
+        found.log_least(found.energy(root.scores(r)[:, None]), np.ones(3, dtype=bool)),
         own.min(),
     )
     for look, e, p in zip(looks, energy, own, strict=True):
@@ -64,14 +68,14 @@ def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(
 
 def test_what_the_parameters_can_absorb_is_no_column(rng: np.random.Generator) -> None:
     problem = case.circles()
-    root = scan._Root(problem, stated(problem))
+    root = Embedding(problem, stated(problem))
     k = problem.names.index("dq1")
     assert np.linalg.norm(problem.slopes[:, k]) > 1000.0
     other = rng.standard_normal(len(problem))
     basis = np.column_stack(
         [problem.slopes[:, k], other, problem.slopes[:, k] + 1e-6 * other]
     )
-    assert scan._Scan(root, [looking.Look("x", "", basis)]).rank[0] == 1
+    assert Scan(root, [Region("x", "", basis)]).rank[0] == 1
 
 
 @pytest.mark.parametrize("rank", [1.0, 2.0, 5.0, 14.0])
@@ -103,9 +107,9 @@ def test_corrected_p_values_are_those_of_a_bootstrap_that_fits_again() -> None:
     )
     found = {
         b.block: b.p_value
-        for b in where(problem.with_residual(r), law, rng, draws=2000)
+        for b in locate(problem.with_residual(r), law, rng, draws=2000)
     }
-    looks = list(looking.looks(problem))
+    looks = list(all_regions(problem))
     inverse = np.linalg.inv(covariance)
     drawn = rng.multivariate_normal(
         np.zeros(len(problem)), covariance, size=400, method="eigh"
@@ -137,14 +141,14 @@ def test_false_alarms_are_as_stated(machines: Machines) -> None:
     least p-value is uniform.
     """
     rng, problem = np.random.default_rng(11), machines.problem
-    root = scan._Root(problem, machines.law)
-    family = scan._Scan(root, list(looking.looks(problem)))
+    root = Embedding(problem, machines.law)
+    family = Scan(root, list(all_regions(problem)))
     drawn = family.energy(rng.standard_normal((len(problem), 500)))
-    least = family.least(drawn, np.ones(len(drawn), dtype=bool))
+    least = family.log_least(drawn, np.ones(len(drawn), dtype=bool))
     quiet = family.energy(
         root.scores(machines.root @ rng.standard_normal((len(problem), 400)))
     )
-    told = [scan._against(log_tail(e, family.rank), least).min() for e in quiet.T]
+    told = [scan._against_least(log_tail(e, family.rank), least).min() for e in quiet.T]
     assert (
         6 <= np.sum(np.array(told) <= 0.05) <= 36
     )  # 20 expected, both samplings' spread three times over
@@ -197,12 +201,12 @@ def test_the_same_change_in_all_legs_is_told_as_that(
         case.in_joint(machines.problem, k, 1e-6 * state.sense[:, k]) for k in range(3)
     )
     found = machines.located(change, 12.0, rng)
-    assert found[0].block == looking.ALL
+    assert found[0].block == ALL
     assert {b.block for b in found} >= {"leg 1", "leg 2", "leg 3"}
     one = machines.located(
         case.in_joint(machines.problem, 1, 1e-6 * state.sense[:, 1]), 12.0, rng
     )
-    assert looking.ALL not in {b.block for b in one}
+    assert ALL not in {b.block for b in one}
 
 
 def test_fault_in_one_run_is_found_there(machines: Machines) -> None:
@@ -262,7 +266,7 @@ def test_a_stretch_ends_halfway_to_the_readings_beside_it(machines: Machines) ->
     inside, time = problem.blocks[3], late.to_numpy(dtype=float)
     told = {
         w.place
-        for w in looking.window(
+        for w in session.window(
             problem, time[inside].min(), time[inside].max(), frozenset({1})
         )
     }
@@ -271,7 +275,7 @@ def test_a_stretch_ends_halfway_to_the_readings_beside_it(machines: Machines) ->
     assert after - end > 290.0
     assert told == {f"time {begin:.0f}-{end:.0f}"}
     whole = {
-        w.place for w in looking.window(problem, time.min(), time.max(), frozenset({1}))
+        w.place for w in session.window(problem, time.min(), time.max(), frozenset({1}))
     }
     assert whole == {f"time {time.min():.0f}-{time.max():.0f}"}
 
@@ -313,7 +317,7 @@ def test_what_the_calibration_absorbs_is_nowhere(
         + 3.0 * problem.slopes[:, problem.names.index("dq2")]
     )
     assert np.abs(r).max() > 1000.0
-    assert where(problem.with_residual(r), machines.law, rng)[0].p_value > 0.05
+    assert locate(problem.with_residual(r), machines.law, rng)[0].p_value > 0.05
 
 
 def test_same_seed_same_places_sorted_and_told_once(machines: Machines) -> None:
@@ -347,11 +351,11 @@ def test_readings_without_covariates_and_with_several_channels(
     table = pd.DataFrame({"setup": setup, "run": series.run, "order": order})
     problem = assemble(measurement, [series], table)
     r = problem.residual + rng.standard_normal(len(problem))
-    found = where(problem.with_residual(r), stated(problem), rng, draws=100)
+    found = locate(problem.with_residual(r), stated(problem), rng, draws=100)
     names = {b.block for b in found}
     assert {f"leg {k + 1}" for k in problem.states[0].limbs} <= names
     assert not any(n.startswith(("time", "direction")) for n in names)
     hit = r.copy()
     hit[problem.blocks[1]] += 30.0 * rng.standard_normal(len(problem.blocks[1]))
-    found = where(problem.with_residual(hit), stated(problem), rng, draws=100)
+    found = locate(problem.with_residual(hit), stated(problem), rng, draws=100)
     assert first(found, "run") == f"run {problem.rows['run'][problem.blocks[1][0]]}"

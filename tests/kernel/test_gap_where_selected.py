@@ -9,10 +9,13 @@ from scipy import stats
 
 from kernel import gap_problem as case
 from kernel.gap_problem import Machines, first
+from oed.gap.data.metric import Embedding
 from oed.gap.data.tail import log_tail
-from oed.gap.place import regions as looking
-from oed.gap.place import where as scan
-from oed.gap.place.where import legs_of, where
+from oed.gap.place import scan
+from oed.gap.place.effect_legs import effect_legs
+from oed.gap.place.family import all_regions
+from oed.gap.place.locate import locate
+from oed.gap.place.scan import Scan
 
 LEGS = ["leg 1", "leg 2", "leg 3"]
 
@@ -33,7 +36,7 @@ def test_where_a_known_effect_acts_is_a_question_of_its_own(machines: Machines) 
     )
     here, told = problem.with_residual(r), {}
     for known in (True, False):
-        blocks = where(
+        blocks = locate(
             here,
             machines.law,
             np.random.default_rng(27),
@@ -58,18 +61,21 @@ def test_legs_of_a_known_effect_that_does_not_act_are_rarely_told(
             for k in range(3)
         ]
     )
-    root = scan._Root(problem, machines.law)
-    looks = list(looking.looks(problem, columns, LEGS, known=True))
-    family, own = scan._Scan(root, looks), np.array([look.own for look in looks])
-    assert {look.place for look in looks if look.own and look.kind == "leg"} == set(
+    root = Embedding(problem, machines.law)
+    looks = list(all_regions(problem, columns, LEGS, known=True))
+    family, own = Scan(root, looks), np.array([look.known for look in looks])
+    assert {look.place for look in looks if look.known and look.kind == "leg"} == set(
         LEGS
     )
-    least = family.least(family.energy(rng.standard_normal((len(problem), 500))), own)
+    least = family.log_least(
+        family.energy(rng.standard_normal((len(problem), 500))), own
+    )
     quiet = family.energy(
         root.scores(machines.root @ rng.standard_normal((len(problem), 400)))
     )
     told = [
-        scan._against(log_tail(e[own], family.rank[own]), least).min() for e in quiet.T
+        scan._against_least(log_tail(e[own], family.rank[own]), least).min()
+        for e in quiet.T
     ]
     assert (
         6 <= np.sum(np.array(told) <= 0.05) <= 36
@@ -88,14 +94,14 @@ def test_selected_effects_own_columns_are_one_more_look(
         columns[:, 1], machines.covariance, 7.0
     )
     labels = ["leg 1", "leg 2", "leg 3"]
-    told = where(
+    told = locate(
         problem.with_residual(r), machines.law, rng, columns=columns, labels=labels
     )
     assert (told[0].block, told[0].p_value < 1e-3) == ("leg 2", True)
-    blind = where(problem.with_residual(r), machines.law, rng)
+    blind = locate(problem.with_residual(r), machines.law, rng)
     assert min(b.p_value for b in blind) > told[0].p_value
     with pytest.raises(ValueError, match=r"\(144, 2\) fits the labels"):
-        where(problem, machines.law, rng, columns=columns, labels=labels[:2])
+        locate(problem, machines.law, rng, columns=columns, labels=labels[:2])
 
 
 def test_legs_of_a_known_effect_are_told_by_its_own_columns_alone(
@@ -113,7 +119,7 @@ def test_legs_of_a_known_effect_are_told_by_its_own_columns_alone(
     here = problem.with_residual(r)
 
     def legs(labels: list[str], known: bool) -> list[str]:
-        told = where(
+        told = locate(
             here,
             machines.law,
             np.random.default_rng(22),
@@ -147,7 +153,7 @@ def test_an_effects_own_columns_tell_its_leg_where_general_looks_mistake_it(
             + machines.root @ rng.standard_normal(len(problem))
         )
         for known in right:
-            told = where(
+            told = locate(
                 problem.with_residual(r),
                 machines.law,
                 rng,
@@ -179,7 +185,7 @@ def test_a_selected_wave_is_told_in_a_run_that_has_it(machines: Machines) -> Non
             change, machines.covariance, 9.0
         ) + machines.root @ rng.standard_normal(len(problem))
         here = problem.with_residual(r)
-        told = where(
+        told = locate(
             here,
             machines.law,
             rng,
@@ -190,7 +196,7 @@ def test_a_selected_wave_is_told_in_a_run_that_has_it(machines: Machines) -> Non
         )
         best = next(b for b in told if b.block.startswith("run"))
         right += best.block in [names[run] for run in acting] and best.p_value < 0.02
-        without = where(here, machines.law, rng, draws=100)
+        without = locate(here, machines.law, rng, draws=100)
         blind += next(b for b in without if b.block.startswith("run")).p_value < 0.02
     assert right == 6
     assert blind <= 2
@@ -215,7 +221,7 @@ def test_what_acts_in_some_runs_is_told_in_each_by_all_of_them(
     here = problem.with_residual(r)
 
     def told(columns: np.ndarray) -> dict[str, float]:
-        found = where(
+        found = locate(
             here,
             machines.law,
             np.random.default_rng(1),
@@ -256,7 +262,7 @@ def test_a_selected_step_tells_its_own_time(
     r = machines.root @ rng.standard_normal(len(p)) + case.sized(
         change, machines.covariance, 12.0
     )
-    found = where(
+    found = locate(
         p.with_residual(r),
         machines.law,
         rng,
@@ -296,7 +302,7 @@ def test_legs_of_is_the_test_of_a_block_beside_the_others(
     r = machines.root @ rng.standard_normal(len(G)) + G @ [0.1, 0.2, -0.6, 1.0, 0.0]
     found = {
         b.block: b
-        for b in legs_of(
+        for b in effect_legs(
             labels, *posterior(G, machines.covariance, r, scale), scale=scale
         )
     }
@@ -327,11 +333,13 @@ def test_legs_of_tells_the_leg_and_is_quiet_without_one(machines: Machines) -> N
     for k in range(200):
         quiet = machines.root @ rng.standard_normal(len(G))
         alarms += (
-            legs_of(labels, *posterior(G, machines.covariance, quiet, scale))[0].p_value
+            effect_legs(labels, *posterior(G, machines.covariance, quiet, scale))[
+                0
+            ].p_value
             <= 0.05
         )
         loud = quiet + case.sized(G[:, k % 3], machines.covariance, 6.0)
-        best = legs_of(labels, *posterior(G, machines.covariance, loud, scale))[0]
+        best = effect_legs(labels, *posterior(G, machines.covariance, loud, scale))[0]
         right += best.block == labels[k % 3] and best.p_value < 0.05
     assert 2 <= alarms <= 20
     assert right >= 0.95 * 200
@@ -339,4 +347,4 @@ def test_legs_of_tells_the_leg_and_is_quiet_without_one(machines: Machines) -> N
 
 def test_legs_of_refuses_what_does_not_fit() -> None:
     with pytest.raises(ValueError, match="do not fit"):
-        legs_of(["leg 1"], np.zeros(2), np.eye(2))
+        effect_legs(["leg 1"], np.zeros(2), np.eye(2))

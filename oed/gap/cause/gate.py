@@ -17,7 +17,7 @@ import numpy as np
 from oed.arrays import Array
 from oed.gap.cause import answers
 from oed.gap.cause.which import Hypothesis, Search
-from oed.gap.place import where
+from oed.gap.place import locate
 
 #: p-value below which the scan has a say
 SEEN = 0.05
@@ -36,7 +36,7 @@ def weighed(
     if told[0].effects:
         return shares
     search = made[best.law]
-    p = where.least(search.problem, search.law_at(search.level(best)), rng)
+    p = locate.least_p_value(search.problem, search.law_at(search.level(best)), rng)
     none = np.array([not h.effects and not h.unknown for h in hypotheses], dtype=bool)
     changed = np.where(none, shares / against_none(p), shares)
     return np.asarray(changed / changed.sum())

@@ -58,3 +58,33 @@ class Metric:
         u0, u1 = self.parts(u)
         v0, v1 = self.parts(v)
         return np.asarray(u0.T @ v0 - u1.T @ v1)
+
+
+class Embedding:
+    """Changes of the readings as vectors whose inner products are those of the metric.
+
+    M = W^T (1 - U D U^T) W with W whitening by the noise, U the left singular vectors
+    of the whitened slopes.
+    """
+
+    def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
+        self._metric = Metric(problem, law)
+        white = self._metric.whiten(problem.slopes)
+        self._axes, size, _ = np.linalg.svd(white, full_matrices=False)
+        self._shrink = 1.0 - 1.0 / np.hypot(1.0, size)
+
+    def whiten(self, values: Array) -> Array:
+        """Values (N,) or (N, k) whitened by the noise: before the parameters absorb."""
+        return self._metric.whiten(values)
+
+    def absorb(self, white: Array) -> Array:
+        """Whitened values after the parameters absorb what they can.
+
+        Of readings without a gap the result is N(0, I).
+        """
+        along = self._axes.T @ white
+        return np.asarray(white - (self._axes * self._shrink) @ along)
+
+    def scores(self, values: Array) -> Array:
+        """Values (N,) or (N, k), whitened, after the parameters absorb what they can."""
+        return self.absorb(self.whiten(values))

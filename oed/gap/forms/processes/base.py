@@ -126,7 +126,7 @@ def relative_feed(feed: Array) -> Array:
 
 def scaled_pose(state: State) -> Array:
     """Pose about the machine's home, scaled by a usual workspace."""
-    spans = [POSE_SPANS[c.unit] for c in state.machine.pose]
+    spans = [POSE_SPANS.get(c.unit, 0.4) for c in state.machine.pose]
     return np.asarray((state.pose - state.home) / np.array(spans))
 
 
