@@ -1,5 +1,4 @@
-"""The A3 head from published numbers to compensated machines: what the toolkit must
-reach on it.
+"""The A3 head from published numbers to compensated machines.
 
 Virtual machines are the oracle's: it reads them, and it moves them at the joints that
 the toolkit gives.
@@ -52,54 +51,55 @@ def d_optimal(candidates: np.ndarray) -> exchange.Choice:
 @pytest.mark.parametrize("stroke", paper.TABLE_2)
 def test_table_2(taught: Measurement, stroke: float) -> None:
     theta = np.rad2deg(
-        a3_plans.held(taught, np.full(721, stroke), np.linspace(0, 2 * np.pi, 721))[
-            :, 2
-        ]
+        a3_plans.bar_commands(
+            taught, np.full(721, stroke), np.linspace(0, 2 * np.pi, 721)
+        )[:, 2]
     )
     assert (theta.min(), theta.max()) == pytest.approx(paper.TABLE_2[stroke], abs=0.01)
 
 
 @pytest.mark.parametrize("with_taught_cup", [True, False])
 def test_one_tool_length_sees_18_of_21(with_taught_cup: bool) -> None:
-    """For any number of circles; lost are the turns of the platform's joints about the
-    TCP.
+    """For any number of circles.
+
+    Lost are the turns of the platform's joints about the TCP.
     """
     m = a3_plans.measurement(taught=with_taught_cup)
     for series in (a3_plans.circles(m, 15), m.series("cup", a3_plans.grid(m))):
-        told, lost, rest = a3_plans.verdict(m, [series])
-        assert (told.rank, len(told.names)) == (18, 21)
-        assert lost == [TILT.format(axis) for axis in "xyz"]
-        assert rest.shape[0] == 0
-        assert told.singular_values[18] < 1e-14 * told.singular_values[0]
+        analysis, motions, remaining = a3_plans.analyse(m, [series])
+        assert (analysis.rank, len(analysis.names)) == (18, 21)
+        assert motions == [TILT.format(axis) for axis in "xyz"]
+        assert remaining.shape[0] == 0
+        singular_values = analysis.singular_values
+        assert singular_values[18] < 1e-14 * singular_values[0]
 
 
 @pytest.mark.parametrize("points", [18, 30, 72, 720])
 def test_one_circle_sees_17(taught: Measurement, points: int) -> None:
-    """However dense: in exact arithmetic the 18th is there, at 1e-8 of the first, below
-    the tolerance of 1e-6.
+    """However dense the circle is.
+
+    In exact arithmetic the 18th singular value is 1e-8 of the first, below the tolerance
+    of 1e-6.
     """
-    told, lost, _ = a3_plans.verdict(
-        taught, [a3_plans.circles(taught, points, strokes=[0.08])]
-    )
-    assert told.rank == 17
-    assert told.tolerance == 1e-6
-    assert told.singular_values[17] < 1e-7 * told.singular_values[0]
-    assert {TILT.format(axis) for axis in "xyz"} <= set(lost)
+    circle = a3_plans.circles(taught, points, strokes=[0.08])
+    analysis, motions, _ = a3_plans.analyse(taught, [circle])
+    assert analysis.rank == 17
+    assert analysis.tolerance == 1e-6
+    singular_values = analysis.singular_values
+    assert singular_values[17] < 1e-7 * singular_values[0]
+    assert {TILT.format(axis) for axis in "xyz"} <= set(motions)
 
 
 @pytest.mark.parametrize("with_taught_cups", [True, False])
 def test_two_tool_lengths_see_23_of_24(with_taught_cups: bool) -> None:
-    """100 mm apart, a cup set-up for each: only the spin about the platform's z is
-    lost.
-    """
+    """100 mm apart, a cup set-up for each: only the platform's spin about z is lost."""
     m = a3_plans.measurement(taught=with_taught_cups, tools=(0.0, 0.1))
-    told, lost, rest = a3_plans.verdict(
-        m, [m.series(s, a3_plans.grid(m, s)) for s in ("cup", "cup100")]
-    )
-    assert (told.rank, len(told.names)) == (23, 24)
-    assert lost == [TILT.format("z")]
-    assert rest.shape[0] == 0
-    both, _, _ = a3_plans.verdict(
+    grids = [m.series(s, a3_plans.grid(m, s)) for s in ("cup", "cup100")]
+    analysis, motions, remaining = a3_plans.analyse(m, grids)
+    assert (analysis.rank, len(analysis.names)) == (23, 24)
+    assert motions == [TILT.format("z")]
+    assert remaining.shape[0] == 0
+    both, _, _ = a3_plans.analyse(
         m, [a3_plans.circles(m, 15, s) for s in ("cup", "cup100")]
     )
     assert both.rank == 23
@@ -112,11 +112,10 @@ def kappa(m: Measurement, points: int) -> float:
 
 def test_kappa_of_the_taught_cup(taught: Measurement) -> None:
     """15 points a circle are the best of 12..20, as the paper chose."""
-    found = {n: kappa(taught, n) for n in [*range(12, 21), 24]}
-    assert {n: found[n] for n in paper.KAPPA_TAUGHT} == pytest.approx(
-        paper.KAPPA_TAUGHT, rel=0.01
-    )
-    assert min(range(12, 21), key=found.get) == 15
+    kappas = {n: kappa(taught, n) for n in [*range(12, 21), 24]}
+    printed = {n: kappas[n] for n in paper.KAPPA_TAUGHT}
+    assert printed == pytest.approx(paper.KAPPA_TAUGHT, rel=0.01)
+    assert min(range(12, 21), key=kappas.get) == 15
 
 
 def test_kappa_of_the_free_cup() -> None:
@@ -147,9 +146,7 @@ def test_the_d_optimal_30_readings(
 def test_the_d_value_does_not_depend_on_how_the_cup_is_known(
     d_optimal: exchange.Choice,
 ) -> None:
-    """log det differs between taught and free cup by what the columns' meaning changes,
-    which is nothing.
-    """
+    """A taught cup and a free one give the same log det, whatever the columns mean."""
     free = a3_plans.measurement(taught=False)
     rows = a3_plans.rows(
         free, [free.series("cup", a3_plans.grid(free)[d_optimal.indices])]
@@ -194,11 +191,10 @@ def measured(series: Series, truth: np.ndarray, rng: np.random.Generator) -> np.
 def against_home(
     m: Measurement, command: np.ndarray, believed: np.ndarray, truth: np.ndarray
 ) -> np.ndarray:
-    """Errors (n, 6) in x, y, z, psi, theta, phi of the oracle's machine whose
-    controller believes (24,).
+    """Errors (n, 6) in x, y, z, psi, theta, phi of the oracle's machine.
 
-    Zeroed at home: place in the base frame, orientation in the platform's own axes, by
-    exact rotations.
+    Its controller uses the parameters `believed` (24,). Errors are zeroed at home: place
+    in the base frame, orientation in the platform's axes, by exact rotations.
     """
     home = m.machine.home_command
     real = a3.forward(truth, compensate.joints(m.kinematics, command, believed))
@@ -224,25 +220,23 @@ def realise(
     maps = predict.error_maps(m.kinematics, command, "home")
     before, after, known, estimates = [], [], [], []
     for truth in truths:
-        found = identify(m, [series], measured(series, truth, rng))
-        estimates.append(found)
+        estimate = identify(m, [series], measured(series, truth, rng))
+        estimates.append(estimate)
         before.append(against_home(m, command, m.nominal[:24], truth[:24]))
-        after.append(against_home(m, command, found.theta[:24], truth[:24]))
-        known.append(after[-1] - maps.remaining @ found.theta[:24])
+        after.append(against_home(m, command, estimate.theta[:24], truth[:24]))
+        known.append(after[-1] - maps.remaining @ estimate.theta[:24])
     return Realised(np.array(before), np.array(after), np.array(known), estimates[0])
 
 
 def ratios(realised: Realised, predicted: Prediction) -> dict[str, dict[str, float]]:
     """Realised over predicted RMS by kind and component."""
-    told = {}
+    table = {}
     for kind in ("before", "after", "known"):
         rms = np.sqrt(np.mean(getattr(realised, kind) ** 2, axis=(0, 1)))
         expected = getattr(predicted, kind)
-        told[kind] = {
-            n: float(r / expected[n].rms)
-            for n, r in zip(predicted.names, rms, strict=True)
-        }
-    return told
+        pairs = zip(predicted.names, rms, strict=True)
+        table[kind] = {name: float(r / expected[name].rms) for name, r in pairs}
+    return table
 
 
 @pytest.fixture(scope="module")
@@ -267,16 +261,16 @@ def planned(m: Measurement, series: Series) -> Prediction:
     )
 
 
-def from_estimate(m: Measurement, found: Estimate) -> Prediction:
+def from_estimate(m: Measurement, estimate: Estimate) -> Prediction:
     """Prediction once a machine is identified."""
     maps = predict.error_maps(m.kinematics, a3_plans.workspace(), "home")
     prior = np.diag(m.tolerance[:24] ** 2)
     return predict.predict(
         maps,
         prior,
-        found.covariance[:24, :24],
+        estimate.covariance[:24, :24],
         np.random.default_rng(0),
-        mean=found.theta[:24] - m.nominal[:24],
+        mean=estimate.theta[:24] - m.nominal[:24],
     )
 
 
@@ -285,9 +279,9 @@ def test_machines_from_the_tolerances_end_as_the_plan_predicts(
 ) -> None:
     rng = np.random.default_rng(1)
     truths = taught.nominal + taught.tolerance * rng.standard_normal((MACHINES, 27))
-    told = ratios(realise(taught, plan, truths, seed=2), planned(taught, plan))
+    table = ratios(realise(taught, plan, truths, seed=2), planned(taught, plan))
     for kind in ("before", "after", "known"):
-        for name, ratio in told[kind].items():
+        for name, ratio in table[kind].items():
             assert 0.8 < ratio < 1.25, (kind, name)
 
 
@@ -296,9 +290,9 @@ def test_machines_with_table_3s_errors_end_as_their_posterior_predicts(
 ) -> None:
     """One machine, read 200 times; predicted from the first estimate."""
     realised = realise(taught, plan, [a3_plans.table_3(taught)] * MACHINES, seed=3)
-    told = ratios(realised, from_estimate(taught, realised.first))
+    table = ratios(realised, from_estimate(taught, realised.first))
     for kind in ("before", "after", "known"):
-        for name, ratio in told[kind].items():
+        for name, ratio in table[kind].items():
             assert 0.8 < ratio < 1.25, (kind, name)
     by_plan = ratios(realised, planned(taught, plan))
     assert all(0.8 < by_plan["after"][name] < 1.25 for name in COMPENSATED)
@@ -308,9 +302,7 @@ def test_machines_with_table_3s_errors_end_as_their_posterior_predicts(
 def test_compensation_is_worth_it(
     taught: Measurement, plan: Series, plan_name: str
 ) -> None:
-    """z, psi and theta of Table 3's machine: better by an order of magnitude, z from
-    0.9 mm to 0.1.
-    """
+    """z, psi and theta of Table 3's machine: z from 0.9 mm to 0.1, others by ten."""
     series = plan if plan_name == "d_optimal" else a3_plans.circles(taught, 15)
     realised = realise(taught, series, [a3_plans.table_3(taught)] * 10, seed=4)
     before, after = (
@@ -334,9 +326,10 @@ def rough_then_fine(
     *,
     estimate_noise: bool = True,
 ) -> tuple[Estimate, list[float]]:
-    """Measure, identify the home errors alone, correct the controller, until they
-    change by less than the threshold; then all parameters. The rough fit may take its
-    residuals for noise, as its model is not the whole one.
+    """Rounds of the home errors alone, controller corrected; then all parameters.
+
+    Rounds end when the home errors change by less than the threshold. The rough fit can
+    take its residuals for noise, as its model is incomplete.
     """
     controller, changes = m.nominal[:24].copy(), []
     while not changes or (changes[-1] > THRESHOLD and len(changes) < 10):
@@ -365,8 +358,9 @@ def rough_then_fine(
 def test_a_home_error_of_8_mm_converges(
     grid: np.ndarray, d_optimal: exchange.Choice, taught: Measurement
 ) -> None:
-    """40 machines of Table 3 with home errors of 8 mm more, of either sign: within five
-    rounds, and in the end no worse than the same machine without them.
+    """40 machines of Table 3 with home errors of 8 mm more, of either sign.
+
+    They converge within five rounds, and end no worse than without these errors.
     """
     m = a3_plans.measurement(of=a3_plans.with_tolerances({"dq": HOME_ERROR}))
     command, workspace, rng = (
@@ -401,9 +395,10 @@ def test_a_home_error_of_8_mm_converges(
 def test_rough_rounds_that_trust_the_stated_noise_converge_too(
     grid: np.ndarray, d_optimal: exchange.Choice, taught: Measurement
 ) -> None:
-    """Half a micrometre of noise against a millimetre that three unknowns cannot
-    explain: the common home error, which a taught cup hardly sees, first goes astray by
-    tens of millimetres; the fine fit brings it back.
+    """Half a micrometre of noise against a millimetre that the model cannot explain.
+
+    A taught cup hardly sees the common home error: it first goes astray by tens of
+    millimetres. The fine fit brings it back.
     """
     m = a3_plans.measurement(of=a3_plans.with_tolerances({"dq": HOME_ERROR}))
     rng, ends = np.random.default_rng(7), []

@@ -36,7 +36,7 @@ WORKSPACE = np.array(
 
 
 def a3(home: float, joint: float, beta: float) -> Machine:
-    """The A3 head with tolerances of home positions and joint centres (m), guides (rad)."""
+    """The A3 head with tolerances of home positions, joints (m) and guides (rad)."""
     tolerances = {"dq": home, "be": beta}
     parameters = [
         dataclasses.replace(p, tolerance=tolerances.get(p.name[:2], joint))

@@ -1,5 +1,4 @@
-"""The planar manipulator of Chang, Li and Li (2011) against the oracle and against what
-the paper prints.
+"""The planar manipulator of Chang, Li and Li (2011): oracle and printed numbers.
 
 Lengths are in mm against angles scaled by 1 m throughout, which is the toolkit's
 "length" scaling with a lever of 1 m.
@@ -108,41 +107,45 @@ def test_readings_are_the_oracle_s(number: int) -> None:
 def test_tolerances_make_the_deviations_the_paper_began_with(
     rng: np.random.Generator,
 ) -> None:
-    """+-1.589 mm in y and +-1.715 mm in z on horizontal lines: a machine of median luck
-    has about that.
+    """+-1.589 mm in y and +-1.715 mm in z on horizontal lines.
+
+    A machine of median luck has about that.
     """
     pose, line = oracle.lines(5)
     spread = [p.tolerance for p in machine.parameters]
     wrong = oracle.NOMINAL + spread * rng.standard_normal((400, 1, 7))
-    found = oracle.forward(oracle.inverse(pose), wrong) - pose
-    largest = np.abs(np.stack([oracle.relative(f, line) for f in found])).max(axis=1)
-    middle = 1e3 * np.median(largest, axis=0)
-    assert (middle > 0.5).all()
-    assert (middle < 3.0).all()
+    errors = oracle.forward(oracle.inverse(pose), wrong) - pose
+    deviation = np.stack([oracle.relative(e, line) for e in errors])
+    largest = np.abs(deviation).max(axis=1)
+    median_mm = 1e3 * np.median(largest, axis=0)
+    assert (median_mm > 0.5).all()
+    assert (median_mm < 3.0).all()
 
 
 # -- noise -----------------------------------------------------------------------------
 
 
 def test_readings_of_a_line_share_the_noise_of_its_reference() -> None:
-    """Covariance of X_i - X_0: 2 sigma^2 on the diagonal, sigma^2 beside it, 0 between
-    lines.
+    """Covariance of X_i - X_0: 2 sigma^2 on the diagonal, sigma^2 off it.
+
+    Between lines it is 0.
     """
     m, series = measured(5)
     noise = m.noise([series])
     assert noise.root is not None
     covariance = (noise.root @ noise.root.T).toarray()
-    own = np.array([1e-6, 3e-6]) ** 2
-    per_line = np.kron(np.ones((10, 10)) + np.eye(10), np.diag(own))
+    variance = np.array([1e-6, 3e-6]) ** 2
+    per_line = np.kron(np.ones((10, 10)) + np.eye(10), np.diag(variance))
     assert covariance == pytest.approx(
         np.kron(np.eye(3), per_line), rel=1e-9, abs=1e-24
     )
 
 
-def test_differences_know_what_the_undifferenced_readings_know() -> None:
-    """Readings of a line against its first, with their correlation, are as good as all
-    readings of the line with a free zero point. Taken as independent they promise 20 %
-    too little for RM 4's tilts, and waste 30 % of RM 1's D.
+def test_differences_carry_the_information_of_the_readings_themselves() -> None:
+    """Correlated differences equal all readings of a line with a free zero point.
+
+    Taken as independent, readings against the first of their line promise 20 % too
+    little for RM 4's tilts, and waste 30 % of RM 1's D.
     """
     for number, name, ratio in ((4, "beta1", 1.2536), (1, "D", 0.7072)):
         m, series = measured(number)
@@ -219,8 +222,9 @@ def test_all_relative_readings_of_the_workspace_see_six(
 
 
 def test_smallest_singular_values() -> None:
-    """Lengths in mm, angles scaled by 1 m, all seven columns, not whitened; the paper's
-    lines and reference points.
+    """Lengths in mm, angles scaled by 1 m, all seven columns, not whitened.
+
+    Lines and reference points are the paper's.
     """
     least = {k: verdict(*_one(k)).identifiable[-1] for k in (3, 5)}
     both = verdict(*together(4, 5)).identifiable[-1]
@@ -238,9 +242,10 @@ def test_singular_values_are_the_oracle_s() -> None:
 
 
 def test_a_ruler_of_unknown_direction_hides_a_turn_of_the_machine() -> None:
-    """Not in the paper, whose reference planes are perfect. Freed, the square's tilt
-    takes one direction from RM 4 (a common tilt of both guides), and the ruler's one
-    from RM 5 (z1 - z2 against both tilts: the machine as a whole).
+    """Not in the paper, whose reference planes are perfect.
+
+    Freed, the square's tilt takes one direction from RM 4: a common tilt of both guides.
+    The ruler's takes one from RM 5: z1 - z2 against both tilts, the machine as a whole.
     """
     m4, s4 = measured(4, tilt=1e-3)
     v4 = verdict(m4, [s4])
@@ -260,33 +265,28 @@ def test_a_ruler_of_unknown_direction_hides_a_turn_of_the_machine() -> None:
 
 
 def test_the_paper_s_poses_for_step_one_are_not_the_best_by_its_own_index() -> None:
-    """Section 2.4.1 takes z = 0 and 900 mm; Eq. (17) grows in proportion to the travel,
-    up to 1500 mm.
+    """Section 2.4.1 takes z = 0 and 900 mm.
+
+    Eq. (17) grows in proportion to the travel, up to 1500 mm.
     """
-    index = {
-        z: amplification(
-            _two_sided(4, [(y, v) for y in (-1.5, 1.5) for v in (0.0, z)]), 4
-        )
-        for z in (0.9, 1.5)
-    }
+    index = {}
+    for z in (0.9, 1.5):
+        poses = [(y, v) for y in (-1.5, 1.5) for v in (0.0, z)]
+        index[z] = amplification(_two_sided(4, poses), 4)
     assert index[1.5] / index[0.9] == pytest.approx(1.5 / 0.9)
 
 
 def test_the_height_of_step_two_makes_no_difference() -> None:
     """Section 2.4.1 takes z = 200 mm: with the tilts known, no row depends on z."""
-    index = [
-        amplification(
-            _two_sided(5, [(y, z) for y in (0.0, -1.5, 1.5)])[:, [0, 1, 3, 4]], 3
-        )
-        for z in (0.0, 0.2, 1.5)
-    ]
+    index = []
+    for z in (0.0, 0.2, 1.5):
+        h = _two_sided(5, [(y, z) for y in (0.0, -1.5, 1.5)])
+        index.append(amplification(h[:, [0, 1, 3, 4]], 3))
     assert index == pytest.approx([0.28319] * 3, rel=1e-4)
 
 
 def _two_sided(number: int, poses: list[tuple[float, float]]) -> np.ndarray:
-    """H of an RM, as lengths, at poses: one line for each y of RM 4, one line in all
-    for RM 5.
-    """
+    """H of an RM at poses, as lengths: a line for each y of RM 4, one for RM 5."""
     m = Measurement(machine, [mount(RM[number], "rm")])
     run = [str(y) for y, _ in poses] if number == 4 else ["1"] * len(poses)
     return information.scaled(
@@ -308,9 +308,10 @@ def amplification(h: np.ndarray, poses: int) -> float:
     return criteria.noise_amplification(s[s > 1e-9 * s[0]], poses)
 
 
-def test_rm2_is_excluded_and_rm4_is_kept() -> None:
-    """RM 4 sees all that RM 2 sees, 2.3 times as strongly; RM 3 sees what RM 4 sees,
-    and more, 7.9 times as weakly.
+def test_rm2_is_excluded_and_rm4_is_selected() -> None:
+    """RM 4 sees all that RM 2 sees, 2.3 times as strongly.
+
+    RM 3 sees what RM 4 sees, and more, 7.9 times as weakly.
     """
     index = {
         k: amplification(information.scaled(*_args(k), "length")[:, :7], 18)
@@ -320,8 +321,8 @@ def test_rm2_is_excluded_and_rm4_is_kept() -> None:
     assert index[4] / index[2] == pytest.approx(2.27, abs=0.02)
     assert index[4] > index[2]
     assert index[4] > index[3]
-    seen2, seen4 = (verdict(*_one(k)).row_space for k in (2, 4))
-    assert np.linalg.norm(seen4 @ seen2.T) == pytest.approx(1.0)
+    space2, space4 = (verdict(*_one(k)).row_space for k in (2, 4))
+    assert np.linalg.norm(space4 @ space2.T) == pytest.approx(1.0)
 
 
 def test_rm5_is_the_strongest_for_the_four_of_step_two() -> None:

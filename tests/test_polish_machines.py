@@ -94,7 +94,7 @@ def _start(m: Measurement) -> Series:
     psi = np.concatenate(
         [2 * np.pi * np.arange(6) / 6 + shift for shift in (0.1, 0.5, 0.9)]
     )
-    return m.series("cup", a3_plans.held(m, stroke, psi))
+    return m.series("cup", a3_plans.bar_commands(m, stroke, psi))
 
 
 def _on_hold(found: polish.Polished, travel: float = 0.0) -> None:

@@ -1,5 +1,6 @@
-"""The 3-PRS spindle head of Wang and Fan (2004) against the oracle: what its readings
-tell, and what they cannot.
+"""The 3-PRS spindle head of Wang and Fan (2004) against the oracle.
+
+Its readings determine some combinations of its errors, and cannot determine others.
 """
 
 from collections.abc import Mapping
@@ -51,15 +52,17 @@ def measured(
     return m, m.series("read", poses(z))
 
 
-def look(
+def analyse(
     machine: Machine, instrument: Instrument, tolerances: Mapping[str, float] = KNOWN
 ) -> Seen:
     m, series = measured(machine, instrument, tolerances)
     return explain.look(m, [series])
 
 
-def lost(seen: Seen) -> str:
-    return next(f.text for f in explain.explain(seen) if "lost" in f.text.lower())
+def lost_text(analysis: Seen) -> str:
+    """The sentence about lost directions."""
+    findings = explain.explain(analysis)
+    return next(f.text for f in findings if "lost" in f.text.lower())
 
 
 def random_commands(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -81,8 +84,9 @@ def test_table_4_is_table_3_less_table_1() -> None:
 
 
 def test_eq_2_as_printed_has_another_origin_than_table_1() -> None:
-    """The same triangle, (R/2, 0) further along X: with Table 1's platform, strut 1
-    would hang 0.3235 m sideways.
+    """The same triangle, (R/2, 0) further along X.
+
+    With Table 1's platform, strut 1 would hang 0.3235 m sideways.
     """
     printed = oracle.R * np.array(
         [[1.5, 0.0], [0.0, np.sqrt(3) / 2], [0.0, -np.sqrt(3) / 2]]
@@ -106,10 +110,10 @@ def test_inverse_is_the_closed_form(rng: np.random.Generator) -> None:
     kinematics = Kinematics(FULL)
     x, q = kinematics.inverse(command)
     tip, rot, heights = oracle.nominal(*command.T)
-    found, point, _ = kinematics.frames(x, np.zeros(3))
+    rotation, point, _ = kinematics.frames(x, np.zeros(3))
     assert np.abs(q - heights).max() < 1e-14
     assert np.abs(point - tip).max() < 1e-14
-    assert np.abs(found - rot).max() < 1e-14
+    assert np.abs(rotation - rot).max() < 1e-14
 
 
 def test_forward_is_the_triangle_on_three_swings(rng: np.random.Generator) -> None:
@@ -118,11 +122,10 @@ def test_forward_is_the_triangle_on_three_swings(rng: np.random.Generator) -> No
     x, q = kinematics.inverse(command)
     for p in (PAPER, 1e-3 * rng.standard_normal((3, 6))):
         exact = oracle.forward(q, p)
-        found, point, _ = kinematics.frames(
-            kinematics.forward(q, p.ravel(), x), np.zeros(3)
-        )
+        pose = kinematics.forward(q, p.ravel(), x)
+        rotation, point, _ = kinematics.frames(pose, np.zeros(3))
         assert np.abs(point - exact.tip).max() < 1e-13
-        assert np.abs(found - exact.rotation).max() < 1e-13
+        assert np.abs(rotation - exact.rotation).max() < 1e-13
 
 
 # -- instruments -----------------------------------------------------------------------
@@ -142,8 +145,9 @@ def test_laser_ball_bar_reads_what_the_oracle_reads() -> None:
 
 
 def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng: np.random.Generator) -> None:
-    """Covariance of x, y, z, alpha, beta against 20000 readings whose R, theta, phi
-    were disturbed at A and at B.
+    """Covariance of x, y, z, alpha, beta against 20000 readings.
+
+    Their R, theta and phi are disturbed at A and at B.
     """
     m, series = measured(FULL, laser_ball_bar.instrument)
     root = m.noise([series]).root
@@ -173,8 +177,9 @@ def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng: np.random.Generator) ->
 
 
 def test_one_laser_ball_bar_reading_by_hand() -> None:
-    """A ball 0.7 m in front of the gimbal at its height: R is y, phi is -x, theta is z;
-    0.3 um, 0.7 m x 1.15 arcsec.
+    """A ball 0.7 m in front of the gimbal at its height: R is y, phi -x, theta z.
+
+    Noise is 0.3 um along y, and 0.7 m x 1.15 arcsec across.
     """
     setup = mount(laser_ball_bar.position, "read", at_x=0.0, at_y=-0.7, at_z=0.2)
     m = Measurement(FULL, [setup])
@@ -184,8 +189,9 @@ def test_one_laser_ball_bar_reading_by_hand() -> None:
 
 
 def test_registration_moves_what_is_read(rng: np.random.Generator) -> None:
-    """A frame shifted by t and turned by w about the gimbal: small-angle formulas, and
-    the known frame at zero.
+    """A frame shifted by t and turned by w about the gimbal, by small-angle formulas.
+
+    A known frame is at zero.
     """
     m, series = measured(FULL, laser_ball_bar.instrument, {})
     tip, rot, _ = oracle.nominal(*poses().T)
@@ -209,8 +215,9 @@ def test_pose_tracker_reads_position_and_angles() -> None:
 
 
 def test_strut_lengths_alone_see_five_of_six_errors_of_a_limb() -> None:
-    """Eq. (11) at the machine as drawn, at Table 2's poses and at thousands more: the
-    tangential column is zero.
+    """Eq. (11) at the machine as drawn: the tangential column is zero.
+
+    At Table 2's poses and at thousands more.
     """
     rng = np.random.default_rng(1)
     for command in (poses(), random_commands(rng, 3000)):
@@ -225,17 +232,19 @@ def test_strut_lengths_alone_see_five_of_six_errors_of_a_limb() -> None:
 def test_strut_only_machine_loses_the_three_tangential_offsets_from_full_poses() -> (
     None
 ):
-    seen = look(STRUTS, pose_tracker.instrument)
-    assert (seen.verdict.rank, len(seen.names)) == (15, 18)
+    analysis = analyse(STRUTS, pose_tracker.instrument)
+    assert (analysis.verdict.rank, len(analysis.names)) == (15, 18)
     tangential = np.zeros((3, 3, 6))
     tangential[range(3), range(3), 3:5] = oracle.TANGENT
-    assert np.abs(seen.verdict.combinations @ tangential.reshape(3, 18).T).max() < 1e-9
+    assert (
+        np.abs(analysis.verdict.combinations @ tangential.reshape(3, 18).T).max() < 1e-9
+    )
     for text in (
         "dR1y by +1 mm",
         "dR2x by +1 mm, dR2y by +0.577 mm",
         "dR3x by +1 mm, dR3y by -0.577 mm",
     ):
-        assert f"moving {text}" in lost(seen)
+        assert f"moving {text}" in lost_text(analysis)
 
 
 @pytest.mark.parametrize(
@@ -243,7 +252,8 @@ def test_strut_only_machine_loses_the_three_tangential_offsets_from_full_poses()
 )
 def test_full_closure_sees_18_17_and_15_of_18(z: float | np.ndarray) -> None:
     """Known frame, Table 2's poses: six components, position and axis, position.
-    Heights, unprinted, do not matter.
+
+    Heights, which are not printed, do not matter.
     """
     for instrument, rank in (
         (pose_tracker.instrument, 18),
@@ -256,36 +266,37 @@ def test_full_closure_sees_18_17_and_15_of_18(z: float | np.ndarray) -> None:
 
 
 def test_the_lost_directions_are_rotations_of_the_platform_joints() -> None:
-    assert lost(look(FULL, laser_ball_bar.instrument)).startswith(
+    assert lost_text(analyse(FULL, laser_ball_bar.instrument)).startswith(
         f"Lost, 1 direction of 18: the {SPIN}."
     )
-    told = lost(look(FULL, laser_ball_bar.position))
+    text = lost_text(analyse(FULL, laser_ball_bar.position))
     assert all(
-        f"rotation of the platform joints about the tool tip, {n} axis" in told
+        f"rotation of the platform joints about the tool tip, {n} axis" in text
         for n in "xyz"
     )
-    seen = look(FULL, laser_ball_bar.instrument)
+    analysis = analyse(FULL, laser_ball_bar.instrument)
     spin = np.zeros((3, 6))
     spin[:, :2] = np.cross([0.0, 0.0, 1.0], oracle.BALLS)[:, :2]
-    assert np.abs(seen.verdict.combinations @ spin.ravel()).max() < 1e-9
+    assert np.abs(analysis.verdict.combinations @ spin.ravel()).max() < 1e-9
 
 
 def test_a_frame_that_is_not_known_hides_two_more_directions() -> None:
-    """Six unknowns more, 22, 21 and 19 of 24: shifting all sliders along X or Y is
-    shifting the frame.
+    """Six unknowns more: 22, 21 and 19 of 24.
+
+    A shift of all sliders along X or Y is a shift of the frame.
     """
     for instrument, rank in (
         (pose_tracker.instrument, 22),
         (laser_ball_bar.instrument, 21),
         (laser_ball_bar.position, 19),
     ):
-        seen = look(FULL, instrument, {})
-        assert (seen.verdict.rank, len(seen.names)) == (rank, 24)
+        analysis = analyse(FULL, instrument, {})
+        assert (analysis.verdict.rank, len(analysis.names)) == (rank, 24)
         for k, n in enumerate("xy"):
             shift = np.zeros(24)
-            shift[[seen.names.index(f"dR{i}{n}") for i in (1, 2, 3)]] = 1.0
+            shift[[analysis.names.index(f"dR{i}{n}") for i in (1, 2, 3)]] = 1.0
             shift[18 + k] = -1.0
-            assert np.abs(seen.verdict.combinations @ shift).max() < 1e-9
+            assert np.abs(analysis.verdict.combinations @ shift).max() < 1e-9
 
 
 # -- Table 4 planted -------------------------------------------------------------------
@@ -294,8 +305,9 @@ def test_a_frame_that_is_not_known_hides_two_more_directions() -> None:
 def planted(
     seed: int, tolerances: Mapping[str, float]
 ) -> tuple[Measurement, Series, np.ndarray]:
-    """Readings (110,) of the oracle's machine with Table 4's errors, noise on R, theta,
-    phi at A and B.
+    """Readings (110,) of the oracle's machine with Table 4's errors.
+
+    R, theta and phi have noise at A and at B.
     """
     m, series = measured(FULL, laser_ball_bar.instrument, tolerances)
     exact = oracle.forward(series.q, PAPER)
@@ -315,49 +327,45 @@ def planted(
 def test_table_4_comes_back_in_every_identifiable_combination(
     tolerances: Mapping[str, float],
 ) -> None:
-    """Eight seeds; 17 combinations with the frame known, 21 with its six unknowns. All
-    within 3 posterior standard deviations, and not all well within: their mean square
-    is near 1 where the readings, not the tolerances, decide.
+    """Eight seeds; 17 combinations with the frame known, 21 with its six unknowns.
+
+    All lie within 3 posterior standard deviations. Their mean square is near 1 where
+    the readings, and not the tolerances, decide.
     """
-    found, sizes = [], []
+    scores, ratios = [], []
     for seed in range(8):
         m, series, y = planted(seed, tolerances)
         combinations = explain.look(m, [series]).verdict.combinations
-        names = [n for n, f in zip(m.names, m.free, strict=True) if f]
-        keep = [m.names.index(n) for n in names]
+        free = np.flatnonzero(m.free)
         estimate = identify.identify(m, [series], y)
-        miss = estimate.theta[keep] - np.r_[PAPER.ravel(), np.zeros(6)][keep]
-        sd = np.sqrt(
-            np.einsum(
-                "ij,jk,ik->i",
-                combinations,
-                estimate.covariance[np.ix_(keep, keep)],
-                combinations,
-            )
-        )
-        found.append(combinations @ miss / sd)
-        prior = np.sqrt((combinations**2) @ m.tolerance[keep] ** 2)
-        sizes.append(sd / prior)
-    score, share = np.array(found), np.array(sizes)
+        truth = np.r_[PAPER.ravel(), np.zeros(6)]
+        errors = combinations @ (estimate.theta - truth)[free]
+        covariance = estimate.covariance[np.ix_(free, free)]
+        sd = np.sqrt(np.diag(combinations @ covariance @ combinations.T))
+        prior = np.sqrt(combinations**2 @ m.tolerance[free] ** 2)
+        scores.append(errors / sd)
+        ratios.append(sd / prior)
+    score, ratio = np.array(scores), np.array(ratios)
     assert score.shape[1] == (17 if tolerances else 21)
     assert np.abs(score).max() < 3.0
-    decided = share.max(axis=0) < 0.2
+    decided = ratio.max(axis=0) < 0.2
     assert decided.sum() >= 17
     assert 0.6 < np.mean(score[:, decided] ** 2) < 1.6
 
 
 def test_what_the_paper_s_own_equations_return_for_its_own_numbers() -> None:
-    """A virtual machine with Table 4's errors, its poses known without noise, Eq. (12)
-    solved as in section 6: all comes back to 2 um but the tangential offsets, which
-    come back as zero, for they are not in the equations.
+    """A virtual machine with Table 4's errors, poses without noise, Eq. (12) solved.
+
+    As in section 6. All comes back to 2 um but the tangential offsets: they come back
+    as zero, for they are not in the equations.
     """
     q = oracle.nominal(*poses().T)[2]
     exact = oracle.forward(q, PAPER)
-    found = oracle.paper_fit(exact.tip, exact.rotation, q, cut=1e-3)
-    wrong = found - PAPER
+    fit = oracle.paper_fit(exact.tip, exact.rotation, q, cut=1e-3)
+    wrong = fit - PAPER
     tangential = (PAPER[:, 3:5] * oracle.TANGENT).sum(1)
     assert 1e3 * tangential == pytest.approx([1.186, -1.350, 1.336], abs=1e-3)
-    assert np.abs((found[:, 3:5] * oracle.TANGENT).sum(1)).max() < 2e-6
+    assert np.abs((fit[:, 3:5] * oracle.TANGENT).sum(1)).max() < 2e-6
     wrong[:, 3:5] += tangential[:, None] * oracle.TANGENT
     assert np.abs(wrong).max() < 2e-6
 
@@ -365,9 +373,7 @@ def test_what_the_paper_s_own_equations_return_for_its_own_numbers() -> None:
 def test_a_millimetre_of_tangential_offset_changes_a_strut_by_half_a_micrometre() -> (
     None
 ):
-    """Exactly, at measured poses: e^2 / 2l. The laser ball bar reads a position to 4
-    um.
-    """
+    """Exactly e^2 / 2l, at measured poses. The laser ball bar reads to 4 um."""
     q = oracle.nominal(*poses().T)[2]
     exact = oracle.forward(q, PAPER)
     for e in (1e-3, -1e-3):
@@ -387,10 +393,11 @@ def test_a_millimetre_of_tangential_offset_changes_a_strut_by_half_a_micrometre(
 
 
 def test_gamma_is_no_function_of_alpha_and_beta_on_a_machine_with_errors() -> None:
-    """Section 5.2 (d) computes gamma from alpha and beta. With Table 4's errors it is
-    1.7 to 2.4 mrad off, by the mean tangential offset over r; the paper's procedure,
-    fed with that, misses its own numbers by 0.4 mm in a ball joint, 0.25 mm in a strut
-    and 0.85 mm in a slider's radial place, without any noise.
+    """Section 5.2 (d) computes gamma from alpha and beta.
+
+    With Table 4's errors it is 1.7 to 2.4 mrad off, by the mean tangential offset over
+    r. With that gamma, the paper's procedure misses its own numbers without any noise:
+    by 0.4 mm in a ball joint, 0.25 mm in a strut, 0.85 mm in a slider's radial place.
     """
     q = oracle.nominal(*poses().T)[2]
     exact = oracle.forward(q, PAPER)

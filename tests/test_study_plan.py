@@ -1,4 +1,4 @@
-"""Plans of stages in studies: against all subsets of lines, after a session, refused."""
+"""Plans of stages in studies, against all subsets of lines and after a session."""
 
 from __future__ import annotations
 
@@ -310,7 +310,7 @@ def posterior_draws(folder: Path, wanted: tuple[str, ...]) -> np.ndarray:
 
 
 def test_a_plan_starts_from_the_draws_of_a_posterior(tmp_path: Path) -> None:
-    """RM 4 identified with draws: the next plan and its virtual machines begin there."""
+    """RM 4 identified with draws: the next plan and its machines begin there."""
     text = changed(STUDY, (SEQUENCES, "virtual_machines = 60\n"))
     first = tmp_path / "first"
     without_machines = changed(text, ("virtual_machines = 60\n", ""))
@@ -352,9 +352,7 @@ def test_how_much_better_is_a_share_or_a_factor() -> None:
 def test_in_the_time_of_the_papers_circles_a_gauge_and_bars_are_three_times_as_accurate(
     tmp_path: Path,
 ) -> None:
-    """The plan of 22 minutes itself on 200 virtual machines, and the paper's circles
-    beside it.
-    """
+    """The plan of 22 minutes on 200 virtual machines, and the paper's circles."""
     path = Path(__file__).parents[1] / "studies" / "a3_budget.study.toml"
     text = changed(
         path.read_text(encoding="utf-8"), ("budget_min = 109.0", "budget_min = 22.0")

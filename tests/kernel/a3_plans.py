@@ -1,6 +1,4 @@
-"""The A3 head as its paper measured it: set-ups, plans and the paper's scaling, through
-the kernel.
-"""
+"""The A3 head as its paper measured it: set-ups, plans and the paper's scaling."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -21,21 +19,21 @@ STROKES = (0.080, 0.200)
 
 
 def with_tolerances(tolerances: Mapping[str, float]) -> Machine:
-    """The machine with other tolerances (SI) for the parameters whose names begin so."""
-    table = []
+    """The machine with other tolerances (SI), by the beginnings of names."""
+    parameters = []
     for p in machine.parameters:
-        given = [t for start, t in tolerances.items() if p.name.startswith(start)]
-        table.append(
-            dataclasses.replace(p, tolerance=given[0] if given else p.tolerance)
-        )
-    return machine.with_parameters(table)
+        matching = [t for start, t in tolerances.items() if p.name.startswith(start)]
+        tolerance = matching[0] if matching else p.tolerance
+        parameters.append(dataclasses.replace(p, tolerance=tolerance))
+    return machine.with_parameters(parameters)
 
 
 def measurement(
     *, taught: bool = True, tools: Sequence[float] = (0.0,), of: Machine = machine
 ) -> Measurement:
-    """One ball bar set-up for each tool length (m): `cup` for the reference tool,
-    `cup<mm>` for longer ones.
+    """One ball bar set-up for each tool length (m).
+
+    Its name is `cup` for the reference tool, and `cup<mm>` for longer ones.
     """
     setups = []
     for tool in tools:
@@ -52,11 +50,12 @@ def measurement(
     return Measurement(of, setups)
 
 
-def held(
+def bar_commands(
     m: Measurement, stroke: np.ndarray, psi: np.ndarray, setup: str = "cup"
 ) -> np.ndarray:
-    """Commands (n, 3) at which the bar keeps its length: theta follows from stroke (m)
-    and psi (rad).
+    """Commands (n, 3) at which the bar keeps its length.
+
+    theta follows from stroke (m) and psi (rad).
     """
     z = HOME_Z + m.setups[setup].tool[2] + stroke
     command, possible = m.hold(setup, np.column_stack([z, psi, 0.0 * psi]), "theta")
@@ -69,24 +68,15 @@ def circles(
 ) -> Series:
     """The paper's plan: `points` a circle from psi = 0."""
     stroke = np.repeat(strokes, points)
-    return m.series(
-        setup,
-        held(
-            m,
-            stroke,
-            np.tile(2 * np.pi * np.arange(points) / points, len(strokes)),
-            setup,
-        ),
-    )
+    circle = 2 * np.pi * np.arange(points) / points
+    psi = np.tile(circle, len(strokes))
+    return m.series(setup, bar_commands(m, stroke, psi, setup))
 
 
 def grid(m: Measurement, setup: str = "cup") -> np.ndarray:
     """Commands (1512, 3) of the 21 strokes x 72 angles."""
-    stroke, psi = (
-        v.ravel()
-        for v in np.meshgrid(np.linspace(0, 0.2, 21), np.arange(72) * np.pi / 36)
-    )
-    return held(m, stroke, psi, setup)
+    stroke, psi = np.meshgrid(np.linspace(0, 0.2, 21), np.arange(72) * np.pi / 36)
+    return bar_commands(m, stroke.ravel(), psi.ravel(), setup)
 
 
 def rows(
@@ -96,24 +86,25 @@ def rows(
     return information.scaled(m, series, m.nominal, scaling)[:, m.free]
 
 
-def verdict(
+def analyse(
     m: Measurement, series: Sequence[Series]
 ) -> tuple[Identifiability, list[str], np.ndarray]:
-    """Identifiability of the free parameters as lengths, the lost motions in words, the
-    rest of the null space.
+    """Identifiability of the free parameters as lengths.
+
+    Returns with it the lost motions in words, and the remaining null space.
     """
     scale = 1.0 / m.lengths[m.free]
-    told = identifiability.analyse(
-        rows(m, series), [n for n, f in zip(m.names, m.free, strict=True) if f], scale
-    )
-    return told, *identifiability.lost_motions(told, m.machine, scale)
+    names = [name for name, is_free in zip(m.names, m.free, strict=True) if is_free]
+    identifiable = identifiability.analyse(rows(m, series), names, scale)
+    motions, remaining = identifiability.lost_motions(identifiable, m.machine, scale)
+    return identifiable, motions, remaining
 
 
 def workspace() -> np.ndarray:
     """Commands (144, 3): strokes 0, 100, 200 mm, theta 5, 15, 25, 35 deg, 12 psi."""
-    stroke, theta, psi = np.meshgrid(
-        [0, 0.1, 0.2], np.deg2rad([5, 15, 25, 35]), 2 * np.pi * np.arange(12) / 12
-    )
+    strokes, tilts = [0, 0.1, 0.2], np.deg2rad([5, 15, 25, 35])
+    turns = 2 * np.pi * np.arange(12) / 12
+    stroke, theta, psi = np.meshgrid(strokes, tilts, turns)
     return np.column_stack([HOME_Z + stroke.ravel(), psi.ravel(), theta.ravel()])
 
 

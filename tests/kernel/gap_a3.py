@@ -62,7 +62,7 @@ def circles(
     runs: list[Run] = []
     for setup in m.setups:
         for stroke in strokes:
-            command = a3_plans.held(
+            command = a3_plans.bar_commands(
                 m,
                 np.full(points, stroke),
                 2 * np.pi * np.arange(points) / points,

@@ -431,7 +431,7 @@ def test_a_move_that_an_instrument_leads_follows_it() -> None:
     a straight move is not.
     """
     m = a3_plans.measurement()
-    ends = a3_plans.held(m, np.array([0.0, 0.2]), np.zeros(2))
+    ends = a3_plans.bar_commands(m, np.array([0.0, 0.2]), np.zeros(2))
     middle = ends.mean(axis=0, keepdims=True)
     lead = partial(m.hold, "cup", coordinate="theta")
     cup = np.array([0.0, 0.0, a3.Z_TEACH])

@@ -241,7 +241,7 @@ def test_the_told_plan_agrees_with_the_table_before_measuring():
 
 def test_runs_are_laid_out_in_order_and_direction():
     m = laid_out()[1].measurement
-    command = a3_plans.held(m, np.full(4, 0.1), np.arange(4) * 1.0, "cup")
+    command = a3_plans.bar_commands(m, np.full(4, 0.1), np.arange(4) * 1.0, "cup")
     there = runs.Run(
         name="a",
         setup="cup",

@@ -102,10 +102,9 @@ def simulate_two_stages(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Machines d ~ N(0, 1) through two stages of readings with travel `limit`.
 
-    Each stage has a parameter of its own, and noise of 1. Returns the mean squares
-    (2, 3, 3) of the errors after each stage, the mean covariance (3, 3) at the end by
-    the readings themselves, and the shares (2,) of readings taken: by normal equations
-    over machine and set-up.
+    Each stage has a parameter of its own, and noise of 1. Normal equations over machine
+    and set-up give the mean squares (2, 3, 3) of the errors after each stage, the mean
+    covariance (3, 3) at the end, and the shares (2,) of readings taken.
     """
     square, covariance = np.zeros((2, 3, 3)), np.zeros((3, 3))
     taken = np.zeros(2)
@@ -168,7 +167,7 @@ def short_options(rows: list[np.ndarray], limit: float | None) -> list[Option]:
 
 
 def test_a_machine_that_no_reading_captures_bounds_every_plan() -> None:
-    """A travel far below the machine's errors: the bound counts it, plans stay above."""
+    """A travel far below the machines' errors: plans stay above the bound."""
     rng = np.random.default_rng(2)
     rows = [
         np.column_stack([50.0 * rng.standard_normal((8, 3)), rng.standard_normal(8)])

@@ -67,9 +67,9 @@ def simulate(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Linear readings of drawn planar machines by the oracle's rows.
 
-    Returns the estimates' errors (draws, 7) in tolerance units, the covariances (draws,
-    7, 7) by the joint inverse over machine, tilt and all readings' correlated noise, and
-    which readings are within the travel (draws, N).
+    Returns the estimates' errors (draws, 7) in tolerance units, their covariances
+    (draws, 7, 7), and which readings are within the travel (draws, N). Covariances are
+    joint inverses over machine and tilt, with all readings' correlated noise.
     """
     pose, line = oracle.lines(number)
     values = oracle.rows(pose)
@@ -294,7 +294,7 @@ class SmallProblem:
 def small_problem(
     seed: int, equal_times: bool = True, target: float | None = None
 ) -> SmallProblem:
-    """A catalogue; a plan `target` times as inaccurate as the best reaches the target."""
+    """A catalogue; its target is `target` times the value of the best plan."""
     rng = np.random.default_rng(seed)
     options, goal = catalogues.catalogue(
         rng, equal_times=equal_times, targets=target is not None

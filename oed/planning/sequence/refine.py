@@ -112,7 +112,7 @@ def _reading_time(
 
 
 def verify(problem: PlanProblem, plan: StagePlan) -> StagePlan:
-    """The same readings, judged by many other machines than those they were chosen for."""
+    """The same readings, judged by many other machines than when they were chosen."""
     verified = problem.empty_plan()
     for k, stage in enumerate(plan.stages):
         prior = verified.posterior(problem.start)

@@ -55,7 +55,7 @@ class Stage:
 
     @property
     def covariance(self) -> Array:
-        """Mean square errors (n, n) of the parameters afterwards, in tolerance units."""
+        """Mean square errors (n, n) of the parameters after it, in tolerance units."""
         return self.posterior.mean_square_error
 
     @property

@@ -1,4 +1,4 @@
-"""Virtual machines carried exactly through all stages of a plan: is the prediction true?
+"""Virtual machines carried exactly through all stages, to check a plan's prediction.
 
 A machine with true parameters drawn from the tolerances goes through the stages. In
 each stage, the controller uses the parameters p_hat identified so far and sends the

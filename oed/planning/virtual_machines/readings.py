@@ -1,4 +1,4 @@
-"""Readings of virtual machines in the stages of a plan, with those out of travel lost."""
+"""Readings of virtual machines in a plan's stages; those out of travel are lost."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def alternatives(
 
 
 def plan_without(task: PlanTask, best: StagePlan, option: Option) -> StagePlan | None:
-    """Best plan of the other measurements in the same time; None where there is none."""
+    """Best plan of the other measurements in the same time, if there is one."""
     others = [s.option for s in best.stages if s.option is not option]
     if not others:
         return None

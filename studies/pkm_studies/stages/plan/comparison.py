@@ -101,7 +101,7 @@ def _within_budget(
 def _best_plan(
     task: PlanTask, sequence: StagePlan, search: PlanSearchResult, seconds: float
 ) -> tuple[StagePlan, float]:
-    """The most accurate plan in a time, and the bound; the sequence counts as a plan."""
+    """The most accurate plan in a time, the sequence among them, and the bound."""
     if abs(seconds - task.budget) > SAME * task.budget:
         try:
             search = task.search(seconds * (1.0 + SAME))

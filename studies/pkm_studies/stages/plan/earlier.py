@@ -1,4 +1,4 @@
-"""Knowledge from an earlier session: machine as identified, its covariance, time spent."""
+"""Knowledge from an earlier session: identified machine, covariance, time spent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Targets out of reach: how far the best plan misses them, and what would reach them."""
+"""Targets out of reach: how far the best plan misses them, what would reach them."""
 
 from __future__ import annotations
 

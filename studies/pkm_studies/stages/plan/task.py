@@ -1,4 +1,4 @@
-"""What to plan: options, goal, time and starting knowledge, and the search with them."""
+"""What to plan: options, goal, time and prior knowledge, and the search with them."""
 
 from __future__ import annotations
 
