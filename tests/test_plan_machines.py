@@ -18,7 +18,7 @@ from oed.planning.goal import Goal, workspace_goal
 from oed.planning.option import Option, build_option
 from oed.planning.search import PlanSearchResult
 from oed.planning.stage.knowledge import Prior
-from oed.planning.stage.prediction import Stage
+from oed.planning.stage.prediction import PlanStage
 from oed.planning.virtual_machines.propagation import PlanRealisation, propagate
 from oed.planning.virtual_machines.refit import refit
 from pkm_models.instruments import ball_bar, pose_tracker, relative
@@ -190,7 +190,7 @@ def planar(budget: float) -> PlanSearchResult:
     return searched(options, relative_accuracy(machine, workspace), budget)
 
 
-def machine_slopes(stage: Stage) -> np.ndarray:
+def machine_slopes(stage: PlanStage) -> np.ndarray:
     """Slopes (readings, 7) of a stage's readings over the planar machine."""
     measurement = stage.option.measurement
     return measurement.jacobian(stage.series, measurement.nominal)[:, :7]

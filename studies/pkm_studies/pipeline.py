@@ -30,7 +30,7 @@ from pkm_studies.stages.fit import identifiability as see
 from pkm_studies.stages.gap import detectability as gap_before
 from pkm_studies.stages.gap import section as gap
 from pkm_studies.stages.gap import virtual_readings as gap_virtual
-from pkm_studies.stages.plan.earlier import EarlierSession, earlier_session
+from pkm_studies.stages.plan.earlier import EarlierSession, read_earlier_session
 from pkm_studies.stages.plan.plan import compute_plan
 from pkm_studies.stages.plan.section import PlanOutcome
 from pkm_studies.stages.predict import accuracy as foresee
@@ -227,7 +227,7 @@ class _Job:
         known = (
             None
             if after is None
-            else earlier_session(self.resolved, after, stored.load_result(after))
+            else read_earlier_session(self.resolved, after, stored.load_result(after))
         )
         if known is not None:
             self.resolved = known.resolved

@@ -13,7 +13,7 @@ from oed.planning.option import Option
 from oed.planning.search import PlanSearchResult, search_plan
 from oed.planning.stage import travel
 from oed.planning.stage.knowledge import Prior
-from oed.planning.stage.prediction import Stage, predict_stage
+from oed.planning.stage.prediction import PlanStage, predict_stage
 from oed.planning.streams import PlanStreams
 
 
@@ -191,7 +191,7 @@ def stage_after(
     rng: np.random.Generator,
     exact: bool = True,
     draws: int | None = None,
-) -> Stage:
+) -> PlanStage:
     """A stage with the capture probability that follows from the prior."""
     probability = capture(option, prior)
     return predict_stage(option, chosen, prior, probability, rng, exact, draws)

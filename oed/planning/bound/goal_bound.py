@@ -6,7 +6,7 @@ with the highest bound is then solved as a relaxation, which gives a new line, t
 there. This goes on until no combination can be better than the loss allows.
 
 A machine out of the travel of every reading of every option in T stays as it is,
-whatever is mounted first. Their share bounds the goal from below (`uncaptured_bound`).
+whatever is mounted first. Their share bounds the goal from below (`uncaptured`).
 Other losses of readings, and the linearisation residual, only make plans worse and are
 left out.
 """
@@ -22,7 +22,7 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.planning.bound.combination_bound import CombinationBound
-from oed.planning.bound.uncaptured import uncaptured_bound
+from oed.planning.bound.uncaptured import bound_uncaptured
 from oed.planning.goal import Goal
 from oed.planning.option import Option
 
@@ -80,7 +80,7 @@ def bound_goal(
     combinations = _combinations(mounting, budget, stages)
     if not len(combinations):
         return GoalBound(np.inf, 0, True)
-    least = uncaptured_bound(options, goal, information, combinations, rng)
+    least = bound_uncaptured(options, goal, information, combinations, rng)
     upper = -2.0 * np.log(least)
     goal_bound = CombinationBound.of(options, goal, information, budget)
     target = _log_phi(value) + 2.0 * math.log1p(loss)

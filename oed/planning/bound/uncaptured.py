@@ -21,7 +21,7 @@ CHUNK = 1000
 TINY = 1e-300
 
 
-def uncaptured_bound(
+def bound_uncaptured(
     options: Sequence[Option],
     goal: Goal,
     information: Array,

@@ -24,7 +24,7 @@ def least_seconds(steps: Sequence[Step]) -> float:
     return sum(o.mounting_seconds + o.shortest_seconds(n) for o, n in steps)
 
 
-def moves(steps: list[Step], budget: float) -> list[list[Step]]:
+def propose_moves(steps: list[Step], budget: float) -> list[list[Step]]:
     """Changes to try, each within the budget (s).
 
     First all stages filled up with the time that remains; then fewer readings in one

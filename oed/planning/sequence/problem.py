@@ -13,7 +13,7 @@ from oed.planning.option import Option
 from oed.planning.sequence.stage_plan import StagePlan
 from oed.planning.stage import travel
 from oed.planning.stage.knowledge import Prior, as_knowledge
-from oed.planning.stage.prediction import Stage, predict_stage
+from oed.planning.stage.prediction import PlanStage, predict_stage
 from oed.planning.stage.selection import select_readings
 from oed.planning.streams import PlanStreams
 
@@ -39,7 +39,7 @@ class PlanProblem:
         accuracy = self.goal.accuracy(self.start)
         return StagePlan((), 0.0, self.goal.value(self.start), (accuracy,))
 
-    def extend(self, plan: StagePlan, stage: Stage) -> StagePlan:
+    def extend(self, plan: StagePlan, stage: PlanStage) -> StagePlan:
         """A plan with one more stage."""
         return StagePlan(
             stages=(*plan.stages, stage),

@@ -13,11 +13,17 @@ import numpy as np
 from oed.arrays import Array
 from oed.design.criterion.protocol import inverse
 from oed.planning.option import Option
-from oed.planning.sequence.moves import Step, least_seconds, moves, replaced, steps_of
+from oed.planning.sequence.moves import (
+    Step,
+    least_seconds,
+    propose_moves,
+    replaced,
+    steps_of,
+)
 from oed.planning.sequence.problem import PlanProblem
 from oed.planning.sequence.stage_plan import StagePlan, is_better
 from oed.planning.stage.knowledge import Prior, as_knowledge
-from oed.planning.stage.prediction import Stage, predict_stage
+from oed.planning.stage.prediction import PlanStage, predict_stage
 from oed.planning.stage.selection import select_readings
 
 #: times that time is moved, at most
@@ -44,7 +50,7 @@ def move_time(problem: PlanProblem, plan: StagePlan) -> StagePlan:
 def _first_improvement(problem: PlanProblem, plan: StagePlan) -> StagePlan | None:
     """The first better plan: the same steps selected anew, then each move."""
     steps = steps_of(plan)
-    for trial in [steps, *moves(steps, problem.budget)]:
+    for trial in [steps, *propose_moves(steps, problem.budget)]:
         candidate = evaluate(problem, trial, plan)
         if is_better(candidate, plan):
             return candidate
@@ -83,7 +89,7 @@ def evaluate(
     return plan
 
 
-def _stages_of(reference: StagePlan | None, steps: Sequence[Step]) -> list[Stage]:
+def _stages_of(reference: StagePlan | None, steps: Sequence[Step]) -> list[PlanStage]:
     """The stages of a plan with the steps' options, in their order; else none."""
     stages = {} if reference is None else {s.option.name: s for s in reference.stages}
     names = [option.name for option, _ in steps]
@@ -93,7 +99,7 @@ def _stages_of(reference: StagePlan | None, steps: Sequence[Step]) -> list[Stage
 
 
 def _reading_time(
-    seconds: float, steps: Sequence[Step], later: Sequence[Stage]
+    seconds: float, steps: Sequence[Step], later: Sequence[PlanStage]
 ) -> float:
     """Time (s) for the readings of the first step, out of `seconds` for all steps.
 

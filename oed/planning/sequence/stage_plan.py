@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from oed.arrays import Array
 from oed.planning.stage.knowledge import Prior
-from oed.planning.stage.prediction import Stage
+from oed.planning.stage.prediction import PlanStage
 
 #: relative gain below which a change counts as none
 GAIN = 1e-3
@@ -26,7 +26,7 @@ class StagePlan:
     accuracy  (K,) of each pose component, before any stage and after each
     """
 
-    stages: tuple[Stage, ...]
+    stages: tuple[PlanStage, ...]
     seconds: float
     value: float
     accuracy: tuple[Array, ...]

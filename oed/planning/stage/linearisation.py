@@ -43,7 +43,7 @@ class LinearisationResidual:
     columns: Array | None
 
 
-def linearisation_residual(
+def estimate_residual(
     option: Option,
     chosen: Index,
     posterior: Array,

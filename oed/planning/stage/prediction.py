@@ -33,7 +33,7 @@ RESIDUAL_DRAWS, LEAST_RESIDUAL_DRAWS = 96, 3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Stage:
+class PlanStage:
     """One stage.
 
     option             the measurement
@@ -77,7 +77,7 @@ def predict_stage(
     rng: np.random.Generator,
     exact: bool = True,
     draws: int | None = None,
-) -> Stage:
+) -> PlanStage:
     """Predict what a stage with the chosen candidates leaves.
 
     probability  (C,) that each candidate of the option is captured, given the prior
@@ -102,7 +102,7 @@ def predict_stage(
     posterior = machines.update(information, rng)
     after = inverse(posterior.mean_square_error)
     before = inverse(knowledge.mean_square_error)
-    return Stage(
+    return PlanStage(
         option=option,
         chosen=chosen,
         seconds=option.mounting_seconds + float(option.candidate_seconds[chosen].sum()),
@@ -149,7 +149,7 @@ def _residual(
 ) -> linearisation.LinearisationResidual:
     """Linearisation residual with half of the draws, shared among the patterns."""
     per_pattern = min(draws // 2, RESIDUAL_DRAWS) // len(machines.patterns)
-    return linearisation.linearisation_residual(
+    return linearisation.estimate_residual(
         option,
         chosen,
         machines.posterior(information),

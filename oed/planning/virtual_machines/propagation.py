@@ -24,8 +24,8 @@ from oed import predict, simulate
 from oed.arrays import Array
 from oed.measurement import Measurement, Series
 from oed.planning.stage.knowledge import square_roots
-from oed.planning.stage.prediction import Stage
-from oed.planning.virtual_machines.readings import VirtualStage, virtual_stages
+from oed.planning.stage.prediction import PlanStage
+from oed.planning.virtual_machines.readings import VirtualStage, prepare_stages
 from oed.planning.virtual_machines.refit import refit
 from oed.planning.virtual_machines.workspace import MachineErrors, WorkspaceErrors
 
@@ -70,7 +70,7 @@ class PlanRealisation:
 
 
 def propagate(
-    stages: Sequence[Stage],
+    stages: Sequence[PlanStage],
     command: Array,
     machines: int,
     rng: np.random.Generator,
@@ -98,7 +98,7 @@ def propagate(
         )
     measurement = stages[0].option.measurement
     workspace = WorkspaceErrors.of(measurement, command, reference)
-    propagation = _Propagation(virtual_stages(stages), workspace, compensated, start)
+    propagation = _Propagation(prepare_stages(stages), workspace, compensated, start)
     realised = []
     for k in range(machines):
         realised.append(propagation.one_machine(rng))
@@ -112,7 +112,7 @@ def propagate(
 
 
 def _summary(
-    stage: Stage, workspace: WorkspaceErrors, machines: Sequence[MachineErrors]
+    stage: PlanStage, workspace: WorkspaceErrors, machines: Sequence[MachineErrors]
 ) -> StageRealisation:
     """One stage over all virtual machines."""
     mean_square = np.mean([m.mean_square for m in machines], axis=0)

@@ -10,7 +10,7 @@ import numpy as np
 from oed.arrays import Array, Index, Mask
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
-from oed.planning.stage.prediction import Stage
+from oed.planning.stage.prediction import PlanStage
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class VirtualStage:
         return dataclasses.replace(series, q=q, start=x)
 
 
-def virtual_stages(stages: Sequence[Stage]) -> tuple[VirtualStage, ...]:
+def prepare_stages(stages: Sequence[PlanStage]) -> tuple[VirtualStage, ...]:
     """The stages of a plan, ready to be carried out one after the other."""
     setups: list[Setup] = []
     virtual = []
@@ -134,7 +134,7 @@ def virtual_stages(stages: Sequence[Stage]) -> tuple[VirtualStage, ...]:
     return tuple(virtual)
 
 
-def _channels(stage: Stage) -> Index:
+def _channels(stage: PlanStage) -> Index:
     """Number of channels of each planned reading."""
     setups = stage.option.measurement.setups
     counts = [np.full(len(s), len(setups[s.setup].sigma)) for s in stage.series]

@@ -18,7 +18,7 @@ def sentences(sections: Mapping[str, Any]) -> list[str]:
     """
     found: result.GapSection | None = sections.get("gap")
     told = [
-        *summary.sentences(sections.get("plan")),
+        *summary.plan_sentences(sections.get("plan")),
         *_told_apart(sections.get("gap_before")),
         *_accuracy(sections.get("prediction")),
         *_held_out(sections.get("held_out") or []),

@@ -22,14 +22,14 @@ SAME = 5e-4
 NARROW = 2
 
 
-def alternatives(
+def list_alternatives(
     task: PlanTask, search: PlanSearchResult, best: StagePlan
 ) -> list[result.AlternativePlan]:
     """Plans without each measurement in turn, then others that the search refined."""
     names = {best.names}
     records = []
     for option in [stage.option for stage in best.stages][:LEFT_OUT]:
-        plan = plan_without(task, best, option)
+        plan = search_without(task, best, option)
         if plan is not None and plan.names not in names:
             names.add(plan.names)
             reason = f"without {option.name}: {why_not(task, plan, best)}"
@@ -41,7 +41,7 @@ def alternatives(
     return records
 
 
-def plan_without(task: PlanTask, best: StagePlan, option: Option) -> StagePlan | None:
+def search_without(task: PlanTask, best: StagePlan, option: Option) -> StagePlan | None:
     """Best plan of the other measurements in the same time, if there is one."""
     others = [s.option for s in best.stages if s.option is not option]
     if not others:

@@ -15,7 +15,7 @@ from oed.planning.search import PlanSearchResult
 from oed.planning.sequence.stage_plan import StagePlan
 from oed.planning.stage import travel
 from oed.planning.stage.knowledge import Prior
-from oed.planning.stage.prediction import Stage, predict_stage
+from oed.planning.stage.prediction import PlanStage, predict_stage
 from pkm_studies.errors import InputError
 from pkm_studies.stages.plan.phrases import at_most_better, minutes, more_accurate
 from pkm_studies.stages.plan.streams import plan_streams
@@ -32,7 +32,7 @@ def compare_sequence(
 
     Raises InputError where the time pays for none of its measurements.
     """
-    sequence = sequence_plan(task, names)
+    sequence = predict_sequence(task, names)
     seconds = sequence.seconds
     if seconds > task.budget * (1.0 + SAME):
         sequence, seconds = _within_budget(task, names, search), task.budget
@@ -59,10 +59,10 @@ def compare_sequence(
     )
 
 
-def sequence_plan(task: PlanTask, names: Sequence[str]) -> StagePlan:
+def predict_sequence(task: PlanTask, names: Sequence[str]) -> StagePlan:
     """All candidates of each measurement, one measurement after the other."""
     prior: Prior = task.start
-    stages: list[Stage] = []
+    stages: list[PlanStage] = []
     for k, name in enumerate(names):
         option = task.request.option(name)
         capture = plan_streams(task.seed).capture()

@@ -39,7 +39,7 @@ class EarlierSession:
     words: str
 
 
-def earlier_session(
+def read_earlier_session(
     resolved: ResolvedStudy, folder: Path, stored: Mapping[str, Any]
 ) -> EarlierSession:
     """What the result `stored` in `folder` tells about the study's machine.

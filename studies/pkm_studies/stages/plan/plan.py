@@ -12,14 +12,14 @@ from oed import units
 from oed.planning.search import PlanSearchResult
 from pkm_studies.progress import Progress
 from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages.plan.alternatives import alternatives
+from pkm_studies.stages.plan.alternatives import list_alternatives
 from pkm_studies.stages.plan.comparison import compare_sequence
 from pkm_studies.stages.plan.earlier import EarlierSession
-from pkm_studies.stages.plan.section import PlanOutcome, plan_outcome
-from pkm_studies.stages.plan.stopping import stop, without_small_stages
-from pkm_studies.stages.plan.targets import needs
-from pkm_studies.stages.plan.task import PlanTask, plan_task
-from pkm_studies.stages.plan.virtual import realised_records
+from pkm_studies.stages.plan.section import PlanOutcome, build_outcome
+from pkm_studies.stages.plan.stopping import describe_stop, without_small_stages
+from pkm_studies.stages.plan.targets import describe_needs
+from pkm_studies.stages.plan.task import PlanTask, build_task
+from pkm_studies.stages.plan.virtual import add_realisations
 
 
 def compute_plan(
@@ -39,12 +39,12 @@ def compute_plan(
     """
     if resolved.plan is None:
         return None
-    task = plan_task(resolved, resolved.plan, seed, earlier)
+    task = build_task(resolved, resolved.plan, seed, earlier)
     search = _search(task, progress)
     best = without_small_stages(task, search)
-    outcome = plan_outcome(task, search, best)
+    outcome = build_outcome(task, search, best)
     start = None if earlier is None else earlier.covariance
-    stages = realised_records(
+    stages = add_realisations(
         task, best, outcome.section.stages, machines, progress, start
     )
     sequences = task.request.compare
@@ -52,9 +52,9 @@ def compute_plan(
         outcome.section,
         stages=stages,
         virtual_machines=task.table.virtual_machines,
-        alternatives=list(alternatives(task, search, best)),
-        needs=needs(task, search),
-        stop=stop(task, search, best),
+        alternatives=[*list_alternatives(task, search, best)],
+        needs=describe_needs(task, search),
+        stop=describe_stop(task, search, best),
         compared=[compare_sequence(task, names, search) for names in sequences],
         after="" if earlier is None else earlier.words,
     )

@@ -13,7 +13,7 @@ from oed.arrays import Array
 from oed.measurement import Measurement, Series
 from oed.planning.search import PlanSearchResult
 from oed.planning.sequence.stage_plan import StagePlan
-from oed.planning.stage.prediction import Stage
+from oed.planning.stage.prediction import PlanStage
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import order
 from pkm_studies.stages.plan.task import PlanTask
@@ -39,7 +39,7 @@ class PlanOutcome:
     scheduled: tuple[tuple[Series, ...], ...]
 
 
-def plan_outcome(
+def build_outcome(
     task: PlanTask, search: PlanSearchResult, best: StagePlan
 ) -> PlanOutcome:
     """The plan `best` with its section, without comparisons and texts."""
@@ -71,7 +71,7 @@ def plan_outcome(
     )
 
 
-def _arrange(task: PlanTask, stage: Stage, number: int) -> order.Arranged:
+def _arrange(task: PlanTask, stage: PlanStage, number: int) -> order.Arranged:
     """A stage's readings in working order."""
     resolved = _with_order(task, stage.option.name)
     rng = task.stage_generator(number)
@@ -106,7 +106,7 @@ def _stage_records(
 
 def _stage_record(
     task: PlanTask,
-    stage: Stage,
+    stage: PlanStage,
     ordered: order.Arranged,
     begin_min: float,
     cumulative: explain.Seen,
@@ -141,7 +141,7 @@ def _stage_record(
     )
 
 
-def _largest_residual_um(stage: Stage) -> float | None:
+def _largest_residual_um(stage: PlanStage) -> float | None:
     """Largest linearisation residual of a length, um; None where there is none."""
     lengths = stage.linearisation_rms[_is_length(stage)]
     if not lengths.size or not np.isfinite(lengths.max()):
@@ -149,7 +149,7 @@ def _largest_residual_um(stage: Stage) -> float | None:
     return units.number(lengths.max(), "um")
 
 
-def _is_length(stage: Stage) -> Array:
+def _is_length(stage: PlanStage) -> Array:
     """Which numbers of a stage's readings (readings,) are lengths."""
     setups = stage.option.measurement.setups
     masks = []
@@ -160,14 +160,14 @@ def _is_length(stage: Stage) -> Array:
     return np.concatenate(masks)
 
 
-def _free_parameters(stage: Stage) -> list[int]:
+def _free_parameters(stage: PlanStage) -> list[int]:
     """Positions of the machine's free parameters."""
     measurement = stage.option.measurement
     machine_parameters = len(measurement.machine.parameters)
     return [int(k) for k in np.flatnonzero(measurement.free[:machine_parameters])]
 
 
-def _standard_deviations(stage: Stage) -> dict[str, result.Sd]:
+def _standard_deviations(stage: PlanStage) -> dict[str, result.Sd]:
     """Standard deviation of each free parameter after a stage, in its display unit."""
     measurement = stage.option.measurement
     scaled = np.sqrt(np.diag(stage.covariance))
@@ -179,7 +179,9 @@ def _standard_deviations(stage: Stage) -> dict[str, result.Sd]:
     return table
 
 
-def _unidentified(task: PlanTask, stage: Stage, cumulative: explain.Seen) -> list[str]:
+def _unidentified(
+    task: PlanTask, stage: PlanStage, cumulative: explain.Seen
+) -> list[str]:
     """Parameters, then combinations of them, that no reading so far determines."""
     measurement = stage.option.measurement
     names = [measurement.names[k] for k in _free_parameters(stage)]

@@ -28,7 +28,7 @@ def without_small_stages(task: PlanTask, search: PlanSearchResult) -> StagePlan:
     return best
 
 
-def stop(task: PlanTask, search: PlanSearchResult, best: StagePlan) -> str:
+def describe_stop(task: PlanTask, search: PlanSearchResult, best: StagePlan) -> str:
     """Where the plan stops, and what the next stage would gain."""
     if best is not search.best:
         return _small_stages(task, search.best, best)

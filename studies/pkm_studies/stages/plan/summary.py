@@ -6,7 +6,7 @@ from oed import result
 from pkm_studies.stages.plan.phrases import accuracies, at_most_better
 
 
-def sentences(section: result.PlanSection | None) -> list[str]:
+def plan_sentences(section: result.PlanSection | None) -> list[str]:
     """The plan as headline sentences; none where it was not searched for."""
     if section is None or section.value is None or not section.stages:
         return []

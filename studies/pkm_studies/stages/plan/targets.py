@@ -19,7 +19,7 @@ from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask
 NARROW = 2
 
 
-def needs(task: PlanTask, search: PlanSearchResult) -> list[str]:
+def describe_needs(task: PlanTask, search: PlanSearchResult) -> list[str]:
     """What would have to change to reach the targets; empty where they are reached."""
     if search.reached or not task.goal.has_targets:
         return []

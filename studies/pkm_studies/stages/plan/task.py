@@ -112,7 +112,7 @@ class PlanTask:
         )
 
 
-def plan_task(
+def build_task(
     resolved: ResolvedStudy,
     request: PlanRequest,
     seed: Sequence[int],

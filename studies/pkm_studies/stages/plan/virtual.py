@@ -13,7 +13,7 @@ from pkm_studies.progress import Progress
 from pkm_studies.stages.plan.task import PlanTask
 
 
-def realised_records(
+def add_realisations(
     task: PlanTask,
     plan: StagePlan,
     records: list[result.StageRecord],
