@@ -319,7 +319,7 @@ def _closures(
         best = _oracle(problem, right, change, split)
         said: dict[str, Any] = {"split": split, "n": best["n"], "true": best}
         said["expected_gain"] = closure_of.expected_gain(
-            problem, right, change, split=split
+            problem, right, change, np.random.default_rng(0), split=split
         )
         said["same_law"] = (
             None if taken is None else _oracle(problem, taken, change, split)

@@ -9,7 +9,7 @@ import pytest
 
 from kernel.gap_lines import BOW, planted, readings
 from oed.effect import Column, Effect, State
-from oed.gap.cause.which import Search
+from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.library import DIFFER, Library

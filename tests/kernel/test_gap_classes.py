@@ -12,8 +12,9 @@ import pandas as pd
 import pytest
 
 from kernel import a3_plans, gap_a3
-from oed.gap.cause import classes
-from oed.gap.cause.which import Hypothesis, Search
+from oed.gap.cause import equivalence
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.data.signature import signature
 from oed.gap.forms import library
@@ -138,7 +139,7 @@ def searched(
     search = Search(
         acting, library.build(acting, EFFECTS), nothing, stated(acting), 0.0
     )
-    found = search.settle((effect,), (search.library.atoms_of(effect)[0],), (1.0,))
+    found = search.fit((effect,), (search.library.atoms_of(effect)[0],), (1.0,))
     return search, found
 
 
@@ -158,7 +159,7 @@ def dense(
     for atom in search.library.atoms_of(rival):
         g = search.library.columns[:, search.library.atoms[atom].columns]
         cross = g.T @ m @ y
-        ridge = g.T @ m @ g + np.eye(g.shape[1]) / classes.RIVAL**2
+        ridge = g.T @ m @ g + np.eye(g.shape[1]) / equivalence.RIVAL**2
         kept.append(y @ m @ y - cross @ np.linalg.solve(ridge, cross))
     return min(kept), kept[0]
 
@@ -178,11 +179,13 @@ def test_a_class_is_what_the_dense_formula_says(
         scores = {
             (frozenset({r}), False): h.score - (1.0 if near else 100.0) for r in rivals
         }
-        ((first, *others),) = classes.of(search, h, scores, 3.0)
+        ((first, *others),) = equivalence.equivalent_effects(search, h, scores, 3.0)
         assert first == effect
         for r in rivals:
             lam, whole = kept[r]
-            same = lam < classes.EXACT * whole or (near and lam < classes.TELLS**2)
+            same = lam < equivalence.EXACT * whole or (
+                near and lam < equivalence.DISTINCT**2
+            )
             assert (r in others) == same, (r, lam, whole)
 
 
@@ -194,13 +197,15 @@ def test_one_tool_keeps_both_whichever_is_likelier(truth: str, size: float) -> N
     """
     search, _ = searched(readings(ONE), truth, size)
     found = {
-        n: search.settle((n,), (search.library.atoms_of(n)[0],), (1.0,))
+        n: search.fit((n,), (search.library.atoms_of(n)[0],), (1.0,))
         for n in (e.name for e in EFFECTS)
     }
     best = max(
         (found[n] for n in ("encoder_scale", "bar_length")), key=lambda h: h.score
     )
-    (members,) = classes.of(search, best, {h.key: h.score for h in found.values()}, 3.0)
+    (members,) = equivalence.equivalent_effects(
+        search, best, {h.key: h.score for h in found.values()}, 3.0
+    )
     assert {"encoder_scale", "bar_length"} <= set(members)
 
 
@@ -209,7 +214,7 @@ def test_two_tools_tell_what_is_large(truth: str) -> None:
     """However near the rival is by its odds."""
     (rival,) = {"encoder_scale", "bar_length"} - {truth}
     search, h = searched(readings(TOOLS), truth, 60.0)
-    (members,) = classes.of(
+    (members,) = equivalence.equivalent_effects(
         search, h, {(frozenset({e.name}), False): h.score for e in EFFECTS}, 3.0
     )
     assert rival not in members
@@ -223,6 +228,6 @@ def test_the_posterior_mean_is_the_ridge_estimate() -> None:
     wanted = np.linalg.solve(
         g.T @ m @ g + np.eye(g.shape[1]) / 0.25, g.T @ m @ search.problem.residual
     )
-    assert classes.posterior_mean(search.grams, rows, 0.5) == pytest.approx(
+    assert equivalence.posterior_mean(search.grams, rows, 0.5) == pytest.approx(
         wanted, rel=1e-6
     )

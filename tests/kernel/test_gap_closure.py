@@ -210,7 +210,7 @@ def test_right_effect_closes_what_the_oracle_closes_and_a_wrong_one_harms(
     assert np.sort(worse)[-2] < 0.01
     assert max(worse) < 0.03
     assert np.median(harmed) > 0.7
-    expected = expected_gain(problem, law, change, split=split)
+    expected = expected_gain(problem, law, change, rng, split=split)
     assert 60.0 < expected < 160.0  # about lambda = 100
     assert abs(np.mean(oracle) - expected) < 4.0 * 2.0 * np.sqrt(expected / len(oracle))
 

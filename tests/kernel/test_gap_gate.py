@@ -12,8 +12,10 @@ from kernel import gap_problem as case
 from kernel.gap_lines import EFFECTS, readings
 from kernel.gap_problem import Machines
 from oed.gap import diagnose as diagnosing
-from oed.gap.cause import gate, which
-from oed.gap.cause.which import Hypothesis, Search
+from oed.gap.cause import gate
+from oed.gap.cause import searches as searching
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
@@ -42,13 +44,13 @@ def test_a_p_value_says_no_more_than_its_bound() -> None:
     """
     a = np.linspace(1e-4, 1.0, 200_001)
     for p in (1e-4, 1e-3, 0.01, 0.04):
-        assert gate.against_none(p) == pytest.approx(
+        assert gate.bayes_factor(p) == pytest.approx(
             float((a * p ** (a - 1.0)).max()), rel=1e-6
         )
-    assert gate.against_none(gate.SEEN) == gate.against_none(1.0) == 1.0
+    assert gate.bayes_factor(gate.SIGNIFICANT) == gate.bayes_factor(1.0) == 1.0
     for p in (0.0, -0.1, 1.1, float("nan")):
         with pytest.raises(ValueError, match="p-value"):
-            gate.against_none(p)
+            gate.bayes_factor(p)
 
 
 def test_the_least_p_value_is_uniform_without_a_gap_and_small_where_one_leg_is_off(
@@ -112,7 +114,7 @@ def test_only_where_none_would_be_told_its_odds_are_divided(
         return p
 
     monkeypatch.setattr(locate, "least_p_value", least)
-    monkeypatch.setattr(which.Search, "level", lambda search, h: 1.7)
+    monkeypatch.setattr(Search, "noise_level", lambda search, h: 1.7)
     before = np.array([none, 0.75 * (1.0 - none), 0.25 * (1.0 - none)])
     made = [
         Hypothesis(effects=(), unknown=k > 0, log_evidence=float(np.log(s)), **BLANK)
@@ -126,8 +128,8 @@ def test_only_where_none_would_be_told_its_odds_are_divided(
         stated(problem),
         0.0,
     )
-    after = gate.weighed([search], made, before, np.random.default_rng(1))
-    factor = gate.against_none(p) if asked else 1.0
+    after = gate.reweigh([search], made, before, np.random.default_rng(1))
+    factor = gate.bayes_factor(p) if asked else 1.0
     assert len(calls) == asked
     assert all(call[1].level == 1.7 for call in calls)
     assert after.sum() == pytest.approx(1.0)
@@ -145,9 +147,9 @@ def test_the_gate_leaves_the_draws_of_what_comes_after_alone(
     rng = np.random.default_rng(3)
     problem = readings(8)
     problem = problem.with_residual(rng.standard_normal(len(problem)))
-    monkeypatch.setattr(diagnosing, "PROCESSES", PROCESSES[:2])
+    monkeypatch.setattr(searching, "PROCESSES", PROCESSES[:2])
     monkeypatch.setattr(
-        diagnosing, "_looked_for", lambda processes, problem, law: processes
+        searching, "_add_located", lambda processes, problem, law: processes
     )
     found = {}
     for p in (0.9, 1e-12):

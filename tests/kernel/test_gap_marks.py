@@ -9,8 +9,9 @@ import pytest
 
 from kernel import gap_problem
 from oed.gap import diagnose
-from oed.gap.cause import which
-from oed.gap.cause.which import Search
+from oed.gap.cause.compare import compare
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.search import Search
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import bands, carriers, library, marks, waves
@@ -50,10 +51,10 @@ def _marked(problem: GapProblem, periods: dict[int, float], size: float) -> GapP
     )
 
 
-def _found(problem: GapProblem) -> tuple[Library, which.Hypothesis]:
+def _found(problem: GapProblem) -> tuple[Library, Hypothesis]:
     none = library.build(problem, ())
     made = marks.add(none, problem, stated(problem))
-    return made, which.compare([Search(problem, none, made, stated(problem), 0.0)])[0]
+    return made, compare([Search(problem, none, made, stated(problem), 0.0)])[0]
 
 
 @pytest.mark.parametrize(

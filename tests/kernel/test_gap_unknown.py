@@ -10,8 +10,12 @@ import pytest
 from kernel import gap_problem
 from kernel.gap_lines import EFFECTS, LINES, readings
 from oed.gap import diagnose
-from oed.gap.cause import pursuit, which
-from oed.gap.cause.which import Search
+from oed.gap.cause import compare as comparing
+from oed.gap.cause import pursuit
+from oed.gap.cause import searches as searching
+from oed.gap.cause.compare import compare
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.search import Search
 from oed.gap.data import noise
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
@@ -64,7 +68,7 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
     )
     change = _apart(problem, [book, own], [0.75 * SIZE**2, 0.25 * SIZE**2])
     acting = problem.with_residual(problem.residual + change)
-    best = which.compare([Search(acting, known, processes, stated(problem), 0.0)])[0]
+    best = compare([Search(acting, known, processes, stated(problem), 0.0)])[0]
     assert best.key == (frozenset({"bow"}), True)
     assert best.share == pytest.approx(0.75, abs=0.15)
 
@@ -75,9 +79,7 @@ def test_a_process_that_is_like_no_effect_is_unknown_alone(seed: int) -> None:
     known, processes = library.build(problem, EFFECTS), library.build(problem, SMOOTH)
     change = _apart(problem, [_some(processes, "over the pose", rng)], [SIZE**2])
     acting = problem.with_residual(problem.residual + change)
-    best, *others = which.compare(
-        [Search(acting, known, processes, stated(problem), 0.0)]
-    )
+    best, *others = compare([Search(acting, known, processes, stated(problem), 0.0)])
     assert best.key == (frozenset(), True)
     shares = [h.share for h in others if h.unknown]
     assert shares
@@ -85,29 +87,29 @@ def test_a_process_that_is_like_no_effect_is_unknown_alone(seed: int) -> None:
 
 
 def test_odds_of_an_effect_rise_with_its_share() -> None:
-    told = [which._odds(float(s)) for s in np.linspace(-3.0, 4.0, 141)]
+    told = [comparing._log_odds(float(s)) for s in np.linspace(-3.0, 4.0, 141)]
     assert (np.diff(told) >= 0.0).all()
-    assert (min(told), max(told)) == (-which.STEEPEST, which.STEEPEST)
-    assert which._odds(which.EVEN) == 0.0
-    assert which._odds(which.EVEN + 0.1) == pytest.approx(0.1 * which.SLOPE)
+    assert (min(told), max(told)) == (-comparing.STEEPEST, comparing.STEEPEST)
+    assert comparing._log_odds(comparing.EVEN) == 0.0
+    assert comparing._log_odds(comparing.EVEN + 0.1) == pytest.approx(
+        0.1 * comparing.SLOPE
+    )
 
 
 class _Told:
     """A search that says what it is told to."""
 
-    def __init__(self, *hypotheses: which.Hypothesis) -> None:
+    def __init__(self, *hypotheses: Hypothesis) -> None:
         self._hypotheses = hypotheses
 
-    def run(self) -> list[which.Hypothesis]:
+    def run(self) -> list[Hypothesis]:
         return list(self._hypotheses)
 
 
 def _says(
     effects: tuple[str, ...], unknown: bool, score: float, share: float = 1.0
-) -> which.Hypothesis:
-    return which.Hypothesis(
-        effects, unknown, (), (), None, 0.0, score, 0.0, share=share
-    )
+) -> Hypothesis:
+    return Hypothesis(effects, unknown, (), (), None, 0.0, score, 0.0, share=share)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.7, 0.99])
@@ -123,7 +125,7 @@ def test_an_unknown_alone_is_held_against_the_best_effect_by_its_share(
     )
     first += [_says(("a",), True, 0.0, share), _says(("b",), True, -30.0, 0.9)]
     second = [_says(("a",), False, -0.5), _says((), True, -2.0)]
-    told = {h.key: h for h in which.compare([_Told(*first), _Told(*second)])}  # type: ignore[list-item]
+    told = {h.key: h for h in compare([_Told(*first), _Told(*second)])}  # type: ignore[list-item]
     assert told[frozenset(), True].score == pytest.approx(-max(odds, 0.0))
     assert told[frozenset({"a"}), True].score == pytest.approx(min(odds, 0.0))
     assert told[frozenset({"b"}), True].score == -30.0
@@ -141,10 +143,10 @@ def test_an_unknown_alone_is_held_against_the_best_effect_by_its_share(
 def test_an_effect_that_explains_next_to_nothing_is_less_likely(
     least: float, worth: float
 ) -> None:
-    pair = dataclasses.replace(_says(("a", "b"), False, 0.0), least=least)
+    pair = dataclasses.replace(_says(("a", "b"), False, 0.0), least_share=least)
     told = {
         h.key: h
-        for h in which.compare(
+        for h in compare(
             [_Told(_says((), False, -9.0), _says(("a",), False, -1.0), pair)]
         )
     }  # type: ignore[list-item]
@@ -171,8 +173,8 @@ def test_the_least_share_is_what_is_lost_without_it(
     found = next(
         h for h in search.run() if h.key == (frozenset({"bow", "slip"}), False)
     )
-    assert found.least == pytest.approx(wanted, rel=0.1)
-    assert all(h.least == 1.0 for h in search.run() if len(h.effects) < 2)
+    assert found.least_share == pytest.approx(wanted, rel=0.1)
+    assert all(h.least_share == 1.0 for h in search.run() if len(h.effects) < 2)
 
 
 # -- waves -----------------------------------------------------------------------------
@@ -191,12 +193,12 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     search = Search(
         problem.with_residual(problem.residual + hum), none, made, stated(problem), 0.0
     )
-    best = which.compare([search])[0]
+    best = compare([search])[0]
     assert best.key == (frozenset(), True)
     quiet = Search(
         problem, none, waves.add(none, problem, stated(problem)), stated(problem), 0.0
     )
-    assert which.compare([quiet])[0].key == (frozenset(), False)
+    assert compare([quiet])[0].key == (frozenset(), False)
 
 
 @pytest.mark.parametrize(("unit", "period", "told"), [
@@ -224,12 +226,12 @@ def test_what_is_unknown_is_told_by_its_likeliest_form() -> None:
     assert not _concluded(problem)[0].likeness
 
 
-def _concluded(problem: GapProblem) -> tuple[Diagnosis, which.Hypothesis]:
-    made = diagnose.searches(problem, EFFECTS)
-    return diagnose.conclude(problem, made, which.compare(made), EFFECTS)
+def _concluded(problem: GapProblem) -> tuple[Diagnosis, Hypothesis]:
+    made = searching.searches(problem, EFFECTS)
+    return diagnose.conclude(problem, made, compare(made), EFFECTS)
 
 
-def _waved(problem: GapProblem, wave: np.ndarray) -> tuple[Library, which.Hypothesis]:
+def _waved(problem: GapProblem, wave: np.ndarray) -> tuple[Library, Hypothesis]:
     """The waves found, and what a search beside them says, of a wave on the readings
     dy.
     """
@@ -238,7 +240,7 @@ def _waved(problem: GapProblem, wave: np.ndarray) -> tuple[Library, which.Hypoth
     )
     none = library.build(problem, ())
     made = waves.add(none, acting, stated(problem))
-    return made, which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
+    return made, compare([Search(acting, none, made, stated(problem), 0.0)])[0]
 
 
 def _periods(made: Library, unit: str) -> list[float]:
@@ -322,7 +324,7 @@ def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
     )
     made = waves.add(none, acting, stated(problem))
     assert _periods(made, "travel_m")[0] == pytest.approx(0.037, rel=0.002)
-    best = which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
+    best = compare([Search(acting, none, made, stated(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
     assert made.atoms[best.process].constants["period_travel_m"] == pytest.approx(
@@ -382,12 +384,12 @@ def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_tol
         library.build(problem, ()),
     )
     made = library.build(problem, PROCESSES)
-    best = which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
+    best = compare([Search(acting, none, made, stated(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
     chosen = made.atoms[best.process]
     assert (chosen.effect, dict(chosen.constants)) == ("settling", {"within": 0.15})
-    still = which.compare([Search(problem, none, made, stated(problem), 0.0)])[0]
+    still = compare([Search(problem, none, made, stated(problem), 0.0)])[0]
     assert still.key == (frozenset(), False)
 
 
@@ -435,7 +437,7 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
     none = library.build(acting, ())
     made = library.build(acting, [p for p in PROCESSES if p.name == "coming back"])
     carried, prior = noise.fit_law(acting, np.zeros((len(acting), 0)))
-    told = which.compare(
+    told = compare(
         [
             Search(acting, none, made, *pair)
             for pair in ((carried, prior), estimate.quiet(carried))
@@ -476,13 +478,13 @@ def test_noise_told_beside_a_wave_does_not_hold_it() -> None:
     acting = problem.with_residual(problem.residual + wave)
     alone, prior = noise.fit_law(acting, np.zeros((len(acting), 0)))
     none = waves.add(library.build(acting, ()), acting, alone)
-    made, (beside,) = pursuit.pursued(none, acting, [alone])
+    made, (beside,) = pursuit.pursue(none, acting, [alone])
     assert alone.wander > 0.5
     assert beside[0].wander < 0.5 * alone.wander
     first = Search(acting, library.build(acting, ()), made, alone, prior).run()
     anew = Search(acting, library.build(acting, ()), made, *beside).run()
 
-    def odds(told: list[which.Hypothesis]) -> float:
+    def odds(told: list[Hypothesis]) -> float:
         by = {h.key: h.log_evidence for h in told}
         return by[frozenset(), True] - by[frozenset(), False]
 
@@ -503,7 +505,7 @@ def test_what_shifts_whole_runs_is_looked_for_where_runs_repeat() -> None:
     acting = problem.with_residual(problem.residual + shift)
     loose, _ = noise.fit_law(acting, np.zeros((len(acting), 0)))
     made = library.build(acting, SMOOTH)
-    _, (noisy, calm) = pursuit.pursued(made, acting, [loose, stated(problem)])
+    _, (noisy, calm) = pursuit.pursue(made, acting, [loose, stated(problem)])
     assert loose.repeat > 1.0
     assert calm[0].repeat < 0.5 * min(noisy[0].repeat, loose.repeat)
 
@@ -520,7 +522,7 @@ def test_no_gap_is_given_a_law_of_its_own(suits: bool) -> None:
     )
     best = noise.fit_law(problem, np.zeros((len(problem), 0)))
     made = [Search(problem, none, none, *(best if suits else (law, 0.0)))]
-    diagnose._alone(made, law)
+    searching._add_without_gap(made, law)
 
     def worth(search: Search) -> float:
         return next(
@@ -540,10 +542,10 @@ def test_two_waves_are_told_together() -> None:
     both += np.where(dz, 2.0 * np.sin(2.0 * np.pi * time / 611.0), 0.0)
     acting = problem.with_residual(problem.residual + both)
     none = library.build(acting, ())
-    made, _ = pursuit.pursued(
+    made, _ = pursuit.pursue(
         waves.add(none, acting, stated(acting)), acting, [stated(acting)]
     )
-    best = which.compare([Search(acting, none, made, stated(acting), 0.0)])[0]
+    best = compare([Search(acting, none, made, stated(acting), 0.0)])[0]
     assert best.process is not None
     assert made.atoms[best.process].effect == pursuit.NAME
     assert made.atoms[best.process].constants["processes"] >= 2.0
@@ -551,11 +553,11 @@ def test_two_waves_are_told_together() -> None:
     quiet = Search(
         problem,
         none,
-        pursuit.pursued(kept, problem, [stated(problem)])[0],
+        pursuit.pursue(kept, problem, [stated(problem)])[0],
         stated(problem),
         0.0,
     )
-    assert which.compare([quiet])[0].key == (frozenset(), False)
+    assert compare([quiet])[0].key == (frozenset(), False)
 
 
 def test_all_parameters_swing_together() -> None:
@@ -572,7 +574,7 @@ def test_all_parameters_swing_together() -> None:
     acting = problem.with_residual(problem.residual + change)
     none = library.build(problem, ())
     made = waves.add(none, acting, stated(problem))
-    best = which.compare([Search(acting, none, made, stated(problem), 0.0)])[0]
+    best = compare([Search(acting, none, made, stated(problem), 0.0)])[0]
     assert best.process is not None
     chosen = made.atoms[best.process]
     assert len(chosen.columns) == 2 * slopes.shape[1]

@@ -13,8 +13,9 @@ from effects_sample import session
 from kernel.gap_lines import readings
 from oed import smooth
 from oed.effect import State
-from oed.gap.cause import which
-from oed.gap.cause.which import Hypothesis, Search
+from oed.gap.cause.compare import compare
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.processes.catalogue import PROCESSES
@@ -38,7 +39,7 @@ def _best(
     )
     return (
         made,
-        which.compare(
+        compare(
             [Search(acting, library.build(problem, ()), made, stated(problem), 0.0)]
         )[0],
     )

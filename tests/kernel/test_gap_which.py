@@ -15,10 +15,13 @@ from kernel.gap_lines import BOW, EFFECTS, SLIP, planted, readings
 from oed.effect import Column, Effect, State
 from oed.gap import diagnose as diagnosing
 from oed.gap.cause import answers as answering
-from oed.gap.cause import which
-from oed.gap.cause.which import SIZES, Hypothesis, Search
+from oed.gap.cause import searches as searching
+from oed.gap.cause.compare import compare, probabilities
+from oed.gap.cause.hypothesis import PRIOR, Hypothesis
+from oed.gap.cause.search import Search
 from oed.gap.data import evidence
 from oed.gap.data.diagnosis import UNKNOWN, Answer
+from oed.gap.data.evidence import SIZES
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
@@ -42,11 +45,12 @@ def _brute(search: Search, effects: tuple[str, ...]) -> float:
     for atoms in itertools.product(*[search.library.atoms_of(e) for e in effects]):
         for sizes in itertools.product(range(len(SIZES)), repeat=len(effects)):
             weight = sum(
-                search._shares[a, s] for a, s in zip(atoms, sizes, strict=True)
+                search._log_prior[a, s] for a, s in zip(atoms, sizes, strict=True)
             )
             if np.isfinite(weight):
                 told.append(
-                    weight + search.given(atoms, [float(SIZES[s]) for s in sizes]).base
+                    weight
+                    + search.grams_with(atoms, [float(SIZES[s]) for s in sizes]).base
                 )
     return float(special.logsumexp(told))
 
@@ -86,7 +90,7 @@ def test_constants_that_make_no_difference_are_one_form() -> None:
     problem = planted(readings(1), BOW, {"leg 1": 1.0}, turns=3.0)
     plainly, twice = _search(problem, (BOW,)), _search(problem, (idle,))
     assert len(twice.library.atoms) == len(plainly.library.atoms)
-    told = [s.settle(("bow",), (0,), (1.0,)).log_evidence for s in (plainly, twice)]
+    told = [s.fit(("bow",), (0,), (1.0,)).log_evidence for s in (plainly, twice)]
     assert told[0] == pytest.approx(told[1])
 
 
@@ -94,19 +98,19 @@ def test_prior_shares_add_up() -> None:
     search = _search(readings(2))
     for effect in search.library.effects:
         mine = search.library.atoms_of(effect)
-        assert np.exp(search._shares[mine]).sum() == pytest.approx(1.0)
-    assert sum(which.PRIOR.values()) == pytest.approx(1.0)
+        assert np.exp(search._log_prior[mine]).sum() == pytest.approx(1.0)
+    assert sum(PRIOR.values()) == pytest.approx(1.0)
 
 
 def test_planted_effects_are_named_and_no_others() -> None:
     problem = planted(
         planted(readings(3), BOW, {"leg 1": 2.0}, turns=2.0), SLIP, {"leg 2": 2.0}
     )
-    best = which.compare([_search(problem)])[0]
+    best = compare([_search(problem)])[0]
     assert set(best.effects) == {"bow", "slip"}
     atom = _search(problem).library.atoms[best.atoms[best.effects.index("bow")]]
     assert atom.constants == {"turns": 2.0}
-    assert which.compare([_search(readings(3))])[0].effects == ()
+    assert compare([_search(readings(3))])[0].effects == ()
 
 
 def test_an_unknown_takes_nothing_from_a_selected_effect() -> None:
@@ -123,9 +127,9 @@ def test_an_unknown_takes_nothing_from_a_selected_effect() -> None:
     known = next(h for h in search.run() if h.key == (frozenset({"bow"}), False))
     full = [k for k in search.library.atoms_of("bow") if len(search.columns_of(k)) == 2]
     known = dataclasses.replace(known, atoms=(full[0],))
-    mixed = search.with_unknown(known)
+    mixed = search.add_unknown(known)
     assert mixed.log_evidence == pytest.approx(known.log_evidence, abs=1e-6)
-    alone = search.with_unknown(
+    alone = search.add_unknown(
         next(h for h in search.run() if h.key == (frozenset(), False))
     )
     assert alone.log_evidence > known.log_evidence - 12.0
@@ -189,7 +193,7 @@ def test_a_large_grid_is_looked_through_whole() -> None:
     kept = {(a.constants["turns"], a.constants["bend"]) for a in made.atoms}
     assert (TURNS[31], -0.1) in kept
     assert len(kept) == library.BEST
-    best = which.compare(
+    best = compare(
         [Search(problem, made, library.build(problem, ()), stated(problem), 0.0)]
     )[0]
     assert made.atoms[best.atoms[0]].constants == {"turns": TURNS[31], "bend": -0.1}
@@ -274,8 +278,8 @@ def test_a_step_within_a_run_is_neither_missed_nor_taken_for_outliers() -> None:
         problem = planted(
             readings(1), step.effect, {"leg 2": size}, when=0.5, lasts=0.04
         )
-        made = diagnosing.searches(problem, effects)
-        found, best = diagnosing.conclude(problem, made, which.compare(made), effects)
+        made = searching.searches(problem, effects)
+        found, best = diagnosing.conclude(problem, made, compare(made), effects)
         assert found.answers[0].effects == ("step",)
         assert made[best.law].library.atoms[best.atoms[0]].constants == {
             "when": 0.5,
@@ -308,7 +312,7 @@ def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
     found = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0), law=law)
     assert found.answers[0].effects == ("slip",)
     assert dataclasses.replace(found.law, level=1.0) == law
-    (alone,) = diagnosing._under(problem, EFFECTS, law)
+    (alone,) = searching.searches_under(problem, EFFECTS, law)
     nothing = evidence.compress(problem, np.zeros((len(problem), 0)))
     assert alone.grams.base == pytest.approx(
         evidence.log_evidence(problem, law, nothing)
@@ -333,7 +337,7 @@ MANY = tuple(f"m{k}" for k in range(answering.VAGUE))
 def _said(*parts: tuple[list[tuple[str, ...]], bool, float]) -> list[Answer]:
     answers: list[Answer] = []
     for members, unknown, probability in parts:
-        answering._tell(answers, members, unknown, probability)
+        answering._add(answers, _group(members, unknown, probability))
     return answers
 
 
@@ -401,7 +405,7 @@ def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
         _group([], True, 0.06),
         _group([("c",)], False, 0.04),
     ]
-    found = answering.held(groups)
+    found = answering.credible_set(groups)
     assert [(a.effects, a.classes) for a in found] == [
         (("a",), (("a", "b"),)),
         (("a", MANY[0]), (("a",), MANY)),
@@ -412,7 +416,7 @@ def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
 
 
 def test_a_remainder_is_told_in_the_set_where_it_is_likelier_than_not() -> None:
-    (found,) = answering.held(
+    (found,) = answering.credible_set(
         [_group([("a",)], False, 0.4), _group([("a",)], True, 0.6)]
     )
     assert found == Answer(("a", UNKNOWN), 1.0, (("a",),))
@@ -421,7 +425,7 @@ def test_a_remainder_is_told_in_the_set_where_it_is_likelier_than_not() -> None:
 def test_level_is_that_of_what_is_left() -> None:
     problem = readings(9)
     search = _search(problem.with_residual(3.0 * problem.residual))
-    assert search.level(search.run()[0]) == pytest.approx(3.0, rel=0.1)
+    assert search.noise_level(search.run()[0]) == pytest.approx(3.0, rel=0.1)
     assert evidence.noise_level(search.grams) == pytest.approx(3.0, rel=0.1)
 
 
@@ -445,14 +449,14 @@ def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(
         for e, u, p in sets
     ]
     monkeypatch.setattr(
-        answering.classes,
-        "of",
+        answering,
+        "equivalent_effects",
         lambda search, h, scores, alive: [
             vague if e == "c" else (e,) for e in h.effects
         ],
     )
-    answers, best = answering.told(
-        answering.gathered([None], made, np.array([0.4, 0.3, 0.3]))
+    answers, best = answering.rank(
+        answering.group([None], made, np.array([0.4, 0.3, 0.3]))
     )
     assert answers[0].effects == ("b", UNKNOWN)
     assert answers[0].probability == pytest.approx(0.6)
@@ -474,7 +478,7 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
         ) -> list[tuple[str, ...]]:
             return [(e, *(f"{e}{k}" for k in range(1, members))) for e in h.effects]
 
-        monkeypatch.setattr(answering.classes, "of", of)
+        monkeypatch.setattr(answering, "equivalent_effects", of)
 
         shares = {(): none, ("a",): 0.6 * (1.0 - none), ("b",): 0.4 * (1.0 - none)}
         made = [
@@ -486,8 +490,8 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
             )
             for e, p in shares.items()
         ]
-        answers, best = answering.told(
-            answering.gathered([None], made, np.array(list(shares.values())))
+        answers, best = answering.rank(
+            answering.group([None], made, np.array(list(shares.values())))
         )
         assert best.effects == answers[0].effects
         assert sum(a.probability for a in answers) == pytest.approx(1.0)
@@ -523,9 +527,9 @@ def test_explanations_are_weighed_a_little_flatter_than_their_evidence() -> None
     made = [
         Hypothesis(effects=e, unknown=u, log_evidence=s, **blank) for e, u, s in told
     ]
-    found = which.probabilities(made)
+    found = probabilities(made)
     evidences = np.exp([s for _, _, s in told])
     assert found[0] == pytest.approx(evidences[0] / evidences.sum())
     assert found[1] / found[2] == pytest.approx(np.exp(0.9 * 5.0))
     assert found.sum() == pytest.approx(1.0)
-    assert which.probabilities(made[:1]) == pytest.approx([1.0])
+    assert probabilities(made[:1]) == pytest.approx([1.0])

@@ -1,6 +1,4 @@
-"""What to do next: the physical remedy, or the reading that would tell the members of a
-class apart.
-"""
+"""Advice: the physical remedy, or the reading that distinguishes the members of a class."""
 
 from __future__ import annotations
 
@@ -11,7 +9,7 @@ from oed.effect import Effect
 from oed.gap.data.diagnosis import UNKNOWN, Answer
 from oed.gap.data.signature import LACKS
 
-#: probability below which the leading answer is told with its rival
+#: probability of the leading answer below which the advice considers its rival too
 SURE = 0.8
 
 
@@ -20,96 +18,106 @@ def advise(
     effects: Sequence[Effect],
     not_testable: Mapping[str, str],
 ) -> tuple[str, ...]:
-    """Sentences, the most useful first, for the leading answer and, where it is not
-    sure, the one behind it.
+    """Sentences, the most useful first, for the leading answer.
+
+    Where it is not sure, they also consider the answer behind it.
     """
     known = {e.name: e for e in effects}
     first = answers[0]
-    told = _for(first, known)
+    sentences = _for_answer(first, known)
     if first.probability < SURE and len(answers) > 1:
-        told += _between(first, answers[1], known)
-    missing = _missing(not_testable)
+        sentences += _between(first, answers[1], known)
+    missing = _missing_covariates(not_testable)
     if missing and not first.effects:
-        told.append(
+        sentences.append(
             "Record more with the readings, and more can be tested:"
             f" {_listed(missing)}."
         )
     elif missing and UNKNOWN in first.effects:
-        told.append(
+        sentences.append(
             "What acts may be what these readings cannot test: record"
             f" {_listed(missing)} with them."
         )
-    return tuple(dict.fromkeys(told))
+    return tuple(dict.fromkeys(sentences))
 
 
-def _missing(not_testable: Mapping[str, str]) -> list[str]:
+def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
     """The covariates without which effects could not be tested."""
-    needs = [
-        why.removeprefix(LACKS).split(", ")
-        for why in not_testable.values()
-        if why.startswith(LACKS)
-    ]
-    return sorted(
-        {re.split(r":| or ", need)[0] for several in needs for need in several}
-    )
+    missing = set()
+    for reason in not_testable.values():
+        if reason.startswith(LACKS):
+            needs = reason.removeprefix(LACKS).split(", ")
+            missing |= {re.split(r":| or ", need)[0] for need in needs}
+    return sorted(missing)
 
 
-def _for(answer: Answer, known: Mapping[str, Effect]) -> list[str]:
-    told = []
-    for effect, members in zip(
-        [e for e in answer.effects if e != UNKNOWN], answer.classes, strict=True
-    ):
+def _for_answer(answer: Answer, known: Mapping[str, Effect]) -> list[str]:
+    sentences = []
+    named = [e for e in answer.effects if e != UNKNOWN]
+    for effect, members in zip(named, answer.classes, strict=True):
         if len(members) > 1:
-            told.append(
-                f"These readings cannot tell {_listed(members)} apart: "
-                + "; ".join(
-                    f"{known[m].exposed_by} would show {m}"
-                    for m in members
-                    if known[m].exposed_by
-                )
-                + "."
-            )
+            sentences.append(_for_class(members, known))
         elif known[effect].remedy:
-            told.append(f"{effect}: {known[effect].remedy}.")
+            sentences.append(f"{effect}: {known[effect].remedy}.")
     if answer.effects == (UNKNOWN,):
-        told.append(
+        sentences.append(
             "Something acts that no effect of the library explains: look at where it"
             " lies, vary one condition at a time (direction, feed, payload, time) on"
             " the runs that show it, and add an effect of your own."
         )
     elif UNKNOWN in answer.effects:
-        told.append(
+        sentences.append(
             "A remainder of unknown shape is left: look at its trace, and at where it"
             " lies, before acting on it."
         )
     if not answer.effects:
-        told.append(
+        sentences.append(
             "Nothing beyond the geometry and the noise is seen: compensate the"
             " geometry."
         )
-    return told
+    return sentences
 
 
-def _between(first: Answer, second: Answer, known: Mapping[str, Effect]) -> list[str]:
+def _for_class(members: Sequence[str], known: Mapping[str, Effect]) -> str:
+    """What would distinguish the members of a class."""
+    tests = []
+    for member in members:
+        exposed_by = known[member].exposed_by
+        if exposed_by:
+            tests.append(f"{exposed_by} would show {member}")
+    names = _listed(members)
+    return f"These readings cannot tell {names} apart: " + "; ".join(tests) + "."
+
+
+def _between(
+    first: Answer,
+    second: Answer,
+    known: Mapping[str, Effect],
+) -> list[str]:
+    """What would distinguish the leading answer from the second."""
     if not second.effects:
-        shown = [
-            known[e].exposed_by
-            for e in first.effects
-            if e in known and known[e].exposed_by
-        ]
-        more = f" It would be shown by {_listed(shown)}." if shown else ""
+        tests = _tests(first.effects, known)
+        more = f" It would be shown by {_listed(tests)}." if tests else ""
         chance = f"{100.0 * second.probability:.0f} %"
         return [
             f"Noise alone has a probability of {chance}: read again before acting on"
             f" the gap.{more}"
         ]
-    apart = [
-        e
-        for e in second.effects
-        if e not in first.effects and e in known and known[e].exposed_by
-    ]
-    return [f"To make sure that it is not {e}: {known[e].exposed_by}." for e in apart]
+    others = [e for e in second.effects if e not in first.effects]
+    sentences = []
+    for effect in others:
+        for test in _tests([effect], known):
+            sentences.append(f"To make sure that it is not {effect}: {test}.")
+    return sentences
+
+
+def _tests(effects: Sequence[str], known: Mapping[str, Effect]) -> list[str]:
+    """Measurements that expose some effects."""
+    tests = [known[effect].exposed_by for effect in effects if effect in known]
+    return [test for test in tests if test]
 
 
 def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+    if len(names) == 1:
+        return names[0]
+    return ", ".join(names[:-1]) + " and " + names[-1]

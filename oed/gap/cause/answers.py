@@ -1,10 +1,9 @@
-"""Hypotheses gathered into answers: which effects act, each with those that cannot be
-told from it; none first only where it is sure; and the 95 % set.
+"""Answers of a diagnosis: hypotheses grouped by classes, the 95 % set, the verdict.
 
-An answer is what a person should be told: what acts beside a named effect and could be
-any of many is told as unknown there. The 95 % set is what should hold the truth: it
-keeps such names with all members of their classes, and counts a set of named effects
-once, whatever remainder is beside them.
+An answer is what a person should read: what acts with a named effect and could be any
+of many is reported as unknown there. No gap comes first only where it is sure. The 95 %
+set is what should hold the truth: it has such names with all members of their classes,
+and counts a set of named effects once, with or without a remainder.
 """
 
 from __future__ import annotations
@@ -13,27 +12,35 @@ import dataclasses
 from collections.abc import Sequence
 
 from oed.arrays import Array
-from oed.gap.cause import classes
-from oed.gap.cause.which import Hypothesis, Search
+from oed.gap.cause.equivalence import equivalent_effects
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import UNKNOWN, Answer, Verdict
 
-#: answers are told down to this probability
-TOLD = 0.002
+#: least probability of an answer that is reported
+REPORTED = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
 ALIVE = 5.5
-#: probability from which on no gap is told: one that is missed costs more than one that
-#: is looked for in vain; and where what could be looked for is any of many
+#: probability from which on no gap is reported, since a missed gap costs more than a
+#: search in vain; and the same where the gap could be any of many
 SURE, EVEN = 0.65, 0.5
-#: members from which on a class beside a named effect is told as unknown
+#: members from which on a class with a named effect is reported as unknown
 VAGUE = 6
-#: probability that the set of answers holds together
-HELD = 0.95
+#: probability that the credible set has
+COVERAGE = 0.95
+
+#: for each effect the names that are indistinguishable from it
+Classes = Sequence[tuple[str, ...]]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class AnswerGroup:
-    """Hypotheses that one stands for: a class for each of its effects, whether an
-    unknown is beside them.
+    """Hypotheses that one stands for.
+
+    hypothesis     the best of them
+    members        a class for each of its effects
+    unknown        whether an unknown remainder acts as well
+    probability    of all of them together
     """
 
     hypothesis: Hypothesis
@@ -42,80 +49,90 @@ class AnswerGroup:
     probability: float
 
 
-def gathered(
-    made: Sequence[Search], hypotheses: Sequence[Hypothesis], shares: Array
+def group(
+    searches: Sequence[Search],
+    hypotheses: Sequence[Hypothesis],
+    shares: Array,
 ) -> list[AnswerGroup]:
-    """Hypotheses, best first, with their probabilities: one that stands for another is
-    counted with it.
+    """Hypotheses, best first, each with those that it stands for.
+
+    `shares` are their probabilities.
     """
-    left = dict(zip([h.key for h in hypotheses], shares, strict=True))
+    remaining = dict(zip([h.key for h in hypotheses], shares, strict=True))
     scores = {h.key: h.score for h in hypotheses}
     groups: list[AnswerGroup] = []
     for h in hypotheses:
-        if h.key not in left or (left[h.key] < TOLD and groups):
+        if h.key not in remaining:
             continue
-        members = tuple(classes.of(made[h.law], h, scores, ALIVE)) if h.effects else ()
+        if groups and remaining[h.key] < REPORTED:
+            continue
+        members: tuple[tuple[str, ...], ...] = ()
+        if h.effects:
+            members = tuple(equivalent_effects(searches[h.law], h, scores, ALIVE))
         total = 0.0
-        for key in list(left):
-            if key[1] == h.unknown and _stands_for(key[0], members):
-                total += left.pop(key)
+        for key in list(remaining):
+            effects, unknown = key
+            if unknown == h.unknown and _stands_for(effects, members):
+                total += remaining.pop(key)
         groups.append(AnswerGroup(h, members, h.unknown, float(total)))
     return groups
 
 
-def told(groups: Sequence[AnswerGroup]) -> tuple[tuple[Answer, ...], Hypothesis]:
-    """Answers by probability, none first only where it is sure; and the best hypothesis
-    of the first answer.
+def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[Answer, ...], Hypothesis]:
+    """Answers by probability, no gap first only where it is sure.
+
+    The second result is the best hypothesis of the first answer.
     """
     answers: list[Answer] = []
     leading: list[Hypothesis] = []
-    for group in groups:
-        _tell(answers, group.members, group.unknown, group.probability)
-        leading += [group.hypothesis] * (len(answers) - len(leading))
+    for entry in groups:
+        _add(answers, entry)
+        leading += [entry.hypothesis] * (len(answers) - len(leading))
     order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
-    if len(order) > 1 and not answers[order[0]].effects:
-        next_best = answers[order[1]]
-        vague = next_best.effects == (UNKNOWN,) or any(
-            len(c) >= VAGUE for c in next_best.classes
-        )
-        if answers[order[0]].probability < (EVEN if vague else SURE):
+    first = answers[order[0]]
+    if len(order) > 1 and not first.effects:
+        threshold = EVEN if _is_vague(answers[order[1]]) else SURE
+        if first.probability < threshold:
             order[:2] = order[1::-1]
     return tuple(answers[k] for k in order), leading[order[0]]
 
 
-def _tell(
-    answers: list[Answer],
-    members: Sequence[tuple[str, ...]],
-    unknown: bool,
-    probability: float,
-) -> None:
+def _is_vague(answer: Answer) -> bool:
+    """Whether an answer's effect could be any of many."""
+    if answer.effects == (UNKNOWN,):
+        return True
+    return any(len(members) >= VAGUE for members in answer.classes)
+
+
+def _add(answers: list[Answer], entry: AnswerGroup) -> None:
     """Add an answer, or its probability to the one that says the same.
 
-    What acts beside a named effect and may be any of many is told as unknown: a name
+    What acts with a named effect and may be any of many is reported as unknown: a name
     drawn from them would be a guess.
     """
-    told = list(members)
-    if len(members) > 1:
-        told = [m for m in members if len(m) < VAGUE] or [min(members, key=len)]
-    unknown = unknown or len(told) < len(members)
-    names = tuple(m[0] for m in told)
-    for k, a in enumerate(answers):
-        if (UNKNOWN in a.effects) == unknown and _stands_for(
-            frozenset(names), a.classes
-        ):
-            answers[k] = dataclasses.replace(a, probability=a.probability + probability)
+    named = list(entry.members)
+    if len(named) > 1:
+        clear = [m for m in named if len(m) < VAGUE]
+        named = clear or [min(named, key=len)]
+    unknown = entry.unknown or len(named) < len(entry.members)
+    names = frozenset(members[0] for members in named)
+    for k, answer in enumerate(answers):
+        if (UNKNOWN in answer.effects) != unknown:
+            continue
+        if _stands_for(names, answer.classes):
+            total = answer.probability + entry.probability
+            answers[k] = dataclasses.replace(answer, probability=total)
             return
-    answers.append(_answer(told, unknown, probability))
+    answers.append(_answer(named, unknown, entry.probability))
 
 
-def _answer(
-    members: Sequence[tuple[str, ...]], unknown: bool, probability: float
-) -> Answer:
+def _answer(members: Classes, unknown: bool, probability: float) -> Answer:
     names = tuple(m[0] for m in members)
-    return Answer((*names, UNKNOWN) if unknown else names, probability, tuple(members))
+    effects = (*names, UNKNOWN) if unknown else names
+    return Answer(effects, probability, tuple(members))
 
 
-def _stands_for(effects: frozenset[str], members: Sequence[tuple[str, ...]]) -> bool:
+def _stands_for(effects: frozenset[str], members: Classes) -> bool:
     """Whether a set of effects takes exactly one member of each class."""
     if len(effects) != len(members):
         return False
@@ -128,34 +145,39 @@ def _stands_for(effects: frozenset[str], members: Sequence[tuple[str, ...]]) -> 
     )
 
 
-def held(groups: Sequence[AnswerGroup]) -> tuple[Answer, ...]:
-    """The fewest sets of named effects that together have 95 %, by probability; an
-    unknown remainder is told beside them where it has most of theirs.
+def credible_set(groups: Sequence[AnswerGroup]) -> tuple[Answer, ...]:
+    """The fewest sets of named effects that together have 95 %, by probability.
+
+    An unknown remainder joins them where it has most of their probability.
     """
+    answers = []
+    for alike in _by_named_effects(groups):
+        total = sum(g.probability for g in alike)
+        with_unknown = sum(g.probability for g in alike if g.unknown)
+        unknown = with_unknown > 0.5 * total
+        answers.append(_answer(alike[0].members, unknown, total))
+    answers.sort(key=lambda a: -a.probability)
+    total, selected = 0.0, []
+    for answer in answers:
+        selected.append(answer)
+        total += answer.probability
+        if total >= COVERAGE:
+            break
+    return tuple(selected)
+
+
+def _by_named_effects(groups: Sequence[AnswerGroup]) -> list[list[AnswerGroup]]:
+    """Groups of one set of named effects, with or without a remainder, together."""
     sets: list[list[AnswerGroup]] = []
-    for group in sorted(groups, key=lambda g: -g.probability):
-        names = frozenset(m[0] for m in group.members)
+    for entry in sorted(groups, key=lambda g: -g.probability):
+        names = frozenset(m[0] for m in entry.members)
         same = (s for s in sets if names and _stands_for(names, s[0].members))
         alike = next(same, None)
         if alike is None:
-            sets.append([group])
+            sets.append([entry])
         else:
-            alike.append(group)
-    answers = []
-    for alike in sets:
-        total, beside = (
-            sum(g.probability for g in alike),
-            sum(g.probability for g in alike if g.unknown),
-        )
-        answers.append(_answer(alike[0].members, beside > 0.5 * total, total))
-    answers.sort(key=lambda a: -a.probability)
-    total, kept = 0.0, []
-    for answer in answers:
-        kept.append(answer)
-        total += answer.probability
-        if total >= HELD:
-            break
-    return tuple(kept)
+            alike.append(entry)
+    return sets
 
 
 def verdict(answer: Answer) -> Verdict:

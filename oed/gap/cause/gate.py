@@ -1,10 +1,10 @@
-"""Whether a gap stands out in one place, where the evidence would have none.
+"""Gate: whether a gap stands out in one place where the evidence reports none.
 
 The evidence shares its prior among forms; a gap that none of them has well may stand
 out in one leg, run or stretch of time all the same. The scan over places tests that
-without any prior. Of its p-value, corrected for all places, this much at most can be
-made against no gap: its odds are divided by B = 1 / (-e p ln p) (Sellke, Bayarri,
-Berger 2001).
+without any prior. Its p-value, corrected for all places, can count against no gap by
+this much at most: its odds are divided by B = 1 / (-e p ln p) (Sellke, Bayarri, Berger
+2001).
 """
 
 from __future__ import annotations
@@ -16,36 +16,38 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.gap.cause import answers
-from oed.gap.cause.which import Hypothesis, Search
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.search import Search
 from oed.gap.place import locate
 
-#: p-value below which the scan has a say
-SEEN = 0.05
+#: p-value below which the scan counts
+SIGNIFICANT = 0.05
 
 
-def weighed(
-    made: Sequence[Search],
+def reweigh(
+    searches: Sequence[Search],
     hypotheses: Sequence[Hypothesis],
     shares: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Probabilities (hypotheses,) from those by the evidence: changed only where these
-    would have no gap told.
+    """Probabilities (hypotheses,) after the scan, from those by the evidence.
+
+    They change only where these report no gap.
     """
-    told, best = answers.told(answers.gathered(made, hypotheses, shares))
-    if told[0].effects:
+    groups = answers.group(searches, hypotheses, shares)
+    ranked, best = answers.rank(groups)
+    if ranked[0].effects:
         return shares
-    search = made[best.law]
-    p = locate.least_p_value(search.problem, search.law_at(search.level(best)), rng)
-    none = np.array([not h.effects and not h.unknown for h in hypotheses], dtype=bool)
-    changed = np.where(none, shares / against_none(p), shares)
+    search = searches[best.law]
+    law = search.law_at(search.noise_level(best))
+    p = locate.least_p_value(search.problem, law, rng)
+    no_gap = np.array([not h.is_gap for h in hypotheses], dtype=bool)
+    changed = np.where(no_gap, shares / bayes_factor(p), shares)
     return np.asarray(changed / changed.sum())
 
 
-def against_none(p: float) -> float:
-    """The most that a p-value can say against what it tests: a Bayes factor, 1 where
-    the scan has no say.
-    """
+def bayes_factor(p: float) -> float:
+    """Largest Bayes factor of a p-value against what it tests; 1 if not significant."""
     if not 0.0 < p <= 1.0:
         raise ValueError(f"p-value {p}: give one above 0, at most 1")
-    return 1.0 / (-math.e * p * math.log(p)) if p < SEEN else 1.0
+    return 1.0 / (-math.e * p * math.log(p)) if p < SIGNIFICANT else 1.0

@@ -82,6 +82,10 @@ class Library:
         """Numbers of an effect's atoms."""
         return [k for k, a in enumerate(self.atoms) if a.effect == effect]
 
+    def scaled_columns(self, atom: int, size: float) -> Array:
+        """Columns (N, k) of an atom times its size."""
+        return np.asarray(size * self.columns[:, self.atoms[atom].columns])
+
 
 def build(
     problem: GapProblem,

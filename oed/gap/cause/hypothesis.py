@@ -1,0 +1,102 @@
+"""Hypotheses of a diagnosis: sets of effects, with or without an unknown remainder."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy import special
+
+from oed.arrays import Array
+from oed.gap.forms.library import Library
+
+#: prior probabilities: no gap, one effect, two, three, an unknown alone, one or two
+#: with an unknown remainder
+PRIOR = {
+    "none": 0.34,
+    "one": 0.24,
+    "two": 0.08,
+    "three": 0.01,
+    "unknown": 0.10,
+    "one+": 0.19,
+    "two+": 0.04,
+}
+#: keys of PRIOR by the number of effects, without and with an unknown remainder
+_WITHOUT_UNKNOWN = ("none", "one", "two", "three")
+_WITH_UNKNOWN = ("unknown", "one+", "two+", "two+")
+
+#: what a hypothesis says, whatever its forms: effects, whether an unknown acts
+Key = tuple[frozenset[str], bool]
+
+
+@dataclasses.dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects, with or without an unknown remainder.
+
+    effects         names of the effects
+    unknown         whether an unknown remainder acts as well
+    atoms           number of each effect's best form in the library
+    sizes           size of each effect's best form
+    process         number of the best unknown process; None without a remainder
+    process_size    size of the best unknown process
+    log_evidence    of the readings, over all forms and sizes
+    log_prior       log prior probability
+    law             number of the noise law that suits it best
+    share           share of what the readings hold beyond noise that the effects
+                    explain, not the unknown remainder
+    least_share     share of what several effects explain that is lost without the least
+                    of them
+    """
+
+    effects: tuple[str, ...]
+    unknown: bool
+    atoms: tuple[int, ...]
+    sizes: tuple[float, ...]
+    process: int | None
+    process_size: float
+    log_evidence: float
+    log_prior: float
+    law: int = 0
+    share: float = 1.0
+    least_share: float = 1.0
+
+    @property
+    def score(self) -> float:
+        """Log posterior up to a constant."""
+        return self.log_evidence + self.log_prior
+
+    @property
+    def key(self) -> Key:
+        """What it says, whatever its forms."""
+        return frozenset(self.effects), self.unknown
+
+    @property
+    def is_gap(self) -> bool:
+        """Whether it says that there is a gap."""
+        return bool(self.effects) or self.unknown
+
+    def others(self, i: int) -> list[int]:
+        """Positions of all its effects but the i-th."""
+        return [j for j in range(len(self.effects)) if j != i]
+
+    def columns(
+        self,
+        library: Library,
+        processes: Library,
+        factor: float = 1.0,
+    ) -> Array:
+        """Columns (N, k) of its forms at their sizes, times a factor."""
+        parts = [np.zeros((len(library.columns), 0))]
+        for atom, size in zip(self.atoms, self.sizes, strict=True):
+            parts.append(library.scaled_columns(atom, factor * size))
+        if self.process is not None:
+            size = factor * self.process_size
+            parts.append(processes.scaled_columns(self.process, size))
+        return np.hstack(parts)
+
+
+def log_prior(count: int, unknown: bool, effects: int) -> float:
+    """Log prior of one set of `count` effects out of `effects`."""
+    kinds = _WITH_UNKNOWN if unknown else _WITHOUT_UNKNOWN
+    sets = special.comb(max(effects, 1), count)
+    return float(np.log(PRIOR[kinds[count]]) - np.log(sets))

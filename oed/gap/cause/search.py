@@ -1,0 +1,386 @@
+"""Search over sets of effects by closed-form evidence, under one noise law.
+
+An effect's evidence is the sum over its forms (atoms) and sizes. For a set of effects
+the sum over all combinations is taken about the best one: with a* the best forms,
+
+    log sum_a w(a) p(r | a) ~ log p(r | a*)
+        + sum_i ( log sum_a_i w(a_i) p(r | a_i, a*_others) - log p(r | a*) ).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from scipy import special
+
+from oed.arrays import Array, Index
+from oed.gap.cause.hypothesis import Hypothesis, log_prior
+from oed.gap.cause.remainder import Remainders, log_size_prior
+from oed.gap.data import evidence
+from oed.gap.data.evidence import SIZES, Grams
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
+from oed.gap.forms.library import Library
+from oed.noise.law import NoiseLaw
+from oed.noise.outliers import Outliers
+
+#: log evidence below the best at which sets are not taken further
+BEHIND = 14.0
+#: number of sets that are taken further
+SETS = 8
+#: rounds in which the effects of a set take turns at their best forms
+ROUNDS = 4
+_NONE = np.empty(0, dtype=np.intp)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Further:
+    """A further effect over a base: its log evidence, its best form and size."""
+
+    log_evidence: float
+    atom: int
+    size: float
+
+
+class Search:
+    """Hypotheses about a problem's residuals under one noise law."""
+
+    def __init__(
+        self,
+        problem: GapProblem,
+        library: Library,
+        processes: Library,
+        law: NoiseLaw,
+        log_prior: float,
+        outliers: Outliers | None = None,
+    ) -> None:
+        """Compute the inner products of all columns.
+
+        log_prior    of the noise law
+        outliers     those that the problem's residuals are without, if any
+        """
+        self.problem = problem
+        self.library = library
+        self.processes = processes
+        self.law = law
+        self.log_prior = log_prior
+        self.outliers = outliers
+        log_outliers = 0.0 if outliers is None else outliers.log_odds
+        self._log_law = log_prior + log_outliers
+        columns = np.hstack([library.columns, processes.columns])
+        metric = Metric(problem, law)
+        self.grams: Grams = evidence.grams(problem, metric, columns)
+        count = library.columns.shape[1]
+        self._effect_grams = self.grams.subset(np.arange(count))
+        self._atoms = [atom.columns for atom in library.atoms]
+        self._effect = np.array([atom.effect for atom in library.atoms])
+        log_weights = np.array([atom.log_weight for atom in library.atoms])
+        log_sizes = log_size_prior(self.grams, self._atoms, SIZES)
+        #: (atoms, sizes) log prior of each form at each size
+        self._log_prior = log_weights[:, None] + log_sizes
+        self._atoms_of = {
+            effect: np.array(library.atoms_of(effect), dtype=np.intp)
+            for effect in library.effects
+        }
+        self._remainders = Remainders(self.grams, processes, count)
+        self._tables: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
+        self._hypotheses: list[Hypothesis] = []
+
+    def columns_of(self, atom: int) -> Index:
+        """Columns of a form."""
+        return self._atoms[atom]
+
+    # -- one hypothesis ----------------------------------------------------------------
+
+    def grams_with(self, atoms: Sequence[int], sizes: Sequence[float]) -> Grams:
+        """Grams with these forms in the model."""
+        return self._select(self.grams, atoms, sizes)
+
+    def noise_level(self, h: Hypothesis) -> float:
+        """Noise level of what a hypothesis does not explain."""
+        grams = self.grams_with(h.atoms, h.sizes)
+        if h.process is not None:
+            columns = self._remainders.columns_of(h.process)
+            grams = grams.select(columns, h.process_size)
+        return evidence.noise_level(grams)
+
+    def law_at(self, level: float) -> NoiseLaw:
+        """The law at a noise level, with the outliers' distribution."""
+        law = dataclasses.replace(self.law, level=level)
+        return law if self.outliers is None else self.outliers.law(law)
+
+    def alternatives(
+        self,
+        h: Hypothesis,
+        i: int,
+        count: int = 4,
+    ) -> list[tuple[int, float]]:
+        """The next best forms of the i-th effect of a hypothesis, with best sizes."""
+        others = h.others(i)
+        atoms = [h.atoms[j] for j in others]
+        sizes = [h.sizes[j] for j in others]
+        posterior = self._log_posterior(h.effects[i], atoms, sizes)
+        numbers = self._atoms_of[h.effects[i]]
+        order = np.argsort(-posterior.max(axis=1))[: count + 1]
+        ranked = []
+        for k in order:
+            size = float(SIZES[np.argmax(posterior[k])])
+            ranked.append((int(numbers[k]), size))
+        return [form for form in ranked if form[0] != h.atoms[i]][:count]
+
+    def likeness(self, h: Hypothesis) -> dict[str, float]:
+        """Probability of each form of a hypothesis' unknown remainder, in words.
+
+        The likeliest form comes first.
+        """
+        selected = self._columns_of_set(h)
+        table = self._remainders.log_evidences(self._grams_alone(h), selected)
+        shares = special.softmax(special.logsumexp(table, axis=1))
+        by_form: dict[str, float] = {}
+        for atom, share in zip(self.processes.atoms, shares, strict=True):
+            by_form[atom.about] = by_form.get(atom.about, 0.0) + float(share)
+        return dict(sorted(by_form.items(), key=lambda item: -item[1]))
+
+    # -- sets of effects ---------------------------------------------------------------
+
+    def screen(self, grams: Grams, without: Iterable[str]) -> dict[str, Further]:
+        """Each further effect's log evidence over `grams`, its best form and size."""
+        others = np.flatnonzero(~np.isin(self._effect, list(without)))
+        if not others.size:
+            return {}
+        table = grams.log_evidences([self._atoms[k] for k in others])
+        posterior = table + self._log_prior[others]
+        best = {}
+        for effect in dict.fromkeys(self._effect[others]):
+            rows = np.flatnonzero(self._effect[others] == effect)
+            of_effect = posterior[rows]
+            row, column = _argmax(of_effect)
+            best[str(effect)] = Further(
+                log_evidence=float(np.logaddexp.reduce(of_effect, axis=None)),
+                atom=int(others[rows[row]]),
+                size=float(SIZES[column]),
+            )
+        return best
+
+    def fit(
+        self,
+        effects: Sequence[str],
+        atoms: Sequence[int],
+        sizes: Sequence[float],
+    ) -> Hypothesis:
+        """Hypothesis of a set of effects: best forms by turns, evidence over all forms.
+
+        `atoms` and `sizes` are the forms to start from.
+        """
+        best, best_sizes = list(atoms), list(sizes)
+        further_forms = 0.0
+        for _ in range(ROUNDS):
+            before = (tuple(best), tuple(best_sizes))
+            further_forms = 0.0
+            for i, effect in enumerate(effects):
+                others = [j for j in range(len(effects)) if j != i]
+                other_atoms = [best[j] for j in others]
+                other_sizes = [best_sizes[j] for j in others]
+                table = self._table(effect, other_atoms, other_sizes)
+                numbers = self._atoms_of[effect]
+                posterior = table + self._log_prior[numbers]
+                row, column = _argmax(posterior)
+                best[i], best_sizes[i] = int(numbers[row]), float(SIZES[column])
+                over_all = float(np.logaddexp.reduce(posterior, axis=None))
+                further_forms += over_all - float(table[row, column])
+            if (tuple(best), tuple(best_sizes)) == before:
+                break
+        h = Hypothesis(
+            effects=tuple(effects),
+            unknown=False,
+            atoms=tuple(best),
+            sizes=tuple(best_sizes),
+            process=None,
+            process_size=0.0,
+            log_evidence=further_forms + self._log_law,
+            log_prior=log_prior(len(effects), False, len(self.library.effects)),
+        )
+        alone = self._grams_alone(h)
+        return dataclasses.replace(
+            h,
+            log_evidence=alone.base + h.log_evidence,
+            least_share=self._least_share(h, alone.energy),
+        )
+
+    def add_unknown(self, h: Hypothesis) -> Hypothesis:
+        """The same set of effects with an unknown remainder, orthogonal to them."""
+        if not len(self._remainders):
+            return dataclasses.replace(
+                h, unknown=True, log_evidence=-np.inf, log_prior=-np.inf
+            )
+        selected, alone = self._columns_of_set(h), self._grams_alone(h)
+        remainder = self._remainders.best(alone, selected)
+        variance = evidence.noise_level(alone) ** 2
+        level = np.sqrt(variance)
+        by_remainder = evidence.excess_energy(
+            remainder.gram / variance, remainder.b / variance, remainder.size * level
+        )
+        by_effects = evidence.excess_energy(
+            self.grams.gram[np.ix_(selected, selected)] / variance,
+            self.grams.b[selected] / variance,
+            self._sizes_of_columns(h) * level,
+        )
+        both = by_effects + by_remainder
+        return dataclasses.replace(
+            h,
+            unknown=True,
+            process=remainder.process,
+            process_size=remainder.size,
+            share=by_effects / both if both > 0.0 else 0.5,
+            log_evidence=h.log_evidence + remainder.log_evidence,
+            log_prior=log_prior(len(h.effects), True, len(self.library.effects)),
+        )
+
+    def _table(
+        self,
+        effect: str,
+        others: Sequence[int],
+        sizes: Sequence[float],
+    ) -> Array:
+        """Log evidence (atoms, sizes) of an effect's forms over none.
+
+        Other forms are in the model at their sizes.
+        """
+        key = (effect, tuple(zip(others, sizes, strict=True)))
+        if key not in self._tables:
+            selected = [self._atoms[k] for k in others]
+            forms = [self._atoms[k] for k in self._atoms_of[effect]]
+            columns = np.unique(np.concatenate(forms))
+            grams = self.grams.subset(np.concatenate([*selected, columns]))
+            grams, start = _select_in_order(grams, selected, sizes)
+            places = [start + np.searchsorted(columns, form) for form in forms]
+            self._tables[key] = grams.log_evidences(places)
+        return self._tables[key]
+
+    def _log_posterior(
+        self,
+        effect: str,
+        others: Sequence[int],
+        sizes: Sequence[float],
+    ) -> Array:
+        """As `_table`, with the prior of forms and sizes."""
+        table = self._table(effect, others, sizes)
+        return np.asarray(table + self._log_prior[self._atoms_of[effect]])
+
+    def _select(
+        self,
+        grams: Grams,
+        atoms: Sequence[int],
+        sizes: Sequence[float],
+    ) -> Grams:
+        for atom, size in zip(atoms, sizes, strict=True):
+            grams = grams.select(self._atoms[atom], size)
+        return grams
+
+    def _columns_of_set(self, h: Hypothesis) -> Index:
+        """Columns of all forms of a set of effects, one after the other."""
+        return np.concatenate([_NONE, *[self._atoms[k] for k in h.atoms]])
+
+    def _sizes_of_columns(self, h: Hypothesis) -> Array:
+        """Size of each of these columns."""
+        sizes = [np.empty(0)]
+        for atom, size in zip(h.atoms, h.sizes, strict=True):
+            sizes.append(np.full(len(self._atoms[atom]), size))
+        return np.concatenate(sizes)
+
+    def _grams_alone(self, h: Hypothesis) -> Grams:
+        """Grams of the columns of a set of effects alone, these in the model."""
+        columns = [self._atoms[k] for k in h.atoms]
+        grams = self.grams.subset(self._columns_of_set(h))
+        return _select_in_order(grams, columns, h.sizes)[0]
+
+    def _least_share(self, h: Hypothesis, energy: float) -> float:
+        """Share of what a set explains that is lost without the least of its effects.
+
+        `energy` of the residual is what the set does not explain.
+        """
+        explained = self.grams.energy - energy
+        if len(h.effects) < 2 or explained <= 0.0:
+            return 1.0
+        losses = []
+        for i in range(len(h.effects)):
+            others = h.others(i)
+            fewer = dataclasses.replace(
+                h,
+                atoms=tuple(h.atoms[j] for j in others),
+                sizes=tuple(h.sizes[j] for j in others),
+            )
+            losses.append(self._grams_alone(fewer).energy - energy)
+        return float(min(losses) / explained)
+
+    # -- the search --------------------------------------------------------------------
+
+    def run(self) -> list[Hypothesis]:
+        """The hypotheses worth comparing, best first.
+
+        No gap, single effects, pairs and triples, and these with an unknown.
+        """
+        if not self._hypotheses:
+            self._hypotheses = self._run()
+        return self._hypotheses
+
+    def _run(self) -> list[Hypothesis]:
+        empty = self.fit((), (), ())
+        singles = self._extend([empty])
+        pairs = self._extend(singles[:SETS])
+        triples = self._extend(pairs[: SETS // 2])
+        known = [empty, *singles, *pairs, *triples]
+        known.sort(key=lambda h: -h.score)
+        least = known[0].score - 2.0 * BEHIND
+        likely = [h for h in known if h.score > least][: 2 * SETS]
+        if empty not in likely:
+            likely.append(empty)
+        extended = [h for h in likely if h in likely[:SETS] or h is empty]
+        mixed = [self.add_unknown(h) for h in extended]
+        return sorted([*known, *mixed], key=lambda h: -h.score)
+
+    def _extend(self, bases: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Each base with one effect more: the best few fitted, best first."""
+        tried: dict[frozenset[str], tuple[float, Hypothesis, str, Further]] = {}
+        for base in bases:
+            grams = self._select(self._effect_grams, base.atoms, base.sizes)
+            for effect, further in self.screen(grams, base.effects).items():
+                key = frozenset((*base.effects, effect))
+                total = base.log_evidence + further.log_evidence
+                if key not in tried or tried[key][0] < total:
+                    tried[key] = (total, base, effect, further)
+        ranked = sorted(tried.values(), key=lambda t: -t[0])
+        if ranked and bases[0].effects:
+            least = ranked[0][0] - BEHIND
+            ranked = [t for t in ranked if t[0] > least][: 2 * SETS]
+        fitted = []
+        for _, base, effect, further in ranked:
+            atoms = (*base.atoms, further.atom)
+            sizes = (*base.sizes, further.size)
+            fitted.append(self.fit((*base.effects, effect), atoms, sizes))
+        return sorted(fitted, key=lambda h: -h.score)
+
+
+def _argmax(table: Array) -> tuple[int, int]:
+    """Row and column of the largest entry."""
+    row, column = np.unravel_index(int(np.argmax(table)), table.shape)
+    return int(row), int(column)
+
+
+def _select_in_order(
+    grams: Grams,
+    columns: Sequence[Index],
+    sizes: Sequence[float],
+) -> tuple[Grams, int]:
+    """Grams whose first columns are those of some forms, with these in the model.
+
+    The second result is the number of these columns.
+    """
+    start = 0
+    for form, size in zip(columns, sizes, strict=True):
+        stop = start + len(form)
+        grams = grams.select(np.arange(start, stop), size)
+        start = stop
+    return grams, start
