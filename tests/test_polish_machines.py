@@ -11,7 +11,7 @@ from kernel import a3_plans
 from kernel.cases import CASES, reading_series
 
 from oed import information
-from oed.design import polish, reading_slopes, smooth
+from oed.design import polish, reading_slopes, symbolic_criterion
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import ball_bar, pose_tracker
@@ -195,14 +195,14 @@ def test_a_search_cut_short_is_never_worse() -> None:
 @pytest.mark.parametrize(
     "criterion",
     [
-        smooth.determinant(),
-        smooth.variance(),
-        smooth.power(4),
-        smooth.of_interest(np.eye(13)[:, :7]),
+        symbolic_criterion.determinant(),
+        symbolic_criterion.variance(),
+        symbolic_criterion.power_mean(4),
+        symbolic_criterion.determinant_of_interest(np.eye(13)[:, :7]),
     ],
     ids=["D", "A", "power", "Ds"],
 )
-def test_planar_with_a_tracker(criterion: smooth.Smooth) -> None:
+def test_planar_with_a_tracker(criterion: symbolic_criterion.SymbolicCriterion) -> None:
     machine = CASES["planar_2dof"].machine
     m = Measurement(machine, [mount(pose_tracker.position, "tracker")])
     command = CASES["planar_2dof"].commands(np.random.default_rng(1), 8)

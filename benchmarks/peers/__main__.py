@@ -1,8 +1,8 @@
-"""Runs one task of one peer in that peer's environment: `python -m peers NAME TASK`, in
-the folder `benchmarks`.
+"""Runs one task of one package in that package's environment.
 
-Prints one line of JSON: `found` (row numbers or points), `seconds` (processor time of
-the choice alone), `version`. What the package prints itself goes to the error stream.
+Call it in the folder `benchmarks`: `python -m peers NAME TASK`. It prints one line of
+JSON with `indices` (row numbers), `seconds` (processor time of the choice alone) and
+`version`. Output of the package itself goes to the error stream.
 """
 
 from __future__ import annotations
@@ -18,32 +18,30 @@ import warnings
 
 import numpy as np
 
-from peers import busy, candidates
+from peers import candidates, processor_seconds
 
 
 def main() -> None:
-    """Read the arguments, run, print."""
+    """Run the task that the command line names, and print its answer."""
     name, number = sys.argv[1], int(sys.argv[2])
-    answer = os.fdopen(os.dup(1), "w")
+    answer_stream = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     warnings.simplefilter("ignore")
     random.seed(1)
     np.random.seed(1)  # noqa: NPY002 - packages that draw from the global generator
     adapter = importlib.import_module(f"peers.{name}")
-    task = adapter.TASKS[number]
-    choose = (
-        task.prepare(candidates()) if task.problem.startswith("A") else task.prepare()
-    )
-    start = busy()
-    found = choose()
-    seconds = busy() - start
+    choose = adapter.TASKS[number].prepare(candidates())
+    start = processor_seconds()
+    indices = choose()
+    seconds = processor_seconds() - start
     package = re.split(r"[\[=<>]", adapter.REQUIRES[0])[0]
-    version = importlib.metadata.version(package)
-    json.dump(
-        {"found": np.asarray(found).tolist(), "seconds": seconds, "version": version},
-        answer,
-    )
-    answer.close()
+    answer = {
+        "indices": np.asarray(indices).tolist(),
+        "seconds": seconds,
+        "version": importlib.metadata.version(package),
+    }
+    json.dump(answer, answer_stream)
+    answer_stream.close()
     os._exit(0)  # some packages leave threads behind
 
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from peers import SIZE, Choice, Task
+from peers import SIZE, Choose, Task
 
 REQUIRES = ("doekit==0.9.1",)
 
 
-def kl(rows: np.ndarray) -> Choice:
+def kl(rows: np.ndarray) -> Choose:
     """Its `kl_exchange` with its defaults."""
     from doekit.generation.search.optimal import kl_exchange
 
     return lambda: kl_exchange(rows, SIZE, rng=np.random.default_rng(1))
 
 
-def fedorov(rows: np.ndarray) -> Choice:
+def fedorov(rows: np.ndarray) -> Choose:
     """Its `fedorov_exchange` for the least eigenvalue."""
     from doekit.domain.criteria import get_criterion
     from doekit.generation.search.optimal import fedorov_exchange

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from peers import SIZE, Choice, Task
+from peers import SIZE, Choose, Task
 
 REQUIRES = ("doetools==0.1.8",)
 
 
-def fedorov(rows: np.ndarray) -> Choice:
+def fedorov(rows: np.ndarray) -> Choose:
     """Its `optimize_d_optimal` with its 50 random starts."""
     from doetools.design.d_opt.optimizer import optimize_d_optimal
 

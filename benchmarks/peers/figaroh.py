@@ -1,19 +1,18 @@
-"""FIGAROH: the optimisers behind its optimal calibration, given information matrices
-instead of a robot.
-"""
+"""FIGAROH: the optimisers of its calibration, on information matrices, not a robot."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from peers import SIZE, Choice, Task
+from peers import SIZE, Choose, Task
 
 REQUIRES = ("figaroh==1.0.2", "picos==2.6.2", "cvxopt==1.3.3")
 
 
-def socp(rows: np.ndarray) -> Choice:
-    """Relaxed weights by picos and CVXOPT; the 30 largest (its own rule takes all above
-    1e-5).
+def socp(rows: np.ndarray) -> Choose:
+    """The 30 largest relaxed weights by picos and CVXOPT.
+
+    The package itself takes every weight above 1e-5.
     """
     from figaroh.optimal.base_optimal_calibration import SOCPOptimizer
 
@@ -21,25 +20,24 @@ def socp(rows: np.ndarray) -> Choice:
     return lambda: list(SOCPOptimizer(pool, {"NbSample": len(rows)}).solve()[1])[:SIZE]
 
 
-def detmax(rows: np.ndarray) -> Choice:
+def detmax(rows: np.ndarray) -> Choose:
     """Its exchange from one random start."""
     from figaroh.optimal.base_optimal_calibration import Detmax
 
     exchange = Detmax(dict(enumerate(rows[:, :, None] * rows[:, None, :])), SIZE)
 
+    evaluate = exchange.get_critD
+    current: list[int] = []
+
+    # the class keeps its set in a local variable of `main_algo`: record it here
+    def evaluate_and_record(chosen: list[int]) -> float:
+        current[:] = chosen
+        return evaluate(chosen)
+
     def choose() -> list[int]:
-        held: list[int] = []
-
-        def keep(
-            chosen: list[int],
-        ) -> float:  # the class keeps its set in a local variable of `main_algo`
-            held[:] = chosen
-            return evaluate(chosen)
-
-        evaluate = exchange.get_critD
-        exchange.get_critD = keep
+        exchange.get_critD = evaluate_and_record
         exchange.main_algo()
-        return held
+        return current
 
     return choose
 

@@ -1,18 +1,16 @@
-"""industrialstats: row exchange over a candidate set, which is handed over in place of
-its grid.
-"""
+"""industrialstats: row exchange over a candidate set that replaces its own grid."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from peers import SIZE, Choice, Task
+from peers import SIZE, Choose, Task
 
 REQUIRES = ("industrialstats==0.3.0",)
 
 
-def exchange(rows: np.ndarray) -> Choice:
-    """Its `OptimalDesign` with its 5 random starts (they take no seed)."""
+def exchange(rows: np.ndarray) -> Choose:
+    """Its `OptimalDesign` with its 5 random starts (it takes no seed)."""
     import pandas as pd
     from industrialstats.designs.base import Factor
     from industrialstats.designs.optimal import OptimalDesign
@@ -24,8 +22,8 @@ def exchange(rows: np.ndarray) -> Choice:
     numbers = {row.tobytes(): number for number, row in enumerate(rows)}
 
     def choose() -> list[int]:
-        found = design.generate_design()[names].to_numpy(dtype=float)
-        return [numbers[np.ascontiguousarray(row).tobytes()] for row in found]
+        chosen = design.generate_design()[names].to_numpy(dtype=float)
+        return [numbers[np.ascontiguousarray(row).tobytes()] for row in chosen]
 
     return choose
 

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from peers import SIZE, Choice, Task
+from peers import SIZE, Choose, Task
 
 REQUIRES = ("optdesign==1.0.0",)
 
 
-def exchange(rows: np.ndarray, starts: int) -> Choice:
+def exchange(rows: np.ndarray, starts: int) -> Choose:
     """Best of `starts` random orders."""
     from optdesign import opt_dmetric, setup_random
 
     def choose() -> np.ndarray:
         rng = np.random.default_rng(1)
-        best, found = -np.inf, None
+        best_score, best = -np.inf, None
         for _ in range(starts):
             order = np.asarray(setup_random(rows, rng))
             chosen = order[opt_dmetric(rows[order], SIZE, maxiter=1000)[:SIZE]]
             score = float(np.linalg.slogdet(rows[chosen].T @ rows[chosen])[1])
-            if score > best:
-                best, found = score, chosen
-        return found
+            if score > best_score:
+                best_score, best = score, chosen
+        return best
 
     return choose
 

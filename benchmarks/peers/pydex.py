@@ -1,20 +1,19 @@
-"""pydex: relaxed weights by cvxpy, then Adams' apportionment; with more supports than
-runs, the largest weights.
+"""pydex: relaxed weights by cvxpy, then Adams' apportionment.
+
+With more support points than runs it takes the largest weights.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from peers import SIZE, Choice, Task
+from peers import SIZE, Choose, Task
 
 REQUIRES = ("pydex==0.0.9", "cvxpy==1.9.3", "clarabel==0.11.1")
 
 
-def weights(rows: np.ndarray, criterion: str) -> Choice:
-    """Candidates' information given as its `atomic_fims`, so that nothing is
-    differentiated.
-    """
+def weights(rows: np.ndarray, criterion: str) -> Choose:
+    """The information matrices are its `atomic_fims`: nothing is differentiated."""
     from pydex.core.designer import Designer
 
     designer = Designer()
@@ -42,7 +41,7 @@ def weights(rows: np.ndarray, criterion: str) -> Choice:
     return choose
 
 
-NOTE = "may repeat rows; rounds, no exchange"
+NOTE = "may repeat rows; rounds the weights, no exchange"
 TASKS = (
     Task("A, D", "Clarabel, apportioned", lambda rows: weights(rows, "d"), NOTE),
     Task("A, E", "Clarabel, apportioned", lambda rows: weights(rows, "e"), NOTE),

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from peers import SIZE, Choice, Task
+from peers import SIZE, Choose, Task
 
 REQUIRES = ("pydoe==1.6.0",)
 
 
-def jacobian(rows: np.ndarray, criterion: str) -> Choice:
+def jacobian(rows: np.ndarray, criterion: str) -> Choose:
     """Its `jacobian_optimal_design` with its defaults."""
     from pydoe import jacobian_optimal_design
 

@@ -1,25 +1,23 @@
-"""pyDOE3: polynomial models in factors only, so the 21 columns are its factors and an
-intercept comes on top.
-"""
+"""pyDOE3: polynomial models in factors; the 21 columns are factors plus an intercept."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from peers import SIZE, Choice, Task
+from peers import SIZE, Choose, Task
 
 REQUIRES = ("pydoe3==1.6.2",)
 
 
-def optimal(rows: np.ndarray, criterion: str, method: str) -> Choice:
-    """Its `optimal_design` of degree 1; the rows are found again by their values."""
+def optimal(rows: np.ndarray, criterion: str, method: str) -> Choose:
+    """Its `optimal_design` of degree 1; its rows are identified by their values."""
     from pyDOE3.doe_optimal import optimal_design
 
     numbers = {row.tobytes(): number for number, row in enumerate(rows)}
 
     def choose() -> list[int]:
-        found, _ = optimal_design(rows, SIZE, 1, criterion=criterion, method=method)
-        return [numbers[np.ascontiguousarray(row).tobytes()] for row in found]
+        design, _ = optimal_design(rows, SIZE, 1, criterion=criterion, method=method)
+        return [numbers[np.ascontiguousarray(row).tobytes()] for row in design]
 
     return choose
 

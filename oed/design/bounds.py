@@ -1,10 +1,9 @@
-"""The best that any plan under given rules could be: a valid bound, and how loose it
-may be.
+"""Upper bounds of the criterion over all plans under given rules.
 
-Concave criteria: the relaxation's bound. Rules about set-ups are met by bounding every
-combination of set-ups by itself where there are few, and are left out (which only
-raises the bound) where there are many; so are distances. E and the condition number
-have relaxations of their own.
+Concave criteria are bounded by their relaxation. Rules about set-ups are met by one
+relaxation for each combination of set-ups, where these are few. Where they are many,
+and for rules about distances, the rule is left out, which only raises the bound. E and
+the condition number have relaxations of their own.
 """
 
 from __future__ import annotations
@@ -13,23 +12,25 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.arrays import Array
 from oed.design import condition, relaxation
-from oed.design.criterion import Criterion, Spectrum
-from oed.design.relaxation import Relaxed
-from oed.design.rules import Rules
+from oed.design.criterion import Criterion, ExtremeEigenvalues
+from oed.design.relaxation import Relaxation
+from oed.design.rules import RelaxedRules, Rules
 
 
 @dataclasses.dataclass(frozen=True)
 class Bound:
-    """No plan exceeds `value` (log phi); `gap` is how loose it is known to be at the
-    most, as a relaxation.
+    """An upper bound of log phi over all plans.
 
-    weights, slopes (C,): of the relaxation that attains it, to lead the search
+    value        the bound
+    duality_gap  how much too high the bound can be, as a bound of the relaxation
+    weights      (C,) weights of the relaxation that attains it
+    slopes       (C,) of log phi along each weight, there
     """
 
     value: float
-    gap: float
+    duality_gap: float
     weights: Array
     slopes: Array
 
@@ -42,67 +43,69 @@ def bound(
     tolerance: float = 1e-8,
 ) -> Bound:
     """Bound over all plans under the rules, for a concave criterion."""
-    best: Bound | None = None
-    parts: dict[bytes, Bound] = {}
-    for candidates, total, cost in rules.limits(len(blocks)):
-        found = _relaxed(blocks[candidates], criterion, total, cost, prior, tolerance)
-        told = _spread(found, candidates, cost, len(blocks))
-        key = candidates.tobytes()
+    by_candidates: dict[bytes, Bound] = {}
+    for problem in rules.relaxations(len(blocks)):
+        optimum = _relax(blocks, criterion, problem, prior, tolerance)
+        new = _over_all_candidates(optimum, problem, len(blocks))
+        key = problem.candidates.tobytes()
         # number and budget both hold: the lower of their bounds does
-        parts[key] = (
-            told if key not in parts or told.value < parts[key].value else parts[key]
-        )
-    for told in parts.values():
-        best = told if best is None or told.value > best.value else best
-    if best is None:
+        if key not in by_candidates or new.value < by_candidates[key].value:
+            by_candidates[key] = new
+    if not by_candidates:
         raise ValueError("the budget does not pay for mounting any set-up")
-    return best
+    return max(by_candidates.values(), key=lambda b: b.value)
 
 
-def _relaxed(
+def _relax(
     blocks: Array,
     criterion: Criterion,
-    total: float,
-    cost: Array | None,
+    problem: RelaxedRules,
     prior: Array,
     tolerance: float,
-) -> Relaxed:
-    """The relaxation, over v = cost w where a cost is told."""
-    scaled = blocks if cost is None else blocks / np.sqrt(cost)[:, None, None]
-    cap = 1.0 if cost is None else cost
-    if isinstance(criterion, Spectrum):
-        best = condition.e_optimal(scaled, total, prior, cap)
-        value, above = criterion.least * np.log([max(best.value, 1e-300), best.bound])
-        return Relaxed(best.weights, float(value), float(above), best.slopes)
+) -> Relaxation:
+    """The relaxation, over v = cost w where there is a cost."""
+    candidates, total, cost = problem
+    scaled = blocks[candidates]
+    cap: Array | float = 1.0
+    if cost is not None:
+        scaled = scaled / np.sqrt(cost)[:, None, None]
+        cap = cost
+    if isinstance(criterion, ExtremeEigenvalues):
+        optimum = condition.e_optimal(scaled, total, prior, cap)
+        ends = np.log([max(optimum.value, 1e-300), optimum.bound])
+        value, upper = criterion.least * ends
+        return Relaxation(optimum.weights, float(value), float(upper), optimum.slopes)
     return relaxation.relax(scaled, total, prior, cap, tolerance, criterion)
 
 
-def _spread(found: Relaxed, candidates: Index, cost: Array | None, count: int) -> Bound:
+def _over_all_candidates(
+    optimum: Relaxation, problem: RelaxedRules, count: int
+) -> Bound:
+    """The bound with weights and slopes of all candidates (C,), as numbers."""
     weights, slopes = np.zeros(count), np.zeros(count)
-    per = np.ones(len(candidates)) if cost is None else cost
-    weights[candidates] = found.weights / per
-    slopes[candidates] = found.slopes
-    return Bound(found.bound, found.gap, weights, slopes)
+    cost = np.ones(len(problem.candidates)) if problem.cost is None else problem.cost
+    weights[problem.candidates] = optimum.weights / cost
+    slopes[problem.candidates] = optimum.slopes
+    return Bound(optimum.bound, optimum.duality_gap, weights, slopes)
 
 
 def condition_bound(
     blocks: Array, criterion: Criterion, rules: Rules, prior: Array
 ) -> Bound | None:
-    """Bound of kappa, O2 and O4, for plans of a stated number of readings; None where a
-    budget rules.
+    """Bound of kappa, O2 and O4 for plans of a given size; None with a budget.
 
     More readings can make the condition number worse, so a plan within a budget need
     not use it up.
     """
-    if (
-        rules.size is None
-        or rules.budget is not None
-        or not isinstance(criterion, Spectrum)
-    ):
+    if rules.size is None or rules.budget is not None:
+        return None
+    if not isinstance(criterion, ExtremeEigenvalues):
         return None
     size = float(rules.size)
     if criterion.name == "O4":
         best = condition.o4(blocks, size, prior)
-        return Bound(float(np.log(best.bound)), best.gap, best.weights, best.slopes)
-    found = condition.relax(blocks, size, prior)
-    return Bound(-float(np.log(found.bound)), found.gap, found.weights, found.slopes)
+        upper = float(np.log(best.bound))
+    else:
+        best = condition.relax(blocks, size, prior)
+        upper = -float(np.log(best.bound))
+    return Bound(upper, best.duality_gap, best.weights, best.slopes)

@@ -1,9 +1,9 @@
-"""The best plan of all, proven: branch and bound for small cases.
+"""Branch and bound: the best plan with a proof, for small cases.
 
-A node has candidates taken and candidates left out; the relaxation over the rest bounds
-every plan below it. The node with the highest bound is split at the candidate whose
-weight is least decided. Candidates that no better plan can hold are left out on the way
-(`oed.design.relaxation.eliminated`), which is what makes dozens of candidates few.
+A node has some candidates taken and some excluded; the relaxation over the others
+bounds every plan below it. The node with the highest bound is split at the candidate
+whose weight is nearest to a half. Candidates that no better plan can hold are excluded
+on the way (`oed.design.relaxation.eliminate`), which makes dozens of candidates few.
 """
 
 from __future__ import annotations
@@ -16,23 +16,28 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.design import exchange, relaxation
-from oed.design.blocks import as_blocks, information, seen
-from oed.design.certificate import SAFE
+from oed.design.blocks import as_blocks, information, project_on_estimable
+from oed.design.certificate import ROUNDING
 from oed.design.criterion import Criterion, named
-from oed.design.objective import Plain
+from oed.design.objective import CriterionObjective
 
-#: nodes looked at, at the most
+#: nodes visited, at the most
 NODES = 2000
-#: log phi within which two plans count as equally good
+#: two plans whose log phi differs by less than this are equally good
 EQUAL = 1e-9
+#: duality gap of a node's relaxation, in log phi
+TOLERANCE = 1e-7
 
 
 @dataclasses.dataclass(frozen=True)
-class Proven:
-    """The best plan found, and what is known of it.
+class BranchResult:
+    """The best plan of a tree, and its certificate.
 
-    indices ascending; value and bound as log phi; `optimal` where no plan is better (by
-    more than rounding)
+    indices  chosen candidates, ascending
+    value    log phi of the plan
+    bound    log phi of no plan exceeds it
+    optimal  whether no plan is better by more than rounding
+    nodes    nodes visited
     """
 
     indices: Index
@@ -56,29 +61,29 @@ def solve(
     prior: Array | None = None,
     nodes: int = NODES,
     start: Index | None = None,
-) -> Proven:
-    """The best `size` candidates of rows (C, n) or blocks (C, k, n) by a smooth
-    criterion.
+) -> BranchResult:
+    """The best `size` candidates of rows (C, n) or blocks (C, k, n).
 
-    Starts from the exchange's plan, or from `start`. Stops after `nodes` nodes with the
-    best plan and a valid bound. Raises ValueError for criteria that are not smooth and
-    concave, and as `exchange.choose`.
+    Starts from the plan of the exchange, or from `start`. Stops after `nodes` nodes
+    with the best plan and a valid bound. Raises ValueError for a criterion that is not
+    smooth and concave, and as `exchange.choose`.
     """
     blocks = as_blocks(rows)
-    wanted = (
-        named(criterion, blocks.shape[2]) if isinstance(criterion, str) else criterion
-    )
-    if not (wanted.smooth and wanted.concave):
+    goal = criterion
+    if isinstance(goal, str):
+        goal = named(goal, blocks.shape[2])
+    if not (goal.smooth and goal.concave):
         raise ValueError(
-            f"branch and bound needs a smooth, concave criterion, not {wanted.name}"
+            f"branch and bound needs a smooth, concave criterion, not {goal.name}"
         )
     if start is None:
-        start = exchange.choose(blocks, size, rng, wanted, prior).indices
-    blocks, basis = seen(blocks, prior)
-    base = (
-        np.zeros((blocks.shape[2],) * 2) if prior is None else basis.T @ prior @ basis
-    )
-    return _Tree(blocks, wanted.within(basis), base, size).run(np.sort(start), nodes)
+        start = exchange.choose(blocks, size, rng, goal, prior).indices
+    blocks, basis = project_on_estimable(blocks, prior)
+    base = np.zeros((blocks.shape[2],) * 2)
+    if prior is not None:
+        base = basis.T @ prior @ basis
+    tree = _Tree(blocks, goal.restrict(basis), base, size)
+    return tree.search(np.sort(start), nodes)
 
 
 @dataclasses.dataclass(eq=False)
@@ -88,75 +93,72 @@ class _Tree:
     base: Array
     size: int
 
-    def run(self, best: Index, nodes: int) -> Proven:
-        """Best first."""
+    def search(self, best: Index, most_nodes: int) -> BranchResult:
+        """Visits the node with the highest bound first."""
         value = self.value(best)
         ticket = itertools.count()
         root = _Node(np.zeros(0, dtype=np.intp), np.arange(len(self.blocks)))
         heap: list[tuple[float, int, _Node]] = [(-np.inf, next(ticket), root)]
-        looked = 0
-        while heap and looked < nodes and -heap[0][0] > value + EQUAL:
+        visited = 0
+        while heap and visited < most_nodes and -heap[0][0] > value + EQUAL:
             _, _, node = heapq.heappop(heap)
-            looked += 1
-            bound, weights, left = self.bounded(node, value)
+            visited += 1
+            bound, weights, open_candidates = self._bound(node, value)
             if bound <= value + EQUAL:
                 continue
-            plan = np.sort(
-                np.concatenate(
-                    [
-                        node.taken,
-                        left[np.argsort(-weights, kind="stable")][: self.missing(node)],
-                    ]
-                )
-            )
-            reached = self.value(plan)
-            if reached > value:
-                best, value = plan, reached
-            for child in self.split(node, left, weights):
+            plan = self._round(node, weights, open_candidates)
+            plan_value = self.value(plan)
+            if plan_value > value:
+                best, value = plan, plan_value
+            for child in self._split(node, open_candidates, weights):
                 heapq.heappush(heap, (-bound, next(ticket), child))
-        above = max([value, *(-b for b, _, _ in heap)])
-        return Proven(
-            best.astype(np.intp), value, above, above <= value + EQUAL, looked
-        )
+        bounds = [-negative_bound for negative_bound, _, _ in heap]
+        bound = max([value, *bounds])
+        optimal = bound <= value + EQUAL
+        return BranchResult(best.astype(np.intp), value, bound, optimal, visited)
 
     def value(self, chosen: Index) -> float:
         """log phi of a plan."""
         return self.criterion.value(self.base + information(self.blocks[chosen]))
 
-    def missing(self, node: _Node) -> int:
+    def _missing(self, node: _Node) -> int:
         """Readings still to choose."""
         return self.size - len(node.taken)
 
-    def bounded(self, node: _Node, value: float) -> tuple[float, Array, Index]:
-        """Bound of the plans below a node, the weights that attain it, and the
-        candidates still open.
-        """
-        missing = self.missing(node)
+    def _bound(self, node: _Node, value: float) -> tuple[float, Array, Index]:
+        """Bound of the plans below a node, and its weights on the open candidates."""
+        missing = self._missing(node)
         if missing == 0 or missing >= len(node.open):
-            whole = np.concatenate([node.taken, node.open[:missing]])
-            return self.value(whole), np.ones(len(node.open)), node.open
-        held = Plain(
+            only_plan = np.concatenate([node.taken, node.open[:missing]])
+            return self.value(only_plan), np.ones(len(node.open)), node.open
+        objective = CriterionObjective(
             self.criterion,
             self.blocks[node.open],
             self.base + information(self.blocks[node.taken]),
         )
-        found = relaxation.solve(held, float(missing), 1.0, 1e-7)
-        active = np.flatnonzero(found.weights > 0)
-        line = held.line(active, found.weights[active])
-        caps = np.ones(len(node.open))
-        gone = relaxation.eliminated(line, value + EQUAL - SAFE, float(missing), caps)
-        kept = np.setdiff1d(np.arange(len(node.open)), gone)
-        if len(kept) < missing:
-            return -np.inf, found.weights, node.open
-        return found.bound, found.weights[kept], node.open[kept]
+        optimum = relaxation.solve(objective, float(missing), 1.0, TOLERANCE)
+        active = np.flatnonzero(optimum.weights > 0)
+        tangent = objective.tangent(active, optimum.weights[active])
+        caps, better = np.ones(len(node.open)), value + EQUAL - ROUNDING
+        excluded = relaxation.eliminate(tangent, better, float(missing), caps)
+        remaining = np.setdiff1d(np.arange(len(node.open)), excluded)
+        if len(remaining) < missing:
+            return -np.inf, optimum.weights, node.open
+        return optimum.bound, optimum.weights[remaining], node.open[remaining]
 
-    def split(self, node: _Node, left: Index, weights: Array) -> list[_Node]:
+    def _round(self, node: _Node, weights: Array, open_candidates: Index) -> Index:
+        """The plan of the taken candidates and the heaviest open ones."""
+        heaviest = np.argsort(-weights, kind="stable")[: self._missing(node)]
+        return np.sort(np.concatenate([node.taken, open_candidates[heaviest]]))
+
+    def _split(
+        self, node: _Node, open_candidates: Index, weights: Array
+    ) -> list[_Node]:
         """With and without the candidate whose weight is nearest to a half."""
-        if self.missing(node) == 0 or self.missing(node) >= len(left):
+        missing = self._missing(node)
+        if missing == 0 or missing >= len(open_candidates):
             return []
-        middle = int(np.argmin(np.abs(weights - 0.5)))
-        rest = np.delete(left, middle)
-        return [
-            _Node(np.append(node.taken, left[middle]), rest),
-            _Node(node.taken, rest),
-        ]
+        undecided = int(np.argmin(np.abs(weights - 0.5)))
+        others = np.delete(open_candidates, undecided)
+        taken = np.append(node.taken, open_candidates[undecided])
+        return [_Node(taken, others), _Node(node.taken, others)]

@@ -1,26 +1,32 @@
-"""Candidates of a plan: readings of a measurement as blocks, with their noise,
-unknowns, time and place.
+"""Candidates of a plan: readings as blocks, with their noise, time, set-up and command.
 
 A candidate is one reading with all its channels, or a whole run (a circle) with the
 covariance of its readings. The readings of a run may share an error e, that of the
-reference they are told against (`Channel.shared`):
+reference they are relative to (`Channel.shared`):
 
     y_i = h_i theta + sigma e_i + shared sigma e        with e ~ N(0, 1).
 
-Chosen one by one they are no longer independent candidates; but e is just one more
-unknown with prior variance 1. It gets a column of its own, which every criterion
-profiles out: whitened row [h_i / sigma, shared], prior information 1.
+Such readings are not independent when chosen one by one. But e is one more unknown with
+prior variance 1, so it gets a column of its own, which every criterion profiles out:
+the whitened row is [h_i / sigma, shared], the prior information 1.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from oed.arrays import Array, Index
-from oed.design.criterion import Criterion, Determinant, Variance, Worst, named
+from oed.arrays import Array, Index, Mask
+from oed.design.criterion import (
+    Criterion,
+    Determinant,
+    LargestVariance,
+    Variance,
+    named,
+)
 from oed.design.rules import Rules
 from oed.information import Scaling, column_scale
 from oed.measurement import Measurement, Series
@@ -30,27 +36,31 @@ from oed.measurement import Measurement, Series
 class Candidates:
     """Candidates of a plan.
 
-    blocks      (C, k, n + r): n free parameters in the stated scaling, then r errors
-                shared by runs
-    columns     n
-    held        (n + r, n + r) information held: on the shared errors, and the prior and
-                kept readings where given
-    members     (C, 2) first reading of each candidate among all readings of all series,
-                and the number of readings
-    setup       (C,) position in `setups`;  place (C, d) commands, SI
-    cost        (C,) time of a candidate, s;  setup_cost (S,) time to mount each set-up,
-                s
+    measurement        of the readings
+    series             all readings
+    blocks             (C, k, n + r): n free parameters in the stated scaling, then r
+                       errors that runs share
+    columns            n
+    prior_information  (n + r, n + r): on the shared errors, and of prior and kept
+                       readings where given; zero where there is none
+    members            (C, 2) first reading of each candidate among all readings of all
+                       series, and its number of readings
+    setups             names
+    setup              (C,) position in `setups`
+    command            (C, d) of the first reading of each candidate, SI
+    cost               (C,) time of a candidate, s
+    setup_cost         (S,) time to mount each set-up, s
     """
 
     measurement: Measurement
     series: tuple[Series, ...]
     blocks: Array
     columns: int
-    held: Array
+    prior_information: Array
     members: Index
     setups: tuple[str, ...]
     setup: Index
-    place: Array
+    command: Array
     cost: Array
     setup_cost: Array
 
@@ -59,19 +69,19 @@ class Candidates:
 
     @property
     def prior(self) -> Array | None:
-        """Information held, None where there is none."""
-        return self.held if self.held.any() else None
+        """Prior information; None where there is none."""
+        return self.prior_information if self.prior_information.any() else None
 
     @property
-    def shared(self) -> int:
-        """Errors shared by runs."""
+    def shared_errors(self) -> int:
+        """Number r of errors that runs share."""
         return int(self.blocks.shape[2]) - self.columns
 
     def with_prior(self, information: Array) -> Candidates:
-        """With information (n, n) about the parameters held besides."""
-        held = self.held.copy()
-        held[: self.columns, : self.columns] += information
-        return dataclasses.replace(self, held=held)
+        """With information (n, n) on the parameters added to the prior information."""
+        total = self.prior_information.copy()
+        total[: self.columns, : self.columns] += information
+        return dataclasses.replace(self, prior_information=total)
 
     def criterion(
         self,
@@ -81,28 +91,30 @@ class Candidates:
         factor: Array | None = None,
         factors: Array | None = None,
     ) -> Criterion:
-        """A criterion about the parameters, with the shared errors profiled out.
+        """A criterion of the parameters, with the shared errors profiled out.
 
         interest (n, s), factor (r, n), factors (J, r, n) are in the scaled columns.
-        Raises ValueError for criteria of eigenvalues where errors are shared: they know
+        Raises ValueError for criteria of eigenvalues where errors are shared: they have
         no profiling.
         """
-        n, r = self.columns, self.shared
-        if not r:
+        n, shared = self.columns, self.shared_errors
+        if not shared:
             return named(name, n, interest=interest, factor=factor, factors=factors)
         if name in ("D", "O1", "Ds"):
-            wanted = np.eye(n) if interest is None or name != "Ds" else interest
-            return Determinant(
-                n + r, np.vstack([wanted, np.zeros((r, wanted.shape[1]))]), name
-            )
+            of_interest = np.eye(n)
+            if interest is not None and name == "Ds":
+                of_interest = interest
+            no_shared = np.zeros((shared, of_interest.shape[1]))
+            padded = np.vstack([of_interest, no_shared])
+            return Determinant(n + shared, padded, name)
         if name == "A":
-            return Variance(np.eye(n, n + r), "A")
+            return Variance(np.eye(n, n + shared), "A")
         if name in ("I", "c") and factor is not None:
-            return Variance(np.hstack([factor, np.zeros((len(factor), r))]), name)
+            no_shared = np.zeros((len(factor), shared))
+            return Variance(np.hstack([factor, no_shared]), name)
         if name == "G" and factors is not None:
-            return Worst(
-                np.concatenate([factors, np.zeros((*factors.shape[:2], r))], axis=2)
-            )
+            no_shared = np.zeros((*factors.shape[:2], shared))
+            return LargestVariance(np.concatenate([factors, no_shared], axis=2))
         raise ValueError(
             f"{name} does not profile out the error that a run's readings share: choose"
             " D, A, c, I or G, or whole runs"
@@ -117,39 +129,58 @@ class Candidates:
         apart: Array | None = None,
         mounting: bool = True,
     ) -> Rules:
-        """Rules over these candidates; apart (d,) is the least distance along each
-        command coordinate, SI: two readings of a set-up are too near where they are
-        nearer in the norm of the coordinates over `apart`.
+        """Rules over these candidates.
+
+        apart     (d,) least distance along each command coordinate, SI; two readings of
+                  a set-up are too near where their commands over `apart` are nearer
+                  than 1 in the norm
+        mounting  whether the time to mount set-ups counts
         """
-        place = (
-            None if apart is None else self.place / np.where(apart > 0, apart, np.inf)
-        )
+        position = None
+        if apart is not None:
+            position = self.command / np.where(apart > 0, apart, np.inf)
+        by_time = budget is not None
         return Rules(
             size=size,
             budget=budget,
-            cost=self.cost if budget is not None else None,
+            cost=self.cost if by_time else None,
             setup=self.setup,
-            setup_cost=self.setup_cost if budget is not None and mounting else None,
+            setup_cost=self.setup_cost if by_time and mounting else None,
             most_setups=most_setups,
-            place=place,
-            apart=0.0 if apart is None else 1.0,
+            position=position,
+            min_distance=0.0 if apart is None else 1.0,
         )
 
-    def take(self, chosen: Index) -> tuple[Series, ...]:
+    def readings_of(self, chosen: Index) -> tuple[Series, ...]:
         """The chosen candidates' readings as series, in the order of the candidates."""
-        taken, start = [], 0
-        for s in self.series:
-            mine = [m for m in self.members[chosen] if start <= m[0] < start + len(s)]
+        selected, start = [], 0
+        for series in self.series:
+            end = start + len(series)
             rows = [
-                np.arange(first - start, first - start + count) for first, count in mine
+                np.arange(first - start, first - start + count)
+                for first, count in self.members[chosen]
+                if start <= first < end
             ]
-            start += len(s)
+            start = end
             if rows:
-                taken.append(s.take(np.concatenate(rows).astype(np.intp)))
-        return tuple(taken)
+                selected.append(series.take(np.concatenate(rows).astype(np.intp)))
+        return tuple(selected)
 
 
-def of(
+class _SeriesBlocks(NamedTuple):
+    """One series as candidates.
+
+    rows      (C, k, p) over all p parameters
+    shared    (C, k, r) columns of the errors that its runs share
+    readings  (C,) number of readings of each candidate
+    """
+
+    rows: Array
+    shared: Array
+    readings: Index
+
+
+def build(
     measurement: Measurement,
     series: Sequence[Series],
     at: Array,
@@ -157,126 +188,142 @@ def of(
     *,
     whole_runs: bool = False,
 ) -> Candidates:
-    """Candidates from all readings of the series at theta `at` (n,); whole runs stay
-    together where asked.
+    """Candidates from all readings of the series at theta `at` (n,).
 
-    Raises ValueError where a series has no readings.
+    With `whole_runs` a run is one candidate. Raises ValueError where the readings of a
+    run do not follow each other.
     """
-    free = measurement.free
-    parts = [_blocks(measurement, s, at, scaling, whole_runs) for s in series]
-    runs = sum(p[1].shape[2] for p in parts)
-    n = int(free.sum())
-    most = max(min(p[0].shape[1], n + runs) for p in parts)
-    blocks, members, setup, start, column = [], [], [], 0, n
-    names = tuple(dict.fromkeys(s.setup for s in series))
-    for s, (rows, shared, counts) in zip(series, parts, strict=True):
-        wide = np.zeros((*rows.shape[:2], n + runs))
-        wide[:, :, :n] = rows[:, :, free]
-        wide[:, :, column : column + shared.shape[2]] = shared
-        column += shared.shape[2]
-        blocks.append(_padded(wide, most))
-        first = np.concatenate([[0], np.cumsum(counts)[:-1]]) + start
-        members.append(np.column_stack([first, counts]))
-        setup.append(np.full(len(counts), names.index(s.setup)))
-        start += len(s)
-    held = np.zeros((n + runs, n + runs))
-    held[range(n, n + runs), range(n, n + runs)] = 1.0
-    where = np.concatenate(members)
+    parts = [_series_blocks(measurement, s, at, scaling, whole_runs) for s in series]
+    n = int(measurement.free.sum())
+    setups = tuple(dict.fromkeys(s.setup for s in series))
+    counts = np.concatenate([part.readings for part in parts])
+    first = np.cumsum(counts) - counts
     commands = np.vstack([s.commands() for s in series])
-    seconds = np.concatenate(
-        [np.full(len(s), reading_time(measurement, s.setup)) for s in series]
-    )
+    seconds = [reading_time(measurement, s.setup) for s in series]
+    reading_seconds = np.repeat(seconds, [len(s) for s in series])
+    mounting = [measurement.setups[name].instrument.cost.setup for name in setups]
+    positions = [setups.index(s.setup) for s in series]
     return Candidates(
         measurement=measurement,
         series=tuple(series),
-        blocks=np.concatenate(blocks),
+        blocks=_join_blocks(parts, measurement.free),
         columns=n,
-        held=held,
-        members=where,
-        setups=names,
-        setup=np.concatenate(setup),
-        place=commands[where[:, 0]],
-        cost=np.array([seconds[first : first + count].sum() for first, count in where]),
-        setup_cost=np.array(
-            [measurement.setups[name].instrument.cost.setup for name in names]
+        prior_information=_shared_information(n, parts),
+        members=np.column_stack([first, counts]),
+        setups=setups,
+        setup=np.repeat(positions, [len(part.readings) for part in parts]),
+        command=commands[first],
+        cost=np.array(
+            [
+                reading_seconds[i : i + c].sum()
+                for i, c in zip(first, counts, strict=True)
+            ]
         ),
+        setup_cost=np.array(mounting),
     )
 
 
+def _shared_information(n: int, parts: Sequence[_SeriesBlocks]) -> Array:
+    """Prior information (n + r, n + r): 1 on each shared error."""
+    total = n + sum(part.shared.shape[2] for part in parts)
+    prior_information = np.zeros((total, total))
+    shared = range(n, total)
+    prior_information[shared, shared] = 1.0
+    return prior_information
+
+
+def _join_blocks(parts: Sequence[_SeriesBlocks], free: Mask) -> Array:
+    """Blocks (C, k, n + r) of all series, with equally many rows each."""
+    n = int(free.sum())
+    columns = n + sum(part.shared.shape[2] for part in parts)
+    most_rows = max(min(part.rows.shape[1], columns) for part in parts)
+    blocks, column = [], n
+    for part in parts:
+        shared_columns = part.shared.shape[2]
+        wide = np.zeros((*part.rows.shape[:2], columns))
+        wide[:, :, :n] = part.rows[:, :, free]
+        wide[:, :, column : column + shared_columns] = part.shared
+        column += shared_columns
+        blocks.append(_with_rows(wide, most_rows))
+    return np.concatenate(blocks)
+
+
 def reading_time(measurement: Measurement, setup: str) -> float:
-    """Time, s, of one planned reading with all passes that are averaged into it."""
-    chosen = measurement.setups[setup]
-    passes = len(chosen.protocol.passes) if chosen.protocol.average else 1
-    return chosen.instrument.cost.reading * passes
+    """Seconds of one planned reading with all passes that are averaged into it."""
+    mounted = measurement.setups[setup]
+    passes = len(mounted.protocol.passes) if mounted.protocol.average else 1
+    return mounted.instrument.cost.reading * passes
 
 
-def _blocks(
+def _series_blocks(
     measurement: Measurement,
     series: Series,
     at: Array,
     scaling: Scaling,
     whole_runs: bool,
-) -> tuple[Array, Array, Index]:
-    """Blocks (C, k, all parameters), columns (C, k, r) of shared errors, and the
-    readings in each candidate.
-    """
+) -> _SeriesBlocks:
     channels = measurement.setups[series.setup].instrument.channels
     k, count = len(channels), len(series)
-    rows = (
-        measurement.jacobian([series], at) * column_scale(measurement, scaling)
-    ).reshape(count, k, -1)
+    jacobian = measurement.jacobian([series], at) * column_scale(measurement, scaling)
+    rows = jacobian.reshape(count, k, -1)
     whiten = scaling == "tolerance"
-    if not whiten:
-        rows = (
-            rows * measurement.reading_lengths([series]).reshape(count, k, 1)
-            if scaling == "length"
-            else rows
-        )
+    if scaling == "length":
+        lengths = measurement.reading_lengths([series])
+        rows = rows * lengths.reshape(count, k, 1)
     if whole_runs:
-        flat = (
-            measurement.noise([series]).whiten(rows.reshape(count * k, -1))
-            if whiten
-            else rows.reshape(count * k, -1)
-        )
-        return _runs(series, flat.reshape(count, k, -1))
+        if whiten:
+            flat = rows.reshape(count * k, -1)
+            rows = measurement.noise([series]).whiten(flat).reshape(count, k, -1)
+        return _runs_as_candidates(series, rows)
+    single = np.ones(count, dtype=np.intp)
     if not whiten:
-        return rows, np.zeros((count, k, 0)), np.ones(count, dtype=np.intp)
+        return _SeriesBlocks(rows, np.zeros((count, k, 0)), single)
     factor = np.linalg.inv(np.linalg.cholesky(measurement.own_noise(series)))
-    sigma = np.asarray(measurement.setups[series.setup].sigma)
-    shared = [c for c in range(k) if channels[c].shared > 0]
-    labels = list(dict.fromkeys(series.run))
-    columns = np.zeros((count, k, len(labels) * len(shared)))
-    for j, label in enumerate(labels):
-        for i, c in enumerate(shared):
-            columns[series.run == label, c, j * len(shared) + i] = (
-                channels[c].shared * sigma[c]
-            )
-    return factor @ rows, factor @ columns, np.ones(count, dtype=np.intp)
+    shared = _shared_columns(measurement, series)
+    return _SeriesBlocks(factor @ rows, factor @ shared, single)
 
 
-def _runs(series: Series, rows: Array) -> tuple[Array, Array, Index]:
-    """Whole runs as candidates, padded with empty rows to the longest. A run's readings
-    follow each other.
+def _shared_columns(measurement: Measurement, series: Series) -> Array:
+    """Slopes (n, k, r) of the readings by the errors that their runs share."""
+    setup = measurement.setups[series.setup]
+    channels, sigma = setup.instrument.channels, np.asarray(setup.sigma)
+    sharing = [c for c in range(len(channels)) if channels[c].shared > 0]
+    runs = list(dict.fromkeys(series.run))
+    columns = np.zeros((len(series), len(channels), len(runs) * len(sharing)))
+    for j, run in enumerate(runs):
+        in_run = series.run == run
+        for i, c in enumerate(sharing):
+            slope = channels[c].shared * sigma[c]
+            columns[in_run, c, j * len(sharing) + i] = slope
+    return columns
+
+
+def _runs_as_candidates(series: Series, rows: Array) -> _SeriesBlocks:
+    """Whole runs as candidates, padded with empty rows to the longest.
+
+    The readings of a run follow each other.
     """
-    labels = list(dict.fromkeys(series.run))
-    counts = np.array([int(np.sum(series.run == x)) for x in labels], dtype=np.intp)
-    if not (np.repeat(np.array(labels), counts) == series.run).all():
+    runs = list(dict.fromkeys(series.run))
+    counts = np.array([int(np.sum(series.run == run)) for run in runs], dtype=np.intp)
+    if not (np.repeat(np.array(runs), counts) == series.run).all():
         raise ValueError(
             f"the readings of a run of set-up {series.setup} do not follow each other"
         )
     k, n = rows.shape[1:]
-    blocks = np.zeros((len(labels), int(counts.max()) * k, n))
+    blocks = np.zeros((len(runs), int(counts.max()) * k, n))
     start = 0
-    for j, c in enumerate(counts):
-        blocks[j, : c * k] = rows[start : start + c].reshape(c * k, n)
-        start += c
-    return blocks, np.zeros((*blocks.shape[:2], 0)), counts
+    for j, count in enumerate(counts):
+        run_rows = rows[start : start + count].reshape(count * k, n)
+        blocks[j, : count * k] = run_rows
+        start += count
+    return _SeriesBlocks(blocks, np.zeros((*blocks.shape[:2], 0)), counts)
 
 
-def _padded(blocks: Array, most: int) -> Array:
-    """Blocks of at most `most` rows: longer ones as the triangle of their QR, shorter
-    ones with empty rows.
+def _with_rows(blocks: Array, count: int) -> Array:
+    """Blocks of `count` rows with the same information.
+
+    Longer blocks become the triangle of their QR; shorter ones get empty rows.
     """
-    if blocks.shape[1] > most:
-        return np.asarray(np.linalg.qr(blocks, mode="r"), dtype=float)[:, :most]
-    return np.pad(blocks, ((0, 0), (0, most - blocks.shape[1]), (0, 0)))
+    if blocks.shape[1] > count:
+        return np.asarray(np.linalg.qr(blocks, mode="r"), dtype=float)[:, :count]
+    return np.pad(blocks, ((0, 0), (0, count - blocks.shape[1]), (0, 0)))

@@ -1,17 +1,15 @@
-"""How far machine and bar stay from what stands around them, at poses and along moves.
+"""Distance of machine and bar to obstacles, at poses and along moves.
 
-Everything is a capsule: a segment with a radius (a sphere is one of no length). The
-machine's skeleton moves with capsules along its lines, the bar reaches from its cup to
-the tool point. Clearance is the least distance between the segments less both radii,
-negative in collision. The distance of two segments, |a + s u - b - t v| over 0 <= s, t
-<= 1, is a convex quadratic: its least value is at the free minimum, where that is
-inside, or on an edge, where it is the distance of an end point to the other segment.
+Everything is a capsule (`oed.design.segments`); a sphere is one of no length. The
+machine's skeleton moves with capsules along its lines, and the bar reaches from its cup
+to the tool point. Clearance is the least distance between the segments less both radii,
+negative in collision.
 
-A move is looked at in intervals. Within one no point of a segment moves farther than
-the ends of that segment do; where the clearances of a segment at both ends of the
-interval are c_0 and c_1 and its ends move by d at the most, on a way that is nearly
-straight, its clearance in between is at least (c_0 + c_1 - d) / 2. Intervals that this
-leaves open are halved.
+A move is looked at in intervals. Within one, no point of a segment moves farther than
+the segment's ends. Let the clearances of a segment be c_0 and c_1 at both ends of the
+interval, let its ends move by at most d, and let the way be nearly straight. Then its
+clearance in between is at least (c_0 + c_1 - d) / 2. Intervals where this is not enough
+are halved.
 """
 
 from __future__ import annotations
@@ -26,49 +24,32 @@ import numpy as np
 
 from oed.arrays import Array, Index, Mask
 from oed.batch import Batched
+from oed.design.segments import Capsule, segment_distance
 from oed.kinematics import AssemblyError, Kinematics, symbols
 from oed.measurement import Measurement, Series
 
-Point = tuple[float, float, float]
-#: puts commands (n, n_dof) where an instrument leads the tool, and tells where (n,) it
-#: can
-Lead = Callable[[Array], tuple[Array, Mask]]
-#: intervals in which a move is looked at first
+#: moves commands (n, n_dof) to where an instrument guides the tool, and says where (n,)
+#: it can
+Guide = Callable[[Array], tuple[Array, Mask]]
+#: intervals of a move at first
 INTERVALS = 8
-#: a step of the ends (m) below which an interval still open counts as blocked
+#: a step of the ends (m) below which an undecided interval counts as blocked
 RESOLUTION = 1e-5
 #: share of a move below which it does so too
 SHORTEST = 1e-6
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Capsule:
-    """A fixed obstacle in the base frame, m: all points within `radius` of the segment
-    from `start` to `end`.
-    """
-
-    start: Point
-    end: Point
-    radius: float
-
-
-def sphere(centre: Point, radius: float) -> Capsule:
-    """A fixed sphere in the base frame, m."""
-    return Capsule(centre, centre, radius)
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """What moves, and what it must not touch; m.
+    """Obstacles, and what moves between them; m.
 
-    obstacles  fixed capsules in the base frame; what the cup stands on touches the bar:
+    obstacles  fixed capsules in the base frame; the stand of the cup touches the bar:
                let it end short of the cup
     links      radius of the capsules along the lines of the machine's skeleton; None:
-               they are not looked at
+               links are not checked
     bar        radius of the bar from its cup to the tool point; None: there is none
-    margin     clearance that is to be kept
-    ignore     numbers of skeleton lines that are left out (a base that stands where it
-               stands)
+    margin     clearance to be kept
+    ignore     numbers of skeleton lines that are left out (such as a fixed base)
     """
 
     obstacles: tuple[Capsule, ...]
@@ -82,38 +63,9 @@ class Surroundings:
             raise ValueError("surroundings need at least one obstacle")
         if self.links is None and self.bar is None:
             raise ValueError(
-                "nothing that moves is looked at: give a radius to the links, to the"
+                "nothing that moves is checked: give a radius to the links, to the"
                 " bar, or to both"
             )
-
-
-def point_distance(point: Array, start: Array, end: Array) -> Array:
-    """Distance (...) of points (..., 3) to segments from `start` to `end` (..., 3);
-    arguments broadcast.
-    """
-    along = end - start
-    square = np.asarray((along**2).sum(-1))
-    share = ((point - start) * along).sum(-1) / np.where(square > 0.0, square, 1.0)
-    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
-    return np.asarray(np.linalg.norm(point - nearest, axis=-1))
-
-
-def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
-    """Distance (...) between segments a0 a1 and b0 b1 (..., 3); arguments broadcast,
-    segments may be points.
-    """
-    u, v, w = a1 - a0, b1 - b0, a0 - b0
-    uu, uv, vv = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
-    uw, vw = (u * w).sum(-1), (v * w).sum(-1)
-    det = uu * vv - uv**2
-    skew = det > 1e-12 * uu * vv  # parallel ones come nearest at an end point too
-    s = (uv * vw - vv * uw) / np.where(skew, det, 1.0)
-    t = (uu * vw - uv * uw) / np.where(skew, det, 1.0)
-    inside = skew & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
-    free = np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1)
-    ends = [point_distance(a0, b0, b1), point_distance(a1, b0, b1)]
-    ends += [point_distance(b0, a0, a1), point_distance(b1, a0, a1)]
-    return np.minimum(np.minimum.reduce(ends), np.where(inside, free, np.inf))
 
 
 class Skeleton:
@@ -125,7 +77,7 @@ class Skeleton:
         machine = kinematics.machine
         if machine.skeleton is None:
             raise ValueError(
-                f"{machine.name} has no skeleton: its links cannot be looked at"
+                f"{machine.name} has no skeleton: its links cannot be checked"
             )
         x, xs = symbols("x", machine.pose)
         q, qs = symbols("q", machine.joints)
@@ -137,17 +89,11 @@ class Skeleton:
                 f"{machine.name}: its skeleton has lines 0 to {len(lines) - 1}, not"
                 f" {sorted(unknown)}"
             )
-        if any(tool):
+        if any(tool):  # a longer tool than the skeleton's
             rotation, point = machine.platform(xs)
-            lines.append(
-                [point, point + rotation @ ca.DM(list(tool))]
-            )  # a longer tool than the one drawn
-        pairs = [
-            (a, b)
-            for i, line in enumerate(lines)
-            if i not in ignore
-            for a, b in itertools.pairwise(line)
-        ]
+            lines.append([point, point + rotation @ ca.DM(list(tool))])
+        checked = [line for i, line in enumerate(lines) if i not in ignore]
+        pairs = [pair for line in checked for pair in itertools.pairwise(line)]
         self._count = len(pairs)
         ends = ca.vertcat(*[ca.vertcat(ca.vec(a), ca.vec(b)) for a, b in pairs])
         self._ends = Batched("skeleton_ends", [x, q, p], [ends])
@@ -160,22 +106,23 @@ class Skeleton:
 def cup_place(
     measurement: Measurement, setup: str, cup: Sequence[float] | None = None
 ) -> Array:
-    """Where the bar of a set-up is held (3,), base frame, m: `cup` if given, its place
-    settings at_x, at_y, at_z, or the tool point at its teach pose; raises ValueError
-    where nothing tells.
+    """Where the bar of a set-up is held (3,), base frame, m.
+
+    That is `cup` if given, else its place settings at_x, at_y, at_z, else the tool
+    point at its teach pose. Raises ValueError where none of these is known.
     """
     if cup is not None:
         return np.asarray(cup, dtype=float)
-    chosen = measurement.setups[setup]
-    if {"at_x", "at_y", "at_z"} <= set(chosen.settings):
-        return np.array([chosen.settings[f"at_{n}"] for n in "xyz"])
-    if chosen.teach is None:
+    mounted = measurement.setups[setup]
+    if {"at_x", "at_y", "at_z"} <= set(mounted.settings):
+        return np.array([mounted.settings[f"at_{axis}"] for axis in "xyz"])
+    if mounted.teach is None:
         raise ValueError(
-            f"set-up {setup}: {chosen.instrument.name} does not tell where its other"
+            f"set-up {setup}: {mounted.instrument.name} does not state where its other"
             " end is: give its cup"
         )
-    tool = np.array(chosen.tool)
-    x, _ = measurement.kinematics.inverse(np.array(chosen.teach)[None], None, tool)
+    tool = np.array(mounted.tool)
+    x, _ = measurement.kinematics.inverse(np.array(mounted.teach)[None], None, tool)
     return np.asarray(measurement.kinematics.frames(x, tool)[1][0])
 
 
@@ -189,165 +136,175 @@ class Clearance:
         surroundings: Surroundings,
         cup: Sequence[float] | None = None,
     ) -> None:
-        self._measurement, self._setup, self._about = measurement, setup, surroundings
-        self._tool = np.array(measurement.setups[setup].tool)
-        self._links = None
+        self._measurement, self._surroundings = measurement, surroundings
+        tool = measurement.setups[setup].tool
+        self._tool = np.array(tool)
+        self._links: Skeleton | None = None
         if surroundings.links is not None:
-            self._links = Skeleton(
-                measurement.kinematics,
-                measurement.setups[setup].tool,
-                surroundings.ignore,
-            )
-        self._cup = (
-            None if surroundings.bar is None else cup_place(measurement, setup, cup)
-        )
-        self._fixed = np.array([[o.start, o.end] for o in surroundings.obstacles])
-        self._radii = np.array([o.radius for o in surroundings.obstacles])
+            self._links = Skeleton(measurement.kinematics, tool, surroundings.ignore)
+        self._cup: Array | None = None
+        if surroundings.bar is not None:
+            self._cup = cup_place(measurement, setup, cup)
 
-    def at(self, x: Array, q: Array, *, bar: bool = True) -> Array:
-        """Clearance (n,) at poses x (n, nx) with joints q (n, nq), m; `bar` = False:
-        with the bar taken off.
-        """
-        return np.asarray(
-            self._gaps(*self._moving(x, q, bar)).min(axis=1, initial=np.inf)
-        )
+    def at_poses(self, x: Array, q: Array, *, bar: bool = True) -> Array:
+        """Clearance (n,) at poses x (n, nx) with joints q (n, nq), m.
 
-    def series(self, series: Series, x: Array) -> Array:
-        """Clearance (N,) at the readings of a series with poses x (m, nx), m; at
-        reference poses without the bar.
+        `bar` = False: with the bar taken off.
         """
-        links_only = np.full(len(x), np.inf)
+        ends, radii = self._moving_segments(x, q, bar)
+        by_segment = self._segment_clearances(ends, radii)
+        return np.asarray(by_segment.min(axis=1, initial=np.inf))
+
+    def at_readings(self, series: Series, x: Array) -> Array:
+        """Clearance (N,) at the readings of a series with poses x (m, nx), m.
+
+        At reference poses the bar is off.
+        """
+        without_bar = np.full(len(x), np.inf)
         if self._links is not None:
-            links_only = self.at(x, series.q, bar=False)
+            without_bar = self.at_poses(x, series.q, bar=False)
         read = series.index[:, 0]
-        return np.asarray(
-            np.minimum(
-                self.at(x[read], series.q[read]), links_only[series.index].min(axis=1)
-            )
-        )
+        with_bar = self.at_poses(x[read], series.q[read])
+        others = without_bar[series.index].min(axis=1)
+        return np.asarray(np.minimum(with_bar, others))
 
-    def free(self, before: Array, after: Array, lead: Lead | None = None) -> Mask:
-        """Whether straight moves in command space, `before` (k, n_dof) to `after`, keep
-        the margin (k,).
+    def free_moves(
+        self, before: Array, after: Array, guide: Guide | None = None
+    ) -> Mask:
+        """Which straight moves in command space keep the margin (k,).
 
-        `lead` puts commands where an instrument leads the tool, and tells where it can
-        (a bar of fixed length: `functools.partial(measurement.hold, setup,
-        coordinate=...)`). Moves through poses out of reach or in another assembly mode
-        are blocked, and moves that keep no more than `RESOLUTION` over the margin may
-        be.
+        The moves go from `before` (k, n_dof) to `after`. `guide` moves commands to
+        where an instrument guides the tool, and says where it can; for a bar of fixed
+        length that is `functools.partial(measurement.hold, setup, coordinate=...)`.
+        Moves through poses out of reach or in another assembly mode are blocked. Moves
+        that exceed the margin by less than `RESOLUTION` may be.
         """
-        sample = partial(self._sample, before, after, lead)
+        sample = partial(self._sample, before, after, guide)
+        margin = self._surroundings.margin
         blocked = np.zeros(len(before), dtype=bool)
-        moves, place = np.arange(len(before)), np.linspace(0.0, 1.0, INTERVALS + 1)
-        row = [sample(moves, np.full(len(moves), t)) for t in place]
-        left, right = _Samples.joined(row[:-1]), _Samples.joined(row[1:])
-        blocked[
-            np.concatenate(
-                [s.move[s.gap.min(axis=1) < self._about.margin] for s in row]
-            )
-        ] = True
+        moves, places = np.arange(len(before)), np.linspace(0.0, 1.0, INTERVALS + 1)
+        samples = [sample(moves, np.full(len(moves), place)) for place in places]
+        for s in samples:
+            blocked[s.blocked_moves(margin)] = True
+        near_end, far_end = _Samples.join(samples[:-1]), _Samples.join(samples[1:])
         while True:
-            step = np.linalg.norm(right.ends - left.ends, axis=-1).max(axis=2)
-            lowest = 0.5 * (left.gap + right.gap - step).min(axis=1)
-            open_ = (lowest < self._about.margin) & ~blocked[left.move]
+            step = np.linalg.norm(far_end.ends - near_end.ends, axis=-1).max(axis=2)
+            lowest = 0.5 * (near_end.clearance + far_end.clearance - step).min(axis=1)
+            undecided = (lowest < margin) & ~blocked[near_end.move]
             # a way with a jump in it never gets short steps
-            fine = open_ & (
-                (step.max(axis=1) < RESOLUTION) | (right.place - left.place < SHORTEST)
-            )
-            blocked[left.move[fine]] = True
-            todo = np.flatnonzero(open_ & ~blocked[left.move])
-            if not todo.size:
+            short = far_end.place - near_end.place < SHORTEST
+            finest = undecided & ((step.max(axis=1) < RESOLUTION) | short)
+            blocked[near_end.move[finest]] = True
+            remaining = np.flatnonzero(undecided & ~blocked[near_end.move])
+            if not remaining.size:
                 return ~blocked
-            left, right = left.take(todo), right.take(todo)
-            middle = sample(left.move, 0.5 * (left.place + right.place))
-            blocked[middle.move[middle.gap.min(axis=1) < self._about.margin]] = True
-            left, right = (
-                _Samples.joined([left, middle]),
-                _Samples.joined([middle, right]),
+            near_end, far_end = near_end.subset(remaining), far_end.subset(remaining)
+            middle = sample(near_end.move, 0.5 * (near_end.place + far_end.place))
+            blocked[middle.blocked_moves(margin)] = True
+            near_end, far_end = (
+                _Samples.join([near_end, middle]),
+                _Samples.join([middle, far_end]),
             )
 
     def _sample(
-        self, before: Array, after: Array, lead: Lead | None, move: Index, place: Array
+        self,
+        before: Array,
+        after: Array,
+        guide: Guide | None,
+        move: Index,
+        place: Array,
     ) -> _Samples:
+        """Segments and clearances at places along moves."""
         command = before[move] + place[:, None] * (after[move] - before[move])
-        led = np.ones(len(command), dtype=bool)
-        if lead is not None:
-            command, led = lead(command)
-        x, q, reached = reach(self._measurement.kinematics, command, self._tool)
-        ends, radii = self._moving(x, q)
-        gap = np.where((led & reached)[:, None], self._gaps(ends, radii), -np.inf)
-        return _Samples(
-            move, place, np.where(reached[:, None, None, None], ends, 0.0), gap
+        guided = np.ones(len(command), dtype=bool)
+        if guide is not None:
+            command, guided = guide(command)
+        x, q, reached = reachable_poses(
+            self._measurement.kinematics, command, self._tool
         )
+        ends, radii = self._moving_segments(x, q)
+        clearance = self._segment_clearances(ends, radii)
+        clearance = np.where((guided & reached)[:, None], clearance, -np.inf)
+        ends = np.where(reached[:, None, None, None], ends, 0.0)
+        return _Samples(move, place, ends, clearance)
 
-    def _moving(self, x: Array, q: Array, bar: bool = True) -> tuple[Array, Array]:
+    def _moving_segments(
+        self, x: Array, q: Array, bar: bool = True
+    ) -> tuple[Array, Array]:
         """Moving segments (n, k, 2, 3) and their radii (k,)."""
         parts, radii = [np.empty((len(x), 0, 2, 3))], [np.empty(0)]
+        nominal = self._measurement.machine.nominal
         if self._links is not None:
-            assert self._about.links is not None
-            parts.append(self._links.segments(x, q, self._measurement.machine.nominal))
-            radii.append(np.full(parts[-1].shape[1], self._about.links))
+            assert self._surroundings.links is not None
+            links = self._links.segments(x, q, nominal)
+            parts.append(links)
+            radii.append(np.full(links.shape[1], self._surroundings.links))
         if bar and self._cup is not None:
-            assert self._about.bar is not None
+            assert self._surroundings.bar is not None
             tip = self._measurement.kinematics.frames(x, self._tool)[1]
-            parts.append(
-                np.stack([np.broadcast_to(self._cup, tip.shape), tip], axis=1)[:, None]
-            )
-            radii.append(np.array([self._about.bar]))
+            cup = np.broadcast_to(self._cup, tip.shape)
+            parts.append(np.stack([cup, tip], axis=1)[:, None])
+            radii.append(np.array([self._surroundings.bar]))
         return np.concatenate(parts, axis=1), np.concatenate(radii)
 
-    def _gaps(self, moving: Array, radii: Array) -> Array:
+    def _segment_clearances(self, moving: Array, radii: Array) -> Array:
         """Clearance (n, k) of each moving segment."""
-        gaps = np.full(moving.shape[:2], np.inf)
-        for (start, end), radius in zip(self._fixed, self._radii, strict=True):
-            gaps = np.minimum(
-                gaps,
-                segment_distance(moving[:, :, 0], moving[:, :, 1], start, end)
-                - radii
-                - radius,
-            )
-        return gaps
+        clearances = np.full(moving.shape[:2], np.inf)
+        for obstacle in self._surroundings.obstacles:
+            start, end = np.array(obstacle.start), np.array(obstacle.end)
+            distance = segment_distance(moving[:, :, 0], moving[:, :, 1], start, end)
+            clearances = np.minimum(clearances, distance - radii - obstacle.radius)
+        return clearances
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Samples:
-    """Places (n,) between 0 and 1 along moves (n,), the moving segments' ends (n, k, 2,
-    3) and clearances (n, k).
+    """Samples along moves.
+
+    move       (n,) number of the move
+    place      (n,) share of the move, 0 to 1
+    ends       (n, k, 2, 3) ends of the moving segments
+    clearance  (n, k) of the moving segments
     """
 
     move: Index
     place: Array
     ends: Array
-    gap: Array
+    clearance: Array
 
-    def take(self, rows: Index) -> _Samples:
+    def blocked_moves(self, margin: float) -> Index:
+        """Moves with a sample nearer than the margin."""
+        return np.asarray(self.move[self.clearance.min(axis=1) < margin])
+
+    def subset(self, rows: Index) -> _Samples:
         return _Samples(
-            self.move[rows], self.place[rows], self.ends[rows], self.gap[rows]
+            self.move[rows], self.place[rows], self.ends[rows], self.clearance[rows]
         )
 
     @classmethod
-    def joined(cls, parts: Sequence[_Samples]) -> _Samples:
+    def join(cls, parts: Sequence[_Samples]) -> _Samples:
         return cls(
-            np.concatenate([p.move for p in parts]),
-            np.concatenate([p.place for p in parts]),
-            np.concatenate([p.ends for p in parts]),
-            np.concatenate([p.gap for p in parts]),
+            np.concatenate([part.move for part in parts]),
+            np.concatenate([part.place for part in parts]),
+            np.concatenate([part.ends for part in parts]),
+            np.concatenate([part.clearance for part in parts]),
         )
 
 
-def reach(
+def reachable_poses(
     kinematics: Kinematics, command: Array, tool: Array
 ) -> tuple[Array, Array, Mask]:
-    """Poses (n, nx), joints (n, nq) and which of the commands (n, n_dof) can be
-    reached; NaN where not.
+    """Poses (n, nx), joints (n, nq), and which commands (n, n_dof) can be reached.
+
+    NaN where a command cannot be reached.
     """
-    good = np.arange(len(command))
+    reached = np.arange(len(command))
     x = np.full((len(command), len(kinematics.machine.pose)), np.nan)
     q = np.full((len(command), len(kinematics.machine.joints)), np.nan)
-    while good.size:
+    while reached.size:
         try:
-            x[good], q[good] = kinematics.inverse(command[good], None, tool)
+            x[reached], q[reached] = kinematics.inverse(command[reached], None, tool)
             break
         except AssemblyError as error:
-            good = np.delete(good, error.indices)
-    return x, q, np.isin(np.arange(len(command)), good)
+            reached = np.delete(reached, error.indices)
+    return x, q, np.isin(np.arange(len(command)), reached)

@@ -1,11 +1,10 @@
-"""Choice of candidates by exchange, for any criterion and under any rules, with a
-certificate.
+"""Chooses candidates by exchange, for any criterion and rules, with a certificate.
 
-The relaxation (`oed.design.bounds`) comes first: it gives the bound, and its slopes and
-weights lead the search (`oed.design.search`). An exchange takes one candidate out and
-puts the best one in, by the criterion's exact value after adding (`Criterion.added`); D
-of single rows knows all pairs at once (`oed.design.fedorov`). Criteria that are not
-smooth are reached over their ladder: E by exchanges that lower tr M^-p while p grows.
+The relaxation (`oed.design.bounds`) comes first. It gives the bound, and its slopes and
+weights guide the search (`oed.design.search`). An exchange removes one candidate and
+adds the best one, by the criterion's exact value after adding. For D of single rows all
+pairs are known at once (`oed.design.fedorov`). Criteria that are not smooth are reached
+along their continuation: E by exchanges that lower tr M^-p while p grows.
 """
 
 from __future__ import annotations
@@ -15,30 +14,35 @@ import dataclasses
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.design.blocks import as_blocks, seen
+from oed.design.blocks import as_blocks, project_on_estimable
 from oed.design.bounds import Bound, bound, condition_bound
 from oed.design.criterion import Criterion, Determinant, Variance, named
-from oed.design.judge import Single
+from oed.design.evaluator import CriterionEvaluator
 from oed.design.rules import Rules
-from oed.design.search import greedy, search
+from oed.design.search import search, select_greedily
 
-#: log phi within this of the bound is proven optimal
+#: a plan whose log phi is within this of the bound is proven optimal
 PROVEN = 1e-7
 
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """Chosen candidates.
+    """Chosen candidates and their certificate.
 
-    indices     ascending
-    criterion   name;  value, bound in the criterion's own terms (log det, least
-                eigenvalue, kappa, ...): no plan under the same rules is better than the
-                bound; None where none was computed
-    gap         what is known of the bound's own slack as a relaxation (log phi)
-    efficiency  phi(plan) / phi(bound): the share of the readings that the best plan
-                could do with
-    directions  that candidates and prior see, and the criterion is told over; of
-                `columns`
+    Value and bound are the criterion's conventional values (log det, least eigenvalue,
+    kappa). No plan under the same rules is better than the bound. Without a bound,
+    `bound`, `duality_gap` and `efficiency` are None.
+
+    indices      chosen candidates, ascending
+    criterion    name of the criterion
+    value        of the plan
+    directions   dimension of the estimable subspace, over which the criterion is stated
+    columns      number of columns
+    bound        of all plans
+    duality_gap  how much too high the bound can be, as a bound of the relaxation, log phi
+    efficiency   phi(plan) / phi(bound): the share of the readings that the best plan
+                 would need
+    proven       whether no plan is better
     """
 
     indices: Index
@@ -47,9 +51,21 @@ class Choice:
     directions: int
     columns: int
     bound: float | None = None
-    gap: float | None = None
+    duality_gap: float | None = None
     efficiency: float | None = None
     proven: bool = False
+
+    def with_bound(
+        self, criterion: Criterion, value: float, upper: float, duality_gap: float
+    ) -> Choice:
+        """The choice with a bound; its value and the bound `upper` are log phi."""
+        return dataclasses.replace(
+            self,
+            bound=criterion.conventional_value(upper, len(self.indices)),
+            duality_gap=duality_gap,
+            efficiency=float(np.exp(min(value - upper, 0.0))),
+            proven=upper - value <= PROVEN,
+        )
 
 
 def choose(
@@ -58,66 +74,79 @@ def choose(
     rng: np.random.Generator,
     criterion: Criterion | str = "D",
     prior: Array | None = None,
-    starts: int = 20,
+    rounds: int = 20,
     tolerance: float = 1e-6,
     certify: bool = True,
     rules: Rules | None = None,
 ) -> Choice:
-    """Choose different candidates out of rows (C, n) or blocks (C, k, n), whitened and
-    scaled: `size` of them, or what `rules` say.
+    """Chooses different candidates out of whitened, scaled rows.
 
-    prior (n, n) is information held already (tolerances, earlier stages, readings
-    kept). Without one, the design lives in the directions that the candidates together
-    can see (singular values above `tolerance` of the largest): no plan sees more.
-    `starts` rounds of local search are made. The bound comes with smooth criteria at no
-    cost; for the others, `certify` = False leaves it out. Raises ValueError where no
-    plan under the rules determines what the criterion asks for.
+    rows       (C, n), or blocks (C, k, n)
+    size       number of candidates to choose, unless `rules` are given
+    prior      (n, n) prior information: tolerances, earlier stages, readings kept.
+               Without it the design lives in the estimable subspace
+    rounds     rounds of local search
+    tolerance  singular values above this share of the largest count as estimable
+    certify    False leaves out the bound of criteria that are not smooth; the bound of
+               the others comes at no cost
+
+    Raises ValueError where no plan under the rules determines what the criterion needs.
     """
     blocks = as_blocks(rows)
     columns = blocks.shape[2]
     rules = Rules(size=size) if rules is None else rules
-    wanted = named(criterion, columns) if isinstance(criterion, str) else criterion
+    goal = named(criterion, columns) if isinstance(criterion, str) else criterion
     _check(blocks, rules)
-    blocks, basis = seen(blocks, prior, tolerance)
-    n = blocks.shape[2]
-    wanted = wanted.within(basis)
-    base = np.zeros((n, n)) if prior is None else basis.T @ prior @ basis
-    if prior is None and rules.size is not None and rules.size * blocks.shape[1] < n:
-        raise ValueError(
-            f"{rules.size} readings cannot determine the {n} directions the"
-            " candidates see"
-        )
-    lead = bound(blocks, _leader(wanted, n), rules, base)
-    judge = Single(blocks, wanted, base)
-    best = search(
-        judge, rules, lead.weights, lead.slopes, _greedy(judge, rules), rng, starts
-    )
-    value = judge.value(best)
+    blocks, basis = project_on_estimable(blocks, prior, tolerance)
+    goal = goal.restrict(basis)
+    directions = blocks.shape[2]
+    base = np.zeros((directions, directions))
+    if prior is None:
+        _check_size(blocks, rules)
+    else:
+        base = basis.T @ prior @ basis
+    guide = bound(blocks, _guiding_criterion(goal, directions), rules, base)
+    evaluator = CriterionEvaluator(blocks, goal, base)
+    starts = _greedy_plans(evaluator, rules)
+    best = search(evaluator, rules, guide.weights, guide.slopes, starts, rng, rounds)
+    value = evaluator.value(best)
     if not np.isfinite(value):
         raise ValueError(
-            f"no plan under these rules determines the {n} directions the"
-            " candidates see"
+            f"no plan under these rules determines the {directions} directions that the"
+            " candidates determine"
         )
-    above = (
-        _above(blocks, wanted, rules, base, lead) if wanted.smooth or certify else None
+    choice = Choice(
+        indices=np.sort(best),
+        criterion=goal.name,
+        value=goal.conventional_value(value, len(best)),
+        directions=directions,
+        columns=columns,
     )
-    return _told(best, wanted, value, above, n, columns)
+    upper = None
+    if goal.smooth or certify:
+        upper = _bound_of(blocks, goal, rules, base, guide)
+    if upper is None:
+        return choice
+    return choice.with_bound(goal, value, upper.value, upper.duality_gap)
 
 
 def greedy_d(blocks: Array, size: int, base: Array) -> Index:
     """The greedy D plan of `size` candidates."""
-    judge = Single(blocks, Determinant(blocks.shape[2]), base)
-    return greedy(judge, Rules(size=size), judge.ridge())
+    evaluator = CriterionEvaluator(blocks, Determinant(blocks.shape[2]), base)
+    return select_greedily(evaluator, Rules(size=size), evaluator.ridge())
 
 
-def _greedy(judge: Single, rules: Rules) -> list[Index]:
-    """Greedy plans by this criterion and by D: the first may be blind while directions
-    are unseen.
+def _greedy_plans(evaluator: CriterionEvaluator, rules: Rules) -> list[Index]:
+    """Greedy plans by D and by the criterion itself.
+
+    The criterion may be -inf for every candidate while directions are undetermined.
     """
-    ways = [dataclasses.replace(judge, criterion=Determinant(judge.base.shape[0]))]
-    if judge.criterion.smooth and not isinstance(judge.criterion, Determinant):
-        ways.append(judge)
-    return [greedy(w, rules, judge.ridge()) for w in ways]
+    determinant = Determinant(evaluator.base.shape[0])
+    guides = [dataclasses.replace(evaluator, criterion=determinant)]
+    criterion = evaluator.criterion
+    if criterion.smooth and not isinstance(criterion, Determinant):
+        guides.append(evaluator)
+    return [select_greedily(guide, rules, evaluator.ridge()) for guide in guides]
 
 
 # -- bounds ----------------------------------------------------------------------------
@@ -129,53 +158,36 @@ def _check(blocks: Array, rules: Rules) -> None:
             f"cannot choose {rules.size} different readings out of {len(blocks)}"
             " candidates"
         )
-    if not rules.allowed(np.zeros(0, dtype=np.intp), len(blocks)).any():
+    nothing = np.zeros(0, dtype=np.intp)
+    if not rules.additions(nothing, len(blocks)).any():
         raise ValueError("the rules allow no reading at all: raise the budget")
 
 
-def _leader(criterion: Criterion, directions: int) -> Criterion:
-    """The smooth criterion whose relaxation leads the search."""
+def _check_size(blocks: Array, rules: Rules) -> None:
+    _, k, directions = blocks.shape
+    if rules.size is not None and rules.size * k < directions:
+        raise ValueError(
+            f"{rules.size} readings cannot determine the {directions} directions that"
+            " the candidates determine"
+        )
+
+
+def _guiding_criterion(criterion: Criterion, directions: int) -> Criterion:
+    """The smooth criterion whose relaxation guides the search."""
     if criterion.smooth:
         return criterion
-    smooth = [c for c in criterion.ladder() if c.smooth and c.concave]
-    return (
-        smooth[-1]
-        if criterion.concave and smooth
-        else Variance(np.eye(directions), "A")
-    )
+    approach = [c for c in criterion.continuation() if c.smooth and c.concave]
+    if criterion.concave and approach:
+        return approach[-1]
+    return Variance(np.eye(directions), "A")
 
 
-def _above(
-    blocks: Array, criterion: Criterion, rules: Rules, base: Array, lead: Bound
+def _bound_of(
+    blocks: Array, criterion: Criterion, rules: Rules, base: Array, guide: Bound
 ) -> Bound | None:
-    """The bound of the criterion itself."""
+    """The bound of the criterion itself; None where none is known."""
     if criterion.smooth:
-        return lead
+        return guide
     if criterion.concave:
         return bound(blocks, criterion, rules, base)
     return condition_bound(blocks, criterion, rules, base)
-
-
-def _told(
-    best: Index,
-    criterion: Criterion,
-    value: float,
-    above: Bound | None,
-    n: int,
-    columns: int,
-) -> Choice:
-    if above is None:
-        return Choice(
-            np.sort(best), criterion.name, criterion.told(value, len(best)), n, columns
-        )
-    return Choice(
-        indices=np.sort(best),
-        criterion=criterion.name,
-        value=criterion.told(value, len(best)),
-        directions=n,
-        columns=columns,
-        bound=criterion.told(above.value, len(best)),
-        gap=above.gap,
-        efficiency=float(np.exp(min(value - above.value, 0.0))),
-        proven=above.value - value <= PROVEN,
-    )

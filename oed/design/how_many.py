@@ -1,14 +1,13 @@
-"""How many readings: predicted accuracy against their number, with a bound, and the
-fewest for a wanted accuracy.
+"""Predicted accuracy against the number of readings, and the fewest for a goal.
 
-The accuracy of component k is the root mean square sqrt(tr(W_k M^-1)) of what
-identification leaves of it over the workspace (W_k = F_k^T F_k). Each point of the
-curve is a plan made for all components together (G over components, each in units of
-the wanted or of a typical accuracy); each bound is of one component alone: no plan of
-as many readings is better in it, not even one made for it.
+The accuracy of component k is the root mean square sqrt(tr(W_k M^-1)) of the error that
+identification leaves over the workspace, W_k = F_k^T F_k. Each point of the curve is a
+plan for all components together: G over components, each in units of the wanted or of a
+typical accuracy. Each bound is of one component alone: no plan of as many readings is
+better in it, even if it serves that component only.
 
-The fewest readings: plans of N readings reach the wanted accuracy, and N is proven the
-fewest where already the relaxation of N - 1 readings misses it; else the gap is told.
+The fewest readings: a plan of N readings reaches the goal. N is proven the fewest where
+even the relaxation of N - 1 readings misses it; otherwise a range is reported.
 """
 
 from __future__ import annotations
@@ -21,24 +20,28 @@ import numpy as np
 from oed.arrays import Array, Index
 from oed.design import exchange, relaxation
 from oed.design.blocks import as_blocks
-from oed.design.criterion import Variance, Worst
+from oed.design.criterion import LargestVariance, Variance
 from oed.design.rules import Rules
+
+#: duality gap of the bounds, and of the goal's feasibility, in log phi
+BOUND_TOLERANCE, GOAL_TOLERANCE = 1e-4, 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AccuracyGoal:
-    """Components of the pose error: factors (K, r, n) in the columns of the blocks, in
-    units of the wanted accuracy.
+    """Wanted accuracy of components of the pose error.
 
-    A component is reached where its accuracy is at most 1.
+    names    (K) of the components
+    factors  (K, r, n) in the blocks' columns, in units of the wanted accuracy; a
+             component is reached where its accuracy is at most 1
     """
 
     names: tuple[str, ...]
     factors: Array
 
-    def criterion(self) -> Worst:
+    def criterion(self) -> LargestVariance:
         """The largest variance, in units of the wanted one."""
-        return Worst(self.factors)
+        return LargestVariance(self.factors)
 
     def accuracy(self, m: Array) -> Array:
         """Root mean square (K,) of each component."""
@@ -46,9 +49,13 @@ class AccuracyGoal:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Point:
-    """A plan of `size` readings: accuracy (K,) of each component, and bound (K,) that
-    no such plan beats.
+class CurvePoint:
+    """A plan on the curve.
+
+    size      number of readings
+    indices   chosen candidates
+    accuracy  (K,) of each component
+    bound     (K,) that no plan of this size beats
     """
 
     size: int
@@ -58,16 +65,19 @@ class Point:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Fewest:
-    """The fewest readings that were found to reach the goal (None: no plan of at most
-    `most` does), and the number below which none can. `best` is the last plan;
-    `reachable` (K,) the bound at `most` readings.
+class FewestReadings:
+    """The fewest readings that reach the goal.
+
+    size      None where no plan of at most `most` readings was found
+    at_least  no plan of fewer readings reaches the goal
+    most      readings that were tried, at the most
+    best      the last plan
     """
 
     size: int | None
     at_least: int
     most: int
-    best: Point
+    best: CurvePoint
 
     @property
     def proven(self) -> bool:
@@ -77,91 +87,98 @@ class Fewest:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SizeCurve:
-    """One problem: candidates (C, k, n), information held (n, n), the goal, the rules
-    but for the number.
+    """Accuracy against the number of readings, for one set of candidates.
+
+    blocks   (C, k, n) candidates
+    prior    (n, n) prior information
+    goal     components and their wanted accuracy
+    seed     of the random numbers; each size draws from (*seed, size), so that a plan
+             does not depend on which sizes came before
+    rounds   rounds of local search
+    rules    of a plan, except for the number
     """
 
     blocks: Array
     prior: Array
     goal: AccuracyGoal
-    rng_seed: tuple[int, ...] = (0,)
-    starts: int = 2
+    seed: tuple[int, ...]
+    rounds: int = 2
     rules: Rules | None = None
 
-    def point(self, size: int) -> Point:
+    def point(self, size: int) -> CurvePoint:
         """A plan of `size` readings."""
-        chosen = exchange.choose(
+        rules = Rules(size=size)
+        if self.rules is not None:
+            rules = dataclasses.replace(self.rules, size=size)
+        choice = exchange.choose(
             self.blocks,
             None,
-            np.random.default_rng([*self.rng_seed, size]),
+            np.random.default_rng([*self.seed, size]),
             self.goal.criterion(),
             self.prior,
-            self.starts,
+            self.rounds,
             certify=False,
-            rules=self._rules(size),
+            rules=rules,
         )
-        picked = as_blocks(self.blocks)[chosen.indices].reshape(-1, self.prior.shape[0])
-        accuracy = self.goal.accuracy(self.prior + picked.T @ picked)
-        return Point(size, chosen.indices, accuracy, self.bounds(size))
-
-    def _rules(self, size: int) -> Rules:
-        return (
-            Rules(size=size)
-            if self.rules is None
-            else dataclasses.replace(self.rules, size=size)
-        )
+        columns = self.prior.shape[0]
+        chosen_rows = as_blocks(self.blocks)[choice.indices].reshape(-1, columns)
+        accuracy = self.goal.accuracy(self.prior + chosen_rows.T @ chosen_rows)
+        return CurvePoint(size, choice.indices, accuracy, self.bounds(size))
 
     def bounds(self, size: int) -> Array:
-        """Accuracy (K,) that no plan of `size` readings beats in each component alone."""
-        told = []
+        """Accuracy (K,) that no plan of `size` readings beats in a component alone."""
+        bounds = []
         for factor in self.goal.factors:
-            found = relaxation.relax(
-                self.blocks, float(size), self.prior, 1.0, 1e-4, Variance(factor)
+            criterion = Variance(factor)
+            optimum = relaxation.relax(
+                self.blocks, float(size), self.prior, 1.0, BOUND_TOLERANCE, criterion
             )
-            told.append(np.exp(-0.5 * found.bound))
-        return np.array(told)
+            bounds.append(np.exp(-0.5 * optimum.bound))
+        return np.array(bounds)
 
-    def curve(self, sizes: Sequence[int]) -> list[Point]:
-        """A point for each number of readings; more readings are never worse (a smaller
-        plan can be added to).
-        """
+    def curve(self, sizes: Sequence[int]) -> list[CurvePoint]:
+        """A point for each number of readings."""
         return [self.point(n) for n in sizes]
 
-    def fewest(self, most: int, least: int = 1) -> Fewest:
-        """The fewest readings whose plan reaches every component's wanted accuracy, by
-        bisection.
-        """
-        at_least = _first(self._reachable, least, most + 1)
+    def fewest(self, most: int, least: int = 1) -> FewestReadings:
+        """The fewest readings that reach every component's goal, by bisection."""
+        at_least = _first_true(self._goal_is_feasible, least, most + 1)
+        best = self.point(most)
         if at_least > most:
-            return Fewest(None, most + 1, most, self.point(most))
-        low, high, best = at_least, most, self.point(most)
+            return FewestReadings(None, most + 1, most, best)
         if (best.accuracy > 1.0).any():
-            return Fewest(None, at_least, most, best)
+            return FewestReadings(None, at_least, most, best)
+        low, high = at_least, most
         while low < high:
             middle = (low + high) // 2
-            tried = self.point(middle)
-            if (tried.accuracy <= 1.0).all():
-                high, best = middle, tried
+            trial = self.point(middle)
+            if (trial.accuracy <= 1.0).all():
+                high, best = middle, trial
             else:
                 low = middle + 1
-        return Fewest(best.size, at_least, most, best)
+        return FewestReadings(best.size, at_least, most, best)
 
-    def _reachable(self, size: int) -> bool:
-        """Whether the relaxation leaves room for the goal: by the supporting line of
-        all components together.
-        """
-        worst = self.goal.criterion()
-        found = relaxation.relax(self.blocks, float(size), self.prior, 1.0, 1e-3, worst)
-        return found.bound >= 0.0
+    def _goal_is_feasible(self, size: int) -> bool:
+        """Whether the relaxation of all components together reaches the goal."""
+        optimum = relaxation.relax(
+            self.blocks,
+            float(size),
+            self.prior,
+            1.0,
+            GOAL_TOLERANCE,
+            self.goal.criterion(),
+        )
+        return optimum.bound >= 0.0
 
 
-def _first(true: Callable[[int], bool], low: int, high: int) -> int:
-    """The first number from low to high for which it is true, if it stays true; `high`
-    where it never is.
+def _first_true(holds: Callable[[int], bool], low: int, high: int) -> int:
+    """The first number from low to high for which a monotone property holds.
+
+    `high` where it never does.
     """
     while low < high:
         middle = (low + high) // 2
-        if true(middle):
+        if holds(middle):
             high = middle
         else:
             low = middle + 1

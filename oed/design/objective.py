@@ -1,9 +1,8 @@
-"""What weights on candidates are judged by: one criterion of one information matrix, or
-several at once.
+"""Concave objectives of the candidates' weights, for the relaxation.
 
-An objective is concave in the weights w. `Plain` is log phi(M0 + sum w_i A_i).
-`oed.design.robust` has those of several machines at once. All the relaxation needs is
-here: values, slopes, curvatures, and the bound that slopes give.
+`CriterionObjective` is log phi(M0 + sum w_i A_i) of one information matrix.
+`oed.design.robust` has the objectives of several machines at once. An objective gives
+the relaxation values, slopes, curvatures, and the bound that a tangent implies.
 """
 
 from __future__ import annotations
@@ -20,66 +19,79 @@ from oed.design.criterion.protocol import Criterion, slopes
 
 @dataclasses.dataclass(frozen=True)
 class Tangent:
-    """A line above the objective: every plan w' has a value of at most bound(sum_i w'_i
-    slopes_i).
+    """A line above the objective, which touches it at some weights.
 
-    value   the objective at the weights where the line was drawn
-    slopes  (C,) along each candidate's weight, for all candidates
+    Every plan w' has a value of at most bound(sum_i w'_i slopes_i).
+
+    value      the objective at the weights where the line touches
+    slopes     (C,) along each candidate's weight, for all candidates
+    base_term  the line's term of the prior information M0
+    offset     constant of the line
+    linear     whether the line bounds the objective itself, instead of its exponential
     """
 
     value: float
     slopes: Array
-    held: float
+    base_term: float
     offset: float
-    straight: bool = False
+    linear: bool = False
 
-    def bound(self, carried: float) -> float:
-        """offset + log(held + carried), or, straight, offset + held + carried."""
-        if self.straight:
-            return self.offset + self.held + carried
-        return self.offset + float(np.log(max(self.held + carried, 1e-300)))
+    def bound(self, weighted_slopes: float) -> float:
+        """The line's height at a plan with sum_i w'_i slopes_i = `weighted_slopes`.
+
+        It is offset + log(base_term + weighted_slopes), without the log where linear.
+        """
+        height = self.base_term + weighted_slopes
+        if self.linear:
+            return self.offset + height
+        return self.offset + float(np.log(max(height, 1e-300)))
 
 
 class Objective(Protocol):
-    """A concave function of the candidates' weights. Weights are given for an active
-    set of candidates.
+    """A concave function of the candidates' weights.
+
+    Weights (A,) are those of an active set (A,) of candidates; all others are zero.
     """
 
     @property
-    def count(self) -> int: ...
+    def count(self) -> int:
+        """Number of candidates."""
+        ...
 
     @property
-    def directions(self) -> int: ...
+    def directions(self) -> int:
+        """Number of columns."""
+        ...
 
     def value(self, active: Index, weights: Array) -> float:
-        """At weights on the active candidates; -inf where a direction is unseen."""
+        """Value at the weights; -inf where a direction is undetermined."""
         ...
 
-    def line(self, active: Index, weights: Array) -> Tangent:
-        """A line above the objective that touches it at the weights (nearly, where it
-        is smoothed).
-        """
+    def tangent(self, active: Index, weights: Array) -> Tangent:
+        """A line above the objective; it touches it, or nearly so where smoothed."""
         ...
 
-    def newton(self, active: Index, weights: Array) -> tuple[Array, Array]:
-        """Slopes (A,) and curvature (A, A) over the active candidates."""
+    def slopes_and_curvature(
+        self, active: Index, weights: Array
+    ) -> tuple[Array, Array]:
+        """Slopes (A,) and negative second derivatives (A, A)."""
         ...
 
-    def sample(self, chosen: Index) -> Objective:
-        """Over some of the candidates only."""
+    def subset(self, chosen: Index) -> Objective:
+        """The objective over a part of the candidates."""
         ...
 
-    def typical(self, weights: Array) -> float:
-        """Size of the information at weights on all candidates, for a ridge."""
+    def mean_eigenvalue(self, weights: Array) -> float:
+        """Mean eigenvalue of the information at weights on all candidates."""
         ...
 
-    def ridged(self, ridge: float) -> Objective:
-        """With ridge * 1 added to the information held."""
+    def with_ridge(self, ridge: float) -> Objective:
+        """The objective with ridge * 1 added to the prior information."""
         ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Plain:
+class CriterionObjective:
     """log phi(M0 + sum_i w_i X_i^T X_i) for blocks (C, k, n) and M0 `base` (n, n)."""
 
     criterion: Criterion
@@ -88,48 +100,49 @@ class Plain:
 
     @property
     def count(self) -> int:
-        """Candidates."""
+        """Number of candidates."""
         return len(self.blocks)
 
     @property
     def directions(self) -> int:
-        """Columns."""
+        """Number of columns."""
         return int(self.blocks.shape[2])
 
-    def at(self, active: Index, weights: Array) -> Array:
+    def information_at(self, active: Index, weights: Array) -> Array:
         """M (n, n)."""
         return np.asarray(self.base + information(self.blocks[active], weights))
 
     def value(self, active: Index, weights: Array) -> float:
         """log phi(M)."""
-        return self.criterion.value(self.at(active, weights))
+        return self.criterion.value(self.information_at(active, weights))
 
-    def line(self, active: Index, weights: Array) -> Tangent:
+    def tangent(self, active: Index, weights: Array) -> Tangent:
         """The criterion's supporting line."""
-        m = self.at(active, weights)
-        value, root = self.criterion.support(m)
-        held = float(np.sum((self.base @ root) * root))
-        return Tangent(self.criterion.value(m), slopes(self.blocks, root), held, value)
+        m = self.information_at(active, weights)
+        offset, root = self.criterion.support(m)
+        base_term = float(np.sum((self.base @ root) * root))
+        line_slopes = slopes(self.blocks, root)
+        return Tangent(self.criterion.value(m), line_slopes, base_term, offset)
 
-    def newton(self, active: Index, weights: Array) -> tuple[Array, Array]:
+    def slopes_and_curvature(
+        self, active: Index, weights: Array
+    ) -> tuple[Array, Array]:
         """Slopes and curvature of log phi."""
-        m = self.at(active, weights)
-        some = self.blocks[active]
-        return slopes(some, self.criterion.support(m).root), self.criterion.curvature(
-            m, some
-        )
+        m = self.information_at(active, weights)
+        blocks = self.blocks[active]
+        first = slopes(blocks, self.criterion.support(m).root)
+        return first, self.criterion.curvature(m, blocks)
 
-    def sample(self, chosen: Index) -> Plain:
-        """Over some of the candidates only."""
+    def subset(self, chosen: Index) -> CriterionObjective:
+        """The objective over a part of the candidates."""
         return dataclasses.replace(self, blocks=self.blocks[chosen])
 
-    def typical(self, weights: Array) -> float:
-        """Mean eigenvalue."""
-        total = float(np.einsum("ckn,ckn,c->", self.blocks, self.blocks, weights))
-        return float((total + np.trace(self.base)) / self.directions)
+    def mean_eigenvalue(self, weights: Array) -> float:
+        """Mean eigenvalue of M."""
+        trace = float(np.einsum("ckn,ckn,c->", self.blocks, self.blocks, weights))
+        return float((trace + np.trace(self.base)) / self.directions)
 
-    def ridged(self, ridge: float) -> Plain:
-        """With ridge * 1 held."""
-        return dataclasses.replace(
-            self, base=self.base + ridge * np.eye(len(self.base))
-        )
+    def with_ridge(self, ridge: float) -> CriterionObjective:
+        """The objective with ridge * 1 added to M0."""
+        base = self.base + ridge * np.eye(len(self.base))
+        return dataclasses.replace(self, base=base)

@@ -1,9 +1,8 @@
-"""What a plan may be: how many readings or how much time, how many set-ups, how far
-apart, and what is kept.
+"""Rules of a plan: number of readings, time, set-ups, distances, and quotas.
 
-Whether a candidate can be taken at all (workspace, joint travel, singularity, bar
-travel, collisions) is decided before (`oed.design.feasible`); here are the rules that
-hold between the readings of one plan.
+Whether a candidate can be read at all (workspace, joint travel, singularity, bar
+travel, collisions) is decided earlier (`oed.design.feasible`). These rules hold between
+the readings of one plan.
 """
 
 from __future__ import annotations
@@ -12,27 +11,40 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from oed.arrays import Array, Index, Mask
 
-#: combinations of set-ups that are bounded one by one
-SUBSETS = 64
+#: combinations of set-ups that are bounded one by one, at the most
+MAX_COMBINATIONS = 64
+
+
+class RelaxedRules(NamedTuple):
+    """A convex problem: weights 0 <= w <= 1 on `candidates` with one sum held.
+
+    The sum is sum w = total, or sum cost w = total where a cost is given.
+    """
+
+    candidates: Index
+    total: float
+    cost: Array | None
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Rules:
-    """Rules of a plan over C candidates; at least one of `size` and `budget` is given.
+    """Rules of a plan over C candidates; `size` or `budget` is given, or both.
 
-    size         number of candidates to choose; with a budget, at the most
-    budget       time there is, s; cost (C,) time of each candidate, s
-    setup        (C,) number of the set-up of each candidate; setup_cost (S,) time to
-                 mount each, s, paid once
-    most_setups  set-ups at the most
-    place        (C, d) of each candidate, in units of its own; chosen ones are at least
-                 `apart` from each other
-    taken        set-ups that are mounted already: they cost nothing and do not count
+    size          number of candidates to choose; with a budget, at the most
+    budget        time available, s
+    cost          (C,) time of each candidate, s
+    setup         (C,) number of the set-up of each candidate
+    setup_cost    (S,) time to mount each set-up, s, paid once
+    most_setups   number of set-ups at the most
+    position      (C, d) of each candidate, in units of its own
+    min_distance  least distance of two chosen candidates of one set-up
+    mounted       set-ups that are mounted already: they cost nothing and do not count
     """
 
     size: int | None = None
@@ -41,32 +53,38 @@ class Rules:
     setup: Index | None = None
     setup_cost: Array | None = None
     most_setups: int | None = None
-    place: Array | None = None
-    apart: float = 0.0
-    taken: tuple[int, ...] = ()
+    position: Array | None = None
+    min_distance: float = 0.0
+    mounted: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.size is None and self.budget is None:
             raise ValueError("a plan needs a number of readings or a budget")
-        if self.budget is not None and (
-            self.cost is None or not (np.asarray(self.cost) > 0).all()
-        ):
+        priced = self.cost is not None and (np.asarray(self.cost) > 0).all()
+        if self.budget is not None and not priced:
             raise ValueError("a budget needs the positive cost of every candidate")
-        if (
-            self.most_setups is not None or self.setup_cost is not None
-        ) and self.setup is None:
+        about_setups = self.most_setups is not None or self.setup_cost is not None
+        if about_setups and self.setup is None:
             raise ValueError("rules about set-ups need the set-up of every candidate")
-        if self.apart > 0.0 and self.place is None:
-            raise ValueError("a least distance needs the place of every candidate")
+        if self.min_distance > 0.0 and self.position is None:
+            raise ValueError("a least distance needs the position of every candidate")
 
     @property
-    def simple(self) -> bool:
-        """Whether only the number counts."""
-        return self.budget is None and self.most_setups is None and self.apart <= 0.0
+    def only_size(self) -> bool:
+        """Whether the number of candidates is the only rule."""
+        unlimited = self.budget is None and self.most_setups is None
+        return unlimited and self.min_distance <= 0.0
+
+    @property
+    def mountable(self) -> Index:
+        """Set-ups that are not mounted yet."""
+        assert self.setup is not None
+        return np.setdiff1d(self.setup, np.array(self.mounted, dtype=np.intp))
 
     def totals(self, count: int) -> list[tuple[float, Array | None]]:
-        """Sums that the weights of `count` candidates, or what they cost, are held to;
-        mounting is left out, which only raises a bound.
+        """Sums that the weights, or their costs, are held to: (total, cost or None).
+
+        The time to mount is left out, which only raises a bound.
         """
         totals: list[tuple[float, Array | None]] = []
         if self.size is not None:
@@ -75,117 +93,121 @@ class Rules:
             totals.append((float(min(self.budget, self.cost.sum())), self.cost))
         return totals
 
-    def spent(self, chosen: Index) -> float:
+    def time_of(self, chosen: Index) -> float:
         """Time that a plan takes, s."""
         readings = 0.0 if self.cost is None else float(self.cost[chosen].sum())
-        return readings + self._mounting(chosen)
+        return readings + self._mounting_time(chosen)
 
-    def _mounting(self, chosen: Index) -> float:
+    def _mounting_time(self, chosen: Index) -> float:
         if self.setup is None or self.setup_cost is None:
             return 0.0
-        return float(self.setup_cost[self._mounted(chosen)].sum())
+        return float(self.setup_cost[self._setups_to_mount(chosen)].sum())
 
-    def _mounted(self, chosen: Index) -> Index:
+    def _setups_to_mount(self, chosen: Index) -> Index:
         assert self.setup is not None
-        return np.setdiff1d(self.setup[chosen], np.array(self.taken, dtype=np.intp))
+        return np.setdiff1d(self.setup[chosen], np.array(self.mounted, dtype=np.intp))
 
-    def allowed(self, chosen: Index, count: int) -> Mask:
-        """Candidates (C,) that may join a plan."""
+    def additions(self, chosen: Index, count: int) -> Mask:
+        """Which of the candidates (C,) may join a plan."""
         free = np.ones(count, dtype=bool)
         free[chosen] = False
         if self.size is not None and len(chosen) >= self.size:
             return np.zeros(count, dtype=bool)
-        new = self._new(chosen, count)
-        if (
-            self.most_setups is not None
-            and len(self._mounted(chosen)) >= self.most_setups
-        ):
-            free &= ~new
+        needs_setup = self._needs_setup(chosen, count)
+        if self._setups_used_up(chosen):
+            free &= ~needs_setup
         if self.budget is not None:
-            assert self.cost is not None
-            more = self.cost.copy()
-            if self.setup_cost is not None:
-                assert self.setup is not None
-                more = more + np.where(new, self.setup_cost[self.setup], 0.0)
-            free &= self.spent(chosen) + more <= self.budget * (1 + 1e-12)
-        if self.apart > 0.0:
-            assert self.place is not None
-            for k in chosen:
-                free &= ~self._near(int(k))
+            free &= self._affordable(chosen, needs_setup)
+        if self.min_distance > 0.0:
+            for member in chosen:
+                free &= ~self._too_near(int(member))
         return free
 
-    def _new(self, chosen: Index, count: int) -> Mask:
+    def _setups_used_up(self, chosen: Index) -> bool:
+        """Whether no further set-up may be mounted."""
+        if self.most_setups is None:
+            return False
+        return len(self._setups_to_mount(chosen)) >= self.most_setups
+
+    def _affordable(self, chosen: Index, needs_setup: Mask) -> Mask:
+        """Candidates that the remaining budget pays for."""
+        assert self.cost is not None
+        assert self.budget is not None
+        more = self.cost.copy()
+        if self.setup_cost is not None:
+            assert self.setup is not None
+            more = more + np.where(needs_setup, self.setup_cost[self.setup], 0.0)
+        return self.time_of(chosen) + more <= self.budget * (1 + 1e-12)
+
+    def _needs_setup(self, chosen: Index, count: int) -> Mask:
         """Candidates whose set-up is not mounted yet."""
         if self.setup is None:
             return np.zeros(count, dtype=bool)
-        return ~np.isin(
-            self.setup,
-            np.append(self._mounted(chosen), np.array(self.taken, dtype=np.intp)),
-        )
+        mounted = np.array(self.mounted, dtype=np.intp)
+        return ~np.isin(self.setup, np.append(self._setups_to_mount(chosen), mounted))
 
-    def _near(self, k: int) -> Mask:
-        """Candidates of the same set-up nearer to candidate k than `apart`."""
-        assert self.place is not None
-        near = np.linalg.norm(self.place - self.place[k], axis=1) < self.apart * (
-            1 - 1e-9
-        )
-        return np.asarray(
-            near if self.setup is None else near & (self.setup == self.setup[k])
-        )
+    def _too_near(self, member: int) -> Mask:
+        """Candidates of the same set-up nearer to a member than `min_distance`."""
+        assert self.position is not None
+        distance = np.linalg.norm(self.position - self.position[member], axis=1)
+        near = distance < self.min_distance * (1 - 1e-9)
+        if self.setup is not None:
+            near &= self.setup == self.setup[member]
+        return np.asarray(near)
 
-    def take(self, pool: Index) -> Rules:
-        """The rules over some of the candidates."""
+    def subset(self, pool: Index) -> Rules:
+        """The rules over a part of the candidates."""
         return dataclasses.replace(
             self,
             cost=None if self.cost is None else self.cost[pool],
             setup=None if self.setup is None else self.setup[pool],
-            place=None if self.place is None else self.place[pool],
+            position=None if self.position is None else self.position[pool],
         )
 
-    # -- what a relaxation may spend ---------------------------------------------------
+    # -- convex problems that hold every plan ------------------------------------------
 
-    def limits(self, count: int) -> Iterator[tuple[Index, float, Array | None]]:
-        """(candidates, total, cost or None) of convex problems that together hold every
-        allowed plan.
+    def relaxations(self, count: int) -> Iterator[RelaxedRules]:
+        """Convex problems that together hold every plan under the rules.
 
-        Each is: weights 0 <= w <= 1 on the candidates, with sum w = total, or sum cost
-        w = total where a cost is told. A plan's value is at most the largest over the
-        first level of the least over the second: one level of combinations of set-ups
-        (all of them in one where there are too many), then number and budget.
+        A first level runs over combinations of set-ups, or over all set-ups at once
+        where there are too many combinations. The second level holds the number and
+        the budget. A plan's value is at most the largest, over the first level, of the
+        smallest bound over the second.
         """
         for candidates, mounting in self._combinations(count):
             if self.size is not None:
-                yield candidates, float(min(self.size, len(candidates))), None
+                total = float(min(self.size, len(candidates)))
+                yield RelaxedRules(candidates, total, None)
             if self.budget is not None:
                 assert self.cost is not None
                 cost = self.cost[candidates]
-                yield candidates, float(min(self.budget - mounting, cost.sum())), cost
+                total = float(min(self.budget - mounting, cost.sum()))
+                yield RelaxedRules(candidates, total, cost)
 
     def _combinations(self, count: int) -> Iterator[tuple[Index, float]]:
-        everyone = np.arange(count)
-        if self.setup is None or (
-            self.most_setups is None
-            and (self.setup_cost is None or self.budget is None)
-        ):
-            yield everyone, 0.0
+        """Candidates of each combination of set-ups, and its time to mount."""
+        everything = np.arange(count)
+        mounting_counts = self.setup_cost is not None and self.budget is not None
+        if self.setup is None or (self.most_setups is None and not mounting_counts):
+            yield everything, 0.0
             return
-        names = np.setdiff1d(self.setup, np.array(self.taken, dtype=np.intp))
+        names = self.mountable
         most = min(self.most_setups or len(names), len(names))
-        if sum(math.comb(len(names), k) for k in range(1, most + 1)) > SUBSETS:
-            yield everyone, 0.0
+        if number_of_combinations(len(names), most) > MAX_COMBINATIONS:
+            yield everything, 0.0
             return
-        sizes = (
-            range(1, most + 1)
-            if self.budget is not None and self.setup_cost is not None
-            else (most,)
-        )
+        sizes = range(1, most + 1) if mounting_counts else (most,)
         for size in sizes:
-            for some in itertools.combinations(names, size):
-                kept = np.flatnonzero(np.isin(self.setup, [*some, *self.taken]))
-                mounting = (
-                    0.0
-                    if self.setup_cost is None
-                    else float(self.setup_cost[list(some)].sum())
-                )
+            for combination in itertools.combinations(names, size):
+                allowed = [*combination, *self.mounted]
+                candidates = np.flatnonzero(np.isin(self.setup, allowed))
+                mounting = 0.0
+                if self.setup_cost is not None:
+                    mounting = float(self.setup_cost[list(combination)].sum())
                 if self.budget is None or mounting < self.budget:
-                    yield kept, mounting
+                    yield candidates, mounting
+
+
+def number_of_combinations(setups: int, most: int) -> int:
+    """Number of combinations of 1 to `most` out of a number of set-ups."""
+    return sum(math.comb(setups, k) for k in range(1, most + 1))

@@ -1,9 +1,8 @@
-"""Iterated local search over plans: exchanges until none helps, then a part of the plan
-thrown out and filled anew.
+"""Iterated local search over plans: exchange sweeps, then restarts from a changed plan.
 
-It runs over a pool of candidates that an optimal plan can want (the relaxation's slopes
-tell which), and ends with one more improvement over all of them. It is never below the
-greedy plans it starts from.
+The search runs over a pool of candidates that an optimal plan may want, by the slopes
+and weights of a relaxation. One more improvement over all candidates ends it. The
+result is never worse than the greedy plans at its start.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.design.judge import Judge
+from oed.design.evaluator import PlanEvaluator
 from oed.design.rules import Rules
 
 #: candidates in the pool: at the least, and a chosen one
@@ -24,10 +23,14 @@ GAIN = 1e-10
 #: sweeps at the most: rounding near a singular plan could let two exchanges undo each
 #: other for ever
 SWEEPS = 50
+#: most readings that one restart replaces; chance that it replaces a whole set-up
+REPLACED, REPLACE_SETUP = 6, 0.3
+#: weight from which a relaxed candidate counts as chosen, and from which it may be
+HEAVY, LIGHT = 1e-6, 1e-9
 
 
 def search(
-    judge: Judge,
+    evaluator: PlanEvaluator,
     rules: Rules,
     weights: Array,
     slopes: Array,
@@ -35,166 +38,194 @@ def search(
     rng: np.random.Generator,
     rounds: int,
 ) -> Index:
-    """The best plan found. weights, slopes (C,) are those of a relaxation; `starts` are
-    plans to begin with.
+    """The best plan of `rounds` rounds of local search.
+
+    weights, slopes (C,) are those of a relaxation; `starts` are plans to begin with.
     """
-    pool = np.union1d(
-        _pool(weights, slopes, rules, judge.count), np.concatenate(starts)
-    )
-    inner = _Search(judge.take(pool), rules.take(pool), rng)
-    found = inner.local(
-        weights[pool], rounds, [np.searchsorted(pool, s) for s in starts]
-    )
-    best = _Search(judge, rules, rng).climb(pool[found], judge.rungs - 1)
-    return max([best, *starts], key=judge.value)
+    promising = _promising(weights, slopes, rules, evaluator.count)
+    pool = np.union1d(promising, np.concatenate(starts))
+    pool_exchange = _Exchange(evaluator.subset(pool), rules.subset(pool))
+    pool_starts = [np.searchsorted(pool, start) for start in starts]
+    restarts = _Restarts(pool_exchange, rng)
+    in_pool = restarts.run(weights[pool], rounds, pool_starts)
+    last_level = evaluator.levels - 1
+    best = improve(evaluator, rules, pool[in_pool], last_level)
+    return max([best, *starts], key=evaluator.value)
 
 
-def greedy(judge: Judge, rules: Rules, ridge: float, rung: int = -1) -> Index:
-    """Candidates taken one by one, each the one that raises the criterion most (a ridge
-    stands in for the unseen).
+def select_greedily(
+    evaluator: PlanEvaluator, rules: Rules, ridge: float, level: int = -1
+) -> Index:
+    """Candidates added one by one, each the one that raises the criterion most.
+
+    The ridge stands in for directions that the plan does not determine yet.
     """
     chosen = np.zeros(0, dtype=np.intp)
-    rung %= judge.rungs
-    while (free := rules.allowed(chosen, judge.count)).any():
-        value = np.where(free, judge.added(chosen, rung, ridge), -np.inf)
-        best = (
-            int(np.argmax(value))
-            if np.isfinite(value).any()
-            else int(np.flatnonzero(free)[0])
-        )
+    level %= evaluator.levels
+    while (allowed := rules.additions(chosen, evaluator.count)).any():
+        values = evaluator.values_after_adding(chosen, level, ridge)
+        values = np.where(allowed, values, -np.inf)
+        best = int(np.argmax(values))
+        if not np.isfinite(values).any():
+            best = int(np.flatnonzero(allowed)[0])
         chosen = np.append(chosen, best)
     return chosen
 
 
-def climb(
-    judge: Judge, rules: Rules, chosen: Index, rung: int, sweeps: int = SWEEPS
+def improve(
+    evaluator: PlanEvaluator,
+    rules: Rules,
+    chosen: Index,
+    level: int,
+    sweeps: int = SWEEPS,
 ) -> Index:
-    """A plan after exchanges by one rung, at most `sweeps` rounds of them. Nothing
-    random.
-    """
-    return _Search(judge, rules, np.random.default_rng(0)).climb(chosen, rung, sweeps)
+    """A plan after exchange sweeps at one level, until no exchange helps."""
+    return _Exchange(evaluator, rules).sweep_until_stable(chosen, level, sweeps)
 
 
-def _pool(weights: Array, slopes: Array, rules: Rules, count: int) -> Index:
-    per = slopes if rules.cost is None else slopes / np.maximum(rules.cost, 1e-300)
-    size = rules.size or int((weights > 1e-6).sum())
-    best = np.argsort(-per, kind="stable")[
-        : min(count, max(POOL, POOL_PER_READING * size))
-    ]
-    heavy = np.argsort(-weights, kind="stable")[: max(POOL, POOL_PER_READING * size)]
-    return np.union1d(best, heavy[weights[heavy] > 1e-9]).astype(np.intp)
+def _promising(weights: Array, slopes: Array, rules: Rules, count: int) -> Index:
+    """Candidates that an optimal plan may want."""
+    slopes_per_cost = slopes
+    if rules.cost is not None:
+        slopes_per_cost = slopes / np.maximum(rules.cost, 1e-300)
+    size = rules.size or int((weights > HEAVY).sum())
+    places = max(POOL, POOL_PER_READING * size)
+    steepest = np.argsort(-slopes_per_cost, kind="stable")[: min(count, places)]
+    heaviest = np.argsort(-weights, kind="stable")[:places]
+    heaviest = heaviest[weights[heaviest] > LIGHT]
+    return np.union1d(steepest, heaviest).astype(np.intp)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Search:
-    judge: Judge
+class _Exchange:
+    """Exchanges of one candidate for another."""
+
+    evaluator: PlanEvaluator
     rules: Rules
-    rng: np.random.Generator
 
-    def local(self, weights: Array, rounds: int, starts: Sequence[Index]) -> Index:
-        """The best of `rounds` improved plans: given and fresh ones first, then the
-        best one shaken.
-        """
-        weights = weights + 1e-4 * weights.sum() / len(weights)
-        best, value = np.zeros(0, dtype=np.intp), -np.inf
-        fresh = max(1, min(5, rounds // 4))
-        for k in range(-len(starts), rounds):
-            start = (
-                starts[k]
-                if k < 0
-                else self._rounded(weights)
-                if k < fresh
-                else self._shaken(best)
-            )
-            chosen = self.improve(start)
-            reached = self.judge.value(chosen)
-            if reached > value or not best.size:
-                best, value = chosen, reached
-        return best
-
-    def _rounded(self, weights: Array) -> Index:
-        """Different candidates drawn with chances that follow the relaxed weights
-        (Gumbel's trick).
-        """
-        keys = np.log(weights) + self.rng.gumbel(size=len(weights))
-        return self._filled(
-            np.zeros(0, dtype=np.intp), np.argsort(-keys, kind="stable")
-        )
-
-    def _shaken(self, chosen: Index) -> Index:
-        """The plan with two to six of its candidates, or all those of one set-up,
-        replaced at random.
-        """
-        most = min(6, len(chosen))
-        out = self.rng.choice(
-            len(chosen),
-            size=int(self.rng.integers(min(2, most), most + 1)),
-            replace=False,
-        )
-        setup = self.rules.setup
-        if setup is not None and not self.rules.simple and self.rng.random() < 0.3:
-            out = np.flatnonzero(setup[chosen] == self.rng.choice(setup[chosen]))
-        rest = np.delete(chosen, out)
-        others = self.rng.permutation(np.setdiff1d(np.arange(self.judge.count), chosen))
-        return self._filled(rest, np.append(others, self.rng.permutation(chosen[out])))
-
-    def _filled(self, chosen: Index, order: Index) -> Index:
-        """A plan filled with candidates in the given order while the rules allow."""
-        if self.rules.simple:
-            assert self.rules.size is not None
-            return np.append(chosen, order[: self.rules.size - len(chosen)]).astype(
-                np.intp
-            )
-        rank = np.full(self.judge.count, np.inf)
-        rank[order] = np.arange(len(order))
-        while (free := self.rules.allowed(chosen, self.judge.count)).any():
-            nearest = int(np.argmin(np.where(free, rank, np.inf)))
-            if not np.isfinite(rank[nearest]):
-                break
-            chosen = np.append(chosen, nearest)
-        return chosen.astype(np.intp)
-
-    def improve(self, chosen: Index) -> Index:
-        """Exchanges until none helps, rung by rung."""
-        for rung in range(self.judge.rungs):
-            chosen = self.climb(chosen, rung)
+    def improve_by_levels(self, chosen: Index) -> Index:
+        """Exchanges until none helps, level by level."""
+        for level in range(self.evaluator.levels):
+            chosen = self.sweep_until_stable(chosen, level)
         return chosen
 
-    def climb(self, chosen: Index, rung: int, sweeps: int = SWEEPS) -> Index:
-        """Exchanges until none helps, by one rung."""
-        found = self.judge.quick(chosen, rung) if self.rules.simple else None
-        if found is not None:
-            return found
+    def sweep_until_stable(
+        self, chosen: Index, level: int, sweeps: int = SWEEPS
+    ) -> Index:
+        """Exchanges until none helps, at one level."""
+        if self.rules.only_size:
+            exchanged = self.evaluator.exchange_all(chosen, level)
+            if exchanged is not None:
+                return exchanged
         for _ in range(sweeps):
-            chosen, changed = self._sweep(chosen, rung)
+            chosen, changed = self._sweep(chosen, level)
             if not changed:
                 break
         return chosen
 
-    def _sweep(self, chosen: Index, rung: int) -> tuple[Index, bool]:
-        """Each candidate in turn is taken out and the best one put in, then what still
-        fits; tells any change.
+    def _sweep(self, chosen: Index, level: int) -> tuple[Index, bool]:
+        """Replaces each candidate in turn by the best one, then adds what still fits.
+
+        The second value is whether the plan changed.
         """
         changed = False
         chosen = chosen.copy()
-        now = self.judge.held(chosen, rung)
+        current = self.evaluator.regularised_value(chosen, level)
         for place in range(len(chosen)):
-            rest = np.delete(chosen, place)
-            free = self.rules.allowed(rest, self.judge.count)
-            value = np.where(free, self.judge.added(rest, rung), -np.inf)
-            best = int(np.argmax(value))
-            if value[best] > now + GAIN and best != chosen[place]:
-                chosen[place], now, changed = best, float(value[best]), True
-        if self.rules.simple:
+            remaining = np.delete(chosen, place)
+            allowed = self.rules.additions(remaining, self.evaluator.count)
+            values = self.evaluator.values_after_adding(remaining, level)
+            values = np.where(allowed, values, -np.inf)
+            best = int(np.argmax(values))
+            if values[best] > current + GAIN and best != chosen[place]:
+                chosen[place], current, changed = best, float(values[best]), True
+        if self.rules.only_size:
             return chosen, changed
-        filled = self._fill(chosen, rung)
+        filled = self.fill(chosen, level)
         return filled, changed or len(filled) > len(chosen)
 
-    def _fill(self, chosen: Index, rung: int) -> Index:
-        while (free := self.rules.allowed(chosen, self.judge.count)).any():
-            value = np.where(free, self.judge.added(chosen, rung), -np.inf)
-            best = int(np.argmax(value))
-            if not np.isfinite(value[best]):
+    def fill(self, chosen: Index, level: int) -> Index:
+        """Adds the best candidate while the rules allow one."""
+        while (allowed := self.rules.additions(chosen, self.evaluator.count)).any():
+            values = self.evaluator.values_after_adding(chosen, level)
+            values = np.where(allowed, values, -np.inf)
+            best = int(np.argmax(values))
+            if not np.isfinite(values[best]):
                 break
             chosen = np.append(chosen, best)
         return chosen
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Restarts:
+    """Rounds of local search from plans that are drawn or changed at random."""
+
+    exchange: _Exchange
+    rng: np.random.Generator
+
+    @property
+    def rules(self) -> Rules:
+        return self.exchange.rules
+
+    @property
+    def count(self) -> int:
+        return self.exchange.evaluator.count
+
+    def run(self, weights: Array, rounds: int, starts: Sequence[Index]) -> Index:
+        """The best of the improved plans.
+
+        Given and drawn plans come first, then changes of the best plan so far.
+        """
+        weights = weights + 1e-4 * weights.sum() / len(weights)
+        best, best_value = np.zeros(0, dtype=np.intp), -np.inf
+        drawn = max(1, min(5, rounds // 4))
+        for k in range(-len(starts), rounds):
+            if k < 0:
+                start = starts[k]
+            elif k < drawn:
+                start = self._draw(weights)
+            else:
+                start = self._change(best)
+            chosen = self.exchange.improve_by_levels(start)
+            value = self.exchange.evaluator.value(chosen)
+            if value > best_value or not best.size:
+                best, best_value = chosen, value
+        return best
+
+    def _draw(self, weights: Array) -> Index:
+        """A plan drawn with chances that follow the weights (Gumbel's trick)."""
+        keys = np.log(weights) + self.rng.gumbel(size=len(weights))
+        nothing = np.zeros(0, dtype=np.intp)
+        return self._fill_in_order(nothing, np.argsort(-keys, kind="stable"))
+
+    def _change(self, chosen: Index) -> Index:
+        """The plan with up to six candidates, or one set-up, replaced at random."""
+        most = min(REPLACED, len(chosen))
+        number = int(self.rng.integers(min(2, most), most + 1))
+        places = self.rng.choice(len(chosen), size=number, replace=False)
+        setup = self.rules.setup
+        by_setup = setup is not None and not self.rules.only_size
+        if by_setup and self.rng.random() < REPLACE_SETUP:
+            assert setup is not None
+            replaced_setup = self.rng.choice(setup[chosen])
+            places = np.flatnonzero(setup[chosen] == replaced_setup)
+        remaining = np.delete(chosen, places)
+        outside = np.setdiff1d(np.arange(self.count), chosen)
+        others = self.rng.permutation(outside)
+        removed = self.rng.permutation(chosen[places])
+        return self._fill_in_order(remaining, np.append(others, removed))
+
+    def _fill_in_order(self, chosen: Index, order: Index) -> Index:
+        """A plan filled with candidates in the given order while the rules allow."""
+        if self.rules.only_size:
+            assert self.rules.size is not None
+            missing = self.rules.size - len(chosen)
+            return np.append(chosen, order[:missing]).astype(np.intp)
+        rank = np.full(self.count, np.inf)
+        rank[order] = np.arange(len(order))
+        while (free := self.rules.additions(chosen, self.count)).any():
+            first = int(np.argmin(np.where(free, rank, np.inf)))
+            if not np.isfinite(rank[first]):
+                break
+            chosen = np.append(chosen, first)
+        return chosen.astype(np.intp)

@@ -1,11 +1,10 @@
-"""Which set-ups to mount: the relaxed value of each combination, greedily and by swaps.
+"""Which set-ups to mount: combinations ranked by their relaxed value.
 
-A set-up brings unknowns of its own, so that its first readings tell nothing: an
-exchange reading by reading never opens a new one. Here a combination of set-ups is
-judged by the relaxation over all its readings (their best weights), which no plan with
-these set-ups exceeds; set-ups are added while that helps, then swapped one for another.
-Columns that none of the combination's candidates touch are left out, so that a
-relaxation stays small however many set-ups there are.
+A set-up brings unknowns of its own, so its first readings determine nothing: exchanges
+of single readings never open a new set-up. Here a combination of set-ups is valued by
+the relaxation over all its readings, which no plan with these set-ups exceeds. Set-ups
+are added while that helps, then exchanged one for another. Columns that no candidate of
+a combination touches are left out, so that each relaxation stays small.
 """
 
 from __future__ import annotations
@@ -13,138 +12,151 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from oed.arrays import Array, Index
 from oed.design import relaxation
 from oed.design.criterion import Criterion
-from oed.design.rules import SUBSETS, Rules
+from oed.design.rules import MAX_COMBINATIONS, RelaxedRules, Rules
 
-#: gap in log phi at which combinations are compared; candidates of a set-up that are
-#: looked at
-TOLERANCE, THIN = 1e-2, 60
-#: combinations kept for the exchange
-KEPT = 3
+#: duality gap in log phi at which combinations are compared
+TOLERANCE = 1e-2
+#: candidates of a set-up that are looked at, about
+PER_SETUP = 60
+#: combinations that are returned, at the most
+BEST = 3
+
+Combination = tuple[int, ...]
 
 
-def combinations(
+def rank_combinations(
     blocks: Array, criterion: Criterion, base: Array, rules: Rules
-) -> list[tuple[int, ...]]:
+) -> list[Combination]:
     """Promising combinations of at most `rules.most_setups` set-ups, the best first.
 
-    All of them where they are few (`oed.design.rules.SUBSETS`). Set-ups mounted already
+    All combinations are ranked where they are few (`MAX_COMBINATIONS`). Mounted set-ups
     belong to each.
     """
-    assert rules.setup is not None
-    names = np.setdiff1d(rules.setup, np.array(rules.taken, dtype=np.intp))
+    names = [int(name) for name in rules.mountable]
     most = min(rules.most_setups or len(names), len(names))
-    judge = _SetupJudge(blocks, criterion, base, rules)
-    if math.comb(len(names), most) <= SUBSETS:
-        every = sorted(
-            itertools.combinations(map(int, names), most), key=judge, reverse=True
-        )
-        return every[:KEPT]
-    best: tuple[int, ...] = ()
+    values = _CombinationValues(blocks, criterion, base, rules)
+    if math.comb(len(names), most) <= MAX_COMBINATIONS:
+        combinations = itertools.combinations(names, most)
+        return sorted(combinations, key=values.of, reverse=True)[:BEST]
+    best: Combination = ()
     for _ in range(most):
-        grown = [tuple(sorted((*best, int(s)))) for s in names if s not in best]
-        grown = [g for g in grown if np.isfinite(judge(g))] or grown
-        best = max(grown, key=judge)
-    best = _swapped(best, [int(s) for s in names], judge)
-    return (
-        sorted(judge.known, key=judge, reverse=True)[:KEPT] if judge.known else [best]
-    )
+        grown = [tuple(sorted((*best, s))) for s in names if s not in best]
+        determined = [g for g in grown if np.isfinite(values.of(g))]
+        best = max(determined or grown, key=values.of)
+    best = _exchange_setups(best, names, values)
+    if not values.known:
+        return [best]
+    return sorted(values.known, key=values.of, reverse=True)[:BEST]
 
 
-def _swapped(
-    best: tuple[int, ...], names: list[int], judge: Callable[[tuple[int, ...]], float]
-) -> tuple[int, ...]:
-    """The combination after swaps of one set-up, until none helps."""
+def _exchange_setups(
+    best: Combination, names: list[int], values: _CombinationValues
+) -> Combination:
+    """The combination after exchanges of one set-up, until none helps."""
     improved = True
     while improved:
         improved = False
-        for out in best:
-            ways = [
-                tuple(sorted((*(s for s in best if s != out), new)))
-                for new in names
-                if new not in best
+        for removed in best:
+            remaining = [s for s in best if s != removed]
+            exchanged = [
+                tuple(sorted((*remaining, new))) for new in names if new not in best
             ]
-            found = max(ways, key=judge, default=best)
-            if judge(found) > judge(best) + TOLERANCE:
-                best, improved = found, True
+            candidate = max(exchanged, key=values.of, default=best)
+            if values.of(candidate) > values.of(best) + TOLERANCE:
+                best, improved = candidate, True
                 break
     return best
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _SetupJudge:
-    """Relaxed value of a combination of set-ups, remembered."""
+class _CombinationValues:
+    """Relaxed values of combinations of set-ups; each is computed once."""
 
     blocks: Array
     criterion: Criterion
     base: Array
     rules: Rules
-    known: dict[tuple[int, ...], float] = dataclasses.field(default_factory=dict)
+    known: dict[Combination, float] = dataclasses.field(default_factory=dict)
 
-    def __call__(self, some: tuple[int, ...]) -> float:
-        if some not in self.known:
-            self.known[some] = self._value(some)
-        return self.known[some]
+    def of(self, combination: Combination) -> float:
+        """log phi of the relaxation; -inf where a direction is undetermined."""
+        if combination not in self.known:
+            self.known[combination] = self._relaxed_value(combination)
+        return self.known[combination]
 
-    def _value(self, some: tuple[int, ...]) -> float:
-        assert self.rules.setup is not None
-        chosen = thinned(self.rules, some)
-        blocks, base, criterion = touched(
+    def _relaxed_value(self, combination: Combination) -> float:
+        chosen = thin(self.rules, combination)
+        blocks, base, criterion = drop_untouched_columns(
             self.blocks[chosen], self.base, self.criterion
         )
-        scale = len(chosen) / int(
-            np.isin(self.rules.setup, [*some, *self.rules.taken]).sum()
-        )
+        assert self.rules.setup is not None
+        mounted = [*combination, *self.rules.mounted]
+        available = int(np.isin(self.rules.setup, mounted).sum())
+        thinning = len(chosen) / available
+        rules = dataclasses.replace(self.rules.subset(chosen), most_setups=None)
         values = []
-        for pool, total, cost in dataclasses.replace(
-            self.rules.take(chosen), most_setups=None
-        ).limits(len(chosen)):
-            scaled = (
-                blocks[pool]
-                if cost is None
-                else blocks[pool] / np.sqrt(cost)[:, None, None]
-            )
-            # a thinned candidate stands for its neighbours: it may be taken as often as
-            # there are of them
-            cap = (1.0 if cost is None else cost) / scale
+        for problem in rules.relaxations(len(chosen)):
             try:
-                found = relaxation.relax(scaled, total, base, cap, TOLERANCE, criterion)
+                value = _relax(blocks, base, criterion, problem, thinning)
             except (ValueError, np.linalg.LinAlgError):
                 return -np.inf
-            values.append(found.value)
+            values.append(value)
         return min(values, default=-np.inf)
 
 
-def thinned(rules: Rules, some: tuple[int, ...]) -> Index:
-    """Candidates of a combination of set-ups and those mounted, each thinned evenly to
-    about `THIN`.
+def _relax(
+    blocks: Array,
+    base: Array,
+    criterion: Criterion,
+    problem: RelaxedRules,
+    thinning: float,
+) -> float:
+    """Value of one relaxation.
+
+    A candidate of a thinned set stands for its neighbours as well: its weight may be as
+    large as there are of them.
     """
+    pool, total, cost = problem
+    if cost is None:
+        scaled = blocks[pool]
+        cap: Array | float = 1.0 / thinning
+    else:
+        scaled = blocks[pool] / np.sqrt(cost)[:, None, None]
+        cap = cost / thinning
+    optimum = relaxation.relax(scaled, total, base, cap, TOLERANCE, criterion)
+    return optimum.value
+
+
+def thin(rules: Rules, combination: Combination) -> Index:
+    """Candidates of a combination and of the mounted set-ups, each thinned evenly."""
     assert rules.setup is not None
-    kept = []
-    for s in (*some, *rules.taken):
-        mine = np.flatnonzero(rules.setup == s)
-        kept.append(mine[:: max(1, len(mine) // THIN)])
-    return np.sort(np.concatenate(kept)).astype(np.intp)
+    thinned = []
+    for setup in (*combination, *rules.mounted):
+        members = np.flatnonzero(rules.setup == setup)
+        thinned.append(members[:: max(1, len(members) // PER_SETUP)])
+    return np.sort(np.concatenate(thinned)).astype(np.intp)
 
 
-def touched(
+def drop_untouched_columns(
     blocks: Array, base: Array, criterion: Criterion
 ) -> tuple[Array, Array, Criterion]:
-    """The same problem without the columns that no block touches and the information
-    held does not couple.
+    """The same problem without columns that no block touches.
+
+    A column that the prior information couples to another one stays.
     """
-    alone = ~blocks.any(axis=(0, 1)) & (np.count_nonzero(base, axis=0) <= 1)
-    if not alone.any():
+    uncoupled = np.count_nonzero(base, axis=0) <= 1
+    untouched = ~blocks.any(axis=(0, 1)) & uncoupled
+    if not untouched.any():
         return blocks, base, criterion
-    basis = np.eye(base.shape[0])[:, ~alone]
+    basis = np.eye(base.shape[0])[:, ~untouched]
     return (
-        np.ascontiguousarray(blocks[:, :, ~alone]),
-        base[np.ix_(~alone, ~alone)],
-        criterion.within(basis),
+        np.ascontiguousarray(blocks[:, :, ~untouched]),
+        base[np.ix_(~untouched, ~untouched)],
+        criterion.restrict(basis),
     )

@@ -1,4 +1,4 @@
-"""Criteria by name."""
+"""Criteria by the names of the catalogue."""
 
 from __future__ import annotations
 
@@ -6,13 +6,20 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.design.criterion.determinant import Determinant
-from oed.design.criterion.power import Power
+from oed.design.criterion.largest import LargestVariance
+from oed.design.criterion.power import PowerMean
 from oed.design.criterion.protocol import Criterion
-from oed.design.criterion.spectrum import Spectrum
+from oed.design.criterion.spectrum import ExtremeEigenvalues
 from oed.design.criterion.variance import Variance
-from oed.design.criterion.worst import Worst
 
 NAMES = ("D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5")
+#: what a criterion needs besides its name
+NEEDS = {
+    "Ds": "directions of interest",
+    "c": "a combination",
+    "I": "a workspace",
+    "G": "a workspace",
+}
 
 
 def named(
@@ -25,33 +32,30 @@ def named(
 ) -> Criterion:
     """A criterion over `directions` columns.
 
-    interest (n, s) for Ds; factor (r, n) for c (one row) and I; factors (J, r, n) for
-    G. Raises ValueError for an unknown name, or where one of these is missing.
+    interest  (n, s) for Ds
+    factor    (r, n) for I, one row for c
+    factors   (J, r, n) for G
+
+    Raises ValueError for an unknown name, or where one of these is missing.
     """
     if name == "Ds" and interest is not None:
         return Determinant(directions, interest, "Ds")
     if name in ("I", "c") and factor is not None:
         return Variance(np.atleast_2d(factor), name)
     if name == "G" and factors is not None:
-        return Worst(factors)
-    if name in ("Ds", "I", "c", "G"):
-        missing = {
-            "Ds": "directions of interest",
-            "c": "a combination",
-            "I": "a workspace",
-            "G": "a workspace",
-        }[name]
-        raise ValueError(f"criterion {name} needs {missing}")
+        return LargestVariance(factors)
+    if name in NEEDS:
+        raise ValueError(f"criterion {name} needs {NEEDS[name]}")
     table: dict[str, Criterion] = {
         "D": Determinant(directions),
         "O1": Determinant(directions, name="O1"),
         "A": Variance(np.eye(directions), "A"),
-        "E": Spectrum(),
-        "O3": Spectrum(0.5, name="O3"),
-        "O2": Spectrum(0.5, 0.5, name="O2"),
-        "kappa": Spectrum(0.5, 0.5, name="kappa"),
-        "O4": Spectrum(1.0, 0.5, name="O4"),
-        "O5": Power(0.5, directions, "O5"),
+        "E": ExtremeEigenvalues(),
+        "O3": ExtremeEigenvalues(0.5, name="O3"),
+        "O2": ExtremeEigenvalues(0.5, 0.5, name="O2"),
+        "kappa": ExtremeEigenvalues(0.5, 0.5, name="kappa"),
+        "O4": ExtremeEigenvalues(1.0, 0.5, name="O4"),
+        "O5": PowerMean(0.5, directions, "O5"),
     }
     if name not in table:
         raise ValueError(f"criterion {name!r} is none of {', '.join(NAMES)}")

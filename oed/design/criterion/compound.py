@@ -1,8 +1,10 @@
-"""Compound criteria: log phi = sum_k alpha_k log phi_k, a weighted mean of
-efficiencies.
+"""Compound criteria: log phi = sum_k alpha_k log phi_k, a mean of efficiencies.
 
-By Jensen's inequality sum_k alpha_k (v_k + log <S_k, M'>) <= sum_k alpha_k v_k + log
-<sum_k alpha_k S_k, M'>, so the supports join into one.
+By Jensen's inequality
+
+    sum_k alpha_k (v_k + log <S_k, M'>) <= sum_k alpha_k v_k + log <sum_k alpha_k S_k, M'>,
+
+so the supports of the parts join into one.
 """
 
 from __future__ import annotations
@@ -18,18 +20,19 @@ from oed.design.criterion.protocol import Criterion, Support
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Compound:
-    """Criteria with shares (positive, sum 1). told: the weighted log phi."""
+    """Criteria with positive shares that sum to 1.
+
+    Its conventional value is the weighted log phi.
+    """
 
     parts: tuple[Criterion, ...]
     shares: tuple[float, ...]
     name: str = "compound"
 
     def __post_init__(self) -> None:
-        if (
-            len(self.parts) != len(self.shares)
-            or min(self.shares) <= 0
-            or abs(sum(self.shares) - 1.0) > 1e-9
-        ):
+        complete = len(self.parts) == len(self.shares)
+        sum_is_one = abs(sum(self.shares) - 1.0) <= 1e-9
+        if not complete or min(self.shares) <= 0 or not sum_is_one:
             raise ValueError(
                 "a compound criterion needs one positive share a part, summing to 1,"
                 f" not {self.shares}"
@@ -37,59 +40,64 @@ class Compound:
 
     @property
     def concave(self) -> bool:
-        """Whether every part is."""
-        return all(c.concave for c in self.parts)
+        """Whether every part is concave."""
+        return all(part.concave for part in self.parts)
 
     @property
     def smooth(self) -> bool:
-        """Whether every part is."""
-        return all(c.smooth for c in self.parts)
+        """Whether every part is smooth."""
+        return all(part.smooth for part in self.parts)
 
     def value(self, m: Array) -> float:
         """Weighted mean of the parts."""
-        return float(
-            sum(a * c.value(m) for a, c in zip(self.shares, self.parts, strict=True))
-        )
+        pairs = zip(self.shares, self.parts, strict=True)
+        return float(sum(share * part.value(m) for share, part in pairs))
 
     def support(self, m: Array) -> Support:
         """The parts' supports, joined."""
-        supports = [c.support(m) for c in self.parts]
-        value = sum(a * s.value for a, s in zip(self.shares, supports, strict=True))
-        # each line is scaled to <S, M> = 1 first, which makes the joined one touch at M
+        supports = [part.support(m) for part in self.parts]
+        pairs = list(zip(self.shares, supports, strict=True))
+        value = sum(share * support.value for share, support in pairs)
+        # scaling each line to <S, M> = 1 first makes the joined one touch at M
         roots = []
-        for a, s in zip(self.shares, supports, strict=True):
-            size = float(np.sum((m @ s.root) * s.root))
-            value += a * np.log(size)
-            roots.append(np.sqrt(a / size) * s.root)
+        for share, support in pairs:
+            size = float(np.sum((m @ support.root) * support.root))
+            value += share * np.log(size)
+            roots.append(np.sqrt(share / size) * support.root)
         return Support(float(value), np.hstack(roots))
 
     def curvature(self, m: Array, blocks: Array) -> Array:
-        """Weighted sum."""
-        return self._sum([c.curvature(m, blocks) for c in self.parts])
+        """Weighted sum of the parts' curvatures."""
+        return self._sum([part.curvature(m, blocks) for part in self.parts])
 
-    def added(self, m: Array, blocks: Array) -> Array:
-        """Weighted sum, over the blocks that all parts tell."""
-        return self._sum([c.added(m, blocks) for c in self.parts])
+    def values_after_adding(self, m: Array, blocks: Array) -> Array:
+        """Weighted sum, over the blocks for which every part is computed."""
+        return self._sum([part.values_after_adding(m, blocks) for part in self.parts])
 
     def _sum(self, tables: Sequence[Array]) -> Array:
-        return np.asarray(sum(a * t for a, t in zip(self.shares, tables, strict=True)))
+        pairs = zip(self.shares, tables, strict=True)
+        return np.asarray(sum(share * table for share, table in pairs))
 
-    def told(self, value: float, readings: int) -> float:
-        """As it is."""
+    def conventional_value(self, value: float, readings: int) -> float:
+        """log phi itself."""
         return value
 
-    def within(self, basis: Array) -> Criterion:
-        """Each part over the directions seen."""
-        return dataclasses.replace(
-            self, parts=tuple(c.within(basis) for c in self.parts)
-        )
+    def restrict(self, basis: Array) -> Criterion:
+        """Each part over the basis."""
+        parts = tuple(part.restrict(basis) for part in self.parts)
+        return dataclasses.replace(self, parts=parts)
 
-    def ladder(self) -> tuple[Criterion, ...]:
-        """Step by step up the parts' ladders."""
-        ladders = [c.ladder() for c in self.parts]
-        steps = max(map(len, ladders))
-        rungs = [
-            tuple(x[min(k * len(x) // steps, len(x) - 1)] for x in ladders)
-            for k in range(steps - 1)
-        ]
-        return (*(dataclasses.replace(self, parts=r) for r in rungs), self)
+    def continuation(self) -> tuple[Criterion, ...]:
+        """Level by level along the parts' continuations."""
+        sequences = [part.continuation() for part in self.parts]
+        levels = max(map(len, sequences))
+        approach = []
+        for level in range(levels - 1):
+            parts = tuple(_at_level(sequence, level, levels) for sequence in sequences)
+            approach.append(dataclasses.replace(self, parts=parts))
+        return (*approach, self)
+
+
+def _at_level(sequence: Sequence[Criterion], level: int, levels: int) -> Criterion:
+    """The member of a shorter continuation that goes with a level of a longer one."""
+    return sequence[min(level * len(sequence) // levels, len(sequence) - 1)]

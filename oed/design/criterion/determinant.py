@@ -1,12 +1,12 @@
-"""D and Ds: the volume of the confidence ellipsoid, of all parameters or of those of
-interest.
+"""D and Ds: the volume of the confidence ellipsoid, of all or of chosen parameters.
 
-With K (n, s) the directions of interest and P = K^T M^-1 K their covariance, phi =
-det(P)^(-1/s); K = 1 gives D. The others are nuisances (a cup's place, a registration):
-they are profiled out. With S = M^-1 K P^-1 K^T M^-1 / s,
+With K (n, s) the directions of interest and P = K^T M^-1 K their covariance,
+phi = det(P)^(-1/s). K = 1 gives D. The other directions are nuisance parameters (the
+place of a cup, a registration) and are profiled out. With
+S = M^-1 K P^-1 K^T M^-1 / s,
 
-    d log phi / dw_i = tr(S A_i),      -d2 log phi / dw_i dw_j = 2 tr(A_i M^-1 A_j S) -
-                                       s tr(A_i S A_j S).
+    d log phi / dw_i = tr(S A_i),
+    -d2 log phi / dw_i dw_j = 2 tr(A_i M^-1 A_j S) - s tr(A_i S A_j S).
 """
 
 from __future__ import annotations
@@ -16,15 +16,24 @@ import dataclasses
 import numpy as np
 
 from oed.arrays import Array
-from oed.design.criterion.protocol import Criterion, Support, inverse, pairs, products
+from oed.design.criterion.protocol import (
+    Criterion,
+    Support,
+    inner_products,
+    inverse,
+    pairwise_traces,
+)
+
+#: a direction belongs to a basis if it leaves it by at most this share of its size
+OUTSIDE = 1e-8
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Determinant:
     """D over `directions`, or Ds of the columns of `interest` (n, s).
 
-    told: log det of the information about what is of interest; with the name "O1", O1
-    of the readings.
+    Its conventional value is log det of the information on what is of interest; with
+    the name "O1" it is O1 of the readings.
     """
 
     directions: int
@@ -35,103 +44,99 @@ class Determinant:
 
     @property
     def size(self) -> int:
-        """Directions judged."""
+        """Number of directions of interest."""
         return self.directions if self.interest is None else int(self.interest.shape[1])
 
     def value(self, m: Array) -> float:
         """log det(P) / -s."""
-        sign, whole = np.linalg.slogdet(m)
+        sign, log_det = np.linalg.slogdet(m)
         if sign <= 0:
             return -np.inf
         if self.interest is None:
-            return float(whole) / self.directions
-        sign, told = np.linalg.slogdet(self.interest.T @ inverse(m) @ self.interest)
-        return -float(told) / self.size if sign > 0 else -np.inf
+            return float(log_det) / self.directions
+        covariance = self.interest.T @ inverse(m) @ self.interest
+        sign, log_det = np.linalg.slogdet(covariance)
+        return -float(log_det) / self.size if sign > 0 else -np.inf
 
     def support(self, m: Array) -> Support:
         """Root M^-1 K P^-1/2 / sqrt(s)."""
         half = np.linalg.inv(np.linalg.cholesky(m)).T
         if self.interest is None:
-            return Support(
-                2.0 * float(-np.log(np.diag(half)).sum()) / self.directions,
-                half / np.sqrt(self.directions),
-            )
-        seen = half.T @ self.interest  # M^-1 K = half half^T K
-        triangle = np.linalg.qr(seen, mode="r")  # P = triangle^T triangle
-        told = -2.0 * float(np.log(np.abs(np.diag(triangle))).sum()) / self.size
-        return Support(told, half @ seen @ np.linalg.inv(triangle) / np.sqrt(self.size))
+            log_det = 2.0 * float(-np.log(np.diag(half)).sum())
+            root = half / np.sqrt(self.directions)
+            return Support(log_det / self.directions, root)
+        projected = half.T @ self.interest  # M^-1 K = half half^T K
+        triangle = np.linalg.qr(projected, mode="r")  # P = triangle^T triangle
+        log_det = -2.0 * float(np.log(np.abs(np.diag(triangle))).sum())
+        root = half @ projected @ np.linalg.inv(triangle) / np.sqrt(self.size)
+        return Support(log_det / self.size, root)
 
     def curvature(self, m: Array, blocks: Array) -> Array:
         """2 tr(A_i M^-1 A_j S) - s tr(A_i S A_j S)."""
         if self.interest is None:
-            flat = (
-                blocks.reshape(-1, blocks.shape[2])
-                @ np.linalg.inv(np.linalg.cholesky(m)).T
-            )
-            return (
-                pairs(flat.reshape(blocks.shape), np.eye(len(m)), np.eye(len(m)))
-                / self.directions
-            )
+            half = np.linalg.inv(np.linalg.cholesky(m)).T
+            rows = blocks.reshape(-1, blocks.shape[2]) @ half
+            whitened = rows.reshape(blocks.shape)
+            identity = np.eye(len(m))
+            traces = pairwise_traces(whitened, identity, identity)
+            return traces / self.directions
         root = self.support(m).root
         s = root @ root.T
-        return 2.0 * pairs(blocks, inverse(m), s) - self.size * pairs(blocks, s, s)
+        first = pairwise_traces(blocks, inverse(m), s)
+        return 2.0 * first - self.size * pairwise_traces(blocks, s, s)
 
-    def added(self, m: Array, blocks: Array) -> Array:
-        """log det(1 + X M^-1 X^T) more; less what the nuisances take of it."""
+    def values_after_adding(self, m: Array, blocks: Array) -> Array:
+        """Plus log det(1 + X M^-1 X^T), less the part that the nuisances take."""
         inverted = inverse(m)
-        gain = _log_det(blocks, inverted)
+        gain = _log_det_gain(blocks, inverted)
         if self.interest is not None:
             root = self.support(m).root * np.sqrt(self.size)
-            gain = gain - _log_det(blocks, inverted - root @ root.T)
+            gain = gain - _log_det_gain(blocks, inverted - root @ root.T)
         return np.asarray(self.value(m) + gain / self.size)
 
-    def told(self, value: float, readings: int) -> float:
+    def conventional_value(self, value: float, readings: int) -> float:
         """log det, or O1 = exp(value / 2) / sqrt(m)."""
-        return (
-            float(np.exp(value / 2.0) / np.sqrt(readings))
-            if self.name == "O1"
-            else value * self.size
-        )
+        if self.name == "O1":
+            return float(np.exp(value / 2.0) / np.sqrt(readings))
+        return value * self.size
 
-    def within(self, basis: Array) -> Criterion:
-        """The directions of interest that the basis sees."""
+    def restrict(self, basis: Array) -> Criterion:
+        """The directions of interest that lie in the basis."""
+        directions = basis.shape[1]
         if self.interest is None:
-            return dataclasses.replace(self, directions=basis.shape[1])
-        return dataclasses.replace(
-            self, directions=basis.shape[1], interest=estimable(self.interest, basis)
-        )
+            return dataclasses.replace(self, directions=directions)
+        interest = estimable_part(self.interest, basis)
+        return dataclasses.replace(self, directions=directions, interest=interest)
 
-    def ladder(self) -> tuple[Criterion, ...]:
-        """Itself."""
+    def continuation(self) -> tuple[Criterion, ...]:
+        """Itself alone."""
         return (self,)
 
 
-def estimable(interest: Array, basis: Array) -> Array:
-    """Directions K c, in the basis B (n, r), that lie in it. Raises ValueError where
-    none does.
+def estimable_part(interest: Array, basis: Array) -> Array:
+    """Directions K c that lie in the basis B (n, r), expressed in it.
+
+    Raises ValueError where no direction does.
     """
     outside = interest - basis @ (basis.T @ interest)
-    _, s, vt = np.linalg.svd(outside, full_matrices=True)
-    size = np.linalg.norm(interest, 2)
-    kept = vt[np.append(s, np.zeros(len(vt) - len(s))) <= 1e-8 * size].T
-    inside: Array = basis.T @ interest @ kept
+    _, singular_values, vt = np.linalg.svd(outside, full_matrices=True)
+    distances = np.zeros(len(vt))
+    distances[: len(singular_values)] = singular_values
+    inside_combinations = vt[distances <= OUTSIDE * np.linalg.norm(interest, 2)].T
+    inside: Array = basis.T @ interest @ inside_combinations
     if not inside.size or np.linalg.matrix_rank(inside) < inside.shape[1]:
         raise ValueError(
-            "no reading sees the directions of interest: choose others, or give more"
-            " candidates"
+            "no reading determines the directions of interest: choose others, or give"
+            " more candidates"
         )
     return inside
 
 
-def _log_det(blocks: Array, matrix: Array) -> Array:
+def _log_det_gain(blocks: Array, matrix: Array) -> Array:
     """log det(1 + X P X^T) (C,)."""
     if blocks.shape[1] == 1:
         rows = blocks[:, 0]
-        return np.asarray(
-            np.log1p(
-                np.maximum(np.einsum("ij,ij->i", rows @ matrix, rows), -1.0 + 1e-300)
-            )
-        )
-    return np.asarray(
-        np.linalg.slogdet(products(blocks, matrix) + np.eye(blocks.shape[1]))[1]
-    )
+        quadratic = np.einsum("ij,ij->i", rows @ matrix, rows)
+        return np.asarray(np.log1p(np.maximum(quadratic, -1.0 + 1e-300)))
+    sums = inner_products(blocks, matrix) + np.eye(blocks.shape[1])
+    return np.asarray(np.linalg.slogdet(sums)[1])

@@ -1,11 +1,11 @@
 """phi_p: the power mean of the eigenvalues, phi = (tr M^-p / n)^(-1/p).
 
-p = 1 is A, a large p is led by the least eigenvalue (E), p = 1/2 is the observability
-index O5 = 1 / sum(1 / sigma_i). With eigenvalues l of M = V diag(l) V^T, tau = tr M^-p
-and the divided differences d_kl of l^(-p-1),
+p = 1 is A, the least eigenvalue (E) dominates a large p, and p = 1/2 is the
+observability index O5 = 1 / sum(1 / sigma_i). With eigenvalues l of
+M = V diag(l) V^T, tau = tr M^-p and the divided differences d_kl of l^(-p-1),
 
-    d log phi / dw_i = tr(M^(-p-1) A_i) / tau = g_i, -d2 log phi / dw_i dw_j = -sum_kl
-    d_kl (V^T A_i V)_kl (V^T A_j V)_kl / tau - p g_i g_j.
+    d log phi / dw_i = tr(M^(-p-1) A_i) / tau = g_i,
+    -d2 log phi / dw_i dw_j = -sum_kl d_kl (V^T A_i V)_kl (V^T A_j V)_kl / tau - p g_i g_j.
 """
 
 from __future__ import annotations
@@ -15,18 +15,29 @@ import dataclasses
 import numpy as np
 
 from oed.arrays import Array
-from oed.design.criterion.protocol import Criterion, Support, positive, slopes
-from oed.design.criterion.shortlist import exactly, ranked
-from oed.design.power import after_adding
+from oed.design.criterion.protocol import (
+    Criterion,
+    Support,
+    is_positive_definite,
+    slopes,
+)
+from oed.design.criterion.shortlist import evaluate_shortlist, rank_by_variance
+from oed.design.power_series import trace_after_adding
 
-#: digits that the power series may lose; beyond, eigenvalues are computed for a
-#: shortlist
+#: digits that the power series may lose; beyond, a shortlist's eigenvalues are computed
 DIGITS = 8.0
+#: eigenvalues of relative distance below this count as equal
+EQUAL = 1e-7
+#: powers of the continuation
+POWERS = (1, 2, 4, 8, 16)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Power:
-    """phi_p for p > 0. told: phi, or, with the name "O5", O5 over `directions`."""
+class PowerMean:
+    """phi_p for p > 0.
+
+    Its conventional value is phi, or, with the name "O5", O5 over `directions`.
+    """
 
     p: float = 1.0
     directions: int = 1
@@ -36,82 +47,79 @@ class Power:
 
     def value(self, m: Array) -> float:
         """-log(tr M^-p / n) / p."""
-        return (
-            float(self.of(np.asarray(np.linalg.eigvalsh(m), dtype=float)[None])[0])
-            if positive(m)
-            else -np.inf
-        )
+        if not is_positive_definite(m):
+            return -np.inf
+        eigenvalues = np.asarray(np.linalg.eigvalsh(m), dtype=float)
+        return float(self.of_eigenvalues(eigenvalues[None])[0])
 
-    def of(self, values: Array) -> Array:
-        """log phi (C,) from eigenvalues (C, n)."""
-        least = np.maximum(values[:, :1], 1e-300)
-        mean = np.mean((np.maximum(values, 1e-300) / least) ** -self.p, axis=1)
-        return np.asarray(np.log(least[:, 0]) - np.log(mean) / self.p)
+    def of_eigenvalues(self, eigenvalues: Array) -> Array:
+        """log phi (C,) from ascending eigenvalues (C, n)."""
+        least = np.maximum(eigenvalues[:, :1], 1e-300)
+        powers = (np.maximum(eigenvalues, 1e-300) / least) ** -self.p
+        log_mean = np.log(np.mean(powers, axis=1))
+        return np.asarray(np.log(least[:, 0]) - log_mean / self.p)
 
     def support(self, m: Array) -> Support:
         """Root V l^(-(p+1)/2) / sqrt(tau)."""
-        values, vectors = np.linalg.eigh(m)
-        values = np.maximum(values, 1e-300)
-        share = (values[0] / values) ** self.p
-        root = vectors * np.sqrt(share / share.sum() / values)
-        return Support(float(self.of(values[None])[0]), root)
+        eigenvalues, eigenvectors = np.linalg.eigh(m)
+        eigenvalues = np.maximum(eigenvalues, 1e-300)
+        powers = (eigenvalues[0] / eigenvalues) ** self.p
+        root = eigenvectors * np.sqrt(powers / powers.sum() / eigenvalues)
+        return Support(float(self.of_eigenvalues(eigenvalues[None])[0]), root)
 
     def curvature(self, m: Array, blocks: Array) -> Array:
         """Divided differences of l^(-p-1), in the eigenbasis of M."""
-        values, vectors = np.linalg.eigh(m)
-        x = values / values[0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            difference = (x[:, None] ** (-self.p - 1) - x[None, :] ** (-self.p - 1)) / (
-                x[:, None] - x[None, :]
-            )
-        middle = 0.5 * (x[:, None] + x[None, :])
-        close = np.abs(x[:, None] - x[None, :]) < 1e-7 * middle
-        difference = np.where(
-            close, -(self.p + 1) * middle ** (-self.p - 2), difference
-        )
-        turned = blocks @ vectors
-        a = np.einsum("ckn,ckm->cnm", turned, turned, optimize=True) * np.sqrt(
-            -difference
-        )
-        flat = a.reshape(len(blocks), -1)
-        tau = float(np.sum(x**-self.p)) * values[0] ** 2
+        eigenvalues, eigenvectors = np.linalg.eigh(m)
+        relative = eigenvalues / eigenvalues[0]
+        differences = self._divided_differences(relative)
+        turned = blocks @ eigenvectors
+        products = np.einsum("ckn,ckm->cnm", turned, turned, optimize=True)
+        rows = (products * np.sqrt(-differences)).reshape(len(blocks), -1)
+        tau = float(np.sum(relative**-self.p)) * eigenvalues[0] ** 2
         g = slopes(blocks, self.support(m).root)
-        return np.asarray(flat @ flat.T / tau - self.p * np.outer(g, g))
+        return np.asarray(rows @ rows.T / tau - self.p * np.outer(g, g))
 
-    def added(self, m: Array, blocks: Array) -> Array:
-        """By the power series where it is exact enough, else by eigenvalues of a
-        shortlist.
-        """
-        values, vectors = np.linalg.eigh(m)
+    def _divided_differences(self, relative: Array) -> Array:
+        """d_kl (n, n); the derivative where two eigenvalues are equal."""
+        across = relative[:, None] - relative[None, :]
+        powers = relative ** (-self.p - 1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            differences = (powers[:, None] - powers[None, :]) / across
+        middle = 0.5 * (relative[:, None] + relative[None, :])
+        derivative = -(self.p + 1) * middle ** (-self.p - 2)
+        return np.where(np.abs(across) < EQUAL * middle, derivative, differences)
+
+    def values_after_adding(self, m: Array, blocks: Array) -> Array:
+        """By the power series where it is exact enough, else by a shortlist."""
+        eigenvalues, eigenvectors = np.linalg.eigh(m)
         if not float(self.p).is_integer() or blocks.shape[1] > 1:
-            return exactly(self.of, m, blocks, ranked(values, vectors, blocks))
-        floor = np.maximum(values, 1e-12 * values[-1])
-        told = after_adding(floor, vectors, blocks[:, 0], int(self.p))
-        found = (
-            np.log(floor[0]) - np.log(np.maximum(told, 1e-300) / len(values)) / self.p
-        )
-        # the sum of powers falls from l_1^-p to at least l_2^-p: the digits between are
-        # lost
-        if self.p * np.log10(floor[min(1, len(floor) - 1)] / floor[0]) < DIGITS:
-            return np.asarray(found)
-        top = float(found.max())
-        lost = self.p * (top - np.log(floor[0])) / np.log(10.0)
-        return (
-            np.asarray(found) if lost < DIGITS else exactly(self.of, m, blocks, found)
-        )
+            rank = rank_by_variance(eigenvalues, eigenvectors, blocks)
+            return evaluate_shortlist(self.of_eigenvalues, m, blocks, rank)
+        floored = np.maximum(eigenvalues, 1e-12 * eigenvalues[-1])
+        least = floored[0]
+        traces = trace_after_adding(floored, eigenvectors, blocks[:, 0], int(self.p))
+        log_mean = np.log(np.maximum(traces, 1e-300) / len(eigenvalues))
+        values = np.log(least) - log_mean / self.p
+        # the sum of powers falls from l_1^-p to at least l_2^-p: digits in between
+        # are lost
+        second = floored[min(1, len(floored) - 1)]
+        if self.p * np.log10(second / least) < DIGITS:
+            return np.asarray(values)
+        digits_lost = self.p * (float(values.max()) - np.log(least)) / np.log(10.0)
+        if digits_lost < DIGITS:
+            return np.asarray(values)
+        return evaluate_shortlist(self.of_eigenvalues, m, blocks, values)
 
-    def told(self, value: float, readings: int) -> float:
+    def conventional_value(self, value: float, readings: int) -> float:
         """phi, or O5 = sqrt(phi) / n."""
-        return (
-            float(np.exp(value / 2.0)) / self.directions
-            if self.name == "O5"
-            else float(np.exp(value))
-        )
+        if self.name == "O5":
+            return float(np.exp(value / 2.0)) / self.directions
+        return float(np.exp(value))
 
-    def within(self, basis: Array) -> Criterion:
-        """The same mean over the directions seen."""
+    def restrict(self, basis: Array) -> Criterion:
+        """The same mean over the directions of the basis."""
         return dataclasses.replace(self, directions=basis.shape[1])
 
-    def ladder(self) -> tuple[Criterion, ...]:
+    def continuation(self) -> tuple[Criterion, ...]:
         """Lower powers first."""
-        return (*(Power(float(q)) for q in (1, 2, 4, 8, 16) if q < self.p), self)
+        return (*(PowerMean(float(q)) for q in POWERS if q < self.p), self)

@@ -1,8 +1,7 @@
-"""Criteria of eigenvalues after a block is added: eigenvalues of the most promising
-candidates only.
+"""Eigenvalue criteria after adding a block, computed for a shortlist of candidates.
 
-The rank is by what a block saves of tr M^-1, less the hurt to the largest eigenvalue
-where that counts.
+A candidate's rank is its reduction of tr M^-1. Where the largest eigenvalue counts, a
+second rank takes off the rise of that eigenvalue.
 """
 
 from __future__ import annotations
@@ -12,43 +11,47 @@ from collections.abc import Callable
 import numpy as np
 
 from oed.arrays import Array
-from oed.design.criterion.variance import saved
+from oed.design.criterion.variance import variance_reduction
 
 #: candidates whose eigenvalues are computed
 SHORTLIST = 24
+#: eigenvalues are raised to at least this share of the largest
+FLOOR = 1e-9
 
 
-def ranked(values: Array, vectors: Array, blocks: Array) -> Array:
-    """What each block saves of tr M^-1 (C,), from eigenvalues and eigenvectors of M."""
-    floor = np.maximum(values, 1e-9 * values[-1])
-    return saved(
-        blocks, (vectors / floor) @ vectors.T, (vectors / floor**2) @ vectors.T
-    )
+def rank_by_variance(eigenvalues: Array, eigenvectors: Array, blocks: Array) -> Array:
+    """Reduction of tr M^-1 by each block (C,), from the eigensystem of M."""
+    floored = np.maximum(eigenvalues, FLOOR * eigenvalues[-1])
+    inverted = (eigenvectors / floored) @ eigenvectors.T
+    squared = (eigenvectors / floored**2) @ eigenvectors.T
+    return variance_reduction(blocks, inverted, squared)
 
 
-def spared(values: Array, vectors: Array, blocks: Array, share: float) -> Array:
-    """As `ranked`, less the hurt of raising the eigenvalue known best."""
-    floor = np.maximum(values, 1e-9 * values[-1])
-    heavy = np.sum((blocks @ vectors[:, -1]) ** 2, axis=1) / values[-1]
-    return np.asarray(
-        np.log1p(ranked(values, vectors, blocks) / np.sum(1.0 / floor))
-        - share * np.log1p(heavy)
-    )
-
-
-def exactly(
-    of: Callable[[Array], Array], m: Array, blocks: Array, *ranks: Array
+def rank_by_spread(
+    eigenvalues: Array, eigenvectors: Array, blocks: Array, share: float
 ) -> Array:
-    """of(eigenvalues of M + X_i^T X_i) (C,) for the candidates that lead one of the
-    ranks (C,), -inf for the others.
+    """As `rank_by_variance`, less a share of the rise of the largest eigenvalue."""
+    floored = np.maximum(eigenvalues, FLOOR * eigenvalues[-1])
+    along_largest = np.sum((blocks @ eigenvectors[:, -1]) ** 2, axis=1)
+    reduction = rank_by_variance(eigenvalues, eigenvectors, blocks)
+    gain = np.log1p(reduction / np.sum(1.0 / floored))
+    return np.asarray(gain - share * np.log1p(along_largest / eigenvalues[-1]))
 
-    of maps (C, n) ascending eigenvalues to (C,).
+
+def evaluate_shortlist(
+    of_eigenvalues: Callable[[Array], Array], m: Array, blocks: Array, *ranks: Array
+) -> Array:
+    """A function of the eigenvalues of M + X_i^T X_i (C,); -inf off the shortlist.
+
+    The shortlist holds the first candidates by each of the ranks (C,). of_eigenvalues
+    maps ascending eigenvalues (C, n) to values (C,).
     """
-    most = max(SHORTLIST // len(ranks), 1)
-    best = np.unique(
-        np.concatenate([np.argsort(-r, kind="stable")[:most] for r in ranks])
-    )
-    joined = m + np.einsum("ckn,ckm->cnm", blocks[best], blocks[best], optimize=True)
-    found = np.full(len(blocks), -np.inf)
-    found[best] = of(np.asarray(np.linalg.eigvalsh(joined), dtype=float))
-    return found
+    places = max(SHORTLIST // len(ranks), 1)
+    first = [np.argsort(-rank, kind="stable")[:places] for rank in ranks]
+    shortlist = np.unique(np.concatenate(first))
+    added = blocks[shortlist]
+    sums = m + np.einsum("ckn,ckm->cnm", added, added, optimize=True)
+    values = np.full(len(blocks), -np.inf)
+    eigenvalues = np.asarray(np.linalg.eigvalsh(sums), dtype=float)
+    values[shortlist] = of_eigenvalues(eigenvalues)
+    return values

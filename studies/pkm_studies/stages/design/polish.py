@@ -11,7 +11,7 @@ import numpy as np
 
 from oed import result, units
 from oed.arrays import Array
-from oed.design import polish, smooth
+from oed.design import polish, symbolic_criterion
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities
@@ -116,16 +116,18 @@ def _held(
     return np.eye(int(measurement.free.sum())) if aims.design.prior else None
 
 
-def _smooth(name: str, aims: StudyCriteria, measurement: Measurement) -> smooth.Smooth:
+def _smooth(
+    name: str, aims: StudyCriteria, measurement: Measurement
+) -> symbolic_criterion.SymbolicCriterion:
     """The criterion as polishing knows it."""
     pieces = aims.pieces(name, measurement)
     if name == "Ds":
-        return smooth.of_interest(pieces["interest"])
+        return symbolic_criterion.determinant_of_interest(pieces["interest"])
     if name in ("c", "I"):
-        return smooth.variance(pieces["factor"].T @ pieces["factor"])
+        return symbolic_criterion.variance(pieces["factor"].T @ pieces["factor"])
     if name in ("E", "O3"):
-        return smooth.power(POWER)
-    return smooth.variance() if name == "A" else smooth.determinant()
+        return symbolic_criterion.power_mean(POWER)
+    return symbolic_criterion.variance() if name == "A" else symbolic_criterion.determinant()
 
 
 def _moved(

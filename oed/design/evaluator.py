@@ -1,0 +1,115 @@
+"""Values of plans, and of plans with each candidate added, for exchange searches."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Protocol
+
+import numpy as np
+
+from oed.arrays import Array, Index
+from oed.design import fedorov
+from oed.design.blocks import information
+from oed.design.criterion import Criterion, Determinant
+
+
+class PlanEvaluator(Protocol):
+    """Values of plans as log phi.
+
+    A level is a step of the criterion's continuation; the last level is the criterion
+    itself.
+    """
+
+    @property
+    def count(self) -> int:
+        """Number of candidates."""
+        ...
+
+    @property
+    def levels(self) -> int:
+        """Number of levels."""
+        ...
+
+    def value(self, chosen: Index) -> float:
+        """Value of a plan by the criterion; -inf where a direction is undetermined."""
+        ...
+
+    def regularised_value(self, chosen: Index, level: int) -> float:
+        """Value of a plan at a level, with the ridge of `values_after_adding`."""
+        ...
+
+    def values_after_adding(
+        self, chosen: Index, level: int, ridge: float | None = None
+    ) -> Array:
+        """Value at a level of the plan with each candidate added (C,).
+
+        -inf for candidates outside a shortlist.
+        """
+        ...
+
+    def exchange_all(self, chosen: Index, level: int) -> Index | None:
+        """The plan after all exchanges by a closed formula; None where there is none."""
+        ...
+
+    def subset(self, pool: Index) -> PlanEvaluator:
+        """The evaluator over a part of the candidates."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CriterionEvaluator:
+    """One criterion of M0 + sum X_i^T X_i, for blocks (C, k, n) and M0 `base` (n, n)."""
+
+    blocks: Array
+    criterion: Criterion
+    base: Array
+
+    @property
+    def count(self) -> int:
+        """Number of candidates."""
+        return len(self.blocks)
+
+    @property
+    def levels(self) -> int:
+        """Number of levels of the continuation."""
+        return len(self.criterion.continuation())
+
+    def _matrix(self, chosen: Index, ridge: float | None) -> Array:
+        # summed anew each time: taking a block out of a sum would lose digits
+        m = self.base + information(self.blocks[chosen])
+        size = float(np.trace(m)) / len(m) * 1e-12 if ridge is None else ridge
+        return np.asarray(m + size * np.eye(len(m)))
+
+    def value(self, chosen: Index) -> float:
+        """log phi of a plan."""
+        return self.criterion.value(self.base + information(self.blocks[chosen]))
+
+    def regularised_value(self, chosen: Index, level: int) -> float:
+        """Value of a plan at a level."""
+        criterion = self.criterion.continuation()[level]
+        return criterion.value(self._matrix(chosen, None))
+
+    def values_after_adding(
+        self, chosen: Index, level: int, ridge: float | None = None
+    ) -> Array:
+        """Value at a level with each candidate added (C,)."""
+        criterion = self.criterion.continuation()[level]
+        return criterion.values_after_adding(self._matrix(chosen, ridge), self.blocks)
+
+    def exchange_all(self, chosen: Index, level: int) -> Index | None:
+        """Fedorov's exchange of pairs, for D of single rows."""
+        criterion = self.criterion.continuation()[level]
+        if not isinstance(criterion, Determinant) or criterion.interest is not None:
+            return None
+        if self.blocks.shape[1] > 1:
+            return None
+        base = self._matrix(chosen, None) - information(self.blocks[chosen])
+        return fedorov.exchange_rows(self.blocks[:, 0], chosen, base)
+
+    def subset(self, pool: Index) -> CriterionEvaluator:
+        """The evaluator over a part of the candidates."""
+        return dataclasses.replace(self, blocks=self.blocks[pool])
+
+    def ridge(self) -> float:
+        """Ridge for the undetermined directions while a plan is begun."""
+        return 1e-9 * float(np.mean(np.sum(self.blocks**2, axis=(1, 2))))
