@@ -106,7 +106,7 @@ def choose_rows(rows: np.ndarray, criterion: str, rounds: int) -> Row:
 
     def work() -> exchange.Choice:
         rng = np.random.default_rng(1)
-        return exchange.choose(rows, SIZE, rng, criterion, starts=rounds, certify=False)
+        return exchange.choose(rows, SIZE, rng, criterion, rounds=rounds, certify=False)
 
     seconds, choice = time_median(work)
     problem = f"A, {criterion}"
@@ -122,7 +122,7 @@ def choose_poses(instance: int, rounds: int) -> Row:
 
     def work() -> exchange.Choice:
         rng = np.random.default_rng(1)
-        return exchange.choose(blocks, hexapod.SIZE, rng, starts=rounds, certify=False)
+        return exchange.choose(blocks, hexapod.SIZE, rng, rounds=rounds, certify=False)
 
     seconds, choice = time_median(work)
     reached = hexapod.log_det(blocks, choice.indices)

@@ -42,7 +42,7 @@ def candidates(taught: Measurement, grid: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def d_optimal(candidates: np.ndarray) -> exchange.Choice:
-    return exchange.choose(candidates, 30, np.random.default_rng(0), starts=20)
+    return exchange.choose(candidates, 30, np.random.default_rng(0), rounds=20)
 
 
 # -- published numbers -----------------------------------------------------------------
@@ -159,7 +159,7 @@ def test_the_d_value_does_not_depend_on_how_the_cup_is_known(
 def test_the_e_exchange_beats_the_d_design_in_its_own_measure(
     candidates: np.ndarray, d_optimal: exchange.Choice
 ) -> None:
-    by_e = exchange.choose(candidates, 30, np.random.default_rng(0), "E", starts=10)
+    by_e = exchange.choose(candidates, 30, np.random.default_rng(0), "E", rounds=10)
     least = np.linalg.svd(candidates[d_optimal.indices], compute_uv=False)[17] ** 2
     assert by_e.value > 1.2 * least
     assert by_e.value == pytest.approx(

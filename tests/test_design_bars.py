@@ -43,7 +43,8 @@ def benchmarks() -> Iterator[None]:
         for name in [
             n
             for n in sys.modules
-            if n in ("design", "hexapod", "peers") or n.startswith("peers.")
+            if n in ("design_table", "hexapod", "peer_runs", "peers")
+            or n.startswith("peers.")
         ]:
             del sys.modules[name]
     os.environ.clear()
@@ -85,26 +86,26 @@ def ceiling(blocks: np.ndarray, weights: np.ndarray, size: int) -> float:
 def test_problem_a_by_d() -> None:
     """30 of 2000 x 21: plan, bound, and how tight the bound is as a relaxation."""
     rows = rows_a()
-    found = exchange.choose(rows, 30, np.random.default_rng(1), starts=100)
-    reached = log_det(rows[found.indices], np.ones(30))
-    assert len(set(found.indices.tolist())) == 30
-    assert found.value == pytest.approx(reached, abs=1e-9)
+    choice = exchange.choose(rows, 30, np.random.default_rng(1), rounds=100)
+    reached = log_det(rows[choice.indices], np.ones(30))
+    assert len(set(choice.indices.tolist())) == 30
+    assert choice.value == pytest.approx(reached, abs=1e-9)
     assert reached >= 80.146
     relaxed = relaxation.relax(rows, 30)
-    own = ceiling(rows, relaxed.weights, 30)
-    assert found.bound == pytest.approx(own, abs=1e-6)
-    assert own == pytest.approx(log_det(rows, relaxed.weights), abs=1e-6)
-    assert reached <= found.bound <= 81.85880
-    assert found.efficiency == pytest.approx(np.exp((reached - own) / 21), abs=1e-6)
+    upper = ceiling(rows, relaxed.weights, 30)
+    assert choice.bound == pytest.approx(upper, abs=1e-6)
+    assert upper == pytest.approx(log_det(rows, relaxed.weights), abs=1e-6)
+    assert reached <= choice.bound <= 81.85880
+    assert choice.efficiency == pytest.approx(np.exp((reached - upper) / 21), abs=1e-6)
 
 
 def test_problem_a_by_e() -> None:
     rows = rows_a()
-    found = exchange.choose(rows, 30, np.random.default_rng(1), "E", starts=20)
-    least = float(np.linalg.eigvalsh(rows[found.indices].T @ rows[found.indices])[0])
-    assert len(set(found.indices.tolist())) == 30
-    assert found.value == pytest.approx(least, rel=1e-9)
-    assert 19.4 <= least <= found.bound
+    choice = exchange.choose(rows, 30, np.random.default_rng(1), "E", rounds=20)
+    least = float(np.linalg.eigvalsh(rows[choice.indices].T @ rows[choice.indices])[0])
+    assert len(set(choice.indices.tolist())) == 30
+    assert choice.value == pytest.approx(least, rel=1e-9)
+    assert 19.4 <= least <= choice.bound
 
 
 def test_twenty_thousand_candidates_are_certified() -> None:
@@ -132,19 +133,19 @@ def test_problem_c(instance: int, efficiency: float) -> None:
     """
     blocks = benchmark("hexapod").blocks(instance)
     assert blocks.shape == (2000, 6, 42)
-    found = exchange.choose(blocks, 10, np.random.default_rng(1), starts=20)
-    reached = log_det(blocks[found.indices], np.ones(10))
-    assert len(set(found.indices.tolist())) == 10
-    assert found.directions == 42
-    assert found.value == pytest.approx(reached, abs=1e-6)
-    assert found.efficiency >= efficiency
-    assert found.efficiency == pytest.approx(
-        np.exp((reached - found.bound) / 42), abs=1e-6
+    choice = exchange.choose(blocks, 10, np.random.default_rng(1), rounds=20)
+    reached = log_det(blocks[choice.indices], np.ones(10))
+    assert len(set(choice.indices.tolist())) == 10
+    assert choice.directions == 42
+    assert choice.value == pytest.approx(reached, abs=1e-6)
+    assert choice.efficiency >= efficiency
+    assert choice.efficiency == pytest.approx(
+        np.exp((reached - choice.bound) / 42), abs=1e-6
     )
     if instance == 0:
-        own = ceiling(blocks, relaxation.relax(blocks, 10).weights, 10)
-        assert found.bound == pytest.approx(own, abs=1e-5)
-        assert found.bound == pytest.approx(CLARABEL, abs=1e-4)
+        upper = ceiling(blocks, relaxation.relax(blocks, 10).weights, 10)
+        assert choice.bound == pytest.approx(upper, abs=1e-5)
+        assert choice.bound == pytest.approx(CLARABEL, abs=1e-4)
 
 
 def test_problem_cs_noise_is_full() -> None:
@@ -178,16 +179,16 @@ def test_a3_designs_are_best_in_their_own_criterion() -> None:
     m = resolved.measurement
     rows = information.scaled(m, resolved.candidates, m.nominal, "length")[:, m.free]
     assert len(rows) == 1512
-    found = {
-        name: exchange.choose(rows, 30, np.random.default_rng(1), name, starts=starts)
-        for name, starts in {"D": 60, "E": 5, "kappa": 5}.items()
+    choices = {
+        name: exchange.choose(rows, 30, np.random.default_rng(1), name, rounds=rounds)
+        for name, rounds in {"D": 60, "E": 5, "kappa": 5}.items()
     }
-    plans = {name: of_a3(rows[choice.indices]) for name, choice in found.items()}
+    plans = {name: of_a3(rows[choice.indices]) for name, choice in choices.items()}
     paper = next(p for p in resolved.reference_plans if p.name == "paper 2 x 15")
     plans["paper"] = of_a3(
         information.scaled(m, paper.series, m.nominal, "length")[:, m.free]
     )
-    for name, choice in found.items():
+    for name, choice in choices.items():
         assert choice.directions == 18
         assert choice.value == pytest.approx(plans[name][name], rel=1e-6)
         sign = -1.0 if name == "kappa" else 1.0
@@ -195,7 +196,7 @@ def test_a3_designs_are_best_in_their_own_criterion() -> None:
     assert plans["E"]["E"] > 1.3 * plans["D"]["E"]
     assert plans["kappa"]["kappa"] < plans["D"]["kappa"] / 1.1
     assert plans["D"]["D"] > max(plans["E"]["D"], plans["kappa"]["D"])
-    assert found["D"].efficiency >= 0.97
+    assert choices["D"].efficiency >= 0.97
     assert np.exp((plans["paper"]["D"] - plans["D"]["D"]) / 18) == pytest.approx(
         0.68, abs=0.005
     )
@@ -221,21 +222,21 @@ def test_values_of_other_packages_are_computed_here() -> None:
     assert peers.value("A, D", [int(chosen[0])] * 30)[0] == -np.inf
 
 
-def test_what_a_package_says_of_itself_is_not_believed(tmp_path: Path) -> None:
+def test_a_packages_own_value_is_not_used(tmp_path: Path) -> None:
     """A stand-in for a package's interpreter: it claims a value, which is ignored; it
     names rows, which are judged.
     """
-    design, peers = benchmark("design"), benchmark("peers")
+    peer_runs, peers = benchmark("peer_runs"), benchmark("peers")
     chosen = list(range(30))
     answer = json.dumps(
-        {"found": chosen, "seconds": 0.25, "version": "9", "value": 1e9}
+        {"indices": chosen, "seconds": 0.25, "version": "9", "value": 1e9}
     )
-    python = design.interpreter(tmp_path, "doekit")
+    python = peer_runs.interpreter(tmp_path, "doekit")
     python.parent.mkdir(parents=True)
     python.write_text(f"#!/bin/sh\necho '{answer}'\n", encoding="utf-8")
     python.chmod(0o755)
     task = peers.Task("A, D", "KL exchange", lambda rows: None)
-    row = design.peer(tmp_path, "doekit", 0, task, 10.0)
+    row = peer_runs.run_task(tmp_path, "doekit", 0, task, 10.0)
     assert row.value == pytest.approx(log_det(rows_a()[chosen], np.ones(30)))
     assert (row.seconds, row.method, row.bound, row.ours) == (
         0.25,
@@ -244,14 +245,15 @@ def test_what_a_package_says_of_itself_is_not_believed(tmp_path: Path) -> None:
         False,
     )
     assert (
-        design.peer(tmp_path, "pydoe", 0, task, 10.0).note == "skipped: not installed"
+        peer_runs.run_task(tmp_path, "pydoe", 0, task, 10.0).note
+        == "skipped: not installed"
     )
 
 
 def test_adapters_are_pinned_and_need_nothing_to_be_listed() -> None:
-    design, peers = benchmark("design"), benchmark("peers")
-    assert len(design.PEERS) >= 8
-    for name in design.PEERS:
+    peer_runs, peers = benchmark("peer_runs"), benchmark("peers")
+    assert len(peer_runs.PEERS) >= 8
+    for name in peer_runs.PEERS:
         adapter = importlib.import_module(f"peers.{name}")
         assert "==" in adapter.REQUIRES[0]
         assert adapter.TASKS

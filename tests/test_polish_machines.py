@@ -40,7 +40,9 @@ def test_rows_are_slopes_of_the_readings(
     mounted = m.setups[setup]
     if scaling == "tolerance" and any(c.shared for c in mounted.instrument.channels):
         with pytest.raises(ValueError, match="share its noise"):
-            reading_slopes.reading(m, mounted, scaling, np.eye(len(m.parameters)))
+            reading_slopes.symbolic_reading(
+                m, mounted, scaling, np.eye(len(m.parameters))
+            )
         return
     rows = _symbolic(m, series, scaling)
     step = 1e-6
@@ -76,13 +78,13 @@ def _symbolic(
     m: Measurement, series: Series, scaling: information.Scaling
 ) -> np.ndarray:
     setup = m.setups[series.setup]
-    one = reading_slopes.reading(m, setup, scaling, np.eye(len(m.parameters)))
+    one = reading_slopes.symbolic_reading(m, setup, scaling, np.eye(len(m.parameters)))
     settings = np.array([setup.settings[s.name] for s in setup.instrument.settings])
-    found = []
-    for seen in series.index:
-        poses = [v for i in seen for v in (series.start[i], series.q[i])]
-        found.append(np.array(one.rows(*poses, settings, np.array(setup.tool))).T)
-    return np.vstack(found)
+    result = []
+    for index in series.index:
+        poses = [v for i in index for v in (series.start[i], series.q[i])]
+        result.append(np.array(one.rows(*poses, settings, np.array(setup.tool))).T)
+    return np.vstack(result)
 
 
 # -- the A3 head with a ball bar -------------------------------------------------------
@@ -97,10 +99,10 @@ def _start(m: Measurement) -> Series:
     return m.series("cup", a3_plans.bar_commands(m, stroke, psi))
 
 
-def _on_hold(found: polish.Polished, travel: float = 0.0) -> None:
+def _on_hold(result: polish.PolishResult, travel: float = 0.0) -> None:
     """Lengths from the geometry alone: ball to cup."""
-    setup = found.setups[0]
-    m, (series,) = found.measurement, found.series
+    setup = result.setups[0]
+    m, (series,) = result.measurement, result.series
     _, tip, _ = m.kinematics.frames(series.start, np.array(setup.tool))
     if setup.teach is not None:
         _, cup, _ = m.kinematics.frames(
@@ -114,15 +116,17 @@ def _on_hold(found: polish.Polished, travel: float = 0.0) -> None:
     assert not m.machine.out_of_range(series.command[: len(series)], setup.tool)
 
 
-def _judged(found: polish.Polished, start: Series, before: Measurement) -> None:
+def _check_values(
+    result: polish.PolishResult, start: Series, before: Measurement
+) -> None:
     """Values are those of the determinant over the 18 directions seen, formed anew."""
     rows = a3_plans.rows(before, [start])
     basis = np.linalg.svd(rows)[2][:18].T
-    after = a3_plans.rows(found.measurement, found.series) @ basis
-    assert found.value_before == pytest.approx(
+    after = a3_plans.rows(result.measurement, result.series) @ basis
+    assert result.value_before == pytest.approx(
         np.linalg.slogdet((rows @ basis).T @ (rows @ basis))[1], abs=1e-5
     )
-    assert found.value_after == pytest.approx(
+    assert result.value_after == pytest.approx(
         np.linalg.slogdet(after.T @ after)[1], abs=1e-5
     )
 
@@ -146,18 +150,18 @@ def test_polished_bar_stays_on_hold(case: str) -> None:
     if (
         "tool" in case
     ):  # a tool changes what is seen: a prior makes all directions count
-        found = polish.polish_readings(
+        result = polish.polish_readings(
             m, [start], free={"cup": ranges}, prior=np.eye(int(m.free.sum()))
         )
     else:
-        found = polish.polish_readings(
+        result = polish.polish_readings(
             m, [start], scaling="length", free={"cup": ranges}
         )
-        _judged(found, start, m)
-    assert found.value_after > found.value_before + 0.1
-    assert found.words.startswith("polishing gained")
-    _on_hold(found)
-    setup = found.setups[0]
+        _check_values(result, start, m)
+    assert result.value_after > result.value_before + 0.1
+    assert result.summary.startswith("polishing gained")
+    _on_hold(result)
+    setup = result.setups[0]
     for name, (lower, upper) in ranges.items():
         value = setup.tool[2] if name == "tool_z" else setup.settings[name]
         assert lower <= value <= upper
@@ -166,19 +170,19 @@ def test_polished_bar_stays_on_hold(case: str) -> None:
     ) == bool(ranges and "tool" not in case)
     assert taught == (setup.teach is not None)
     if taught:
-        assert found.series[0].command[-1] == pytest.approx(setup.teach, abs=0)
+        assert result.series[0].command[-1] == pytest.approx(setup.teach, abs=0)
     assert setup.teach == m.setups["cup"].teach
 
 
 def test_travel_gives_room() -> None:
     m = a3_plans.measurement()
     start = _start(m)
-    held = polish.polish_readings(m, [start], scaling="length", iterations=150)
+    exact = polish.polish_readings(m, [start], scaling="length", iterations=150)
     roomy = polish.polish_readings(
         m, [start], scaling="length", travel=1e-3, iterations=150
     )
     _on_hold(roomy, 1e-3)
-    assert roomy.value_after > held.value_after
+    assert roomy.value_after > exact.value_after
 
 
 def test_a_search_cut_short_is_never_worse() -> None:
@@ -186,7 +190,7 @@ def test_a_search_cut_short_is_never_worse() -> None:
     none = polish.polish_readings(m, [_start(m)], scaling="length", iterations=0)
     assert none.value_after >= none.value_before
     if none.value_after == none.value_before:
-        assert "the start is kept" in none.words
+        assert "the start is kept" in none.summary
 
 
 # -- other machines --------------------------------------------------------------------
@@ -207,29 +211,29 @@ def test_planar_with_a_tracker(criterion: symbolic_criterion.SymbolicCriterion) 
     m = Measurement(machine, [mount(pose_tracker.position, "tracker")])
     command = CASES["planar_2dof"].commands(np.random.default_rng(1), 8)
     n = int(m.free.sum())
-    found = polish.polish_readings(
+    result = polish.polish_readings(
         m, [m.series("tracker", command)], criterion, prior=np.eye(n), clearance=0.2
     )
-    assert found.value_after > found.value_before
-    rows = information.scaled(m, found.series, m.nominal, "tolerance")[:, m.free]
-    assert found.value_after == pytest.approx(
+    assert result.value_after > result.value_before
+    rows = information.scaled(m, result.series, m.nominal, "tolerance")[:, m.free]
+    assert result.value_after == pytest.approx(
         criterion.value(np.eye(n) + rows.T @ rows), abs=1e-9
     )
-    assert not machine.out_of_range(found.series[0].command)
+    assert not machine.out_of_range(result.series[0].command)
 
 
-def test_what_cannot_be_is_told() -> None:
+def test_impossible_requests_are_refused() -> None:
     m = a3_plans.measurement()
     start = _start(m)
     off = m.series("cup", start.command[:-1] + np.array([1e-4, 0.0, 0.0]))
-    for given, told in (
-        ({"free": {"cap": {"length": (0.2, 0.3)}}}, "reads nothing"),
+    for given, message in (
+        ({"free": {"cap": {"length": (0.2, 0.3)}}}, "has no readings"),
         ({"free": {"cup": {"height": (0.2, 0.3)}}}, "none of"),
         ({"free": {"cup": {"length": (0.1, 0.2)}}}, "outside"),
     ):
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=message):
             polish.polish_readings(m, [start], scaling="length", **given)
-    with pytest.raises(ValueError, match="off what its instrument holds"):
+    with pytest.raises(ValueError, match="off the value that its instrument holds"):
         polish.polish_readings(m, [off], scaling="length")
     with pytest.raises(ValueError, match="recorded"):
         polish.polish_readings(
@@ -244,10 +248,10 @@ def test_two_setups_share_nothing_but_the_machine() -> None:
     ]
     m = Measurement(CASES["a3_head"].machine, setups)
     bar = _start(m)
-    seen = m.series(
+    index = m.series(
         "tracker", CASES["a3_head"].commands(np.random.default_rng(0), 5)[1:]
     )
-    found = polish.polish_readings(m, [bar, seen], prior=np.eye(int(m.free.sum())))
-    assert found.value_after > found.value_before
-    assert [len(s) for s in found.series] == [18, 4]
-    _on_hold(dataclasses.replace(found, series=found.series[:1]))
+    result = polish.polish_readings(m, [bar, index], prior=np.eye(int(m.free.sum())))
+    assert result.value_after > result.value_before
+    assert [len(s) for s in result.series] == [18, 4]
+    _on_hold(dataclasses.replace(result, series=result.series[:1]))

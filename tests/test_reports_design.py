@@ -142,12 +142,13 @@ def test_efficiencies_are_ratios_of_phi(main: str) -> None:
     entries = []
     for k, (name, criterion) in enumerate(criteria.items()):
         told = {
-            n: criterion.told(float(v), 9) for n, v in zip(names, phi[k], strict=True)
+            n: criterion.conventional_value(float(v), 9)
+            for n, v in zip(names, phi[k], strict=True)
         }
         head = {
             "name": name,
             "value": told[name],
-            "bound": criterion.told(float(phi[k, k] + 0.2), 9),
+            "bound": criterion.conventional_value(float(phi[k, k] + 0.2), 9),
         }
         entries.append(
             head

@@ -59,7 +59,7 @@ names = [n for n, free in zip(bar.names, bar.free, strict=True) if free]
 verdict = identifiability.analyse(rows(grid), names, 1.0 / bar.lengths[bar.free])
 assert (verdict.rank, len(names)) == (18, 21)  # all 1512 candidates together
 
-chosen = exchange.choose(rows(grid), 30, np.random.default_rng(1), "D", starts=3)
+chosen = exchange.choose(rows(grid), 30, np.random.default_rng(1), "D", rounds=3)
 of_paper, of_choice = (
     2.0 * np.log(singular(c)).sum() for c in (circles, grid[chosen.indices])
 )

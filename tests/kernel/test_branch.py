@@ -14,10 +14,10 @@ from oed.design.criterion import named
 def best_subset(
     rows: np.ndarray, size: int, criterion: str, prior: np.ndarray | None
 ) -> float:
-    judge = named(criterion, rows.shape[1])
-    held = np.zeros((rows.shape[1],) * 2) if prior is None else prior
+    goal = named(criterion, rows.shape[1])
+    base = np.zeros((rows.shape[1],) * 2) if prior is None else prior
     return max(
-        judge.value(rows[list(s)].T @ rows[list(s)] + held)
+        goal.value(rows[list(s)].T @ rows[list(s)] + base)
         for s in itertools.combinations(range(len(rows)), size)
     )
 
@@ -29,12 +29,12 @@ def test_the_best_of_all_subsets_is_proven(seed: int, criterion: str) -> None:
     rows = rng.standard_normal((13, 3))
     prior = np.diag(rng.uniform(0.1, 1.0, 3)) if seed % 2 else None
     poor = np.arange(5)  # a start far from the best one
-    found = branch.solve(rows, 5, rng, criterion, prior, start=poor)
-    assert found.optimal
-    assert found.value == pytest.approx(
+    result = branch.solve(rows, 5, rng, criterion, prior, start=poor)
+    assert result.optimal
+    assert result.value == pytest.approx(
         best_subset(rows, 5, criterion, prior), abs=1e-9
     )
-    assert found.bound == pytest.approx(found.value, abs=1e-8)
+    assert result.bound == pytest.approx(result.value, abs=1e-8)
 
 
 def test_forty_candidates_are_proven() -> None:
@@ -42,10 +42,10 @@ def test_forty_candidates_are_proven() -> None:
     rng = np.random.default_rng(4)
     rows = rng.standard_normal((40, 4))
     chosen = exchange.choose(rows, 8, rng)
-    found = branch.solve(rows, 8, rng, start=chosen.indices)
-    assert found.optimal
-    assert found.value >= chosen.value / 4 - 1e-9
-    assert found.value - chosen.value / 4 < 0.01
+    result = branch.solve(rows, 8, rng, start=chosen.indices)
+    assert result.optimal
+    assert result.value >= chosen.value / 4 - 1e-9
+    assert result.value - chosen.value / 4 < 0.01
 
 
 def test_a_bound_holds_when_the_nodes_run_out() -> None:
@@ -59,6 +59,6 @@ def test_a_bound_holds_when_the_nodes_run_out() -> None:
     assert short.value <= full.value + 1e-12 <= short.bound + 1e-9
 
 
-def test_rough_criteria_are_refused() -> None:
+def test_criteria_that_are_not_smooth_are_refused() -> None:
     with pytest.raises(ValueError, match="smooth, concave"):
         branch.solve(np.eye(3), 3, np.random.default_rng(0), "E")

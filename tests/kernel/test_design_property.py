@@ -82,7 +82,7 @@ def greedy(p: Problem) -> np.ndarray:
     ridge = 1e-9 * float(np.mean(np.sum(p.blocks**2, axis=(1, 2))))
     while (
         free := np.flatnonzero(
-            p.rules.allowed(np.array(chosen, dtype=int), len(p.blocks))
+            p.rules.additions(np.array(chosen, dtype=int), len(p.blocks))
         )
     ).size:
         chosen.append(
@@ -98,38 +98,40 @@ def greedy(p: Problem) -> np.ndarray:
 def test_greedy_is_never_better_and_the_bound_never_crossed(batch: int) -> None:
     for seed in range(25 * batch, 25 * batch + 25):
         p = problem(seed)
-        found = exchange.choose(
+        choice = exchange.choose(
             p.blocks,
             None,
             np.random.default_rng(seed),
             p.criterion,
             p.prior,
-            starts=2,
+            rounds=2,
             rules=p.rules,
         )
-        chosen = found.indices
+        chosen = choice.indices
         reached = value(p, chosen)
         assert len(set(chosen)) == len(chosen), seed
-        assert found.directions == (p.rank if p.prior is None else p.blocks.shape[2]), (
-            seed
-        )
+        assert choice.directions == (
+            p.rank if p.prior is None else p.blocks.shape[2]
+        ), seed
         for k in range(len(chosen)):
-            assert p.rules.allowed(np.delete(chosen, k), len(p.blocks))[chosen[k]], seed
+            assert p.rules.additions(np.delete(chosen, k), len(p.blocks))[chosen[k]], (
+                seed
+            )
         assert reached >= value(p, greedy(p)) - 1e-7, seed
-        assert found.efficiency is not None, seed
-        assert 0.0 < found.efficiency <= 1.0, seed
-        assert reached <= above(p, found) + 1e-7, seed
+        assert choice.efficiency is not None, seed
+        assert 0.0 < choice.efficiency <= 1.0, seed
+        assert reached <= log_bound(p, choice) + 1e-7, seed
 
 
-def above(p: Problem, found: exchange.Choice) -> float:
+def log_bound(p: Problem, choice: exchange.Choice) -> float:
     """The bound as log phi."""
-    assert found.bound is not None
+    assert choice.bound is not None
     if p.criterion == "D":
-        return found.bound / found.directions
+        return choice.bound / choice.directions
     if p.criterion == "A":
-        return -float(np.log(-found.bound))
+        return -float(np.log(-choice.bound))
     return float(
-        np.log(found.bound)
+        np.log(choice.bound)
         if p.criterion == "E"
-        else 2.0 * np.log(found.bound * found.directions)
+        else 2.0 * np.log(choice.bound * choice.directions)
     )

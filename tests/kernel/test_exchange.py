@@ -40,8 +40,8 @@ def greedy(rows: np.ndarray, size: int) -> float:
     chosen: list[int] = []
     ridge = 1e-9 * np.eye(rows.shape[1])
     for _ in range(size):
-        left = [j for j in range(len(rows)) if j not in chosen]
-        chosen.append(max(left, key=lambda j: value(rows, (*chosen, j), "D", ridge)))
+        others = [j for j in range(len(rows)) if j not in chosen]
+        chosen.append(max(others, key=lambda j: value(rows, (*chosen, j), "D", ridge)))
     return value(rows, chosen, "D")
 
 
@@ -92,12 +92,12 @@ def test_any_size_gives_different_readings(
 ) -> None:
     rng = np.random.default_rng(5)
     rows = rng.standard_normal((candidates, 3))
-    held = np.eye(3) if prior else None
-    choice = exchange.choose(rows, size, rng, criterion, prior=held)
+    base = np.eye(3) if prior else None
+    choice = exchange.choose(rows, size, rng, criterion, prior=base)
     assert choice.indices.tolist() == sorted(set(choice.indices.tolist()))
     assert len(choice.indices) == size
     assert choice.value == pytest.approx(
-        value(rows, choice.indices, criterion, 0.0 if held is None else held)
+        value(rows, choice.indices, criterion, 0.0 if base is None else base)
     )
     assert choice.criterion == criterion
 
@@ -106,7 +106,7 @@ def test_never_below_greedy() -> None:
     for seed in range(PROBLEMS):
         rng = np.random.default_rng(1000 + seed)
         rows = rng.standard_normal((60, 6)) * 10.0 ** rng.uniform(-2, 0, 6)
-        assert exchange.choose(rows, 10, rng, starts=5).value >= greedy(rows, 10) - 1e-9
+        assert exchange.choose(rows, 10, rng, rounds=5).value >= greedy(rows, 10) - 1e-9
 
 
 def test_the_e_exchange_never_ends_below_the_d_design_it_starts_from() -> None:
@@ -114,8 +114,8 @@ def test_the_e_exchange_never_ends_below_the_d_design_it_starts_from() -> None:
         rows = np.random.default_rng(seed).standard_normal((60, 6)) * np.logspace(
             0, -2, 6
         )
-        by_d = exchange.choose(rows, 12, np.random.default_rng(seed), "D", starts=3)
-        by_e = exchange.choose(rows, 12, np.random.default_rng(seed), "E", starts=3)
+        by_d = exchange.choose(rows, 12, np.random.default_rng(seed), "D", rounds=3)
+        by_e = exchange.choose(rows, 12, np.random.default_rng(seed), "E", rounds=3)
         assert by_e.value >= value(rows, by_d.indices, "E") * (1 - 1e-9)
         assert by_d.value >= value(rows, by_e.indices, "D") - 1e-9
 
@@ -133,14 +133,14 @@ def test_units_of_the_columns_change_the_value_not_the_choice(
     rng: np.random.Generator,
 ) -> None:
     rows, scale = rng.standard_normal((80, 5)), np.array([1.0, 2.0, 0.5, 3.0, 0.1])
-    plain = exchange.choose(rows, 9, np.random.default_rng(3), starts=40)
-    scaled = exchange.choose(rows * scale, 9, np.random.default_rng(3), starts=40)
+    plain = exchange.choose(rows, 9, np.random.default_rng(3), rounds=40)
+    scaled = exchange.choose(rows * scale, 9, np.random.default_rng(3), rounds=40)
     assert scaled.value == pytest.approx(
         plain.value + 2 * np.log(scale).sum(), abs=1e-6
     )
 
 
-def test_blind_directions_are_left_out(rng: np.random.Generator) -> None:
+def test_undetermined_directions_are_left_out(rng: np.random.Generator) -> None:
     """Seven columns of rank four: the value is that of the product of the four non-zero
     eigenvalues.
     """
@@ -149,9 +149,9 @@ def test_blind_directions_are_left_out(rng: np.random.Generator) -> None:
     assert choice.directions == 4
     s = np.linalg.svd(rows[choice.indices], compute_uv=False)
     assert choice.value == pytest.approx(2 * np.log(s[:4]).sum(), abs=1e-9)
-    seen = blocks.seen(rows[:, None, :], None)[0][:, 0]
-    assert seen.shape == (50, 4)
-    assert seen @ seen.T == pytest.approx(rows @ rows.T, abs=1e-10)
+    projected = blocks.project_on_estimable(rows[:, None, :], None)[0][:, 0]
+    assert projected.shape == (50, 4)
+    assert projected @ projected.T == pytest.approx(rows @ rows.T, abs=1e-10)
 
 
 def test_equal_candidates_do_no_harm(rng: np.random.Generator) -> None:
@@ -166,7 +166,7 @@ def test_same_seed_same_design_and_more_starts_are_no_worse(
 ) -> None:
     rows = rng.standard_normal((100, 8))
     few, again, many = (
-        exchange.choose(rows, 12, np.random.default_rng(1), starts=n)
+        exchange.choose(rows, 12, np.random.default_rng(1), rounds=n)
         for n in (2, 2, 12)
     )
     assert (few.indices == again.indices).all()
@@ -175,7 +175,7 @@ def test_same_seed_same_design_and_more_starts_are_no_worse(
 
 
 @pytest.mark.parametrize(
-    ("size", "options", "told"),
+    ("size", "options", "message"),
     [
         (0, {}, "cannot choose 0 different readings out of 9"),
         (10, {}, "cannot choose 10 different readings out of 9"),
@@ -184,9 +184,11 @@ def test_same_seed_same_design_and_more_starts_are_no_worse(
         (4, {"criterion": "X"}, "criterion 'X' is none of D, Ds, A"),
     ],
 )
-def test_impossible_requests_are_refused(size: int, options: dict, told: str) -> None:
+def test_impossible_requests_are_refused(
+    size: int, options: dict, message: str
+) -> None:
     rows, rng = problem(0)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         exchange.choose(rows, size, rng, **options)
 
 

@@ -14,15 +14,9 @@ from scipy.optimize import minimize
 from kernel import a3_plans
 from kernel.cases import CASES
 from oed.design import feasible
-from oed.design.clearance import (
-    Capsule,
-    Clearance,
-    Surroundings,
-    point_distance,
-    segment_distance,
-    sphere,
-)
-from oed.design.feasible import Cone, Limits
+from oed.design.clearance import Clearance, Surroundings
+from oed.design.feasible import DirectionCone, ReadingLimits
+from oed.design.segments import Capsule, point_distance, segment_distance, sphere
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import ball_bar, calliper, height_probe, relative
@@ -59,25 +53,27 @@ def planar_series(
 # -- joints, singular poses, travel ----------------------------------------------------
 
 
-def test_joint_travel_is_told_joint_by_joint(rng: np.random.Generator) -> None:
+def test_joint_travel_is_reported_joint_by_joint(rng: np.random.Generator) -> None:
     m = a3_plans.measurement(taught=False)
     command = CASES["a3_head"].commands(rng, 300)
     q = a3.inverse_nominal(*command.T)
-    found = feasible.check(
+    feasibility = feasible.check_readings(
         m,
         m.series("cup", command),
-        Limits(joints={"q2": (0.45, 0.70), "q3": (0.0, 0.75)}),
+        ReadingLimits(joints={"q2": (0.45, 0.70), "q3": (0.0, 0.75)}),
     )
     out2, out3 = (q[:, 1] < 0.45) | (q[:, 1] > 0.70), q[:, 2] > 0.75
     assert 0 < out3.sum() < out2.sum()
-    assert (found.allowed == ~(out2 | out3)).all()
-    assert found.words == [
+    assert (feasibility.allowed == ~(out2 | out3)).all()
+    assert feasibility.sentences == [
         f"{out2.sum()} of 300 candidates leave the travel of joint q2",
         f"{out3.sum()} of 300 candidates leave the travel of joint q3",
     ]
-    assert (found.refused["leave the travel of joint q3"] == out3).all()
+    assert (feasibility.refused["leave the travel of joint q3"] == out3).all()
     with pytest.raises(ValueError, match=r"no joint \['q9'\]"):
-        feasible.check(m, m.series("cup", command), Limits(joints={"q9": (0.0, 1.0)}))
+        feasible.check_readings(
+            m, m.series("cup", command), ReadingLimits(joints={"q9": (0.0, 1.0)})
+        )
 
 
 def test_the_machines_own_joint_range_holds_without_being_asked() -> None:
@@ -86,9 +82,13 @@ def test_the_machines_own_joint_range_holds_without_being_asked() -> None:
     """
     m = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe")])
     q = np.array([[0.3, 0.3, 0.3], [0.19, 0.19, 0.19], [1.2, 1.2, 1.2]])
-    found = feasible.check(m, m.series_from_joints("probe", q), Limits())
-    assert found.allowed.tolist() == [True, False, True]
-    assert found.reasons == {f"leave the travel of joint q{i}": 1 for i in (1, 2, 3)}
+    feasibility = feasible.check_readings(
+        m, m.series_from_joints("probe", q), ReadingLimits()
+    )
+    assert feasibility.allowed.tolist() == [True, False, True]
+    assert feasibility.refusal_counts == {
+        f"leave the travel of joint q{i}": 1 for i in (1, 2, 3)
+    }
 
 
 def test_nearness_to_a_singular_pose_is_the_angle_between_the_struts(
@@ -102,27 +102,31 @@ def test_nearness_to_a_singular_pose_is_the_angle_between_the_struts(
     half = np.arccos((along[:, 0] * along[:, 1]).sum(-1) / planar.L**2) / 2
     expected = np.minimum(np.tan(half), 1 / np.tan(half))
     limit = float(np.sort(expected)[50:52].mean())
-    found = feasible.check(m, series, Limits(singularity=limit))
-    assert found.details["singularity"] == pytest.approx(expected, rel=1e-9)
-    assert found.words == ["51 of 200 candidates are too near a singular pose"]
-    assert (found.allowed == (expected >= limit)).all()
+    feasibility = feasible.check_readings(m, series, ReadingLimits(singularity=limit))
+    assert feasibility.details["singularity"] == pytest.approx(expected, rel=1e-9)
+    assert feasibility.sentences == [
+        "51 of 200 candidates are too near a singular pose"
+    ]
+    assert (feasibility.allowed == (expected >= limit)).all()
 
 
 def test_travel_of_the_bar_about_its_length(rng: np.random.Generator) -> None:
     m, command, series = planar_series(rng)
     off = np.abs(np.linalg.norm(tips(command) - CUP, axis=1) - LENGTH)
-    found = feasible.check(m, series, Limits(travel=0.2))
-    assert found.details["travel"] == pytest.approx(off, abs=1e-13)
-    assert (found.allowed == (off <= 0.2)).all()
-    assert 0 < found.allowed.sum() < 200
-    other = feasible.check(m, series, Limits(travel=0.2, held=0.5))
+    feasibility = feasible.check_readings(m, series, ReadingLimits(travel=0.2))
+    assert feasibility.details["travel"] == pytest.approx(off, abs=1e-13)
+    assert (feasibility.allowed == (off <= 0.2)).all()
+    assert 0 < feasibility.allowed.sum() < 200
+    other = feasible.check_readings(m, series, ReadingLimits(travel=0.2, held=0.5))
     assert (
         other.allowed
         == (np.abs(np.linalg.norm(tips(command) - CUP, axis=1) - 0.5) <= 0.2)
     ).all()
     probe = Measurement(planar_2dof.machine, [mount(height_probe.instrument, "probe")])
     with pytest.raises(ValueError, match="height_probe holds no reading by design"):
-        feasible.check(probe, probe.series("probe", command), Limits(travel=0.1))
+        feasible.check_readings(
+            probe, probe.series("probe", command), ReadingLimits(travel=0.1)
+        )
 
 
 def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(
@@ -147,10 +151,12 @@ def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(
     point = np.concatenate([np.zeros((*pose.shape[:2], 1)), pose], axis=-1)
     length = np.linalg.norm(point - CUP - theta[:, None, 7:], axis=-1)
     counted = (np.abs(length - LENGTH) <= travel).mean(axis=0)
-    told = feasible.within_travel(m, m.series("bar", command), root @ root.T, travel)
+    probability = feasible.within_travel(
+        m, m.series("bar", command), root @ root.T, travel
+    )
     assert counted.min() < 0.4 < 0.8 < counted.max()
-    assert np.abs(told - counted).max() < 4 * np.sqrt(0.25 / draws) + 0.002
-    assert np.abs(told - counted).mean() < 0.004
+    assert np.abs(probability - counted).max() < 4 * np.sqrt(0.25 / draws) + 0.002
+    assert np.abs(probability - counted).mean() < 0.004
 
 
 def test_a_known_machine_stays_within_the_travel_or_not(
@@ -158,25 +164,29 @@ def test_a_known_machine_stays_within_the_travel_or_not(
 ) -> None:
     m, _, series = planar_series(rng)
     sure = feasible.within_travel(m, series, np.zeros((10, 10)), 0.2)
-    assert (sure == feasible.check(m, series, Limits(travel=0.2)).allowed).all()
+    assert (
+        sure == feasible.check_readings(m, series, ReadingLimits(travel=0.2)).allowed
+    ).all()
     wide = feasible.within_travel(m, series, np.diag(m.tolerance**2), 1e9)
     assert (wide == 1.0).all()
     with pytest.raises(ValueError, match="must be 10 x 10"):
         feasible.within_travel(m, series, np.eye(7), 0.2)
 
 
-def test_several_channels_are_judged_by_the_first(rng: np.random.Generator) -> None:
+def test_the_first_channel_has_the_travel(rng: np.random.Generator) -> None:
     """RM 5 reads dy and dz from the first pose of a line: only dy has the travel."""
     m = Measurement(planar_2dof.machine, [mount(relative.rm5, "rm5")])
     assert len(m.setups["rm5"].sigma) == 2
     series = m.series("rm5", places(rng, 12), run=["line"] * 12)
     first = m.readings([series], m.nominal).reshape(-1, 2)[:, 0]
-    found = feasible.check(m, series, Limits(travel=0.5, held=0.0))
-    assert found.details["travel"] == pytest.approx(np.abs(first))
+    feasibility = feasible.check_readings(
+        m, series, ReadingLimits(travel=0.5, held=0.0)
+    )
+    assert feasibility.details["travel"] == pytest.approx(np.abs(first))
     chance = feasible.within_travel(
         m, series, np.zeros((len(m.names),) * 2), 0.5, held=0.0
     )
-    assert (chance == found.allowed).all()
+    assert (chance == feasibility.allowed).all()
 
 
 def test_a_reading_falls_with_its_reference_pose() -> None:
@@ -184,10 +194,10 @@ def test_a_reading_falls_with_its_reference_pose() -> None:
     command = np.array([[0.0, 1.4], [0.1, 0.2], [0.2, 0.2], [0.0, 0.1], [0.1, 0.3]])
     series = m.series("calliper", command, run=["high", "high", "high", "low", "low"])
     highest = float(planar.inverse(command)[1:].max())
-    found = feasible.check(
-        m, series, Limits(joints={"q1": (0.0, highest), "q2": (0.0, highest)})
+    feasibility = feasible.check_readings(
+        m, series, ReadingLimits(joints={"q1": (0.0, highest), "q2": (0.0, highest)})
     )
-    assert found.allowed.tolist() == [False, False, True]
+    assert feasibility.allowed.tolist() == [False, False, True]
 
 
 # -- solid angles ----------------------------------------------------------------------
@@ -210,15 +220,16 @@ def test_solid_angles_at_cup_and_tool_are_the_oracles(rng: np.random.Generator) 
     down, out = np.array([0.1, 0.0, -2.0]), np.array([0.0, 0.3, 1.0])
     at_cup = angle(real.tip - cup, down)
     at_tool = angle(np.einsum("nji,nj->ni", real.R, cup - real.tip), out)
-    limits = Limits(
-        base_cone=Cone(tuple(down), 0.5), platform_cone=Cone(tuple(out), 0.6)
+    limits = ReadingLimits(
+        base_cone=DirectionCone(tuple(down), 0.5),
+        platform_cone=DirectionCone(tuple(out), 0.6),
     )
-    found = feasible.check(m, m.series("cup", command), limits)
-    assert found.details["base_cone"] == pytest.approx(at_cup, abs=1e-7)
-    assert found.details["platform_cone"] == pytest.approx(at_tool, abs=1e-7)
-    assert (found.allowed == ((at_cup <= 0.5) & (at_tool <= 0.6))).all()
-    assert 0 < found.allowed.sum() < 300
-    assert set(found.reasons) == {
+    feasibility = feasible.check_readings(m, m.series("cup", command), limits)
+    assert feasibility.details["base_cone"] == pytest.approx(at_cup, abs=1e-7)
+    assert feasibility.details["platform_cone"] == pytest.approx(at_tool, abs=1e-7)
+    assert (feasibility.allowed == ((at_cup <= 0.5) & (at_tool <= 0.6))).all()
+    assert 0 < feasibility.allowed.sum() < 300
+    assert set(feasibility.refusal_counts) == {
         "leave the cone at the cup",
         "leave the cone at the tool",
     }
@@ -228,18 +239,18 @@ def test_solid_angles_at_cup_and_tool_are_the_oracles(rng: np.random.Generator) 
 def test_a_cup_that_is_given_wins(rng: np.random.Generator, given: bool) -> None:
     m, command, series = planar_series(rng)
     cup = np.array([0.0, -1.0, -1.0]) if given else CUP
-    limits = Limits(
-        base_cone=Cone((0.0, 0.0, 1.0), 0.7), cup=tuple(cup) if given else None
+    limits = ReadingLimits(
+        base_cone=DirectionCone((0.0, 0.0, 1.0), 0.7), cup=tuple(cup) if given else None
     )
     expected = angle(tips(command) - cup, np.array([0.0, 0.0, 1.0]))
-    found = feasible.check(m, series, limits)
-    assert found.details["base_cone"] == pytest.approx(expected, abs=1e-7)
+    feasibility = feasible.check_readings(m, series, limits)
+    assert feasibility.details["base_cone"] == pytest.approx(expected, abs=1e-7)
     probe = Measurement(planar_2dof.machine, [mount(height_probe.instrument, "probe")])
     if not given:
         with pytest.raises(ValueError, match="give its cup"):
-            feasible.check(probe, probe.series("probe", command), limits)
+            feasible.check_readings(probe, probe.series("probe", command), limits)
     with pytest.raises(ValueError, match="axis that is not zero"):
-        Cone((0.0, 0.0, 0.0), 1.0)
+        DirectionCone((0.0, 0.0, 0.0), 1.0)
 
 
 # -- collisions ------------------------------------------------------------------------
@@ -257,7 +268,7 @@ def test_distances_of_segments_are_the_least_found_by_search(
     b1[3] = b0[3] + 2.5 * (a1[3] - a0[3])  # parallel
     b0[4], b1[4] = a1[4] + (a1[4] - a0[4]), a1[4] + 3 * (a1[4] - a0[4])  # in one line
     b0[5] = 0.3 * a0[5] + 0.7 * a1[5]  # touching
-    found = segment_distance(a0, a1, b0, b1)
+    distance = segment_distance(a0, a1, b0, b1)
 
     def searched(i: int) -> float:
         def square(st: np.ndarray) -> float:
@@ -278,10 +289,10 @@ def test_distances_of_segments_are_the_least_found_by_search(
             )
         )
 
-    assert found == pytest.approx([searched(i) for i in range(60)], abs=2e-6)
-    assert found == pytest.approx(segment_distance(b1, b0, a1, a0), abs=1e-14)
-    assert found[2] == pytest.approx(np.linalg.norm(a0[2] - b0[2]))
-    assert found[5] == pytest.approx(0.0, abs=1e-14)
+    assert distance == pytest.approx([searched(i) for i in range(60)], abs=2e-6)
+    assert distance == pytest.approx(segment_distance(b1, b0, a1, a0), abs=1e-14)
+    assert distance[2] == pytest.approx(np.linalg.norm(a0[2] - b0[2]))
+    assert distance[5] == pytest.approx(0.0, abs=1e-14)
 
 
 def test_distances_of_a_crossing_and_of_a_point() -> None:
@@ -322,7 +333,7 @@ def test_clearance_of_struts_and_bar_is_that_of_sampled_points(
     about = Surroundings(
         obstacles=around, links=0.03, bar=0.01, margin=0.05, ignore=(0, 2)
     )
-    found = feasible.check(m, series, Limits(surroundings=about))
+    feasibility = feasible.check_readings(m, series, ReadingLimits(surroundings=about))
     link = sampled(struts(command), centre).min(axis=1) - 0.2 - 0.03
     rod = (
         sampled(
@@ -331,14 +342,17 @@ def test_clearance_of_struts_and_bar_is_that_of_sampled_points(
         - 0.2
         - 0.01
     )
-    assert found.details["clearance"] == pytest.approx(np.minimum(link, rod), abs=1e-4)
+    assert feasibility.details["clearance"] == pytest.approx(
+        np.minimum(link, rod), abs=1e-4
+    )
     assert (rod < link).any()
     assert (link < rod).any()
-    assert (found.allowed == (np.minimum(link, rod) >= 0.05)).all()
-    assert 0 < found.reasons["come too near an obstacle"] < 200
+    assert (feasibility.allowed == (np.minimum(link, rod) >= 0.05)).all()
+    assert 0 < feasibility.refusal_counts["come too near an obstacle"] < 200
     with_guides = Clearance(m, "bar", dataclasses.replace(about, ignore=()))
     assert (
-        with_guides.series(series, series.start) <= 2.2 - 1.792 - 0.45 - 0.03 + 1e-12
+        with_guides.at_readings(series, series.start)
+        <= 2.2 - 1.792 - 0.45 - 0.03 + 1e-12
     ).all()
 
 
@@ -350,9 +364,9 @@ def test_clearance_of_a_whole_skeleton_with_a_longer_tool(
         "cup250", CASES["a3_head"].commands(rng, 20) + np.array([0.25, 0, 0])
     )
     wall = Capsule((0.4, -0.5, 1.3), (0.4, 0.5, 1.5), 0.02)
-    found = Clearance(m, "cup250", Surroundings(obstacles=(wall,), links=0.03)).at(
-        series.start, series.q
-    )
+    clearance = Clearance(
+        m, "cup250", Surroundings(obstacles=(wall,), links=0.03)
+    ).at_poses(series.start, series.q)
     points = np.linspace(wall.start, wall.end, 401)
     for k in (0, 5, 19):
         tip = m.kinematics.frames(series.start[k : k + 1], np.array([0, 0, 0.25]))[1][0]
@@ -365,13 +379,13 @@ def test_clearance_of_a_whole_skeleton_with_a_longer_tool(
         lines.append(np.stack([lines[-1][-1], tip]))
         ends = np.concatenate([np.stack([v[:-1], v[1:]], axis=1) for v in lines])
         expected = min(sampled(ends, point, 801).min() for point in points) - 0.05
-        assert found[k] == pytest.approx(expected, abs=1e-4)
+        assert clearance[k] == pytest.approx(expected, abs=1e-4)
 
 
-def test_surroundings_that_say_nothing_are_refused() -> None:
+def test_incomplete_surroundings_are_refused() -> None:
     with pytest.raises(ValueError, match="at least one obstacle"):
         Surroundings(obstacles=(), bar=0.01)
-    with pytest.raises(ValueError, match="nothing that moves"):
+    with pytest.raises(ValueError, match="nothing that moves is checked"):
         Surroundings(obstacles=(sphere((0.0, 0.0, 0.0), 0.1),))
     bare = Measurement(
         dataclasses.replace(planar_2dof.machine, skeleton=None),
@@ -420,29 +434,29 @@ def test_free_moves_are_those_of_dense_sampling(rng: np.random.Generator) -> Non
     )
     least = along - 0.15 - 0.02
     assert (np.abs(least - margin) > 5e-4).all()
-    free = Clearance(m, "bar", about).free(before, after)
+    free = Clearance(m, "bar", about).free_moves(before, after)
     assert (free == (least >= margin)).all()
     assert 5 < free.sum() < 55
-    assert (free == Clearance(m, "bar", about).free(after, before)).all()
+    assert (free == Clearance(m, "bar", about).free_moves(after, before)).all()
 
 
-def test_a_move_that_an_instrument_leads_follows_it() -> None:
+def test_a_guided_move_follows_its_instrument() -> None:
     """From stroke 0 to 200 mm the bar bends the way outwards: its ball is halfway where
     a straight move is not.
     """
     m = a3_plans.measurement()
     ends = a3_plans.bar_commands(m, np.array([0.0, 0.2]), np.zeros(2))
     middle = ends.mean(axis=0, keepdims=True)
-    lead = partial(m.hold, "cup", coordinate="theta")
+    guide = partial(m.hold, "cup", coordinate="theta")
     cup = np.array([0.0, 0.0, a3.Z_TEACH])
-    straight, led = (
+    straight, guided = (
         a3.forward(np.zeros(24), a3.inverse_nominal(*c[0])).tip
-        for c in (middle, lead(middle)[0])
+        for c in (middle, guide(middle)[0])
     )
     assert np.linalg.norm(straight - cup) < 0.299
-    assert np.linalg.norm(led - cup) == pytest.approx(0.3)
+    assert np.linalg.norm(guided - cup) == pytest.approx(0.3)
     for where, expected in (
-        (led, [True, False]),
+        (guided, [True, False]),
         (straight, [False, False]),
         (cup * 0.9, [True, True]),
     ):
@@ -450,14 +464,14 @@ def test_a_move_that_an_instrument_leads_follows_it() -> None:
             m, "cup", Surroundings(obstacles=(sphere(tuple(where), 2e-4),), bar=1e-6)
         )
         assert [
-            bool(clearance.free(ends[:1], ends[1:], lead=way)[0])
-            for way in (None, lead)
+            bool(clearance.free_moves(ends[:1], ends[1:], guide=way)[0])
+            for way in (None, guide)
         ] == expected
     short = Measurement(
         m.machine, [mount(ball_bar.instrument, "cup", teach=(1.286, 0, 0), length=0.05)]
     )
-    assert not clearance.free(
-        ends[:1], ends[1:], lead=partial(short.hold, "cup", coordinate="theta")
+    assert not clearance.free_moves(
+        ends[:1], ends[1:], guide=partial(short.hold, "cup", coordinate="theta")
     ).any()
 
 
@@ -465,4 +479,4 @@ def test_moves_out_of_reach_are_blocked() -> None:
     m = Measurement(planar_2dof.machine, list(bar().setups.values()))
     about = Surroundings(obstacles=(sphere((9.0, 9.0, 9.0), 0.1),), links=0.01)
     moves = np.array([[0.0, 0.1], [0.0, 0.1]]), np.array([[1.0, 0.5], [1.7, 0.5]])
-    assert Clearance(m, "bar", about).free(*moves).tolist() == [True, False]
+    assert Clearance(m, "bar", about).free_moves(*moves).tolist() == [True, False]

@@ -94,18 +94,19 @@ def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above()
     active = np.arange(made.count)
     w = rng.uniform(0.2, 1.0, made.count)
     smooth = apart.dataclasses.replace(made, sharp=3.0)
-    slopes, curvature = smooth.newton(active, w)
+    slopes, curvature = smooth.slopes_and_curvature(active, w)
     for k in (0, 7, 15):
         step = 1e-5 * np.eye(made.count)[k]
         up, down = smooth.value(active, w + step), smooth.value(active, w - step)
         assert slopes[k] == pytest.approx((up - down) / 2e-5, rel=1e-5)
         bent = (
-            smooth.newton(active, w + step)[0] - smooth.newton(active, w - step)[0]
+            smooth.slopes_and_curvature(active, w + step)[0]
+            - smooth.slopes_and_curvature(active, w - step)[0]
         ) / 2e-5
         np.testing.assert_allclose(
             -bent, curvature[k], rtol=1e-4, atol=1e-6 * np.abs(curvature).max()
         )
-    line = made.line(active, w)
+    line = made.tangent(active, w)
     for _ in range(50):
         other = rng.uniform(0.0, 1.0, made.count)
         assert (

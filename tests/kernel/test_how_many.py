@@ -18,7 +18,7 @@ def test_equal_readings_follow_the_square_root_law() -> None:
     """
     rows = np.tile(np.eye(2), (40, 1))[:, None, :]
     goal = AccuracyGoal(("a", "b"), np.eye(2)[:, None, :] / 0.35)
-    problem = SizeCurve(rows, np.eye(2), goal)
+    problem = SizeCurve(rows, np.eye(2), goal, (0,))
     for point in problem.curve([2, 8, 20]):
         exact = 1.0 / np.sqrt(1.0 + point.size / 2) / 0.35
         assert point.accuracy == pytest.approx([exact, exact], rel=1e-9)
@@ -26,11 +26,11 @@ def test_equal_readings_follow_the_square_root_law() -> None:
         assert point.bound == pytest.approx(
             np.full(2, 1.0 / np.sqrt(1.0 + point.size) / 0.35), rel=1e-3
         )
-    found = problem.fewest(most=40)
+    fewest = problem.fewest(most=40)
     assert (
-        found.size == 2 * int(np.ceil(1.0 / 0.35**2 - 1.0)) == 16
+        fewest.size == 2 * int(np.ceil(1.0 / 0.35**2 - 1.0)) == 16
     )  # 1 + N / 2 >= 1 / 0.35^2
-    assert found.at_least == 15  # half a reading of each more would do
+    assert fewest.at_least == 15  # half a reading of each more would do
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -43,7 +43,7 @@ def test_no_subset_beats_the_bounds_nor_the_fewest(seed: int) -> None:
         prior + 0.4 * np.einsum("ckn,ckm->nm", rows, rows)
     )  # reachable with some of the ten
     goal = AccuracyGoal(("a", "b"), factors / scale[:, None, None])
-    problem = SizeCurve(rows, prior, goal, starts=6)
+    problem = SizeCurve(rows, prior, goal, (0,), rounds=6)
 
     def accuracies(size: int) -> np.ndarray:
         plans = [rows[list(s), 0] for s in itertools.combinations(range(10), size)]
@@ -53,18 +53,18 @@ def test_no_subset_beats_the_bounds_nor_the_fewest(seed: int) -> None:
         every, point = accuracies(size), problem.point(size)
         assert (every.min(axis=0) >= point.bound - 1e-9).all()
         assert point.accuracy.max() <= 1.02 * every.max(axis=1).min()
-    found = problem.fewest(most=10)
+    fewest = problem.fewest(most=10)
     exact = next(n for n in range(1, 11) if (accuracies(n).max(axis=1) <= 1.0).any())
-    assert found.at_least <= exact
-    assert found.size in (exact, exact + 1)
+    assert fewest.at_least <= exact
+    assert fewest.size in (exact, exact + 1)
 
 
-def test_what_cannot_be_reached_is_said() -> None:
+def test_a_goal_out_of_reach_is_reported() -> None:
     rows = np.tile(np.eye(2), (3, 1))[:, None, :]
-    found = SizeCurve(
-        rows, np.eye(2), AccuracyGoal(("a", "b"), np.eye(2)[:, None, :] / 0.01)
+    fewest = SizeCurve(
+        rows, np.eye(2), AccuracyGoal(("a", "b"), np.eye(2)[:, None, :] / 0.01), (0,)
     ).fewest(most=6)
-    assert found.size is None
-    assert not found.proven
-    assert found.best.size == 6
-    assert (found.best.bound > 1.0).all()
+    assert fewest.size is None
+    assert not fewest.proven
+    assert fewest.best.size == 6
+    assert (fewest.best.bound > 1.0).all()

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import planar_geometry as planar
 
-from oed.design import order
-from oed.design.clearance import Clearance, Surroundings, sphere
+from oed.design import move_times, order, path_search, schedule
+from oed.design.clearance import Clearance, Surroundings
+from oed.design.segments import sphere
 from oed.instrument import Protocol, mount
 from oed.measurement import Measurement
 from pkm_models.instruments import ball_bar, calliper, height_probe
@@ -47,14 +48,14 @@ def shortest(distance: np.ndarray, start: np.ndarray, finish: np.ndarray) -> flo
 
 def nearest_neighbours(distance: np.ndarray) -> float:
     """Least length over all first poses; inf where it runs into a forbidden move."""
-    found = []
+    lengths = []
     for first in range(len(distance)):
         path = [first]
         while len(path) < len(distance):
-            left = [j for j in range(len(distance)) if j not in path]
-            path.append(min(left, key=lambda j: distance[path[-1], j]))
-        found.append(along(path, distance))
-    return min(found)
+            on_left = [j for j in range(len(distance)) if j not in path]
+            path.append(min(on_left, key=lambda j: distance[path[-1], j]))
+        lengths.append(along(path, distance))
+    return min(lengths)
 
 
 def plane(seed: int, n: int) -> np.ndarray:
@@ -86,11 +87,11 @@ def test_small_paths_are_the_shortest_of_all(
             with pytest.raises(
                 ValueError, match="there is no path" if exact else "no path was found"
             ):
-                order.order(
+                order.order_poses(
                     distance, np.random.default_rng(seed), kicks=60, **given_ends
                 )
             continue
-        path = order.order(
+        path = order.order_poses(
             distance, np.random.default_rng(seed), kicks=60, **given_ends
         )
         total = (
@@ -121,7 +122,7 @@ def test_every_pose_once_and_never_longer_than_nearest_neighbours(
 ) -> None:
     distance, _, _ = problem(seed, n, forbidden)
     try:
-        path = order.order(distance, np.random.default_rng(seed), kicks=5)
+        path = order.order_poses(distance, np.random.default_rng(seed), kicks=5)
     except ValueError:
         assert np.isinf(nearest_neighbours(distance))
         return
@@ -129,7 +130,7 @@ def test_every_pose_once_and_never_longer_than_nearest_neighbours(
     assert np.isfinite(path.steps).all()
     assert path.length == pytest.approx(along(path.indices, distance))
     assert path.length <= nearest_neighbours(distance) + 1e-12
-    again = order.order(distance, np.random.default_rng(seed), kicks=5)
+    again = order.order_poses(distance, np.random.default_rng(seed), kicks=5)
     assert (again.indices == path.indices).all()
 
 
@@ -140,13 +141,13 @@ def test_search_comes_near_the_exact_path_where_both_can_be_had(
     excess = []
     for seed in range(6):
         distance = plane(seed, 11) if symmetric else problem(seed, 11)[0]
-        exact = order.order(distance, np.random.default_rng(0))
+        exact = order.order_poses(distance, np.random.default_rng(0))
         monkeypatch.setattr(order, "EXACT", 2)
-        found = order.order(distance, np.random.default_rng(0))
+        route = order.order_poses(distance, np.random.default_rng(0))
         monkeypatch.undo()
         assert exact.exact
-        assert not found.exact
-        excess.append(found.length / exact.length - 1)
+        assert not route.exact
+        excess.append(route.length / exact.length - 1)
     assert min(excess) > -1e-12
     assert np.median(excess) < 1e-12
     assert max(excess) < 0.02
@@ -159,33 +160,33 @@ def test_the_best_reversal_and_shift_are_those_of_all(seed: int) -> None:
     """
     runs = [[3, 0, 5], [1], [2, 7], [6, 4], [8], [9, 10], [11]]
     distance, start, finish = problem(seed, 12)
-    states = order._States.of(distance, start, finish, runs, reversible=True)
+    states = path_search.RunStates.of(distance, start, finish, runs, True)
     tour = np.random.default_rng(seed).permutation([1, 3, 4, 6, 8, 9, 11])
-    assert states.unit[tour].tolist() != list(range(7))
-    here, closed = states.length(tour), np.concatenate([[0], tour, [0]])
+    assert states.run[tour].tolist() != list(range(7))
+    length, closed = states.length(tour), np.concatenate([[0], tour, [0]])
 
     def turned(part: np.ndarray) -> np.ndarray:
         return states.flip[part][::-1]
 
     def gain(paths: list[np.ndarray]) -> float:
-        assert all(sorted(states.unit[p]) == list(range(7)) for p in paths)
-        return min(states.length(p) for p in paths) - here
+        assert all(sorted(states.run[p]) == list(range(7)) for p in paths)
+        return min(states.length(p) for p in paths) - length
 
-    found, better = order._reversal(closed, states)
+    delta, changed = path_search._best_reversal(closed, states)
     stretches = [(i, j) for i in range(7) for j in range(i + 1, 8)]
-    assert found == pytest.approx(
+    assert delta == pytest.approx(
         gain([np.r_[tour[:i], turned(tour[i:j]), tour[j:]] for i, j in stretches])
     )
-    assert states.length(better()) - here == pytest.approx(found)
+    assert states.length(changed()) - length == pytest.approx(delta)
     for size in (1, 2, 3):
         paths = []
         for i in range(8 - size):
             part, rest = tour[i : i + size], np.delete(tour, np.s_[i : i + size])
             for k in (k for k in range(len(rest) + 1) if k != i):
                 paths += [np.r_[rest[:k], p, rest[k:]] for p in (part, turned(part))]
-        found, better = order._shift(closed, states, size)
-        assert found == pytest.approx(gain(paths))
-        assert states.length(better()) - here == pytest.approx(found)
+        delta, changed = path_search._best_shift(closed, states, size)
+        assert delta == pytest.approx(gain(paths))
+        assert states.length(changed()) - length == pytest.approx(delta)
 
 
 def test_around_a_ring_all_gaps_but_the_widest_are_walked(
@@ -198,7 +199,7 @@ def test_around_a_ring_all_gaps_but_the_widest_are_walked(
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
     shuffled = rng.permutation(40)
     distance = np.linalg.norm(ring[shuffled][:, None] - ring[shuffled], axis=-1)
-    path = order.order(distance, rng)
+    path = order.order_poses(distance, rng)
     assert path.length == pytest.approx(
         np.linalg.norm(np.diff(ring, axis=0), axis=1).sum()
     )
@@ -208,14 +209,14 @@ def test_around_a_ring_all_gaps_but_the_widest_are_walked(
 
 def test_lengths_that_make_no_sense_are_refused(rng: np.random.Generator) -> None:
     with pytest.raises(ValueError, match="must be square"):
-        order.order(np.ones((3, 2)), rng)
+        order.order_poses(np.ones((3, 2)), rng)
     with pytest.raises(ValueError, match="not negative"):
-        order.order(np.array([[0.0, -1.0], [1.0, 0.0]]), rng)
+        order.order_poses(np.array([[0.0, -1.0], [1.0, 0.0]]), rng)
     with pytest.raises(ValueError, match="start must give one length"):
-        order.order(np.ones((3, 3)), rng, start=np.ones(2))
+        order.order_poses(np.ones((3, 3)), rng, start=np.ones(2))
     with pytest.raises(ValueError, match="each of the poses 0 to 2 once"):
-        order.order(np.ones((3, 3)), rng, runs=[[0, 1], [1, 2]])
-    nothing = order.order(np.zeros((0, 0)), rng)
+        order.order_poses(np.ones((3, 3)), rng, runs=[[0, 1], [1, 2]])
+    nothing = order.order_poses(np.zeros((0, 0)), rng)
     assert nothing.length == 0.0
     assert nothing.indices.size == 0
 
@@ -238,7 +239,7 @@ def test_runs_stay_together_in_the_best_order(
             for ways in product(*[(r, r[::-1]) if reversible else (r,) for r in p]):
                 whole = [i for r in ways for i in r]
                 best = min(best, start[whole[0]] + along(whole, distance))
-        path = order.order(
+        path = order.order_poses(
             distance,
             np.random.default_rng(seed),
             start=start,
@@ -268,8 +269,8 @@ def test_the_passes_of_a_protocol_are_runs_that_follow_each_other() -> None:
     series = m.series("probe", command, run=["line"] * 4).passes(protocol)
     labels = list(dict.fromkeys(series.run))
     runs = [np.flatnonzero(series.run == label).tolist() for label in labels]
-    path = order.order(
-        order.travel(m, series, 0.1), np.random.default_rng(0), runs=runs
+    path = order.order_poses(
+        move_times.travel_between(m, series, 0.1), np.random.default_rng(0), runs=runs
     )
     assert [labels[k] for k in path.run[[0, 4]]] in (
         ["line, forward 1", "line, backward 1"],
@@ -287,21 +288,21 @@ def test_travel_is_the_slowest_joints(rng: np.random.Generator) -> None:
     q, speeds = planar.inverse(command), np.array([0.1, 0.04])
     series = m.series("probe", command)
     expected = [[max(abs(a - b) / speeds) for b in q] for a in q]
-    assert order.travel(m, series, speeds) == pytest.approx(
+    assert move_times.travel_between(m, series, speeds) == pytest.approx(
         np.array(expected), abs=1e-9
     )
     home = planar.inverse(np.zeros(2))
-    assert order.travel_from(m, series, speeds) == pytest.approx(
+    assert move_times.travel_from(m, series, speeds) == pytest.approx(
         (np.abs(q - home) / speeds).max(axis=1), abs=1e-9
     )
     there = planar.inverse(np.array([1.0, 1.0]))
-    from_there = order.travel_from(m, series, speeds, [1.0, 1.0])
+    from_there = move_times.travel_from(m, series, speeds, [1.0, 1.0])
     assert from_there == pytest.approx(
         (np.abs(q - there) / speeds).max(axis=1), abs=1e-9
     )
-    assert order.travel_times(command, command[:3], 2.0).shape == (12, 3)
+    assert move_times.travel_times(command, command[:3], 2.0).shape == (12, 3)
     with pytest.raises(ValueError, match="speeds must be positive"):
-        order.travel(m, series, [0.1, 0.0])
+        move_times.travel_between(m, series, [0.1, 0.0])
 
 
 def test_a_wall_between_two_groups_is_gone_round_by_the_retract_pose(
@@ -316,35 +317,37 @@ def test_a_wall_between_two_groups_is_gone_round_by_the_retract_pose(
         [rng.uniform([s - 0.1, 0.45], [s + 0.1, 0.55], (8, 2)) for s in (-0.7, 0.7)]
     )
     command = groups[rng.permutation(16)]
-    left = command[:, 0] < 0
+    on_left = command[:, 0] < 0
     about = Surroundings(
         obstacles=(sphere((0.0, 0.0, 0.5), 0.15),), links=0.02, ignore=(0, 2)
     )
-    clear = Clearance(m, "bar", about).free
-    free = order.free_moves(command, clear)
-    assert (free == (left[:, None] == left)).all()
-    direct = order.travel(m, m.series("bar", command), 0.1)
+    clear = Clearance(m, "bar", about).free_moves
+    free = move_times.free_moves(command, clear)
+    assert (free == (on_left[:, None] == on_left)).all()
+    direct = move_times.travel_between(m, m.series("bar", command), 0.1)
     with pytest.raises(ValueError, match="give a retract pose"):
-        order.order(np.where(free, direct, np.inf), rng)
+        order.order_poses(np.where(free, direct, np.inf), rng)
     retract = np.array([0.0, 1.4])
     reached = clear(command, np.broadcast_to(retract, command.shape))
     assert reached.all()
     legs = np.where(
-        reached, order.travel_from(m, m.series("bar", command), 0.1, retract), np.inf
+        reached,
+        move_times.travel_from(m, m.series("bar", command), 0.1, retract),
+        np.inf,
     )
-    distance, via = order.around(direct, free, legs, legs)
-    path = order.order(distance, rng)
+    distance, via = move_times.via_retract(direct, free, legs, legs)
+    path = order.order_poses(distance, rng)
     i, j = path.indices[:-1], path.indices[1:]
     assert via[i, j].sum() == 1
     k = int(np.flatnonzero(via[i, j])[0])
-    assert left[i[k]] != left[j[k]]
+    assert on_left[i[k]] != on_left[j[k]]
     assert path.steps[1:][k] == pytest.approx(legs[i[k]] + legs[j[k]])
     assert (path.steps[1:][~via[i, j]] == direct[i, j][~via[i, j]]).all()
 
 
 def test_a_retract_pose_that_can_not_be_reached_does_not_help() -> None:
     free = np.array([[True, False], [False, True]])
-    length, via = order.around(
+    length, via = move_times.via_retract(
         np.ones((2, 2)), free, np.array([1.0, np.inf]), np.array([2.0, 3.0])
     )
     assert length.tolist() == [[1.0, 4.0], [np.inf, 1.0]]
@@ -373,7 +376,7 @@ def test_reference_readings_cost_the_least_of_all_ways_to_place_them(
     distance, to_reference, from_reference = problem(seed, 8)
     reading, stay = rng.uniform(0.5, 1.5, 8), 2.0
     runs = [[0, 1, 2], [3], [4, 5], [6], [7]] if with_runs else None
-    path = order.order(distance, rng, start=from_reference, runs=runs)
+    path = order.order_poses(distance, rng, start=from_reference, runs=runs)
     every = 6.5
 
     def move(a: int, b: int) -> float:
@@ -394,29 +397,27 @@ def test_reference_readings_cost_the_least_of_all_ways_to_place_them(
             marks = begins[pose < 0]
             if (marks[1:] - (marks[:-1] + stay) <= every).all():
                 best = min(best, begins[-1] + stay)
-    schedule = order.interleave(
+    timed = schedule.interleave(
         path, reading, every, to_reference, from_reference, stay
     )
-    assert schedule.seconds == pytest.approx(best)
-    assert schedule.begins == pytest.approx(replay(schedule.pose, move, takes))
-    assert schedule.pose[schedule.pose >= 0].tolist() == path.indices.tolist()
-    assert schedule.reference[[0, -1]].all()
-    assert 3 <= schedule.reference.sum() < 9
+    assert timed.seconds == pytest.approx(best)
+    assert timed.begins == pytest.approx(replay(timed.pose, move, takes))
+    assert timed.pose[timed.pose >= 0].tolist() == path.indices.tolist()
+    assert timed.reference[[0, -1]].all()
+    assert 3 <= timed.reference.sum() < 9
     with pytest.raises(
         ValueError, match="longer than 1 s: read the reference less often"
     ):
-        order.interleave(path, reading, 1.0, to_reference, from_reference, stay)
+        schedule.interleave(path, reading, 1.0, to_reference, from_reference, stay)
 
 
 def test_without_need_the_reference_is_read_first_and_last_alone() -> None:
-    path = order.order(plane(1, 20), np.random.default_rng(0))
-    schedule = order.interleave(
+    path = order.order_poses(plane(1, 20), np.random.default_rng(0))
+    timed = schedule.interleave(
         path, 6.0, 1e6, np.full(20, 3.0), np.full(20, 2.0), 10.0, begin=100.0
     )
-    assert schedule.pose.tolist() == [-1, *path.indices, -1]
-    assert schedule.seconds == pytest.approx(
-        100 + 10 + 2 + path.length + 20 * 6 + 3 + 10
-    )
+    assert timed.pose.tolist() == [-1, *path.indices, -1]
+    assert timed.seconds == pytest.approx(100 + 10 + 2 + path.length + 20 * 6 + 3 + 10)
 
 
 # -- set-ups ---------------------------------------------------------------------------
@@ -441,8 +442,8 @@ def test_set_ups_are_ordered_with_least_remounting() -> None:
         for tool, place, length in product((0.0, 0.05), (0, 1), (0.15, 0.3))
     ]
     setups.append(mount(calliper.instrument, "calliper"))
-    changes = order.Changes(tool=600.0, place=100.0, settings=10.0)
-    costs, first = order.remounting(setups, changes)
+    changes = move_times.ChangeTimes(tool=600.0, place=100.0, settings=10.0)
+    costs, first = move_times.remounting(setups, changes)
     assert costs[0, 1] == 10.0
     assert costs[0, 2] == 100.0
     assert costs[0, 7] == 710.0
@@ -464,8 +465,8 @@ def test_taught_set_ups_move_with_their_teach_pose() -> None:
         mount(ball_bar.instrument, n, teach=t)
         for n, t in (("a", (0.0, 0.2)), ("b", (0.3, 0.2)))
     ]
-    costs, _ = order.remounting(
-        setups, order.Changes(tool=600.0, place=100.0, settings=10.0)
+    costs, _ = move_times.remounting(
+        setups, move_times.ChangeTimes(tool=600.0, place=100.0, settings=10.0)
     )
     assert costs.tolist() == [[0.0, 100.0], [100.0, 0.0]]
 

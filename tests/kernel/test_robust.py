@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from oed.design import robust
-from oed.design.criterion import Determinant, Spectrum, Variance
+from oed.design.criterion import Determinant, ExtremeEigenvalues, Variance
 from oed.design.rules import Rules
 
 
@@ -40,31 +40,31 @@ def test_no_subset_exceeds_the_bound(seed: int, risk: robust.Risk) -> None:
     best.
     """
     table, rng = scenarios(seed, 12, 5, 3)
-    found = robust.choose(
-        table, Determinant(3), Rules(size=5), rng, risk=risk, level=0.4
+    choice = robust.choose(
+        table, Determinant(3), Rules(size=5), rng, risk=risk, tail_share=0.4
     )
     every = np.array(
         [risk_of(values(table, s), risk) for s in itertools.combinations(range(12), 5)]
     )
-    assert found.value == pytest.approx(
-        risk_of(values(table, tuple(found.indices)), risk), abs=1e-9
+    assert choice.value == pytest.approx(
+        risk_of(values(table, tuple(choice.indices)), risk), abs=1e-9
     )
-    assert every.max() <= found.bound + 1e-9
-    assert found.value >= np.quantile(every, 0.99)
-    assert found.value >= found.nominal
+    assert every.max() <= choice.bound + 1e-9
+    assert choice.value >= np.quantile(every, 0.99)
+    assert choice.value >= choice.nominal
 
 
 def test_one_scenario_is_the_plain_problem(rng: np.random.Generator) -> None:
     table, _ = scenarios(3, 40, 1, 4)
     prior = np.eye(4)
-    kept = [
+    choices = [
         robust.choose(
             table, Variance(np.eye(4)), Rules(size=8), rng, risk=r, prior=prior
         )
         for r in ("mean", "cvar", "worst")
     ]
-    assert [k.value for k in kept] == pytest.approx([kept[0].value] * 3, abs=1e-3)
-    assert [k.bound for k in kept] == pytest.approx([kept[0].bound] * 3, abs=1e-3)
+    assert [k.value for k in choices] == pytest.approx([choices[0].value] * 3, abs=1e-3)
+    assert [k.bound for k in choices] == pytest.approx([choices[0].bound] * 3, abs=1e-3)
 
 
 def test_risks_are_ordered() -> None:
@@ -72,30 +72,32 @@ def test_risks_are_ordered() -> None:
     the best worst case.
     """
     table, _ = scenarios(9, 60, 8, 4)
-    found = {
+    choice = {
         r: robust.choose(
             table,
             Determinant(4),
             Rules(size=8),
             np.random.default_rng(0),
             risk=r,
-            level=0.25,
+            tail_share=0.25,
         )
         for r in ("mean", "cvar", "worst")
     }
-    assert found["worst"].bound <= found["cvar"].bound + 1e-3
-    assert found["cvar"].bound <= found["mean"].bound + 1e-3
-    assert found["worst"].values.min() >= found["mean"].values.min() - 1e-9
-    assert found["worst"].efficiency > 0.8
+    assert choice["worst"].bound <= choice["cvar"].bound + 1e-3
+    assert choice["cvar"].bound <= choice["mean"].bound + 1e-3
+    assert choice["worst"].values.min() >= choice["mean"].values.min() - 1e-9
+    assert choice["worst"].efficiency > 0.8
 
 
 def test_budget_and_refusals(rng: np.random.Generator) -> None:
     table, _ = scenarios(1, 30, 4, 3)
     cost = rng.uniform(1.0, 3.0, 30)
-    found = robust.choose(table, Determinant(3), Rules(budget=15.0, cost=cost), rng)
-    assert cost[found.indices].sum() <= 15.0
-    assert found.value <= found.bound
-    with pytest.raises(ValueError, match="smooth criteria"):
-        robust.choose(table, Spectrum(), Rules(size=5), rng)
+    choice = robust.choose(table, Determinant(3), Rules(budget=15.0, cost=cost), rng)
+    assert cost[choice.indices].sum() <= 15.0
+    assert choice.value <= choice.bound
+    with pytest.raises(ValueError, match="needs a smooth criterion"):
+        robust.choose(table, ExtremeEigenvalues(), Rules(size=5), rng)
     with pytest.raises(ValueError, match="share of worst"):
-        robust.choose(table, Determinant(3), Rules(size=5), rng, risk="cvar", level=0.0)
+        robust.choose(
+            table, Determinant(3), Rules(size=5), rng, risk="cvar", tail_share=0.0
+        )

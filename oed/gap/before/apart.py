@@ -29,7 +29,7 @@ from oed.design.objective import Tangent
 
 #: least lambda that is told from none: its logarithm must stay finite
 LEAST = 1e-9
-#: how sharply the smoothed minimum takes the least targets, from rung to rung
+#: how sharply the smoothed minimum takes the least targets, from level to level
 SHARP = (2.0, 8.0, 32.0, 128.0, 512.0)
 
 
@@ -130,7 +130,7 @@ class Separation:
         """The compound, smoothed."""
         return float(self.worth(self.at(active, weights), self.sharp))
 
-    def line(self, active: Index, weights: Array) -> Tangent:
+    def tangent(self, active: Index, weights: Array) -> Tangent:
         """The tangent of the shares' mean of the log lambdas: above their minimum
         everywhere.
         """
@@ -149,10 +149,12 @@ class Separation:
             slopes,
             0.0,
             offset - float(weights @ slopes[active]),
-            straight=True,
+            linear=True,
         )
 
-    def newton(self, active: Index, weights: Array) -> tuple[Array, Array]:
+    def slopes_and_curvature(
+        self, active: Index, weights: Array
+    ) -> tuple[Array, Array]:
         """Slopes and curvature of the smoothed compound."""
         m, some = self.at(active, weights), self.grams[active]
         slopes, curvature = (
@@ -211,11 +213,11 @@ class Separation:
             curvatures.append(2.0 * u @ inverse @ u.T / lam + np.outer(g, g))
         return np.array(logs), np.array(slopes), np.array(curvatures)
 
-    def sample(self, chosen: Index) -> Separation:
+    def subset(self, chosen: Index) -> Separation:
         """Over some of the candidates only."""
         return dataclasses.replace(self, grams=self.grams[chosen])
 
-    def typical(self, weights: Array) -> float:
+    def mean_eigenvalue(self, weights: Array) -> float:
         """Mean information on a parameter."""
         n = self.size
         total = np.tensordot(
@@ -223,7 +225,7 @@ class Separation:
         )
         return float(total + np.trace(self.base[:n, :n])) / n
 
-    def ridged(self, ridge: float) -> Separation:
+    def with_ridge(self, ridge: float) -> Separation:
         """As it is: the parameters' prior keeps everything finite."""
         return self
 
@@ -236,12 +238,12 @@ class Separation:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SeparationJudge:
-    """Plans judged by the compound; rung 0 smooths the minimum, so that an exchange may
+    """Plans judged by the compound; level 0 smooths the minimum, so that an exchange may
     help several targets.
     """
 
     separation: Separation
-    rungs: int = 2
+    levels: int = 2
 
     @property
     def count(self) -> int:
@@ -252,26 +254,28 @@ class SeparationJudge:
         """The compound."""
         return float(self.separation.worth(self.separation.of(chosen)))
 
-    def held(self, chosen: Index, rung: int) -> float:
-        """By a rung."""
+    def regularised_value(self, chosen: Index, level: int) -> float:
+        """At a level."""
         return float(
-            self.separation.worth(self.separation.of(chosen), _sharpness(rung))
+            self.separation.worth(self.separation.of(chosen), _sharpness(level))
         )
 
-    def added(self, chosen: Index, rung: int, ridge: float | None = None) -> Array:
-        """By a rung, of the plan with each candidate (C,) added."""
+    def values_after_adding(
+        self, chosen: Index, level: int, ridge: float | None = None
+    ) -> Array:
+        """At a level, of the plan with each candidate (C,) added."""
         return self.separation.worth(
-            self.separation.of(chosen) + self.separation.grams, _sharpness(rung)
+            self.separation.of(chosen) + self.separation.grams, _sharpness(level)
         )
 
-    def quick(self, chosen: Index, rung: int) -> Index | None:
+    def exchange_all(self, chosen: Index, level: int) -> Index | None:
         """No faster way is known."""
         return None
 
-    def take(self, pool: Index) -> SeparationJudge:
+    def subset(self, pool: Index) -> SeparationJudge:
         """Over some of the candidates."""
-        return SeparationJudge(self.separation.sample(pool))
+        return SeparationJudge(self.separation.subset(pool))
 
 
-def _sharpness(rung: int) -> float:
-    return SHARP[0] if rung == 0 else np.inf
+def _sharpness(level: int) -> float:
+    return SHARP[0] if level == 0 else np.inf

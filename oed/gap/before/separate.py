@@ -22,9 +22,9 @@ from scipy import linalg
 
 from oed.arrays import Array, Index
 from oed.design import relaxation
-from oed.design.relaxation import Relaxed
+from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
-from oed.design.search import greedy, search
+from oed.design.search import search, select_greedily
 from oed.effect import Effect
 from oed.gap.before.apart import SHARP, Separation, SeparationJudge, Target
 from oed.gap.before.detect import ROOM, in_words
@@ -291,12 +291,12 @@ def choose(
             f"cannot choose {rules.size} different runs out of {count - len(kept)}"
             " candidates"
         )
-    if not rules.allowed(np.empty(0, dtype=np.intp), count).any():
+    if not rules.additions(np.empty(0, dtype=np.intp), count).any():
         raise ValueError(
             "the rules allow no run at all: raise the number of runs or the budget"
         )
     if (
-        rules.simple
+        rules.only_size
         and rules.size is not None
         and math.comb(count - len(kept), rules.size) <= ENUMERATED
     ):
@@ -340,7 +340,7 @@ def _choice(
         value=float(everything.worth(everything.of(whole))) + shift,
         above=above + shift,
         volume=pool.volume(whole),
-        seconds=rules.spent(runs) if rules.cost is not None else 0.0,
+        seconds=rules.time_of(runs) if rules.cost is not None else 0.0,
         proven=proven,
     )
 
@@ -379,12 +379,12 @@ def _searched(
     """
     count = len(pool.rows)
     free = np.setdiff1d(np.arange(count), kept)
-    aims, inner = _hardest(pool, np.arange(count)), rules.take(free)
+    aims, inner = _hardest(pool, np.arange(count)), rules.subset(free)
     for _ in range(JOINS):
-        found = pool.separation(aims, share, kept).sample(free)
+        found = pool.separation(aims, share, kept).subset(free)
         lead = _relaxed(found, inner)
         judge = SeparationJudge(found)
-        starts = [greedy(judge, inner, 0.0, rung) for rung in (0, 1)]
+        starts = [select_greedily(judge, inner, 0.0, rung) for rung in (0, 1)]
         runs = free[
             search(
                 judge,
@@ -403,7 +403,7 @@ def _searched(
     return (
         runs,
         lead.bound,
-        _relaxed(pool.separation(aims, 0.0, kept).sample(free), inner).bound,
+        _relaxed(pool.separation(aims, 0.0, kept).subset(free), inner).bound,
     )
 
 
@@ -418,15 +418,15 @@ def _hardest(pool: Pool, runs: Index) -> list[int]:
     return sorted(found.values())
 
 
-def _relaxed(found: Separation, rules: Rules) -> Relaxed:
+def _relaxed(found: Separation, rules: Rules) -> Relaxation:
     """The relaxation's weights and bound, under the number of runs or the budget,
     whichever is tighter.
     """
-    best: Relaxed | None = None
+    best: Relaxation | None = None
     for total, cost in rules.totals(found.count):
         per = np.ones(found.count) if cost is None else cost
         scaled = dataclasses.replace(found, grams=found.grams / per[:, None, None])
-        told: Relaxed | None = None
+        told: Relaxation | None = None
         for sharp in SHARP:
             step = dataclasses.replace(scaled, sharp=sharp)
             slack = (

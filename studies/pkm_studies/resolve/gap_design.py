@@ -326,9 +326,9 @@ def _rules(
             else np.array([names.index(r.setup) for r in runs], dtype=np.intp)
         ),
         setup_cost=None if timed else np.array(mounting),
-        place=np.array([[r.condition["time"]] for r in runs]) if timed else None,
-        apart=float(cost.max()) if timed else 0.0,
-        taken=(
+        position=np.array([[r.condition["time"]] for r in runs]) if timed else None,
+        min_distance=float(cost.max()) if timed else 0.0,
+        mounted=(
             () if timed else tuple(sorted({names.index(r.setup) for r in runs[:kept]}))
         ),
     )

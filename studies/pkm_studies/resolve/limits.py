@@ -9,7 +9,8 @@ import numpy as np
 from oed import units
 from oed.arrays import Array, Mask
 from oed.design import feasible
-from oed.design.clearance import Capsule, Surroundings, cup_place
+from oed.design.clearance import Surroundings, cup_place
+from oed.design.segments import Capsule
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place
@@ -36,8 +37,8 @@ def within_limits(
     """
     try:
         limits = _limits(table, measurement, series.setup, place)
-        verdict = feasible.check(measurement, series, limits)
-        allowed, reasons = verdict.allowed.copy(), dict(verdict.reasons)
+        verdict = feasible.check_readings(measurement, series, limits)
+        allowed, reasons = verdict.allowed.copy(), dict(verdict.refusal_counts)
         if table.travel_chance is not None:
             likely = _likely(table, measurement, series, place)
             allowed &= likely
@@ -75,7 +76,7 @@ def _likely(
 
 def _limits(
     table: LimitsTable, measurement: Measurement, name: str, place: Place
-) -> feasible.Limits:
+) -> feasible.ReadingLimits:
     """The limits that apply to a set-up."""
     setup = measurement.setups[name]
     has_cup = _has_cup(setup)
@@ -87,7 +88,7 @@ def _limits(
     travel = None
     if table.travel_mm is not None and setup.instrument.holds is not None:
         travel = _metres(table.travel_mm)
-    return feasible.Limits(
+    return feasible.ReadingLimits(
         joints=_joint_ranges(table, measurement, place.key("joints")),
         singularity=table.singularity,
         travel=travel,
@@ -115,14 +116,14 @@ def _joint_ranges(
     return ranges
 
 
-def _cone(table: ConeTable | None, place: Place) -> feasible.Cone | None:
+def _cone(table: ConeTable | None, place: Place) -> feasible.DirectionCone | None:
     if table is None:
         return None
     if not any(table.axis):
         raise place.key("axis").error(
             "a cone needs an axis that is not zero", "give a direction, as [0, 0, 1]"
         )
-    return feasible.Cone(table.axis, math.radians(table.half_angle_deg))
+    return feasible.DirectionCone(table.axis, math.radians(table.half_angle_deg))
 
 
 def _surroundings(

@@ -16,7 +16,7 @@ import numpy as np
 
 from oed import information, predict, units
 from oed.arrays import Array
-from oed.design.blocks import seen
+from oed.design.blocks import project_on_estimable
 from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, named
 from oed.measurement import Measurement, Series
@@ -154,10 +154,10 @@ class StudyCriteria:
             rows = information.scaled(
                 measurement, series, measurement.nominal, self.design.scaling
             )
-            _, basis = seen(rows[:, None, measurement.free], None)
-            criterion, m = criterion.within(basis), basis.T @ m @ basis
+            _, basis = project_on_estimable(rows[:, None, measurement.free], None)
+            criterion, m = criterion.restrict(basis), basis.T @ m @ basis
         value = criterion.value(m)
-        return value, criterion.told(value, sum(map(len, series)))
+        return value, criterion.conventional_value(value, sum(map(len, series)))
 
     def _named(self, name: str, measurement: Measurement) -> Criterion:
         if name == "compound":

@@ -43,7 +43,7 @@ def curve(
     unit = wanted or _reached(aims, problem, chosen)
     names, factors = _factors(aims, problem, unit)
     rules = dataclasses.replace(
-        problem.rules.take(pool),
+        problem.rules.subset(pool),
         most_setups=None,
         budget=None,
         cost=None,
@@ -51,7 +51,7 @@ def curve(
     )
     asked = SizeCurve(
         c.blocks[pool] @ basis,
-        basis.T @ c.held @ basis,
+        basis.T @ c.prior_information @ basis,
         AccuracyGoal(names, factors @ basis),
         (seed,),
         rules=rules,
@@ -124,7 +124,7 @@ def _reached(
     names, factors = _factors(aims, problem, {})
     c = problem.candidates
     told = AccuracyGoal(names, factors).accuracy(
-        c.held + information(c.blocks[chosen.indices])
+        c.prior_information + information(c.blocks[chosen.indices])
     )
     return {n: float(v) for n, v in zip(names, told, strict=True)}
 
@@ -148,5 +148,5 @@ def _factors(
         )
         rows = (wide * measurement.tolerance)[:, measurement.free]
         triangle = np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
-        tables.append(np.pad(triangle, ((0, 0), (0, c.shared))))
+        tables.append(np.pad(triangle, ((0, 0), (0, c.shared_errors))))
     return tuple(names), np.array(tables)

@@ -15,7 +15,7 @@ import numpy as np
 
 from oed import result, units
 from oed.arrays import Array, Index
-from oed.design import candidates, order
+from oed.design import candidates, move_times, order, schedule
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve import grids
@@ -109,12 +109,14 @@ def _setups(
     rng: np.random.Generator,
 ) -> tuple[list[str], float]:
     """Set-ups in the order of least re-mounting, and the time for that, s."""
-    changes = order.Changes(
+    changes = move_times.ChangeTimes(
         60.0 * said.change_tool_min,
         60.0 * said.change_place_min,
         60.0 * said.change_settings_min,
     )
-    costs, first = order.remounting([measurement.setups[n] for n in names], changes)
+    costs, first = move_times.remounting(
+        [measurement.setups[n] for n in names], changes
+    )
     path = order.order_setups(costs, rng, first)
     return [names[k] for k in path.indices], path.length
 
@@ -136,15 +138,17 @@ def _way(
         )
         for j in measurement.machine.joints
     ]
-    distance = order.travel(measurement, whole, speeds)
+    distance = move_times.travel_between(measurement, whole, speeds)
     start = (
-        order.travel_from(measurement, whole, speeds) if said.start == "home" else None
+        move_times.travel_from(measurement, whole, speeds)
+        if said.start == "home"
+        else None
     )
     chosen = measurement.setups[setup]
     kept = design.whole_runs or chosen.instrument.reference == "run"
     kept |= not chosen.protocol.average and len(chosen.protocol.passes) > 1
     runs = _runs(whole, distance, kept, rng)
-    path = order.order(
+    path = order.order_poses(
         distance,
         rng,
         start,
@@ -178,7 +182,7 @@ def _runs(
         members = np.flatnonzero(series.run == label)
         if not kept:
             members = members[
-                order.order(
+                order.order_poses(
                     distance[np.ix_(members, members)],
                     rng,
                     kicks=min(KICKS, EFFORT // len(members)),
@@ -243,15 +247,17 @@ def _referenced(
         )
     command = _command(measurement, whole, path, said.reference, place.key("reference"))
     there = measurement.series(whole.setup, command[None])
-    ways = order.travel_times(there.q[:1], whole.q[whole.index[:, 0]], speeds)[0]
+    ways = move_times.travel_times(there.q[:1], whole.q[whole.index[:, 0]], speeds)[0]
     home = (
-        order.travel_from(measurement, there, speeds)[0]
+        move_times.travel_from(measurement, there, speeds)[0]
         if said.start == "home"
         else 0.0
     )
     every = 60.0 * said.reference_every_min
     try:
-        made = order.interleave(path, reading, every, ways, ways, reading, float(home))
+        made = schedule.interleave(
+            path, reading, every, ways, ways, reading, float(home)
+        )
     except ValueError as error:
         raise place.key("reference_every_min").error(str(error), "raise it") from error
     commands = np.array([command if k < 0 else whole.commands()[k] for k in made.pose])

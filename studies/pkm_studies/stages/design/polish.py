@@ -70,7 +70,7 @@ def polished(
     after, new = aims.judged(name, found.measurement, [*kept, *found.series])
     if not after > before:
         words = (
-            found.words
+            found.summary
             if found.value_after == found.value_before
             else "polishing does not better the criterion"
         )
@@ -78,7 +78,7 @@ def polished(
             measurement, tuple(series), result.PolishSummary(value, value, words, {})
         )
     told = result.PolishSummary(
-        value, new, found.words, _moved(found.measurement, free)
+        value, new, found.summary, _moved(found.measurement, free)
     )
     return PolishedPlan(found.measurement, found.series, told)
 
@@ -127,7 +127,11 @@ def _smooth(
         return symbolic_criterion.variance(pieces["factor"].T @ pieces["factor"])
     if name in ("E", "O3"):
         return symbolic_criterion.power_mean(POWER)
-    return symbolic_criterion.variance() if name == "A" else symbolic_criterion.determinant()
+    return (
+        symbolic_criterion.variance()
+        if name == "A"
+        else symbolic_criterion.determinant()
+    )
 
 
 def _moved(

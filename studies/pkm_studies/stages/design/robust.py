@@ -46,9 +46,9 @@ def choose(
         else np.eye(c.blocks.shape[2])
     )
     blocks = _scenarios(problem, aims, said.scenarios, rng, place)[:, pool] @ basis
-    criterion = aims.criterion(aims.design.judged_by, c).within(basis)
-    rules = dataclasses.replace(problem.rules.take(pool), most_setups=None)
-    prior = basis.T @ c.held @ basis
+    criterion = aims.criterion(aims.design.judged_by, c).restrict(basis)
+    rules = dataclasses.replace(problem.rules.subset(pool), most_setups=None)
+    prior = basis.T @ c.prior_information @ basis
     try:
         found = robust.choose(
             blocks,
@@ -56,9 +56,9 @@ def choose(
             rules,
             rng,
             risk=said.risk,
-            level=said.level,
+            tail_share=said.level,
             prior=prior,
-            starts=max(problem.starts // 4, 2),
+            rounds=max(problem.starts // 4, 2),
         )
     except ValueError as error:
         raise place.key("risk").error(
@@ -72,7 +72,7 @@ def choose(
         value=float(found.value),
         bound=float(found.bound),
         efficiency=found.efficiency,
-        nominal=float(robust.aggregated(others, said.risk, said.level)),
+        nominal=float(robust.aggregate(others, said.risk, said.level)),
         values=[float(v) for v in found.values],
         nominal_values=[float(v) for v in others],
     )
@@ -106,7 +106,7 @@ def _scenarios(
             len(measurement.nominal)
         )
         try:
-            made = candidates.of(
+            made = candidates.build(
                 measurement, c.series, at, aims.design.scaling, whole_runs=whole
             )
         except AssemblyError as error:

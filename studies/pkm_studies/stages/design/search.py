@@ -15,11 +15,11 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.design import bounds, exchange, setups
-from oed.design.blocks import information, seen
+from oed.design.blocks import information, project_on_estimable
 from oed.design.candidates import Candidates
-from oed.design.criterion import Compound, Criterion, Power, Spectrum
+from oed.design.criterion import Compound, Criterion, ExtremeEigenvalues, PowerMean
 from oed.design.exchange import Choice
-from oed.design.rules import SUBSETS, Rules
+from oed.design.rules import MAX_COMBINATIONS, Rules
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class DesignProblem:
         """Whether it is to be found which set-ups to mount."""
         assert self.rules.setup is not None
         names = np.setdiff1d(
-            self.rules.setup, np.array(self.rules.taken, dtype=np.intp)
+            self.rules.setup, np.array(self.rules.mounted, dtype=np.intp)
         )
         fewer = self.rules.most_setups is not None and self.rules.most_setups < len(
             names
@@ -50,12 +50,12 @@ class DesignProblem:
         """
         assert self.rules.setup is not None
         names, most = (
-            len(np.setdiff1d(self.rules.setup, self.rules.taken)),
+            len(np.setdiff1d(self.rules.setup, self.rules.mounted)),
             self.rules.most_setups,
         )
         return (
             most is not None
-            and sum(math.comb(names, k) for k in range(1, most + 1)) > SUBSETS
+            and sum(math.comb(names, k) for k in range(1, most + 1)) > MAX_COMBINATIONS
         )
 
     def columns(self, some: Index) -> Array:
@@ -72,8 +72,8 @@ class DesignProblem:
             for k, n in enumerate(free)
             if "." not in n or n.rpartition(".")[0] in named
         ]
-        kept += range(len(free), len(self.candidates.held))
-        return np.eye(len(self.candidates.held))[:, kept]
+        kept += range(len(free), len(self.candidates.prior_information))
+        return np.eye(len(self.candidates.prior_information))[:, kept]
 
     def judged(self, criterion: Criterion, chosen: Index) -> tuple[float, float]:
         """log phi of a plan, and the number that users know: over all columns, or, for
@@ -81,17 +81,17 @@ class DesignProblem:
         over the directions that the candidates see.
         """
         c = self.candidates
-        m = c.held + information(c.blocks[chosen])
+        m = c.prior_information + information(c.blocks[chosen])
         if c.prior is None:
-            basis = seen(c.blocks, None)[1]
-            criterion, m = criterion.within(basis), basis.T @ m @ basis
+            basis = project_on_estimable(c.blocks, None)[1]
+            criterion, m = criterion.restrict(basis), basis.T @ m @ basis
         elif self.limited and _spectral(criterion):
             basis = self.columns(
-                np.union1d(c.setup[chosen], np.array(self.rules.taken, dtype=np.intp))
+                np.union1d(c.setup[chosen], np.array(self.rules.mounted, dtype=np.intp))
             )
-            criterion, m = criterion.within(basis), basis.T @ m @ basis
+            criterion, m = criterion.restrict(basis), basis.T @ m @ basis
         value = criterion.value(m)
-        return value, criterion.told(value, len(chosen))
+        return value, criterion.conventional_value(value, len(chosen))
 
 
 def best(
@@ -129,14 +129,18 @@ def _combinations(
     """
     c, rules = problem.candidates, problem.rules
     assert rules.setup is not None
-    names = np.setdiff1d(rules.setup, np.array(rules.taken, dtype=np.intp))
+    names = np.setdiff1d(rules.setup, np.array(rules.mounted, dtype=np.intp))
     most = min(rules.most_setups or len(names), len(names))
     if rules.budget is None:
-        return setups.combinations(c.blocks, _smooth(criterion), c.held, rules)
+        return setups.rank_combinations(
+            c.blocks, _smooth(criterion), c.prior_information, rules
+        )
     found = []
     for count in range(1, most + 1):
         some = dataclasses.replace(rules, most_setups=count)
-        found += setups.combinations(c.blocks, _smooth(criterion), c.held, some)[:1]
+        found += setups.rank_combinations(
+            c.blocks, _smooth(criterion), c.prior_information, some
+        )[:1]
     return found
 
 
@@ -144,7 +148,7 @@ def _smooth(criterion: Criterion) -> Criterion:
     """What combinations are ranked by: the criterion itself, or the last of its ladder
     that has a relaxation.
     """
-    ways = [x for x in criterion.ladder() if x.concave and x.smooth]
+    ways = [x for x in criterion.continuation() if x.concave and x.smooth]
     return criterion if criterion.concave and criterion.smooth else ways[-1]
 
 
@@ -153,18 +157,18 @@ def _within(
 ) -> Index:
     """The best plan within a combination of set-ups."""
     c, rules = problem.candidates, problem.rules
-    mounted = np.union1d(some, np.array(rules.taken, dtype=np.intp))
+    mounted = np.union1d(some, np.array(rules.mounted, dtype=np.intp))
     pool = np.flatnonzero(np.isin(c.setup, mounted))
     basis = problem.columns(mounted)
     found = exchange.choose(
         c.blocks[pool] @ basis,
         None,
         rng,
-        criterion.within(basis),
-        basis.T @ c.held @ basis,
+        criterion.restrict(basis),
+        basis.T @ c.prior_information @ basis,
         problem.starts,
         certify=False,
-        rules=dataclasses.replace(rules.take(pool), most_setups=None),
+        rules=dataclasses.replace(rules.subset(pool), most_setups=None),
     )
     return np.asarray(pool[found.indices])
 
@@ -176,16 +180,16 @@ def _certified(problem: DesignProblem, criterion: Criterion, chosen: Index) -> C
         indices=np.sort(chosen),
         criterion=criterion.name,
         value=number,
-        directions=len(c.held),
-        columns=len(c.held),
+        directions=len(c.prior_information),
+        columns=len(c.prior_information),
     )
     if not criterion.concave or _spectral(criterion):
         return told
-    above = bounds.bound(c.blocks, criterion, problem.rules, c.held)
+    above = bounds.bound(c.blocks, criterion, problem.rules, c.prior_information)
     return dataclasses.replace(
         told,
-        bound=criterion.told(above.value, len(chosen)),
-        gap=above.gap,
+        bound=criterion.conventional_value(above.value, len(chosen)),
+        duality_gap=above.duality_gap,
         efficiency=float(np.exp(min(value - above.value, 0.0))),
         proven=above.value - value <= exchange.PROVEN,
     )
@@ -195,4 +199,4 @@ def _spectral(criterion: Criterion) -> bool:
     """Whether a column that no reading touches counts."""
     if isinstance(criterion, Compound):
         return any(map(_spectral, criterion.parts))
-    return isinstance(criterion, Spectrum | Power)
+    return isinstance(criterion, ExtremeEigenvalues | PowerMean)

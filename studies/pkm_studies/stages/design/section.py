@@ -51,7 +51,7 @@ def design_section(
         words=certificate_text(chosen, shared),
         directions=choice.directions - max(shared, 0),
         columns=choice.columns - max(shared, 0),
-        gap=None if polished else choice.gap,
+        gap=None if polished else choice.duality_gap,
         proven=choice.proven and not polished,
         compound=dict(aims.design.compound),
         setups=chosen.order.setups,
@@ -86,9 +86,9 @@ def certificate_text(chosen: ChosenDesign, shared: int = 0) -> str:
                 " (a bound that lets any number of set-ups be mounted: the choice is"
                 " better than this tells)"
             )
-        elif choice.gap is not None and choice.gap > 0.01:
+        elif choice.duality_gap is not None and choice.duality_gap > 0.01:
             told += (
-                f" (the bound itself may be {100 * choice.gap:.0f} % too high: the"
+                f" (the bound itself may be {100 * choice.duality_gap:.0f} % too high: the"
                 " choice is better than this tells)"
             )
     else:

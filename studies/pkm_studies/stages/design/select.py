@@ -79,7 +79,7 @@ def select_design(
         curve = how_many.curve(
             problem, aims, choice, design.how_many, seed, place.key("how_many")
         )
-    series = problem.candidates.take(choice.indices)
+    series = problem.candidates.readings_of(choice.indices)
     measurement = _mounted(resolved, [*asked.retained, *series])
     smoother = None
     if design.polish is not None and design.polish.enabled:
@@ -110,7 +110,7 @@ def _problem(
     asked, measurement = resolved.design, resolved.measurement
     assert asked is not None
     try:
-        found = candidates.of(
+        found = candidates.build(
             measurement,
             resolved.candidates,
             measurement.nominal,
@@ -136,7 +136,7 @@ def _problem(
     mounted = {s.setup for s in asked.retained}
     taken = tuple(k for k, name in enumerate(found.setups) if name in mounted)
     return search.DesignProblem(
-        found, dataclasses.replace(rules, taken=taken), design.starts
+        found, dataclasses.replace(rules, mounted=taken), design.starts
     )
 
 
