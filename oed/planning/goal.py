@@ -14,7 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from oed.arrays import Array
-from oed.design.criterion import Criterion, Variance, Worst
+from oed.design.criterion import Criterion, LargestVariance, Variance
 from oed.measurement import Measurement
 from oed.predict import ErrorMaps
 
@@ -62,7 +62,7 @@ class Goal:
         zeros = np.zeros((*self.factors.shape[:2], setup_columns))
         factors = np.concatenate([self.factors, zeros], axis=2)
         if self.has_targets:
-            return Worst(factors)
+            return LargestVariance(factors)
         stacked = factors.reshape(-1, factors.shape[2])
         return Variance(stacked / np.sqrt(len(factors)))
 

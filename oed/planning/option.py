@@ -88,7 +88,7 @@ class Option:
 
     def series_of(self, chosen: Index) -> tuple[Series, ...]:
         """The readings of the chosen candidates."""
-        return self.candidates.take(chosen)
+        return self.candidates.readings_of(chosen)
 
     def shortest_seconds(self, count: int) -> float:
         """Time (s) of the `count` shortest candidates, without mounting."""
@@ -132,7 +132,7 @@ def build_option(
     where a candidate takes no time.
     """
     measurement = Measurement(machine, setups)
-    pool = candidates.of(
+    pool = candidates.build(
         measurement, series, measurement.nominal, "tolerance", whole_runs=whole_runs
     )
     possible = tuple(sorted({int(c) for c in counts if 1 <= c <= len(pool)}))

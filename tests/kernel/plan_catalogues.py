@@ -69,11 +69,11 @@ def linear_option(
         series=(Rows(rows),),  # type: ignore[arg-type]
         blocks=rows[:, None, :],
         columns=width,
-        held=np.zeros((width, width)),
+        prior_information=np.zeros((width, width)),
         members=np.column_stack([np.arange(count), np.ones(count, dtype=int)]),
         setups=("s",),
         setup=np.zeros(count, dtype=int),
-        place=np.zeros((count, 1)),
+        command=np.zeros((count, 1)),
         cost=seconds,
         setup_cost=np.array([mounting]),
     )

@@ -25,7 +25,7 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.design import relaxation
-from oed.design.certificate import SAFE
+from oed.design.certificate import ROUNDING
 from oed.design.criterion import Criterion
 from oed.planning.bound.option_bound import OptionBound
 from oed.planning.goal import Goal
@@ -131,7 +131,7 @@ class CombinationBound:
         total = worth[combinations].sum(axis=1) + prices * self.budget
         carried = total.min(axis=1)
         prior = float(np.sum((self.information @ line.root) * line.root))
-        return np.asarray(line.value + np.log(prior + carried) + SAFE)
+        return np.asarray(line.value + np.log(prior + carried) + ROUNDING)
 
     def _worth(self, profiles: Sequence[Array], root: Array) -> tuple[Array, Array]:
         """Worth (options + 1, P) of each option at each price, and the prices (P,).
@@ -174,4 +174,4 @@ def _joint_rows(parts: Sequence[OptionBound], n: int) -> Array:
 
 def _last_smooth(criterion: Criterion) -> Criterion:
     """The sharpest smooth criterion on the ladder to this one."""
-    return [c for c in criterion.ladder() if c.smooth][-1]
+    return [c for c in criterion.continuation() if c.smooth][-1]

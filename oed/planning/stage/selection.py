@@ -9,9 +9,9 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.design.criterion import Criterion
-from oed.design.judge import Single
+from oed.design.evaluator import CriterionEvaluator
 from oed.design.rules import Rules
-from oed.design.search import climb, greedy
+from oed.design.search import improve, select_greedily
 from oed.planning.option import Option
 
 #: capture probability below which a candidate is not worth a look
@@ -40,7 +40,8 @@ def select_readings(
     if len(pool) < count:
         pool = np.argsort(-probability, kind="stable")[:count]
     weights = np.sqrt(probability[pool])[:, None, None]
-    judge = Single(option.candidates.blocks[pool] * weights, criterion, base)
+    blocks = option.candidates.blocks[pool] * weights
+    evaluator = CriterionEvaluator(blocks, criterion, base)
     time = option.candidate_seconds[pool]
     designs = []
     if np.ptp(time) == 0.0:  # readings of equal length: their number limits the time
@@ -48,11 +49,11 @@ def select_readings(
     else:
         rules = Rules(size=count, budget=seconds, cost=time)
         designs.append(_shortest(time, count, seconds))
-    designs.append(greedy(judge, rules, 0.0, rung=0))
+    designs.append(select_greedily(evaluator, rules, 0.0, level=0))
     if sweeps:
-        for rung in range(judge.rungs):
-            designs = [climb(judge, rules, d, rung, sweeps) for d in designs]
-    best = max(designs, key=judge.value)
+        for level in range(evaluator.levels):
+            designs = [improve(evaluator, rules, d, level, sweeps) for d in designs]
+    best = max(designs, key=evaluator.value)
     if not len(best):
         order = np.argsort(option.candidate_seconds, kind="stable")
         return np.sort(order[:count])
