@@ -131,9 +131,8 @@ def whitened_rows(option: Option, chosen: Index) -> Array:
     slopes = (jacobian * measurement.tolerance)[:, measurement.free]
     rows = np.zeros((len(slopes), option.unknowns))
     rows[:, : candidates.columns] = whiten(option, chosen, slopes.T).T
-    if (
-        candidates.shared_errors
-    ):  # then candidates are single readings, with rows of blocks
+    if candidates.shared_errors:
+        # candidates are single readings, with rows of blocks
         counts = reading_counts(option, chosen)
         is_reading = np.arange(candidates.blocks.shape[1]) < counts[:, None]
         block_rows = candidates.blocks[chosen][is_reading]
