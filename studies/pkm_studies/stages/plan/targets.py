@@ -71,8 +71,8 @@ def _limit(task: PlanTask) -> str:
     value = task.goal.value(covariance)
     if value <= 1.0:
         return (
-            f"All readings of all measurements together would reach it ({value:.3g} of"
-            " the target): time is the limit."
+            "All readings of all measurements together would reach it if none were lost"
+            f" ({value:.3g} of the target)."
         )
     return (
         "Even all readings of all measurements together miss it by a factor of"
