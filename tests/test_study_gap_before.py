@@ -115,16 +115,16 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
         )
         for r in dict.fromkeys(published.run)
     ]
-    problem, _ = runs.prepared(asked.measurement, made)
+    problem, _ = runs.prepare(asked.measurement, made)
     effects = [gravity.effect, encoder_scale.effect]
     told = detect.detect(problem, stated(problem), effects, np.random.default_rng(0))
-    np.testing.assert_allclose(table["apart"], told.apart, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(table["apart"], told.separation, rtol=1e-6, atol=1e-8)
     rows = {e["name"]: e for e in table["effects"]}
     assert rows["gravity"]["detectability"] == pytest.approx(
-        told.of("gravity").detectability
+        told.row("gravity").detectability
     )
     assert rows["gravity"]["signature"]["length"] == pytest.approx(
-        1e6 * told.of("gravity").signature["length"]
+        1e6 * told.row("gravity").signature["length"]
     )
     assert "direction" in rows["backlash"]["not_testable"]
 
@@ -157,7 +157,7 @@ def test_a_plan_that_is_kept_is_part_of_the_choice() -> None:
     assert asked is not None
     assert asked.kept == (0, 1)
     assert len(asked.runs) == 10
-    assert asked.rules.taken == (0,)
+    assert asked.rules.mounted == (0,)
 
 
 def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:

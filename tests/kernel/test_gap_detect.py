@@ -11,6 +11,9 @@ from scipy import stats
 
 from kernel import a3_plans, gap_a3
 from oed.gap.before import detect, runs
+from oed.gap.before.combinations import in_words
+from oed.gap.before.power import ideal_power, needed_lambda
+from oed.gap.before.table import ROOM
 from oed.gap.data.signature import signature
 from oed.noise.law import NoiseLaw, stated
 
@@ -21,7 +24,7 @@ ALL = [gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity]
 @functools.cache
 def problem(tools=(0.0,), strokes=FIVE, points=12):
     m = a3_plans.measurement(tools=tools)
-    return runs.prepared(m, gap_a3.circles(m, strokes, points))[0]
+    return runs.prepare(m, gap_a3.circles(m, strokes, points))[0]
 
 
 def dense(p, law):
@@ -38,11 +41,11 @@ def columns(p, effect, **constants):
 
 
 def test_size_needed_for_90_percent_at_1_percent():
-    assert [round(detect.needed(k)) for k in (1, 2, 6, 12)] == [15, 17, 23, 29]
+    assert [round(needed_lambda(k)) for k in (1, 2, 6, 12)] == [15, 17, 23, 29]
 
 
 def test_size_needed_is_that_of_simulated_tests():
-    rng, lam, k = np.random.default_rng(1), detect.needed(6), 6
+    rng, lam, k = np.random.default_rng(1), needed_lambda(6), 6
     draws = rng.standard_normal((40_000, k))
     draws[:, 0] += np.sqrt(lam)
     found = np.mean(np.sum(draws**2, axis=1) > stats.chi2.ppf(0.99, k))
@@ -52,13 +55,9 @@ def test_size_needed_is_that_of_simulated_tests():
 def test_ideal_power_at_six_drops_when_the_best_of_a_hundred_is_taken():
     # about 0.96 for one test, 0.79 for the best of a hundred, whatever the few columns
     # more or less
-    assert detect.ideal_power(36.0, 12) == pytest.approx(0.96, abs=0.015)
-    assert detect.ideal_power(36.0, 10, alternatives=100) == pytest.approx(
-        0.79, abs=0.02
-    )
-    assert detect.ideal_power(0.0, 3, alternatives=7) == pytest.approx(
-        1 - 0.99 ** (1 / 7)
-    )
+    assert ideal_power(36.0, 12) == pytest.approx(0.96, abs=0.015)
+    assert ideal_power(36.0, 10, alternatives=100) == pytest.approx(0.79, abs=0.02)
+    assert ideal_power(0.0, 3, alternatives=7) == pytest.approx(1 - 0.99 ** (1 / 7))
 
 
 @pytest.mark.parametrize("tools", [(0.0,), (0.0, 0.1)])
@@ -74,28 +73,26 @@ def test_lambdas_are_those_of_the_dense_covariance(tools):
         ("encoder_scale", gap_a3.encoder_scale, {}),
     ):
         g, _ = columns(p, effect, **constants)
-        assert told.of(name).detectability == pytest.approx(
+        assert told.row(name).detectability == pytest.approx(
             np.sqrt(np.trace(g.T @ np.linalg.solve(c, g))), rel=1e-6
         )
         # a rival that is as good as free has a very wide covariance of its own; a shape
         # column keeps its prior
         for tau in (900.0, 3600.0):
             r, made = columns(p, gap_a3.warming, tau=tau)
-            wide = c + (r * np.where(made.shape, 1.0, detect.ROOM**2)) @ r.T
+            wide = c + (r * np.where(made.shape, 1.0, ROOM**2)) @ r.T
             left = np.sqrt(np.trace(g.T @ np.linalg.solve(wide, g)))
-            assert told.apart[
+            assert told.separation[
                 told.names.index(name), told.names.index("warming")
             ] <= left * (1 + 1e-6)
         worst = min(
             np.trace(
                 g.T
-                @ np.linalg.solve(
-                    c + (r * np.where(s.shape, 1.0, detect.ROOM**2)) @ r.T, g
-                )
+                @ np.linalg.solve(c + (r * np.where(s.shape, 1.0, ROOM**2)) @ r.T, g)
             )
             for r, s in (columns(p, gap_a3.warming, tau=t) for t in (900.0, 3600.0))
         )
-        assert told.apart[
+        assert told.separation[
             told.names.index(name), told.names.index("warming")
         ] == pytest.approx(worst**0.5, rel=1e-5)
 
@@ -119,7 +116,9 @@ def test_least_size_is_found_nine_times_in_ten():
     assert row.least["length"] <= row.median["length"]
     # the most visible combination needs no more than leg 2 alone does
     alone = (
-        row.sizes["leg 2"] / made.scales[1] * np.sqrt(np.mean((p.sigma * g[:, 1]) ** 2))
+        row.sizes["leg 2"]
+        / made.scales[1]
+        * np.sqrt(np.mean((p.sigma * g[:, 1]) ** 2))
     )
     assert row.least["length"] <= alone * (1 + 1e-9)
 
@@ -133,18 +132,18 @@ def test_common_scale_and_bar_length_are_one_class_with_one_tool():
     p = free(problem(points=36))
     told = detect.detect(p, stated(p), ALL, np.random.default_rng(0))
     assert told.exact == (("encoder_scale", "bar_length"),)
-    scale = told.of("encoder_scale")
+    scale = told.row("encoder_scale")
     bar = next(r for r in scale.rivals if r.name == "bar_length")
     assert bar.angle == pytest.approx(0.0, abs=0.01)
     # it is the common scale that the bar imitates, and nothing else of the three legs
     (shared,) = bar.shared
     assert "common to leg 1, leg 2 and leg 3" in shared.words
-    assert shared.seen > 4.0
-    assert shared.apart < 0.1
-    assert bar.apart > 10.0
+    assert shared.detectability > 4.0
+    assert shared.separation < 0.1
+    assert bar.separation > 10.0
     # the other way round the bar is absorbed whole
-    back = next(r for r in told.of("bar_length").rivals if r.name == "encoder_scale")
-    assert back.apart < 0.1
+    back = next(r for r in told.row("bar_length").rivals if r.name == "encoder_scale")
+    assert back.separation < 0.1
 
 
 def test_two_tool_lengths_tell_scale_from_bar():
@@ -163,15 +162,15 @@ def test_classes_name_who_is_absorbed_by_whom():
     p = problem()
     p = dataclasses.replace(p, slopes=p.slopes * 0.02)
     told = detect.detect(p, stated(p), ALL, np.random.default_rng(0))
-    assert told.of("bar_length").visible
-    assert told.of("encoder_scale").visible
+    assert told.row("bar_length").visible
+    assert told.row("encoder_scale").visible
     assert told.classes == (("encoder_scale", "bar_length"),)
     assert told.absorbed == (("bar_length", "encoder_scale"),)
 
 
 def test_calibration_absorbs_most_of_static_gravity():
     p = problem(strokes=FIVE, points=24)
-    row = detect.detect(p, stated(p), ALL, np.random.default_rng(0)).of("gravity")
+    row = detect.detect(p, stated(p), ALL, np.random.default_rng(0)).row("gravity")
     g, _ = columns(p, gap_a3.gravity)
     kept = np.sqrt(
         np.trace(g.T @ np.linalg.solve(dense(p, stated(p)), g)) / np.sum(g**2)
@@ -192,7 +191,7 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
         "both_ways": "the readings do not have direction: both"
     }
     assert told.names == ("encoder_scale",)
-    assert not told.of("both_ways").visible
+    assert not told.row("both_ways").visible
     unseen = dataclasses.replace(gap_a3.bar_length, columns=lambda s: [])
     told = detect.detect(p, stated(p), [unseen], np.random.default_rng(0))
     assert "changes none" in told.not_testable["bar_length"]
@@ -200,14 +199,11 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
 
 
 def test_combinations_in_words():
-    assert detect.in_words({"leg 1": 1.0, "leg 2": 0.98, "leg 3": 0.99}).startswith(
+    assert in_words({"leg 1": 1.0, "leg 2": 0.98, "leg 3": 0.99}).startswith(
         "common to leg 1, leg 2"
     )
-    assert (
-        detect.in_words({"leg 1": 1.0, "leg 2": -0.9, "leg 3": 0.05})
-        == "leg 1 - 0.9 leg 2"
-    )
-    assert detect.in_words({"bar": 1.0}) == "bar"
+    assert in_words({"leg 1": 1.0, "leg 2": -0.9, "leg 3": 0.05}) == "leg 1 - 0.9 leg 2"
+    assert in_words({"bar": 1.0}) == "bar"
 
 
 def test_same_seed_same_figures_and_bad_input():
@@ -221,4 +217,4 @@ def test_same_seed_same_figures_and_bad_input():
             p, stated(p), [gap_a3.gravity, gap_a3.gravity], np.random.default_rng(0)
         )
     with pytest.raises(KeyError, match="no effect"):
-        one.of("rust")
+        one.row("rust")

@@ -2,6 +2,7 @@
 one, and another method for D.
 """
 
+import dataclasses
 import functools
 import itertools
 
@@ -11,7 +12,9 @@ import pytest
 from kernel import a3_plans, gap_a3
 from oed.design import exchange
 from oed.design.rules import Rules
-from oed.gap.before import apart, detect, runs, separate
+from oed.gap.before import choose, detect, runs
+from oed.gap.before.pool import Pool
+from oed.gap.before.table import ROOM
 from oed.gap.data.signature import signature
 from oed.noise.law import NoiseLaw, stated
 
@@ -27,7 +30,7 @@ def laid_out(
 ):
     m = a3_plans.measurement(tools=tools)
     candidates = gap_a3.circles(m, strokes, points, payloads)
-    return candidates, *runs.prepared(m, candidates)
+    return candidates, *runs.prepare(m, candidates)
 
 
 @functools.cache
@@ -38,7 +41,7 @@ def pool(
     points=12,
 ):
     _, p, rows = laid_out(tools, strokes, payloads, points)
-    return separate.Pool(p, stated(p), rows, WANTED)
+    return Pool(p, stated(p), rows, WANTED)
 
 
 def columns(p, effect):
@@ -51,7 +54,7 @@ def dense(p, law, rows, target, rival):
     """lambda of a target (N,), the rival's columns (N, k) given a very wide prior, from
     the readings' covariance.
     """
-    c = p.slopes @ p.slopes.T + detect.ROOM**2 * rival @ rival.T
+    c = p.slopes @ p.slopes.T + ROOM**2 * rival @ rival.T
     for k, block in enumerate(p.blocks):
         c[np.ix_(block, block)] += law.block(p, k)
     return target[rows] @ np.linalg.solve(c[np.ix_(rows, rows)], target[rows])
@@ -60,11 +63,11 @@ def dense(p, law, rows, target, rival):
 def test_lambdas_of_a_plan_are_those_of_its_readings_covariance():
     _, p, rows = laid_out()
     law = NoiseLaw(0.4, 0.7, 3.0, np.random.default_rng(2).uniform(0.5, 2.0, len(p)))
-    made = separate.Pool(p, law, rows, WANTED)
+    made = Pool(p, law, rows, WANTED)
     plan = np.array([1, 6, 12, 17])
     at = np.concatenate([rows[k] for k in plan])
     g, s = columns(p, gap_a3.gravity), columns(p, gap_a3.encoder_scale)
-    told = {(t.effect, t.words): t.apart for t in made.told(plan)}
+    told = {(t.effect, t.words): t.separation for t in made.pair_separations(plan)}
     assert told["gravity", "legs"] ** 2 == pytest.approx(
         dense(p, law, at, g[:, 0], s), rel=1e-5
     )
@@ -89,11 +92,13 @@ def test_volume_is_the_log_determinant_of_the_parameters_information():
 
 
 def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above():
-    made = pool().separation(range(len(pool().aims)), 0.3, np.empty(0, dtype=np.intp))
+    made = pool().separation(
+        range(len(pool().targets)), 0.3, np.empty(0, dtype=np.intp)
+    )
     rng = np.random.default_rng(0)
     active = np.arange(made.count)
     w = rng.uniform(0.2, 1.0, made.count)
-    smooth = apart.dataclasses.replace(made, sharp=3.0)
+    smooth = dataclasses.replace(made, sharp=3.0)
     slopes, curvature = smooth.slopes_and_curvature(active, w)
     for k in (0, 7, 15):
         step = 1e-5 * np.eye(made.count)[k]
@@ -119,13 +124,11 @@ def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above()
 def test_bounds_hold_for_every_plan_and_the_search_ends_near_the_best(
     share, monkeypatch
 ):
-    monkeypatch.setattr(separate, "ENUMERATED", 0)
+    monkeypatch.setattr(choose, "ENUMERATED", 0)
     made, size = pool(), 4
-    found = separate.choose(
-        made, Rules(size=size), np.random.default_rng(0), share=share
-    )
+    found = choose.choose(made, Rules(size=size), np.random.default_rng(0), share=share)
     everything = made.separation(
-        range(len(made.aims)), share, np.empty(0, dtype=np.intp)
+        range(len(made.targets)), share, np.empty(0, dtype=np.intp)
     )
     plans = np.array(list(itertools.combinations(range(everything.count), size)))
     m = [
@@ -134,7 +137,7 @@ def test_bounds_hold_for_every_plan_and_the_search_ends_near_the_best(
     ]
     values = (
         np.concatenate([everything.worth(x) for x in m])
-        + share * made.scale / everything.size
+        + share * made.log_scale / everything.size
     )
     least = np.concatenate([everything.lambdas(x).min(axis=0) for x in m]) ** 0.5
     assert found.above >= values.max() - 1e-9
@@ -144,11 +147,15 @@ def test_bounds_hold_for_every_plan_and_the_search_ends_near_the_best(
 
 
 def test_few_plans_are_all_tried():
-    found = separate.choose(pool(), Rules(size=3), np.random.default_rng(0), share=0.0)
+    found = choose.choose(pool(), Rules(size=3), np.random.default_rng(0), share=0.0)
     every = [
         pool().lambdas(np.array(c)).min() for c in itertools.combinations(range(20), 3)
     ]
-    assert found.apart == pytest.approx(max(every) ** 0.5) == pytest.approx(found.bound)
+    assert (
+        found.separation
+        == pytest.approx(max(every) ** 0.5)
+        == pytest.approx(found.bound)
+    )
     assert found.efficiency == pytest.approx(1.0)
 
 
@@ -159,21 +166,17 @@ def test_payload_and_second_tool_tell_gravity_from_scale():
     candidates, p, rows = laid_out(
         strokes=(0.0, 0.08, 0.14, 0.2), payloads=(0.0, 100.0), points=15
     )
-    made = separate.Pool(
-        p, stated(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
-    )
+    made = Pool(p, stated(p), rows, WANTED, pairs=[("gravity", "encoder_scale")])
     names = [(r.setup, r.name) for r in candidates]
     paper = np.array(
         [names.index(("cup", "80 mm, 0 N")), names.index(("cup", "200 mm, 0 N"))]
     )
-    assert made.told(paper)[0].apart < 2.0
-    found = separate.choose(made, Rules(size=4), np.random.default_rng(0))
-    assert found.told[0].apart > 29.0
+    assert made.pair_separations(paper)[0].separation < 2.0
+    found = choose.choose(made, Rules(size=4), np.random.default_rng(0))
+    assert found.pairs[0].separation > 29.0
     assert len({candidates[k].condition["payload"] for k in found.runs}) == 2
     # without the load as a factor four circles and a second tool do not
-    plain_pool = separate.Pool(
-        p, stated(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
-    )
+    plain_pool = Pool(p, stated(p), rows, WANTED, pairs=[("gravity", "encoder_scale")])
     idle = [k for k, r in enumerate(candidates) if not r.condition["payload"]]
     assert (
         max(
@@ -191,13 +194,11 @@ def test_share_one_is_the_d_optimal_choice_of_runs():
     d = exchange.choose(
         blocks, 4, np.random.default_rng(0), "D", prior=np.eye(blocks.shape[2])
     )
-    found = separate.choose(pool(), Rules(size=4), np.random.default_rng(0), share=1.0)
+    found = choose.choose(pool(), Rules(size=4), np.random.default_rng(0), share=1.0)
     assert found.volume == pytest.approx(d.value, abs=1e-6)
     # and telling effects apart costs volume
     assert (
-        separate.choose(
-            pool(), Rules(size=4), np.random.default_rng(0), share=0.0
-        ).volume
+        choose.choose(pool(), Rules(size=4), np.random.default_rng(0), share=0.0).volume
         <= d.value + 1e-9
     )
 
@@ -209,7 +210,7 @@ def test_budget_pays_runs_and_mounting():
     rules = Rules(
         budget=1900.0, cost=cost, setup=tool, setup_cost=np.array([900.0, 900.0])
     )
-    found = separate.choose(pool(), rules, np.random.default_rng(0), rounds=3)
+    found = choose.choose(pool(), rules, np.random.default_rng(0), rounds=3)
     # 1900 s do not pay for two set-ups and a run, but for one and eight runs
     assert len({candidates[k].setup for k in found.runs}) == 1
     assert len(found.runs) == 8
@@ -219,7 +220,7 @@ def test_budget_pays_runs_and_mounting():
 
 def test_runs_kept_are_part_of_every_plan():
     kept = np.array([0, 10])
-    found = separate.choose(pool(), Rules(size=2), np.random.default_rng(0), kept=kept)
+    found = choose.choose(pool(), Rules(size=2), np.random.default_rng(0), fixed=kept)
     assert set(kept) <= set(found.runs)
     assert len(found.runs) == 4
     every = [
@@ -232,12 +233,14 @@ def test_runs_kept_are_part_of_every_plan():
 def test_the_told_plan_agrees_with_the_table_before_measuring():
     """Detectability of the chosen runs, laid out anew as a plan of their own."""
     candidates, p, _ = laid_out()
-    found = separate.choose(pool(), Rules(size=4), np.random.default_rng(0))
-    own, _ = runs.prepared(p.measurement, [candidates[k] for k in found.runs])
+    found = choose.choose(pool(), Rules(size=4), np.random.default_rng(0))
+    own, _ = runs.prepare(p.measurement, [candidates[k] for k in found.runs])
     told = detect.detect(own, stated(own), WANTED, np.random.default_rng(0))
-    legs = next(t for t in found.told if t.effect == "gravity")
-    assert told.of("gravity").detectability == pytest.approx(legs.seen, rel=1e-5)
-    assert told.apart[0, 1] == pytest.approx(legs.apart, rel=1e-5)
+    legs = next(t for t in found.pairs if t.effect == "gravity")
+    assert told.row("gravity").detectability == pytest.approx(
+        legs.detectability, rel=1e-5
+    )
+    assert told.separation[0, 1] == pytest.approx(legs.separation, rel=1e-5)
 
 
 def test_runs_are_laid_out_in_order_and_direction():
@@ -276,14 +279,12 @@ def test_bad_input_is_refused_with_a_remedy():
             p.measurement, [runs.Run(name="a", setup="cup", command=command)] * 2
         )
     with pytest.raises(ValueError, match="nothing to tell apart"):
-        separate.Pool(p, stated(p), rows, [gap_a3.gravity])
+        Pool(p, stated(p), rows, [gap_a3.gravity])
     with pytest.raises(ValueError, match="'rust'"):
-        separate.Pool(p, stated(p), rows, WANTED, pairs=[("gravity", "rust")])
+        Pool(p, stated(p), rows, WANTED, pairs=[("gravity", "rust")])
     with pytest.raises(ValueError, match="no coefficient among"):
-        separate.Pool(
-            p, stated(p), rows, WANTED, combinations={"gravity": [{"leg 9": 1.0}]}
-        )
+        Pool(p, stated(p), rows, WANTED, combinations={"gravity": [{"leg 9": 1.0}]})
     with pytest.raises(ValueError, match="cannot choose 40 different runs out of 20"):
-        separate.choose(pool(), Rules(size=40), np.random.default_rng(0))
+        choose.choose(pool(), Rules(size=40), np.random.default_rng(0))
     with pytest.raises(ValueError, match="share of D"):
-        separate.choose(pool(), Rules(size=4), np.random.default_rng(0), share=1.5)
+        choose.choose(pool(), Rules(size=4), np.random.default_rng(0), share=1.5)

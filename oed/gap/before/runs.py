@@ -1,6 +1,4 @@
-"""Candidate runs: a circle or a line under one condition, as a unit of a plan, laid out
-as readings with covariates.
-"""
+"""Candidate runs, a circle or a line under one condition, laid out as readings."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from oed.gap.data import state
 from oed.gap.data.problem import GapProblem, assemble
 from oed.measurement import Measurement, Series
 
-#: covariates that a condition may state, beside temperatures `temp_<body>`
+#: covariates that a condition may state, apart from temperatures `temp_<body>`
 CONDITIONS = ("time", "direction", "feed", "payload")
 
 
@@ -23,12 +21,13 @@ CONDITIONS = ("time", "direction", "feed", "payload")
 class Run:
     """A run that could be taken: poses in order, under one condition.
 
-    name       unique in its set-up
-    command    (n, n_dof) poses, SI, in the order of direction +1; with direction -1
-               they are taken in reverse
-    condition  {covariate: value}, SI: `direction`, `feed`, `payload`, `temp_<body>`,
-               and `time` at which it starts
-    seconds    that it takes
+    name         unique in its set-up
+    setup        name of the set-up
+    command      (n, n_dof) poses, SI, in the order of direction +1; with direction -1
+                 they are taken in reverse
+    condition    {covariate: value}, SI: `direction`, `feed`, `payload`, `temp_<body>`,
+                 and `time` at which it starts
+    seconds      that it takes
     """
 
     name: str
@@ -38,12 +37,7 @@ class Run:
     seconds: float = 0.0
 
     def __post_init__(self) -> None:
-        known = [
-            c
-            for c in self.condition
-            if c in CONDITIONS or c.startswith(state.TEMPERATURE)
-        ]
-        unknown = sorted(set(self.condition) - set(known))
+        unknown = sorted(c for c in self.condition if not _is_condition(c))
         if unknown:
             raise ValueError(
                 f"run {self.name}: no condition {unknown}; there are {list(CONDITIONS)}"
@@ -60,36 +54,47 @@ class Run:
             )
 
 
+def _is_condition(covariate: str) -> bool:
+    return covariate in CONDITIONS or covariate.startswith(state.TEMPERATURE)
+
+
 def lay_out(
-    measurement: Measurement, runs: Sequence[Run]
+    measurement: Measurement,
+    runs: Sequence[Run],
 ) -> tuple[tuple[Series, ...], pd.DataFrame]:
-    """Series, one a set-up, of all runs, and one row of covariates a reading.
+    """Series of all runs, one a set-up, and one row of covariates a reading.
 
     Raises ValueError for runs of one name in a set-up, AssemblyError for poses out of
     reach.
     """
     keys = [(r.setup, r.name) for r in runs]
     if len(set(keys)) < len(keys):
-        twice = sorted({n for s, n in keys if keys.count((s, n)) > 1})
+        twice = sorted({key[1] for key in keys if keys.count(key) > 1})
         raise ValueError(
             f"runs need names of their own in a set-up: {twice} are used twice"
         )
-    made, rows = [], []
+    series, rows = [], []
     for setup in dict.fromkeys(r.setup for r in runs):
-        mine = [r for r in runs if r.setup == setup]
-        labels = [r.name for r in mine for _ in range(len(r.command))]
-        command = np.vstack(
-            [r.command[:: int(r.condition.get("direction", 1.0))] for r in mine]
-        )
-        made.append(measurement.series(setup, command, labels))
-        skipped = 1 if measurement.setups[setup].instrument.reference == "run" else 0
-        rows += [_covariates(r, skipped) for r in mine]
-    return tuple(made), pd.concat(rows, ignore_index=True)
+        of_setup = [r for r in runs if r.setup == setup]
+        labels = [r.name for r in of_setup for _ in range(len(r.command))]
+        command = np.vstack([_in_order(r) for r in of_setup])
+        series.append(measurement.series(setup, command, labels))
+        instrument = measurement.setups[setup].instrument
+        skipped = 1 if instrument.reference == "run" else 0
+        rows += [_covariates(r, skipped) for r in of_setup]
+    return tuple(series), pd.concat(rows, ignore_index=True)
+
+
+def _in_order(run: Run) -> Array:
+    """Poses of a run in the order in which they are taken."""
+    direction = int(run.condition.get("direction", 1.0))
+    return run.command[::direction]
 
 
 def _covariates(run: Run, skipped: int) -> pd.DataFrame:
-    """One row a reading; `skipped` poses at the start are a reference and not a
-    reading.
+    """One row a reading.
+
+    `skipped` poses at the start are a reference and not a reading.
     """
     order = np.arange(skipped, len(run.command))
     stated = {c: v for c, v in run.condition.items() if c != "time"}
@@ -97,19 +102,18 @@ def _covariates(run: Run, skipped: int) -> pd.DataFrame:
         {"setup": run.setup, "run": run.name, "order": order, **stated}
     )
     if "time" in run.condition:
-        table["time"] = run.condition["time"] + order * run.seconds / len(run.command)
+        since_start = order * run.seconds / len(run.command)
+        table["time"] = run.condition["time"] + since_start
     return table
 
 
-def prepared(
+def prepare(
     measurement: Measurement,
     runs: Sequence[Run],
     *,
     gravity: tuple[float, float, float] = state.DOWN,
 ) -> tuple[GapProblem, tuple[Index, ...]]:
-    """The problem of all candidate runs as if taken, and each run's rows in it, in the
-    order of `runs`.
-    """
+    """The problem of all candidate runs as if taken, and each run's rows in it."""
     series, covariates = lay_out(measurement, runs)
     problem = assemble(measurement, series, covariates, gravity=gravity)
     at = problem.rows.groupby(["setup", "run"], sort=False).indices

@@ -13,7 +13,9 @@ import numpy as np
 
 from oed import dataset, units
 from oed.effect import Effect
-from oed.gap.before import detect, runs, separate
+from oed.gap.before import choose, detect, runs
+from oed.gap.before.detection import Detectability, EffectRival
+from oed.gap.before.pool import PairSeparation, Pool
 from oed.gap.data import problem as problem_of
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
@@ -87,7 +89,7 @@ def _table(
         readings=len(planned),
         effects=[_row(row, about[row.effect], fine) for row in found.effects],
         names=list(found.names),
-        separation=found.apart.tolist(),
+        separation=found.separation.tolist(),
         angles_deg=found.angles.tolist(),
         classes=[list(c) for c in found.classes],
         absorbed=[list(pair) for pair in found.absorbed],
@@ -96,7 +98,7 @@ def _table(
 
 
 def _row(
-    row: detect.Detectability, about: str, fine: Mapping[str, str]
+    row: Detectability, about: str, fine: Mapping[str, str]
 ) -> result.DetectabilityRecord:
     return result.DetectabilityRecord(
         name=row.effect,
@@ -117,12 +119,14 @@ def _row(
     )
 
 
-def _rival(rival: detect.EffectRival) -> result.RivalRecord:
+def _rival(rival: EffectRival) -> result.RivalRecord:
     shared = [
-        result.SharedRecord(s.words, dict(s.combination), s.seen, s.apart, s.angle)
+        result.SharedRecord(
+            s.words, dict(s.combination), s.detectability, s.separation, s.angle
+        )
         for s in rival.shared
     ]
-    return result.RivalRecord(rival.name, rival.apart, rival.angle, shared)
+    return result.RivalRecord(rival.name, rival.separation, rival.angle, shared)
 
 
 def _known(value: float) -> float | None:
@@ -141,16 +145,16 @@ def _chosen(
     rng: np.random.Generator,
 ) -> tuple[result.ChosenRuns, str]:
     assert asked.rules is not None  # a plan that is followed is made by now
-    problem, rows = runs.prepared(measurement, asked.runs, gravity=gravity)
+    problem, rows = runs.prepare(measurement, asked.runs, gravity=gravity)
     kept = np.array(asked.kept, dtype=np.intp)
     try:
-        pool = separate.Pool(problem, stated(problem), rows, asked.wanted, asked.rivals)
-        found = separate.choose(
+        pool = Pool(problem, stated(problem), rows, asked.wanted, asked.rivals)
+        found = choose.choose(
             pool,
             asked.rules,
             rng,
             share=asked.said.share,
-            kept=kept,
+            fixed=kept,
             rounds=asked.said.starts,
         )
     except ValueError as error:
@@ -167,9 +171,14 @@ def _chosen(
     own = problem_of.assemble(measurement, series, timed, gravity=gravity)
     told = [
         result.SeparationRecord(
-            t.effect, t.rival, t.words, t.seen, t.apart, before.get(_key(t))
+            t.effect,
+            t.rival,
+            t.words,
+            t.detectability,
+            t.separation,
+            before.get(_key(t)),
         )
-        for t in found.told
+        for t in found.pairs
     ]
     worst = [t.before for t in told]
     made = result.ChosenRuns(
@@ -179,7 +188,7 @@ def _chosen(
             result.ChosenRun(r.setup, r.name, dict(r.condition), r.seconds)
             for r in taken
         ],
-        separation=found.apart,
+        separation=found.separation,
         bound=found.bound,
         before=(
             None
@@ -220,7 +229,7 @@ def _clock(covariates: pd.DataFrame, asked: GapDesignRequest) -> np.ndarray:
     return np.concatenate(times)
 
 
-def _key(told: separate.PairSeparation) -> tuple[str, str, str]:
+def _key(told: PairSeparation) -> tuple[str, str, str]:
     return told.effect, told.rival, told.words
 
 
@@ -231,12 +240,15 @@ def _before(
     cannot test the effects.
     """
     try:
-        pool = separate.Pool(
+        pool = Pool(
             planned, stated(planned), planned.blocks, asked.wanted, asked.rivals
         )
     except ValueError:
         return {}
-    return {_key(t): t.apart for t in pool.told(np.arange(len(planned.blocks)))}
+    return {
+        _key(t): t.separation
+        for t in pool.pair_separations(np.arange(len(planned.blocks)))
+    }
 
 
 def _csv(

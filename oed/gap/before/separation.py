@@ -1,18 +1,17 @@
-"""How well the runs of a plan tell effects apart, as a concave function of the runs'
-weights.
+"""Separation of effects by the runs of a plan, as a concave function of their weights.
 
 For weights w on runs with Gram matrices M_i (of slopes H and effects' columns G,
 whitened by the noise), a target t (a combination of one effect's columns) and its
 nuisances E (parameters and one rival's columns) with prior P,
 
-    lambda(w) = min_c (t + E c)^T M(w) (t + E c) + c^T P c,          M(w) = sum_i w_i M_i,
+    lambda(w) = min_c (t + E c)^T M(w) (t + E c) + c^T P c,    M(w) = sum_i w_i M_i,
 
 a minimum of functions linear in w: concave, with slopes v^T M_i v and curvature -2
 u_i^T N^-1 u_j at the minimum, where v = t + E c, u_i = E^T M_i v and N = E^T M E + P. A
 plan is judged by
 
-    (1 - share) min over targets of log lambda  +  share log det(1 + sum_i w_i H_i^T
-                                                H_i) / n,
+    (1 - share) min over targets of log lambda
+        + share log det(1 + sum_i w_i H_i^T H_i) / n,
 
 n the parameters: T-optimality with the parameters profiled out (Atkinson and Fedorov
 1975), compounded with D.
@@ -27,7 +26,7 @@ import numpy as np
 from oed.arrays import Array, Index
 from oed.design.objective import Tangent
 
-#: least lambda that is told from none: its logarithm must stay finite
+#: least lambda that counts: its logarithm must stay finite
 LEAST = 1e-9
 #: how sharply the smoothed minimum takes the least targets, from level to level
 SHARP = (2.0, 8.0, 32.0, 128.0, 512.0)
@@ -35,8 +34,14 @@ SHARP = (2.0, 8.0, 32.0, 128.0, 512.0)
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """What is to be told from a rival: columns and their shares (k,); columns of the
-    rival (r,) and their prior precision (r,). Columns count the effects' only.
+    """A combination of an effect's columns to be separated from a rival.
+
+    columns      (k,) of the effect
+    shares       (k,) of these columns in the combination
+    rival        (r,) columns of the rival
+    precision    (r,) prior precision of these columns
+
+    Columns count those of effects only.
     """
 
     columns: Index
@@ -47,14 +52,16 @@ class Target:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Separation:
-    """The objective over C candidate runs; an `oed.design.objective.Objective`, and a
-    judge of plans for the search.
+    """The objective over C candidate runs (`oed.design.objective.Objective`).
 
-    grams    (C, m, m) with m = n + K: parameters first, then the columns of all effects
-    base     (m, m) held whatever the plan: the parameters' prior, runs that are kept
-    size     parameters n
-    targets  at least one unless share = 1;  share of D, 0 to 1
-    sharp    of the smoothed minimum, in the relaxation
+    grams      (C, m, m) with m = n + K: parameters first, then the columns of all
+               effects
+    base       (m, m) information whatever the plan: the parameters' prior and the runs
+               that any plan has
+    size       number n of parameters
+    targets    at least one unless share = 1
+    share      of D in the compound, 0 to 1
+    sharp      how sharply the smoothed minimum takes the least targets
     """
 
     grams: Array
@@ -79,44 +86,40 @@ class Separation:
     def lambdas(self, m: Array) -> Array:
         """lambda (T, ...) of each target for M (..., m, m)."""
         n = self.size
-        half = np.linalg.solve(m[..., :n, :n], m[..., :n, n:])
-        left = m[..., n:, n:] - np.swapaxes(m[..., :n, n:], -1, -2) @ half
-        return np.array([self._lambda(left, t) for t in self.targets]).reshape(
-            len(self.targets), *m.shape[:-2]
-        )
+        effects, cross = m[..., n:, n:], m[..., :n, n:]
+        solved = np.linalg.solve(m[..., :n, :n], cross)
+        profiled = effects - np.swapaxes(cross, -1, -2) @ solved
+        lambdas = np.array([self._lambda(profiled, t) for t in self.targets])
+        return lambdas.reshape(len(self.targets), *m.shape[:-2])
 
-    def _lambda(self, left: Array, t: Target) -> Array:
-        own = np.einsum(
-            "k,...kl,l->...",
-            t.shares,
-            left[..., t.columns[:, None], t.columns[None, :]],
-            t.shares,
-        )
-        inner = left[..., t.rival[:, None], t.rival[None, :]] + np.diag(t.precision)
-        cross = left[..., t.rival[:, None], t.columns[None, :]] @ t.shares
-        told = np.linalg.solve(inner, cross[..., None])[..., 0]
-        return np.asarray(
-            np.maximum(own - np.einsum("...k,...k->...", cross, told), LEAST)
-        )
+    def _lambda(self, profiled: Array, t: Target) -> Array:
+        """lambda (...) of a target, the parameters profiled out of (..., K, K)."""
+        block = profiled[..., t.columns[:, None], t.columns[None, :]]
+        whole = np.einsum("k,...kl,l->...", t.shares, block, t.shares)
+        inner = profiled[..., t.rival[:, None], t.rival[None, :]]
+        inner = inner + np.diag(t.precision)
+        cross = profiled[..., t.rival[:, None], t.columns[None, :]] @ t.shares
+        solved = np.linalg.solve(inner, cross[..., None])[..., 0]
+        absorbed = np.einsum("...k,...k->...", cross, solved)
+        return np.asarray(np.maximum(whole - absorbed, LEAST))
 
     def volume(self, m: Array) -> Array:
         """log det of the parameters' information (with prior) over n, (...)."""
-        return np.asarray(
-            np.linalg.slogdet(m[..., : self.size, : self.size])[1] / self.size
-        )
+        n = self.size
+        return np.asarray(np.linalg.slogdet(m[..., :n, :n])[1] / n)
 
     def worth(self, m: Array, sharp: float = np.inf) -> Array:
-        """The compound (...) for M (..., m, m); the minimum smoothed, from above, where
-        `sharp` is finite.
+        """The compound (...) for M (..., m, m).
+
+        Where `sharp` is finite the minimum is smoothed, from above.
         """
         total = self.share * self.volume(m)
         if self.share < 1.0:
             logs = np.log(self.lambdas(m))
             low = logs.min(axis=0)
             if np.isfinite(sharp):
-                low = (
-                    low - np.log(np.mean(np.exp(-sharp * (logs - low)), axis=0)) / sharp
-                )
+                weights = np.exp(-sharp * (logs - low))
+                low = low - np.log(np.mean(weights, axis=0)) / sharp
             total = total + (1.0 - self.share) * low
         return np.asarray(total)
 
@@ -124,83 +127,76 @@ class Separation:
 
     def at(self, active: Index, weights: Array) -> Array:
         """M (m, m)."""
-        return np.asarray(self.base + np.tensordot(weights, self.grams[active], axes=1))
+        runs = np.tensordot(weights, self.grams[active], axes=1)
+        return np.asarray(self.base + runs)
 
     def value(self, active: Index, weights: Array) -> float:
         """The compound, smoothed."""
         return float(self.worth(self.at(active, weights), self.sharp))
 
     def tangent(self, active: Index, weights: Array) -> Tangent:
-        """The tangent of the shares' mean of the log lambdas: above their minimum
-        everywhere.
+        """The tangent of the weighted mean of the log lambdas.
+
+        It lies above their minimum everywhere.
         """
         m = self.at(active, weights)
-        slopes, offset = (
-            self.share * self._volume_slopes(m, self.grams),
-            self.share * float(self.volume(m)),
-        )
+        slopes = self.share * self._volume_slopes(m, self.grams)
+        offset = self.share * float(self.volume(m))
         if self.share < 1.0:
             logs, table, _ = self._slopes(m, self.grams)
             shares = self._shares(logs)
             slopes = slopes + (1.0 - self.share) * shares @ table
             offset += (1.0 - self.share) * float(shares @ logs)
-        return Tangent(
-            float(self.worth(m)),
-            slopes,
-            0.0,
-            offset - float(weights @ slopes[active]),
-            linear=True,
-        )
+        offset -= float(weights @ slopes[active])
+        return Tangent(float(self.worth(m)), slopes, 0.0, offset, linear=True)
 
     def slopes_and_curvature(
-        self, active: Index, weights: Array
+        self,
+        active: Index,
+        weights: Array,
     ) -> tuple[Array, Array]:
         """Slopes and curvature of the smoothed compound."""
-        m, some = self.at(active, weights), self.grams[active]
-        slopes, curvature = (
-            self.share * self._volume_slopes(m, some),
-            self.share * self._volume_curvature(m, some),
-        )
+        m, grams = self.at(active, weights), self.grams[active]
+        slopes = self.share * self._volume_slopes(m, grams)
+        curvature = self.share * self._volume_curvature(m, grams)
         if self.share < 1.0:
-            logs, table, curvatures = self._slopes(m, some)
+            logs, table, curvatures = self._slopes(m, grams)
             shares = self._shares(logs)
             mean = shares @ table
+            covariance = (table.T * shares) @ table - np.outer(mean, mean)
             bend = np.tensordot(shares, curvatures, axes=1)
-            bend = bend + self.sharp * (
-                (table.T * shares) @ table - np.outer(mean, mean)
-            )
-            slopes, curvature = (
-                slopes + (1.0 - self.share) * mean,
-                curvature + (1.0 - self.share) * bend,
-            )
+            bend = bend + self.sharp * covariance
+            slopes = slopes + (1.0 - self.share) * mean
+            curvature = curvature + (1.0 - self.share) * bend
         return np.asarray(slopes), np.asarray(curvature)
 
     def _shares(self, logs: Array) -> Array:
+        """Weights (T,) of the targets in the smoothed minimum."""
         weights = np.exp(-self.sharp * (logs - logs.min()))
         return np.asarray(weights / weights.sum())
 
     def _volume_slopes(self, m: Array, grams: Array) -> Array:
         n = self.size
-        return np.asarray(
-            np.einsum("cij,ji->c", grams[:, :n, :n], np.linalg.inv(m[:n, :n])) / n
-        )
+        inverse = np.linalg.inv(m[:n, :n])
+        return np.asarray(np.einsum("cij,ji->c", grams[:, :n, :n], inverse) / n)
 
     def _volume_curvature(self, m: Array, grams: Array) -> Array:
         n = self.size
-        moved = np.linalg.inv(m[:n, :n]) @ grams[:, :n, :n]
-        flat = moved.reshape(len(grams), -1)
-        return np.asarray(flat @ np.swapaxes(moved, 1, 2).reshape(len(grams), -1).T / n)
+        relative = np.linalg.inv(m[:n, :n]) @ grams[:, :n, :n]
+        flat = relative.reshape(len(grams), -1)
+        transposed = np.swapaxes(relative, 1, 2).reshape(len(grams), -1)
+        return np.asarray(flat @ transposed.T / n)
 
     def _slopes(self, m: Array, grams: Array) -> tuple[Array, Array, Array]:
         """log lambda (T,), its slopes (T, C) and curvatures (T, C, C)."""
         logs, slopes, curvatures = [], [], []
         for t in self.targets:
-            nuisance = np.concatenate([np.arange(self.size), self.size + t.rival])
+            n = self.size
+            nuisance = np.concatenate([np.arange(n), n + t.rival])
             target = np.zeros(len(m))
-            target[self.size + t.columns] = t.shares
-            inner = m[np.ix_(nuisance, nuisance)] + np.diag(
-                np.concatenate([np.zeros(self.size), t.precision])
-            )
+            target[n + t.columns] = t.shares
+            precision = np.concatenate([np.zeros(n), t.precision])
+            inner = m[np.ix_(nuisance, nuisance)] + np.diag(precision)
             inverse = np.linalg.inv(inner)
             v = target.copy()
             v[nuisance] -= inverse @ (m[nuisance] @ target)
@@ -220,9 +216,8 @@ class Separation:
     def mean_eigenvalue(self, weights: Array) -> float:
         """Mean information on a parameter."""
         n = self.size
-        total = np.tensordot(
-            weights, np.trace(self.grams[:, :n, :n], axis1=1, axis2=2), axes=1
-        )
+        traces = np.trace(self.grams[:, :n, :n], axis1=1, axis2=2)
+        total = np.tensordot(weights, traces, axes=1)
         return float(total + np.trace(self.base[:n, :n])) / n
 
     def with_ridge(self, ridge: float) -> Separation:
@@ -238,8 +233,9 @@ class Separation:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SeparationJudge:
-    """Plans judged by the compound; level 0 smooths the minimum, so that an exchange may
-    help several targets.
+    """Judge of plans by the compound.
+
+    Level 0 smooths the minimum, so that an exchange may help several targets.
     """
 
     separation: Separation
@@ -256,17 +252,18 @@ class SeparationJudge:
 
     def regularised_value(self, chosen: Index, level: int) -> float:
         """At a level."""
-        return float(
-            self.separation.worth(self.separation.of(chosen), _sharpness(level))
-        )
+        m = self.separation.of(chosen)
+        return float(self.separation.worth(m, _sharpness(level)))
 
     def values_after_adding(
-        self, chosen: Index, level: int, ridge: float | None = None
+        self,
+        chosen: Index,
+        level: int,
+        ridge: float | None = None,
     ) -> Array:
         """At a level, of the plan with each candidate (C,) added."""
-        return self.separation.worth(
-            self.separation.of(chosen) + self.separation.grams, _sharpness(level)
-        )
+        m = self.separation.of(chosen) + self.separation.grams
+        return self.separation.worth(m, _sharpness(level))
 
     def exchange_all(self, chosen: Index, level: int) -> Index | None:
         """No faster way is known."""
