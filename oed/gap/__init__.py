@@ -1,3 +1,1 @@
-"""Diagnosis of the gap between model and machine: which effect, where, how far it
-shrinks, what to read next.
-"""
+"""Diagnosis of the gap between model and machine: effects, places, closure, advice."""

@@ -43,20 +43,24 @@ def diagnose(
     `law` is the noise law where it is known but for its level; by default the readings
     determine it.
     """
-    made = _searches(problem, effects, law)
-    hypotheses = compare(made)
+    search_results = _searches(problem, effects, law)
+    hypotheses = compare(search_results)
     # a random stream of its own: what follows does not depend on the gate's draws
-    shares = gate.reweigh(made, hypotheses, probabilities(hypotheses), rng.spawn(1)[0])
-    diagnosis, best = conclude(problem, made, hypotheses, effects, shares=shares)
-    clean = made[best.law].problem  # without outliers, where there are any
+    shares = gate.reweigh(
+        search_results, hypotheses, probabilities(hypotheses), rng.spawn(1)[0]
+    )
+    diagnosis, best = conclude(
+        problem, search_results, hypotheses, effects, shares=shares
+    )
+    clean = search_results[best.law].problem  # without outliers, where there are any
     where: tuple[Block, ...] = ()
     if diagnosis.verdict == "none":
         # the closure by the likeliest effect is reported all the same, nil or not
         named = (h for h in hypotheses if h.effects and not h.unknown)
         best = next(named, best)
     else:
-        where = _locate(clean, made[best.law], best, diagnosis, rng)
-    closures = _closures(clean, made[best.law], best, diagnosis.law, rng)
+        where = _locate(clean, search_results[best.law], best, diagnosis, rng)
+    closures = _closures(clean, search_results[best.law], best, diagnosis.law, rng)
     return dataclasses.replace(diagnosis, where=where, closure=closures)
 
 
@@ -73,7 +77,7 @@ def _searches(
 
 def conclude(
     problem: GapProblem,
-    made: Sequence[Search],
+    search_results: Sequence[Search],
     hypotheses: Sequence[Hypothesis],
     effects: Sequence[Effect],
     *,
@@ -85,10 +89,10 @@ def conclude(
     second result is the hypothesis that the first answer stands for.
     """
     shares = probabilities(hypotheses) if shares is None else shares
-    groups = answers.group(made, hypotheses, shares)
+    groups = answers.group(search_results, hypotheses, shares)
     ranked, best = answers.rank(groups)
     first = ranked[0]
-    search = made[best.law]
+    search = search_results[best.law]
     named = {name for members in first.classes for name in members}
     if not named & set(best.effects):
         named = set(best.effects)

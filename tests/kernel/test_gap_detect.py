@@ -116,9 +116,7 @@ def test_least_size_is_found_nine_times_in_ten():
     assert row.least["length"] <= row.median["length"]
     # the most visible combination needs no more than leg 2 alone does
     alone = (
-        row.sizes["leg 2"]
-        / made.scales[1]
-        * np.sqrt(np.mean((p.sigma * g[:, 1]) ** 2))
+        row.sizes["leg 2"] / made.scales[1] * np.sqrt(np.mean((p.sigma * g[:, 1]) ** 2))
     )
     assert row.least["length"] <= alone * (1 + 1e-9)
 

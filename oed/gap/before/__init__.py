@@ -1,1 +1,1 @@
-"""What a plan could detect and tell apart, before any reading is taken."""
+"""What planned readings could detect and separate, before any is taken."""

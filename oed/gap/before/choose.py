@@ -189,8 +189,8 @@ def _search(
         judge = SeparationJudge(separation)
         starts = [select_greedily(judge, inner, 0.0, level) for level in (0, 1)]
         gains = np.maximum(relaxed.slopes, 0.0)
-        found = search(judge, inner, relaxed.weights, gains, starts, rng, rounds)
-        runs = free[found]
+        selected = search(judge, inner, relaxed.weights, gains, starts, rng, rounds)
+        runs = free[selected]
         hardest = pool.hardest(np.concatenate([runs, fixed]))
         joined = sorted(set(targets) | set(hardest))
         if joined == targets:

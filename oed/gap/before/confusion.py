@@ -60,13 +60,13 @@ def _principal_angles(
 
     The second result are the combinations (k, r) of unit length.
     """
-    left = _visible_root(table, form.textbook)
-    right = _visible_root(table, rival.textbook)
-    cross = left.T @ table.block(form.textbook, rival.textbook) @ right
+    root = _visible_root(table, form.textbook)
+    rival_root = _visible_root(table, rival.textbook)
+    cross = root.T @ table.block(form.textbook, rival.textbook) @ rival_root
     u, cosine, _ = np.linalg.svd(cross)
     missing = np.zeros(u.shape[1] - len(cosine))
     cosine = np.append(np.minimum(cosine, 1.0), missing)
-    vectors = left @ u
+    vectors = root @ u
     lengths = np.linalg.norm(vectors, axis=0)
     return np.rad2deg(np.arccos(cosine)), vectors / lengths
 

@@ -105,11 +105,11 @@ def _coefficients(
     sds: Array,
 ) -> list[Coefficient]:
     """Coefficients of an effect from their means (k,) and sds (k,)."""
-    made: list[Coefficient] = []
+    coefficients: list[Coefficient] = []
     for c, mean, sd in zip(rows, means, sds, strict=True):
         name, label = library.names[c], library.labels[c]
-        made.append(Coefficient(effect, name, label, float(mean), float(sd)))
-    return made
+        coefficients.append(Coefficient(effect, name, label, float(mean), float(sd)))
+    return coefficients
 
 
 def _rms_by_channel(problem: GapProblem, signal: Array) -> dict[str, float]:

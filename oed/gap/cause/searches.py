@@ -63,18 +63,18 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
         noise.fit_law(clean, nothing, plain[0]),
         noise.fit_law(clean, columns, wide[0]),
     ]
-    made = _search(clean, library, processes, laws, outliers)
+    results = _search(clean, library, processes, laws, outliers)
     # what looks like an outlier may be a gap, within a run at that
     located = _add_located(processes, problem, plain[0])
     raw = Search(problem, library, located, *plain)
-    made.append(raw)
-    best = _best_gap(compare(made))
+    results.append(raw)
+    best = _best_gap(compare(results))
     gaps = [(raw, _best_gap(raw.run()))]
-    if made[best.law] is not raw:
-        gaps.append((made[best.law], best))
+    if results[best.law] is not raw:
+        gaps.append((results[best.law], best))
     for search, gap in gaps:
-        made += _with_gap(problem, search, gap, columns, outliers)
-    return made
+        results += _with_gap(problem, search, gap, columns, outliers)
+    return results
 
 
 def searches_under(
@@ -87,13 +87,13 @@ def searches_under(
     processes = libraries.build(problem, PROCESSES)
     columns = wide_model(library, processes)
     outliers = noise.detect_outliers(problem, law, columns)
-    made = []
+    results = []
     for removed in (None, outliers) if outliers is not None else (None,):
         clean = noise.without_outliers(problem, removed)
         located = _add_located(processes, clean, law)
         combined, _ = pursuit.pursue(located, clean, [law], known=True)
-        made.append(Search(clean, library, combined, law, 0.0, removed))
-    return made
+        results.append(Search(clean, library, combined, law, 0.0, removed))
+    return results
 
 
 def _search(
@@ -115,17 +115,17 @@ def _search(
     for pair in pursued:
         if not any(_same(pair[0], law) for law, _ in laws):
             laws = [*laws, pair]
-    made = [Search(problem, library, processes, *pair, outliers) for pair in laws]
+    results = [Search(problem, library, processes, *pair, outliers) for pair in laws]
     # the gap that each law prefers gets the law that suits it: a load's runs, say,
     # then do not count as poor repeats
     tried: set[Forms] = set()
-    for start in list(made):
-        _add_refitted(made, start, _best_gap(start.run()), tried)
-    best = _best_gap(compare(made))
-    _add_refitted(made, made[best.law], best, tried)
-    best = _best_gap(compare(made))
-    _add_without_gap(made, made[best.law].law)
-    return made
+    for start in list(results):
+        _add_refitted(results, start, _best_gap(start.run()), tried)
+    best = _best_gap(compare(results))
+    _add_refitted(results, results[best.law], best, tried)
+    best = _best_gap(compare(results))
+    _add_without_gap(results, results[best.law].law)
+    return results
 
 
 def _add_located(
@@ -162,15 +162,15 @@ def _with_gap(
     if np.abs(clean.residual - before.residual).max() < OTHER:
         return []
     nothing = np.zeros((len(problem), 0))
-    made = []
+    results = []
     for model in (nothing, forms):
         law = noise.fit_law(clean, model, search.law)
-        made.append(Search(clean, search.library, search.processes, *law, outliers))
-    return made
+        results.append(Search(clean, search.library, search.processes, *law, outliers))
+    return results
 
 
 def _add_refitted(
-    made: list[Search],
+    results: list[Search],
     start: Search,
     best: Hypothesis,
     tried: set[Forms],
@@ -185,23 +185,23 @@ def _add_refitted(
     tried.add(forms)
     columns = best.columns(start.library, start.processes)
     pair = noise.fit_law(start.problem, columns, start.law)
-    laws = [pair, *((s.law, s.log_prior) for s in made)]
+    laws = [pair, *((s.law, s.log_prior) for s in results)]
     new, *others = _log_evidences(start.problem, columns, laws)
     if new > max(others) + CLEARLY:
-        made.append(_again(start, pair))
+        results.append(_again(start, pair))
 
 
-def _add_without_gap(made: list[Search], start: NoiseLaw) -> None:
+def _add_without_gap(results: list[Search], start: NoiseLaw) -> None:
     """Add the search under the law that suits no gap best, from the best gap's law on.
 
     What a gap gains by a law fitted to it, no gap should gain too.
     """
-    first = made[0]
+    first = results[0]
     nothing = np.zeros((len(first.problem), 0))
     pair = noise.fit_law(first.problem, nothing, start)
     new = _log_evidences(first.problem, nothing, [pair])[0]
-    if new > max(s.grams.base + s.log_prior for s in made) + BETTER:
-        made.append(_again(first, pair))
+    if new > max(s.grams.base + s.log_prior for s in results) + BETTER:
+        results.append(_again(first, pair))
 
 
 def _again(search: Search, pair: WeighedLaw) -> Search:

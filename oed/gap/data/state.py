@@ -36,13 +36,13 @@ def states(
     covariates = covariates.assign(progress=_progress(times))
     down = np.array(gravity, dtype=float)
     down = down / np.linalg.norm(down)
-    made, start = [], 0
+    by_series, start = [], 0
     for s in series:
         stop = start + len(s)
         rows = covariates.iloc[start:stop]
-        made.append(_state(measurement, s, rows, theta, session, down))
+        by_series.append(_state(measurement, s, rows, theta, session, down))
         start = stop
-    return made
+    return by_series
 
 
 def _session(

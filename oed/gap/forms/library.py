@@ -287,7 +287,7 @@ def _atoms(
     without the columns that adapt.
     """
     limbs = list(dict.fromkeys(n for n in form.labels if n))
-    made = []
+    atoms = []
     for rows, share in _choices(form, limbs, halved):
         for columns, part in _textbook_and_adapted(form, rows):
             blocks = {form.labels[c] for c in columns}
@@ -295,8 +295,8 @@ def _atoms(
             if len(blocks) == 1 and len(limbs) > 1:
                 words = f"{about}, {blocks.pop()}"
             at, weight = start + columns, log_weight + math.log(share * part)
-            made.append(Atom(form.effect, form.constants, at, weight, words))
-    return made
+            atoms.append(Atom(form.effect, form.constants, at, weight, words))
+    return atoms
 
 
 def _choices(

@@ -45,17 +45,17 @@ def add(processes: Library, problem: GapProblem, law: NoiseLaw) -> Library:
     width = np.ptp(frequencies)
     energy = _energies(problem, metric, legs[:, sliding], travel / bin_size, size)
     energy = energy[:, fine]
-    found, cells = [], 0.0
+    peaks, cells = [], 0.0
     for strength, leg in zip(energy, sliding, strict=True):
         band = bands.travel_band(legs, [leg], place, frequencies)
-        found += waves.peaks(problem, metric, band, strength[None])
+        peaks += waves.peaks(problem, metric, band, strength[None])
         cells += spans[leg] * float(width)
     if len(sliding) > 1:
         band = bands.travel_band(legs, sliding, place, frequencies)
-        found += waves.peaks(problem, metric, band, energy.sum(axis=0)[None])
+        peaks += waves.peaks(problem, metric, band, energy.sum(axis=0)[None])
         cells += float(spans[sliding].max() * width)
     tried = int(bands.OVER * cells) + 1
-    return carriers.add_peaks(processes, NAME, [(found, tried)], waves.PEAKS)
+    return carriers.add_peaks(processes, NAME, [(peaks, tried)], waves.PEAKS)
 
 
 def _division(travel: float) -> tuple[int, float]:

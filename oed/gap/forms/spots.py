@@ -44,13 +44,13 @@ def add(processes: Library, problem: GapProblem, law: NoiseLaw) -> Library:
     residual = metric.parts(problem.residual[:, None])
     every = carriers.all_carriers(problem)
     names = carriers.carrier_names(problem)
-    found = []
+    peaks = []
     for name, carrier in zip(names, every, strict=True):
         for peak in _peaks(metric, at / reach, centres, carrier, residual):
             about = f"{name} about the place {_place_in_words(peak, reach)}"
-            found.append(dataclasses.replace(peak, about=about))
+            peaks.append(dataclasses.replace(peak, about=about))
     tried = len(centres) * len(WIDTHS) * len(every)
-    return carriers.add_peaks(processes, NAME, [(found, tried)], BEST)
+    return carriers.add_peaks(processes, NAME, [(peaks, tried)], BEST)
 
 
 def _place_in_words(peak: Peak, reach: float) -> str:

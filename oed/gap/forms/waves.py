@@ -45,11 +45,13 @@ def add(processes: Library, problem: GapProblem, law: NoiseLaw) -> Library:
     metric = Metric(problem, law)
     kinds: list[tuple[list[Peak], int]] = []
     for kind in bands.bands_by_kind(problem):
-        found = []
+        kind_peaks = []
         for band in kind:
-            found += peaks(problem, metric, band, -_log_tails(problem, metric, band))
+            kind_peaks += peaks(
+                problem, metric, band, -_log_tails(problem, metric, band)
+            )
         tried = sum(len(band.frequencies) * len(band.carriers) for band in kind)
-        kinds.append((found, tried))
+        kinds.append((kind_peaks, tried))
     for kind in (bands.swing_bands(problem), bands.run_bands(problem)):
         tried = sum(len(band.frequencies) for band in kind)
         kinds.append((_peaks_by_evidence(problem, metric, kind), tried))

@@ -69,12 +69,12 @@ def intervals(
     hot = np.concatenate([[False], warm, [False]])
     begins = np.flatnonzero(hot[1:] & ~hot[:-1])
     ends = np.flatnonzero(~hot[1:] & hot[:-1])
-    found = []
+    stretches = []
     for a, b in zip(begins, ends, strict=True):
         change = growth[:, a:b] @ heat[a:b]
         energy = float(change @ change)
-        found.append(WarmUp(float(edges[a]), float(edges[b]), energy))
-    return sorted(found, key=lambda interval: -interval.energy)
+        stretches.append(WarmUp(float(edges[a]), float(edges[b]), energy))
+    return sorted(stretches, key=lambda interval: -interval.energy)
 
 
 def _fit_heat(
