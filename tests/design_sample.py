@@ -12,9 +12,8 @@ import sample
 from oed import explain
 from oed.result import DesignSection
 from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages.design import section as score
-from pkm_studies.stages.design import select as choose
-from pkm_studies.stages.design.select import ChosenDesign
+from pkm_studies.stages.design.section import design_section
+from pkm_studies.stages.design.select import ChosenDesign, select_design
 
 HEAD = """\
 schema = 1
@@ -64,14 +63,14 @@ def text(
 
 def chosen(text: str, folder: Path = Path()) -> tuple[ResolvedStudy, ChosenDesign]:
     resolved = sample.resolved(text, folder)
-    found = choose.select_design(resolved, np.random.default_rng(0))
+    found = select_design(resolved, np.random.default_rng(0))
     assert found is not None
     return resolved, found
 
 
 def section(resolved: ResolvedStudy, found: ChosenDesign) -> DesignSection:
     assert resolved.study.design is not None
-    return score.design_section(
+    return design_section(
         resolved,
         found,
         explain.look(found.measurement, found.series, resolved.study.design.scaling),

@@ -16,7 +16,7 @@ from oed.result.gap import (
     PlaceRecord,
     SizeRecord,
 )
-from pkm_studies.stages.gap import sentences as gap_words
+from pkm_studies.stages.gap.sentences import format_probability, with_sentences
 
 
 def _gap(
@@ -60,14 +60,13 @@ def _gap(
         "words": [],
         "next": ["Look again."],
     }
-    return gap_words.told(GapSection(**fields | more))
+    return with_sentences(GapSection(**fields | more))
 
 
 def test_no_gap_in_words() -> None:
     words = _gap("none", [], []).words
     assert (
-        words[0]
-        == "No gap is found: what calibration leaves is what noise alone would leave"
+        words[0] == "No gap is found: noise alone explains what calibration leaves"
         " (probability 90 %)."
     )
     assert len(words) == 2  # beside it only what could not be tested
@@ -80,14 +79,14 @@ def test_an_effect_in_words() -> None:
         "It shows most in the time from 10 min to 20 min (p < 0.001).",
         (
             "With gravity in the model, the gap shrinks by 80 % (60 to 90 %) on whole"
-            " runs kept out of the fit."
+            " held-out runs."
         ),
         (
-            "Not tested, for want of a column in the readings: servo lag (record"
+            "Not tested, because the readings lack a column: servo lag (record"
             " feed_mm_min)."
         ),
     ]
-    assert found.next == ["Look again.", "Against gravity: stiffen the legs."]
+    assert found.next == ["Look again.", "Remedy for gravity: stiffen the legs."]
 
 
 def test_a_class_in_words() -> None:
@@ -121,13 +120,14 @@ def test_what_the_unknown_is_like_is_told() -> None:
     }
     told = _gap("unknown", ["unknown"], [], unknown=forms).words[1]
     assert (
-        told == "What no known effect explains is most like: leg 2 in a wave of 12 min"
+        told
+        == "What no known effect explains most resembles: leg 2 in a wave of 12 min"
         " (probability 62 %); or the tool about the place 1, 2, 3 mm (probability"
         " 30 %)."
     )
     one = _gap("unknown", ["unknown"], [], unknown={"drift": 0.06}).words[1]
     assert one.endswith("drift (probability 6 %).")
-    assert not any("most like" in w for w in _gap("unknown", ["unknown"], []).words)
+    assert not any("resembles" in w for w in _gap("unknown", ["unknown"], []).words)
 
 
 @pytest.mark.parametrize(("low", "high", "told"), [
@@ -142,7 +142,7 @@ def test_an_interval_that_tells_nothing_is_not_told_in_figures(
         [["gravity"]],
         closure=[ClosureRecord("whole", 0.3, low, high, 0.1, 2.0, 1.2, 1.0, 9)],
     )
-    assert f"({told}) on whole runs" in words.words[2]
+    assert f"({told}) on whole held-out runs" in words.words[2]
 
 
 def test_places_that_hold_much_of_the_gap_are_told() -> None:
@@ -163,15 +163,14 @@ def test_places_that_hold_much_of_the_gap_are_told() -> None:
 def test_a_gap_is_never_told_to_be_closed_whole() -> None:
     near = [ClosureRecord("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
     told = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[2]
-    assert "shrinks by 99.9 % (99.8 to 100.0 %) on stretches" in told
+    assert "shrinks by 99.9 % (99.8 to 100.0 %) on held-out" in told
 
 
 def test_more_than_the_whole_is_told_as_what_can_be_seen() -> None:
     more = [ClosureRecord("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
     told = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[2]
     assert (
-        "shrinks by all that the noise lets be seen (80 to over 100 %) on stretches"
-        in told
+        "shrinks by all that exceeds the noise (80 to over 100 %) on held-out" in told
     )
 
 
@@ -196,4 +195,4 @@ def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
     ],
 )
 def test_a_probability_is_never_made_certain(share: float, text: str) -> None:
-    assert gap_words.percent(share) == text
+    assert format_probability(share) == text

@@ -11,7 +11,7 @@ from oed import explain
 from pkm_studies import study
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
-from pkm_studies.stages.design import select as choose
+from pkm_studies.stages.design.cost import single_stage_plan
 
 STUDY = """
 schema = 1
@@ -47,7 +47,7 @@ def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long() -> 
     series = six.reference_plans[0].series
     assert len(series[0]) == 30
     seconds = [
-        choose.single_stage_plan(
+        single_stage_plan(
             r, explain.look(r.measurement, r.reference_plans[0].series), {}
         ).cost
         * 60

@@ -27,8 +27,10 @@ from pkm_reports.figures.gap import map as gap_map
 from pkm_reports.figures.gap import polar as gap_polar
 from pkm_reports.figures.gap import trace as gap_trace
 from pkm_reports.sections.gap import diagnosis as chapter
-from pkm_studies import pipeline
-from pkm_studies.stages.gap import section as stage
+from pkm_studies.progress import Silent
+from pkm_studies.run_state import start
+from pkm_studies.stages.gap.section import gap_section
+from pkm_studies.steps.readings import planned_series, simulate_readings
 from pkm_studies.study import load
 
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'
@@ -54,13 +56,18 @@ def test_legs_that_nothing_tells_apart_are_said_to_be(stored: dict[str, Any]) ->
 def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The gap of the hand-made diagnosis, as it comes back from result.json."""
     path = gap_fixture.written(tmp_path_factory.mktemp("gap"))
-    job = pipeline._Job(load(path), path.parent, 3, pipeline.Silent(), None)
-    series, truth, y, covariates, _ = job.virtual(job.planned(None))
-    found = gap_fixture.diagnosis(
-        problem.assemble(job.measurement, series, covariates, truth, y)
+    state = start(load(path), path.parent, 3, Silent(), None)
+    readings = simulate_readings(state, planned_series(state)).readings
+    residuals = problem.assemble(
+        state.measurement,
+        readings.series,
+        readings.covariates,
+        readings.truth,
+        readings.y,
     )
-    made = stage.section(found, job.resolved.gap.effects)
-    decoded: dict[str, Any] = json.loads(msgspec.json.encode(made))
+    diagnosis = gap_fixture.diagnosis(residuals)
+    section = gap_section(diagnosis, state.resolved.gap.effects)
+    decoded: dict[str, Any] = json.loads(msgspec.json.encode(section))
     return decoded
 
 
@@ -96,7 +103,7 @@ def test_the_page_tells_findings_causes_places_and_closure(
     )
     for text in (
         "The gap comes from backlash (probability 97 %)",
-        "Against backlash: preload the screws",
+        "Remedy for backlash: preload the screws",
         "96 % 91 % to 99 %",  # closure within runs, with its interval
         "stretches of runs",
         "These readings cannot tell the effects of a group from one another",

@@ -20,11 +20,15 @@ import sample
 from oed import result
 from oed.gap.data.diagnosis import Diagnosis
 from oed.measurement import Series
-from pkm_studies import cli, pipeline, schemas
+from pkm_studies import cli, schemas
 from pkm_studies.errors import InputError
-from pkm_studies.resolve import gap as resolve_gap
+from pkm_studies.progress import Silent
+from pkm_studies.resolve.conditions import planned_covariates
+from pkm_studies.resolve.gap import gap_request
+from pkm_studies.run_state import start
 from pkm_studies.stages.gap import traces as gap_traces
-from pkm_studies.stages.gap import virtual_readings as gap_virtual
+from pkm_studies.stages.gap.virtual_readings import empty_readings
+from pkm_studies.steps.readings import planned_series, simulate_readings
 from pkm_studies.study import load, parse
 
 Run = Callable[..., tuple[int, str, str]]
@@ -75,7 +79,7 @@ def test_an_effect_of_ones_own_replaces_the_library_s(tmp_path: Path) -> None:
     path = gap_fixture.written(
         tmp_path, sample.STUDY + '[gap]\neffects = ["all", "effects.py:backlash"]\n'
     )
-    asked = resolve_gap.gap_request(load(path), sample.resolved().machine)
+    asked = gap_request(load(path), sample.resolved().machine)
     assert asked is not None
     (mine,) = [e for e in asked.effects if e.name == "backlash"]
     assert mine.source == "by hand"
@@ -151,11 +155,11 @@ def test_a_study_file_is_read_back() -> None:
 
 
 def test_the_schema_tells_the_tables() -> None:
-    told = schemas.study()["$defs"]
+    tables = schemas.study()["$defs"]
     assert {"effects", "without", "gravity", "conditions", "acting"} <= set(
-        told["Gap"]["properties"]
+        tables["GapTable"]["properties"]
     )
-    assert {"feed_mm_min", "payload_N"} <= set(told["Conditions"]["properties"])
+    assert {"feed_mm_min", "payload_N"} <= set(tables["ConditionsTable"]["properties"])
     assert {
         "verdict",
         "answers",
@@ -164,7 +168,7 @@ def test_the_schema_tells_the_tables() -> None:
         "closure",
         "not_testable",
         "confusable",
-    } <= set(schemas.result()["$defs"]["Gap"]["required"])
+    } <= set(schemas.result()["$defs"]["GapSection"]["required"])
 
 
 # -- conditions and virtual machines ---------------------------------------------------
@@ -173,7 +177,7 @@ def test_the_schema_tells_the_tables() -> None:
 def test_conditions_of_readings(tmp_path: Path) -> None:
     """Times, ways, feeds and loads of two circles both ways, counted by hand."""
     path = gap_fixture.written(tmp_path)
-    found = resolve_gap.covariates(*_planned(path), load(path).gap.conditions)
+    found = planned_covariates(*_planned(path), load(path).gap.conditions)
     # 10 min warming, 5 min to mount, 2 s a reading; 24 readings a pass; a minute
     # between passes
     starts = 900.0 + np.arange(4) * (24 * 2.0 + 60.0)
@@ -194,7 +198,7 @@ def test_averaged_passes_have_no_direction_and_take_their_time(tmp_path: Path) -
         tmp_path,
         sample.changed(gap_fixture.STUDY, ("average = false", "average = true")),
     )
-    found = resolve_gap.covariates(*_planned(path), load(path).gap.conditions)
+    found = planned_covariates(*_planned(path), load(path).gap.conditions)
     assert "direction" not in found
     np.testing.assert_allclose(found["time"].iloc[:2], [904.0, 908.0])
 
@@ -211,15 +215,15 @@ def test_temperatures_rise_as_said(tmp_path: Path) -> None:
         ),
     )
     path = gap_fixture.written(tmp_path, text)
-    found = resolve_gap.covariates(*_planned(path), load(path).gap.conditions)
+    found = planned_covariates(*_planned(path), load(path).gap.conditions)
     np.testing.assert_allclose(
         found["temp_frame"], 3.0 * (1.0 - np.exp(-found["time"] / 1200.0)), rtol=1e-12
     )
 
 
 def _planned(path: Path) -> tuple[Any, tuple[Series, ...]]:
-    job = pipeline._Job(load(path), path.parent, 3, pipeline.Silent(), None)
-    return job.measurement, job.planned(None)
+    state = start(load(path), path.parent, 3, Silent(), None)
+    return state.measurement, planned_series(state)
 
 
 def test_simulated_readings_have_the_effect(oed: Run, tmp_path: Path) -> None:
@@ -241,12 +245,10 @@ def test_simulated_readings_have_the_effect(oed: Run, tmp_path: Path) -> None:
         ]
     )
 
-    job = pipeline._Job(
-        load(plain), tmp_path, 3, pipeline.Silent(), [tmp_path / "b.readings.csv"]
-    )
+    state = start(load(plain), tmp_path, 3, Silent(), [tmp_path / "b.readings.csv"])
     told = json.loads((tmp_path / "b.truth.json").read_text())
-    truth = np.array([told[n]["value"] for n in job.measurement.names])
-    (series,) = job.resolved.dataset.series
+    truth = np.array([told[n]["value"] for n in state.measurement.names])
+    (series,) = state.resolved.dataset.series
     moved, sure = series.q.copy(), np.ones(len(series.q), dtype=bool)
     for run in dict.fromkeys(series.run):
         at = np.flatnonzero(series.run == run)
@@ -256,8 +258,10 @@ def test_simulated_readings_have_the_effect(oed: Run, tmp_path: Path) -> None:
             axis=1
         )  # elsewhere a joint turns back between the neighbours
         moved[at] += 0.5 * sense * np.array([0.0, 1.5 * 2.0, 1.5 * -0.5]) * 5e-6
-    expected = job.measurement.readings([series], truth)
-    bent = job.measurement.readings([Series(**{**_fields(series), "q": moved})], truth)
+    expected = state.measurement.readings([series], truth)
+    bent = state.measurement.readings(
+        [Series(**{**_fields(series), "q": moved})], truth
+    )
     sure = sure[series.index[:, 0]]
     assert sure.mean() > 0.4
     np.testing.assert_allclose(change[sure], (bent - expected)[sure], atol=1e-12)
@@ -288,8 +292,8 @@ def test_each_pass_has_a_state_of_its_own(tmp_path: Path) -> None:
     """
     path = gap_fixture.written(tmp_path)
     measurement, series = _planned(path)
-    asked = resolve_gap.gap_request(load(path), measurement.machine)
-    made = gap_virtual.laid_out(measurement, series, asked)
+    asked = gap_request(load(path), measurement.machine)
+    made = empty_readings(measurement, series, asked)
     assert [len(s.q) for s in made.series] == [4 * 24 + 1]
     truth = measurement.nominal
     np.testing.assert_array_equal(
@@ -453,11 +457,16 @@ def _diagnosed(tmp_path: Path) -> Diagnosis:
     from oed.gap.data import problem
 
     path = gap_fixture.written(tmp_path)
-    job = pipeline._Job(load(path), tmp_path, 3, pipeline.Silent(), None)
-    series, truth, y, covariates, _ = job.virtual(job.planned(None))
-    return gap_fixture.diagnosis(
-        problem.assemble(job.measurement, series, covariates, truth, y)
+    state = start(load(path), tmp_path, 3, Silent(), None)
+    readings = simulate_readings(state, planned_series(state)).readings
+    residuals = problem.assemble(
+        state.measurement,
+        readings.series,
+        readings.covariates,
+        readings.truth,
+        readings.y,
     )
+    return gap_fixture.diagnosis(residuals)
 
 
 def test_traces_are_circles_both_ways(tmp_path: Path) -> None:
@@ -492,7 +501,7 @@ def test_traces_are_circles_both_ways(tmp_path: Path) -> None:
     ],
 )
 def test_what_a_run_is(points: list[list[float]], kind: str) -> None:
-    found, at, radius = gap_traces._places(np.array(points), np.zeros(len(points)))
+    found, at, radius = gap_traces._shape(np.array(points), np.zeros(len(points)))
     assert found == kind
     assert (radius is None) == (kind != "circle")
     if kind == "circle":

@@ -155,7 +155,7 @@ def test_a_plan_that_is_kept_is_part_of_the_choice() -> None:
     )
     asked = resolve(study.parse(changed(STUDY, *both), HERE)).gap_design
     assert asked is not None
-    assert asked.kept == (0, 1)
+    assert asked.retained == (0, 1)
     assert len(asked.runs) == 10
     assert asked.rules.mounted == (0,)
 

@@ -77,7 +77,7 @@ HERE = Path("lines.study.toml")
 
 
 def planned(text: str, out: Path, after: Path | None = None) -> StudyResult:
-    return pipeline.plan_stages(study.parse(text, HERE), out, after=after)
+    return pipeline.plan(study.parse(text, HERE), out, after=after)
 
 
 def plan_of(result: StudyResult) -> PlanSection:
@@ -358,7 +358,7 @@ def test_in_the_time_of_the_papers_circles_a_gauge_and_bars_are_three_times_as_a
         path.read_text(encoding="utf-8"), ("budget_min = 109.0", "budget_min = 22.0")
     )
     text = text[: text.index("[expect]")]
-    plan = plan_of(pipeline.plan_stages(study.parse(text, path), tmp_path))
+    plan = plan_of(pipeline.plan(study.parse(text, path), tmp_path))
     (paper,) = plan.compared
     assert plan.cost <= paper.sequence.minutes * (1 + 1e-9)
     gain = {k: v / plan.accuracy[k] for k, v in paper.sequence.accuracy.items()}

@@ -64,7 +64,7 @@ budget_min = 30.0
 
 
 def planned(text: str, out: Path) -> StudyResult:
-    return pipeline.plan_stages(study.parse(text, out / "both.study.toml"), out)
+    return pipeline.plan(study.parse(text, out / "both.study.toml"), out)
 
 
 def new_runs(chosen: ChosenRuns) -> list[ChosenRun]:

@@ -93,7 +93,7 @@ def test_readings_keep_their_distance() -> None:
     )
     resolved, few = chosen(text(KNOWN + "apart = { z_mm = 200, psi_deg = 200 }\n"))
     assert (
-        "3 were asked for, but the rules leave no room for more"
+        "the study asks for 3, but the rules leave no room for more"
         in section(resolved, few).words
     )
 
@@ -141,7 +141,7 @@ def test_a_plan_is_added_to() -> None:
     best = max(value("D", np.vstack([held, h[list(s)]]), resolved) for s in every)
     assert found.choice.value == pytest.approx(best, rel=1e-9)
     assert made.value == pytest.approx(best, rel=1e-9)
-    assert "beside 8 readings kept" in made.words
+    assert "added to 8 retained readings" in made.words
 
 
 def test_a_set_up_of_kept_readings_is_mounted_already() -> None:
@@ -176,7 +176,7 @@ def test_readings_of_a_file_are_kept(tmp_path: Path) -> None:
         dataset.from_series(first.series, y, resolved.measurement),
     )
     _, second = chosen(text(KNOWN + 'keep_readings = "first.csv"\n'), tmp_path)
-    assert second.kept == 3
+    assert second.retained == 3
     assert sum(map(len, second.series)) == 6
     assert second.choice.value > first.choice.value + 1.0
 

@@ -26,7 +26,7 @@ def accuracy(
     resolved: small.Resolved, found: small.Chosen, rows: np.ndarray
 ) -> dict[str, float]:
     """Predicted rms of each component, SI, from whitened rows, by plain linear algebra."""
-    m, maps = resolved.measurement, found.aims.maps
+    m, maps = resolved.measurement, found.criteria.error_maps
     assert maps is not None
     free = m.free
     covariance = np.linalg.inv(np.eye(int(free.sum())) + rows.T @ rows)
@@ -50,7 +50,7 @@ def test_a_robust_plan_is_never_worse_than_the_nominal_one_and_below_its_bound()
     # the first scenario is the nominal machine: log phi = -log of the summed variance
     # there
     rows = small.rows(resolved)[found.choice.indices]
-    wanted = found.aims.pieces("I", resolved.measurement)["factor"]
+    wanted = found.criteria.ingredients("I", resolved.measurement)["factor"]
     covariance = np.linalg.inv(np.eye(rows.shape[1]) + rows.T @ rows)
     assert told.values[0] == pytest.approx(
         -np.log(np.trace(wanted @ covariance @ wanted.T)), abs=1e-9
@@ -102,13 +102,13 @@ def test_the_fewest_readings_for_a_wanted_accuracy() -> None:
     )
     assert never.how_many is not None
     assert never.how_many.fewest is None
-    assert "no plan of so many can" in never.how_many.words
+    assert "no plan of that size can" in never.how_many.words
 
 
 @pytest.mark.parametrize(
     ("design", "told"),
     [
-        ("robust = {}\n", "drawn machines do not all see"),
+        ("robust = {}\n", "not all drawn machines see"),
         ("how_many = {}\n", "accuracy depends on the tolerances"),
         (
             'criterion = "E"\n' + small.KNOWN + "robust = { scenarios = 2 }\n",

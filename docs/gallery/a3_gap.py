@@ -31,7 +31,7 @@ found = resolve.resolve(said, readings=[])
 bench = found.measurement_with(found.setups)
 asked = resolve_gap.gap_request(said, found.machine, always=True)
 with tempfile.TemporaryDirectory() as folder:
-    readings, _ = pipeline.simulate_readings(said, Path(folder) / "circles.csv")
+    readings, _ = pipeline.simulate(said, Path(folder) / "circles.csv")
     data = dataset.load(readings, bench)
 
 

@@ -137,7 +137,7 @@ def simulate(
     files.free(out.parent)
     from pkm_studies import pipeline
 
-    readings, truth = pipeline.simulate_readings(said, out)
+    readings, truth = pipeline.simulate(said, out)
     print(f"Readings: {readings}\nTruth: {truth}")
     return DONE
 
@@ -166,9 +166,7 @@ def identify(
     from pkm_studies import pipeline
 
     with display.shown(quiet=quiet) as shown:
-        result = pipeline.identify_readings(
-            said, [readings], out, seed=seed, progress=shown
-        )
+        result = pipeline.run(said, out, seed=seed, progress=shown, readings=[readings])
     return _tell(result, out, quiet)
 
 
@@ -202,7 +200,7 @@ def diagnose(
 
     given = None if readings is None else [readings]
     with display.shown(quiet=quiet) as shown:
-        result = pipeline.diagnose_readings(said, given, out, seed=seed, progress=shown)
+        result = pipeline.diagnose(said, given, out, seed=seed, progress=shown)
     return _tell(result, out, quiet)
 
 
@@ -234,9 +232,7 @@ def plan(
     from pkm_studies import pipeline
 
     with display.shown(quiet=quiet) as shown:
-        result = pipeline.plan_stages(
-            said, folder, after=after, seed=seed, progress=shown
-        )
+        result = pipeline.plan(said, folder, after=after, seed=seed, progress=shown)
     if not quiet and result.plan is not None:
         display.stages(result.plan)
     return _tell(result, folder, quiet)
@@ -252,9 +248,9 @@ def report(
     ],
 ) -> int:
     """Write the HTML and PDF report again from result.json."""
-    from pkm_studies import result_folder as stored
+    from pkm_studies import result_folder
 
-    for written in stored.write_report(folder):
+    for written in result_folder.write_report(folder):
         print(f"Report: {written}")
     return DONE
 

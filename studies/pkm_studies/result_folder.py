@@ -1,6 +1,4 @@
-"""A result in its folder: the files written, the result read back, the report made from
-it.
-"""
+"""Writes a result and what goes with it into a folder, and reads it back."""
 
 from __future__ import annotations
 
@@ -11,77 +9,72 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from oed import dataset
 from oed.measurement import Measurement, Series
 from oed.result import StudyResult
 from pkm_studies import files
 from pkm_studies.errors import Place
+from pkm_studies.run_state import RunState
 from pkm_studies.stages.plan import files as plan_files
-from pkm_studies.stages.plan.section import PlanOutcome
+
+#: bytes of the largest result that is read
+LIMIT = 1 << 28
 
 
-def write(
-    out: Path,
-    made: StudyResult,
-    planned: Sequence[Series],
-    measurement: Measurement,
-    stages: PlanOutcome | None,
-    *,
-    sheet: bool,
-) -> None:
-    """Write result.json, and what goes with it: planned poses, the plan's stages, its
-    sheet (`sheet`).
+def write(folder: Path, result: StudyResult, state: RunState, *, sheet: bool) -> None:
+    """Write result.json, poses.csv, plan.csv and plan_poses.json, as far as made.
+
+    `sheet` adds the page to print and fill in at the machine.
     """
-    text = msgspec.json.format(msgspec.json.encode(made), indent=1)
-    files.write_whole(out / "result.json", text)
-    if made.design is not None or planned:
-        files.write_whole(out / "poses.csv", _poses_csv(planned, measurement))
-    if made.plan is not None:
-        files.write_whole(out / "plan.csv", plan_files.stages_csv(made.plan))
-    if stages is not None:
-        told = plan_files.poses_json(stages)
-        files.write_whole(out / "plan_poses.json", told)
+    text = msgspec.json.format(msgspec.json.encode(result), indent=1)
+    files.write_whole(folder / "result.json", text)
+    if result.design is not None or state.planned:
+        poses = _poses_csv(state.planned, state.measurement)
+        files.write_whole(folder / "poses.csv", poses)
+    if result.plan is not None:
+        files.write_whole(folder / "plan.csv", plan_files.stages_csv(result.plan))
+    if state.plan is not None:
+        poses_json = plan_files.poses_json(state.plan)
+        files.write_whole(folder / "plan_poses.json", poses_json)
         if sheet:
-            _write_sheet(out, made, told)
+            _write_sheet(folder, result, poses_json)
 
 
 def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
-    """Planned readings as a readings file to fill in: the readings' cells are empty."""
-    from oed import dataset
-
-    count = len(measurement.owners(series))
-    return dataset.to_csv(
-        dataset.from_series(series, np.full(count, np.nan), measurement)
-    )
+    """Planned readings as a readings file to fill in."""
+    empty = np.full(len(measurement.owners(series)), np.nan)
+    return dataset.to_csv(dataset.from_series(series, empty, measurement))
 
 
-def _write_sheet(out: Path, made: StudyResult, poses: bytes | str) -> None:
-    """The page to print and fill in at the machine."""
+def _write_sheet(folder: Path, result: StudyResult, poses_json: bytes | str) -> None:
     from pkm_reports import write_sheet
 
-    stages = msgspec.json.decode(poses)["stages"]
-    write_sheet(msgspec.to_builtins(made), [p for s in stages for p in s["poses"]], out)
+    stages = msgspec.json.decode(poses_json)["stages"]
+    poses = [pose for stage in stages for pose in stage["poses"]]
+    write_sheet(msgspec.to_builtins(result), poses, folder)
 
 
 def write_report(
     folder: Path, *, html: bool = True, pdf: bool = True
 ) -> tuple[Path, ...]:
-    """HTML and PDF from the result in a folder."""
-    from pkm_reports import write_report as write
+    """HTML and PDF reports of the result in a folder; their paths."""
+    from pkm_reports import write_report
 
-    return write(load_result(folder), folder, html=html, pdf=pdf)
+    return write_report(load_result(folder), folder, html=html, pdf=pdf)
 
 
 def load_result(folder: Path) -> Mapping[str, Any]:
-    """The stored result of a folder as plain data. Raises InputError where there is
-    none, or it is no result.
+    """The result in a folder as plain tables and lists.
+
+    Raises InputError where there is none, or the file is no result.
     """
     path = folder / "result.json"
-    text = files.read_text(path, limit=1 << 28, what="result")
+    text = files.read_text(path, limit=LIMIT, what="result")
     try:
-        checked = msgspec.json.decode(text, type=StudyResult)
+        result = msgspec.json.decode(text, type=StudyResult)
     except msgspec.DecodeError as error:
         raise Place(str(path)).error(
             f"this is no result: {error}", "make it again with `oed run`"
         ) from error
-    found: Mapping[str, Any] = msgspec.to_builtins(checked)
-    return found
+    tables: Mapping[str, Any] = msgspec.to_builtins(result)
+    return tables

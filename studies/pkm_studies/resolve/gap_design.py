@@ -1,334 +1,208 @@
-"""What [gap.design] asks for, as objects: effects, candidate runs under conditions,
-rules.
-
-Raises InputError, naming file and field, for effects and plans that are not there, and
-for rules that allow nothing.
-"""
+"""What [gap.design] requests: effects to separate, candidate runs, rules of choice."""
 
 from __future__ import annotations
 
 import dataclasses
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
 
-from oed import units
 from oed.design.rules import Rules
 from oed.effect import Effect
 from oed.gap.before.runs import Run
 from oed.measurement import Measurement, Series
 from pkm_studies import catalogue
-from pkm_studies.errors import Place, suggest
+from pkm_studies.errors import Place
+from pkm_studies.resolve import candidate_runs
+from pkm_studies.resolve.conditions import MINUTE
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
-from pkm_studies.study.tables import ConditionsTable, GapDesignTable, RunCondition
+from pkm_studies.study.tables import ConditionsTable, GapDesignTable
 from pkm_studies.study.tables.gap_design import PLAN
-
-MINUTE = units.factor("min")
-FEED = units.factor("mm") / units.factor("min")
-#: a pass of a run, as `Series.passes` names it; only the first one forward is a
-#: candidate
-PASS = re.compile(r", (forward|backward) (\d+)$")
 
 
 @dataclasses.dataclass(frozen=True)
 class GapDesignRequest:
-    """What [gap.design] asks for.
+    """What [gap.design] means to the kernel.
 
-    runs    candidates, each under one condition;  kept  numbers of those taken in any
-            case
-    rules   number, budget, set-ups, times; None where a plan is followed that is not
-            made yet
-    wanted, rivals   effects
-    said, timing     the table, and how readings are taken
+    wanted    effects to separate from each other and from the rivals
+    rivals    effects that are only rivals
+    runs      candidate runs, each under one condition; the retained ones first
+    retained  positions in `runs` of those that are part of the plan in any case
+    rules     number, budget, set-ups and times; None while it waits for the plan of
+              [plan], whose readings it retains
+    table     [gap.design] as written
+    timing    [gap.conditions] as written
     """
 
     wanted: tuple[Effect, ...]
     rivals: tuple[Effect, ...]
     runs: tuple[Run, ...]
-    kept: tuple[int, ...]
+    retained: tuple[int, ...]
     rules: Rules | None
     place: Place
-    said: GapDesignTable
+    table: GapDesignTable
     timing: ConditionsTable
 
     @property
-    def follows(self) -> bool:
-        """Whether the plan of [plan] is to be kept."""
+    def follows_plan(self) -> bool:
+        """Whether it retains the readings of [plan], which are not known yet."""
         return self.rules is None
 
 
 def gap_design_request(
     study: Study, references: Sequence[ReferencePlan], measurement: Measurement
 ) -> GapDesignRequest | None:
-    """What the study asks; None where it has no [gap.design]. `measurement` has all
-    set-ups.
+    """What [gap.design] requests; None without it. `measurement` has all set-ups.
+
+    Raises InputError for unknown effects and plans, and for rules that allow nothing.
     """
     if study.gap is None or study.gap.design is None:
         return None
-    said, place = study.gap.design, study.place.key("gap").key("design")
-    wanted = _effects(study, said.find, measurement, place.key("find"))
-    rivals = _effects(study, said.rivals, measurement, place.key("rivals"))
+    table, place = study.gap.design, study.place.key("gap").key("design")
+    timing, plans = study.gap.conditions, {plan.name: plan for plan in references}
+    wanted = _effects(study, table.find, measurement, place.key("find"))
+    rivals = _effects(study, table.rivals, measurement, place.key("rivals"))
     if len({e.name for e in (*wanted, *rivals)}) < 2:
         raise place.key("find").error(
-            "there is nothing to tell apart", "name two effects, or rivals", said.find
+            "there is nothing to tell apart", "name two effects, or rivals", table.find
         )
-    timing, plans = study.gap.conditions, {p.name: p for p in references}
-    follows = (
-        said.keep == PLAN
+    follows_plan = (
+        table.keep == PLAN
         and PLAN not in plans
         and study.plan is not None
         and bool(study.plan.measurement)
     )
-    runs, kept = _runs(
-        msgspec.structs.replace(said, keep=None) if follows else said,
-        plans,
-        measurement,
-        timing,
-        place,
+    keep = None if follows_plan else table.keep
+    runs, count = candidate_runs.candidate_runs(
+        msgspec.structs.replace(table, keep=keep), plans, measurement, timing, place
     )
+    rules = None
+    if not follows_plan:
+        rules = _rules(table, runs, count, measurement, timing, place)
     return GapDesignRequest(
         wanted=wanted,
         rivals=rivals,
         runs=runs,
-        kept=tuple(range(kept)),
-        rules=None if follows else _rules(said, runs, kept, measurement, timing, place),
+        retained=tuple(range(count)),
+        rules=rules,
         place=place,
-        said=said,
+        table=table,
         timing=timing,
     )
 
 
-def following(
-    gap_design_request: GapDesignRequest,
+def with_planned_readings(
+    request: GapDesignRequest,
     series: Sequence[Series],
-    left: float,
+    remaining: float,
     measurement: Measurement,
 ) -> GapDesignRequest:
-    """With the readings of the plan kept that was to be followed.
+    """The request with the readings of [plan] retained.
 
-    left: what the plan leaves of its time, s: the budget where the table has neither
-    that nor a number of runs. Raises InputError.
+    remaining    time that the plan does not use, s: the budget where the table gives
+                 neither a budget nor a number of runs
+
+    Raises InputError where no time remains.
     """
-    said, kept = gap_design_request.said, []
-    if said.runs is None and said.budget_min is None:
-        if left < 1.0:
-            problem = "the plan leaves no time to find the cause of what it leaves"
-            raise gap_design_request.place.error(
-                problem, "give budget_min, which is taken from the plan's time, or runs"
+    table, timing, place = request.table, request.timing, request.place
+    if table.runs is None and table.budget_min is None:
+        if remaining < 1.0:
+            problem = (
+                "[plan] uses all its time: none remains for runs that separate effects"
             )
-        said = msgspec.structs.replace(said, budget_min=left / MINUTE)
+            remedy = "give budget_min, which is taken from the plan's time, or runs"
+            raise place.error(problem, remedy)
+        table = msgspec.structs.replace(table, budget_min=remaining / MINUTE)
+    retained: list[Run] = []
     for s in series:
-        kept += _of(
-            s,
-            PLAN,
-            said.conditions[:1],
-            _step(measurement, s, gap_design_request.timing),
-            gap_design_request.place,
+        retained += candidate_runs.runs_of(
+            s, PLAN, table.conditions[:1], measurement, timing, place
         )
-    runs = (*kept, *gap_design_request.runs)
-    rules = _rules(
-        said,
-        runs,
-        len(kept),
-        measurement,
-        gap_design_request.timing,
-        gap_design_request.place,
-    )
+    runs = (*retained, *request.runs)
+    rules = _rules(table, runs, len(retained), measurement, timing, place)
     return dataclasses.replace(
-        gap_design_request, runs=runs, kept=tuple(range(len(kept))), rules=rules
+        request, runs=runs, retained=tuple(range(len(retained))), rules=rules
     )
 
 
 def _effects(
     study: Study, names: Sequence[str], measurement: Measurement, place: Place
 ) -> tuple[Effect, ...]:
-    found: list[Effect] = []
+    machine = measurement.machine
+    effects: list[Effect] = []
     for i, name in enumerate(names):
         effect: Effect = catalogue.effect(name, study.folder, place.item(i))
-        reason = effect.unfit(measurement.machine)
+        reason = effect.unfit(machine)
         if reason is not None:
             raise place.item(i).error(
-                f"it cannot occur on {measurement.machine.name}: {reason}",
-                "take another",
-                name,
+                f"it cannot occur on {machine.name}: {reason}", "take another", name
             )
-        found.append(effect)
-    return tuple(found)
-
-
-# -- candidates ------------------------------------------------------------------------
-
-
-def _runs(
-    said: GapDesignTable,
-    plans: Mapping[str, ReferencePlan],
-    measurement: Measurement,
-    timing: ConditionsTable,
-    place: Place,
-) -> tuple[tuple[Run, ...], int]:
-    """Runs of the plan kept, then every run of the named plans under every condition;
-    and how many are kept.
-    """
-    if not plans:
-        raise place.error(
-            "there are no runs to choose from",
-            "add [[design.reference]] plans with `runs_by`",
-        )
-    for i, name in enumerate(said.candidates):
-        if name not in plans:
-            raise (
-                place.key("candidates")
-                .item(i)
-                .error("no such plan", suggest(name, plans), name)
-            )
-    if said.keep is not None and said.keep not in plans:
-        raise place.key("keep").error(
-            "no such plan", suggest(said.keep, plans), said.keep
-        )
-    if said.keep is not None and said.keep in said.candidates:
-        raise place.key("keep").error(
-            "a plan is kept or a candidate, not both", "remove it from one", said.keep
-        )
-
-    def taken(name: str, conditions: Sequence[RunCondition]) -> list[Run]:
-        found: list[Run] = []
-        for series in plans[name].series:
-            step = _step(measurement, series, timing)
-            found += _of(
-                series, name if len(plans) > 1 else "", conditions, step, place
-            )
-        return found
-
-    kept = [] if said.keep is None else taken(said.keep, said.conditions[:1])
-    free = [
-        r
-        for n in said.candidates or plans
-        if n != said.keep
-        for r in taken(n, said.conditions)
-    ]
-    return (*kept, *free), len(kept)
-
-
-def _step(measurement: Measurement, series: Series, timing: ConditionsTable) -> float:
-    """Time of one reading, s."""
-    return (
-        measurement.setups[series.setup].instrument.cost.reading
-        if timing.reading_s is None
-        else timing.reading_s
-    )
-
-
-def _of(
-    series: Series,
-    plan: str,
-    conditions: Sequence[RunCondition],
-    step: float,
-    place: Place,
-) -> list[Run]:
-    found = []
-    for label in dict.fromkeys(str(r) for r in series.run):
-        told = PASS.search(label)
-        if told is not None and told.groups() != ("forward", "1"):
-            continue
-        rows = np.flatnonzero(series.run == label)
-        poses = series.index[rows, 0]
-        if series.index.shape[1] == 2 and series.index[rows[0], 1] < poses.min():
-            poses = np.concatenate(
-                [series.index[rows[:1], 1], poses]
-            )  # the reference of a run is its first pose
-        command = series.command[poses]
-        if np.isnan(command).any():
-            raise place.key("candidates").error(
-                "runs of recorded joints cannot be planned anew", "give commands"
-            )
-        for condition in conditions:
-            words = [w for w in (plan, PASS.sub("", label), *_words(condition)) if w]
-            found.append(
-                Run(
-                    name=", ".join(words),
-                    setup=series.setup,
-                    command=command,
-                    condition=_si(condition),
-                    seconds=step * len(rows),
-                )
-            )
-    return found
-
-
-def _words(condition: RunCondition) -> list[str]:
-    """The condition as part of a run's name."""
-    told = [] if condition.payload is None else [f"{condition.payload:g} N"]
-    told += (
-        [] if condition.feed_mm_min is None else [f"{condition.feed_mm_min:g} mm/min"]
-    )
-    told += [] if condition.start_min is None else [f"at {condition.start_min:g} min"]
-    return [*told, "+1" if condition.direction == 1 else "-1"]
-
-
-def _si(condition: RunCondition) -> dict[str, float]:
-    made = {"direction": float(condition.direction)}
-    if condition.payload is not None:
-        made["payload"] = condition.payload
-    if condition.feed_mm_min is not None:
-        made["feed"] = condition.feed_mm_min * FEED
-    if condition.start_min is not None:
-        made["time"] = condition.start_min * MINUTE
-    return made
+        effects.append(effect)
+    return tuple(effects)
 
 
 # -- rules -----------------------------------------------------------------------------
 
 
 def _rules(
-    said: GapDesignTable,
+    table: GapDesignTable,
     runs: Sequence[Run],
-    kept: int,
+    retained: int,
     measurement: Measurement,
     timing: ConditionsTable,
     place: Place,
 ) -> Rules:
-    """Rules of the runs added to those `kept`, the first of `runs`, whose set-ups are
-    mounted already.
-    """
-    if said.runs is None and said.budget_min is None:
-        raise place.error(
-            "it does not say how many runs to choose", "give runs = 4, or budget_min"
-        )
-    if said.runs is not None and said.runs > len(runs) - kept:
-        problem = f"there are only {len(runs) - kept} candidate runs"
-        raise place.key("runs").error(
-            problem, "choose fewer, or give more conditions", said.runs
-        )
-    names = list(dict.fromkeys(r.setup for r in runs))
-    cost = np.array([r.seconds for r in runs])
-    mounting = [measurement.setups[n].instrument.cost.setup for n in names]
-    mounting = [
-        m if timing.setup_min is None else timing.setup_min * MINUTE for m in mounting
-    ]
-    budget = None if said.budget_min is None else said.budget_min * MINUTE
-    timed = [r for r in runs if "time" in r.condition]
+    """Rules for the runs added to the first `retained`, whose set-ups are mounted."""
+    _check_number(table, len(runs) - retained, place)
+    timed = [run for run in runs if "time" in run.condition]
     if timed and len(timed) < len(runs):
         raise place.key("conditions").error(
             "some runs have a time and some have none", "give start_min to all or none"
         )
-    # runs at stated times must not overlap, whatever their set-up: mounting is then up
-    # to the gaps between them
+    cost = np.array([run.seconds for run in runs])
+    budget = None if table.budget_min is None else table.budget_min * MINUTE
+    if timed:
+        # runs at stated times must not overlap, whatever their set-up: mounting has to
+        # fit into the gaps between them
+        starts = np.array([[run.condition["time"]] for run in runs])
+        return Rules(
+            size=table.runs,
+            budget=budget,
+            cost=cost,
+            position=starts,
+            min_distance=float(cost.max()),
+        )
+    setups = list(dict.fromkeys(run.setup for run in runs))
+    owner = np.array([setups.index(run.setup) for run in runs], dtype=np.intp)
     return Rules(
-        size=said.runs,
+        size=table.runs,
         budget=budget,
         cost=cost,
-        setup=(
-            None
-            if timed
-            else np.array([names.index(r.setup) for r in runs], dtype=np.intp)
-        ),
-        setup_cost=None if timed else np.array(mounting),
-        position=np.array([[r.condition["time"]] for r in runs]) if timed else None,
-        min_distance=float(cost.max()) if timed else 0.0,
-        mounted=(
-            () if timed else tuple(sorted({names.index(r.setup) for r in runs[:kept]}))
-        ),
+        setup=owner,
+        setup_cost=_mounting_times(setups, measurement, timing),
+        mounted=tuple(sorted({int(k) for k in owner[:retained]})),
     )
+
+
+def _check_number(table: GapDesignTable, candidates: int, place: Place) -> None:
+    if table.runs is None and table.budget_min is None:
+        raise place.error(
+            "it does not say how many runs to choose", "give runs = 4, or budget_min"
+        )
+    if table.runs is not None and table.runs > candidates:
+        raise place.key("runs").error(
+            f"there are only {candidates} candidate runs",
+            "choose fewer, or give more conditions",
+            table.runs,
+        )
+
+
+def _mounting_times(
+    setups: Sequence[str], measurement: Measurement, timing: ConditionsTable
+) -> np.ndarray:
+    """Time to mount each set-up, s."""
+    if timing.setup_min is not None:
+        return np.array([timing.setup_min * MINUTE for _ in setups])
+    return np.array([measurement.setups[s].instrument.cost.setup for s in setups])

@@ -1,3 +1,1 @@
-"""Stages of a study: one module each, from the kernel's objects to one section of the
-result.
-"""
+"""Stages of a study: each turns the kernel's objects into a section of the result."""

@@ -1,4 +1,4 @@
-"""What the study is about: machine, set-ups, versions, drawing; in display units."""
+"""Describes machine, set-ups, package versions and drawing, in display units."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import result, units
-from oed.arrays import Array
+from oed import units
+from oed.arrays import Array, Index
 from oed.instrument import Setup
 from oed.machine import Machine
 from oed.measurement import Measurement, Series
+from oed.result import Drawing, MachineInfo, Polyline, SetupInfo
 from pkm_studies.resolve import quantities
+from pkm_studies.resolve.quantities import column
 
+#: packages on which the numbers depend
 PACKAGES = (
     "pkm-oed",
     "casadi",
@@ -26,121 +29,130 @@ PACKAGES = (
     "matplotlib",
     "typst",
 )
+#: significant digits of displayed values: enough for any reading, and none of the
+#: rounding noise of unit conversion
+DIGITS = 12
 
 
-def machine(machine: Machine) -> result.MachineInfo:
-    """Parameter table of the machine."""
+def machine_info(machine: Machine) -> MachineInfo:
+    """The machine with its table of parameters."""
     table: list[dict[str, str | float]] = []
     for p in machine.parameters:
         unit = units.display(p.unit)
-        row: dict[str, str | float] = {"name": p.name, "about": p.about, "unit": unit}
         table.append(
-            row | {"nominal": _in(p.nominal, unit), "tolerance": _in(p.tolerance, unit)}
+            {
+                "name": p.name,
+                "about": p.about,
+                "unit": unit,
+                "nominal": _in_unit(p.nominal, unit),
+                "tolerance": _in_unit(p.tolerance, unit),
+            }
         )
-    return result.MachineInfo(
+    return MachineInfo(
         machine.name, machine.about, machine.source, table, list(machine.frame)
     )
 
 
-def setup(machine: Machine, setup: Setup) -> result.SetupInfo:
-    """Numbers of a set-up as used."""
-    kinds = {s.name: s.unit for s in setup.instrument.settings}
+def setup_info(machine: Machine, setup: Setup) -> SetupInfo:
+    """A set-up's numbers, noise and unknowns as used."""
+    instrument = setup.instrument
+    channel_noise = zip(instrument.channels, setup.sigma, strict=True)
+    sigma = {}
+    for channel, value in channel_noise:
+        unit = units.FINE[channel.unit]
+        sigma[f"{channel.name}_{unit}"] = _in_unit(value, unit)
+    unknowns = {
+        column(n.name, n.unit): displayed(n.tolerance, n.unit) for n in setup.nuisances
+    }
+    return SetupInfo(
+        name=setup.name,
+        instrument=instrument.name,
+        about=instrument.about + _passes(setup),
+        numbers=_numbers(machine, setup),
+        sigma=sigma,
+        unknowns=unknowns,
+    )
+
+
+def _numbers(machine: Machine, setup: Setup) -> dict[str, float]:
+    """Settings, tool point and teach pose, by column."""
+    unit = {s.name: s.unit for s in setup.instrument.settings}
     numbers = {
-        quantities.column(k, kinds[k]): shown(v, kinds[k])
-        for k, v in setup.settings.items()
+        column(name, unit[name]): displayed(value, unit[name])
+        for name, value in setup.settings.items()
     }
-    numbers |= {
-        f"tool_{n}_mm": _in(v, "mm") for n, v in zip("xyz", setup.tool, strict=True)
-    }
+    for axis, value in zip("xyz", setup.tool, strict=True):
+        numbers[f"tool_{axis}_mm"] = _in_unit(value, "mm")
     if setup.teach is not None:
         for c, value in zip(machine.command, setup.teach, strict=True):
-            numbers[f"teach_{quantities.column(c.name, c.unit)}"] = shown(value, c.unit)
-    channels = zip(setup.instrument.channels, setup.sigma, strict=True)
-    return result.SetupInfo(
-        name=setup.name,
-        instrument=setup.instrument.name,
-        about=setup.instrument.about + _passes(setup),
-        numbers=numbers,
-        sigma={
-            f"{c.name}_{units.FINE[c.unit]}": _in(s, units.FINE[c.unit])
-            for c, s in channels
-        },
-        unknowns={
-            quantities.column(n.name, n.unit): shown(n.tolerance, n.unit)
-            for n in setup.nuisances
-        },
-    )
+            numbers[f"teach_{column(c.name, c.unit)}"] = displayed(value, c.unit)
+    return numbers
 
 
 def _passes(setup: Setup) -> str:
     count = len(setup.protocol.passes)
     if count == 1:
         return ""
-    return (
-        f"; {count} passes,"
-        f" {'their mean is the reading' if setup.protocol.average else 'all kept'}"
-    )
+    use = "their mean is the reading" if setup.protocol.average else "each is a reading"
+    return f"; {count} passes, {use}"
 
 
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that make the numbers."""
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        found[name] = importlib.metadata.version(name)
-    return found
+def package_versions() -> dict[str, str]:
+    """Versions of Python and of the packages on which the numbers depend."""
+    versions = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {"python": platform.python_version()} | versions
 
 
-def shown(value: float, si: str) -> float:
-    """An SI value in the unit a person writes it in (`quantities.column`)."""
-    return _in(value, "deg" if si == "rad" else units.display(si))
+def displayed(value: float, si: str) -> float:
+    """An SI value in the unit of its column (see `quantities.column`)."""
+    return _in_unit(value, quantities.display_unit(si))
 
 
-def command(machine: Machine, values: Array) -> dict[str, float]:
-    """A command (n_dof,) in user units, empty where only joints are known."""
-    pairs = zip(machine.command, values, strict=True)
+def displayed_command(machine: Machine, command: np.ndarray) -> dict[str, float]:
+    """A command (n_dof,) by column; empty where only joints are known."""
+    pairs = zip(machine.command, command, strict=True)
     return {
-        quantities.column(c.name, c.unit): shown(float(v), c.unit)
-        for c, v in pairs
-        if np.isfinite(v)
+        column(c.name, c.unit): displayed(float(value), c.unit)
+        for c, value in pairs
+        if np.isfinite(value)
     }
 
 
-def drawing(measurement: Measurement, series: Sequence[Series]) -> result.Drawing:
-    """The machine at home, and where the tool is at each reading."""
+def drawing(measurement: Measurement, series: Sequence[Series]) -> Drawing:
+    """The machine at home, and the tool point of each reading."""
     kinematics, machine = measurement.kinematics, measurement.machine
     x, q = kinematics.inverse(machine.home_command)
-    lines = [
-        result.Polyline("machine", _points(line))
-        for line in kinematics.skeleton(x[0], q[0], machine.nominal)
-    ]
-    tips, owners, bars = [], [], []
+    skeleton = kinematics.skeleton(x[0], q[0], machine.nominal)
+    lines = [Polyline("machine", _points(line)) for line in skeleton]
+    tips: list[list[float]] = []
+    owners: list[str] = []
+    bars: list[list[list[float]]] = []
     for s in series:
-        chosen = measurement.setups[s.setup]
-        _, point, _ = kinematics.frames(
-            measurement.poses(s, measurement.nominal), np.array(chosen.tool)
-        )
+        setup = measurement.setups[s.setup]
+        poses = measurement.poses(s, measurement.nominal)
+        _, tool_points, _ = kinematics.frames(poses, np.array(setup.tool))
         for row in s.index:
-            tips.append([float(v) for v in point[row[0]]])
+            tip = [float(v) for v in tool_points[row[0]]]
+            tips.append(tip)
             owners.append(s.setup)
-            far = _far_end(chosen, point, row)
-            if far is not None:
-                bars.append([far, tips[-1]])
-    return result.Drawing(lines, tips, owners, bars)
+            far_end = _far_end(setup, tool_points, row)
+            if far_end is not None:
+                bars.append([far_end, tip])
+    return Drawing(lines, tips, owners, bars)
 
 
-def _far_end(setup: Setup, point: Array, row: Array) -> list[float] | None:
-    """Where the other end of what is measured sits, if it is a place."""
+def _far_end(setup: Setup, tool_points: Array, row: Index) -> list[float] | None:
+    """The other end of what is measured, m, if it has a place."""
     if len(row) == 2:
-        return [float(v) for v in point[row[1]]]
-    place = [setup.settings.get(f"at_{n}") for n in "xyz"]
-    return None if None in place else [float(v) for v in place if v is not None]
+        return [float(v) for v in tool_points[row[1]]]
+    place = [setup.settings.get(f"at_{axis}") for axis in "xyz"]
+    known = [float(v) for v in place if v is not None]
+    return known if len(known) == len(place) else None
 
 
 def _points(line: Array) -> list[list[float]]:
     return [[float(v) for v in row] for row in line]
 
 
-def _in(value: float, unit: str) -> float:
-    # twelve digits: enough for any reading, and no rounding noise of the unit
-    # conversion in what people see
-    return float(f"{float(units.from_si(value, unit)):.12g}")
+def _in_unit(value: float, unit: str) -> float:
+    return float(f"{float(units.from_si(value, unit)):.{DIGITS}g}")

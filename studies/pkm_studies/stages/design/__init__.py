@@ -1,1 +1,1 @@
-"""The choice of readings, and what is reported of it."""
+"""The design of a plan of readings: select, polish, order, certify, score."""

@@ -1,5 +1,4 @@
-"""What plans are judged by: the study's criteria over the columns of a measurement, and
-predicted accuracy.
+"""The study's criteria over a measurement's parameters, and predicted accuracy.
 
 Columns are the free parameters in the design's scaling. I and G take the referenced
 pose error e = A dp over the workspace of [prediction], each component over its wanted
@@ -20,6 +19,7 @@ from oed.design.blocks import project_on_estimable
 from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, named
 from oed.measurement import Measurement, Series
+from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.study.tables import DesignTable
 
@@ -27,9 +27,12 @@ from pkm_studies.study.tables import DesignTable
 EIGENVALUES = ("E", "kappa", "O2", "O3", "O4", "O5")
 
 
-class Pieces(TypedDict, total=False):
-    """What a criterion needs besides its name, over the free columns; see
-    `oed.design.criterion.named`.
+class Ingredients(TypedDict, total=False):
+    """What a criterion needs besides its name; see `oed.design.criterion.named`.
+
+    interest    (n, s) directions that Ds judges
+    factor      (r, n) combination of c, or accuracy over the workspace of I
+    factors     (J, r, n) accuracy at each workspace pose, for G
     """
 
     interest: Array
@@ -40,161 +43,150 @@ class Pieces(TypedDict, total=False):
 class StudyCriteria:
     """The criteria of one study."""
 
-    def __init__(self, resolved: ResolvedStudy, design: DesignTable) -> None:
-        self.resolved, self.design = resolved, design
+    def __init__(
+        self, resolved: ResolvedStudy, table: DesignTable, request: DesignRequest
+    ) -> None:
+        self.resolved, self.table, self.request = resolved, table, request
 
     @functools.cached_property
-    def maps(self) -> predict.ErrorMaps | None:
+    def error_maps(self) -> predict.ErrorMaps | None:
         """Pose error over the workspace of [prediction]; None without one."""
-        said, command = (
-            self.resolved.study.prediction,
-            self.resolved.prediction_commands,
-        )
-        if said is None or command is None:
+        table = self.resolved.study.prediction
+        command = self.resolved.prediction_commands
+        if table is None or command is None:
             return None
-        return predict.error_maps(
-            self.resolved.measurement.kinematics, command, said.reference
-        )
+        kinematics = self.resolved.measurement.kinematics
+        return predict.error_maps(kinematics, command, table.reference)
 
-    def criterion(self, name: str, candidates: Candidates) -> Criterion:
-        """The criterion of this name over the candidates' columns; "compound" is the
-        study's own.
-        """
+    # -- criteria ----------------------------------------------------------------------
+
+    def over_candidates(self, name: str, candidates: Candidates) -> Criterion:
+        """The criterion over the candidates' columns; "compound" is the study's own."""
         if name == "compound":
-            parts = tuple(self.criterion(n, candidates) for n in self.design.compound)
-            return Compound(parts, self._shares())
-        return candidates.criterion(name, **self.pieces(name, candidates.measurement))
+            parts = [self.over_candidates(n, candidates) for n in self.table.compound]
+            return Compound(tuple(parts), self._shares())
+        ingredients = self.ingredients(name, candidates.measurement)
+        return candidates.criterion(name, **ingredients)
+
+    def over_parameters(self, name: str, measurement: Measurement) -> Criterion:
+        """The criterion over a measurement's free parameters."""
+        if name == "compound":
+            parts = [self.over_parameters(n, measurement) for n in self.table.compound]
+            return Compound(tuple(parts), self._shares())
+        count = int(measurement.free.sum())
+        return named(name, count, **self.ingredients(name, measurement))
 
     def _shares(self) -> tuple[float, ...]:
-        total = sum(self.design.compound.values())
-        return tuple(v / total for v in self.design.compound.values())
+        total = sum(self.table.compound.values())
+        return tuple(share / total for share in self.table.compound.values())
 
-    def pieces(self, name: str, measurement: Measurement) -> Pieces:
-        """Directions of interest (n, s), combination (1, n), accuracy over the
-        workspace (r, n) or (J, r, n).
-        """
+    def ingredients(self, name: str, measurement: Measurement) -> Ingredients:
+        """What the criterion needs besides its name, over the free parameters."""
         if name == "Ds":
             return {"interest": self._interest(measurement)}
         if name == "c":
             return {"factor": self._combination(measurement)}
-        if name in ("I", "G"):
-            slopes = self._slopes(measurement)
-            if name == "G":
-                return {"factors": slopes}
-            flat = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
-            # F only counts as F^T F: its triangle is as good, and small
-            return {
-                "factor": (
-                    np.asarray(np.linalg.qr(flat, mode="r"))
-                    if len(flat) > flat.shape[1]
-                    else flat
-                )
-            }
+        if name == "G":
+            return {"factors": self._accuracy_slopes(measurement)}
+        if name == "I":
+            return {"factor": self._mean_accuracy(measurement)}
         return {}
 
     def _scale(self, measurement: Measurement) -> Array:
-        return information.column_scale(measurement, self.design.scaling)[
-            measurement.free
-        ]
-
-    def _free(self, measurement: Measurement) -> list[str]:
-        return [
-            n
-            for n, free in zip(measurement.names, measurement.free, strict=True)
-            if free
-        ]
+        scale = information.column_scale(measurement, self.table.scaling)
+        return scale[measurement.free]
 
     def _interest(self, measurement: Measurement) -> Array:
-        asked = self.resolved.design
-        assert asked is not None
-        wanted = [
-            k for k, n in enumerate(self._free(measurement)) if n in asked.interest
-        ]
+        names = _free_names(measurement)
+        wanted = [k for k, n in enumerate(names) if n in self.request.interest]
         return np.eye(int(measurement.free.sum()))[:, wanted]
 
     def _combination(self, measurement: Measurement) -> Array:
-        asked = self.resolved.design
-        assert asked is not None
-        row = np.array([asked.combination.get(n, 0.0) for n in self._free(measurement)])
-        return (row * self._scale(measurement))[None]
+        coefficients = self.request.combination
+        row = [coefficients.get(name, 0.0) for name in _free_names(measurement)]
+        return (np.array(row) * self._scale(measurement))[None]
 
-    def _slopes(self, measurement: Measurement) -> Array:
-        """Wanted pose components (poses, components, n) in units of their wanted
-        accuracy.
-        """
-        asked, maps = self.resolved.design, self.maps
-        assert asked is not None
-        assert maps is not None
-        kept = [k for k, n in enumerate(maps.names) if n in asked.accuracy]
-        wanted = np.array([asked.accuracy[maps.names[k]] for k in kept])
-        wide = np.zeros((len(maps.raw), len(kept), len(measurement.names)))
-        wide[:, :, : maps.raw.shape[2]] = maps.raw[:, kept] / wanted[:, None]
-        return wide[:, :, measurement.free] * self._scale(measurement)
+    def _mean_accuracy(self, measurement: Measurement) -> Array:
+        """F (r, n) of criterion I. Only F^T F counts: its triangle is as good."""
+        slopes = self._accuracy_slopes(measurement)
+        flat = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
+        if len(flat) <= flat.shape[1]:
+            return np.asarray(flat)
+        return np.asarray(np.linalg.qr(flat, mode="r"))
+
+    def _accuracy_slopes(self, measurement: Measurement) -> Array:
+        """Slopes (poses, components, n) of wanted components over wanted accuracy."""
+        maps, accuracy = self.error_maps, self.request.accuracy
+        assert maps is not None, "I and G need [prediction]"
+        columns = [k for k, name in enumerate(maps.names) if name in accuracy]
+        wanted = np.array([accuracy[maps.names[k]] for k in columns])
+        poses, _, machine_parameters = maps.raw.shape
+        slopes = np.zeros((poses, len(columns), len(measurement.names)))
+        slopes[:, :, :machine_parameters] = maps.raw[:, columns] / wanted[:, None]
+        return slopes[:, :, measurement.free] * self._scale(measurement)
 
     # -- plans -------------------------------------------------------------------------
 
+    def _rows(self, measurement: Measurement, series: Sequence[Series]) -> Array:
+        """Whitened slopes (N, n) of readings over the scaled free parameters."""
+        theta, scaling = measurement.nominal, self.table.scaling
+        rows = information.scaled(measurement, series, theta, scaling)
+        return rows[:, measurement.free]
+
     def information(self, measurement: Measurement, series: Sequence[Series]) -> Array:
         """Information (n, n) of readings, with the tolerances where they count."""
-        rows = information.scaled(
-            measurement, series, measurement.nominal, self.design.scaling
-        )[:, measurement.free]
-        return np.asarray(
-            rows.T @ rows + (np.eye(rows.shape[1]) if self.design.prior else 0.0)
-        )
+        rows = self._rows(measurement, series)
+        prior = np.eye(rows.shape[1]) if self.table.prior else 0.0
+        return np.asarray(rows.T @ rows + prior)
 
-    def judged(
+    def score(
         self, name: str, measurement: Measurement, series: Sequence[Series]
     ) -> tuple[float, float]:
-        """log phi of a plan, and the number that users know; over the directions that
-        it sees itself.
+        """log phi of a plan, and the number that users know.
+
+        Without tolerances, a plan is judged over the directions that it sees itself.
         """
         m = self.information(measurement, series)
-        criterion = self._named(name, measurement)
-        if not self.design.prior:
-            rows = information.scaled(
-                measurement, series, measurement.nominal, self.design.scaling
-            )
-            _, basis = project_on_estimable(rows[:, None, measurement.free], None)
+        criterion = self.over_parameters(name, measurement)
+        if not self.table.prior:
+            rows = self._rows(measurement, series)
+            _, basis = project_on_estimable(rows[:, None], None)
             criterion, m = criterion.restrict(basis), basis.T @ m @ basis
-        value = criterion.value(m)
-        return value, criterion.conventional_value(value, sum(map(len, series)))
+        log_phi = criterion.value(m)
+        return log_phi, criterion.conventional_value(log_phi, sum(map(len, series)))
 
-    def _named(self, name: str, measurement: Measurement) -> Criterion:
-        if name == "compound":
-            return Compound(
-                tuple(self._named(n, measurement) for n in self.design.compound),
-                self._shares(),
-            )
-        return named(
-            name, int(measurement.free.sum()), **self.pieces(name, measurement)
-        )
-
-    def predicted(
+    def predicted_accuracy(
         self, measurement: Measurement, series: Sequence[Series]
     ) -> dict[str, float]:
-        """Predicted rms of each pose component, in its fine unit, once all that is
-        known is corrected.
+        """Predicted rms of each pose component, once all that is known is corrected.
+
+        By component and fine unit (`z_um`).
         """
-        maps = self.maps
+        maps = self.error_maps
         if maps is None:
             return {}
-        keep, tolerance = len(measurement.machine.parameters), measurement.tolerance
+        count, tolerance = len(measurement.machine.parameters), measurement.tolerance
         h = information.scaled(measurement, series, measurement.nominal, "tolerance")
-        covariance = information.posterior_covariance(h)[:keep, :keep] * np.outer(
-            tolerance[:keep], tolerance[:keep]
-        )
-        variance = np.einsum(
+        scale = np.outer(tolerance[:count], tolerance[:count])
+        covariance = information.posterior_covariance(h)[:count, :count] * scale
+        total = np.einsum(
             "nkp,pq,nkq->k", maps.raw, covariance, maps.raw, optimize=True
-        ) / len(maps.raw)
+        )
         fine = {c.name: units.FINE[c.unit] for c in measurement.machine.components}
-        return {
-            f"{n}_{fine[n]}": units.number(float(np.sqrt(max(v, 0.0))), fine[n])
-            for n, v in zip(maps.names, variance, strict=True)
-        }
+        rms = {}
+        for name, variance in zip(maps.names, total / len(maps.raw), strict=True):
+            value = float(np.sqrt(max(variance, 0.0)))
+            rms[f"{name}_{fine[name]}"] = units.number(value, fine[name])
+        return rms
+
+
+def _free_names(measurement: Measurement) -> list[str]:
+    pairs = zip(measurement.names, measurement.free, strict=True)
+    return [name for name, free in pairs if free]
 
 
 def improvement_factors(
     before: Mapping[str, float], after: Mapping[str, float]
 ) -> dict[str, float]:
-    """By which factor each component of one prediction is better than of another."""
-    return {n: before[n] / v for n, v in after.items() if v > 0.0}
+    """Factor by which each component of one prediction is better than of another."""
+    return {n: before[n] / value for n, value in after.items() if value > 0.0}

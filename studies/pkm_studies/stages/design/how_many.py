@@ -1,18 +1,20 @@
-"""How many readings: predicted accuracy against their number with its bound, and the
-fewest for a wanted accuracy.
-"""
+"""Predicts accuracy against the number of readings, and the fewest that suffice."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
+import msgspec
 import numpy as np
 
-from oed import result, units
-from oed.arrays import Array
+from oed import units
+from oed.arrays import Array, Index
 from oed.design.blocks import information
 from oed.design.exchange import Choice
 from oed.design.how_many import AccuracyGoal, SizeCurve
+from oed.design.rules import Rules
+from oed.result import HowManySummary
 from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities
 from pkm_studies.stages.design.criteria import StudyCriteria
@@ -20,133 +22,140 @@ from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.study.tables import HowManyTable
 
 
-def curve(
+def accuracy_by_size(
     problem: DesignProblem,
-    aims: StudyCriteria,
+    study_criteria: StudyCriteria,
     chosen: Choice,
-    said: HowManyTable,
+    table: HowManyTable,
     seed: int,
     place: Place,
-) -> result.HowManySummary:
-    """The curve over the candidates (over the chosen set-ups', where not all can be
-    mounted).
+) -> HowManySummary:
+    """The curve over the candidates, with bounds, and the fewest readings wanted.
 
-    Raises InputError for a component that the machine does not have.
+    Where not all set-ups can be mounted, over those of the chosen plan. Raises
+    InputError for a component that the machine does not have.
     """
     c = problem.candidates
-    pool, basis = np.arange(len(c)), np.eye(c.blocks.shape[2])
-    if problem.limited:
-        pool = np.flatnonzero(np.isin(c.setup, c.setup[chosen.indices]))
-        basis = problem.columns(np.unique(c.setup[chosen.indices]))
+    pool, basis = chosen_pool(problem, chosen)
     components = {x.name: x.unit for x in c.measurement.machine.components}
-    wanted = quantities.read_values(said.wanted, components, place.key("wanted"))
-    unit = wanted or _reached(aims, problem, chosen)
-    names, factors = _factors(aims, problem, unit)
-    rules = dataclasses.replace(
+    wanted = quantities.read_values(table.wanted, components, place.key("wanted"))
+    scale = wanted or _reached_accuracy(study_criteria, problem, chosen)
+    names, factors = _factors(study_criteria, problem, scale)
+    size_curve = SizeCurve(
+        c.blocks[pool] @ basis,
+        basis.T @ c.prior_information @ basis,
+        AccuracyGoal(names, factors @ basis),
+        (seed,),
+        rules=_without_costs(problem, pool),
+    )
+    points = size_curve.curve([n for n in table.readings if n <= len(pool)])
+    fine = {n: units.FINE[components[n]] for n in names}
+    reached = np.array([p.accuracy for p in points])
+    bounds = np.array([p.bound for p in points])
+
+    def by_component(shares: Array) -> dict[str, list[float]]:
+        """Shares (sizes, components) of the scale, by component in its fine unit."""
+        columns = {}
+        for k, name in enumerate(names):
+            si = [float(share) * scale[name] for share in shares[:, k]]
+            columns[f"{name}_{fine[name]}"] = [units.number(v, fine[name]) for v in si]
+        return columns
+
+    summary = HowManySummary(
+        wanted={f"{n}_{fine[n]}": units.number(v, fine[n]) for n, v in wanted.items()},
+        sizes=[p.size for p in points],
+        accuracy=by_component(reached),
+        bound=by_component(bounds),
+    )
+    if not wanted:
+        return summary
+    return _with_fewest(summary, size_curve, min(table.most, len(pool)))
+
+
+def chosen_pool(problem: DesignProblem, chosen: Choice) -> tuple[Index, Array]:
+    """Candidates of the chosen plan's set-ups, and a basis (n, r) of their columns.
+
+    All candidates and columns, where the search did not have to choose set-ups.
+    """
+    c = problem.candidates
+    if not problem.selects_setups:
+        return np.arange(len(c)), np.eye(c.blocks.shape[2])
+    used = c.setup[chosen.indices]
+    return np.flatnonzero(np.isin(c.setup, used)), problem.columns(np.unique(used))
+
+
+def _without_costs(problem: DesignProblem, pool: Index) -> Rules:
+    """The rules over a pool of candidates, without time and number of set-ups."""
+    return dataclasses.replace(
         problem.rules.subset(pool),
         most_setups=None,
         budget=None,
         cost=None,
         setup_cost=None,
     )
-    asked = SizeCurve(
-        c.blocks[pool] @ basis,
-        basis.T @ c.prior_information @ basis,
-        AccuracyGoal(names, factors @ basis),
-        (seed,),
-        rules=rules,
-    )
-    points = asked.curve([n for n in said.readings if n <= len(pool)])
-    fine = {n: units.FINE[components[n]] for n in names}
-
-    def column(table: Array, k: int) -> list[float]:
-        return [
-            float(units.number(float(v) * unit[names[k]], fine[names[k]]))
-            for v in table[:, k]
-        ]
-
-    reached, bounds = (
-        np.array([p.accuracy for p in points]),
-        np.array([p.bound for p in points]),
-    )
-    keys = [f"{n}_{fine[n]}" for n in names]
-    told = result.HowManySummary(
-        wanted={f"{n}_{fine[n]}": units.number(v, fine[n]) for n, v in wanted.items()},
-        sizes=[p.size for p in points],
-        accuracy={key: column(reached, k) for k, key in enumerate(keys)},
-        bound={key: column(bounds, k) for k, key in enumerate(keys)},
-    )
-    return _fewest(told, asked, min(said.most, len(pool))) if wanted else told
 
 
-def _fewest(
-    told: result.HowManySummary, asked: SizeCurve, most: int
-) -> result.HowManySummary:
-    found = asked.fewest(most)
-    if found.size is None:
-        short = [
-            n
-            for n, a in zip(asked.goal.names, found.best.accuracy, strict=True)
-            if a > 1.0
-        ]
-        never = (
-            "no plan of so many can: the bound says so"
-            if found.at_least > most
-            else "none was found"
-        )
+def _with_fewest(
+    summary: HowManySummary, size_curve: SizeCurve, most: int
+) -> HowManySummary:
+    """The summary with the fewest readings that reach the wanted accuracy."""
+    fewest = size_curve.fewest(most)
+    if fewest.size is None:
+        pairs = zip(size_curve.goal.names, fewest.best.accuracy, strict=True)
+        missed = ", ".join(name for name, share in pairs if share > 1.0)
+        reason = "the search found no plan that does"
+        if fewest.at_least > most:
+            reason = "by the bound, no plan of that size can"
         words = (
-            f"{most} readings do not reach it in {', '.join(short)}; {never}. Add a"
-            " set-up or another instrument."
+            f"{most} readings do not reach it in {missed}; {reason}. Add a set-up or"
+            " another instrument."
         )
-    elif found.proven:
-        words = f"{found.size} readings reach it, and no plan of fewer can."
+    elif fewest.proven:
+        words = f"{fewest.size} readings reach it, and no plan of fewer can."
     else:
         words = (
-            f"{found.size} readings reach it; no plan of fewer than {found.at_least}"
+            f"{fewest.size} readings reach it; no plan of fewer than {fewest.at_least}"
             " can."
         )
-    return result.HowManySummary(
-        told.wanted,
-        told.sizes,
-        told.accuracy,
-        told.bound,
-        found.size,
-        found.at_least,
-        most,
-        words,
+    return msgspec.structs.replace(
+        summary,
+        fewest=fewest.size,
+        at_least=fewest.at_least,
+        most=most,
+        words=words,
     )
 
 
-def _reached(
-    aims: StudyCriteria, problem: DesignProblem, chosen: Choice
+def _reached_accuracy(
+    study_criteria: StudyCriteria, problem: DesignProblem, chosen: Choice
 ) -> dict[str, float]:
-    """Accuracy, SI, that the chosen plan reaches in each component that moves at all."""
-    names, factors = _factors(aims, problem, {})
+    """Accuracy, SI, that the chosen plan reaches in each component that moves."""
+    names, factors = _factors(study_criteria, problem, {})
     c = problem.candidates
-    told = AccuracyGoal(names, factors).accuracy(
-        c.prior_information + information(c.blocks[chosen.indices])
-    )
-    return {n: float(v) for n, v in zip(names, told, strict=True)}
+    total = c.prior_information + information(c.blocks[chosen.indices])
+    accuracy = AccuracyGoal(names, factors).accuracy(total)
+    return {n: float(v) for n, v in zip(names, accuracy, strict=True)}
 
 
 def _factors(
-    aims: StudyCriteria, problem: DesignProblem, unit: dict[str, float]
+    study_criteria: StudyCriteria, problem: DesignProblem, scale: Mapping[str, float]
 ) -> tuple[tuple[str, ...], Array]:
-    """Components with factors (K, r, n) over the candidates' columns, in units of
-    `unit` (SI where none is told).
+    """Components, and factors (K, r, n) over the candidates' columns, by `scale`.
+
+    Only components in the scale; with an empty one, all that move, in SI.
     """
-    maps, c = aims.maps, problem.candidates
-    assert maps is not None
+    maps, c = study_criteria.error_maps, problem.candidates
+    assert maps is not None, "[design.how_many] needs [prediction]"
     measurement = c.measurement
-    moved = [n for k, n in enumerate(maps.names) if maps.raw[:, k].any()]
-    names = [n for n in moved if n in unit] if unit else moved
-    tables = []
+    poses, _, machine_parameters = maps.raw.shape
+    moving = [n for k, n in enumerate(maps.names) if maps.raw[:, k].any()]
+    names = [n for n in moving if n in scale] if scale else moving
+    factors = []
     for name in names:
-        wide = np.zeros((len(maps.raw), len(measurement.names)))
-        wide[:, : maps.raw.shape[2]] = maps.raw[:, maps.names.index(name)] / (
-            unit.get(name, 1.0) * np.sqrt(len(maps.raw))
-        )
-        rows = (wide * measurement.tolerance)[:, measurement.free]
+        raw = maps.raw[:, maps.names.index(name)]
+        slopes = np.zeros((poses, len(measurement.names)))
+        slopes[:, :machine_parameters] = raw / (scale.get(name, 1.0) * np.sqrt(poses))
+        rows = (slopes * measurement.tolerance)[:, measurement.free]
         triangle = np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
-        tables.append(np.pad(triangle, ((0, 0), (0, c.shared_errors))))
-    return tuple(names), np.array(tables)
+        factors.append(np.pad(triangle, ((0, 0), (0, c.shared_errors))))
+    return tuple(names), np.array(factors)

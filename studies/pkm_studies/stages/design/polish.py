@@ -1,130 +1,132 @@
-"""Chosen poses, and what may be moved of their set-ups, polished off the grid to a
-local optimum.
-"""
+"""Polishes the chosen poses, and free settings of their set-ups, off the grid."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from oed import result, units
+from oed import units
 from oed.arrays import Array
 from oed.design import polish, symbolic_criterion
 from oed.measurement import Measurement, Series
+from oed.result import PolishSummary
 from pkm_studies.errors import Place
-from pkm_studies.resolve import quantities
-from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages import describe
+from pkm_studies.resolve.design import Ranges
+from pkm_studies.resolve.quantities import column
+from pkm_studies.stages.describe import displayed
 from pkm_studies.stages.design.criteria import StudyCriteria
 
-#: power means that stand for E and O3
+#: power mean that stands for E and O3
 POWER = 8
 
 
 @dataclasses.dataclass(frozen=True)
 class PolishedPlan:
-    """Readings as polished, with their set-ups as they are now."""
+    """Readings as polished, with their set-ups as moved."""
 
     measurement: Measurement
     series: tuple[Series, ...]
-    told: result.PolishSummary
+    summary: PolishSummary
 
 
-def polished(
-    resolved: ResolvedStudy,
-    aims: StudyCriteria,
+def polish_plan(
+    study_criteria: StudyCriteria,
     measurement: Measurement,
     series: Sequence[Series],
-    kept: Sequence[Series],
+    retained: Sequence[Series],
 ) -> PolishedPlan:
-    """The chosen readings polished beside the kept ones, or as they are where that does
-    not better the criterion.
+    """The chosen readings polished, or as they are where that gains nothing.
+
+    `retained` readings are part of the plan and do not move. Raises InputError.
     """
-    said, place = aims.design.polish, resolved.study.place.key("design").key("polish")
-    assert said is not None
-    limits = aims.design.limits
-    travel = (
-        None
-        if limits is None or limits.travel_mm is None
-        else float(units.to_si(limits.travel_mm, "mm"))
-    )
-    free = _free(resolved, measurement, series, kept, place)
-    name = aims.design.judged_by
+    table, name = study_criteria.table, study_criteria.table.judged_by
+    place = study_criteria.resolved.study.place.key("design").key("polish")
+    assert table.polish is not None
+    ranges = _free_ranges(study_criteria, series, retained, place)
     try:
-        found = polish.polish_readings(
+        polished = polish.polish_readings(
             measurement,
             series,
-            _smooth(name, aims, measurement),
-            aims.design.scaling,
-            free=free,
-            prior=_held(aims, measurement, kept),
-            travel=travel,
-            clearance=said.clearance,
-            iterations=said.iterations,
+            _smooth(name, study_criteria, measurement),
+            table.scaling,
+            free=ranges,
+            prior=_prior_information(study_criteria, measurement, retained),
+            travel=_travel(study_criteria),
+            clearance=table.polish.clearance,
+            iterations=table.polish.iterations,
         )
     except ValueError as error:
         raise place.error(str(error), "mend it, or leave polishing out") from error
-    before, value = aims.judged(name, measurement, [*kept, *series])
-    after, new = aims.judged(name, found.measurement, [*kept, *found.series])
-    if not after > before:
-        words = (
-            found.summary
-            if found.value_after == found.value_before
-            else "polishing does not better the criterion"
-        )
-        return PolishedPlan(
-            measurement, tuple(series), result.PolishSummary(value, value, words, {})
-        )
-    told = result.PolishSummary(
-        value, new, found.summary, _moved(found.measurement, free)
+    before, value = study_criteria.score(name, measurement, [*retained, *series])
+    after, new_value = study_criteria.score(
+        name, polished.measurement, [*retained, *polished.series]
     )
-    return PolishedPlan(found.measurement, found.series, told)
+    if after > before:
+        moved = _moved_settings(polished.measurement, ranges)
+        summary = PolishSummary(value, new_value, polished.summary, moved)
+        return PolishedPlan(polished.measurement, polished.series, summary)
+    words = "polishing does not improve the criterion"
+    if polished.value_after == polished.value_before:
+        words = polished.summary
+    summary = PolishSummary(value, value, words, {})
+    return PolishedPlan(measurement, tuple(series), summary)
 
 
-def _free(
-    resolved: ResolvedStudy,
-    measurement: Measurement,
+def _travel(study_criteria: StudyCriteria) -> float | None:
+    """How far a held reading may differ from what the instrument holds, m."""
+    limits = study_criteria.table.limits
+    if limits is None or limits.travel_mm is None:
+        return None
+    return float(units.to_si(limits.travel_mm, "mm"))
+
+
+def _free_ranges(
+    study_criteria: StudyCriteria,
     series: Sequence[Series],
-    kept: Sequence[Series],
+    retained: Sequence[Series],
     place: Place,
-) -> Mapping[str, Mapping[str, tuple[float, float]]]:
-    """What may be moved of the set-ups that the plan uses."""
-    assert resolved.design is not None
-    stuck = {s.setup for s in kept}
-    for name in resolved.design.free_ranges:
-        if name in stuck:
-            problem = (
-                f"readings of {name} are kept, which were taken with it as it stands"
+) -> Ranges:
+    """What polishing may move of the set-ups that the plan uses."""
+    ranges = study_criteria.request.free_ranges
+    fixed = {s.setup for s in retained}
+    for name in ranges:
+        if name in fixed:
+            raise (
+                place.key("free")
+                .key(name)
+                .error(
+                    f"the retained readings of {name} were taken where it stands",
+                    "move another set-up",
+                )
             )
-            raise place.key("free").key(name).error(problem, "move another set-up")
     used = {s.setup for s in series}
-    return {
-        name: ranges
-        for name, ranges in resolved.design.free_ranges.items()
-        if name in used
-    }
+    return {name: limits for name, limits in ranges.items() if name in used}
 
 
-def _held(
-    aims: StudyCriteria, measurement: Measurement, kept: Sequence[Series]
+def _prior_information(
+    study_criteria: StudyCriteria, measurement: Measurement, retained: Sequence[Series]
 ) -> Array | None:
-    """Information held beside the polished readings."""
-    if kept:
-        return aims.information(measurement, kept)
-    return np.eye(int(measurement.free.sum())) if aims.design.prior else None
+    """Information (n, n) before the polished readings: retained ones, tolerances."""
+    if retained:
+        return study_criteria.information(measurement, retained)
+    if study_criteria.table.prior:
+        return np.eye(int(measurement.free.sum()))
+    return None
 
 
 def _smooth(
-    name: str, aims: StudyCriteria, measurement: Measurement
+    name: str, study_criteria: StudyCriteria, measurement: Measurement
 ) -> symbolic_criterion.SymbolicCriterion:
-    """The criterion as polishing knows it."""
-    pieces = aims.pieces(name, measurement)
+    """The smooth form of the criterion, which has a slope to polish along."""
+    ingredients = study_criteria.ingredients(name, measurement)
     if name == "Ds":
-        return symbolic_criterion.determinant_of_interest(pieces["interest"])
+        return symbolic_criterion.determinant_of_interest(ingredients["interest"])
     if name in ("c", "I"):
-        return symbolic_criterion.variance(pieces["factor"].T @ pieces["factor"])
+        return symbolic_criterion.variance(
+            ingredients["factor"].T @ ingredients["factor"]
+        )
     if name in ("E", "O3"):
         return symbolic_criterion.power_mean(POWER)
     return (
@@ -134,21 +136,18 @@ def _smooth(
     )
 
 
-def _moved(
-    measurement: Measurement, free: Mapping[str, Mapping[str, tuple[float, float]]]
+def _moved_settings(
+    measurement: Measurement, ranges: Ranges
 ) -> dict[str, dict[str, float]]:
-    """Where what was free stands now, in user units."""
+    """Where each free setting stands now, by set-up and column."""
     moved: dict[str, dict[str, float]] = {}
-    for name, ranges in free.items():
+    for name, limits in ranges.items():
         setup = measurement.setups[name]
         unit = {s.name: s.unit for s in setup.instrument.settings}
-        now = {
-            **setup.settings,
-            **dict(zip(("tool_x", "tool_y", "tool_z"), setup.tool, strict=True)),
-        }
-        kinds = {v: unit.get(v, "m") for v in ranges}
-        moved[name] = {
-            quantities.column(v, kinds[v]): describe.shown(now[v], kinds[v])
-            for v in ranges
-        }
+        tool = zip(("tool_x", "tool_y", "tool_z"), setup.tool, strict=True)
+        values = {**setup.settings, **dict(tool)}
+        moved[name] = {}
+        for setting in limits:
+            si = unit.get(setting, "m")
+            moved[name][column(setting, si)] = displayed(values[setting], si)
     return moved

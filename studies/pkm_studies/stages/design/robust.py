@@ -1,6 +1,4 @@
-"""A plan for many machines: chosen over scenarios of parameters and set-ups drawn from
-their tolerances.
-"""
+"""Chooses a plan for many machines, drawn from the tolerances of parameters."""
 
 from __future__ import annotations
 
@@ -8,123 +6,120 @@ import dataclasses
 
 import numpy as np
 
-from oed import result
 from oed.arrays import Array, Index
 from oed.design import candidates, robust
 from oed.design.criterion import Criterion
 from oed.design.exchange import Choice
 from oed.kinematics import AssemblyError
+from oed.result import RobustSummary
 from pkm_studies.errors import Place
 from pkm_studies.stages.design.criteria import StudyCriteria
+from pkm_studies.stages.design.how_many import chosen_pool
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.study.tables import RobustTable
 
 #: machines drawn for each scenario until one reaches all candidates
 TRIES = 5
+#: share of the search rounds, and the fewest of them
+ROUNDS_SHARE, MIN_ROUNDS = 4, 2
 
 
-def choose(
+def choose_robust(
     problem: DesignProblem,
-    aims: StudyCriteria,
+    study_criteria: StudyCriteria,
     nominal: Choice,
-    said: RobustTable,
+    table: RobustTable,
     rng: np.random.Generator,
     place: Place,
-) -> tuple[Choice, result.RobustSummary]:
-    """The robust plan over the set-ups that the nominal one mounts, and what it gains
-    over that one.
+) -> tuple[Choice, RobustSummary]:
+    """The robust plan over the nominal plan's set-ups, and what it gains over that.
 
     Raises InputError for criteria that are not smooth, and where drawn machines cannot
     reach the candidates.
     """
-    c = problem.candidates
-    assert c.setup is not None
-    pool = np.flatnonzero(np.isin(c.setup, c.setup[nominal.indices]))
-    basis = (
-        problem.columns(np.unique(c.setup[nominal.indices]))
-        if problem.limited
-        else np.eye(c.blocks.shape[2])
-    )
-    blocks = _scenarios(problem, aims, said.scenarios, rng, place)[:, pool] @ basis
-    criterion = aims.criterion(aims.design.judged_by, c).restrict(basis)
-    rules = dataclasses.replace(problem.rules.subset(pool), most_setups=None)
+    c, judged_by = problem.candidates, study_criteria.table.judged_by
+    pool, basis = chosen_pool(problem, nominal)
+    blocks = _scenarios(problem, study_criteria, table.scenarios, rng, place)
+    blocks = blocks[:, pool] @ basis
+    criterion = study_criteria.over_candidates(judged_by, c)
+    within = criterion.restrict(basis)
     prior = basis.T @ c.prior_information @ basis
     try:
-        found = robust.choose(
+        choice = robust.choose(
             blocks,
-            criterion,
-            rules,
+            within,
+            dataclasses.replace(problem.rules.subset(pool), most_setups=None),
             rng,
-            risk=said.risk,
-            tail_share=said.level,
+            risk=table.risk,
+            tail_share=table.level,
             prior=prior,
-            rounds=max(problem.starts // 4, 2),
+            rounds=max(problem.rounds // ROUNDS_SHARE, MIN_ROUNDS),
         )
     except ValueError as error:
         raise place.key("risk").error(
             str(error), "choose D, Ds, A, c, I or O5, or leave the table out"
         ) from error
-    others = _values(blocks, criterion, prior, np.searchsorted(pool, nominal.indices))
-    told = result.RobustSummary(
-        risk=said.risk,
-        level=said.level,
-        scenarios=said.scenarios,
-        value=float(found.value),
-        bound=float(found.bound),
-        efficiency=found.efficiency,
-        nominal=float(robust.aggregate(others, said.risk, said.level)),
-        values=[float(v) for v in found.values],
-        nominal_values=[float(v) for v in others],
+    nominal_rows = np.searchsorted(pool, nominal.indices)
+    nominal_values = _log_phis(blocks, within, prior, nominal_rows)
+    of_nominal = robust.aggregate(nominal_values, table.risk, table.level)
+    summary = RobustSummary(
+        risk=table.risk,
+        level=table.level,
+        scenarios=table.scenarios,
+        value=float(choice.value),
+        bound=float(choice.bound),
+        efficiency=choice.efficiency,
+        nominal=float(of_nominal),
+        values=[float(v) for v in choice.values],
+        nominal_values=[float(v) for v in nominal_values],
     )
-    indices = pool[found.indices]
-    value = problem.judged(aims.criterion(aims.design.judged_by, c), indices)[1]
+    indices = pool[choice.indices]
+    value = problem.score(criterion, indices)[1]
     # the nominal bound holds for this plan as well
-    return (
-        dataclasses.replace(
-            nominal, indices=indices, value=value, efficiency=None, proven=False
-        ),
-        told,
+    robust_choice = dataclasses.replace(
+        nominal, indices=indices, value=value, efficiency=None, proven=False
     )
+    return robust_choice, summary
 
 
 def _scenarios(
     problem: DesignProblem,
-    aims: StudyCriteria,
+    study_criteria: StudyCriteria,
     count: int,
     rng: np.random.Generator,
     place: Place,
 ) -> Array:
-    """Blocks (S, C, k, n) of the same commands on drawn machines; the nominal one
-    first.
-    """
+    """Blocks (S, C, k, n) of the same commands on drawn machines; first the nominal."""
     c = problem.candidates
-    measurement, whole = c.measurement, aims.design.whole_runs
-    tables = [c.blocks]
-    failed = 0
-    while len(tables) < count:
-        at = measurement.nominal + measurement.tolerance * rng.standard_normal(
-            len(measurement.nominal)
-        )
+    measurement, table = c.measurement, study_criteria.table
+    blocks = [c.blocks]
+    failures = 0
+    while len(blocks) < count:
+        errors = rng.standard_normal(len(measurement.nominal))
+        theta = measurement.nominal + measurement.tolerance * errors
         try:
-            made = candidates.build(
-                measurement, c.series, at, aims.design.scaling, whole_runs=whole
+            scenario = candidates.build(
+                measurement,
+                c.series,
+                theta,
+                table.scaling,
+                whole_runs=table.whole_runs,
             )
         except AssemblyError as error:
-            failed += 1
-            if failed > TRIES * count:
-                problem_ = (
-                    "machines within the tolerances cannot reach all candidates:"
-                    f" {error}"
-                )
+            failures += 1
+            if failures > TRIES * count:
                 raise place.key("scenarios").error(
-                    problem_, "narrow the candidates, or the tolerances"
+                    f"machines within the tolerances cannot reach all candidates: {error}",
+                    "narrow the candidates, or the tolerances",
                 ) from error
             continue
-        tables.append(made.blocks)
-    return np.array(tables)
+        blocks.append(scenario.blocks)
+    return np.array(blocks)
 
 
-def _values(blocks: Array, criterion: Criterion, prior: Array, chosen: Index) -> Array:
+def _log_phis(
+    blocks: Array, criterion: Criterion, prior: Array, chosen: Index
+) -> Array:
     """log phi (S,) of a plan in each scenario."""
-    picked = blocks[:, chosen].reshape(len(blocks), -1, blocks.shape[3])
-    return np.array([criterion.value(prior + rows.T @ rows) for rows in picked])
+    rows = blocks[:, chosen].reshape(len(blocks), -1, blocks.shape[3])
+    return np.array([criterion.value(prior + r.T @ r) for r in rows])

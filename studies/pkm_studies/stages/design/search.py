@@ -1,5 +1,4 @@
-"""The search for a plan: by exchange, within each promising combination of set-ups
-where not all can be mounted.
+"""Searches the best plan by exchange, within promising combinations of set-ups.
 
 An exchange of single readings never opens a new set-up, whose first readings only tell
 where it stands. So combinations of set-ups are ranked by their relaxation first
@@ -24,174 +23,170 @@ from oed.design.rules import MAX_COMBINATIONS, Rules
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """Candidates, the rules of a plan, and rounds of search."""
+    """Candidates, the rules of a plan, and the number of search rounds."""
 
     candidates: Candidates
     rules: Rules
-    starts: int
+    rounds: int
 
     @property
-    def limited(self) -> bool:
-        """Whether it is to be found which set-ups to mount."""
-        assert self.rules.setup is not None
-        names = np.setdiff1d(
-            self.rules.setup, np.array(self.rules.mounted, dtype=np.intp)
-        )
-        fewer = self.rules.most_setups is not None and self.rules.most_setups < len(
-            names
-        )
-        dear = self.rules.budget is not None and len(names) > 1
-        return self.candidates.prior is not None and (fewer or dear)
+    def mounted(self) -> Index:
+        """Set-ups that are mounted already."""
+        return np.array(self.rules.mounted, dtype=np.intp)
 
     @property
-    def loose(self) -> bool:
-        """Whether the bound leaves it free how many set-ups are mounted: there are too
-        many combinations of them.
-        """
+    def new_setups(self) -> Index:
+        """Set-ups that a plan would have to mount."""
         assert self.rules.setup is not None
-        names, most = (
-            len(np.setdiff1d(self.rules.setup, self.rules.mounted)),
-            self.rules.most_setups,
-        )
-        return (
-            most is not None
-            and sum(math.comb(names, k) for k in range(1, most + 1)) > MAX_COMBINATIONS
-        )
+        return np.setdiff1d(self.rules.setup, self.mounted)
 
-    def columns(self, some: Index) -> Array:
-        """Columns (n, r) of the identity: of the machine and of the set-ups at
-        positions `some`.
-        """
-        named = [self.candidates.setups[k] for k in some]
-        measurement = self.candidates.measurement
-        free = [
-            n for n, f in zip(measurement.names, measurement.free, strict=True) if f
-        ]
-        kept = [
+    @property
+    def selects_setups(self) -> bool:
+        """Whether the search has to find out which set-ups to mount."""
+        count, rules = len(self.new_setups), self.rules
+        too_many = rules.most_setups is not None and rules.most_setups < count
+        costly = rules.budget is not None and count > 1
+        return self.candidates.prior is not None and (too_many or costly)
+
+    @property
+    def bound_ignores_setups(self) -> bool:
+        """Whether the bound allows any number of set-ups: too many combinations."""
+        count, most = len(self.new_setups), self.rules.most_setups
+        if most is None:
+            return False
+        return sum(math.comb(count, k) for k in range(1, most + 1)) > MAX_COMBINATIONS
+
+    def columns(self, setup_indices: Index) -> Array:
+        """Identity columns (n, r) of the machine's parameters and of some set-ups'."""
+        candidates = self.candidates
+        chosen = [candidates.setups[k] for k in setup_indices]
+        measurement = candidates.measurement
+        pairs = zip(measurement.names, measurement.free, strict=True)
+        names = [name for name, free in pairs if free]
+        columns = [
             k
-            for k, n in enumerate(free)
-            if "." not in n or n.rpartition(".")[0] in named
+            for k, name in enumerate(names)
+            if "." not in name or name.rpartition(".")[0] in chosen
         ]
-        kept += range(len(free), len(self.candidates.prior_information))
-        return np.eye(len(self.candidates.prior_information))[:, kept]
+        columns += range(len(names), len(candidates.prior_information))
+        return np.eye(len(candidates.prior_information))[:, columns]
 
-    def judged(self, criterion: Criterion, chosen: Index) -> tuple[float, float]:
-        """log phi of a plan, and the number that users know: over all columns, or, for
-        criteria of eigenvalues, over those of its own set-ups; without anything held,
-        over the directions that the candidates see.
+    def score(self, criterion: Criterion, chosen: Index) -> tuple[float, float]:
+        """log phi of a plan, and the number that users know.
+
+        Over all columns; criteria of eigenvalues over those of the plan's set-ups;
+        without prior information, over the directions that the candidates see.
         """
         c = self.candidates
         m = c.prior_information + information(c.blocks[chosen])
         if c.prior is None:
             basis = project_on_estimable(c.blocks, None)[1]
             criterion, m = criterion.restrict(basis), basis.T @ m @ basis
-        elif self.limited and _spectral(criterion):
-            basis = self.columns(
-                np.union1d(c.setup[chosen], np.array(self.rules.mounted, dtype=np.intp))
-            )
+        elif self.selects_setups and _spectral(criterion):
+            basis = self.columns(np.union1d(c.setup[chosen], self.mounted))
             criterion, m = criterion.restrict(basis), basis.T @ m @ basis
-        value = criterion.value(m)
-        return value, criterion.conventional_value(value, len(chosen))
+        log_phi = criterion.value(m)
+        return log_phi, criterion.conventional_value(log_phi, len(chosen))
 
 
-def best(
+def best_plan(
     problem: DesignProblem, criterion: Criterion, rng: np.random.Generator
 ) -> Choice:
-    """The best plan found, with what is known of how good it is. Raises ValueError
-    where there is none.
-    """
+    """The best plan found, with its certificate. Raises ValueError where none exists."""
     c = problem.candidates
-    if not problem.limited:
+    if not problem.selects_setups:
         rules = dataclasses.replace(problem.rules, most_setups=None)
         return exchange.choose(
-            c.blocks, None, rng, criterion, c.prior, problem.starts, rules=rules
+            c.blocks, None, rng, criterion, c.prior, problem.rounds, rules=rules
         )
-    found: list[Index] = []
-    refused: list[ValueError] = []
-    for some in _combinations(problem, criterion):
+    plans: list[Index] = []
+    refusals: list[ValueError] = []
+    for combination in _combinations(problem, criterion):
+        setup_indices = np.array(combination, dtype=np.intp)
         try:
-            found.append(
-                _within(problem, criterion, np.array(some, dtype=np.intp), rng)
-            )
+            plans.append(_best_within(problem, criterion, setup_indices, rng))
         except ValueError as error:  # set-ups that the budget does not pay for
-            refused.append(error)
-    if not found:
-        raise refused[0]
-    chosen = max(found, key=lambda indices: problem.judged(criterion, indices)[0])
-    return _certified(problem, criterion, chosen)
+            refusals.append(error)
+    if not plans:
+        raise refusals[0]
+    best = max(plans, key=lambda indices: problem.score(criterion, indices)[0])
+    return _certified(problem, criterion, best)
 
 
 def _combinations(
     problem: DesignProblem, criterion: Criterion
 ) -> list[tuple[int, ...]]:
-    """Combinations worth an exchange: the best few of the most set-ups, or the best of
-    each number within a budget.
+    """Combinations of set-ups worth an exchange.
+
+    The best few of the largest number, or within a budget the best of each number.
     """
-    c, rules = problem.candidates, problem.rules
-    assert rules.setup is not None
-    names = np.setdiff1d(rules.setup, np.array(rules.mounted, dtype=np.intp))
-    most = min(rules.most_setups or len(names), len(names))
+    c, rules, count = problem.candidates, problem.rules, len(problem.new_setups)
+    ranking = _smooth(criterion)
     if rules.budget is None:
-        return setups.rank_combinations(
-            c.blocks, _smooth(criterion), c.prior_information, rules
-        )
-    found = []
-    for count in range(1, most + 1):
-        some = dataclasses.replace(rules, most_setups=count)
-        found += setups.rank_combinations(
-            c.blocks, _smooth(criterion), c.prior_information, some
+        return setups.rank_combinations(c.blocks, ranking, c.prior_information, rules)
+    combinations = []
+    for most in range(1, min(rules.most_setups or count, count) + 1):
+        limited = dataclasses.replace(rules, most_setups=most)
+        combinations += setups.rank_combinations(
+            c.blocks, ranking, c.prior_information, limited
         )[:1]
-    return found
+    return combinations
 
 
 def _smooth(criterion: Criterion) -> Criterion:
-    """What combinations are ranked by: the criterion itself, or the last of its ladder
-    that has a relaxation.
-    """
-    ways = [x for x in criterion.continuation() if x.concave and x.smooth]
-    return criterion if criterion.concave and criterion.smooth else ways[-1]
+    """The criterion, or the last of its continuation that has a relaxation."""
+    if criterion.concave and criterion.smooth:
+        return criterion
+    return [step for step in criterion.continuation() if step.concave and step.smooth][
+        -1
+    ]
 
 
-def _within(
-    problem: DesignProblem, criterion: Criterion, some: Index, rng: np.random.Generator
+def _best_within(
+    problem: DesignProblem,
+    criterion: Criterion,
+    setup_indices: Index,
+    rng: np.random.Generator,
 ) -> Index:
-    """The best plan within a combination of set-ups."""
-    c, rules = problem.candidates, problem.rules
-    mounted = np.union1d(some, np.array(rules.mounted, dtype=np.intp))
+    """The best plan with a combination of set-ups and those mounted already."""
+    c = problem.candidates
+    mounted = np.union1d(setup_indices, problem.mounted)
     pool = np.flatnonzero(np.isin(c.setup, mounted))
     basis = problem.columns(mounted)
-    found = exchange.choose(
+    rules = dataclasses.replace(problem.rules.subset(pool), most_setups=None)
+    choice = exchange.choose(
         c.blocks[pool] @ basis,
         None,
         rng,
         criterion.restrict(basis),
         basis.T @ c.prior_information @ basis,
-        problem.starts,
+        problem.rounds,
         certify=False,
-        rules=dataclasses.replace(rules.subset(pool), most_setups=None),
+        rules=rules,
     )
-    return np.asarray(pool[found.indices])
+    return np.asarray(pool[choice.indices])
 
 
 def _certified(problem: DesignProblem, criterion: Criterion, chosen: Index) -> Choice:
     """A plan with its bound over all combinations of set-ups, where one is known."""
-    c, (value, number) = problem.candidates, problem.judged(criterion, chosen)
-    told = Choice(
+    c = problem.candidates
+    log_phi, value = problem.score(criterion, chosen)
+    choice = Choice(
         indices=np.sort(chosen),
         criterion=criterion.name,
-        value=number,
+        value=value,
         directions=len(c.prior_information),
         columns=len(c.prior_information),
     )
     if not criterion.concave or _spectral(criterion):
-        return told
-    above = bounds.bound(c.blocks, criterion, problem.rules, c.prior_information)
+        return choice
+    bound = bounds.bound(c.blocks, criterion, problem.rules, c.prior_information)
     return dataclasses.replace(
-        told,
-        bound=criterion.conventional_value(above.value, len(chosen)),
-        duality_gap=above.duality_gap,
-        efficiency=float(np.exp(min(value - above.value, 0.0))),
-        proven=above.value - value <= exchange.PROVEN,
+        choice,
+        bound=criterion.conventional_value(bound.value, len(chosen)),
+        duality_gap=bound.duality_gap,
+        efficiency=float(np.exp(min(log_phi - bound.value, 0.0))),
+        proven=bound.value - log_phi <= exchange.PROVEN,
     )
 
 

@@ -1,1 +1,1 @@
-"""Identifiability, least squares and posterior as sections of the result."""
+"""Identifiability, identification and posterior as sections of the result."""

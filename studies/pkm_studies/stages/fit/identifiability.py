@@ -1,22 +1,30 @@
-"""Identifiability of readings, as a section of the result."""
+"""Reports which parameters the readings identify: the section `identifiability`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from oed import explain, result
+from oed import explain
 from oed.information import Scaling
 from oed.measurement import Measurement, Series
+from oed.result import IdentifiabilityFinding, IdentifiabilitySection
 
 Readings = tuple[Measurement, Sequence[Series]]
 
 
-def section(
-    seen: explain.Seen, scaling: Scaling, others: Mapping[str, Readings]
-) -> result.IdentifiabilitySection:
-    """The verdict, its singular values and its words."""
-    verdict = seen.verdict
-    return result.IdentifiabilitySection(
+def identifiability_section(
+    identifiability: explain.Seen, scaling: Scaling, others: Mapping[str, Readings]
+) -> IdentifiabilitySection:
+    """Rank, singular values, null directions and sentences.
+
+    `others` are readings that the sentences may recommend as a remedy.
+    """
+    verdict = identifiability.verdict
+    words = [
+        IdentifiabilityFinding(f.kind, f.text, list(f.remedies))
+        for f in explain.explain(identifiability, others)
+    ]
+    return IdentifiabilitySection(
         parameters=list(verdict.names),
         n=len(verdict.names),
         rank=verdict.rank,
@@ -25,10 +33,7 @@ def section(
         singular_values=[float(v) for v in verdict.singular_values],
         combinations=verdict.named(verdict.combinations),
         lost=verdict.named(verdict.lost),
-        words=[
-            result.IdentifiabilityFinding(f.kind, f.text, list(f.remedies))
-            for f in explain.explain(seen, others)
-        ],
+        words=words,
     )
 
 
@@ -37,24 +42,21 @@ def variants(
     series: Sequence[Series],
     references: Mapping[str, Readings],
     scaling: Scaling,
-) -> dict[str, result.IdentifiabilitySection]:
-    """Verdicts beside the main one: each reference plan, and each instrument of the
-    plan alone.
-    """
-    found = {
-        name: section(explain.look(m, s, scaling), scaling, {})
-        for name, (m, s) in references.items()
-    }
-    setups = list(dict.fromkeys(s.setup for s in series))
-    if len(setups) > 1:
-        for name in setups:
-            mine = [s for s in series if s.setup == name]
-            rest = {
-                n: (measurement, [s for s in series if s.setup == n])
-                for n in setups
-                if n != name
-            }
-            found[f"{name} alone"] = section(
-                explain.look(measurement, mine, scaling), scaling, rest
-            )
-    return found
+) -> dict[str, IdentifiabilitySection]:
+    """Sections for each reference plan, and for each set-up of the plan alone."""
+    sections = {}
+    for name, (reference_measurement, reference_series) in references.items():
+        identifiability = explain.look(reference_measurement, reference_series, scaling)
+        sections[name] = identifiability_section(identifiability, scaling, {})
+    by_setup: dict[str, list[Series]] = {}
+    for s in series:
+        by_setup.setdefault(s.setup, []).append(s)
+    if len(by_setup) < 2:
+        return sections
+    for name, alone in by_setup.items():
+        others = {n: (measurement, s) for n, s in by_setup.items() if n != name}
+        identifiability = explain.look(measurement, alone, scaling)
+        sections[f"{name} alone"] = identifiability_section(
+            identifiability, scaling, others
+        )
+    return sections

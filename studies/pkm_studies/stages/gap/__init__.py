@@ -1,1 +1,1 @@
-"""The diagnosis of the gap, as sections of the result."""
+"""The diagnosis of the gap, and what planned readings could find, for the result."""

@@ -1,6 +1,4 @@
-"""Diagnosis of what calibration leaves, as a section of the result: which effect,
-where, how far, what next.
-"""
+"""Diagnoses readings of a study and writes the result's section `gap` of it."""
 
 from __future__ import annotations
 
@@ -13,13 +11,20 @@ import numpy as np
 from oed import units
 from oed.arrays import Array
 from oed.effect import Column, Effect
-from oed.gap.data import problem as problem_of
+from oed.gap.data import problem
 from oed.gap.data.diagnosis import UNKNOWN, Answer, Closure, Diagnosis, Size
 from oed.measurement import Measurement, Series
-from oed.result import gap as result_gap
+from oed.result.gap import (
+    AnswerRecord,
+    ClosureRecord,
+    CoefficientRecord,
+    EffectNote,
+    GapSection,
+    PlaceRecord,
+    SizeRecord,
+)
 from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.stages.gap import sentences as gap_words
-from pkm_studies.stages.gap import traces as gap_traces
+from pkm_studies.stages.gap import sentences, traces
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,151 +36,153 @@ def diagnose(
     y: Array,
     covariates: pd.DataFrame,
     theta: Array,
-    asked: GapRequest,
+    request: GapRequest,
     rng: np.random.Generator,
 ) -> Diagnosis:
     """The diagnosis of readings y (N,), SI, about fitted parameters theta (n,)."""
-    from oed.gap.diagnose import diagnose as diagnosed
+    from oed.gap import diagnose as kernel
 
-    prepared = problem_of.assemble(
-        measurement, series, covariates, theta, y, gravity=asked.gravity
+    residuals = problem.assemble(
+        measurement, series, covariates, theta, y, gravity=request.gravity
     )
-    return diagnosed(prepared, asked.effects, rng)
+    return kernel.diagnose(residuals, request.effects, rng)
 
 
-def section(found: Diagnosis, effects: Sequence[Effect]) -> result_gap.GapSection:
-    """The diagnosis in display units and words."""
-    about = {e.name: _about(e, found) for e in effects}
-    fine, labels = _channels(found)
-    factor = np.array([units.factor(fine[n]) for n in labels])
-    spots, spots_unit = gap_traces.spots(found)
-    made = result_gap.GapSection(
-        verdict=found.verdict,
-        answers=[_answer(a) for a in found.answers],
-        set95=[_answer(a) for a in found.set95],
-        where=[
-            result_gap.PlaceRecord(b.block, float(b.p_value), known(b.strength))
-            for b in found.where
-        ],
-        closure=[_closure(c) for c in found.closure],
-        not_testable=list(found.not_testable),
-        confusable=[list(group) for group in found.confusable],
-        selected=_selected(found),
+def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
+    """The diagnosis in display units and in sentences."""
+    channel_units, channels = _channels(diagnosis)
+    factor = np.array([units.factor(channel_units[name]) for name in channels])
+    spots, spots_unit = traces.spots(diagnosis)
+    likeliest_first = sorted(diagnosis.marginal.items(), key=lambda item: -item[1])
+    places = [
+        PlaceRecord(b.block, float(b.p_value), finite_or_none(b.strength))
+        for b in diagnosis.where
+    ]
+    section = GapSection(
+        verdict=diagnosis.verdict,
+        answers=[_answer(a) for a in diagnosis.answers],
+        set95=[_answer(a) for a in diagnosis.set95],
+        where=places,
+        closure=[_closure(c) for c in diagnosis.closure],
+        not_testable=list(diagnosis.not_testable),
+        confusable=[list(group) for group in diagnosis.confusable],
+        selected=_selected(diagnosis),
         tried=[e.name for e in effects],
-        marginal={
-            n: float(p)
-            for n, p in sorted(found.marginal.items(), key=lambda item: -item[1])
-        },
-        about=about,
-        constants={effect: dict(values) for effect, values in found.constants.items()},
-        coefficients=_coefficients(found, effects),
-        sizes=[_size(s, fine) for s in found.sizes],
-        noise=list(found.noise_words),
-        units=fine,
-        rms_before=_by_channel(found.before / factor, labels),
-        rms_after=_by_channel(found.after / factor, labels),
-        traces=gap_traces.traces(found),
+        marginal={name: float(p) for name, p in likeliest_first},
+        about={e.name: _note(e, diagnosis) for e in effects},
+        constants={name: dict(c) for name, c in diagnosis.constants.items()},
+        coefficients=_coefficients(diagnosis, effects),
+        sizes=[_size(s, channel_units) for s in diagnosis.sizes],
+        noise=list(diagnosis.noise_words),
+        units=channel_units,
+        rms_before=_rms_by_channel(diagnosis.before / factor, channels),
+        rms_after=_rms_by_channel(diagnosis.after / factor, channels),
+        traces=traces.traces(diagnosis),
         spots=spots,
         spots_unit=spots_unit,
         words=[],
-        next=list(found.next),
-        unknown={form: float(p) for form, p in found.likeness.items()},
+        next=list(diagnosis.next),
+        unknown={form: float(p) for form, p in diagnosis.likeness.items()},
     )
-    return gap_words.told(made)
+    return sentences.with_sentences(section)
 
 
-def known(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """A number, or None where it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
-def _answer(answer: Answer) -> result_gap.AnswerRecord:
+def _answer(answer: Answer) -> AnswerRecord:
     classes = [list(c) for c in answer.classes]
-    return result_gap.AnswerRecord(
-        list(answer.effects), float(answer.probability), classes
+    return AnswerRecord(list(answer.effects), float(answer.probability), classes)
+
+
+def _selected(diagnosis: Diagnosis) -> list[str]:
+    """Named effects of the best answer; none where no gap is found."""
+    if diagnosis.verdict == "none" or not diagnosis.answers:
+        return []
+    return [name for name in diagnosis.answers[0].effects if name != UNKNOWN]
+
+
+def _closure(closure: Closure) -> ClosureRecord:
+    return ClosureRecord(
+        split=closure.split,
+        value=finite_or_none(closure.value),
+        low=finite_or_none(closure.low),
+        high=finite_or_none(closure.high),
+        p_worse=finite_or_none(closure.p_worse),
+        s0=finite_or_none(closure.s0),
+        s1=finite_or_none(closure.s1),
+        s_noise=finite_or_none(closure.s_noise),
+        n=int(closure.n),
     )
 
 
-def _selected(found: Diagnosis) -> list[str]:
-    """Effects of the best answer that have a name."""
-    best = found.answers[0].effects if found.answers and found.verdict != "none" else ()
-    return [n for n in best if n != UNKNOWN]
-
-
-def _closure(c: Closure) -> result_gap.ClosureRecord:
-    return result_gap.ClosureRecord(
-        split=c.split,
-        value=known(c.value),
-        low=known(c.low),
-        high=known(c.high),
-        p_worse=known(c.p_worse),
-        s0=known(c.s0),
-        s1=known(c.s1),
-        s_noise=known(c.s_noise),
-        n=int(c.n),
+def _note(effect: Effect, diagnosis: Diagnosis) -> EffectNote:
+    missing = diagnosis.not_testable.get(effect.name, "")
+    column = ""
+    if missing:
+        column = sentences.columns_to_record(effect, diagnosis.problem.states)
+    return EffectNote(
+        about=effect.about,
+        remedy=effect.remedy,
+        exposed_by=effect.exposed_by,
+        source=effect.source,
+        missing=missing,
+        column=column,
     )
 
 
-def _about(effect: Effect, found: Diagnosis) -> result_gap.EffectNote:
-    missing = found.not_testable.get(effect.name, "")
-    column = gap_words.column(effect, found.problem.states) if missing else ""
-    return result_gap.EffectNote(
-        effect.about, effect.remedy, effect.exposed_by, effect.source, missing, column
-    )
-
-
-def _channels(found: Diagnosis) -> tuple[dict[str, str], np.ndarray]:
+def _channels(diagnosis: Diagnosis) -> tuple[dict[str, str], np.ndarray]:
     """Fine unit of each channel, and the channel of each reading (N,)."""
-    setups = found.problem.measurement.setups
-    fine = {
-        c.name: units.FINE[c.unit]
-        for name in dict.fromkeys(found.problem.rows["setup"])
-        for c in setups[name].instrument.channels
-    }
-    return fine, found.problem.rows["channel"].to_numpy()
+    setups, rows = diagnosis.problem.measurement.setups, diagnosis.problem.rows
+    fine: dict[str, str] = {}
+    for name in dict.fromkeys(rows["setup"]):
+        fine |= {c.name: units.FINE[c.unit] for c in setups[name].instrument.channels}
+    return fine, rows["channel"].to_numpy()
 
 
-def _by_channel(values: Array, labels: np.ndarray) -> dict[str, float]:
+def _rms_by_channel(values: Array, channels: np.ndarray) -> dict[str, float]:
     return {
-        str(n): float(np.sqrt(np.mean(values[labels == n] ** 2)))
-        for n in dict.fromkeys(labels)
+        str(name): float(np.sqrt(np.mean(values[channels == name] ** 2)))
+        for name in dict.fromkeys(channels)
     }
 
 
-def _size(size: Size, fine: dict[str, str]) -> result_gap.SizeRecord:
-    rms = {n: units.number(v, fine[n]) for n, v in size.rms.items()}
-    return result_gap.SizeRecord(size.effect, rms, known(size.detectability))
+def _size(size: Size, channel_units: dict[str, str]) -> SizeRecord:
+    rms = {n: units.number(v, channel_units[n]) for n, v in size.rms.items()}
+    return SizeRecord(size.effect, rms, finite_or_none(size.detectability))
 
 
 def _coefficients(
-    found: Diagnosis, effects: Sequence[Effect]
-) -> list[result_gap.CoefficientRecord]:
-    """Coefficients with what was expected of each; effects give no unit beyond SI."""
-    scales = {
-        (e.name, c.name): c.scale
-        for e in effects
-        if e.name in _selected(found)
-        for c in _columns(e, found)
+    diagnosis: Diagnosis, effects: Sequence[Effect]
+) -> list[CoefficientRecord]:
+    """Coefficients, SI, with the prior standard deviation of each."""
+    selected = _selected(diagnosis)
+    prior_sds = {
+        (effect.name, column.name): column.scale
+        for effect in effects
+        if effect.name in selected
+        for column in _columns(effect, diagnosis)
     }
     return [
-        result_gap.CoefficientRecord(
-            c.effect,
-            c.name,
-            c.label,
-            float(c.mean),
-            float(c.sd),
-            "SI",
-            scales.get((c.effect, c.name)),
+        CoefficientRecord(
+            effect=c.effect,
+            name=c.name,
+            label=c.label,
+            value=float(c.mean),
+            sd=float(c.sd),
+            unit="SI",
+            prior_sd=prior_sds.get((c.effect, c.name)),
         )
-        for c in found.coefficients
+        for c in diagnosis.coefficients
     ]
 
 
-def _columns(effect: Effect, found: Diagnosis) -> list[Column]:
-    """All columns of an effect, over set-ups and constants."""
-    return [
-        c
-        for point in effect.grid()
-        for state in found.problem.states
-        for c in effect.columns(state, **point)
-    ]
+def _columns(effect: Effect, diagnosis: Diagnosis) -> list[Column]:
+    """All columns of an effect, over its constants and the set-ups."""
+    columns: list[Column] = []
+    for constants in effect.grid():
+        for state in diagnosis.problem.states:
+            columns += effect.columns(state, **constants)
+    return columns

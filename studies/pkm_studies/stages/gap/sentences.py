@@ -1,4 +1,4 @@
-"""A diagnosis as sentences: one a finding, the most important first."""
+"""States a diagnosis in sentences: cause, place, how far the gap shrinks, what next."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.result.gap import ClosureRecord, GapSection, PlaceRecord
 
-#: a place counts as found below this p-value
-FOUND = 0.05
-MOST_PLACES = 3
+#: a place is named below this p-value
+SIGNIFICANT = 0.05
+MAX_PLACES = 3
 ALL_LEGS = "all legs"
-#: share of the best place's part of the gap that another must hold to be told with it
+#: share of the best place's strength from which another place is named with it
 COMPARABLE = 0.5
-#: probability from which a second explanation is told
-MATTERS = 0.1
-#: probability from which a cause is told as a fact
+#: probability from which a second explanation is named
+CONSIDERABLE = 0.1
+#: probability from which a cause is stated as a fact
 EVEN = 0.5
-#: share closed beyond which the interval's end is not told in figures
-FAR = 1.5
-#: what must be recorded for an effect's covariate
+#: shares beyond these are not stated in figures
+HIGHEST_SHARE, LOWEST_SHARE = 1.5, -1.0
+#: what to record for an effect's covariate
 COLUMNS = {
     "time": "time_s",
     "feed": "feed_mm_min",
@@ -34,303 +34,307 @@ COLUMNS = {
     "direction": "direction, with runs both ways (+1 and -1)",
 }
 SPLITS = {
-    "within": "on stretches of runs kept out of the fit",
-    "whole": "on whole runs kept out of the fit",
+    "within": "on held-out stretches of runs",
+    "whole": "on whole held-out runs",
 }
 
 
-def told(gap: GapSection) -> GapSection:
-    """The diagnosis with its sentences."""
-    words = [
+def with_sentences(gap: GapSection) -> GapSection:
+    """The diagnosis with its findings and next steps as sentences."""
+    findings = [
         *_verdict(gap),
-        *_likeness(gap),
-        *_second(gap),
+        *_resemblance(gap),
+        *_second_explanation(gap),
         *_places(gap),
         *_closures(gap),
         *_untested(gap),
     ]
-    return msgspec.structs.replace(gap, words=words, next=_next(gap))
+    return msgspec.structs.replace(gap, words=findings, next=_next_steps(gap))
 
 
-def column(effect: Effect, states: Sequence[State]) -> str:
-    """What to record, and how, so that an effect can be tested; "" where no column
-    would help.
-    """
-    if effect.unfit(states[0].machine) is not None:
-        return ""
-    asked = []
-    for need in effect.needs:
-        alone = dataclasses.replace(effect, needs=(need,))
-        if signature.untestable(alone, states) is not None:
-            asked.append(
-                " or ".join(_column(part.strip()) for part in need.split(" or "))
-            )
-    return ", ".join(asked)
-
-
-def _column(need: str) -> str:
-    """The column of one need, with how many values it must take."""
-    name, _, wanted = need.partition(":")
-    if name.startswith("temp_"):
-        return f"{name}_C"
-    written = COLUMNS.get(name, name)
-    number = wanted.strip()
-    if name != "direction" and number:
-        written += f" with {number} different values"
-    return written
-
-
-def spoken(name: str) -> str:
-    """An effect's name as a person says it: `leg_thermal` -> leg thermal."""
-    return "an effect of unknown form" if name == UNKNOWN else name.replace("_", " ")
-
-
-def listed(names: Sequence[str], last: str = "and") -> str:
-    """a, b and c."""
-    if len(names) < 2:
-        return "".join(names)
-    return f"{', '.join(names[:-1])} {last} {names[-1]}"
-
-
-def percent(share: float) -> str:
-    """A probability in percent; never 100 % where something is left, nor 0."""
-    if 0.995 < share < 1.0:
-        return "over 99 %"
-    return "under 1 %" if 0.0 < share < 0.005 else f"{100.0 * share:.0f} %"
+# -- cause -----------------------------------------------------------------------------
 
 
 def _verdict(gap: GapSection) -> list[str]:
     best = gap.answers[0]
-    chance = f"(probability {percent(best.probability)})"
+    chance = f"(probability {format_probability(best.probability)})"
     if gap.verdict == "none":
         return [
-            "No gap is found: what calibration leaves is what noise alone would leave"
-            f" {chance}."
+            f"No gap is found: noise alone explains what calibration leaves {chance}."
         ]
     if gap.verdict == "unknown":
+        testable = len(gap.tried) - len(gap.not_testable)
         return [
             f"There is a gap that no known effect explains {chance}: its cause is not"
-            f" in the list of {len(gap.tried) - len(gap.not_testable)} effects that"
-            " these readings can test."
+            f" among the {testable} effects that these readings can test."
         ]
-    sizes = _sizes(gap)
     comes = "comes" if best.probability >= EVEN else "may come"
+    sizes = _sizes(gap)
     if gap.verdict == "class":
         return [
             f"The gap {comes} from {_classes(gap)}; these readings cannot tell which"
             f" {chance}{sizes}."
         ]
-    named = listed([spoken(n) for n in gap.selected])
+    causes = join_words([plain_name(n) for n in gap.selected])
     if UNKNOWN in best.effects:
         return [
-            f"Part of the gap {comes} from {named} {chance}{sizes}; a remainder has a"
+            f"Part of the gap {comes} from {causes} {chance}{sizes}; a remainder has a"
             " form that no known effect has."
         ]
-    return [
-        f"The gap {comes} from {named}{' together' if len(gap.selected) > 1 else ''}"
-        f" {chance}{sizes}."
-    ]
-
-
-def _likeness(gap: GapSection) -> list[str]:
-    """What the unknown is like: its likeliest form, and the others that are likely
-    enough to matter.
-    """
-    told = [f"{form} (probability {percent(p)})" for form, p in gap.unknown.items()]
-    likely = [
-        t for t, p in zip(told, gap.unknown.values(), strict=True) if p >= MATTERS
-    ] or told[:1]
-    return (
-        [f"What no known effect explains is most like: {'; or '.join(likely)}."]
-        if likely
-        else []
-    )
-
-
-def _second(gap: GapSection) -> list[str]:
-    """The next explanation, where it is likely enough to matter."""
-    if len(gap.answers) < 2 or gap.answers[1].probability < MATTERS:
-        return []
-    other = gap.answers[1]
-    named = listed([spoken(n) for n in other.effects]) or "no gap at all"
-    if other.probability > gap.answers[0].probability:
-        return [
-            f"Noise alone (probability {percent(other.probability)}) is likelier, but"
-            " not enough to be sure of it."
-        ]
-    return [
-        f"The next likely explanation is {named} (probability"
-        f" {percent(other.probability)})."
-    ]
+    together = " together" if len(gap.selected) > 1 else ""
+    return [f"The gap {comes} from {causes}{together} {chance}{sizes}."]
 
 
 def _classes(gap: GapSection) -> str:
-    """What cannot be told apart: `a or b`, and with it further effects of the answer."""
-    classes = gap.answers[0].classes or [[n] for n in gap.answers[0].effects]
-    return listed([listed([spoken(n) for n in c], "or") for c in classes], "and")
+    """Effects that the readings cannot tell apart, `a or b`, for each of the answer."""
+    best = gap.answers[0]
+    classes = best.classes or [[name] for name in best.effects]
+    either = [join_words([plain_name(n) for n in c], "or") for c in classes]
+    return join_words(either)
 
 
 def _sizes(gap: GapSection) -> str:
     """`: 12.3 um rms of length`, for each selected effect."""
     parts = []
     for size in gap.sizes:
-        shown = [
-            f"{_number(v)} {gap.units[n]} rms of {n}"
-            for n, v in size.rms.items()
-            if v > 0.0
+        amounts = [
+            f"{_format_size(value)} {gap.units[channel]} rms of {channel}"
+            for channel, value in size.rms.items()
+            if value > 0.0
         ]
-        if shown:
-            name = f"{spoken(size.effect)} " if len(gap.sizes) > 1 else ""
-            parts.append(name + listed(shown))
+        if amounts:
+            name = f"{plain_name(size.effect)} " if len(gap.sizes) > 1 else ""
+            parts.append(name + join_words(amounts))
     return f": {', '.join(parts)}" if parts else ""
 
 
-def _number(value: float) -> str:
-    return (
-        f"{value:.0f}"
-        if abs(value) >= 100.0
-        else f"{value:.2g}"
-        if abs(value) < 10.0
-        else f"{value:.1f}"
-    )
+def _format_size(value: float) -> str:
+    if abs(value) >= 100.0:
+        return f"{value:.0f}"
+    return f"{value:.2g}" if abs(value) < 10.0 else f"{value:.1f}"
+
+
+def _resemblance(gap: GapSection) -> list[str]:
+    """The forms that an unknown effect resembles most, with their probabilities."""
+    forms = list(gap.unknown.items())
+    likely = [(form, p) for form, p in forms if p >= CONSIDERABLE] or forms[:1]
+    if not likely:
+        return []
+    parts = [f"{form} (probability {format_probability(p)})" for form, p in likely]
+    return [f"What no known effect explains most resembles: {'; or '.join(parts)}."]
+
+
+def _second_explanation(gap: GapSection) -> list[str]:
+    """The next explanation, where its probability is considerable."""
+    if len(gap.answers) < 2 or gap.answers[1].probability < CONSIDERABLE:
+        return []
+    best, second = gap.answers[:2]
+    chance = f"(probability {format_probability(second.probability)})"
+    if second.probability > best.probability:
+        return [
+            f"Noise alone is more likely {chance}, but not likely enough to report no"
+            " gap."
+        ]
+    causes = join_words([plain_name(n) for n in second.effects]) or "no gap at all"
+    return [f"The next most likely explanation is {causes} {chance}."]
+
+
+# -- place -----------------------------------------------------------------------------
 
 
 def _places(gap: GapSection) -> list[str]:
     if gap.verdict == "none" or not gap.where:
         return []
-    found = [
-        w for w in gap.where if w.p_value < FOUND
-    ]  # in the diagnosis' own order: what confines the gap best first
-    if found and found[0].block == ALL_LEGS:
-        found = [w for w in found if not w.block.startswith("leg ")]
-    if found and found[0].strength is not None:
-        found = [
-            w
-            for w in found
-            if w.strength is None
-            or w.strength >= COMPARABLE * (found[0].strength or 0.0)
-        ]
-    if not found:
+    places = _named_places(gap.where)
+    if not places:
         return [
             "No leg, run, time, direction or part of a run stands out: the gap is"
             " spread over all readings."
         ]
-    return [f"It shows most in {listed([_place(w) for w in found[:MOST_PLACES]])}."]
+    return [f"It shows most in {join_words([_place(p) for p in places])}."]
 
 
-def _place(where: PlaceRecord) -> str:
-    kind, _, rest = where.block.partition(" ")
-    name = "all legs alike" if where.block == ALL_LEGS else where.block
-    if kind == "time":
-        low, _, high = rest.partition("-")
-        name = f"the time from {_clock(low)} to {_clock(high)}"
-    if kind == "phase":
-        low, _, high = rest.partition("-")
+def _named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
+    """Significant places in the diagnosis' order: the one that confines best first."""
+    places = [place for place in where if place.p_value < SIGNIFICANT]
+    if not places:
+        return []
+    best = places[0]
+    if best.block == ALL_LEGS:
+        places = [p for p in places if not p.block.startswith("leg ")]
+    if best.strength is not None:
+        least = COMPARABLE * best.strength
+        places = [p for p in places if p.strength is None or p.strength >= least]
+    return places[:MAX_PLACES]
+
+
+def _place(place: PlaceRecord) -> str:
+    kind, _, extent = place.block.partition(" ")
+    low, _, high = extent.partition("-")
+    name = place.block
+    if place.block == ALL_LEGS:
+        name = "all legs alike"
+    elif kind == "time":
+        name = f"the time from {_minutes(low)} to {_minutes(high)}"
+    elif kind == "phase":
         name = f"the part from {low} to {high} deg of the runs"
-    p = f"p = {where.p_value:.2g}" if where.p_value >= 1e-3 else "p < 0.001"
+    p = f"p = {place.p_value:.2g}" if place.p_value >= 1e-3 else "p < 0.001"
     return f"{name} ({p})"
 
 
-def _clock(seconds: str) -> str:
+def _minutes(seconds: str) -> str:
     try:
         return f"{float(seconds) / 60.0:.0f} min"
     except ValueError:
         return seconds
 
 
+# -- how far ---------------------------------------------------------------------------
+
+
 def _closures(gap: GapSection) -> list[str]:
     if gap.verdict == "none":
         return []
-    parts = [p for p in (_closed(c) for c in gap.closure) if p]
-    if not parts:
+    shares = [_closure(c) for c in gap.closure if c.value is not None]
+    if not shares:
         return []
-    return [f"With {_subject(gap)} in the model, the gap shrinks by {listed(parts)}."]
+    causes = join_words([plain_name(n) for n in gap.selected]) or "the remainder"
+    return [f"With {causes} in the model, the gap shrinks by {join_words(shares)}."]
 
 
-def _subject(gap: GapSection) -> str:
-    return (
-        listed([spoken(n) for n in gap.selected]) if gap.selected else "the remainder"
-    )
+def _closure(closure: ClosureRecord) -> str:
+    """`80 % (60 to 90 %) on whole held-out runs`."""
+    assert closure.value is not None
+    digits = _digits(closure.low)
+    size = "all that exceeds the noise"
+    if closure.value < 1.0:
+        size = f"{_format_share(closure.value, digits)} %"
+    interval = ""
+    if closure.low is not None and closure.high is not None:
+        low, high = (_format_bound(v, digits) for v in (closure.low, closure.high))
+        interval = f" ({low} to {high} %)"
+    return f"{size}{interval} {SPLITS.get(closure.split, closure.split)}"
 
 
-def _closed(c: ClosureRecord) -> str:
-    if c.value is None:
-        return ""
-    # near the whole, digits enough to tell that something is left
-    digits = 0 if c.low is None or c.low < 0.99 else 1 if c.low < 0.999 else 2
-    interval = (
-        ""
-        if c.low is None or c.high is None
-        else f" ({_bound(c.low, digits)} to {_bound(c.high, digits)} %)"
-    )
-    size = (
-        f"{_share(c.value, digits)} %"
-        if c.value < 1.0
-        else "all that the noise lets be seen"
-    )
-    return f"{size}{interval} {SPLITS.get(c.split, c.split)}"
+def _digits(low: float | None) -> int:
+    """Decimals of a percentage: near 100 %, enough to show that something remains."""
+    if low is None or low < 0.99:
+        return 0
+    return 1 if low < 0.999 else 2
 
 
-def _share(value: float, digits: int) -> str:
-    """A share in percent with so many decimals, never rounded up to the whole."""
-    shown = (
-        math.floor(value * 10 ** (digits + 2) + 1e-9)
-        if 0.0 < value < 1.0
-        else round(value * 10 ** (digits + 2))
-    )
-    return f"{shown / 10**digits:.{digits}f}"
+def _format_share(value: float, digits: int) -> str:
+    """A share in percent, never rounded up to the whole."""
+    scaled = value * 10 ** (digits + 2)
+    whole = math.floor(scaled + 1e-9) if 0.0 < value < 1.0 else round(scaled)
+    return f"{whole / 10**digits:.{digits}f}"
 
 
-def _bound(value: float, digits: int) -> str:
-    """An end of the interval of a share; far off what a share can be it says no more
-    than that.
-    """
-    if value > FAR:
+def _format_bound(value: float, digits: int) -> str:
+    """An end of a share's interval; one far beyond any share is not given in figures."""
+    if value > HIGHEST_SHARE:
         return "over 100"
-    return "under -100" if value < -1.0 else _share(value, digits)
+    if value < LOWEST_SHARE:
+        return "under -100"
+    return _format_share(value, digits)
+
+
+# -- what could not be tested, and what next -------------------------------------------
 
 
 def _untested(gap: GapSection) -> list[str]:
-    """What could not be tested for want of a column; effects that do not fit the
-    machine are left out.
-    """
+    """Effects that lack a column; those that do not fit the machine are left out."""
     by_column: dict[str, list[str]] = {}
     for name in gap.not_testable:
-        if name in gap.about and gap.about[name].column:
-            by_column.setdefault(gap.about[name].column, []).append(spoken(name))
+        column = gap.about[name].column if name in gap.about else ""
+        if column:
+            by_column.setdefault(column, []).append(plain_name(name))
     if not by_column:
         return []
-    parts = [f"{listed(names)} (record {what})" for what, names in by_column.items()]
-    return [f"Not tested, for want of a column in the readings: {'; '.join(parts)}."]
+    parts = [
+        f"{join_words(names)} (record {column})" for column, names in by_column.items()
+    ]
+    return [f"Not tested, because the readings lack a column: {'; '.join(parts)}."]
 
 
-def _next(gap: GapSection) -> list[str]:
-    """What the diagnosis says; remedy and exposing reading of the effects in question
-    where it does not.
-    """
-    said = [_readable(text, gap.about) for text in gap.next]
-    questioned, doubtful = gap.selected, gap.verdict == "class"
-    if doubtful and gap.answers[0].classes:
-        questioned = list(
-            dict.fromkeys(n for c in gap.answers[0].classes for n in c if n != UNKNOWN)
-        )
-    for name in questioned if gap.verdict != "none" else []:
-        about = gap.about.get(name)
-        if about is None:
+def _next_steps(gap: GapSection) -> list[str]:
+    """The diagnosis' advice; remedies and tests of its effects that it leaves out."""
+    steps = [_with_plain_names(text, gap.about) for text in gap.next]
+    doubtful = gap.verdict == "class"
+    for name in _effects_in_question(gap):
+        note = gap.about.get(name)
+        if note is None:
             continue
-        known = " ".join(said)
-        if doubtful and about.exposed_by and about.exposed_by not in known:
-            said.append(f"To tell {spoken(name)} from the others: {about.exposed_by}.")
-        if about.remedy and about.remedy not in known:
-            said.append(
-                f"{'If it is' if doubtful else 'Against'} {spoken(name)}:"
-                f" {about.remedy}."
-            )
-    return list(dict.fromkeys(said))
+        known, effect = " ".join(steps), plain_name(name)
+        if doubtful and note.exposed_by and note.exposed_by not in known:
+            steps.append(f"To tell {effect} from the others: {note.exposed_by}.")
+        if note.remedy and note.remedy not in known:
+            lead = f"If it is {effect}" if doubtful else f"Remedy for {effect}"
+            steps.append(f"{lead}: {note.remedy}.")
+    return list(dict.fromkeys(steps))
 
 
-def _readable(text: str, known: Iterable[str]) -> str:
+def _effects_in_question(gap: GapSection) -> list[str]:
+    if gap.verdict == "none":
+        return []
+    classes = gap.answers[0].classes
+    if gap.verdict == "class" and classes:
+        members = [name for c in classes for name in c if name != UNKNOWN]
+        return list(dict.fromkeys(members))
+    return gap.selected
+
+
+def _with_plain_names(text: str, effects: Iterable[str]) -> str:
     """A sentence with the effects' names as a person says them."""
-    for name in known:
-        text = re.sub(rf"\b{re.escape(name)}\b", spoken(name), text)
+    for name in effects:
+        text = re.sub(rf"\b{re.escape(name)}\b", plain_name(name), text)
     return text[:1].upper() + text[1:]
+
+
+def columns_to_record(effect: Effect, states: Sequence[State]) -> str:
+    """What to record so that an effect can be tested; "" where no column would help."""
+    if effect.unfit(states[0].machine) is not None:
+        return ""
+    columns = []
+    for need in effect.needs:
+        alone = dataclasses.replace(effect, needs=(need,))
+        if signature.untestable(alone, states) is not None:
+            options = [_column(part.strip()) for part in need.split(" or ")]
+            columns.append(" or ".join(options))
+    return ", ".join(columns)
+
+
+def _column(need: str) -> str:
+    """The column of one need, with how many values it must take."""
+    name, _, number = need.partition(":")
+    number = number.strip()
+    if name.startswith("temp_"):
+        return f"{name}_C"
+    column = COLUMNS.get(name, name)
+    if name != "direction" and number:
+        return f"{column} with {number} different values"
+    return column
+
+
+# -- words -----------------------------------------------------------------------------
+
+
+def plain_name(effect: str) -> str:
+    """An effect's name as a person says it: `leg_thermal` -> leg thermal."""
+    return (
+        "an effect of unknown form" if effect == UNKNOWN else effect.replace("_", " ")
+    )
+
+
+def join_words(words: Sequence[str], last: str = "and") -> str:
+    """a, b and c."""
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def format_probability(p: float) -> str:
+    """A probability in percent; 100 % and 0 % only where they are exact."""
+    if 0.995 < p < 1.0:
+        return "over 99 %"
+    return "under 1 %" if 0.0 < p < 0.005 else f"{100.0 * p:.0f} %"

@@ -1,195 +1,208 @@
-"""Residuals of a diagnosis laid out run by run and over the workspace, for the report."""
+"""Lays out the residuals of a diagnosis run by run, and over the workspace."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from oed import units
 from oed.arrays import Array, Index
-from oed.effect import State
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.metric import Metric
-from oed.result import gap as result_gap
-from pkm_studies.resolve.gap import FEED, PASS
+from oed.result.gap import Spot, Trace
+from pkm_studies.resolve.conditions import FEED, PASS_SUFFIX
 
-#: spread of the radius, share of the mean one, and height over width, up to which
-#: points make a circle or a line
-ROUND, STRAIGHT = 0.1, 0.05
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: largest spread of a circle's radii, as a share of their mean
+ROUND = 0.1
+#: largest height of a line, as a share of its length
+STRAIGHT = 0.05
 #: least number of points of a circle or a line
-LEAST = 5
-#: places of the tool nearer than this count as one, m
+MIN_POINTS = 5
+#: tool points nearer than this are one place, m
 SAME_PLACE = 1e-4
-DIGITS = 4
-#: the unit of residuals told as multiples of the stated noise
+#: decimals of residuals and of positions
+DIGITS, PLACE_DIGITS = 4, 3
+#: the unit of residuals given as multiples of the stated noise
 SIGMA = "sigma"
 
+T = TypeVar("T")
 
-def traces(found: Diagnosis) -> list[result_gap.Trace]:
-    """Every channel of every run, in the order of the readings; a set-up's runs of few
-    readings make one.
-    """
-    told, tips = [], _tips(found)
+
+def traces(diagnosis: Diagnosis) -> list[Trace]:
+    """Every channel of every run, in order; short runs of a set-up make one trace."""
+    tips = _tool_points(diagnosis)
     parts = {
-        "before": found.before,
-        "after": found.after,
-        "explained": _left(found, found.explained),
-        "unexplained": _left(found, found.unexplained),
+        "before": diagnosis.before,
+        "after": diagnosis.after,
+        "explained": _after_calibration(diagnosis, diagnosis.explained),
+        "unexplained": _after_calibration(diagnosis, diagnosis.unexplained),
     }
-    for members in _runs(found):
-        channels = found.problem.rows["channel"].to_numpy()[members]
+    every_channel = diagnosis.problem.rows["channel"].to_numpy()
+    listing = []
+    for members in _drawn_runs(diagnosis):
+        channels = every_channel[members]
         for channel in dict.fromkeys(channels):
-            told.append(
-                _trace(found, members[channels == channel], str(channel), tips, parts)
-            )
-    return told
+            rows = members[channels == channel]
+            listing.append(_trace(diagnosis, rows, str(channel), tips, parts))
+    return listing
 
 
-def _left(found: Diagnosis, part: Array) -> Array:
-    """What the parameters leave of a change (N,), SI, of the readings where they are
-    fitted to it.
-    """
-    problem, change = found.problem, found.problem.in_noise_units(part)
-    left = change - problem.slopes @ Metric(problem, found.law).fit(change)
-    return np.asarray(left * problem.sigma)
+def _after_calibration(diagnosis: Diagnosis, change: Array) -> Array:
+    """What remains of a change (N,) of the readings, SI, after fitting parameters."""
+    problem = diagnosis.problem
+    scaled = problem.in_noise_units(change)
+    fitted = Metric(problem, diagnosis.law).fit(scaled)
+    remainder = scaled - problem.slopes @ fitted
+    return np.asarray(remainder * problem.sigma)
 
 
-def _runs(found: Diagnosis) -> list[Index]:
-    """Readings of each run; runs too short to be drawn are joined, set-up by set-up."""
-    rows, runs = found.problem.rows, []
+def _drawn_runs(diagnosis: Diagnosis) -> list[Index]:
+    """Readings of each run; runs too short to be drawn are joined by set-up."""
+    rows = diagnosis.problem.rows
+    channels = rows["channel"].to_numpy()
+    long: list[Index] = []
     short: dict[str, list[Index]] = {}
-    for members in found.problem.blocks:
+    for members in diagnosis.problem.blocks:
         first = rows.iloc[members[0]]
-        if (rows["channel"].to_numpy()[members] == first["channel"]).sum() < LEAST:
+        if (channels[members] == first["channel"]).sum() < MIN_POINTS:
             short.setdefault(str(first["setup"]), []).append(members)
         else:
-            runs.append(members)
-    return [*runs, *(np.concatenate(parts) for parts in short.values())]
+            long.append(members)
+    return [*long, *(np.concatenate(members) for members in short.values())]
 
 
 def _trace(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     members: Index,
     channel: str,
     tips: Array,
     parts: Mapping[str, Array],
-) -> result_gap.Trace:
-    rows = found.problem.rows.iloc[members]
-    first, names = rows.iloc[0], list(dict.fromkeys(rows["run"]))
+) -> Trace:
+    rows = diagnosis.problem.rows.iloc[members]
+    setup, names = str(rows.iloc[0]["setup"]), list(dict.fromkeys(rows["run"]))
     run = str(names[0]) if len(names) == 1 else f"{len(names)} runs"
-    kind, at, radius = _places(tips[members], rows["phase"].to_numpy(dtype=float))
+    kind, at, radius = _shape(tips[members], rows["phase"].to_numpy(dtype=float))
     if len(names) > 1:
         kind, at, radius = "points", np.arange(1.0, len(members) + 1.0), None
-    unit = units.FINE[_channel_unit(found, str(first["setup"]), channel)]
     order = np.argsort(at, kind="stable")
+    unit = units.FINE[_channel_unit(diagnosis, setup, channel)]
 
-    values = {
-        name: [
-            round(float(v), DIGITS) for v in units.from_si(part[members][order], unit)
-        ]
-        for name, part in parts.items()
-    }
+    def displayed(part: Array) -> list[float]:
+        return _rounded(units.from_si(part[members][order], unit), DIGITS)
 
-    return result_gap.Trace(
-        setup=str(first["setup"]),
+    return Trace(
+        setup=setup,
         run=run,
-        base=_base(run),
+        base=_without_pass(run),
         channel=channel,
         unit=unit,
         kind=kind,
-        at=[round(float(v), 3) for v in at[order]],
-        **values,
-        direction=_same(rows, "direction", int),
-        payload=_same(rows, "payload", float),
-        feed_mm_min=_same(rows, "feed", lambda v: round(float(v) / FEED, 6)),
-        radius_mm=None if radius is None else round(1e3 * radius, 3),
+        at=_rounded(at[order], PLACE_DIGITS),
+        before=displayed(parts["before"]),
+        explained=displayed(parts["explained"]),
+        unexplained=displayed(parts["unexplained"]),
+        after=displayed(parts["after"]),
+        direction=_constant(rows, "direction", int),
+        payload=_constant(rows, "payload", float),
+        feed_mm_min=_constant(rows, "feed", lambda v: round(float(v) / FEED, 6)),
+        radius_mm=None if radius is None else round(_mm(radius), PLACE_DIGITS),
     )
 
 
-def _base(run: str) -> str:
-    """A run's name without its pass; the number that tells runs of several series apart
-    stays.
-    """
+def _rounded(values: Array, digits: int) -> list[float]:
+    return [round(float(value), digits) for value in values]
+
+
+def _mm(value: float) -> float:
+    return float(units.from_si(value, "mm"))
+
+
+def _without_pass(run: str) -> str:
+    """A run's name without its pass; the number of its series stays."""
     number = re.search(r" \(\d+\)$", run)
     tail = number.group() if number else ""
-    return PASS.sub("", run.removesuffix(tail)) + tail
+    return PASS_SUFFIX.sub("", run.removesuffix(tail)) + tail
 
 
-def _same(rows: Any, name: str, kind: Any) -> Any:
-    """A covariate that is the same in a whole run; None where it varies or is not
-    known.
-    """
+def _constant(rows: pd.DataFrame, name: str, convert: Callable[[float], T]) -> T | None:
+    """A covariate that does not change in a run; None where it does or is unknown."""
     if name not in rows.columns:
         return None
     values = rows[name].to_numpy(dtype=float)
-    return (
-        kind(values[0]) if np.isfinite(values).all() and np.ptp(values) == 0.0 else None
-    )
+    if not np.isfinite(values).all() or np.ptp(values) != 0.0:
+        return None
+    return convert(values[0])
 
 
-def _channel_unit(found: Diagnosis, setup: str, channel: str) -> str:
-    channels = found.problem.measurement.setups[setup].instrument.channels
+def _channel_unit(diagnosis: Diagnosis, setup: str, channel: str) -> str:
+    channels = diagnosis.problem.measurement.setups[setup].instrument.channels
     return next(c.unit for c in channels if c.name == channel)
 
 
-def _tips(found: Diagnosis) -> Array:
-    """Tool point (N, 3) of the pose that each reading reads, m."""
-    problem, parts = found.problem, []
+def _tool_points(diagnosis: Diagnosis) -> Array:
+    """Tool point (N, 3) of the pose of each reading, m."""
+    problem, points = diagnosis.problem, []
     for state, s in zip(problem.states, problem.series, strict=True):
         channels = len(problem.measurement.setups[s.setup].instrument.channels)
-        parts.append(np.repeat(_read_tips(state, s.index), channels, axis=0))
-    return np.vstack(parts)
+        points.append(np.repeat(state.tool[s.index[:, 0]], channels, axis=0))
+    return np.vstack(points)
 
 
-def _read_tips(state: State, index: Index) -> Array:
-    return state.tool[index[:, 0]]
-
-
-def _places(tips: Array, phase: Array) -> tuple[str, Array, float | None]:
-    """What a run is, where its readings stand on it, and the radius of a circle, m."""
-    order = np.arange(1.0, len(tips) + 1.0)
-    off = tips - tips.mean(axis=0)
-    _, extent, axes = np.linalg.svd(off, full_matrices=False)
-    if len(tips) < LEAST or extent[0] < SAME_PLACE:
-        return "points", order, None
+def _shape(tips: Array, phase: Array) -> tuple[str, Array, float | None]:
+    """Kind of a run, positions along it (deg, mm or numbers), and a circle's radius."""
+    numbers = np.arange(1.0, len(tips) + 1.0)
+    offset = tips - tips.mean(axis=0)
+    _, extent, axes = np.linalg.svd(offset, full_matrices=False)
+    if len(tips) < MIN_POINTS or extent[0] < SAME_PLACE:
+        return "points", numbers, None
     if extent[1] < STRAIGHT * extent[0]:
-        along = off @ (axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))]))
-        return "line", 1e3 * (along - along.min()), None
-    flat = off @ axes[:2].T
-    system = np.column_stack([2.0 * flat, np.ones(len(flat))])
-    centre = np.linalg.lstsq(system, np.sum(flat**2, axis=1), rcond=None)[0][:2]
-    radii = np.linalg.norm(flat - centre, axis=1)
+        axis = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))])
+        along = offset @ axis
+        return "line", np.asarray(units.from_si(along - along.min(), "mm")), None
+    radii = _radii(offset @ axes[:2].T)
     if radii.std() < ROUND * radii.mean() and extent[2] < ROUND * extent[0]:
         return "circle", np.degrees(phase), float(radii.mean())
-    return "points", order, None
+    return "points", numbers, None
 
 
-def spots(found: Diagnosis) -> tuple[list[result_gap.Spot], str]:
-    """Rms residual at each place of the tool, before and after; in the readings' unit,
-    or in units of the noise.
+def _radii(points: Array) -> Array:
+    """Distances (N,) of points (N, 2) from the centre of the circle fitted to them."""
+    system = np.column_stack([2.0 * points, np.ones(len(points))])
+    squares = np.sum(points**2, axis=1)
+    centre = np.linalg.lstsq(system, squares, rcond=None)[0][:2]
+    return np.asarray(np.linalg.norm(points - centre, axis=1))
+
+
+def spots(diagnosis: Diagnosis) -> tuple[list[Spot], str]:
+    """Rms residual at each place of the tool, before and after; the unit of both.
+
+    Channels of different units are given in multiples of the stated noise.
     """
-    problem = found.problem
-    kinds = {
-        _channel_unit(found, str(r.setup), str(r.channel))
-        for r in problem.rows.itertuples()
-    }
-    unit = units.FINE[kinds.pop()] if len(kinds) == 1 else SIGMA
-    scale = (
-        problem.sigma if unit == SIGMA else np.full(len(problem), units.factor(unit))
-    )
-    tips = _tips(found)
-    _, owner = np.unique(np.round(tips / SAME_PLACE), axis=0, return_inverse=True)
-    owner = owner.ravel()
-    told = []
+    problem = diagnosis.problem
+    pairs = zip(problem.rows["setup"], problem.rows["channel"], strict=True)
+    kinds = {_channel_unit(diagnosis, str(s), str(c)) for s, c in set(pairs)}
+    unit, scale = SIGMA, problem.sigma
+    if len(kinds) == 1:
+        unit = units.FINE[kinds.pop()]
+        scale = np.full(len(problem), units.factor(unit))
+    tips = _tool_points(diagnosis)
+    cells = np.round(tips / SAME_PLACE)
+    owner = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    places = []
     for k in dict.fromkeys(owner):
-        mine = owner == k
-        at = [round(1e3 * float(v), 3) for v in tips[mine].mean(axis=0)]
-        rms = [
-            round(float(np.sqrt(np.mean((v[mine] / scale[mine]) ** 2))), DIGITS)
-            for v in (found.before, found.after)
-        ]
-        told.append(result_gap.Spot(at, *rms))
-    return told, unit
+        members = owner == k
+        at = units.from_si(tips[members].mean(axis=0), "mm")
+        before = _rms(diagnosis.before[members] / scale[members])
+        after = _rms(diagnosis.after[members] / scale[members])
+        places.append(Spot(_rounded(at, PLACE_DIGITS), before, after))
+    return places, unit
+
+
+def _rms(values: Array) -> float:
+    return round(float(np.sqrt(np.mean(values**2))), DIGITS)

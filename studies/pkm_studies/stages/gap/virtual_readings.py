@@ -1,132 +1,134 @@
-"""Readings of a virtual machine that has unmodelled effects, and what is true of it."""
+"""Simulates readings of a virtual machine that has effects its model lacks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from oed import dataset, units
 from oed.arrays import Array
-from oed.effect import Effect, State
+from oed.effect import State
 from oed.gap.data import signature
-from oed.gap.data import state as states_of
+from oed.gap.data.state import states as states_of
 from oed.measurement import Measurement, Series
-from pkm_studies.resolve import gap as resolve_gap
-from pkm_studies.resolve.gap import ActingEffect, GapRequest
+from pkm_studies.resolve.conditions import planned_covariates
+from pkm_studies.resolve.gap import ActingEffect, GapRequest, unknown_coefficient
 
 if TYPE_CHECKING:
     from oed.dataset import Dataset
 
 
-def laid_out(
-    measurement: Measurement, series: Sequence[Series], asked: GapRequest
+class CoefficientPrior(NamedTuple):
+    """Prior standard deviation, SI; `shape`: it only lets the form adapt."""
+
+    sd: float
+    shape: bool
+
+
+def empty_readings(
+    measurement: Measurement, series: Sequence[Series], request: GapRequest
 ) -> Dataset:
-    """The planned readings, still empty, with the covariates that the study's
-    conditions give them.
-    """
-    rows = resolve_gap.covariates(measurement, series, asked.conditions)
-    series = [s.parted() for s in series]
-    return dataset.from_series(
-        series, np.full(len(measurement.owners(series)), np.nan), measurement, rows
-    )
+    """Planned readings without values, with covariates from [gap.conditions]."""
+    covariates = planned_covariates(measurement, series, request.conditions)
+    parted = [s.parted() for s in series]
+    empty = np.full(len(measurement.owners(parted)), np.nan)
+    return dataset.from_series(parted, empty, measurement, covariates)
 
 
-def readings(
+def exact_readings(
     measurement: Measurement,
     planned: Dataset,
     truth: Array,
-    asked: GapRequest,
+    request: GapRequest,
     rng: np.random.Generator,
 ) -> tuple[Array, list[dict[str, Any]]]:
-    """Noise-free readings y (N,), SI, of a machine at `truth` (n,) with the acting
-    effects; what they are, in words.
+    """Readings y (N,) without noise, SI, and the acting effects for the truth file.
 
-    `rng` draws the coefficients that are to be drawn. Raises InputError for
-    coefficients that an effect has not.
+    truth   (n,) parameters of the virtual machine, SI
+    rng     draws the coefficients that are to be drawn
+
+    Raises InputError for coefficients that an effect does not have.
     """
     series = planned.series
-    if not asked.acting:
+    if not request.acting:
         return measurement.readings(series, truth), []
-    states = states_of.states(
-        measurement, series, planned.covariates, truth, asked.gravity
-    )
-    factors = [_factors(acting, states, rng) for acting in asked.acting]
-    chosen = [
-        (a.effect, a.constants, f) for a, f in zip(asked.acting, factors, strict=True)
+    states = states_of(measurement, series, planned.covariates, truth, request.gravity)
+    factors = [_factors(acting, states, rng) for acting in request.acting]
+    acting = [
+        (entry.effect, entry.constants, factor)
+        for entry, factor in zip(request.acting, factors, strict=True)
     ]
-    y = signature.exact_readings(measurement, series, truth, states, chosen)
-    told = []
-    for k, acting in enumerate(asked.acting):
-        rest = signature.exact_readings(
-            measurement, series, truth, states, chosen[:k] + chosen[k + 1 :]
-        )
-        told.append(_told(acting, factors[k], states, y - rest, planned))
-    return y, told
+    y = signature.exact_readings(measurement, series, truth, states, acting)
+    entries = []
+    for k, entry in enumerate(request.acting):
+        others = acting[:k] + acting[k + 1 :]
+        without = signature.exact_readings(measurement, series, truth, states, others)
+        rms = _rms_by_channel(y - without, planned)
+        entries.append(_truth_entry(entry, factors[k], states, rms))
+    return y, entries
 
 
-def _scales(
-    effect: Effect, constants: Any, states: Sequence[State]
-) -> dict[str, tuple[float, bool]]:
-    """Prior standard deviation of each coefficient, and whether it only lets the form
-    adapt.
-    """
-    return {
-        c.name: (c.scale, c.shape)
-        for state in states
-        for c in effect.columns(state, **constants)
-    }
+def _priors(
+    acting: ActingEffect, states: Sequence[State]
+) -> dict[str, CoefficientPrior]:
+    """The prior of each coefficient of an effect, by name."""
+    priors = {}
+    for state in states:
+        for column in acting.effect.columns(state, **acting.constants):
+            priors[column.name] = CoefficientPrior(column.scale, column.shape)
+    return priors
 
 
 def _factors(
     acting: ActingEffect, states: Sequence[State], rng: np.random.Generator
 ) -> dict[str, float]:
-    """Coefficients in prior standard deviations."""
-    known = _scales(acting.effect, acting.constants, states)
+    """Coefficients, in prior standard deviations."""
+    priors = _priors(acting, states)
     if acting.coefficients is not None:
         for name in acting.coefficients:
-            if name not in known:
-                raise resolve_gap.unknown_coefficient(acting.place, name, list(known))
-        return {
-            name: acting.size * value for name, value in acting.coefficients.items()
-        }
-    textbook = [name for name, (_, shape) in known.items() if not shape]
-    values = (
-        rng.standard_normal(len(textbook)) if acting.draw else np.ones(len(textbook))
-    )
-    return {
-        name: acting.size * float(v) for name, v in zip(textbook, values, strict=True)
-    }
+            if name not in priors:
+                raise unknown_coefficient(acting.place, name, list(priors))
+        return {n: acting.size * value for n, value in acting.coefficients.items()}
+    textbook = [name for name, prior in priors.items() if not prior.shape]
+    values = np.ones(len(textbook))
+    if acting.draw:
+        values = rng.standard_normal(len(textbook))
+    return {n: acting.size * float(v) for n, v in zip(textbook, values, strict=True)}
 
 
-def _told(
-    acting: ActingEffect,
-    factors: dict[str, float],
-    states: Sequence[State],
-    part: Array,
-    planned: Dataset,
-) -> dict[str, Any]:
-    """One effect of the truth file: what it is, its coefficients (SI, and in prior
-    standard deviations), its size.
-    """
-    scales = _scales(acting.effect, acting.constants, states)
+def _rms_by_channel(change: Array, planned: Dataset) -> dict[str, float]:
+    """Root mean square of a change (N,) of the readings, by channel, in fine units."""
     channels = [
-        c
+        channel
         for s in planned.series
         for _ in range(len(s))
-        for c in planned.layouts[s.setup].channels
+        for channel in planned.layouts[s.setup].channels
     ]
     names = np.array([c.name for c in channels])
-    fine = {c.name: units.FINE[c.unit] for c in channels}
+    rms = {}
+    for name, unit in {c.name: units.FINE[c.unit] for c in channels}.items():
+        value = np.sqrt(np.mean(change[names == name] ** 2))
+        rms[f"{name}_{unit}"] = float(units.from_si(value, unit))
+    return rms
+
+
+def _truth_entry(
+    acting: ActingEffect,
+    factors: Mapping[str, float],
+    states: Sequence[State],
+    rms: dict[str, float],
+) -> dict[str, Any]:
+    """An effect in the truth file: coefficients, SI and in prior sds, and its size."""
+    priors = _priors(acting, states)
+    coefficients = {
+        name: {"value": factor * priors[name].sd, "prior_sds": factor}
+        for name, factor in factors.items()
+    }
     return {
         "effect": acting.effect.name,
         "constants": dict(acting.constants),
-        "coefficients": {
-            n: {"value": f * scales[n][0], "prior_sds": f} for n, f in factors.items()
-        },
-        "rms": {
-            f"{n}_{u}": float(units.from_si(np.sqrt(np.mean(part[names == n] ** 2)), u))
-            for n, u in fine.items()
-        },
+        "coefficients": coefficients,
+        "rms": rms,
     }

@@ -93,7 +93,7 @@ def _poses(measurement: Measurement, series: Sequence[Series]) -> list[dict[str,
 def _joints(machine: Machine, values: Array) -> dict[str, float]:
     """Joint values by name and unit, in user units."""
     return {
-        quantities.column(joint.name, joint.unit): describe.shown(
+        quantities.column(joint.name, joint.unit): describe.displayed(
             float(value), joint.unit
         )
         for joint, value in zip(machine.joints, values, strict=True)

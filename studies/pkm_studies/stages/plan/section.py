@@ -71,11 +71,11 @@ def build_outcome(
     )
 
 
-def _arrange(task: PlanTask, stage: PlanStage, number: int) -> order.Arranged:
+def _arrange(task: PlanTask, stage: PlanStage, number: int) -> order.OrderedPlan:
     """A stage's readings in working order."""
     resolved = _with_order(task, stage.option.name)
     rng = task.stage_generator(number)
-    return order.arrange(resolved, stage.option.measurement, (), stage.series, rng)
+    return order.order_plan(resolved, stage.option.measurement, (), stage.series, rng)
 
 
 def _with_order(task: PlanTask, name: str) -> ResolvedStudy:
@@ -89,7 +89,7 @@ def _with_order(task: PlanTask, name: str) -> ResolvedStudy:
 
 
 def _stage_records(
-    task: PlanTask, plan: StagePlan, arranged: Sequence[order.Arranged]
+    task: PlanTask, plan: StagePlan, arranged: Sequence[order.OrderedPlan]
 ) -> list[result.StageRecord]:
     """The stages with their times, one after the other."""
     records = []
@@ -107,7 +107,7 @@ def _stage_records(
 def _stage_record(
     task: PlanTask,
     stage: PlanStage,
-    ordered: order.Arranged,
+    ordered: order.OrderedPlan,
     begin_min: float,
     cumulative: explain.Seen,
 ) -> result.StageRecord:
@@ -117,7 +117,7 @@ def _stage_record(
     duration_min = units.number(stage.seconds, "min")
     return result.StageRecord(
         measurement=stage.option.name,
-        setups=ordered.told.setups,
+        setups=ordered.summary.setups,
         readings=sum(len(s) for s in stage.series),
         identifies=verdict.rank,
         cost=duration_min,

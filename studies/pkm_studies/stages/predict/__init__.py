@@ -1,1 +1,1 @@
-"""Residual accuracy and held-out readings as sections of the result."""
+"""Predicted accuracy and held-out readings as sections of the result."""

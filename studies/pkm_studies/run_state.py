@@ -1,0 +1,149 @@
+"""The immutable state of a run: each step takes one and returns the next."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from oed import explain
+from oed.arrays import Array
+from oed.identify import Estimate
+from oed.measurement import Measurement, Series
+from oed.posterior import Posterior
+from pkm_studies.progress import Progress
+from pkm_studies.resolve.resolved import ResolvedStudy, resolve
+from pkm_studies.stages.design.select import ChosenDesign
+from pkm_studies.stages.plan.section import PlanOutcome
+from pkm_studies.study import Study
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Stream(enum.IntEnum):
+    """Independent random streams: more draws in one leave the others as they are."""
+
+    DESIGN = 0
+    TRUTH = 1
+    NOISE = 2
+    SAMPLER = 3
+    PREDICT = 4
+    MACHINES = 5
+    HELD_OUT = 6
+    PLAN = 7
+    CAMPAIGN = 8
+    EFFECTS = 9
+    GAP = 10
+    BEFORE = 11
+
+
+class HeldOut(NamedTuple):
+    """Readings y (N,), SI, that are not fitted."""
+
+    series: tuple[Series, ...]
+    y: Array
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Readings:
+    """Readings that a run works on.
+
+    series      planned or recorded readings
+    y           (N,) values, SI; None where the readings are only planned
+    truth       (n,) parameters of the virtual machine that gave them, SI
+    covariates  one row a reading, if known
+    held_out    readings that are predicted, not fitted
+    """
+
+    series: tuple[Series, ...]
+    y: Array | None = None
+    truth: Array | None = None
+    covariates: pd.DataFrame | None = None
+    held_out: HeldOut | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunState:
+    """What a run knows after some of its steps.
+
+    study, out, seed, progress, started    what was asked for, and when
+    resolved         the study's objects
+    readings_given   whether readings came with the command
+    measurement      machine with the set-ups that are used, as planned
+    design           the chosen design
+    plan             the plan of stages
+    planned          readings to write down as poses, in working order
+    readings         what is fitted, held out or only planned
+    identifiability  verdict on the readings
+    estimate         identified parameters
+    posterior        draws about the estimate
+    sections         sections of the result so far
+    warnings         sentences that a user must know
+    """
+
+    study: Study
+    out: Path
+    seed: int
+    progress: Progress
+    started: float
+    resolved: ResolvedStudy
+    readings_given: bool
+    measurement: Measurement
+    design: ChosenDesign | None = None
+    plan: PlanOutcome | None = None
+    planned: tuple[Series, ...] = ()
+    readings: Readings | None = None
+    identifiability: explain.Seen | None = None
+    estimate: Estimate | None = None
+    posterior: Posterior | None = None
+    sections: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def rng(self, stream: Stream) -> np.random.Generator:
+        """Random numbers of one stream."""
+        return np.random.default_rng([self.seed, int(stream)])
+
+    def replace(self, **changes: Any) -> RunState:
+        """The state with other values of some fields."""
+        return dataclasses.replace(self, **changes)
+
+    def with_sections(self, **sections: Any) -> RunState:
+        """The state with further sections of the result."""
+        return self.replace(sections={**self.sections, **sections})
+
+    def with_warnings(self, *warnings: str) -> RunState:
+        """The state with further warnings."""
+        return self.replace(warnings=(*self.warnings, *warnings))
+
+
+def start(
+    study: Study,
+    out: Path,
+    seed: int | None,
+    progress: Progress,
+    readings: Sequence[Path] | None,
+) -> RunState:
+    """The state before the first step. Raises InputError for what the study misstates.
+
+    `readings` replace those that the study names; with an empty list, none are read.
+    """
+    started = time.perf_counter()
+    progress.stage("set-up")
+    resolved = resolve(study, readings=readings)
+    return RunState(
+        study=study,
+        out=out,
+        seed=study.seed if seed is None else seed,
+        progress=progress,
+        started=started,
+        resolved=resolved,
+        readings_given=bool(readings),
+        measurement=resolved.measurement,
+        warnings=tuple(resolved.warnings),
+    )

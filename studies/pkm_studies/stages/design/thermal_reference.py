@@ -1,0 +1,101 @@
+"""Puts thermal reference readings between the readings of a set-up, often enough."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from oed.arrays import Array
+from oed.design import move_times, order, schedule
+from oed.measurement import Measurement, Series
+from pkm_studies.errors import Place
+from pkm_studies.resolve import grids
+from pkm_studies.study.tables import Axis, OrderTable
+
+#: run of thermal reference readings
+REFERENCE_RUN = "reference"
+
+
+@dataclasses.dataclass(frozen=True)
+class Timing:
+    """A route through the readings, joint speeds (SI) and time of one reading, s."""
+
+    route: order.Route
+    speeds: Sequence[float]
+    reading: float
+
+
+def with_reference_readings(
+    measurement: Measurement,
+    series: Series,
+    timing: Timing,
+    table: OrderTable,
+    place: Place,
+) -> tuple[Series, float]:
+    """The readings in time with reference readings in between; when the last ends, s.
+
+    Raises InputError where the set-up has a reference of its own, or time is too short.
+    """
+    assert table.reference_every_min is not None
+    every = place.key("reference_every_min")
+    setup = measurement.setups[series.setup]
+    if setup.instrument.reference == "run":
+        raise every.error(
+            f"the first pose of each run is the reference of {series.setup}",
+            "remove it",
+            table.reference_every_min,
+        )
+    at = place.key("reference")
+    command = _reference_command(measurement, series, timing.route, table.reference, at)
+    reference = measurement.series(series.setup, command[None])
+    joints = series.q[series.index[:, 0]]
+    travel = move_times.travel_times(reference.q[:1], joints, timing.speeds)[0]
+    home = 0.0
+    if table.start == "home":
+        home = float(move_times.travel_from(measurement, reference, timing.speeds)[0])
+    try:
+        timed = schedule.interleave(
+            timing.route,
+            timing.reading,
+            60.0 * table.reference_every_min,
+            travel,
+            travel,
+            timing.reading,
+            home,
+        )
+    except ValueError as error:
+        raise every.error(str(error), "raise it") from error
+    commands, runs = series.commands(), []
+    scheduled = []
+    for k in timed.pose:
+        scheduled.append(command if k < 0 else commands[k])
+        runs.append(REFERENCE_RUN if k < 0 else str(series.run[k]))
+    planned = measurement.series(series.setup, np.array(scheduled), runs)
+    return planned, timed.seconds
+
+
+def _reference_command(
+    measurement: Measurement,
+    series: Series,
+    route: order.Route,
+    axes: Mapping[str, Axis],
+    place: Place,
+) -> Array:
+    """The reference's command (n_dof,): as the study says, or the route's first pose."""
+    if not axes:
+        return np.asarray(series.commands()[route.indices[0]])
+    machine, setup = measurement.machine, measurement.setups[series.setup]
+    command, hold, keys = grids.grid_commands(axes, machine, place)
+    if len(command) != 1:
+        raise place.error(
+            "the reference is one pose", "give one value for each coordinate"
+        )
+    if hold is not None:
+        command = grids.mid_range(command, hold, machine, setup)
+    grids.check_workspace(machine, command, keys, place, setup.tool)
+    command, _ = grids.solve_held(
+        measurement, series.setup, command, hold, place, strict=True
+    )
+    return np.asarray(command[0])

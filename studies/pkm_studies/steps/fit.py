@@ -1,0 +1,66 @@
+"""Steps that fit the readings: least squares, then the posterior."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed import identify, posterior
+from pkm_studies.run_state import RunState, Stream
+from pkm_studies.stages.fit.estimate import estimate_section
+from pkm_studies.stages.fit.posterior import posterior_section
+
+
+def fit_parameters(state: RunState) -> RunState:
+    """Identify the parameters by least squares with tolerance priors."""
+    assert state.readings is not None
+    series, y = state.readings.series, state.readings.y
+    if y is None:
+        return state
+    state.progress.stage("identification")
+    estimate = identify.identify(
+        state.measurement,
+        series,
+        y,
+        stages=state.resolved.identification_stages,
+        estimate_noise=state.study.noise.estimate,
+        max_iterations=state.study.identify.max_iterations,
+    )
+    section = estimate_section(
+        state.measurement, series, estimate, state.readings.truth
+    )
+    state = state.replace(estimate=estimate).with_sections(estimate=section)
+    return state.with_warnings(*section.warnings)
+
+
+def sample_posterior(state: RunState) -> RunState:
+    """Sample the posterior about the estimate, and store its draws."""
+    table = state.study.posterior
+    if state.estimate is None or not table.enabled:
+        return state
+    assert state.readings is not None
+    assert state.readings.y is not None
+    posterior.prepare()
+    state.progress.stage("posterior")
+    draws = posterior.sample(
+        state.measurement,
+        state.readings.series,
+        state.readings.y,
+        state.estimate,
+        state.rng(Stream.SAMPLER),
+        walkers=table.walkers,
+        ess=float(table.ess),
+        max_steps=table.steps,
+        progress=state.progress.share,
+    )
+    attributes = {"study": state.study.name, "units": "SI", "seed": str(state.seed)}
+    posterior.save(draws, state.out / "posterior.nc", attributes)
+    corner = state.study.report.corner
+    section = posterior_section(state.measurement, state.estimate, draws, corner)
+    state = state.replace(posterior=draws).with_sections(posterior=section)
+    least = float(np.nanmin(draws.ess))
+    if least >= table.ess:
+        return state
+    return state.with_warnings(
+        f"the posterior has an effective sample size of {least:.0f}, short of"
+        f" {table.ess}; raise [posterior] steps"
+    )
