@@ -62,7 +62,7 @@ def _accuracy(section: PredictionSection | None) -> list[str]:
             changes.append(_change(name, before, after, section.unit[name]))
     reference = REFERENCES[section.reference]
     return [
-        f"Compensation is predicted to change the rms error over the workspace,"
+        f"Compensation is predicted to reduce the rms error over the workspace,"
         f" {reference}: {'; '.join(changes)}."
     ]
 
