@@ -112,7 +112,7 @@ def test_the_fewest_readings_for_a_wanted_accuracy() -> None:
         ("how_many = {}\n", "accuracy depends on the tolerances"),
         (
             'criterion = "E"\n' + small.KNOWN + "robust = { scenarios = 2 }\n",
-            "smooth criteria",
+            "a smooth criterion",
         ),
         (small.KNOWN + "how_many = { wanted = { w_um = 3 } }\n", "w_um"),
         (small.KNOWN + 'robust = { risk = "hope" }\n', "risk"),
