@@ -3,6 +3,7 @@
 #   make study   run the A3 study to a report          make lint    style, types, layers
 #   make test    the tests                             make wheel   the wheel, into dist/
 #   make slow    the long studies and tests (nightly)  make clean   what was built (distclean: .venv too)
+#   make docs    the documentation site, into out/docs
 #   make blind   the blind benchmark, 40 cases         make blind BLIND_CASES=1000   all of it
 #
 # Another interpreter: make PYTHON=python3.12 study
@@ -27,7 +28,7 @@ UV_WANTED := 'uv>=0.13,<1'
 
 SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --python $(BIN)/python
 
-.PHONY: study test slow blind lint format wheel lock clean distclean setup setup-dev
+.PHONY: study test slow blind docs lint format wheel lock clean distclean setup setup-dev
 .DEFAULT_GOAL := study
 
 setup: $(VENV)/.stamp-run
@@ -56,6 +57,11 @@ blind: setup-dev
 	$(BLIND_DO) score --cases $(BLIND)/set --results $(BLIND)/results --pairs $(BLIND)/pairs --out $(BLIND)/score \
 	  --table $(BLIND)/RESULTS.md --workers $(BLIND_WORKERS)
 	@echo "Table: $(BLIND)/RESULTS.md"
+
+# Warnings are errors; -n: every reference must resolve.
+docs: $(VENV)/.stamp-docs
+	$(BIN)/sphinx-build -W --keep-going -n -q -b html docs out/docs
+	@echo "Site: out/docs/index.html"
 
 lint: setup-dev
 	$(BIN)/ruff check
@@ -105,3 +111,8 @@ $(VENV)/.stamp-dev: pyproject.toml uv.lock $(BIN)/uv
 	@echo "Installing the locked dependencies and the development tools"
 	@$(SYNC)
 	@touch $@ $(VENV)/.stamp-run
+
+$(VENV)/.stamp-docs: $(VENV)/.stamp-dev
+	@echo "Installing the documentation tools"
+	@$(SYNC) --group docs
+	@touch $@

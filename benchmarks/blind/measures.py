@@ -542,7 +542,7 @@ def place_rows(
         ),
         share(
             f"{key} seen",
-            f"{prefix}right leg, run or time block, where a gap is told",
+            f"{prefix}right leg, run or time block, where a gap is reported",
             seen,
         ),
     ]

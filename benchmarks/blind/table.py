@@ -1,4 +1,4 @@
-"""The benchmark's result as Markdown, ready for a README."""
+"""The benchmark's result as Markdown, for docs/benchmarks/blind_results.md."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def markdown(
         (
             "`python -m benchmarks.blind score --cases SET --results RESULTS --table"
             " FILE` writes this page. Intervals: 95 %, Wilson for shares; proved: the"
-            " interval's worse end reaches what must be. What counts as what is told in"
-            " `benchmarks/blind/measures.py`."
+            " interval's worse end reaches what must be. `benchmarks/blind/measures.py`"
+            " defines what counts."
         ),
         "",
         *_main(rows, beside),
@@ -73,7 +73,7 @@ def _by(about: Mapping[str, Any]) -> str:
     more = ""
     if about["more"]:
         more = (
-            f" Beside them, {about['more']} pairs that can be told from every rival,"
+            f" Beside them, {about['more']} pairs that can be distinguished from every rival,"
             " for the rows of such pairs alone."
         )
     return f"Cases by kind: {kinds}. By machine: {machines}.{more}"

@@ -1,0 +1,132 @@
+"""Pages of the reference that the command `oed` writes: study and result fields, catalogue.
+
+`oed schema` and `oed list` are the source, so the pages agree with what the program
+accepts. The pages are written into `reference/generated` before Sphinx reads.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import plain_docstrings
+from sphinx.application import Sphinx
+
+FOLDER = Path("reference", "generated")
+#: how a description names its table: [design], [[setup]]
+TABLE = re.compile(r"(\[\[?[\w.]+\]\]?)")
+KINDS = ("machines", "instruments", "effects", "criteria")
+
+
+def answer(*arguments: str) -> Any:
+    """What the command prints, decoded from JSON."""
+    command = [str(Path(sys.executable).with_name("oed")), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+def heading(text: str, mark: str) -> list[str]:
+    """A heading of reStructuredText."""
+    return [text, mark * len(text), ""]
+
+
+def cell_table(header: list[str], rows: list[list[str]]) -> list[str]:
+    """A list table."""
+    lines = [".. list-table::", "   :header-rows: 1", ""]
+    for row in [header, *rows]:
+        lines += [
+            f"   {'* -' if k == 0 else '  -'} {text}" for k, text in enumerate(row)
+        ]
+    return [*lines, ""]
+
+
+def kind_of(field: dict[str, Any]) -> str:
+    """The type of a field, in short."""
+    if "$ref" in field:
+        name = field["$ref"].rpartition("/")[2]
+        return f":ref:`{name}`"
+    if "anyOf" in field:
+        kinds = [kind_of(f) for f in field["anyOf"] if f.get("type") != "null"]
+        return " or ".join(dict.fromkeys(kinds))
+    if "enum" in field:
+        return ", ".join(f"``{json.dumps(value)}``" for value in field["enum"])
+    if field.get("type") == "array" and isinstance(field.get("items"), dict):
+        return f"list of {kind_of(field['items'])}"
+    return str(field.get("type", "any"))
+
+
+def default_of(name: str, field: dict[str, Any], required: list[str]) -> str:
+    """The default of a field, in short."""
+    if name in required:
+        return "required"
+    value = field.get("default")
+    if value is None or value == [] or isinstance(value, dict):
+        return ""
+    return f"``{json.dumps(value)}``"
+
+
+def schema_page(kind: str, title: str, first: str) -> str:
+    """Fields of a file, one section a table."""
+    lines = [*heading(title, "="), first, ""]
+    for name, entry in answer("schema", kind)["$defs"].items():
+        description = entry.get("description", "").splitlines()
+        text = [
+            description[0],
+            *[line.removeprefix("    ") for line in description[1:]],
+        ]
+        lines += [f".. _{name}:", "", *heading(name, "-")]
+        lines += plain_docstrings.restructured(text)
+        required = entry.get("required", [])
+        rows = [
+            [f"``{field}``", kind_of(about), default_of(field, about, required)]
+            for field, about in entry.get("properties", {}).items()
+        ]
+        lines += cell_table(["field", "type", "default"], rows)
+    return "\n".join(lines)
+
+
+def catalogue_page() -> str:
+    """Machines, instruments, effects and criteria with their sources."""
+    lines = [*heading("Catalogue", "="), "What ``oed list`` prints, with sources.", ""]
+    for kind in KINDS:
+        rows = []
+        for entry in answer("list", kind, "--json"):
+            about, source = entry["about"], entry["source"]
+            texts = [plain_docstrings.inline(text) for text in (about, source)]
+            rows.append([f"``{entry['name']}``", *texts])
+        lines += heading(kind.capitalize(), "-")
+        lines += cell_table(["name", "what it is", "source"], rows)
+    return "\n".join(lines)
+
+
+def generate(app: Sphinx) -> None:
+    """Write the pages; unchanged ones keep their time."""
+    pages = {
+        "study": schema_page(
+            "study",
+            "Study fields",
+            "Tables and fields of ``*.study.toml``, as ``oed schema study`` states them.",
+        ),
+        "result": schema_page(
+            "result",
+            "Result fields",
+            "Sections and fields of ``result.json``, as ``oed schema result`` states them.",
+        ),
+        "catalogue": catalogue_page(),
+    }
+    folder = Path(app.srcdir) / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in pages.items():
+        path = folder / f"{name}.rst"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Generate before the sources are read."""
+    app.connect("builder-inited", generate)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
