@@ -1,9 +1,9 @@
-"""Criteria of a plan: how good are its readings, as pure functions.
+"""Criteria of a plan of readings, as pure functions.
 
-Alphabetic criteria take the Fisher information M (n, n); observability indices take the
+Alphabetic criteria take the Fisher information M (n, n). Observability indices take the
 singular values of the scaled identification matrix H over its identifiable directions.
-All but kappa are the larger the better. Designs use the same criteria as information
-functions, with slopes and bounds (`oed.design.criterion`).
+A larger value is better, except for kappa. Design methods use the same criteria as
+information functions, with slopes and bounds (`oed.design.criterion`).
 
 Sources: Pukelsheim (2006), Optimal Design of Experiments (D, A, E, I); Sun and
 Hollerbach (2008), ICRA, and Joubair and Bonev (2013) for O1 to O5; Chang, Li and Li
@@ -28,9 +28,7 @@ def d(information: Array) -> float:
 
 
 def a(information: Array) -> float:
-    """-trace M^-1: minus the sum of the parameters' variances; -inf where M is
-    singular.
-    """
+    """-trace M^-1, minus the sum of the variances; -inf where M is singular."""
     return i(information, np.eye(information.shape[0]))
 
 
@@ -45,19 +43,18 @@ def i(information: Array, moment: Array) -> float:
     `moment` W (n, n) = mean of J^T J over the workspace poses, J (k, n) from parameters
     to pose components.
     """
-    values, vectors = np.linalg.eigh(information)
-    if values[0] <= values[-1] * np.finfo(float).eps:
+    eigenvalues, eigenvectors = np.linalg.eigh(information)
+    if eigenvalues[0] <= eigenvalues[-1] * np.finfo(float).eps:
         return -np.inf
-    return -float(np.einsum("ij,ik,kj,j->", vectors, moment, vectors, 1.0 / values))
+    variances = 1.0 / eigenvalues
+    trace = np.einsum("ij,ik,kj,j->", eigenvectors, moment, eigenvectors, variances)
+    return -float(trace)
 
 
 def ds(information: Array, interest: Array) -> float:
-    """-log det(K^T M^-1 K): what M tells of the directions K (n, s) of interest, the
-    others profiled out.
-    """
-    sign, value = np.linalg.slogdet(
-        interest.T @ np.linalg.pinv(information, hermitian=True) @ interest
-    )
+    """-log det(K^T M^-1 K): D of the directions K (n, s), the others profiled out."""
+    covariance = np.linalg.pinv(information, hermitian=True)
+    sign, value = np.linalg.slogdet(interest.T @ covariance @ interest)
     return -float(value) if sign > 0 else -np.inf
 
 
@@ -67,8 +64,9 @@ def c(information: Array, combination: Array) -> float:
 
 
 def g(information: Array, moments: Array) -> float:
-    """-max_j trace(W_j M^-1): minus the largest predicted pose variance over the
-    workspace; moments W (J, n, n).
+    """-max_j trace(W_j M^-1): minus the largest predicted pose variance.
+
+    `moments` W (J, n, n) = J_j^T J_j at the workspace poses.
     """
     return min(i(information, w) for w in moments)
 
@@ -104,10 +102,10 @@ def o5(singular_values: Array) -> float:
 
 
 def noise_amplification(singular_values: Array, poses: int) -> float:
-    """Eq. (17) of Chang, Li and Li (2011): L-th root of the product of the singular
-    values over sqrt(m).
+    """Noise amplification index, Eq. (17) of Chang, Li and Li (2011).
 
-    The same number as O1, with m counting measurement poses instead of readings.
+    The L-th root of the product of the singular values over sqrt(m): O1, with m counting
+    measurement poses instead of readings.
     """
     return o1(singular_values, poses)
 
@@ -137,7 +135,7 @@ CATALOGUE: Mapping[str, CriterionInfo] = MappingProxyType(
             ),
             CriterionInfo(
                 "Ds",
-                "as D, of what is of interest: nuisances are profiled out",
+                "as D, of the parameters of interest; others are profiled out",
                 _PUKELSHEIM,
                 ds,
             ),

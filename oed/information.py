@@ -1,14 +1,13 @@
-"""From readings' slopes to information: whitening, scaling of the columns, Fisher
-information, covariance.
+"""Whitened and scaled slopes of readings, their Fisher information and covariance.
 
-Three scalings of the parameter columns occur and must never be mixed up in a report:
+There are three scalings of the parameter columns; a report must never mix them:
 
-"si"         columns as they come;
+"si"         SI units
 "length"     every parameter as a length: angles times the machine's lever (the papers'
-             d * dbeta), noise 1;
+             d * dbeta), noise 1
 "tolerance"  every parameter in units of its prior standard deviation, readings in units
-             of their noise. In this one a singular value of 1 means: as well known from
-             the readings as from the drawing.
+             of their noise; a singular value of 1 means that the readings determine a
+             direction as well as the drawing does
 """
 
 from __future__ import annotations
@@ -37,8 +36,9 @@ def column_scale(measurement: Measurement, scaling: Scaling) -> Array:
 
 
 def whiten(rows: Array, noise: Noise | Array) -> Array:
-    """Rows (N, ...) whitened by their noise: a Noise, or standard deviations (N,) of
-    independent readings.
+    """Rows (N, ...) whitened by their noise.
+
+    `noise` is a Noise, or standard deviations (N,) of independent readings.
     """
     return of(noise).whiten(rows)
 
@@ -48,17 +48,14 @@ def scaled(
 ) -> Array:
     """H (N, n) of readings at theta `at` (n,) in the stated scaling.
 
-    "length" takes the readings as lengths too; only "tolerance" is whitened by their
-    noise.
+    "length" turns the readings into lengths too. Only "tolerance" whitens them.
     """
     rows = measurement.jacobian(series, at) * column_scale(measurement, scaling)
     if scaling == "tolerance":
         return measurement.noise(series).whiten(rows)
-    return (
-        rows * measurement.reading_lengths(series)[:, None]
-        if scaling == "length"
-        else rows
-    )
+    if scaling == "length":
+        return rows * measurement.reading_lengths(series)[:, None]
+    return rows
 
 
 def fisher(h: Array) -> Array:
@@ -67,13 +64,14 @@ def fisher(h: Array) -> Array:
 
 
 def posterior_covariance(h: Array) -> Array:
-    """Covariance (n, n), in units of the tolerances, from H (N, n) in "tolerance"
-    scaling: (I + H^T H)^-1.
+    """Covariance (I + H^T H)^-1 (n, n), in units of the tolerances.
 
-    Computed from the singular values, so that directions no reading sees keep exactly
-    their prior variance 1.
+    H (N, n) is in "tolerance" scaling. The singular values give directions that no
+    reading determines exactly their prior variance 1.
     """
-    _, s, vt = np.linalg.svd(h, full_matrices=True)
-    gain = np.zeros(h.shape[1])
-    gain[: s.size] = s**2
+    readings, n = h.shape
+    # all n right vectors are needed, but never a square of the many readings
+    _, singular_values, vt = np.linalg.svd(h, full_matrices=readings < n)
+    gain = np.zeros(n)
+    gain[: singular_values.size] = singular_values**2
     return np.asarray((vt.T / (1.0 + gain)) @ vt)

@@ -119,9 +119,7 @@ def estimable_part(interest: Array, basis: Array) -> Array:
     Raises ValueError where no direction does.
     """
     outside = interest - basis @ (basis.T @ interest)
-    _, singular_values, vt = np.linalg.svd(outside, full_matrices=True)
-    distances = np.zeros(len(vt))
-    distances[: len(singular_values)] = singular_values
+    _, distances, vt = np.linalg.svd(outside, full_matrices=False)
     inside_combinations = vt[distances <= OUTSIDE * np.linalg.norm(interest, 2)].T
     inside: Array = basis.T @ interest @ inside_combinations
     if not inside.size or np.linalg.matrix_rank(inside) < inside.shape[1]:
