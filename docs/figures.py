@@ -6,38 +6,40 @@ make study && .venv/bin/oed run docs/gallery/a3_gap.study.toml
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from matplotlib.figure import Figure
 
+from oed.result import StudyResult
 from pkm_reports import style
 from pkm_reports.figures import accuracy, kappa, machine
-from pkm_reports.figures.gap import polar as gap_polar
+from pkm_reports.figures.gap import polar
+from pkm_studies.result_folder import load_result
 
-#: pictures by the section of the result that they show
-PICTURES: Mapping[str, tuple[str, Callable[[Any], Figure]]] = {
-    "drawing": ("a3_plan", machine.draw),
-    "kappa_maps": ("a3_kappa", kappa.draw),
-    "prediction": ("a3_accuracy", accuracy.draw),
-    "gap": ("a3_gap", lambda gap: gap_polar.draw(gap["traces"])),
-}
+DPI = 110
+
+
+def pictures(result: StudyResult) -> dict[str, Figure]:
+    """Figures of a result by the name of their file; of a diagnosis, its circles alone."""
+    if result.gap is not None:
+        return {"a3_gap": polar.draw(result.gap.traces)}
+    drawn: dict[str, Figure] = {}
+    if result.drawing is not None:
+        drawn["a3_plan"] = machine.draw(result.drawing)
+    if result.kappa_maps:
+        drawn["a3_kappa"] = kappa.draw(result.kappa_maps)
+    if result.prediction is not None:
+        drawn["a3_accuracy"] = accuracy.draw(result.prediction)
+    return drawn
 
 
 def main(folder: Path, out: Path) -> None:
-    """Write what a result has as PNG; of a diagnosis, nothing else."""
-    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    """Write the pictures of the result in `folder` as PNG files into `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    wanted = ["gap"] if result.get("gap") else ["drawing", "kappa_maps", "prediction"]
     with style.applied():
-        for section in wanted:
-            name, draw = PICTURES[section]
-            draw(result[section]).savefig(
-                out / f"{name}.png", dpi=110, metadata={"Software": None}
-            )
+        for name, figure in pictures(load_result(folder)).items():
+            figure.savefig(out / f"{name}.png", dpi=DPI, metadata={"Software": None})
 
 
 if __name__ == "__main__":

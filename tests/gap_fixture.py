@@ -1,15 +1,13 @@
-"""A small study with a virtual machine that has backlash, and a diagnosis of its
-readings made by hand.
+"""A small study whose virtual machine has backlash, and its diagnosis by hand.
 
-The diagnosis is made with the true effect known: generalised least squares of its
-columns in the metric of the noise and the parameters, in dense matrices. Nothing of the
-search for effects is in it.
+The diagnosis knows the true effect: it is generalised least squares of the effect's
+columns in the metric of the noise and the parameters, in dense matrices. It shares no
+code with the search for effects.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -138,9 +136,13 @@ backlash = Effect(
 )
 
 
+#: the best answer
+ACTS = Answer(("backlash",), 0.97, (("backlash", "friction"),))
+
+
 def diagnosis(problem: GapProblem) -> Diagnosis:
     """The diagnosis of someone who knows that backlash is the cause."""
-    found = signature(
+    columns = signature(
         backlash,
         {},
         problem.states,
@@ -148,46 +150,35 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
         problem.measurement,
         problem.series,
     )
-    g, h = 2.0 * problem.in_noise_units(found.columns), problem.slopes
-    noise = np.eye(len(problem))
-    spread = noise + h @ h.T
-    beta, sd = _posterior(g, spread, problem.residual)
-    explained = g @ beta
-    before = problem.residual - _absorbed(h, problem.residual)
-    after = problem.residual - explained - _absorbed(h, problem.residual - explained)
-    sigma = problem.sigma
-    runs = dict.fromkeys(problem.rows["run"])
-    yes, no = Answer(("backlash",), 0.97, (("backlash", "friction"),)), Answer((), 0.02)
+    signatures = 2.0 * problem.in_noise_units(columns.columns)
+    slopes, residual, sigma = problem.slopes, problem.residual, problem.sigma
+    covariance = np.eye(len(problem)) + slopes @ slopes.T
+    mean, sd = _posterior(signatures, covariance, residual)
+    explained = signatures @ mean
+    unexplained = residual - explained
+    rms = float(np.sqrt(np.mean((explained * sigma) ** 2)))
+    scales = 2.0 * np.asarray(columns.scales)
     return Diagnosis(
         problem=problem,
         verdict="effect",
-        answers=(yes, no, Answer(("backlash", "unknown"), 0.01)),
-        set95=(yes,),
+        answers=(
+            ACTS,
+            Answer((), 0.02),
+            Answer(("backlash", "unknown"), 0.01),
+        ),
+        set95=(ACTS,),
         marginal={"cold": 0.01, "backlash": 0.98},
         law=stated(problem),
         noise_words=("The noise is as stated.",),
         constants={},
-        coefficients=tuple(
-            Coefficient("backlash", n, n, float(b * s * 2.0), float(e * s * 2.0))
-            for n, b, e, s in zip(found.names, beta, sd, found.scales, strict=True)
-        ),
-        sizes=(
-            Size(
-                "backlash",
-                {"length": float(np.sqrt(np.mean((explained * sigma) ** 2)))},
-                41.0,
-            ),
-        ),
+        coefficients=_coefficients(columns.names, mean * scales, sd * scales),
+        sizes=(Size("backlash", {"length": rms}, 41.0),),
         explained=explained * sigma,
         unexplained=np.zeros(len(problem)),
         likeness={},
-        before=before * sigma,
-        after=after * sigma,
-        where=(
-            Block("leg 2", 0.002, 0.9),
-            *(Block(f"run {r}", 0.4, 0.1) for r in runs),
-            Block("leg 1", 0.7, np.nan),
-        ),
+        before=(residual - _absorbed(slopes, residual)) * sigma,
+        after=(unexplained - _absorbed(slopes, unexplained)) * sigma,
+        where=_places(problem),
         closure=(
             Closure("within", 0.96, 0.91, 0.99, 0.001, 30.0, 2.2, 1.0, 96),
             Closure("whole", np.nan, np.nan, np.nan, np.nan, 1.0, 1.0, 1.0, 96),
@@ -198,21 +189,33 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
     )
 
 
-def _posterior(g: Array, spread: Array, r: Array) -> tuple[Array, Array]:
-    """Mean and standard deviation of coefficients with prior N(0, 1)."""
-    inner = g.T @ np.linalg.solve(spread, np.column_stack([g, r]))
-    covariance = np.linalg.inv(np.eye(g.shape[1]) + inner[:, :-1])
-    return covariance @ inner[:, -1], np.sqrt(np.diag(covariance))
+def _coefficients(
+    names: Sequence[str], means: Array, sds: Array
+) -> tuple[Coefficient, ...]:
+    return tuple(
+        Coefficient("backlash", name, name, float(mean), float(sd))
+        for name, mean, sd in zip(names, means, sds, strict=True)
+    )
+
+
+def _places(problem: GapProblem) -> tuple[Block, ...]:
+    runs = dict.fromkeys(problem.rows["run"])
+    return (
+        Block("leg 2", 0.002, 0.9),
+        *[Block(f"run {run}", 0.4, 0.1) for run in runs],
+        Block("leg 1", 0.7, np.nan),
+    )
+
+
+def _posterior(g: Array, covariance: Array, r: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation (n,) of coefficients with prior N(0, 1)."""
+    weighted = np.linalg.solve(covariance, np.column_stack([g, r]))
+    normal = g.T @ weighted
+    posterior = np.linalg.inv(np.eye(g.shape[1]) + normal[:, :-1])
+    return posterior @ normal[:, -1], np.sqrt(np.diag(posterior))
 
 
 def _absorbed(h: Array, r: Array) -> Array:
-    """What the parameters, with prior N(0, 1), take of residuals r."""
-    return np.asarray(h @ np.linalg.solve(np.eye(h.shape[1]) + h.T @ h, h.T @ r))
-
-
-def two_channels(found: Diagnosis) -> Diagnosis:
-    """The same with every number in doubt: NaN where a number may be missing."""
-    return dataclasses.replace(
-        found,
-        closure=(dataclasses.replace(found.closure[0], value=np.nan, p_worse=np.nan),),
-    )
+    """Part of residuals r that parameters with prior N(0, 1) explain."""
+    information = np.eye(h.shape[1]) + h.T @ h
+    return np.asarray(h @ np.linalg.solve(information, h.T @ r))

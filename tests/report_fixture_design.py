@@ -1,6 +1,4 @@
-"""A made-up but realistic design of 30 readings, with every optional part, as decoded
-from result.json.
-"""
+"""A made-up but realistic design of 30 readings, with every optional part."""
 
 from __future__ import annotations
 
@@ -20,7 +18,8 @@ def design(poses: list[dict[str, Any]]) -> dict[str, Any]:
     ]
     certificate = (
         "Certified to 97.3 % of the best possible 26 of 1512 readings, over the 18 of"
-        " 21 directions that the "
+        " 21 directions that the candidates see (the identifiable subspace), beside 4"
+        " readings kept."
     )
     return {
         "criterion": "D",
@@ -34,10 +33,7 @@ def design(poses: list[dict[str, Any]]) -> dict[str, Any]:
         "scaling": "lengths in mm, angles times 540 mm",
         "candidates": 1512,
         "plans": plans,
-        "words": (
-            certificate
-            + "candidates see (the identifiable subspace), beside 4 readings kept."
-        ),
+        "words": certificate,
         "directions": 18,
         "columns": 21,
         "gap": 0.0021,
@@ -100,16 +96,18 @@ def _robust() -> dict[str, Any]:
     rng = np.random.default_rng(9)
     nominal = -3.2 - 0.18 * np.abs(rng.normal(size=20))
     values = nominal + 0.03 + 0.5 * np.clip(-3.3 - nominal, 0.0, None)
-    tail = [float(np.mean(np.sort(v)[:4])) for v in (values, nominal)]
-    head = {
+    worst = [float(np.mean(np.sort(v)[:4])) for v in (values, nominal)]
+    return {
         "risk": "cvar",
         "level": 0.2,
         "scenarios": 20,
-        "value": tail[0],
-        "bound": tail[0] + 0.03,
+        "value": worst[0],
+        "bound": worst[0] + 0.03,
+        "efficiency": math.exp(-0.03),
+        "nominal": worst[1],
+        "values": values.tolist(),
+        "nominal_values": nominal.tolist(),
     }
-    head |= {"efficiency": math.exp(-0.03), "nominal": tail[1]}
-    return head | {"values": values.tolist(), "nominal_values": nominal.tolist()}
 
 
 def _how_many() -> dict[str, Any]:
@@ -125,18 +123,18 @@ def _how_many() -> dict[str, Any]:
     return {
         "wanted": {"z_um": 50.0, "theta_arcsec": 1.2},
         "sizes": sizes,
-        "accuracy": {
-            name: [v * (n / 11.0) ** -0.5 for n in sizes] for name, v in scale.items()
-        },
-        "bound": {
-            name: [0.93 * v * (n / 11.0) ** -0.5 for n in sizes]
-            for name, v in scale.items()
-        },
+        "accuracy": {name: _curve(at_11, sizes) for name, at_11 in scale.items()},
+        "bound": {name: _curve(0.93 * at_11, sizes) for name, at_11 in scale.items()},
         "fewest": 34,
         "at_least": 33,
         "most": 60,
         "words": "34 readings reach it; no plan of fewer than 33 can.",
     }
+
+
+def _curve(at_11: float, sizes: list[int]) -> list[float]:
+    """Rms over the number of readings, from that of 11 readings."""
+    return [at_11 * (n / 11.0) ** -0.5 for n in sizes]
 
 
 def _score(

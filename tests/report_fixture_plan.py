@@ -1,12 +1,11 @@
-"""A made-up but realistic plan in three stages, with every optional part, as decoded
-from result.json.
-"""
+"""A made-up but realistic plan in three stages, with every optional part."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import report_fixture
+from report_fixture_machine import LENGTHS, TILTS
 
 START = {
     "x_um": 8120.0,
@@ -16,8 +15,8 @@ START = {
     "theta_arcsec": 310.0,
     "phi_arcsec": 980.0,
 }
-#: what each stage leaves of the accuracy before it
-LEFT = (0.021, 0.16, 0.55)
+#: share of the error that each stage leaves
+SHARES = (0.021, 0.16, 0.55)
 STAGES = (
     ("rough tracker", ["tracker"], 12, 0.0, 24.5, 15),
     ("bar 300, cup low", ["short tool"], 18, 24.5, 61.0, 17),
@@ -26,9 +25,7 @@ STAGES = (
 
 
 def sample(*, wanted: bool = True) -> dict[str, Any]:
-    """The report's sample with a plan that was searched for; `wanted`: an accuracy was
-    asked for, and missed.
-    """
+    """The report's sample with a plan in stages; `wanted`: it misses a wanted accuracy."""
     full = report_fixture.sample()
     full["plan"] = plan(wanted=wanted)
     for k, pose in enumerate(full["design"]["poses"]):
@@ -38,26 +35,23 @@ def sample(*, wanted: bool = True) -> dict[str, Any]:
 
 def plan(*, wanted: bool = True) -> dict[str, Any]:
     """Every field of a plan."""
-    left = _accuracy(3)
+    accuracy = _accuracy(3)
     value = 1.24 if wanted else 0.00187
-    told = {
+    goal = {
+        "z_um": accuracy["z_um"] / 1.24,
+        "theta_arcsec": accuracy["theta_arcsec"] / 1.1,
+    }
+    return {
         "stages": [_stage(k) for k in range(len(STAGES))],
         "cost": 108.0,
         "budget_min": 120.0,
         "price": 40.0,
         "value": value,
-        "goal": (
-            {
-                "z_um": left["z_um"] / 1.24,
-                "theta_arcsec": left["theta_arcsec"] / 1.1,
-            }
-            if wanted
-            else {}
-        ),
+        "goal": goal if wanted else {},
         "reached": not wanted,
         "start_accuracy": START,
-        "accuracy": left,
-        "best_reachable": {key: 0.97 * v for key, v in left.items()},
+        "accuracy": accuracy,
+        "best_reachable": {name: 0.97 * rms for name, rms in accuracy.items()},
         "needs": [
             "half the noise of bar 300 reaches z to 11.2 um",
             "a budget of 240 min reaches it in 151 min",
@@ -71,8 +65,6 @@ def plan(*, wanted: bool = True) -> dict[str, Any]:
         ),
         "after": "12 readings of a first day, 33 min",
         "virtual_machines": 200,
-    }
-    return told | {
         "alternatives": _alternatives(value),
         "front": _front(value),
         "compared": _compared(value),
@@ -80,31 +72,22 @@ def plan(*, wanted: bool = True) -> dict[str, Any]:
 
 
 def _accuracy(count: int) -> dict[str, float]:
-    """After so many stages; angles gain less."""
-    made = dict(START)
-    for k in range(count):
-        made = {
-            n: v * LEFT[k] ** (1.0 - 0.06 * i) for i, (n, v) in enumerate(made.items())
-        }
-    return made
+    """Accuracy after so many stages; angles gain less."""
+    accuracy = dict(START)
+    for share in SHARES[:count]:
+        for i, name in enumerate(accuracy):
+            accuracy[name] *= share ** (1.0 - 0.06 * i)
+    return accuracy
 
 
 def _stage(k: int) -> dict[str, Any]:
-    name, setups, readings, begin, end, seen = STAGES[k]
-    names = report_fixture.LENGTHS + report_fixture.TILTS
-    gains = {n: 1.0 + (i * 7 + 3) % 11 * (k + 1) for i, n in enumerate(names)}
-    sds = {
-        n: {
-            "sd": (10.0 if n in report_fixture.TILTS else 1.0) / gains[n],
-            "unit": "mrad" if "beta" in n else "mm",
-        }
-        for n in names
-    }
+    name, setups, readings, begin, end, rank = STAGES[k]
+    components = [component.rpartition("_")[0] for component in START]
     return {
         "measurement": name,
         "setups": setups,
         "readings": readings,
-        "identifies": seen,
+        "identifies": rank,
         "cost": end - begin,
         "kappa": 812.0 + 1000.0 * k,
         "predicted": _accuracy(k + 1),
@@ -117,19 +100,27 @@ def _stage(k: int) -> dict[str, Any]:
         "lost": (0.0, 0.72, 0.05)[k],
         "cut_off_um": (412.0, 3.1, 0.04)[k],
         "rank": (15, 17, 18)[k],
-        "parameters": sds,
+        "parameters": _standard_deviations(k),
         "held": [["da1y", "0.71 db2x - 0.71 db3x", "db1y"], ["db1y"], []][k],
         "accuracy": _accuracy(k + 1),
-        "realised": {
-            n.rpartition("_")[0]: 0.93 + 0.03 * i + 0.02 * k
-            for i, n in enumerate(START)
-        },
+        "realised": {n: 0.93 + 0.03 * i + 0.02 * k for i, n in enumerate(components)},
         "realised_lost": (0.0, 0.81, 0.04)[k],
         "coverage": (0.947, 0.953, 0.949)[k],
     }
 
 
-def _way(
+def _standard_deviations(k: int) -> dict[str, Any]:
+    """Of each parameter after the k-th stage."""
+    sds = {}
+    for i, name in enumerate(LENGTHS + TILTS):
+        gain = 1.0 + (i * 7 + 3) % 11 * (k + 1)
+        tilt = name in TILTS
+        sd = (10.0 if tilt else 1.0) / gain
+        sds[name] = {"sd": sd, "unit": "mrad" if tilt else "mm"}
+    return sds
+
+
+def _plan(
     names: list[str], readings: list[int], minutes: float, value: float, why: str = ""
 ) -> dict[str, Any]:
     accuracy = {n: v * value / 130.0 for n, v in START.items()}
@@ -147,15 +138,15 @@ def _alternatives(value: float) -> list[Any]:
     bars = ["bar 300, cup low", "bar 250, cup high"]
     why = "a rough stage is missing: 68 % of the readings would be lost"
     return [
-        _way(bars, [24, 24], 84.0, 21.0 * value, why),
-        _way(
+        _plan(bars, [24, 24], 84.0, 21.0 * value, why),
+        _plan(
             ["rough tracker", *bars[::-1]],
             [12, 24, 12],
             106.0,
             1.07 * value,
             "7 % less accurate in the same time",
         ),
-        _way(
+        _plan(
             ["rough tracker", "length gauge"],
             [24, 48],
             71.0,
@@ -166,52 +157,48 @@ def _alternatives(value: float) -> list[Any]:
 
 
 def _front(value: float) -> list[dict[str, Any]]:
-    first = [
-        _way(["rough tracker"], [n], m, v * value)
-        for n, m, v in ((6, 19.0, 60.0), (12, 24.5, 42.0))
-    ]
-    both = [
-        _way(["rough tracker", "bar 300, cup low"], [12, n], m, v * value)
-        for n, m, v in ((6, 46.0, 8.2), (12, 53.0, 4.1), (18, 61.0, 2.4))
-    ]
-    all_three = [name for name, *_ in STAGES]
+    tracker, low = ["rough tracker"], ["rough tracker", "bar 300, cup low"]
+    every = [name for name, *_ in STAGES]
     return [
-        *first,
-        *both,
-        *[
-            _way(all_three, [12, 18, n], m, v * value)
-            for n, m, v in ((12, 92.0, 1.3), (24, 108.0, 1.0))
-        ],
+        _plan(tracker, [6], 19.0, 60.0 * value),
+        _plan(tracker, [12], 24.5, 42.0 * value),
+        _plan(low, [12, 6], 46.0, 8.2 * value),
+        _plan(low, [12, 12], 53.0, 4.1 * value),
+        _plan(low, [12, 18], 61.0, 2.4 * value),
+        _plan(every, [12, 18, 12], 92.0, 1.3 * value),
+        _plan(every, [12, 18, 24], 108.0, 1.0 * value),
     ]
 
 
 def _compared(value: float) -> list[dict[str, Any]]:
-    rows = [
-        ("RM 5", ["bar 250, cup high"], 61.0, 45.0, 16),
-        ("RM 4 → RM 5", [n for n, *_ in STAGES[1:]], 93.0, 6.0, 18),
-    ]
+    both = [name for name, *_ in STAGES[1:]]
     return [
-        {
-            "name": name,
-            "way": _way(names, [24] * len(names), minutes, value * worse),
-            "rank": rank,
-            "parameters": 18,
-            "kappa": 5210.0 / len(names),
-            "weakest": 0.00124 * len(names),
-            "observability": {
-                "O1": 0.0173,
-                "O2": 1.9e-4,
-                "O3": 0.00124,
-                "O4": 3.2e-7,
-                "O5": 0.0044,
-            },
-            "lost": 15.2 / len(names),
-            "plan": _way(
-                ["rough tracker", "bar 300, cup low"], [12, 18], minutes, value * 1.4
-            ),
-            "gain": {n: worse / 1.4 for n in START},
-            "bound": 1.3 * value,
-            "words": "In the same time a rough stage makes it far more accurate.",
-        }
-        for name, names, minutes, worse, rank in rows
+        _sequence("RM 5", ["bar 250, cup high"], 61.0, 45.0, 16, value),
+        _sequence("RM 4 → RM 5", both, 93.0, 6.0, 18, value),
     ]
+
+
+def _sequence(
+    name: str, names: list[str], minutes: float, worse: float, rank: int, value: float
+) -> dict[str, Any]:
+    best = ["rough tracker", "bar 300, cup low"]
+    return {
+        "name": name,
+        "way": _plan(names, [24] * len(names), minutes, value * worse),
+        "rank": rank,
+        "parameters": 18,
+        "kappa": 5210.0 / len(names),
+        "weakest": 0.00124 * len(names),
+        "observability": {
+            "O1": 0.0173,
+            "O2": 1.9e-4,
+            "O3": 0.00124,
+            "O4": 3.2e-7,
+            "O5": 0.0044,
+        },
+        "lost": 15.2 / len(names),
+        "plan": _plan(best, [12, 18], minutes, value * 1.4),
+        "gain": {component: worse / 1.4 for component in START},
+        "bound": 1.3 * value,
+        "words": "In the same time a rough stage makes it far more accurate.",
+    }

@@ -4,7 +4,6 @@ kernel's, files, what is refused.
 
 from __future__ import annotations
 
-import html
 import io
 import json
 import re
@@ -16,14 +15,15 @@ import numpy as np
 import pytest
 import report_fixture
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from msgspec.structs import replace
 from sample import changed
 
 from oed import dataset
 from oed.gap.before import detect, runs
 from oed.noise.law import stated
+from oed.result import DetectabilityTable
 from pkm_models.effects import encoder_scale, gravity
-from pkm_reports import document, sections, style
-from pkm_reports import html as html_writer
+from pkm_reports import sections, style
 from pkm_reports.figures.gap import confusable
 from pkm_studies import pipeline, study
 from pkm_studies.errors import InputError
@@ -227,14 +227,11 @@ def test_effects_that_no_candidate_can_test_are_told(tmp_path: Path) -> None:
 def test_the_chapter_tells_runs_pairs_and_sizes(
     ran: tuple[dict[str, Any], Path],
 ) -> None:
-    result = report_fixture.bare() | {"gap_before": ran[0]["gap_before"]}
-    result = json.loads(msgspec.json.encode(result))
+    raw = report_fixture.bare() | {"gap_before": ran[0]["gap_before"]}
+    result = report_fixture.result_of(raw)
     assert sections.chapters(result)[0].anchor == "gap-before"
-    page = html_writer.render(document.build(result)).decode()
-    shown = html.unescape(re.sub(r"<[^>]*>", " ", page)).replace(
-        "\N{NO-BREAK SPACE}", " "
-    )
-    assert "What these readings could find" in shown
+    shown = report_fixture.shown_text(result)
+    assert "What these readings could detect" in shown
     for run in ran[0]["gap_before"]["chosen"]["runs"]:
         assert run["run"] in shown
     assert "4 runs chosen out of 8" in shown
@@ -245,12 +242,13 @@ def test_the_chapter_tells_runs_pairs_and_sizes(
 def test_the_matrix_shows_every_pair_and_stays_within_its_frame(
     ran: tuple[dict[str, Any], Path],
 ) -> None:
-    table = ran[0]["gap_before"]["chosen"]["table"]
+    stored = ran[0]["gap_before"]["chosen"]["table"]
+    table = msgspec.convert(stored, DetectabilityTable)
     with style.applied():
         figure = confusable.draw(table)
         FigureCanvasAgg(figure).print_png(io.BytesIO())
         texts = [t.get_text() for t in figure.axes[0].texts]
-        assert texts == [confusable.short(v) for row in table["apart"] for v in row]
+        assert texts == [confusable.short(v) for row in table.separation for v in row]
         box = figure.bbox
         for label in (
             *figure.axes[0].get_xticklabels(),
@@ -260,5 +258,5 @@ def test_the_matrix_shows_every_pair_and_stays_within_its_frame(
             assert extent.x0 >= box.x0 - 1
             assert extent.x1 <= box.x1 + 1
             assert extent.y1 <= box.y1 + 1
-        one = {"names": ["gravity"], "apart": [[3.0]]}
-        assert confusable.draw(one).axes == []
+        single = replace(table, names=["gravity"], separation=[[3.0]])
+        assert confusable.draw(single).axes == []

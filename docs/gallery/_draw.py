@@ -1,12 +1,10 @@
-"""What the examples of the gallery share: a picture of the machine to scale, beside a
-plot, in the look of the reports.
+"""The picture of a gallery example: the machine to scale on the left, a plot beside it.
 
 picture = _draw.Picture("Thirty readings", "Condition number")
-picture.machine(kinematics)                      # its skeleton at home, or at a command
-                                                 (n_dof,)
-picture.points(places, label="readings")         # (n, 3) in m
-picture.plot.plot(...)                           # the axes on the right
-picture.save(__file__, ["what was found"])
+picture.machine(kinematics)                  # its skeleton at home, or at a command (n_dof,)
+picture.points(places, label="readings")     # (n, 3) in m
+picture.plot.plot(...)                       # the axes on the right
+picture.save(__file__, ["a finding to print"])
 """
 
 from __future__ import annotations
@@ -20,10 +18,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from oed import units
 from oed.arrays import Array
 from oed.kinematics import Kinematics
 from pkm_reports import style
-from pkm_reports.figures import machine as drawing
+from pkm_reports.figures import scene
 
 HEIGHT, DPI = 3.3, 100  # inches, pixels an inch
 LARGEST = 60_000  # bytes of a picture
@@ -36,52 +35,46 @@ class Picture:
         with style.applied():
             self.figure = Figure(figsize=(style.WIDTH, HEIGHT))
             self.figure.set_layout_engine("none")
-            self.scene: Any = self.figure.add_axes(
-                (0.0, 0.12, 0.5, 0.8), projection="3d", proj_type="ortho"
-            )
+            place, solid = (0.0, 0.12, 0.5, 0.8), {"projection": "3d"}
+            self.scene: Any = self.figure.add_axes(place, proj_type="ortho", **solid)
             self.plot: Axes = self.figure.add_axes((0.62, 0.15, 0.36, 0.76))
-            for place, text in ((0.02, left), (0.53, right)):
-                self.figure.text(place, 0.945, text, fontsize=8.5, fontweight="bold")
+            for x, title in ((0.02, left), (0.53, right)):
+                self.figure.text(x, 0.945, title, fontsize=8.5, fontweight="bold")
         self._clouds: list[Array] = []
 
     def machine(
         self, kinematics: Kinematics, command: Array | None = None, **look: Any
     ) -> None:
-        """The machine's skeleton at a command (n_dof,), SI, or at home."""
+        """Draw the machine's skeleton at a command (n_dof,), SI, or at home."""
         at = kinematics.machine.home_command if command is None else command
         x, q = kinematics.inverse(np.atleast_2d(at))
         for line in kinematics.skeleton(x[0], q[0], kinematics.machine.nominal):
             self.line(line, **{"lw": 1.6, **look})
 
     def line(self, places: Array, **look: Any) -> None:
-        """A polyline through points (n, 3), m."""
-        self._clouds.append(1e3 * np.atleast_2d(places))
-        self.scene.plot(
-            *self._clouds[-1].T, solid_capstyle="round", **{"color": style.INK, **look}
-        )
+        """Draw a polyline through points (n, 3), m."""
+        stroke = {"color": style.INK, "solid_capstyle": "round"}
+        self.scene.plot(*self._in_mm(places).T, **{**stroke, **look})
 
     def points(self, places: Array, **look: Any) -> None:
-        """Points (n, 3), m, as marks."""
-        self._clouds.append(1e3 * np.atleast_2d(places))
+        """Draw points (n, 3), m, as marks."""
         mark = {"color": style.BLUE, "marker": "o", "ms": 3.0, "mew": 0.0, "ls": ""}
-        self.scene.plot(*self._clouds[-1].T, **{**mark, **look})
+        self.scene.plot(*self._in_mm(places).T, **{**mark, **look})
 
     def save(self, example: str, findings: Sequence[str] = ()) -> Path:
-        """Writes NAME.png for the example NAME.py, into the folder on the command line
-        or docs/img/gallery.
+        """Write NAME.png for the example NAME.py, and print its findings.
+
+        The folder is the one on the command line, or docs/img/gallery.
         """
-        folder = (
-            Path(sys.argv[1])
-            if len(sys.argv) > 1
-            else Path(__file__).parents[1] / "img" / "gallery"
-        )
+        default = Path(__file__).parents[1] / "img" / "gallery"
+        folder = Path(sys.argv[1]) if len(sys.argv) > 1 else default
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"{Path(example).stem}.png"
         with style.applied():
             self._fit()
             self.figure.savefig(path, dpi=DPI, metadata={"Software": None})
-        for text in findings:
-            print(text)
+        for finding in findings:
+            print(finding)
         size = path.stat().st_size
         if size >= LARGEST:
             raise ValueError(
@@ -90,20 +83,19 @@ class Picture:
             )
         return path
 
+    def _in_mm(self, places: Array) -> Array:
+        """Points (n, 3) in mm, remembered for the limits of the scene."""
+        points = units.from_si(np.atleast_2d(places), "mm")
+        self._clouds.append(points)
+        return points
+
     def _fit(self) -> None:
-        """Equal scale on all axes, filling the left half; a legend below where
-        something has a label.
-        """
-        cloud = np.vstack(self._clouds)
-        low, high = cloud.min(axis=0), cloud.max(axis=0)
-        size = np.maximum(high - low, 0.3 * max(float(np.max(high - low)), 1.0)) * 1.06
-        box = (low + high - size) / 2.0, (low + high + size) / 2.0
+        """One scale on all axes, filling the left half; a legend below its labels."""
+        box = scene.box_around(np.vstack(self._clouds))
         marks, _ = self.scene.get_legend_handles_labels()
         if marks:
-            self.figure.legend(
-                handles=marks, loc="lower left", ncols=2, borderaxespad=0.3
-            )
-        drawing._frame(self.scene, box)
-        drawing._fit(
-            self.figure, self.scene, box, (0.02, 0.10 if marks else 0.02, 0.50, 0.92)
-        )
+            place: Any = {"loc": "lower left", "borderaxespad": 0.3}
+            self.figure.legend(handles=marks, ncols=2, **place)
+        bottom = 0.10 if marks else 0.02
+        scene.set_axes(self.scene, box)
+        scene.fit_to(self.figure, self.scene, box, (0.02, bottom, 0.50, 0.92))

@@ -1,11 +1,11 @@
-"""Reports of a finished study: figures, HTML and PDF, and a sheet to take to the
-machine.
+"""Reports of a finished study: figures, HTML and PDF, and a sheet for the machine.
 
     from pkm_reports import write_report, write_sheet
-    html, pdf = write_report(json.loads(path.read_bytes()), path.parent)
+    result = msgspec.json.decode(path.read_bytes(), type=StudyResult)
+    html, pdf = write_report(result, path.parent)
 
-A report needs only the decoded `result.json`, so it can be made again at any time, with
-the same HTML bytes.
+A report needs only the result, so it can be written again at any time, with the same
+bytes of HTML.
 """
 
 from pkm_reports.report import write_report

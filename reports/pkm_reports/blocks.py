@@ -1,8 +1,7 @@
-"""What a report is made of: sections of paragraphs, lists, tables and pictures, told
-once for HTML and PDF.
+"""Paragraphs, lists, tables and pictures: what a report is made of, for HTML and PDF.
 
-All text is plain. No block holds markup, so nothing in a study's names can become
-markup; each writer escapes.
+All text is plain. No block holds markup, so no name in a study can become markup; each
+writer escapes what it writes.
 """
 
 from __future__ import annotations
@@ -12,6 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import ClassVar, Final
 
 from matplotlib.figure import Figure
+
+from oed.result import StudyResult
 
 #: what a row of a table can be marked as
 MARKS: Final = ("", "good", "bad", "chosen")
@@ -52,8 +53,10 @@ class Code:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TableColumn:
-    """A column: numbers stand right and never wrap, words stand left; `wide` ones take
-    the room that is left.
+    """The heading of a column and how the column is set.
+
+    number    right-aligned, never wrapped
+    wide      takes the width that the other columns leave
     """
 
     title: str
@@ -63,7 +66,10 @@ class TableColumn:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Table:
-    """Cells as text, one row a line; `marks` gives each row its meaning (see MARKS)."""
+    """Cells as text, row by row.
+
+    marks    the meaning of each row (see MARKS), or empty
+    """
 
     kind: ClassVar[str] = "table"
     columns: Sequence[TableColumn]
@@ -78,7 +84,7 @@ class Table:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Picture:
-    """A figure and what one sees in it; drawn when the report is written."""
+    """A figure and its caption; the figure is drawn when the report is written."""
 
     kind: ClassVar[str] = "picture"
     name: str
@@ -91,26 +97,49 @@ Block = Paragraph | Notice | Items | Code | Table | Picture
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Section:
-    """A chapter of the report."""
+    """A chapter of one report, with its content."""
 
     anchor: str
     title: str
     blocks: Sequence[Block]
 
 
-def text_column(*titles: str) -> list[TableColumn]:
+@dataclasses.dataclass(frozen=True, slots=True)
+class Chapter:
+    """A chapter that every report can have: where it links to, and what fills it."""
+
+    anchor: str
+    title: str
+    blocks: Callable[[StudyResult], list[Block]]
+
+    def section(self, result: StudyResult) -> Section:
+        """The chapter of one result."""
+        return Section(self.anchor, self.title, self.blocks(result))
+
+
+def text_columns(*titles: str) -> list[TableColumn]:
     """Columns of words."""
     return [TableColumn(title) for title in titles]
 
 
-def number_column(*titles: str) -> list[TableColumn]:
+def number_columns(*titles: str) -> list[TableColumn]:
     """Columns of numbers."""
     return [TableColumn(title, number=True) for title in titles]
+
+
+def wide_column(title: str) -> TableColumn:
+    """A column of sentences, which takes the width that the others leave."""
+    return TableColumn(title, wide=True)
 
 
 def transposed(columns: Sequence[Sequence[str]]) -> list[list[str]]:
     """Rows from columns."""
     return [list(row) for row in zip(*columns, strict=True)]
+
+
+def headed_list(heading: str, items: Sequence[str]) -> list[Block]:
+    """A list below its heading; nothing where there are no items."""
+    return [Paragraph(heading), Items(items)] if items else []
 
 
 def absent(what: str) -> list[Block]:

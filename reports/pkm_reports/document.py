@@ -1,16 +1,27 @@
-"""The report as data: numbered blocks as plain mappings, and the rendered images. Both
-writers start from it.
+"""The report as data: numbered blocks of plain text and rendered images.
+
+Both writers start from it. The templates read the fields by their names.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Iterator, Sequence
+from typing import Final
 
+from oed.result import StudyResult
 from pkm_reports import sections, style
-from pkm_reports.blocks import Block, Code, Items, Picture, Section, Table
+from pkm_reports.blocks import (
+    Block,
+    Code,
+    Items,
+    Notice,
+    Paragraph,
+    Picture,
+    Section,
+    Table,
+)
 from pkm_reports.sections import summary
 
 #: control characters that neither HTML nor typst can show
@@ -21,16 +32,103 @@ INVISIBLE: Final = {
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Document:
-    """`data` holds text only (see `templates/`); `images` its pictures by name."""
+class TextBlock:
+    """A paragraph, a notice, or text as typed."""
 
-    data: dict[str, Any]
+    kind: str
+    text: str
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ItemsBlock:
+    """A list."""
+
+    kind: str
+    items: Sequence[str]
+    numbered: bool
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ColumnHead:
+    """The heading of a column (see blocks.TableColumn)."""
+
+    title: str
+    number: bool
+    wide: bool
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class TableRow:
+    """The cells of a row and what it is marked as."""
+
+    mark: str
+    cells: Sequence[str]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class TableBlock:
+    """A numbered table."""
+
+    kind: str
+    label: str
+    caption: str
+    columns: Sequence[ColumnHead]
+    rows: Sequence[TableRow]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class PictureBlock:
+    """A numbered figure; its image is in the document under `name`.
+
+    width, height    inches
+    """
+
+    kind: str
+    label: str
+    caption: str
+    name: str
+    file: str
+    width: float
+    height: float
+
+
+DocumentBlock = TextBlock | ItemsBlock | TableBlock | PictureBlock
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class NumberedSection:
+    """A chapter with its number."""
+
+    number: int
+    anchor: str
+    title: str
+    blocks: Sequence[DocumentBlock]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Page:
+    """All text of a report."""
+
+    title: str
+    question: str
+    study: str
+    machine: str
+    foot: str
+    summary: Sequence[DocumentBlock]
+    sections: Sequence[NumberedSection]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Document:
+    """The text of a report, and its images by name."""
+
+    page: Page
     images: dict[str, style.Image]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Counter:
-    """Running numbers of figures and tables."""
+class Numbering:
+    """Running numbers of figures and tables, and the images drawn so far."""
 
     figures: Iterator[int] = dataclasses.field(
         default_factory=lambda: itertools.count(1)
@@ -38,98 +136,86 @@ class Counter:
     tables: Iterator[int] = dataclasses.field(
         default_factory=lambda: itertools.count(1)
     )
+    images: dict[str, style.Image] = dataclasses.field(default_factory=dict)
 
 
-def build(result: Mapping[str, Any]) -> Document:
-    """All words, tables and pictures of a result."""
-    counter, images = Counter(), dict[str, style.Image]()
+def build(result: StudyResult) -> Document:
+    """All text, tables and pictures of a result."""
+    numbering = Numbering()
     with style.applied():
-        head = _blocks(summary.blocks(result), counter, images)
+        opening = _numbered(summary.blocks(result), numbering)
         chapters = [
-            _section(k, s, counter, images)
-            for k, s in enumerate(sections.chapters(result), 1)
+            _chapter(k, section, numbering)
+            for k, section in enumerate(sections.chapters(result), 1)
         ]
-    data = {
-        "title": _clean(result.get("title") or result["study"]),
-        "question": _clean(result.get("question") or ""),
-        "study": _clean(result["study"]),
-        "machine": _clean(result["machine"]["name"]),
-        "foot": _clean(
-            f"{result['study']} · seed {result['seed']} · pkm-oed {result['version']}"
-        ),
-        "summary": head,
-        "sections": chapters,
-    }
-    return Document(data, images)
+    page = Page(
+        title=clean(result.title or result.study),
+        question=clean(result.question),
+        study=clean(result.study),
+        machine=clean(result.machine.name),
+        foot=clean(footer(result)),
+        summary=opening,
+        sections=chapters,
+    )
+    return Document(page, numbering.images)
 
 
-def _section(
-    number: int, section: Section, counter: Counter, images: dict[str, style.Image]
-) -> dict[str, Any]:
-    blocks = _blocks(section.blocks, counter, images)
-    return {
-        "number": number,
-        "anchor": section.anchor,
-        "title": section.title,
-        "blocks": blocks,
-    }
+def footer(result: StudyResult) -> str:
+    """Study, seed and version, for the foot of each page."""
+    return f"{result.study} · seed {result.seed} · pkm-oed {result.version}"
 
 
-def _blocks(
-    blocks: Sequence[Block], counter: Counter, images: dict[str, style.Image]
-) -> list[dict[str, Any]]:
-    return [{"kind": block.kind, **_told(block, counter, images)} for block in blocks]
+def clean(text: str) -> str:
+    """Text without control characters and lone surrogates."""
+    visible = text.translate(INVISIBLE)
+    decodable = visible.encode("utf-8", "replace").decode("utf-8")
+    return decodable.replace("\r\n", "\n")
 
 
-def _told(
-    block: Block, counter: Counter, images: dict[str, style.Image]
-) -> dict[str, Any]:
-    """The entries of one block; pictures are drawn here."""
-    if isinstance(block, Table):
-        return _table(block, next(counter.tables))
-    if isinstance(block, Picture):
-        images[block.name] = style.render(block.draw())
-        return {
-            "label": f"Figure {next(counter.figures)}",
-            "caption": _clean(block.caption),
-            "name": block.name,
-            "file": f"{block.name}.svg",
-            "width": float(images[block.name].width),
-            "height": float(images[block.name].height),
-        }
-    if isinstance(block, Items):
-        return {
-            "items": [_clean(item) for item in block.items],
-            "numbered": block.numbered,
-        }
-    if isinstance(block, Code):
-        return {"text": _clean(block.text).rstrip("\n")}
-    return {"text": _clean(block.text)}
+def _chapter(number: int, section: Section, numbering: Numbering) -> NumberedSection:
+    blocks = _numbered(section.blocks, numbering)
+    return NumberedSection(number, section.anchor, section.title, blocks)
 
 
-def _table(table: Table, number: int) -> dict[str, Any]:
-    columns = [
-        {"title": _clean(c.title), "number": c.number, "wide": c.wide}
-        for c in table.columns
-    ]
+def _numbered(blocks: Sequence[Block], numbering: Numbering) -> list[DocumentBlock]:
+    return [_block(block, numbering) for block in blocks]
+
+
+def _block(block: Block, numbering: Numbering) -> DocumentBlock:
+    """One block for the writers; pictures are drawn here."""
+    match block:
+        case Table():
+            return _table(block, next(numbering.tables))
+        case Picture():
+            image = style.render(block.draw())
+            numbering.images[block.name] = image
+            return _picture(block, next(numbering.figures), image)
+        case Items():
+            items = [clean(item) for item in block.items]
+            return ItemsBlock(block.kind, items, block.numbered)
+        case Code():
+            return TextBlock(block.kind, clean(block.text).rstrip("\n"))
+        case Paragraph() | Notice():
+            return TextBlock(block.kind, clean(block.text))
+
+
+def _table(table: Table, number: int) -> TableBlock:
+    columns = [ColumnHead(clean(c.title), c.number, c.wide) for c in table.columns]
     rows = [
-        {"mark": table.mark(k), "cells": [_clean(cell) for cell in row]}
+        TableRow(table.mark(k), [clean(cell) for cell in row])
         for k, row in enumerate(table.rows)
     ]
-    return {
-        "label": f"Table {number}",
-        "caption": _clean(table.caption),
-        "columns": columns,
-        "rows": rows,
-    }
+    caption = clean(table.caption)
+    return TableBlock(table.kind, f"Table {number}", caption, columns, rows)
 
 
-def _clean(text: Any) -> str:
-    """Text without control characters and lone surrogates."""
-    return (
-        str(text)
-        .translate(INVISIBLE)
-        .encode("utf-8", "replace")
-        .decode("utf-8")
-        .replace("\r\n", "\n")
+def _picture(picture: Picture, number: int, image: style.Image) -> PictureBlock:
+    return PictureBlock(
+        kind=picture.kind,
+        label=f"Figure {number}",
+        caption=clean(picture.caption),
+        name=picture.name,
+        file=f"{picture.name}.svg",
+        width=float(image.width),
+        height=float(image.height),
     )

@@ -1,6 +1,4 @@
-"""One HTML file that needs nothing else: no network, no script, no font, no second
-file.
-"""
+"""The report as one HTML file that loads nothing: no script, no font, no second file."""
 
 from __future__ import annotations
 
@@ -12,8 +10,8 @@ from pkm_reports.document import Document
 
 
 def render(document: Document) -> bytes:
-    """The page as UTF-8 bytes; every text is escaped by the template engine."""
-    page = _template().render(doc=document.data, images=document.images)
+    """The page as UTF-8 bytes; the template engine escapes every text."""
+    page = _template().render(doc=document.page, images=document.images)
     return page.encode("utf-8")
 
 

@@ -1,45 +1,50 @@
-"""The same report on A4 pages, set by typst."""
+"""The report as a PDF of A4 pages, set by typst."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from importlib import resources
 from typing import Any
 
+import msgspec
 import typst
 
 from pkm_reports.document import Document
 from pkm_reports.style import Image
 
+POINTS_PER_INCH = 72.0
+
 
 def render(document: Document) -> bytes:
-    """The PDF's bytes.
+    """The bytes of the PDF; the same document gives the same bytes.
 
-    Words reach typst as JSON, hence as strings that it never reads as markup. The time
-    stamp is fixed, for the same bytes each time.
+    Text reaches typst as JSON, hence as strings that it never reads as markup.
     """
-    template = (
-        resources.files("pkm_reports").joinpath("templates", "report.typ").read_bytes()
-    )
-    words = json.dumps(document.data, ensure_ascii=False).encode("utf-8")
-    files = {f"{name}.svg": _svg(image) for name, image in document.images.items()}
-    compiler: Any = (
-        typst.compile
-    )  # its stubs do not know that several files can be given as bytes
-    pages = compiler(
-        {"main.typ": template, "report.json": words, **files}, format="pdf", timestamp=0
-    )
+    images = {f"{name}.svg": _svg(image) for name, image in document.images.items()}
+    words = msgspec.json.encode(document.page)
+    return compile_typst("report.typ", {"report.json": words, **images})
+
+
+def compile_typst(template: str, files: Mapping[str, bytes]) -> bytes:
+    """The PDF of a template of this package with the files that it reads.
+
+    The time stamp is fixed, so that the same input gives the same bytes.
+    """
+    folder = resources.files("pkm_reports").joinpath("templates")
+    main = folder.joinpath(template).read_bytes()
+    # The stubs of typst do not know that several files can be given as bytes.
+    compiler: Any = typst.compile
+    pages = compiler({"main.typ": main, **files}, format="pdf", timestamp=0)
     if not isinstance(pages, bytes):
-        raise TypeError("typst gave no single file")
+        raise TypeError("typst returned no single file")
     return pages
 
 
 def _svg(image: Image) -> bytes:
-    """The image as SVG: typst takes only text from memory, so pixels are wrapped."""
+    """The image as SVG: typst reads only text from memory, so pixels are wrapped."""
     if image.kind == "svg":
         return image.data
-    size = f'width="{72.0 * image.width:.1f}" height="{72.0 * image.height:.1f}"'
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" {size}><image {size}'
-        f' href="{image.uri}"/></svg>'.encode()
-    )
+    width, height = POINTS_PER_INCH * image.width, POINTS_PER_INCH * image.height
+    size = f'width="{width:.1f}" height="{height:.1f}"'
+    opening = f'<svg xmlns="http://www.w3.org/2000/svg" {size}>'
+    return f'{opening}<image {size} href="{image.uri}"/></svg>'.encode()

@@ -1,41 +1,41 @@
-"""From a decoded result to report.html and report.pdf."""
+"""report.html and report.pdf from the result of a study."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from oed.result import StudyResult
 from pkm_reports import document
-from pkm_reports import html as to_html
-from pkm_reports import pdf as to_pdf
+from pkm_reports import html as html_writer
+from pkm_reports import pdf as pdf_writer
 
 
 def write_report(
-    result: Mapping[str, Any], out: Path, *, html: bool = True, pdf: bool = True
+    result: StudyResult, out: Path, *, html: bool = True, pdf: bool = True
 ) -> tuple[Path, ...]:
-    """Writes `report.html` and `report.pdf`, or one of them, into the folder `out`
-    (made if it is not there).
+    """Write `report.html` and `report.pdf`, or one of them, into the folder `out`.
 
-    `result` is the mapping decoded from result.json. Files are complete or not there:
-    they are written under another name first. Returns their paths, HTML first. Raises
-    OSError where the folder cannot be written.
+    The folder is created where it is missing. Files appear complete or not at all: they
+    are written under another name first. Returns the paths, HTML first. Raises OSError
+    where the folder cannot be written.
     """
-    made = document.build(result)
-    wanted = [("report.html", to_html.render)] * html + [
-        ("report.pdf", to_pdf.render)
-    ] * pdf
-    pages = {name: render(made) for name, render in wanted}
+    report = document.build(result)
+    pages: dict[str, bytes] = {}
+    if html:
+        pages["report.html"] = html_writer.render(report)
+    if pdf:
+        pages["report.pdf"] = pdf_writer.render(report)
     out.mkdir(parents=True, exist_ok=True)
-    return tuple(_whole(out / name, data) for name, data in pages.items())
+    return tuple(_write_whole(out / name, page) for name, page in pages.items())
 
 
-def _whole(path: Path, data: bytes) -> Path:
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+def _write_whole(path: Path, page: bytes) -> Path:
+    """Write a file so that it appears complete or not at all."""
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        part.write_bytes(data)
-        part.replace(path)
+        unfinished.write_bytes(page)
+        unfinished.replace(path)
     finally:
-        part.unlink(missing_ok=True)
+        unfinished.unlink(missing_ok=True)
     return path

@@ -1,201 +1,213 @@
-"""A page to take to the machine: stage by stage the set-up, its settings, and cells for
-what is read.
-
-Poses are those of result.json (`design.poses`), or rows handed over in the same shape:
-mappings with `setup`, `run`, `order`, `command` {coordinate with unit: number} and,
-where known, `reading` {channel with unit: nominal number}.
-"""
+"""A page to take to the machine: set-ups with their settings, and cells to fill in."""
 
 from __future__ import annotations
 
-import json
+import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import typst
+import msgspec
 
-from pkm_reports import words
-from pkm_reports.document import INVISIBLE
+from oed.result import PlannedReading, SetupInfo, StageRecord, StudyResult
+from pkm_reports import missing, pdf, text
+from pkm_reports.document import clean, footer
 
-#: rows on the sheet; the rest is in poses.csv
-MOST: Final = 120
-#: blocks of a table side by side, and the columns that fit beside one another
-BLOCKS: Final = 4
-ACROSS: Final = 20
+#: rows on the sheet; all readings are in poses.csv
+MOST_ROWS: Final = 120
+#: parts of a table side by side, and the columns that fit beside one another
+MOST_PARTS: Final = 4
+COLUMNS_ACROSS: Final = 20
+#: rows of a part from which a table is split
+SHORTEST_PART: Final = 6
 #: height of the tables of a page, and of a row: least and most, mm
-PAGE: Final = 240.0
-LEAST: Final = 4.3
-ROOM: Final = 7.0
-#: height of the words above a stage and above a set-up, mm
-HEAD: Final = 8.0
-SETTING: Final = 10.0
-Part = Mapping[str, Any]
+PAGE_HEIGHT: Final = 240.0
+LEAST_ROW: Final = 4.3
+MOST_ROW: Final = 7.0
+#: height of the text above a stage and above a set-up, mm
+STAGE_HEIGHT: Final = 8.0
+SETUP_HEIGHT: Final = 10.0
+LONGEST_RUN: Final = 12  # characters
 
 
-def write_sheet(result: Part, poses: Sequence[Part] | None, folder: Path) -> Path:
-    """Writes `measurement_sheet.pdf` into the folder (made if it is not there) and
-    returns its path.
+@dataclasses.dataclass(frozen=True, slots=True)
+class SheetTable:
+    """One set-up: its settings, and its readings in parts side by side.
 
-    `result` is the mapping decoded from result.json; `poses` in working order, None for
-    those of the result. Raises ValueError where there are no poses, OSError where the
-    folder cannot be written.
+    titles     of the columns
+    writing    number of columns to write in, the last ones
+    blocks     rows of each part
+    lines      rows of the tallest part with its heading, 0 without rows
+    more       where the rows are that the sheet leaves out
     """
-    rows = list(
-        ((result.get("design") or {}).get("poses") or []) if poses is None else poses
-    )
-    if not rows:
+
+    setup: str
+    settings: str
+    titles: Sequence[str]
+    writing: int
+    blocks: Sequence[Sequence[Sequence[str]]]
+    lines: int
+    more: str
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class SheetStage:
+    """The set-ups of one stage."""
+
+    title: str
+    tables: Sequence[SheetTable]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Sheet:
+    """All text of the sheet; `row` is the height of a row, mm."""
+
+    title: str
+    machine: str
+    foot: str
+    stages: Sequence[SheetStage]
+    row: float
+
+
+def write_sheet(
+    result: StudyResult, poses: Sequence[PlannedReading] | None, folder: Path
+) -> Path:
+    """Write `measurement_sheet.pdf` into a folder and return its path.
+
+    `poses` are in working order; None stands for those of the result. The folder is
+    created where it is missing. Raises ValueError where there are no poses, OSError
+    where the folder cannot be written.
+    """
+    if poses is None:
+        poses = result.design.poses if result.design is not None else []
+    if not poses:
         raise ValueError(
             "a measurement sheet needs poses: the result holds none, and none were"
             " handed over"
         )
-    template = (
-        resources.files("pkm_reports").joinpath("templates", "sheet.typ").read_bytes()
-    )
-    told = json.dumps(_clean(sheet(result, rows)), ensure_ascii=False).encode("utf-8")
-    compiler: Any = (
-        typst.compile
-    )  # its stubs do not know that several files can be given as bytes
-    pages = compiler(
-        {"main.typ": template, "sheet.json": told}, format="pdf", timestamp=0
-    )
+    words = msgspec.json.encode(build(result, poses))
+    page = pdf.compile_typst("sheet.typ", {"sheet.json": words})
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "measurement_sheet.pdf"
-    path.write_bytes(pages)
+    path.write_bytes(page)
     return path
 
 
-def sheet(result: Part, poses: Sequence[Part]) -> dict[str, Any]:
-    """The sheet as text: stages of tables, each in blocks that stand side by side."""
-    settings = {str(s["name"]): s for s in result.get("setups") or []}
-    stages, room = [], MOST
+def build(result: StudyResult, poses: Sequence[PlannedReading]) -> Sheet:
+    """The sheet as text: stages of tables."""
+    settings = {setup.name: _settings(setup) for setup in result.setups}
+    stages, room = [], MOST_ROWS
     for title, setups in _stages(result, poses):
         tables = []
         for name in setups:
-            mine = [p for p in poses if str(p["setup"]) == name]
-            shown = mine[: max(room, 0)]
+            of_setup = [pose for pose in poses if pose.setup == name]
+            shown = of_setup[: max(room, 0)]
             room -= len(shown)
-            tables.append(_table(name, settings.get(name), shown, len(mine)))
-        stages.append({"title": title, "tables": tables})
-    return {
-        "title": str(result.get("title") or result.get("study") or "Measurements"),
-        "machine": str((result.get("machine") or {}).get("name") or ""),
-        "foot": (
-            f"{result.get('study', '')} · seed {result.get('seed', '')} · pkm-oed"
-            f" {result.get('version', '')}"
-        ),
-        "stages": stages,
-        "row": _row_height(stages),
-    }
+            table = _table(name, settings, shown, len(of_setup))
+            tables.append(table)
+        stages.append(SheetStage(clean(title), tables))
+    return Sheet(
+        title=clean(result.title or result.study or "Measurements"),
+        machine=clean(result.machine.name),
+        foot=clean(footer(result)),
+        stages=stages,
+        row=_row_height(stages),
+    )
 
 
-def _stages(result: Part, poses: Sequence[Part]) -> Iterator[tuple[str, list[str]]]:
+def _stages(
+    result: StudyResult, poses: Sequence[PlannedReading]
+) -> Iterator[tuple[str, list[str]]]:
     """Title and set-ups of each stage; set-ups that no stage names come last."""
-    told: list[str] = []
-    for k, stage in enumerate((result.get("plan") or {}).get("stages") or [], 1):
-        mine = [
-            str(name) for name in stage.get("setups") or [] if str(name) not in told
-        ]
-        told += mine
-        title = f"Stage {k}: {stage['measurement']}"
-        if stage.get("begin_min") is not None:
-            title += (
-                f", {words.plain(stage['begin_min'], 3)} to"
-                f" {words.plain(stage.get('end_min'), 3)}{words.GAP}min"
-            )
-        title += f", {stage['operator']}" if stage.get("operator") else ""
-        yield title, mine
-    left = [
-        name
-        for name in dict.fromkeys(str(p["setup"]) for p in poses)
-        if name not in told
-    ]
-    if left:
-        yield "Readings", left
+    listed: list[str] = []
+    planned = [] if result.plan is None else result.plan.stages
+    for k, stage in enumerate(planned, 1):
+        setups = [name for name in stage.setups if name not in listed]
+        listed += setups
+        yield _stage_title(k, stage), setups
+    others = dict.fromkeys(pose.setup for pose in poses if pose.setup not in listed)
+    if others:
+        yield "Readings", list(others)
+
+
+def _stage_title(k: int, stage: StageRecord) -> str:
+    title = f"Stage {k}: {stage.measurement}"
+    if stage.begin_min is not None:
+        begin, end = text.trimmed(stage.begin_min, 3), text.trimmed(stage.end_min, 3)
+        title += f", {begin} to {end}{text.NO_BREAK}min"
+    if stage.operator:
+        title += f", {stage.operator}"
+    return title
 
 
 def _table(
-    name: str, setting: Part | None, poses: Sequence[Part], count: int
-) -> dict[str, Any]:
-    """One set-up: what to set, and its rows in blocks; `more` says how many rows are
-    left out.
-    """
-    commands = list(dict.fromkeys(key for p in poses for key in p.get("command") or {}))
-    readings = list(
-        dict.fromkeys(key for p in poses for key in p.get("reading") or {})
-    ) or ["reading"]
-    runs = len({str(p.get("run")) for p in poses}) > 1
-    cells = [[str(k) for k in range(1, len(poses) + 1)]]
-    cells += [[words.cut(str(p.get("run", "")), 12) for p in poses]] if runs else []
-    cells += [
-        words.column([(p.get("command") or {}).get(c) for p in poses], most=3)
-        for c in commands
-    ]
-    rows = [list(row) + [""] * len(readings) for row in zip(*cells, strict=True)]
-    titles = [
-        "No.",
-        *(["Run"] if runs else []),
-        *[words.heading(k) for k in (*commands, *readings)],
-    ]
-    # A cell to write in takes the room of two numbers.
-    blocks = max(
-        1,
-        min(BLOCKS, ACROSS // (len(titles) + len(readings)), math.ceil(len(rows) / 6)),
+    name: str,
+    settings: Mapping[str, str],
+    poses: Sequence[PlannedReading],
+    count: int,
+) -> SheetTable:
+    """One set-up with the poses shown, out of `count`."""
+    commands = list(dict.fromkeys(key for pose in poses for key in pose.command))
+    channels = list(dict.fromkeys(key for pose in poses for key in pose.reading))
+    channels = channels or ["reading"]
+    titles, cells = ["No."], [[str(k) for k in range(1, len(poses) + 1)]]
+    runs = [pose.run for pose in poses]
+    if len(set(runs)) > 1:
+        titles.append("Run")
+        cells.append([text.shorten(run, LONGEST_RUN) for run in runs])
+    for key in commands:
+        titles.append(text.heading(key))
+        cells.append(
+            text.aligned(missing.column([pose.command for pose in poses], key), most=3)
+        )
+    titles += [text.heading(key) for key in channels]
+    empty = [""] * len(channels)
+    rows = [[*row, *empty] for row in zip(*cells, strict=True)]
+    per_part = _rows_per_part(len(rows), len(titles) + len(channels))
+    return SheetTable(
+        setup=clean(name),
+        settings=clean(settings.get(name, "")),
+        titles=[clean(title) for title in titles],
+        writing=len(channels),
+        blocks=[
+            [[clean(cell) for cell in row] for row in rows[k : k + per_part]]
+            for k in range(0, len(rows), per_part)
+        ],
+        lines=per_part + 1 if rows else 0,
+        more=_more(count - len(poses), count),
     )
-    each = max(1, math.ceil(len(rows) / blocks))
-    return {
-        "setup": name,
-        "settings": _settings(setting),
-        "titles": titles,
-        "writing": len(readings),
-        "blocks": [rows[k : k + each] for k in range(0, len(rows), each)],
-        "lines": each + 1 if rows else 0,
-        "more": _more(count - len(poses), count),
-    }
 
 
-def _more(left: int, count: int) -> str:
+def _rows_per_part(rows: int, width: int) -> int:
+    """Rows of each part of a table of so many columns.
+
+    A cell to write in takes the width of two columns, so it counts twice.
+    """
+    parts = min(MOST_PARTS, COLUMNS_ACROSS // width, math.ceil(rows / SHORTEST_PART))
+    return max(1, math.ceil(rows / max(1, parts)))
+
+
+def _more(omitted: int, count: int) -> str:
     """Where the rows are that the sheet leaves out."""
     if not count:
         return "Poses and readings: see poses.csv"
-    return (
-        f"{words.count(left, 'more reading' if left < count else 'reading')}: see"
-        " poses.csv"
-        if left
-        else ""
-    )
-
-
-def _settings(setting: Part | None) -> str:
-    """Instrument and settings in a line."""
-    if setting is None:
+    if not omitted:
         return ""
-    numbers = words.numbers(setting.get("numbers") or {})
-    return " · ".join(
-        text
-        for text in (str(setting.get("instrument", "")), numbers)
-        if text and text != words.MISSING
-    )
+    noun = "more reading" if omitted < count else "reading"
+    return f"{text.count(omitted, noun)}: see poses.csv"
 
 
-def _row_height(stages: Sequence[Part]) -> float:
+def _settings(setup: SetupInfo) -> str:
+    """Instrument and settings in a line."""
+    parts = [setup.instrument, text.named_quantities(setup.numbers)]
+    return " · ".join(part for part in parts if part and part != text.MISSING)
+
+
+def _row_height(stages: Sequence[SheetStage]) -> float:
     """mm: as much room to write as fits on the page."""
-    tables = [table for stage in stages for table in stage["tables"]]
-    lines = sum(int(table["lines"]) for table in tables)
-    words_above = HEAD * len(stages) + SETTING * len(tables)
-    return round(min(ROOM, max(LEAST, (PAGE - words_above) / max(lines, 1))), 2)
-
-
-def _clean(told: Any) -> Any:
-    """The same without control characters and lone surrogates."""
-    if isinstance(told, dict):
-        return {key: _clean(value) for key, value in told.items()}
-    if isinstance(told, list):
-        return [_clean(value) for value in told]
-    return (
-        told.translate(INVISIBLE).encode("utf-8", "replace").decode("utf-8")
-        if isinstance(told, str)
-        else told
-    )
+    tables = [table for stage in stages for table in stage.tables]
+    lines = sum(table.lines for table in tables)
+    headings = STAGE_HEIGHT * len(stages) + SETUP_HEIGHT * len(tables)
+    height = (PAGE_HEIGHT - headings) / max(lines, 1)
+    return round(min(MOST_ROW, max(LEAST_ROW, height)), 2)

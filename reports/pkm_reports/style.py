@@ -1,20 +1,18 @@
-"""One look for all figures: sizes, colours that colour-blind readers can tell apart,
-plain-text labels.
-"""
+"""The look of all figures: sizes, colours for colour-blind readers, axes and legends."""
 
 from __future__ import annotations
 
 import base64
 import dataclasses
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from typing import Any, Final
 
 import matplotlib.style
-import numpy as np
 from matplotlib import font_manager, ft2font
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import (
@@ -26,31 +24,33 @@ from matplotlib.ticker import (
     NullLocator,
 )
 
-from pkm_reports import words
+from pkm_reports import text
 
 #: inches; the text width of an A4 page, so that figures keep their letter size in print
 WIDTH: Final = 6.7
 
 INK, GREY, LIGHT = "#1f2933", "#7b8794", "#cbd2d9"
-BLUE, ORANGE, GREEN, RED, SKY, PINK = (
-    "#0072b2",
-    "#e69f00",
-    "#009e73",
-    "#d55e00",
-    "#56b4e9",
-    "#cc79a7",
-)
-#: categories, in the order in which they are given out (Okabe and Ito)
-CYCLE: Final = (BLUE, ORANGE, GREEN, RED, SKY, PINK, "#8c6d1f", GREY)
+BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
+SKY, PINK, BROWN = "#56b4e9", "#cc79a7", "#8c6d1f"
+#: background of a marked range
+SHADE: Final = "#eef1f4"
+#: colours of categories, in the order in which they are used (Okabe and Ito)
+CYCLE: Final = (BLUE, ORANGE, GREEN, RED, SKY, PINK, BROWN, GREY)
 #: colours too light for white letters
 PALE: Final = (ORANGE, SKY, PINK)
 MARKERS: Final = ("o", "s", "D", "^", "v", "P", "X", "h")
-#: amounts, light for little and dark for much
+#: colour map of amounts, light for little and dark for much
 AMOUNT: Final = "YlGnBu"
 
 #: above this many bytes a figure is stored as pixels
 LARGEST_SVG: Final = 300_000
 PIXELS_PER_INCH: Final = 180
+#: characters of all legend entries that fit side by side, and those of a marker
+LEGEND_CHARACTERS: Final = 110
+MARKER_CHARACTERS: Final = 7
+#: range of a log axis (factor) below which it is labelled at 1, 2, 5, and evenly
+NARROW: Final = 150.0
+SHORT: Final = 6.0
 
 RC: Final[dict[str, Any]] = {
     "axes.axisbelow": True,
@@ -77,12 +77,13 @@ RC: Final[dict[str, Any]] = {
     "lines.markersize": 4.0,
     "patch.linewidth": 0.6,
     "savefig.facecolor": "white",
-    "svg.fonttype": "path",  # no font of the reader's machine is needed
-    "svg.hashsalt": (
-        "pkm_reports"
-    ),  # the same identifiers, hence the same bytes, each time
+    # Letters are drawn as paths: the reader's machine needs no font.
+    "svg.fonttype": "path",
+    # A fixed salt gives the same identifiers, hence the same bytes, each time.
+    "svg.hashsalt": "pkm_reports",
     "text.color": INK,
-    "text.parse_math": False,  # names may hold a dollar sign
+    # Names may hold a dollar sign.
+    "text.parse_math": False,
     "xtick.color": INK,
     "xtick.labelsize": 7.5,
     "ytick.color": INK,
@@ -92,61 +93,66 @@ RC: Final[dict[str, Any]] = {
 }
 
 
+# -- figures and images ----------------------------------------------------------------
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class Image:
-    """A rendered figure: bytes of an SVG or PNG file, and its shape."""
+    """A rendered figure.
+
+    data             bytes of an SVG or PNG file
+    kind             svg or png
+    width, height    inches
+    """
 
     data: bytes
-    kind: str  # svg | png
-    width: float  # inches
+    kind: str
+    width: float
     height: float
 
     @property
     def uri(self) -> str:
-        """The image as a data URI: it needs no second file, and its identifiers clash
-        with no other image.
-        """
+        """The image as a data URI: its identifiers clash with no other image."""
         media = {"svg": "image/svg+xml", "png": "image/png"}[self.kind]
         return f"data:{media};base64,{base64.b64encode(self.data).decode('ascii')}"
 
 
 @contextmanager
 def applied() -> Iterator[None]:
-    """The house style, whatever the user's own matplotlib settings are."""
+    """Draw in this style, whatever the user's own matplotlib settings are."""
     with matplotlib.style.context(RC, after_reset=True):
         yield
 
 
 def figure(height: float, width: float = WIDTH) -> Figure:
-    """An empty figure, inches; built without pyplot, so no window system and no global
-    state.
-    """
+    """An empty figure, in inches, without pyplot: no window system, no global state."""
     return Figure(figsize=(width, height))
 
 
 def empty(message: str) -> Figure:
     """A figure that says why it shows nothing."""
-    drawn = figure(1.0)
-    drawn.text(
-        0.5, 0.5, safe(message, 120), ha="center", va="center", color=GREY, fontsize=9
-    )
-    return drawn
+    blank = figure(1.0)
+    look: Any = {"ha": "center", "va": "center", "color": GREY, "fontsize": 9}
+    blank.text(0.5, 0.5, label(message, 120), **look)
+    return blank
 
 
 def render(drawn: Figure) -> Image:
     """SVG where it stays small, else PNG; the same figure gives the same bytes."""
+    width, height = drawn.get_size_inches()
     data = _saved(drawn, "svg", {"Date": None, "Creator": None})
     if len(data) <= LARGEST_SVG:
-        return Image(data, "svg", *drawn.get_size_inches())
-    return Image(
-        _saved(drawn, "png", {"Software": None}), "png", *drawn.get_size_inches()
-    )
+        return Image(data, "svg", width, height)
+    return Image(_saved(drawn, "png", {"Software": None}), "png", width, height)
 
 
-def _saved(drawn: Figure, kind: str, metadata: dict[str, None]) -> bytes:
+def _saved(drawn: Figure, kind: str, metadata: Mapping[str, None]) -> bytes:
     buffer = io.BytesIO()
     drawn.savefig(buffer, format=kind, metadata=metadata, dpi=PIXELS_PER_INCH)
     return buffer.getvalue()
+
+
+# -- labels, markers, colours ----------------------------------------------------------
 
 
 @cache
@@ -155,19 +161,14 @@ def _glyphs() -> frozenset[int]:
     return frozenset(ft2font.FT2Font(path).get_charmap())
 
 
-def safe(text: str, longest: int = 30) -> str:
-    """A label that can be drawn: one line, cut where too long, `?` for signs that the
-    font lacks.
-    """
-    line = " ".join(str(text).split())
-    line = line if len(line) <= longest else line[: longest - 1].rstrip() + "…"
+def label(words: str, longest: int = 30) -> str:
+    """Text that can be drawn: one short line, `?` for characters that the font lacks."""
+    line = text.shorten(" ".join(words.split()), longest)
     return "".join(sign if ord(sign) in _glyphs() else "?" for sign in line)
 
 
 def marker(k: int) -> str:
-    """The k-th marker; shifted against the colours, so that colour and marker together
-    repeat late.
-    """
+    """The k-th marker; markers and colours run apart, so that pairs repeat late."""
     return MARKERS[(k + k // len(CYCLE)) % len(MARKERS)]
 
 
@@ -177,48 +178,79 @@ def colours(names: Sequence[str]) -> dict[str, str]:
     return {name: CYCLE[k % len(CYCLE)] for k, name in enumerate(distinct)}
 
 
+# -- axes ------------------------------------------------------------------------------
+
+
 class PlainLog(Formatter):
     """Labels of a log axis: 0.01, 1, 100, and 10⁻⁶ where that is too long."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         """Label of one tick."""
-        return words.plain(x, 3) if x > 0 else ""
-
-
-def legend_columns(labels: Sequence[str]) -> int:
-    """How many entries of a legend below the figure stand side by side."""
-    return max(1, min(len(labels), 110 // (7 + max(map(len, labels), default=1))))
+        return text.trimmed(x, 3) if x > 0 else ""
 
 
 def log_axis(axes: Axes, which: str) -> None:
-    """Logarithmic scale with plain labels; a range of under two decades is labelled at
-    1, 2, 5, a short one evenly.
+    """Give the x or y axis a log scale with plain labels.
+
+    A range of under two decades is labelled at 1, 2, 5; a short one evenly.
     """
     getattr(axes, f"set_{which}scale")("log")
     axis = getattr(axes, f"{which}axis")
     low, high = sorted(getattr(axes, f"get_{which}lim")())
-    narrow = high < 150.0 * low
-    axis.set_major_locator(
-        LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,), numticks=12)
-    )
+    narrow = high < NARROW * low
+    steps = (1.0, 2.0, 5.0) if narrow else (1.0,)
+    axis.set_major_locator(LogLocator(subs=steps, numticks=12))
     axis.set_major_formatter(PlainLog())
     axis.set_minor_formatter(NullFormatter())
     if narrow:
         axis.set_minor_locator(NullLocator())
-    if high < 6.0 * low:
+    if high < SHORT * low:
         axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
 
 
 def fixed_ticks(
     axes: Axes, which: str, places: Sequence[float], labels: Sequence[str]
 ) -> None:
-    """Ticks at given places with given (safe) labels."""
+    """Put ticks at given places with given labels."""
     axis = getattr(axes, f"{which}axis")
     axis.set_major_locator(FixedLocator(list(places)))
-    axis.set_ticklabels([safe(label) for label in labels])
+    axis.set_ticklabels([label(words) for words in labels])
     axis.set_minor_locator(NullLocator())
 
 
-def array(values: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Numbers from JSON as floats; null (a number that was not finite) becomes NaN."""
-    return np.array(values, dtype=object).astype(float) if len(values) else np.zeros(0)
+def hide(panels: Iterable[Axes]) -> None:
+    """Hide the panels of a grid that nothing is drawn in."""
+    for axes in panels:
+        axes.set_visible(False)
+
+
+# -- legends ---------------------------------------------------------------------------
+
+
+def legend_entries(panels: Iterable[Axes]) -> dict[str, Artist]:
+    """Legend entries of all panels by their label, each once."""
+    entries: dict[str, Artist] = {}
+    for axes in panels:
+        for handle, words in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries[words] = handle
+    return entries
+
+
+def legend_columns(labels: Sequence[str]) -> int:
+    """How many entries of a legend below the figure stand side by side."""
+    longest = max(map(len, labels), default=1)
+    fitting = LEGEND_CHARACTERS // (MARKER_CHARACTERS + longest)
+    return max(1, min(len(labels), fitting))
+
+
+def legend_below(
+    drawn: Figure, entries: Mapping[str, Artist], columns: int | None = None
+) -> None:
+    """A legend below all panels, in as many columns as fit or as are given."""
+    labels = list(entries)
+    drawn.legend(
+        list(entries.values()),
+        labels,
+        loc="outside lower center",
+        ncols=legend_columns(labels) if columns is None else columns,
+    )

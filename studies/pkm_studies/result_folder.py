@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -15,7 +14,9 @@ from oed.result import StudyResult
 from pkm_studies import files
 from pkm_studies.errors import Place
 from pkm_studies.run_state import RunState
+from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.stages.plan import files as plan_files
+from pkm_studies.stages.plan.section import PlanOutcome
 
 #: bytes of the largest result that is read
 LIMIT = 1 << 28
@@ -37,7 +38,7 @@ def write(folder: Path, result: StudyResult, state: RunState, *, sheet: bool) ->
         poses_json = plan_files.poses_json(state.plan)
         files.write_whole(folder / "plan_poses.json", poses_json)
         if sheet:
-            _write_sheet(folder, result, poses_json)
+            _write_sheet(folder, result, state.plan)
 
 
 def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
@@ -46,12 +47,15 @@ def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
     return dataset.to_csv(dataset.from_series(series, empty, measurement))
 
 
-def _write_sheet(folder: Path, result: StudyResult, poses_json: bytes | str) -> None:
+def _write_sheet(folder: Path, result: StudyResult, plan: PlanOutcome) -> None:
     from pkm_reports import write_sheet
 
-    stages = msgspec.json.decode(poses_json)["stages"]
-    poses = [pose for stage in stages for pose in stage["poses"]]
-    write_sheet(msgspec.to_builtins(result), poses, folder)
+    poses = [
+        reading
+        for series in plan.scheduled
+        for reading in planned_readings(plan.measurement, series)
+    ]
+    write_sheet(result, poses, folder)
 
 
 def write_report(
@@ -63,18 +67,16 @@ def write_report(
     return write_report(load_result(folder), folder, html=html, pdf=pdf)
 
 
-def load_result(folder: Path) -> Mapping[str, Any]:
-    """The result in a folder as plain tables and lists.
+def load_result(folder: Path) -> StudyResult:
+    """The result in a folder; keys that its file lacks have their defaults.
 
     Raises InputError where there is none, or the file is no result.
     """
     path = folder / "result.json"
     text = files.read_text(path, limit=LIMIT, what="result")
     try:
-        result = msgspec.json.decode(text, type=StudyResult)
+        return msgspec.json.decode(text, type=StudyResult)
     except msgspec.DecodeError as error:
         raise Place(str(path)).error(
             f"this is no result: {error}", "make it again with `oed run`"
         ) from error
-    tables: Mapping[str, Any] = msgspec.to_builtins(result)
-    return tables

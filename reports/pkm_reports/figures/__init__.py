@@ -1,3 +1,1 @@
-"""One figure a file: each module has `draw`, from a part of the result to a matplotlib
-figure.
-"""
+"""The figures of a report, one a file: each has `draw`, from a section of the result."""

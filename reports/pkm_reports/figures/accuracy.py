@@ -1,109 +1,108 @@
-"""Residual accuracy of each pose component, before and after, on a log scale, lengths
-and angles apart.
+"""Residual accuracy of each pose component before and after calibration, as bars.
+
+Lengths and angles have panels of their own, each on a log scale.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pkm_reports import style, words
+from oed.arrays import Array
+from oed.result import ComponentAccuracy, PredictionSection, SpreadRecord
+from pkm_reports import style, text
 
-Parts = Mapping[str, Mapping[str, Any]]
-Bars = Sequence[tuple[str, str, str]]
-BARS: Final = (
+Components = Mapping[str, ComponentAccuracy]
+State = Literal["before", "after", "known"]
+#: what each bar of a component shows: attribute, label, colour
+Bar = tuple[State, str, str]
+BARS: Final[tuple[Bar, ...]] = (
     ("before", "before", style.LIGHT),
     ("after", "after correction by the controller", style.BLUE),
     ("known", "if further axes corrected it too", style.GREEN),
 )
 REALISED: Final = "realised, virtual machine"
+#: width of a bar, and distance between the bars of a component
+BAR_WIDTH, BAR_STEP = 0.25, 0.27
 
 
-def draw(prediction: Mapping[str, Any]) -> Figure:
-    """Bars of rms over the workspace; diamonds where a virtual machine showed what came
-    true.
-    """
-    parts: Parts = prediction.get("components") or {}
-    if not parts:
+def draw(prediction: PredictionSection) -> Figure:
+    """Bars of the rms over the workspace, with a diamond for the virtual machine."""
+    components = prediction.components
+    if not components:
         return style.empty("No predicted accuracy is stored in this result.")
-    units = list(dict.fromkeys(part["after"]["unit"] for part in parts.values()))
+    units = list(dict.fromkeys(c.after.unit for c in components.values()))
     groups = [
-        {n: p for n, p in parts.items() if p["after"]["unit"] == unit} for unit in units
+        {name: c for name, c in components.items() if c.after.unit == unit}
+        for unit in units
     ]
-    bars = BARS[:2] if same(parts) else BARS
+    bars = BARS[:2] if all_correctable(components) else BARS
     figure = style.figure(2.8)
-    panels = figure.subplots(
-        1, len(units), squeeze=False, width_ratios=[len(g) for g in groups]
-    )[0]
-    for axes, unit, group in zip(panels, units, groups, strict=True):
-        _panel(axes, group, bars, prediction.get("realised") or {})
-        axes.set_ylabel(f"rms error [{words.unit(unit)}]")
-    named = dict(zip(*panels[0].get_legend_handles_labels()[::-1], strict=True))
-    labels = [label for _, label, _ in bars] + [
-        label for label in named if label == REALISED
-    ]
-    figure.legend(
-        [named[label] for label in labels],
-        labels,
-        loc="outside lower center",
-        ncols=len(labels),
-    )
+    widths = [len(group) for group in groups]
+    grid = figure.subplots(1, len(units), squeeze=False, width_ratios=widths)
+    for axes, unit, group in zip(grid[0], units, groups, strict=True):
+        _panel(axes, group, bars, prediction.realised or {})
+        axes.set_ylabel(f"rms error [{text.unit_symbol(unit)}]")
+    entries = style.legend_entries(grid[0][:1])
+    labels = [label for _, label, _ in bars] + [REALISED]
+    ordered = {label: entries[label] for label in labels if label in entries}
+    style.legend_below(figure, ordered, len(ordered))
     return figure
 
 
-def same(parts: Parts) -> bool:
-    """Whether `known` tells nothing beyond `after`: the controller corrects all
-    components.
-    """
-    return all(part["known"]["rms"] == part["after"]["rms"] for part in parts.values())
+def all_correctable(components: Components) -> bool:
+    """Whether the controller corrects all components, so that `known` adds nothing."""
+    return all(c.known.rms == c.after.rms for c in components.values())
 
 
-def _panel(axes: Axes, group: Parts, bars: Bars, realised: Mapping[str, Any]) -> None:
-    at = np.arange(len(group))
-    for k, (key, label, colour) in enumerate(bars):
-        heights = [words.number(part[key]["rms"]) for part in group.values()]
-        axes.bar(
-            at + 0.27 * (k - (len(bars) - 1) / 2.0),
-            np.where(np.array(heights) > 0, heights, np.nan),
-            0.25,
-            color=colour,
-            label=label,
-        )
-    true = np.array(
-        [words.number((realised.get(name) or {}).get("rms")) for name in group]
+def _panel(
+    axes: Axes,
+    group: Components,
+    bars: Sequence[Bar],
+    realised: Mapping[str, SpreadRecord],
+) -> None:
+    places = np.arange(len(group))
+    for k, (state, label, colour) in enumerate(bars):
+        sizes = [spread(component, state).rms for component in group.values()]
+        heights = np.array(sizes)
+        shift = BAR_STEP * (k - (len(bars) - 1) / 2.0)
+        positive = np.where(heights > 0.0, heights, np.nan)
+        axes.bar(places + shift, positive, BAR_WIDTH, color=colour, label=label)
+    shown = np.array(
+        [realised[name].rms if name in realised else np.nan for name in group]
     )
-    if np.isfinite(true).any():
-        axes.plot(
-            at,
-            true,
-            "D",
-            color=style.ORANGE,
-            mec=style.INK,
-            mew=0.6,
-            ms=5,
-            label=REALISED,
-        )
+    if np.isfinite(shown).any():
+        look: Any = {"color": style.ORANGE, "mec": style.INK, "mew": 0.6, "ms": 5}
+        axes.plot(places, shown, "D", label=REALISED, **look)
     style.log_axis(axes, "y")
-    _room(axes, group, true)
-    labels = [
-        name if part["compensatable"] else f"{name} *" for name, part in group.items()
-    ]
-    style.fixed_ticks(axes, "x", at.tolist(), labels)
+    _set_limits(axes, group, shown)
+    labels = [name if c.compensatable else f"{name} *" for name, c in group.items()]
+    style.fixed_ticks(axes, "x", places.tolist(), labels)
     axes.grid(False, axis="x")
 
 
-def _room(axes: Axes, group: Parts, true: Any) -> None:
-    """Limits from a third of the smallest to twice the largest, so that no bar
-    vanishes.
-    """
-    values = [
-        words.number(part[key]["rms"]) for part in group.values() for key, _, _ in BARS
+def spread(component: ComponentAccuracy, state: State) -> SpreadRecord:
+    """Errors of a component in one state."""
+    spreads = {
+        "before": component.before,
+        "after": component.after,
+        "known": component.known,
+    }
+    return spreads[state]
+
+
+def _set_limits(axes: Axes, group: Components, realised: Array) -> None:
+    """From a third of the smallest to twice the largest, so that no bar vanishes."""
+    states = [state for state, _, _ in BARS]
+    heights = [
+        spread(component, state).rms for component in group.values() for state in states
     ]
-    values = [v for v in [*values, *true] if np.isfinite(v) and v > 0]
-    if values:
-        axes.set_ylim(min(values) / 3.0, 2.0 * max(values))
+    sizes = np.array([*heights, *realised])
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
+    if sizes.size:
+        axes.set_ylim(sizes.min() / 3.0, 2.0 * sizes.max())
         style.log_axis(axes, "y")

@@ -1,8 +1,8 @@
-"""Readings that the fit did not see, against what it predicted."""
+"""Residuals of held-out readings, with their predictive intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,44 +10,35 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pkm_reports import style, words
+from oed.result import HeldOutSection
+from pkm_reports import missing, style, text
 
 
-def draw(sets: Sequence[Mapping[str, Any]]) -> Figure:
-    """Measured minus predicted, with the 95 % predictive interval of each reading as a
-    bar around zero.
-    """
-    shown = [entry for entry in sets if len(entry.get("residuals") or [])]
+def draw(sets: Sequence[HeldOutSection]) -> Figure:
+    """Measured minus predicted, each with its 95 % interval as a bar around zero."""
+    shown = [entry for entry in sets if entry.residuals]
     if not shown:
         return style.empty("No held-out residuals are stored in this result.")
     figure = style.figure(0.5 + 1.75 * len(shown))
-    for axes, entry in zip(
-        figure.subplots(len(shown), 1, squeeze=False)[:, 0], shown, strict=True
-    ):
+    panels = figure.subplots(len(shown), 1, squeeze=False)[:, 0]
+    for axes, entry in zip(panels, shown, strict=True):
         _panel(axes, entry)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    style.legend_below(figure, style.legend_entries(figure.axes[:1]), 3)
     return figure
 
 
-def _panel(axes: Axes, entry: Mapping[str, Any]) -> None:
-    residuals = style.array(entry["residuals"])
-    half = np.resize(style.array(entry.get("half_widths") or [np.nan]), len(residuals))
+def _panel(axes: Axes, entry: HeldOutSection) -> None:
+    residuals = missing.array(entry.residuals)
+    half = np.resize(missing.array(entry.half_widths or [None]), len(residuals))
     at = np.arange(1, len(residuals) + 1)
     inside = ~(np.abs(residuals) > half)
-    axes.vlines(
-        at,
-        -half,
-        half,
-        color=style.LIGHT,
-        lw=min(7.0, 200.0 / len(at)),
-        label="95 % predictive interval",
-    )
+    bars: Any = {"color": style.LIGHT, "lw": min(7.0, 200.0 / len(at))}
+    axes.vlines(at, -half, half, label="95 % predictive interval", **bars)
     axes.plot(at[inside], residuals[inside], "o", color=style.BLUE, label="inside")
-    axes.plot(
-        at[~inside], residuals[~inside], "X", color=style.RED, ms=5, label="outside"
-    )
+    cross: Any = {"color": style.RED, "ms": 5, "label": "outside"}
+    axes.plot(at[~inside], residuals[~inside], "X", **cross)
     axes.axhline(0.0, color=style.INK, lw=0.7)
     axes.xaxis.set_major_locator(MaxNLocator(12, integer=True))
-    axes.set_title(style.safe(f"{entry['name']}: {entry['channel']}", 70))
-    axes.set(xlabel="reading", ylabel=f"residual [{words.unit(str(entry['unit']))}]")
+    axes.set_title(style.label(f"{entry.name}: {entry.channel}", 70))
+    unit = text.unit_symbol(entry.unit)
+    axes.set(xlabel="reading", ylabel=f"residual [{unit}]")

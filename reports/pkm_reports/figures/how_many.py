@@ -1,6 +1,4 @@
-"""Accuracy over the number of readings, with what no plan of as many readings can
-better.
-"""
+"""Accuracy over the number of readings, with the bound for each number."""
 
 from __future__ import annotations
 
@@ -13,95 +11,77 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed.arrays import Array
-from pkm_reports import style, words
+from oed.result import HowManySummary
+from oed.result.record import Number
+from pkm_reports import missing, style, text
 
-Part = Mapping[str, Any]
 MOST_COLUMNS: Final = 3
 MOST_TICKS: Final = 5
 
 
-def draw(part: Part) -> Figure:
-    """A panel for each component: plans found, the shaded limit below them, the wanted
-    accuracy as a line.
-    """
-    sizes, told = style.array(part.get("sizes") or []), part.get("accuracy") or {}
+def draw(summary: HowManySummary) -> Figure:
+    """A panel for each component: plans found, the bound below, the wanted accuracy."""
+    sizes = missing.array(summary.sizes)
     names = [
-        n
-        for n, v in told.items()
-        if len(v) == len(sizes) and np.isfinite(style.array(v)).any()
+        name
+        for name, values in summary.accuracy.items()
+        if len(values) == len(sizes) and missing.finite(values)
     ]
     if not names:
         return style.empty(
             "No accuracy over the number of readings is stored in this result."
         )
-    columns = min(MOST_COLUMNS, len(names)) if len(names) != 4 else 2
+    columns = 2 if len(names) == 4 else min(MOST_COLUMNS, len(names))
     rows = math.ceil(len(names) / columns)
     figure = style.figure(0.65 + (2.6 if columns == 1 else 2.05) * rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for k, (axes, name) in enumerate(zip(grid, names, strict=False)):
-        _panel(axes, name, sizes, part)
+        _panel(axes, name, sizes, summary)
         if k + columns >= len(names):
             axes.set_xlabel("number of readings")
-    for axes in grid[len(names) :]:
-        axes.set_visible(False)
-    named = {
-        label: handle
-        for axes in grid
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(
-        named.values(),
-        named.keys(),
-        loc="outside lower center",
-        ncols=style.legend_columns(list(named)),
-    )
+    style.hide(grid[len(names) :])
+    style.legend_below(figure, style.legend_entries(grid))
     return figure
 
 
-def _panel(axes: Axes, name: str, sizes: Array, part: Part) -> None:
-    reached = style.array(part["accuracy"][name])
-    bound = style.array((part.get("bound") or {}).get(name) or [])
-    bound = bound if len(bound) == len(sizes) else np.full(len(sizes), np.nan)
-    wanted = words.number((part.get("wanted") or {}).get(name))
+def _panel(axes: Axes, name: str, sizes: Array, summary: HowManySummary) -> None:
+    reached = missing.array(summary.accuracy[name])
+    bound = _bound(summary.bound, name, len(sizes))
+    wanted = missing.entry(summary.wanted, name)
     values = np.concatenate([reached, bound, [wanted]])
     values = values[np.isfinite(values) & (values > 0.0)]
     low, high = float(values.min()) / 1.3, 1.3 * float(values.max())
     if np.isfinite(bound).any():
-        axes.fill_between(
-            sizes,
-            low,
-            bound,
-            color=style.LIGHT,
-            lw=0,
-            label="no plan of as many readings is better",
-        )
+        label = "no plan of as many readings is better"
+        axes.fill_between(sizes, low, bound, color=style.LIGHT, lw=0, label=label)
         axes.plot(sizes, bound, color=style.GREY, lw=0.8)
     axes.plot(sizes, reached, "o-", color=style.BLUE, label="plans found")
     if np.isfinite(wanted):
         axes.axhline(wanted, color=style.RED, ls="--", lw=1.0, label="wanted")
-    fewest = words.number(part.get("fewest"))
-    if np.isfinite(fewest):
-        axes.axvline(
-            fewest,
-            color=style.GREEN,
-            ls=":",
-            lw=1.3,
-            label=f"fewest that reach all wanted: {fewest:.0f}",
-        )
+    if summary.fewest is not None:
+        label = f"fewest that reach all wanted: {summary.fewest}"
+        line: Any = {"color": style.GREEN, "ls": ":", "lw": 1.3}
+        axes.axvline(summary.fewest, label=label, **line)
     axes.set_ylim(low, high)
     axes.set_xscale("log")
     axes.set_xlim(float(sizes.min()) / 1.08, 1.08 * float(sizes.max()))
     style.log_axis(axes, "y")
-    picked = _some(sizes)
-    style.fixed_ticks(axes, "x", picked, [words.plain(n) for n in picked])
-    axes.set_title(style.safe(words.heading(name)))
+    ticks = _ticks(sizes)
+    style.fixed_ticks(axes, "x", ticks, [text.trimmed(n) for n in ticks])
+    axes.set_title(style.label(text.heading(name)))
 
 
-def _some(sizes: Array) -> Sequence[float]:
-    """At most so many of the sizes, evenly apart on a log axis, the ends among them."""
+def _bound(bounds: Mapping[str, Sequence[Number]], name: str, count: int) -> Array:
+    """The bound at each number of readings, NaN where it is not known."""
+    if name not in bounds or len(bounds[name]) != count:
+        return np.full(count, np.nan)
+    return missing.array(bounds[name])
+
+
+def _ticks(sizes: Array) -> Sequence[float]:
+    """A few of the sizes, evenly apart on a log axis, both ends among them."""
     if len(sizes) <= MOST_TICKS:
         return [float(n) for n in sizes]
     places = np.geomspace(sizes[0], sizes[-1], MOST_TICKS)
-    return sorted(
-        {float(sizes[int(np.argmin(np.abs(np.log(sizes / p))))]) for p in places}
-    )
+    nearest = [int(np.argmin(np.abs(np.log(sizes / place)))) for place in places]
+    return sorted({float(sizes[k]) for k in nearest})

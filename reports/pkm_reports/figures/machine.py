@@ -1,253 +1,160 @@
-"""The machine at its home pose with the tool points of the plan, in 3-D, axes in mm."""
+"""The machine at its home pose with the planned tool points, in 3-D, axes in mm."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
-from matplotlib.transforms import Bbox
-from mpl_toolkits.mplot3d import proj3d  # type: ignore[import-untyped]
 
+from oed import units
 from oed.arrays import Array
+from oed.result import Drawing
 from pkm_reports import style
+from pkm_reports.figures import scene
+from pkm_reports.figures.scene import Box
 
-Points = Array
-Box = tuple[Points, Points]
 LINES: Final = {
     "machine": {"color": style.INK, "lw": 1.8},
     "path": {"color": style.GREY, "lw": 0.7, "ls": ":"},
     "reading": {"color": style.GREY, "lw": 0.6},
     "cup": {"color": style.GREY, "lw": 1.0},
 }
-VIEW: Final = {"elev": 20.0, "azim": -58.0}
+#: set-ups named in the legend
 MOST_NAMES: Final = 8
+#: steps of a line that is cut at the box
 STEPS: Final = 60
-PANEL: Final = 3.55  # inches
-LEGEND_LINE: Final = 0.18  # inches
+PANEL_HEIGHT, LEGEND_LINE = 3.55, 0.18  # inches
+LEGEND_CHARACTERS, MARKER_CHARACTERS = 100, 7
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Scene:
-    """What is drawn, mm."""
+    """What is drawn, mm.
 
-    lines: Sequence[tuple[str, Points]]
-    tips: Points
-    bars: Sequence[Points]
-    named: Sequence[str]
+    lines     kind and points (n, 3) of each polyline
+    tips      tool points (n, 3)
+    bars      the reading's far end and the tool point, (2, 3) each
+    setups    set-up of each tool point
+    """
 
-    @property
-    def names(self) -> list[str]:
-        """Set-up of each tool point."""
-        return [*self.named, *["reading"] * len(self.tips)][: len(self.tips)]
+    lines: Sequence[tuple[str, Array]]
+    tips: Array
+    bars: Sequence[Array]
+    setups: Sequence[str]
 
-    def box(self, whole: bool) -> Box:
-        """Lower and upper corner around everything, or around the readings; a flat one
-        gets some depth.
-        """
-        lines = [p for kind, p in self.lines if whole or kind == "cup"]
-        cloud = np.vstack([p for p in (*lines, self.tips, *self.bars) if len(p)])
-        low, high = np.nanmin(cloud, axis=0), np.nanmax(cloud, axis=0)
-        size = np.maximum(high - low, 0.3 * max(float(np.max(high - low)), 1.0)) * 1.06
-        return (low + high - size) / 2.0, (low + high + size) / 2.0
+    def whole_box(self) -> Box:
+        """A box around everything."""
+        return self._box_around([line for _, line in self.lines])
+
+    def readings_box(self) -> Box:
+        """A box around the readings and their cups."""
+        return self._box_around([line for kind, line in self.lines if kind == "cup"])
+
+    def _box_around(self, lines: Sequence[Array]) -> Box:
+        clouds = [points for points in (*lines, self.tips, *self.bars) if len(points)]
+        return scene.box_around(np.vstack(clouds))
 
 
-def draw(drawing: Mapping[str, Any]) -> Figure:
-    """Left the whole machine, right the readings seen closer."""
-    lines = [
-        (line.get("kind", "machine"), points(line["points"]))
-        for line in drawing.get("lines") or []
-    ]
-    tips = points(drawing.get("tool_points") or [])
-    if not lines and not len(tips):
+def draw(drawing: Drawing) -> Figure:
+    """The whole machine on the left, the readings from closer by on the right."""
+    tips = points_mm(drawing.tool_points)
+    if not drawing.lines and not len(tips):
         return style.empty("No drawing is stored in this result.")
-    scene = Scene(
-        lines,
-        tips,
-        [points(bar) for bar in drawing.get("bars") or []],
-        drawing.get("reading_of") or [],
+    shown = Scene(
+        lines=[(line.kind, points_mm(line.points)) for line in drawing.lines],
+        tips=tips,
+        bars=[points_mm(bar) for bar in drawing.bars],
+        setups=_setup_of_each(drawing, len(tips)),
     )
-    marks = _marks(scene)
-    columns = max(
-        2,
-        min(len(marks), 100 // (7 + max(len(str(mark.get_label())) for mark in marks))),
-    )
-    below = 0.1 + LEGEND_LINE * math.ceil(len(marks) / columns)
-    figure = style.figure(PANEL + below)
+    entries = _legend_entries(shown)
+    longest = max(len(str(entry.get_label())) for entry in entries)
+    fitting = LEGEND_CHARACTERS // (MARKER_CHARACTERS + longest)
+    columns = max(2, min(len(entries), fitting))
+    legend_height = 0.1 + LEGEND_LINE * math.ceil(len(entries) / columns)
+    figure = style.figure(PANEL_HEIGHT + legend_height)
     figure.set_layout_engine("none")
-    foot = below / (PANEL + below)
-    _panel(
-        figure,
-        (0.0, foot),
-        "The machine at home and all readings",
-        scene,
-        scene.box(whole=True),
-    )
-    _panel(
-        figure,
-        (0.5, foot),
-        "The readings seen closer",
-        scene,
-        scene.box(whole=not len(tips)),
-    )
-    figure.legend(handles=marks, loc="lower center", ncols=columns, borderaxespad=0.2)
+    foot = legend_height / (PANEL_HEIGHT + legend_height)
+    whole, close = shown.whole_box(), shown.readings_box() if len(tips) else None
+    _panel(figure, (0.0, foot), "The machine at home and all readings", shown, whole)
+    _panel(figure, (0.5, foot), "The readings, enlarged", shown, close or whole)
+    figure.legend(handles=entries, loc="lower center", ncols=columns, borderaxespad=0.2)
     return figure
 
 
-def points(values: Sequence[Sequence[float]]) -> Points:
-    """Points (n, 3) in mm."""
-    return 1e3 * style.array(values).reshape(-1, 3)
+def points_mm(points: Sequence[Sequence[float]]) -> Array:
+    """Points (n, 3) given in m, in mm."""
+    return units.from_si(np.array(points, dtype=float).reshape(-1, 3), "mm")
+
+
+def _setup_of_each(drawing: Drawing, count: int) -> list[str]:
+    """Set-up of each tool point; those that name none are just readings."""
+    return [*drawing.reading_of, *["reading"] * count][:count]
 
 
 def _panel(
-    figure: Figure, corner: tuple[float, float], title: str, scene: Scene, box: Box
+    figure: Figure, corner: tuple[float, float], title: str, shown: Scene, box: Box
 ) -> None:
     left, foot = corner
-    axes: Any = figure.add_axes(
-        (left, 0.1, 0.5, 0.84), projection="3d", proj_type="ortho"
-    )
+    place = (left, 0.1, 0.5, 0.84)
+    axes: Any = figure.add_axes(place, projection="3d", proj_type="ortho")
     figure.text(left + 0.03, 0.955, title, fontsize=8.5, fontweight="bold")
-    colour = style.colours(scene.names)
-    for name, bar in zip(scene.names, scene.bars, strict=False):
-        axes.plot(*_inside(bar, box).T, color=colour[name], lw=0.6, alpha=0.45)
-    for kind, line in scene.lines:
+    colours = style.colours(shown.setups)
+    for setup, bar in zip(shown.setups, shown.bars, strict=False):
+        ends = _inside(bar, box)
+        axes.plot(*ends.T, color=colours[setup], lw=0.6, alpha=0.45)
+    for kind, line in shown.lines:
         _line(axes, kind, line, box)
-    for k, (name, shade) in enumerate(colour.items()):
-        chosen = scene.tips[[n == name for n in scene.names]]
-        axes.scatter(
-            *chosen.T,
-            color=shade,
-            s=16,
-            marker=style.marker(k),
-            depthshade=False,
-            lw=0.3,
-            ec="white",
-        )
-    _frame(axes, box)
-    _fit(figure, axes, box, (left + 0.015, foot, left + 0.485, 0.93))
+    for k, (setup, colour) in enumerate(colours.items()):
+        tips = shown.tips[[name == setup for name in shown.setups]]
+        look: Any = {"s": 16, "depthshade": False, "lw": 0.3, "ec": "white"}
+        axes.scatter(*tips.T, color=colour, marker=style.marker(k), **look)
+    scene.set_axes(axes, box)
+    scene.fit_to(figure, axes, box, (left + 0.015, foot, left + 0.485, 0.93))
 
 
-def _line(axes: Any, kind: str, line: Points, box: Box) -> None:
-    """A polyline; a cup given as one point is drawn as a mark."""
+def _line(axes: Any, kind: str, line: Array, box: Box) -> None:
+    """A polyline; a cup given as one point is drawn as a cross."""
+    inside = _inside(line, box).T
     if len(line) == 1:
-        axes.scatter(
-            *_inside(line, box).T, color=style.INK, marker="x", s=30, depthshade=False
-        )
-    else:
-        axes.plot(
-            *_inside(line, box).T,
-            solid_capstyle="round",
-            **LINES.get(kind, LINES["reading"]),
-        )
+        cross: Any = {"color": style.INK, "marker": "x", "s": 30}
+        axes.scatter(*inside, depthshade=False, **cross)
+        return
+    look: Any = LINES.get(kind, LINES["reading"])
+    axes.plot(*inside, solid_capstyle="round", **look)
 
 
-def _inside(line: Points, box: Box) -> Points:
-    """The line in fine steps, with gaps outside the box: axes in 3-D clip nothing
-    themselves.
-    """
-    share = np.linspace(0.0, len(line) - 1.0, 1 + STEPS * (len(line) - 1))
-    fine = np.column_stack(
-        [np.interp(share, np.arange(len(line)), coordinate) for coordinate in line.T]
-    )
-    if len(line) > 1 and not (np.all(line >= box[0]) and np.all(line <= box[1])):
-        fine[~np.all((fine >= box[0]) & (fine <= box[1]), axis=1)] = np.nan
-        return fine
-    return line
+def _inside(line: Array, box: Box) -> Array:
+    """The line with gaps outside the box, in fine steps: 3-D axes clip nothing."""
+    if len(line) < 2 or (np.all(line >= box[0]) and np.all(line <= box[1])):
+        return line
+    corners = np.arange(len(line))
+    at = np.linspace(0.0, len(line) - 1.0, 1 + STEPS * (len(line) - 1))
+    fine = np.column_stack([np.interp(at, corners, x) for x in line.T])
+    outside = ~np.all((fine >= box[0]) & (fine <= box[1]), axis=1)
+    fine[outside] = np.nan
+    return fine
 
 
-def _frame(axes: Any, box: Box) -> None:
-    """Limits, equal scale on all axes, few ticks."""
-    size = box[1] - box[0]
-    for k, name in enumerate("xyz"):
-        getattr(axes, f"set_{name}lim")(box[0][k], box[1][k])
-        getattr(axes, f"set_{name}label")(
-            f"{name} [mm]", labelpad=-2.0 if size[k] < 0.6 * size.max() else 0.0
-        )
-        axis = getattr(axes, f"{name}axis")
-        axis.set_major_locator(
-            MaxNLocator(
-                3 if size[k] < 0.6 * size.max() else 5, steps=[1, 2, 2.5, 5, 10]
-            )
-        )
-        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
-        axis.set_tick_params(pad=-1.0, labelsize=6.5)
-    axes.zaxis.set_tick_params(pad=1.0)
-    axes.set_box_aspect(size)
-    axes.view_init(**VIEW)
-
-
-def _fit(
-    figure: Figure, axes: Any, box: Box, room: tuple[float, float, float, float]
-) -> None:
-    """Moves and scales the axes until box, ticks and labels fill the room (figure
-    shares: left, bottom, right, top).
-
-    How much of its rectangle a 3-D box takes depends on its shape and the view; letters
-    do not scale, so more than once.
-    """
-    middle, wanted = (
-        np.array([room[0] + room[2], room[1] + room[3]]) / 2.0,
-        np.array(room[2:]) - room[:2],
-    )
-    canvas: Any = FigureCanvasAgg(figure)
-    for _ in range(3):
-        figure.draw_without_rendering()
-        taken = [
-            axis.get_tightbbox(canvas.get_renderer())
-            for axis in (axes.xaxis, axes.yaxis, axes.zaxis)
-        ]
-        taken.append(_outline(axes, box))
-        (x0, y0), (x1, y1) = figure.transFigure.inverted().transform(
-            Bbox.union(taken).get_points()
-        )
-        place = axes.get_position()
-        scale = min(wanted / [x1 - x0, y1 - y0])
-        corner = middle + scale * (
-            np.array([place.x0, place.y0]) - [(x0 + x1) / 2.0, (y0 + y1) / 2.0]
-        )
-        axes.set_position((*corner, scale * place.width, scale * place.height))
-
-
-def _outline(axes: Any, box: Box) -> Bbox:
-    """Rectangle on the canvas around the eight corners of the 3-D box."""
-    corners = np.array(list(itertools.product(*zip(*box, strict=True))))
-    x, y, _ = proj3d.proj_transform(*corners.T, axes.get_proj())
-    spots = axes.transData.transform(np.column_stack([x, y]))
-    return Bbox([spots.min(axis=0), spots.max(axis=0)])
-
-
-def _marks(scene: Scene) -> list[Line2D]:
-    """Entries of the legend."""
-    shades = list(style.colours(scene.names).items())
-    marks = [
-        Line2D(
-            [],
-            [],
-            ls="",
-            marker=style.marker(k),
-            color=shade,
-            label=style.safe(name, 24),
-        )
-        for k, (name, shade) in enumerate(shades[:MOST_NAMES])
-    ]
-    more = len(shades) - MOST_NAMES
-    marks += [Line2D([], [], ls="", label=f"and {more} more")] if more > 0 else []
-    marks.append(Line2D([], [], color=style.INK, lw=1.8, label="machine"))
-    marks += (
-        [Line2D([], [], color=style.GREY, lw=0.7, label="bar or line of sight")]
-        if scene.bars
-        else []
-    )
-    cups = any(kind == "cup" for kind, _ in scene.lines)
-    return marks + (
-        [Line2D([], [], ls="", marker="x", color=style.INK, label="cup or fixed end")]
-        if cups
-        else []
-    )
+def _legend_entries(shown: Scene) -> list[Line2D]:
+    """Set-ups by marker and colour, then machine, bars and cups."""
+    colours = list(style.colours(shown.setups).items())
+    entries = []
+    for k, (setup, colour) in enumerate(colours[:MOST_NAMES]):
+        look: Any = {"ls": "", "marker": style.marker(k), "color": colour}
+        entries.append(Line2D([], [], label=style.label(setup, 24), **look))
+    more = len(colours) - MOST_NAMES
+    if more > 0:
+        entries.append(Line2D([], [], ls="", label=f"and {more} more"))
+    entries.append(Line2D([], [], color=style.INK, lw=1.8, label="machine"))
+    if shown.bars:
+        label = "bar or line of sight"
+        entries.append(Line2D([], [], color=style.GREY, lw=0.7, label=label))
+    if any(kind == "cup" for kind, _ in shown.lines):
+        cross: Any = {"ls": "", "marker": "x", "color": style.INK}
+        entries.append(Line2D([], [], label="cup or fixed end", **cross))
+    return entries

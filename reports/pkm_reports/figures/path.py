@@ -1,6 +1,4 @@
-"""The way through the poses in working order, in command space, one panel for each
-set-up.
-"""
+"""The path through the poses in working order, a panel for each set-up."""
 
 from __future__ import annotations
 
@@ -16,26 +14,27 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from oed import units
 from oed.arrays import Array, Index
-from pkm_reports import style, words
+from oed.result import PlannedReading
+from pkm_reports import missing, style, text
+from pkm_reports.figures import path_numbers
 
-Part = Mapping[str, Any]
 #: a full turn, degrees
-FULL: Final = 360.0
+FULL_TURN: Final = 360.0
 MOST_PANELS: Final = 12
-#: where a number may stand about its spot, in its own widths and heights
-ASIDE: Final = np.array(
-    [[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, 1], [1, -1], [-1, -1]],
-    dtype=float,
-)
-#: numbers of readings told at one spot
-MOST_NUMBERS: Final = 3
-LETTERS: Final = 5.5  # points
+#: readings from which the lines of the path are faint
+MANY: Final = 100
+#: what counts as one step of a coordinate, by its SI unit
+STEP_IN_UNIT: Final = {"m": "mm", "rad": "deg"}
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Plane:
-    """The two coordinates shown, each reading's place (n, 2), full turns (2,) of those
-    that go round, limits (2, 2).
+    """The two coordinates that the figure shows.
+
+    names     of the coordinates; "reading" is the number of the reading
+    at        place of each reading (n, 2)
+    turn      full turn (2,) of coordinates that go round, infinite for others
+    limits    lower and upper limit (2, 2)
     """
 
     names: tuple[str, str]
@@ -44,182 +43,138 @@ class Plane:
     limits: Array
 
 
-def draw(poses: Sequence[Part]) -> Figure:
-    """Numbers are those of the readings, in working order."""
-    plane = chosen(poses)
+def draw(poses: Sequence[PlannedReading]) -> Figure:
+    """Readings by their numbers in working order, joined by lines."""
+    plane = choose_plane(poses)
     if plane is None:
         return style.empty("No commanded poses are stored in this result.")
-    setups = list(dict.fromkeys(str(pose["setup"]) for pose in poses))[:MOST_PANELS]
+    setups = list(dict.fromkeys(pose.setup for pose in poses))[:MOST_PANELS]
+    groups = [
+        np.flatnonzero([pose.setup == setup for pose in poses]) for setup in setups
+    ]
     columns = 1 if len(setups) == 1 else 2
     rows = math.ceil(len(setups) / columns)
-    height = 3.2 if columns == 1 else 2.35
-    figure = style.figure(0.2 + height * rows)
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    groups = [
-        np.flatnonzero([str(pose["setup"]) == name for pose in poses])
-        for name in setups
-    ]
-    for k, (axes, name, mine) in enumerate(
-        zip(grid.ravel(), setups, groups, strict=False)
-    ):
-        _panel(axes, plane, mine, style.CYCLE[k % len(style.CYCLE)])
+    figure = style.figure(0.2 + (3.2 if columns == 1 else 2.35) * rows)
+    shared: Any = {"sharex": True, "sharey": True}
+    grid = figure.subplots(rows, columns, squeeze=False, **shared).ravel()
+    for k, (axes, setup, group) in enumerate(zip(grid, setups, groups, strict=False)):
+        _panel(axes, plane, group, style.CYCLE[k % len(style.CYCLE)])
         axes.tick_params(labelbottom=k + columns >= len(setups))
         number = "" if len(setups) == 1 else f"{k + 1}: "
-        axes.set_title(
-            f"{number}{style.safe(name)}, {words.count(len(mine), 'reading')}"
-        )
-    for axes in grid.ravel()[len(setups) :]:
-        axes.set_visible(False)
-    figure.supxlabel(style.safe(words.heading(plane.names[0])), fontsize=8)
-    figure.supylabel(style.safe(words.heading(plane.names[1])), fontsize=8)
+        readings = text.count(len(group), "reading")
+        axes.set_title(f"{number}{style.label(setup)}, {readings}")
+    style.hide(grid[len(setups) :])
+    figure.supxlabel(style.label(text.heading(plane.names[0])), fontsize=8)
+    figure.supylabel(style.label(text.heading(plane.names[1])), fontsize=8)
     figure.draw_without_rendering()  # numbers need the panels' final size
-    for k, (axes, mine) in enumerate(zip(grid.ravel(), groups, strict=False)):
-        _number(axes, _spots(plane, mine), style.CYCLE[k % len(style.CYCLE)])
+    for k, (axes, group) in enumerate(zip(grid, groups, strict=False)):
+        numbers = _numbers_by_place(plane, group)
+        path_numbers.write(axes, numbers, style.CYCLE[k % len(style.CYCLE)])
     return figure
 
 
-def chosen(poses: Sequence[Part]) -> Plane | None:
-    """The two coordinates that vary most, 1 mm counted as 1 degree; the number of the
-    reading, where only one does.
+def coordinates(poses: Sequence[PlannedReading]) -> list[str]:
+    """Commanded coordinates of the poses, in order of appearance."""
+    return list(dict.fromkeys(name for pose in poses for name in pose.command))
+
+
+def choose_plane(poses: Sequence[PlannedReading]) -> Plane | None:
+    """The two coordinates that vary most, 1 mm counted as 1 degree.
+
+    Where only one varies, the other is the number of the reading.
     """
-    names = list(
-        dict.fromkeys(key for pose in poses for key in pose.get("command") or {})
-    )
-    table = {
-        n: style.array([(pose.get("command") or {}).get(n) for pose in poses])
-        for n in names
-    }
-    table = {n: values for n, values in table.items() if np.isfinite(values).any()}
+    names = coordinates(poses)
+    table: dict[str, Array] = {}
+    for name in names:
+        values = missing.column([pose.command for pose in poses], name)
+        if np.isfinite(values).any():
+            table[name] = values
     if not table:
         return None
     spread = {
-        n: float(np.nanmax(values) - np.nanmin(values)) / _step(n)
-        for n, values in table.items()
+        n: float(np.nanmax(v) - np.nanmin(v)) / _step(n) for n, v in table.items()
     }
-    most = sorted(sorted(table, key=lambda n: -spread[n])[:2], key=names.index)
-    if len(most) == 1 or min(spread[n] for n in most) == 0.0:
-        one = max(most, key=lambda n: spread[n])
-        table, most = (
-            {"reading": np.arange(1.0, len(poses) + 1.0), one: table[one]},
-            ["reading", one],
-        )
-    at = np.column_stack([table[n] for n in most])
+    widest = sorted(table, key=lambda name: -spread[name])[:2]
+    if len(widest) == 1 or spread[widest[1]] == 0.0:
+        table["reading"] = np.arange(1.0, len(poses) + 1.0)
+        first, second = "reading", widest[0]
+    else:
+        first, second = sorted(widest, key=names.index)
+    return _plane((first, second), np.column_stack([table[first], table[second]]))
+
+
+def _plane(names: tuple[str, str], at: Array) -> Plane:
     low, high = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
-    turn = np.array([FULL if words.parted(n)[1] == "deg" else np.inf for n in most])
-    turn[~((high - low > FULL / 2.0) & (high - low <= FULL))] = np.inf
-    # a coordinate that goes round is shown over one full turn
-    room = np.where(
-        np.isfinite(turn),
-        (FULL - (high - low)) / 2.0,
-        np.where(high > low, 0.07 * (high - low), 1.0),
-    )
-    return Plane((most[0], most[1]), at, turn, np.array([low - room, high + room]))
+    span = high - low
+    turn = np.array([_full_turn(name) for name in names])
+    turn[(span <= FULL_TURN / 2.0) | (span > FULL_TURN)] = np.inf
+    # A coordinate that goes round is shown over one full turn.
+    around = (FULL_TURN - span) / 2.0
+    beside = np.where(span > 0.0, 0.07 * span, 1.0)
+    room = np.where(np.isfinite(turn), around, beside)
+    return Plane(names, at, turn, np.array([low - room, high + room]))
 
 
-def around(plane: Plane, setups: Sequence[str]) -> bool:
-    """Whether a way between two readings of one set-up leaves the figure on one side
-    and comes back on the other.
-    """
-    pairs = [k for k in range(len(setups) - 1) if setups[k] == setups[k + 1]]
-    return any(_back(plane, plane.at[k], plane.at[k + 1]).any() for k in pairs)
-
-
-def _back(plane: Plane, a: Array, b: Array) -> Array:
-    """Full turns (2,) to take from b, for the shorter way from a; only of coordinates
-    that go round.
-    """
-    far = np.isfinite(plane.turn) & (np.abs(b - a) > plane.turn / 2.0)
-    return np.where(far, np.copysign(FULL, b - a), 0.0)
+def _full_turn(name: str) -> float:
+    return FULL_TURN if text.split_unit(name)[1] == "deg" else math.inf
 
 
 def _step(name: str) -> float:
     """What counts as one step of a coordinate, in its own unit: 1 mm, 1 degree."""
-    unit = words.parted(name)[1]
-    step = {"m": 1e-3, "rad": math.radians(1.0)}.get(
-        units.si_unit(unit) if unit else "", 1.0
-    )
-    return units.number(step, unit) if unit else step
+    unit = text.split_unit(name)[1]
+    if not unit:
+        return 1.0
+    kind = units.si_unit(unit)
+    step = units.factor(STEP_IN_UNIT[kind]) if kind in STEP_IN_UNIT else 1.0
+    return units.number(step, unit)
 
 
-def _panel(axes: Axes, plane: Plane, mine: Index, colour: str) -> None:
-    faint = 0.55 if len(mine) < 100 else 0.2
-    for a, b in zip(plane.at[mine[:-1]], plane.at[mine[1:]], strict=True):
-        # the short way round: out on one side, in on the other
-        back = _back(plane, a, b)
-        for start, end in [(a, b - back), (a + back, b)][: 2 if back.any() else 1]:
-            axes.plot(
-                *np.array([start, end]).T, color=colour, lw=0.7, alpha=faint, zorder=1
-            )
-    for which, name, limits, turn in zip(
-        "xy", plane.names, plane.limits.T, plane.turn, strict=True
-    ):
-        getattr(axes, f"set_{which}lim")(*limits)
-        even = (
-            MultipleLocator(turn / 4.0)
-            if np.isfinite(turn)
-            else MaxNLocator(6, steps=[1, 2, 5, 10], integer=name == "reading")
-        )
-        getattr(axes, f"{which}axis").set_major_locator(even)
+def crosses_edge(plane: Plane, setups: Sequence[str]) -> bool:
+    """Whether the path leaves the figure on one side and returns on the other."""
+    steps = [k for k in range(len(setups) - 1) if setups[k] == setups[k + 1]]
+    return any(_turn_back(plane, plane.at[k], plane.at[k + 1]).any() for k in steps)
 
 
-def _spots(plane: Plane, mine: Index) -> dict[tuple[float, float], list[int]]:
-    """Numbers of the readings at each place; the first and the last reading's places
-    stand first.
-    """
-    known = [int(k) for k in mine if np.isfinite(plane.at[k]).all()]
-    places = {
-        k: (round(float(plane.at[k, 0]), 3), round(float(plane.at[k, 1]), 3))
-        for k in known
-    }
-    spots: dict[tuple[float, float], list[int]] = {
+def _turn_back(plane: Plane, start: Array, end: Array) -> Array:
+    """Full turns (2,) to take from the end, so that the way from the start is short."""
+    far = np.isfinite(plane.turn) & (np.abs(end - start) > plane.turn / 2.0)
+    return np.where(far, np.copysign(FULL_TURN, end - start), 0.0)
+
+
+def _panel(axes: Axes, plane: Plane, group: Index, colour: str) -> None:
+    look: Any = {"color": colour, "lw": 0.7, "zorder": 1}
+    look["alpha"] = 0.55 if len(group) < MANY else 0.2
+    for start, end in zip(plane.at[group[:-1]], plane.at[group[1:]], strict=True):
+        back = _turn_back(plane, start, end)
+        axes.plot(*np.array([start, end - back]).T, **look)
+        if back.any():  # out on one side, in on the other
+            axes.plot(*np.array([start + back, end]).T, **look)
+    for k, which in enumerate("xy"):
+        getattr(axes, f"set_{which}lim")(*plane.limits[:, k])
+        ticks = _ticks(plane.names[k], plane.turn[k])
+        getattr(axes, f"{which}axis").set_major_locator(ticks)
+
+
+def _ticks(name: str, turn: float) -> MultipleLocator | MaxNLocator:
+    """Quarters of a turn, or a few round numbers."""
+    if math.isfinite(turn):
+        return MultipleLocator(turn / 4.0)
+    return MaxNLocator(6, steps=[1, 2, 5, 10], integer=name == "reading")
+
+
+def _numbers_by_place(
+    plane: Plane, group: Index
+) -> Mapping[tuple[float, float], list[int]]:
+    """Numbers of the readings at each place, first and last reading's places first."""
+    known = [int(k) for k in group if np.isfinite(plane.at[k]).all()]
+    places = {k: _rounded(plane.at[k]) for k in known}
+    numbers: dict[tuple[float, float], list[int]] = {
         places[k]: [] for k in [*known[:1], *known[-1:], *known]
     }
     for k in known:
-        spots[places[k]].append(k + 1)
-    return spots
+        numbers[places[k]].append(k + 1)
+    return numbers
 
 
-def _number(
-    axes: Axes, spots: Mapping[tuple[float, float], list[int]], colour: str
-) -> None:
-    """Numbers at the spots, aside where others are in the way; where there is no room a
-    spot stays without.
-    """
-    taken: list[Array] = []
-    points = 72.0 / axes.figure.dpi
-    corners = axes.bbox.get_points() * points
-    middle, room = corners.mean(axis=0), np.ptp(corners, axis=0) / 2.0
-    look: Any = {
-        "fontsize": LETTERS,
-        "annotation_clip": False,
-        "zorder": 3,
-        "ha": "center",
-        "va": "center",
-    }
-    look["bbox"] = {
-        "boxstyle": "round,pad=0.18",
-        "fc": "white",
-        "ec": colour,
-        "lw": 0.7,
-    }
-    for spot, readings in spots.items():
-        axes.plot(*spot, "o", color=colour, ms=2.4, zorder=2)
-        numbers = [str(n) for n in readings]
-        text = " ".join(
-            numbers if len(numbers) <= MOST_NUMBERS else [numbers[0], "…", numbers[-1]]
-        )
-        at, half = (
-            axes.transData.transform(spot) * points,
-            LETTERS * np.array([0.45 + 0.33 * len(text), 0.8]),
-        )
-        for aside in ASIDE:
-            centre = at + 2.2 * half * aside
-            outside = aside.any() and (np.abs(centre - middle) > room).any()
-            if not outside and not any(
-                (np.abs(centre - c[:2]) < half + c[2:]).all() for c in taken
-            ):
-                taken.append(np.concatenate([centre, half]))
-                axes.annotate(
-                    text, spot, centre - at, textcoords="offset points", **look
-                ).set_in_layout(False)
-                break
+def _rounded(at: Array) -> tuple[float, float]:
+    return round(float(at[0]), 3), round(float(at[1]), 3)

@@ -1,8 +1,7 @@
-"""Error after compensation, drawn over the workspace."""
+"""Error after compensation over the workspace, as a map for each component."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -13,240 +12,189 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from oed.arrays import Array
-from pkm_reports import style, words
+from oed.result import PredictionSection
+from pkm_reports import missing, style, text
+from pkm_reports.figures.map_layout import MapLayout, choose_layout
 
-POLAR: Final = ("psi_deg", "theta_deg")
 MOST_ROWS: Final = 3
-MOST_LEVELS: Final = 4
-CLOSE_LEVELS: Final = 8
+#: decimals to which commands are compared
+DECIMALS: Final = 9
+#: share of a grid's cells from which the poses count as a grid
+FILLED: Final = 0.4
+#: factor between the errors from which colours are logarithmic
+WIDE: Final = 6.0
+QUARTERS: Final = np.radians([0.0, 90.0, 180.0, 270.0]).tolist()
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class MapLayout:
-    """Which commands are the axes, which one makes the panels, and at which of its
-    values.
-    """
-
-    across: str
-    up: str
-    panel: str | None
-    levels: list[float]
-
-    @property
-    def polar(self) -> bool:
-        """Tilt azimuth as angle, tilt as radius."""
-        return (self.across, self.up) == POLAR
-
-
-def draw(prediction: Mapping[str, Any]) -> Figure:
-    """A row for each component, a panel for each height; colours share a scale within a
-    row.
-    """
-    spots = prediction.get("map") or []
-    names = rows(prediction)
-    if not spots or not names:
+def draw(prediction: PredictionSection) -> Figure:
+    """A row for each component, a panel for each height, one colour scale for a row."""
+    names = shown_components(prediction)
+    if not prediction.map or not names:
         return style.empty("No map over the workspace is stored in this result.")
     commands = {
-        key: style.array([spot["command"].get(key) for spot in spots])
-        for key in spots[0]["command"]
+        name: missing.column([point.command for point in prediction.map], name)
+        for name in prediction.map[0].command
     }
     if len(commands) < 2:
-        return _along_one(prediction, commands, names)
-    plan = choose(commands)
-    panels = len(plan.levels)
-    # With one panel for each component they stand side by side, else each component has
-    # a row.
-    shape = (len(names), panels) if panels > 1 else (1, len(names))
-    figure = style.figure(0.35 + 2.05 * shape[0] + (0.6 if panels == 1 else 0.0))
-    kind: Any = {"projection": "polar"} if plan.polar else {}
-    grid = figure.subplots(*shape, squeeze=False, subplot_kw=kind).reshape(
-        len(names), panels
-    )
+        return _along_one_command(prediction, commands, names)
+    layout = choose_layout(commands)
+    panels = len(layout.levels)
+    # Single panels stand side by side; otherwise each component has a row.
+    rows, columns = (len(names), panels) if panels > 1 else (1, len(names))
+    figure = style.figure(0.35 + 2.05 * rows + (0.6 if panels == 1 else 0.0))
+    kind: Any = {"projection": "polar"} if layout.polar else {}
+    grid = figure.subplots(rows, columns, squeeze=False, subplot_kw=kind)
+    grid = grid.reshape(len(names), panels)
     for k, (row, name) in enumerate(zip(grid, names, strict=True)):
-        _row(figure, row, plan, commands, name, prediction)
-        for axes, level in zip(row, plan.levels, strict=True):
-            title = _level(plan, level) if k == 0 or panels == 1 else ""
+        _row(figure, row, layout, commands, name, prediction)
+        for axes, level in zip(row, layout.levels, strict=True):
+            title = _level_title(layout, level) if k == 0 or panels == 1 else ""
             axes.set_title(title, loc="center", fontsize=7.5, fontweight="normal")
     return figure
 
 
-def rows(prediction: Mapping[str, Any]) -> list[str]:
-    """Up to three components to show: those that the controller can correct, if there
-    are any.
-    """
-    parts = prediction.get("components") or {}
-    kept = [name for name, part in parts.items() if part.get("compensatable")]
-    return (kept or list(parts))[:MOST_ROWS]
+def shown_components(prediction: PredictionSection) -> list[str]:
+    """Up to three components, those that the controller can correct if there are any."""
+    components = prediction.components
+    correctable = [name for name, c in components.items() if c.compensatable]
+    return (correctable or list(components))[:MOST_ROWS]
 
 
-def choose(commands: Mapping[str, Array]) -> MapLayout:
-    """Polar axes for psi and theta; otherwise the first two commands that vary."""
-    varying = [k for k, v in commands.items() if np.ptp(v) > 0] + [
-        k for k, v in commands.items() if np.ptp(v) == 0
-    ]
-    axes = POLAR if set(POLAR) <= set(commands) else (varying[0], varying[1])
-    rest = [k for k in varying if k not in axes]
-    levels = np.unique(commands[rest[0]]) if rest else np.zeros(0)
-    if not rest or len(levels) > CLOSE_LEVELS:
-        return MapLayout(*axes, None, [np.nan])
-    picked = np.unique(
-        np.linspace(0, len(levels) - 1, min(MOST_LEVELS, len(levels)))
-        .round()
-        .astype(int)
-    )
-    return MapLayout(*axes, rest[0], levels[picked].tolist())
+def errors(prediction: PredictionSection, name: str) -> Array:
+    """Error of a component after compensation at each pose of the map (n,)."""
+    return missing.column([point.after for point in prediction.map], name)
 
 
 def _row(
     figure: Figure,
     row: Any,
-    plan: MapLayout,
+    layout: MapLayout,
     commands: Mapping[str, Array],
     name: str,
-    prediction: Mapping[str, Any],
+    prediction: PredictionSection,
 ) -> None:
-    values = style.array(
-        [(spot.get("after") or {}).get(name) for spot in prediction["map"]]
-    )
+    """The panels of one component and their colour bar."""
+    values = errors(prediction, name)
     norm = _norm(values)
-    for axes, level in zip(row, plan.levels, strict=True):
-        chosen = (
-            np.ones(len(values), bool)
-            if plan.panel is None
-            else commands[plan.panel] == level
-        )
-        drawn = _panel(
-            axes,
-            commands[plan.across][chosen],
-            commands[plan.up][chosen],
-            values[chosen],
-            plan,
-            norm,
-        )
-    unit = words.unit(str((prediction.get("unit") or {}).get(name, "")))
-    side: Any = (
-        {"location": "right", "pad": 0.02}
-        if len(row) > 1
-        else {"location": "bottom", "pad": 0.03}
-    )
-    bar: Any = figure.colorbar(
-        drawn,
-        ax=list(row),
-        shrink=0.85,
-        label=style.safe(f"error of {name} [{unit}]"),
-        **side,
-    )
+    for axes, level in zip(row, layout.levels, strict=True):
+        at_level = layout.poses_at(level, commands)
+        across = commands[layout.across][at_level]
+        up = commands[layout.up][at_level]
+        image = _panel(axes, across, up, values[at_level], layout, norm)
+    single = len(row) == 1
+    place: Any = {"location": "bottom" if single else "right"}
+    place["pad"] = 0.03 if single else 0.02
+    label = style.label(_error_label(prediction, name))
+    bar: Any = figure.colorbar(image, ax=list(row), shrink=0.85, label=label, **place)
     bar.outline.set_visible(False)
-    along = "y" if len(row) > 1 else "x"
+    along = "x" if single else "y"
     if isinstance(norm, LogNorm):
         style.log_axis(bar.ax, along)
     else:
         getattr(bar.ax, f"{along}axis").set_major_locator(MaxNLocator(5))
 
 
-def _level(plan: MapLayout, level: float) -> str:
-    if plan.panel is None:
+def _error_label(prediction: PredictionSection, name: str) -> str:
+    unit = text.unit_symbol(prediction.components[name].after.unit)
+    return f"error of {name} [{unit}]"
+
+
+def _level_title(layout: MapLayout, level: float) -> str:
+    if layout.panel is None:
         return "all poses"
-    stem, _, unit = plan.panel.rpartition("_")
-    return style.safe(f"{stem} = {words.num(level, 4)} {words.unit(unit)}")
+    stem, unit = text.split_unit(layout.panel)
+    return style.label(f"{stem} = {text.number(level, 4)} {text.unit_symbol(unit)}")
 
 
 def _norm(values: Array) -> Normalize:
-    """Linear colours, or logarithmic ones where a few poses would outshine all others."""
-    low, high = (
-        float(np.nanmin(values, initial=np.inf)),
-        float(np.nanmax(values, initial=-np.inf)),
-    )
+    """Linear colours, or logarithmic ones where a few poses would outshine the others."""
+    low = float(np.nanmin(values, initial=np.inf))
+    high = float(np.nanmax(values, initial=-np.inf))
     if not np.isfinite(low):
         return Normalize(0.0, 1.0)
-    if low > 0.0 and high > 6.0 * low:
+    if low > 0.0 and high > WIDE * low:
         return LogNorm(low, high)
     return Normalize(min(low, 0.8 * high), high if high > low else low + 1.0)
 
 
 def _panel(
-    axes: Any, across: Array, up: Array, values: Array, plan: MapLayout, norm: Normalize
+    axes: Any,
+    across: Array,
+    up: Array,
+    values: Array,
+    layout: MapLayout,
+    norm: Normalize,
 ) -> Any:
-    if plan.polar:
+    if layout.polar:
         across = np.radians(across)
-    table = _table(across, up, values)
-    if table is None:
-        drawn = axes.scatter(
-            across,
-            up,
-            c=values,
-            cmap=style.AMOUNT,
-            norm=norm,
-            s=26,
-            ec=style.GREY,
-            lw=0.3,
-        )
+    cells = _cells(across, up, values)
+    shade: Any = {"cmap": style.AMOUNT, "norm": norm}
+    if cells is None:
+        marks: Any = {"s": 26, "ec": style.GREY, "lw": 0.3}
+        image = axes.scatter(across, up, c=values, **shade, **marks)
     else:
-        drawn = axes.pcolormesh(*table, cmap=style.AMOUNT, norm=norm, rasterized=True)
-    _polar(axes, up) if plan.polar else _cartesian(axes, plan)
-    return drawn
+        image = axes.pcolormesh(*cells, rasterized=True, **shade)
+    if layout.polar:
+        _set_polar_axes(axes, up)
+    else:
+        _set_cartesian_axes(axes, layout)
+    return image
 
 
-def _table(
+def _cells(
     across: Array, up: Array, values: Array
 ) -> tuple[Array, Array, Array] | None:
-    """Cell edges and a grid of values (gaps NaN), or None where the poses lie on no
-    grid.
-    """
-    xs, ys = np.unique(across.round(9)), np.unique(up.round(9))
-    if min(len(xs), len(ys)) < 2 or len(values) < 0.4 * len(xs) * len(ys):
+    """Cell edges and a grid of values with gaps as NaN; None where there is no grid."""
+    across, up = across.round(DECIMALS), up.round(DECIMALS)
+    xs, ys = np.unique(across), np.unique(up)
+    if min(len(xs), len(ys)) < 2 or len(values) < FILLED * len(xs) * len(ys):
         return None
     grid = np.full((len(ys), len(xs)), np.nan)
-    grid[np.searchsorted(ys, up.round(9)), np.searchsorted(xs, across.round(9))] = (
-        values
-    )
+    grid[np.searchsorted(ys, up), np.searchsorted(xs, across)] = values
     return _edges(xs), _edges(ys), grid
 
 
 def _edges(x: Array) -> Array:
     """Cell edges halfway between neighbours."""
     middle = (x[1:] + x[:-1]) / 2.0
-    return np.concatenate(
-        [[2.0 * x[0] - middle[0]], middle, [2.0 * x[-1] - middle[-1]]]
-    )
+    first, last = 2.0 * x[0] - middle[0], 2.0 * x[-1] - middle[-1]
+    return np.concatenate([[first], middle, [last]])
 
 
-def _polar(axes: Any, up: Array) -> None:
+def _set_polar_axes(axes: Any, up: Array) -> None:
     """No tilt in the centre; labels outside the coloured cells."""
     tilts = np.unique(up)
     axes.grid(False)
-    axes.set_rlim(0.0, float(_edges(tilts)[-1] if len(tilts) > 1 else 1.1 * tilts[-1]))
+    outer = _edges(tilts)[-1] if len(tilts) > 1 else 1.1 * tilts[-1]
+    axes.set_rlim(0.0, float(outer))
     axes.yaxis.set_major_locator(NullLocator())
-    axes.xaxis.set_major_locator(
-        FixedLocator(np.radians([0.0, 90.0, 180.0, 270.0]).tolist())
-    )
+    axes.xaxis.set_major_locator(FixedLocator(QUARTERS))
     axes.set_xticklabels(["0°", "90°", "180°", "270°"], fontsize=6)
     axes.tick_params(axis="x", pad=-2)
     axes.spines["polar"].set_visible(False)
 
 
-def _cartesian(axes: Axes, plan: MapLayout) -> None:
+def _set_cartesian_axes(axes: Axes, layout: MapLayout) -> None:
     axes.grid(False)
-    same = plan.across.rpartition("_")[2] == plan.up.rpartition("_")[2]
-    if same:
+    if text.split_unit(layout.across)[1] == text.split_unit(layout.up)[1]:
         axes.set_aspect("equal", adjustable="box")
-    axes.set(xlabel=words.heading(plan.across), ylabel=words.heading(plan.up))
+    axes.set(xlabel=text.heading(layout.across), ylabel=text.heading(layout.up))
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def _along_one(
-    prediction: Mapping[str, Any], commands: Mapping[str, Array], names: Sequence[str]
+def _along_one_command(
+    prediction: PredictionSection, commands: Mapping[str, Array], names: Sequence[str]
 ) -> Figure:
-    """A machine with one command: the error along it."""
-    ((key, at),) = commands.items()
+    """The error of a machine with one command, along that command."""
+    ((command, at),) = commands.items()
     figure = style.figure(2.4)
     axes = figure.subplots()
     order = np.argsort(at)
     for name in names:
-        values = style.array([spot["after"].get(name) for spot in prediction["map"]])
-        unit = words.unit(str((prediction.get("unit") or {}).get(name, "")))
-        axes.plot(at[order], values[order], "o-", label=style.safe(f"{name} [{unit}]"))
-    axes.set(xlabel=words.heading(key), ylabel="error after compensation")
+        unit = text.unit_symbol(prediction.components[name].after.unit)
+        label = style.label(f"{name} [{unit}]")
+        axes.plot(at[order], errors(prediction, name)[order], "o-", label=label)
+    axes.set(xlabel=text.heading(command), ylabel="error after compensation")
     axes.legend()
     return figure

@@ -1,17 +1,13 @@
-"""The chapters of the report, in order; each module has `ANCHOR`, `TITLE` and
-`blocks(result)`.
-"""
+"""The chapters of a report, in order; each module of this folder has its `CHAPTER`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
-from pkm_reports.blocks import Section
+from oed.result import StudyResult
+from pkm_reports.blocks import Chapter, Section
 from pkm_reports.sections import (
     accuracy,
-    campaign,
-    design,
     held_out,
     identifiability,
     identification,
@@ -20,37 +16,36 @@ from pkm_reports.sections import (
     posterior,
     record,
 )
+from pkm_reports.sections.design import chapter as design
 from pkm_reports.sections.gap import before as gap_before
-from pkm_reports.sections.gap import diagnosis as gap
+from pkm_reports.sections.gap import chapter as gap
+from pkm_reports.sections.stages import chapter as stages
 
+#: chapters of every report; one whose stage did not run says so in a sentence
 CHAPTERS: Final = (
-    plan,
-    design,
-    kappa,
-    identifiability,
-    identification,
-    posterior,
-    accuracy,
-    held_out,
-    record,
+    plan.CHAPTER,
+    design.CHAPTER,
+    kappa.CHAPTER,
+    identifiability.CHAPTER,
+    identification.CHAPTER,
+    posterior.CHAPTER,
+    accuracy.CHAPTER,
+    held_out.CHAPTER,
+    record.CHAPTER,
 )
 
 
-def chapters(result: Mapping[str, Any]) -> list[Section]:
-    """All chapters; one whose stage did not run says so in a sentence.
+def chapters(result: StudyResult) -> list[Section]:
+    """All chapters of a report.
 
-    A plan that was searched for has a chapter of its own, the first; the next then
-    leaves its stages out. A diagnosis has one where there was one, before all others,
-    and what the readings could find comes after it.
+    A diagnosis comes first, then what the readings could detect, then a plan in
+    stages: only results that hold these have their chapters.
     """
-    made = [(chapter, result) for chapter in CHAPTERS]
-    if campaign.planned(result):
-        made = [(campaign, result), (plan, {**result, "plan": None}), *made[1:]]
-    if gap_before.present(result):
-        made = [(gap_before, result), *made]
-    if gap.present(result):
-        made = [(gap, result), *made]
-    return [
-        Section(chapter.ANCHOR, chapter.TITLE, chapter.blocks(seen))
-        for chapter, seen in made
-    ]
+    leading: list[Chapter] = []
+    if result.gap is not None:
+        leading.append(gap.CHAPTER)
+    if result.gap_before is not None:
+        leading.append(gap_before.CHAPTER)
+    if stages.has_schedule(result.plan):
+        leading.append(stages.CHAPTER)
+    return [chapter.section(result) for chapter in (*leading, *CHAPTERS)]

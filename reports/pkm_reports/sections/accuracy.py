@@ -1,29 +1,34 @@
-"""How accurate the machine is before and after, component by component and over the
-workspace.
-"""
+"""Chapter: the accuracy before and after, by component and over the workspace."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from pkm_reports import style, words
+from oed.result import (
+    ComponentAccuracy,
+    MapPoint,
+    PredictionSection,
+    SpreadRecord,
+    StudyResult,
+)
+from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
+    Chapter,
     Paragraph,
     Picture,
     Table,
     TableColumn,
     absent,
-    number_column,
+    number_columns,
 )
-from pkm_reports.figures import accuracy, budget, workspace
+from pkm_reports.figures import accuracy, budget, map_layout, workspace
 
-ANCHOR: Final = "accuracy"
-TITLE: Final = "Residual accuracy"
-Part = Mapping[str, Any]
+Components = Mapping[str, ComponentAccuracy]
 REFERENCES: Final = {
     "absolute": "absolute: position and orientation in the base frame",
     "home": "relative to home: the machine is zeroed at its home pose",
@@ -33,203 +38,210 @@ MODES: Final = {
     "plan": "predicted before any reading is taken, from tolerances, plan and noise",
     "identified": "predicted with the identified parameters",
 }
-STATES: Final = ("before", "after", "known")
 
 
-def blocks(result: Part) -> list[Block]:
-    """Bars, table, budget, map."""
-    part = result.get("prediction")
-    if not part:
+def blocks(result: StudyResult) -> list[Block]:
+    """Bars, table, virtual machine, budget, map."""
+    prediction = result.prediction
+    if prediction is None:
         return absent("A prediction of the accuracy over the workspace")
-    parts = part.get("components") or {}
-    made: list[Block] = [Paragraph(_about(part)), Paragraph(_verdict(parts))]
-    made.append(Picture("accuracy", lambda: accuracy.draw(part), _bars(part)))
-    made.append(_table(parts))
-    if part.get("realised"):
-        made.append(_realised(part))
-    if any(p.get("budget") for p in parts.values()):
-        made.append(Picture("budget", lambda: budget.draw(parts), _sources(parts)))
-    if part.get("map"):
-        made.append(Picture("workspace", lambda: workspace.draw(part), _where(part)))
-    return made
-
-
-def _about(part: Part) -> str:
-    reference = REFERENCES.get(part["reference"], str(part["reference"]))
-    mode = MODES.get(part["mode"], str(part["mode"]))
-    return (
-        f"Errors of the pose over {words.count(part['poses'], 'workspace pose')},"
-        f" {mode}. Reference: {reference}. Numbers are 1-sigma errors, pooled over the"
-        " workspace."
-    )
-
-
-def _verdict(parts: Mapping[str, Part]) -> str:
-    """What the controller can correct, by how much, and what it cannot."""
-    able = [_gain(name, p) for name, p in parts.items() if p["compensatable"]]
-    rest = [_left(name, p) for name, p in parts.items() if not p["compensatable"]]
-    text = (
-        f"The controller can correct {words.listing(able)}. "
-        if able
-        else "The controller can correct none of them. "
-    )
-    if rest:
-        text += (
-            f"No axis moves the others alone: {words.listing(rest)}. A further axis, or"
-            " knowing the error, would help."
+    components = prediction.components
+    chapter: list[Block] = [
+        Paragraph(_about(prediction)),
+        Paragraph(_verdict(components)),
+        Picture(
+            "accuracy", lambda: accuracy.draw(prediction), _bars_caption(components)
+        ),
+        _table(components),
+    ]
+    if prediction.realised:
+        chapter.append(_realised(prediction, prediction.realised))
+    if any(component.budget for component in components.values()):
+        caption = _budget_caption(components)
+        chapter.append(Picture("budget", lambda: budget.draw(components), caption))
+    if prediction.map:
+        caption = _map_caption(prediction)
+        chapter.append(
+            Picture("workspace", lambda: workspace.draw(prediction), caption)
         )
-    return text.strip()
+    return chapter
 
 
-def _gain(name: str, part: Part) -> str:
-    before, after = part["before"], part["after"]
-    unit = str(after["unit"])
+# -- what the controller can correct ---------------------------------------------------
+
+
+def _about(prediction: PredictionSection) -> str:
+    reference = text.meaning(prediction.reference, REFERENCES)
+    mode = text.meaning(prediction.mode, MODES)
+    poses = text.count(prediction.poses, "workspace pose")
     return (
-        f"{name} from {words.quantity(before['rms'], unit)} to"
-        f" {words.quantity(after['rms'], unit)}"
+        f"Errors of the pose over {poses}, {mode}. Reference: {reference}. Numbers are"
+        " 1-sigma errors, pooled over the workspace."
     )
 
 
-def _left(name: str, part: Part) -> str:
-    unit = str(part["after"]["unit"])
-    known = words.quantity(part["known"]["rms"], unit)
-    return (
-        f"{name} stays at {words.quantity(part['after']['rms'], unit)} (known to"
-        f" {known})"
-    )
+def _verdict(components: Components) -> str:
+    """What the controller can correct, by how much, and what it cannot."""
+    corrected, others = [], []
+    for name, component in components.items():
+        if component.compensatable:
+            corrected.append(_improvement(name, component))
+        else:
+            others.append(_remainder(name, component))
+    if corrected:
+        sentences = [f"The controller can correct {text.listing(corrected)}."]
+    else:
+        sentences = ["The controller can correct none of them."]
+    if others:
+        sentences += [
+            f"No axis corrects the others alone: {text.listing(others)}.",
+            "A further axis could correct them, or software that uses the known error.",
+        ]
+    return " ".join(sentences)
 
 
-def _bars(part: Part) -> str:
-    parts = part["components"]
-    text = (
+def _improvement(name: str, component: ComponentAccuracy) -> str:
+    unit = component.after.unit
+    before = text.quantity(component.before.rms, unit)
+    after = text.quantity(component.after.rms, unit)
+    return f"{name} from {before} to {after}"
+
+
+def _remainder(name: str, component: ComponentAccuracy) -> str:
+    unit = component.after.unit
+    after = text.quantity(component.after.rms, unit)
+    known = text.quantity(component.known.rms, unit)
+    return f"{name} stays at {after} (known to {known})"
+
+
+def _bars_caption(components: Components) -> str:
+    caption = (
         "Rms error of each component over the workspace, before and after, on a log"
         " scale."
     )
-    if any(not p["compensatable"] for p in parts.values()):
-        text += " A star marks components that the controller cannot correct."
+    if not all(component.compensatable for component in components.values()):
+        caption += " A star marks components that the controller cannot correct."
     gains = {
-        n: words.number(p["before"]["rms"]) / words.number(p["after"]["rms"])
-        for n, p in parts.items()
-        if p["compensatable"] and words.number(p["after"]["rms"]) > 0.0
+        name: component.before.rms / component.after.rms
+        for name, component in components.items()
+        if component.compensatable and component.after.rms > 0.0
     }
-    if gains:
-        most, least = (
-            max(gains, key=lambda n: gains[n]),
-            min(gains, key=lambda n: gains[n]),
-        )
-        text += (
-            f" Calibration divides the error of {most} by {words.num(gains[most], 2)}"
-        )
-        same = words.num(gains[most], 2) == words.num(gains[least], 2)
-        text += "." if same else f", of {least} by {words.num(gains[least], 2)}."
-    return text
+    if not gains:
+        return caption
+    best = max(gains, key=lambda name: gains[name])
+    worst = min(gains, key=lambda name: gains[name])
+    high, low = text.number(gains[best], 2), text.number(gains[worst], 2)
+    caption += f" Calibration divides the error of {best} by {high}"
+    return f"{caption}." if high == low else f"{caption} and of {worst} by {low}."
 
 
-def _table(parts: Mapping[str, Part]) -> Table:
+def _table(components: Components) -> Table:
+    states: Sequence[accuracy.State] = ("before", "after", "known")
+    if accuracy.all_correctable(components):
+        states = states[:2]
     columns = [TableColumn("Component"), TableColumn("Correctable")]
-    states = STATES[:2] if accuracy.same(parts) else STATES
     for state in states:
-        columns += number_column(f"{state}: rms", "p95", "max")
-    rows = [_row(name, part, states) for name, part in parts.items()]
+        columns += number_columns(f"{state}: rms", "p95", "max")
+    rows = [_row(name, component, states) for name, component in components.items()]
     caption = (
         "Errors before and after compensation: rms, 95th percentile and largest over"
         " the workspace."
     )
     if "known" in states:
         caption += (
-            " Known: what remains where a further axis, or software, corrects the"
-            " component as well."
+            " Known: the error that remains if a further axis, or software, corrects"
+            " the component as well."
         )
     return Table(columns, rows, caption)
 
 
-def _row(name: str, part: Part, states: Sequence[str]) -> list[str]:
-    spreads = [
-        words.num(part[state][key]) for state in states for key in ("rms", "p95", "max")
+def _row(
+    name: str, component: ComponentAccuracy, states: Sequence[accuracy.State]
+) -> list[str]:
+    cells = [
+        f"{name} [{text.unit_symbol(component.after.unit)}]",
+        "yes" if component.compensatable else "no",
     ]
-    return [
-        f"{name} [{words.unit(str(part['after']['unit']))}]",
-        "yes" if part["compensatable"] else "no",
-        *spreads,
-    ]
+    for state in states:
+        cells += _sizes(accuracy.spread(component, state))
+    return cells
 
 
-def _realised(part: Part) -> Table:
+def _sizes(spread: SpreadRecord) -> list[str]:
+    sizes = (spread.rms, spread.p95, spread.max)
+    return [text.number(size) for size in sizes]
+
+
+# -- virtual machine, budget, map ------------------------------------------------------
+
+
+def _realised(
+    prediction: PredictionSection, realised: Mapping[str, SpreadRecord]
+) -> Table:
     rows, ratios = [], []
-    for name, spread in part["realised"].items():
-        predicted = words.number(
-            ((part["components"].get(name) or {}).get("after") or {}).get("rms")
-        )
-        ratio = (
-            words.number(spread["rms"]) / predicted if predicted > 0.0 else float("nan")
-        )
-        ratios += [ratio] if np.isfinite(ratio) else []
-        sizes = [words.num(spread[key]) for key in ("rms", "p95", "max")]
-        rows.append(
-            [
-                f"{name} [{words.unit(str(spread['unit']))}]",
-                *sizes,
-                words.num(predicted),
-                words.fixed(ratio, 2),
-            ]
-        )
+    for name, spread in realised.items():
+        predicted = math.nan
+        if name in prediction.components:
+            predicted = prediction.components[name].after.rms
+        ratio = spread.rms / predicted if predicted > 0.0 else math.nan
+        ratios.append(ratio)
+        cells = [f"{name} [{text.unit_symbol(spread.unit)}]", *_sizes(spread)]
+        rows.append([*cells, text.number(predicted), text.fixed(ratio, 2)])
     columns = [
         TableColumn("Component"),
-        *number_column("Rms", "p95", "max", "Predicted rms", "Realised / predicted"),
+        *number_columns("Rms", "p95", "max", "Predicted rms", "Realised / predicted"),
     ]
-    caption = "What a virtual machine with known errors showed after compensation."
-    if ratios:
-        caption += (
-            f" Realised over predicted: {words.fixed(min(ratios), 2)} to"
-            f" {words.fixed(max(ratios), 2)}."
-        )
+    caption = (
+        "Errors of a virtual machine after compensation; its true parameters are known."
+    )
+    known = [ratio for ratio in ratios if math.isfinite(ratio)]
+    if known:
+        low, high = text.fixed(min(known), 2), text.fixed(max(known), 2)
+        caption += f" Realised over predicted: {low} to {high}."
     return Table(columns, rows, caption)
 
 
-def _sources(parts: Mapping[str, Part]) -> str:
-    """Caption of the budget: the largest source of each component."""
-    largest: dict[str, dict[str, float]] = {}
-    for name, part in parts.items():
-        shares = {k: words.number(v) for k, v in (part.get("budget") or {}).items()}
-        if shares:
-            source = max(shares, key=lambda k: shares[k])
-            largest.setdefault(source, {})[name] = shares[source]
-    told = [
-        f"{source} for {words.listing(of)} (up to {words.percent(max(of.values()))})"
-        for source, of in largest.items()
-    ]
-    return (
-        "Where the variance that remains comes from. The largest source is"
-        f" {words.listing(told)}: attack that first."
+def _budget_caption(components: Components) -> str:
+    """The largest source of each component."""
+    shares: dict[str, dict[str, float]] = {}
+    for name, component in components.items():
+        budget_of = component.budget
+        if budget_of:
+            source = max(budget_of, key=lambda key: budget_of[key])
+            shares.setdefault(source, {})[name] = budget_of[source]
+    largest = [_source(source, of) for source, of in shares.items()]
+    verdict = (
+        f"The largest source is {largest[0]}: reduce it first."
+        if len(largest) == 1
+        else f"The largest sources are {text.listing(largest)}: reduce them first."
     )
+    return f"Sources of the variance that remains. {verdict}"
 
 
-def _where(part: Part) -> str:
-    """Caption of the map: where each component is worst and best."""
-    told = []
-    for name in workspace.rows(part):
-        values = style.array(
-            [(spot.get("after") or {}).get(name) for spot in part["map"]]
-        )
-        if np.isfinite(values).any():
-            unit = str((part.get("unit") or {}).get(name, ""))
-            worst, best = (
-                part["map"][int(np.nanargmax(values))],
-                part["map"][int(np.nanargmin(values))],
-            )
-            most = (
-                f"{words.quantity(np.nanmax(values), unit)}, at"
-                f" {words.numbers(worst['command'], 4)}"
-            )
-            least = (
-                f"{words.quantity(np.nanmin(values), unit)}, at"
-                f" {words.numbers(best['command'], 4)}"
-            )
-            told.append(f"{name} is largest, {most}, and smallest, {least}.")
-    polar = set(workspace.POLAR) <= set(part["map"][0]["command"])
-    how = (
-        " Direction in the picture: psi; distance from the centre: theta."
-        if polar
-        else ""
-    )
-    return f"1-sigma error after compensation over the workspace.{how} {' '.join(told)}"
+def _source(source: str, shares: Mapping[str, float]) -> str:
+    most = text.percent(max(shares.values()))
+    return f"{source} for {text.listing(shares)} (up to {most})"
+
+
+def _map_caption(prediction: PredictionSection) -> str:
+    """Where each component is worst and best."""
+    sentences = ["1-sigma error after compensation over the workspace."]
+    if set(map_layout.POLAR) <= set(prediction.map[0].command):
+        sentences.append("The angle in the figure is psi, the radius theta.")
+    for name in workspace.shown_components(prediction):
+        errors = workspace.errors(prediction, name)
+        if np.isfinite(errors).any():
+            worst = prediction.map[int(np.nanargmax(errors))]
+            best = prediction.map[int(np.nanargmin(errors))]
+            unit = prediction.components[name].after.unit
+            most, least = _error_at(worst, name, unit), _error_at(best, name, unit)
+            sentences.append(f"{name} is largest, {most}, and smallest, {least}.")
+    return " ".join(sentences)
+
+
+def _error_at(point: MapPoint, name: str, unit: str) -> str:
+    error = text.quantity(point.after[name], unit)
+    return f"{error}, at {text.named_quantities(point.command, 4)}"
+
+
+CHAPTER: Final = Chapter("accuracy", "Residual accuracy", blocks)

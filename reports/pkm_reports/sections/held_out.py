@@ -1,78 +1,86 @@
-"""Readings kept out of the fit, predicted by it."""
+"""Chapter: readings held out of the fit, and how well the fit predicts them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
-from pkm_reports import words
-from pkm_reports.blocks import Block, Picture, Table, TableColumn, absent, number_column
+from oed.result import HeldOutSection, StudyResult
+from pkm_reports import text
+from pkm_reports.blocks import (
+    Block,
+    Chapter,
+    Picture,
+    Table,
+    TableColumn,
+    absent,
+    number_columns,
+    wide_column,
+)
 from pkm_reports.figures import held_out
 
-ANCHOR: Final = "held-out"
-TITLE: Final = "Held-out prediction"
 LEAST_COVERAGE: Final = 0.85
 CAPTION: Final = (
-    "Prediction of held-out readings. A new set-up brings unknowns of its own (an"
-    " offset, a scale): they are adjusted to its readings in the first rms, and left at"
-    " their nominal values in the second."
+    "Prediction of held-out readings. A new set-up has unknowns of its own (an offset, a"
+    " scale). The first rms adjusts them to its readings; the second leaves them at"
+    " their nominal values."
 )
 
 
-def blocks(result: Mapping[str, Any]) -> list[Block]:
+def blocks(result: StudyResult) -> list[Block]:
     """Residuals with predictive intervals, and a table of rms and coverage."""
-    sets = result.get("held_out") or []
+    sets = result.held_out
     if not sets:
-        return absent("Prediction of readings kept out of the fit")
-    return [
-        Picture("held_out", lambda: held_out.draw(sets), _caption(sets)),
-        _table(sets),
-    ]
+        return absent("Prediction of readings held out of the fit")
+    picture = Picture("held_out", lambda: held_out.draw(sets), _caption(sets))
+    return [picture, _table(sets)]
 
 
-def _caption(sets: list[Mapping[str, Any]]) -> str:
-    narrow = [
-        f"{s['name']} ({s['channel']})"
-        for s in sets
-        if not words.number(s["coverage"]) >= LEAST_COVERAGE
+def _caption(sets: Sequence[HeldOutSection]) -> str:
+    inside = [
+        f"{text.percent(entry.coverage)} of {entry.n} in {_name(entry)}"
+        for entry in sets
     ]
-    inside = words.listing(
-        f"{words.percent(s['coverage'])} of {s['n']} in {s['name']} ({s['channel']})"
-        for s in sets
+    caption = (
+        "Measured minus predicted, for readings that the fit did not use. Inside their"
+        f" 95 % interval: {text.listing(inside)}."
     )
-    text = (
-        "Measured minus predicted, for readings that the fit did not see. Inside their"
-        f" 95 % interval: {inside}."
-    )
+    narrow = [_name(entry) for entry in sets if not _is_covered(entry)]
     if narrow:
         return (
-            f"{text} That is too few in {words.listing(narrow)}: the stated uncertainty"
-            " is too small there."
+            f"{caption} That is too few in {text.listing(narrow)}: the stated"
+            " uncertainty is too small there."
         )
-    return (
-        f"{text} That is about as many as should be: the stated uncertainty can be"
-        " trusted."
-    )
+    return f"{caption} That agrees with the stated uncertainty."
 
 
-def _table(sets: list[Mapping[str, Any]]) -> Table:
+def _name(entry: HeldOutSection) -> str:
+    return f"{entry.name} ({entry.channel})"
+
+
+def _is_covered(entry: HeldOutSection) -> bool:
+    return entry.coverage >= LEAST_COVERAGE
+
+
+def _table(sets: Sequence[HeldOutSection]) -> Table:
+    columns = [
+        wide_column("Readings"),
+        TableColumn("Channel"),
+        *number_columns("Number", "Rms", "Rms, unadjusted", "Inside 95 % interval"),
+    ]
     rows = [
         [
-            str(s["name"]),
-            str(s["channel"]),
-            str(s["n"]),
-            words.quantity(s["rms"], str(s["unit"])),
-            words.quantity(s.get("rms_raw"), str(s["unit"])),
-            words.percent(s["coverage"]),
+            entry.name,
+            entry.channel,
+            str(entry.n),
+            text.quantity(entry.rms, entry.unit),
+            text.quantity(entry.rms_raw, entry.unit),
+            text.percent(entry.coverage),
         ]
-        for s in sets
+        for entry in sets
     ]
-    columns = [
-        TableColumn("Readings", wide=True),
-        TableColumn("Channel"),
-        *number_column("Number", "Rms", "Rms, unadjusted", "Inside 95 % interval"),
-    ]
-    marks = [
-        "good" if words.number(s["coverage"]) >= LEAST_COVERAGE else "bad" for s in sets
-    ]
+    marks = ["good" if _is_covered(entry) else "bad" for entry in sets]
     return Table(columns, rows, CAPTION, marks)
+
+
+CHAPTER: Final = Chapter("held-out", "Held-out prediction", blocks)

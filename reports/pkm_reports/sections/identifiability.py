@@ -1,207 +1,199 @@
-"""What the readings can see: singular values, the verdict in words, variants."""
+"""Chapter: what the readings determine: singular values, verdicts, variants."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
-from pkm_reports import words
+from oed.result import (
+    IdentifiabilityFinding,
+    IdentifiabilitySection,
+    StudyResult,
+)
+from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
+    Chapter,
     Paragraph,
     Picture,
     Table,
     TableColumn,
     absent,
-    number_column,
+    number_columns,
     transposed,
+    wide_column,
 )
-from pkm_reports.figures import singular
+from pkm_reports.figures import singular_values
 
-ANCHOR: Final = "identifiability"
-TITLE: Final = "What the readings can see"
-Part = Mapping[str, Any]
 #: lost directions of a variant beyond which they are counted, not described
-MANY = 8
+MANY: Final = 8
+#: verdict and mark of each kind of finding
 VERDICTS: Final = {
-    "seen": ("seen", "good"),
+    "seen": ("determined", "good"),
     "combination": ("only in combination", ""),
-    "weak": ("weakly seen", "chosen"),
+    "weak": ("weakly determined", "chosen"),
     "lost": ("lost", "bad"),
 }
 
 
-def blocks(result: Part) -> list[Block]:
-    """Singular values and words for the plan, then the variants asked for."""
-    part, variants = (
-        result.get("identifiability"),
-        result.get("identifiability_of") or {},
-    )
-    made = _whole(part) if part else absent("An analysis of what the readings can see")
-    return made + ([_variants(variants, part)] if variants else [])
+def blocks(result: StudyResult) -> list[Block]:
+    """Singular values and verdicts of the plan, then the variants of the study."""
+    section, variants = result.identifiability, result.identifiability_of
+    chapter = absent("An analysis of what the readings determine")
+    if section is not None:
+        chapter = _plan(section)
+    if variants:
+        chapter.append(_variants(variants, section))
+    return chapter
 
 
-def _whole(part: Part) -> list[Block]:
-    made: list[Block] = [
-        Paragraph(_verdict(part)),
-        Picture("singular", lambda: singular.draw(part), _caption(part)),
+def _plan(section: IdentifiabilitySection) -> list[Block]:
+    caption = _caption(section)
+    chapter: list[Block] = [
+        Paragraph(_verdict(section)),
+        Picture("singular", lambda: singular_values.draw(section), caption),
     ]
-    if part.get("words"):
-        made.append(_words(part["words"]))
-    made += _directions(
-        "Seen only in combination",
-        _mixed(part.get("combinations") or []),
-        "combination",
+    if section.words:
+        chapter.append(_findings(section.words))
+    # A parameter that is determined alone stands in the table of verdicts.
+    combinations = [terms for terms in section.combinations if len(terms) > 1]
+    chapter += _directions(
+        "Determined only in combination", combinations, "combination"
     )
-    return made + _directions("Lost directions", part.get("lost") or [], "direction")
+    return chapter + _directions("Lost directions", section.lost, "direction")
 
 
-def _verdict(part: Part) -> str:
-    lost = part["n"] - part["rank"]
-    text = (
-        f"The readings see {part['rank']} of"
-        f" {words.count(part['n'], 'parameter direction')}"
-    )
-    if not lost:
-        return f"{text}: nothing is lost. Scaling: {part['scaling']}."
-    one = (
-        "1 direction is lost and keeps its"
-        if lost == 1
-        else f"{lost} directions are lost and keep their"
-    )
-    return f"{text}; {one} tolerance. Scaling: {part['scaling']}."
+def lost_count(section: IdentifiabilitySection) -> int:
+    """Number of directions that the readings leave as they were."""
+    return section.n - section.rank
 
 
-def condition(part: Part) -> float:
+def condition(section: IdentifiabilitySection) -> float:
     """Largest over smallest non-zero singular value."""
-    seen = [words.number(v) for v in part["singular_values"][: part["rank"]]]
-    return seen[0] / seen[-1] if seen and seen[-1] > 0.0 else float("nan")
+    nonzero = section.singular_values[: section.rank]
+    if not nonzero or not nonzero[-1] > 0.0:
+        return math.nan
+    return nonzero[0] / nonzero[-1]
 
 
-def _caption(part: Part) -> str:
-    values, rank = [words.number(v) for v in part["singular_values"]], part["rank"]
+def _verdict(section: IdentifiabilitySection) -> str:
+    directions = text.count(section.n, "parameter direction")
+    verdict = f"The readings determine {section.rank} of {directions}"
+    match lost_count(section):
+        case 0:
+            verdict += ": nothing is lost"
+        case 1:
+            verdict += "; 1 direction is lost and keeps its tolerance"
+        case lost:
+            verdict += f"; {lost} directions are lost and keep their tolerance"
+    return f"{verdict}. Scaling: {section.scaling}."
+
+
+def _caption(section: IdentifiabilitySection) -> str:
+    opening = "Singular values of the scaled identification matrix:"
+    values, rank = section.singular_values, section.rank
     if not rank:
-        return (
-            "Singular values of the scaled identification matrix: none stands above the"
-            " tolerance."
-        )
-    text = (
-        f"Singular values of the scaled identification matrix: {words.num(values[0])}"
-        f" down to {words.num(values[rank - 1])} over the {rank} seen directions"
-        f" (condition number {words.num(condition(part), 4)})."
+        return f"{opening} none stands above the tolerance."
+    high, low = text.number(values[0]), text.number(values[rank - 1])
+    caption = (
+        f"{opening} {high} down to {low} over the {rank} determined directions"
+        f" (condition number {text.number(condition(section), 4)})."
     )
-    if part["n"] == rank:
-        return f"{text} All stand above the tolerance (dashed)."
-    lost = values[rank:] or [0.0]
-    gap = (
-        f"the largest is {words.num(max(lost), 2)} before it is set to zero"
-        if max(lost) > 0
-        else "exactly zero"
-    )
-    rest = part["n"] - rank
-    other = "The other one lies" if rest == 1 else f"The other {rest} lie"
-    return f"{text} {other} below the tolerance (dashed): {gap}."
+    lost = lost_count(section)
+    if not lost:
+        return f"{caption} All stand above the tolerance (dashed)."
+    largest = max(values[rank:], default=0.0)
+    size = "exactly zero"
+    if largest > 0.0:
+        subject = "it" if lost == 1 else "the largest"
+        size = f"{subject} is {text.number(largest, 2)} before it is set to zero"
+    others = "The other one lies" if lost == 1 else f"The other {lost} lie"
+    return f"{caption} {others} below the tolerance (dashed): {size}."
 
 
-def _words(groups: Sequence[Part]) -> Table:
-    rows = [
-        [
-            VERDICTS.get(g["kind"], (str(g["kind"]), ""))[0],
-            words.sentence(g["text"]),
-            "; ".join(str(r) for r in g.get("remedies") or []) or words.MISSING,
-        ]
-        for g in groups
-    ]
+def _findings(findings: Sequence[IdentifiabilityFinding]) -> Table:
     columns = [
         TableColumn("Verdict"),
-        TableColumn("What", wide=True),
-        TableColumn("What would bring it back", wide=True),
+        wide_column("What"),
+        wide_column("What would determine it"),
     ]
-    kinds = [g["kind"] for g in groups]
-    told = [
-        f"{kinds.count(k)} {VERDICTS.get(k, (k, ''))[0]}" for k in dict.fromkeys(kinds)
-    ]
-    marks = [VERDICTS.get(kind, ("", ""))[1] for kind in kinds]
-    return Table(
-        columns,
-        rows,
-        f"Identifiability in words, by groups of parameters: {words.listing(told)}.",
-        marks,
-    )
+    rows, marks, verdicts = [], [], []
+    for finding in findings:
+        verdict, mark = VERDICTS.get(finding.kind, (finding.kind, ""))
+        remedies = "; ".join(finding.remedies) or text.MISSING
+        rows.append([verdict, text.sentence(finding.text), remedies])
+        marks.append(mark)
+        verdicts.append(verdict)
+    counts = [f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts)]
+    caption = f"Identifiability by groups of parameters: {text.listing(counts)}."
+    return Table(columns, rows, caption, marks)
 
 
 def _directions(
-    title: str, vectors: Sequence[Mapping[str, float]], noun: str
+    title: str, directions: Sequence[Mapping[str, float]], noun: str
 ) -> list[Block]:
-    if not vectors:
+    if not directions:
         return []
-    rows = [[str(k + 1), words.combination(dict(v))] for k, v in enumerate(vectors)]
     columns = [
         TableColumn(noun.capitalize(), number=True),
-        TableColumn("Coefficients of the parameters (SI units)", wide=True),
+        wide_column("Coefficients of the parameters (SI units)"),
     ]
-    return [
-        Table(
-            columns,
-            rows,
-            f"{title}: {words.count(len(vectors), noun)}, the largest terms first.",
-        )
+    rows = [
+        [str(k), text.linear_combination(terms)]
+        for k, terms in enumerate(directions, 1)
     ]
+    count = text.count(len(directions), noun)
+    return [Table(columns, rows, f"{title}: {count}, the largest terms first.")]
 
 
-def _mixed(vectors: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
-    """Combinations of at least two parameters; a parameter seen alone is told in the
-    words.
-    """
-    return [v for v in vectors if len(v) > 1]
+# -- variants --------------------------------------------------------------------------
 
 
-def _variants(variants: Mapping[str, Part], part: Part | None) -> Table:
-    entries = {**({"this plan": part} if part else {}), **variants}
-    cells = [
-        list(entries),
-        [f"{v['rank']} of {v['n']}" for v in entries.values()],
-        [str(v["n"] - v["rank"]) for v in entries.values()],
-        [words.num(condition(v), 4) for v in entries.values()],
-        [_lost(v) for v in entries.values()],
-    ]
+def _variants(
+    variants: Mapping[str, IdentifiabilitySection],
+    plan: IdentifiabilitySection | None,
+) -> Table:
+    entries = dict(variants)
+    if plan is not None:
+        entries = {"this plan": plan, **variants}
+    sections = list(entries.values())
     columns = [
         TableColumn("Variant"),
-        *number_column("Rank", "Lost", "κ"),
-        TableColumn("What is lost", wide=True),
+        *number_columns("Rank", "Lost", "κ"),
+        wide_column("What is lost"),
     ]
-    best = max(variants.items(), key=lambda item: item[1]["rank"] - item[1]["n"])
-    lost = best[1]["n"] - best[1]["rank"]
+    cells = [
+        list(entries),
+        [f"{section.rank} of {section.n}" for section in sections],
+        [str(lost_count(section)) for section in sections],
+        [text.number(condition(section), 4) for section in sections],
+        [_lost(section) for section in sections],
+    ]
+    best = min(variants, key=lambda name: lost_count(variants[name]))
+    fewest = lost_count(variants[best])
     caption = (
-        f"What other arrangements would see. “{best[0]}” loses least:"
-        f" {words.count(lost, 'direction')}."
+        "What other arrangements would determine."
+        f" “{best}” loses the fewest directions: {fewest}."
     )
-    return Table(
-        columns,
-        transposed(cells),
-        caption,
-        ["chosen" if part and k == 0 else "" for k in range(len(entries))],
-    )
+    marks = ["chosen" if section is plan else "" for section in sections]
+    return Table(columns, transposed(cells), caption, marks)
 
 
-def _lost(part: Part) -> str:
-    """What is lost, in words where it has a name; of many directions only how many:
-    result.json lists them.
-    """
-    if part["n"] - part["rank"] > MANY:
+def _lost(section: IdentifiabilitySection) -> str:
+    """What is lost, in words where it has a name; result.json lists all directions."""
+    lost = lost_count(section)
+    if lost > MANY:
         return (
-            f"{part['n'] - part['rank']} directions: far too few readings, or too"
-            " alike, on their own."
+            f"{lost} directions: these readings alone are far too few, or too much"
+            " alike."
         )
-    told = [
-        words.sentence(g["text"])
-        for g in part.get("words") or []
-        if g["kind"] == "lost"
-    ]
-    if told:
-        return " ".join(told)
-    return (
-        words.MISSING
-        if part["n"] == part["rank"]
-        else "; ".join(words.combination(dict(v)) for v in part["lost"])
-    )
+    described = [finding.text for finding in section.words if finding.kind == "lost"]
+    if described:
+        return " ".join(text.sentences(described))
+    if not lost:
+        return text.MISSING
+    return "; ".join(text.linear_combination(terms) for terms in section.lost)
+
+
+CHAPTER: Final = Chapter("identifiability", "What the readings can determine", blocks)

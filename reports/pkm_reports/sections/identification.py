@@ -1,178 +1,193 @@
-"""Least squares with tolerance priors: how well it fits, what it found, what is left."""
+"""Chapter: least squares with tolerance priors: the fit, its parameters, its residuals."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Final
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
-from pkm_reports import style, words
+from oed.result import EstimateSection, ParameterEstimate, StudyResult
+from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,
+    Chapter,
     Notice,
     Paragraph,
     Picture,
     Table,
     TableColumn,
     absent,
-    number_column,
+    number_columns,
 )
 from pkm_reports.figures import parameters, residuals
+from pkm_reports.missing import or_nan
 
-ANCHOR: Final = "identification"
-TITLE: Final = "Identification"
-Part = Mapping[str, Any]
+Estimates = Mapping[str, ParameterEstimate]
+MARKS: Final = {"weak": "chosen", "prior": "bad"}
+#: standard deviations of chi-square beyond which it disagrees with the stated noise
+DISAGREEMENT: Final = 3.0
 
 
-def blocks(result: Part) -> list[Block]:
-    """Fit, residuals, parameters as figure and table, iterations."""
-    estimate = result.get("estimate")
-    if not estimate:
+def blocks(result: StudyResult) -> list[Block]:
+    """Fit, residuals, parameters as table and figure, iterations."""
+    estimate = result.estimate
+    if estimate is None:
         return absent("Identification")
-    values = estimate.get("parameters") or {}
-    made: list[Block] = [Paragraph(_fit(estimate))]
-    made += [Notice(words.sentence(text)) for text in estimate.get("warnings") or []]
-    made.append(Picture("residuals", lambda: residuals.draw(estimate), _left(estimate)))
-    if values:
-        # The table first: it breaks over pages, so the tall picture leaves no gap
-        # before it.
-        made += [
-            _table(values),
-            Picture("parameters", lambda: parameters.draw(values), _found(values)),
-        ]
-    return made + _iterations(estimate.get("iterations") or [])
-
-
-def _fit(estimate: Part) -> str:
-    units = estimate["units"]
-    after = estimate["rms_after"]
-    parts = [
-        f"{name} from {words.quantity(before, units[name])} to"
-        f" {words.quantity(after.get(name), units[name])}"
-        for name, before in (estimate.get("rms_before") or {}).items()
+    caption = _residuals_caption(estimate)
+    chapter: list[Block] = [
+        Paragraph(_fit(estimate)),
+        *[Notice(warning) for warning in text.sentences(estimate.warnings)],
+        Picture("residuals", lambda: residuals.draw(estimate), caption),
     ]
-    text = f"{words.count(estimate['readings'], 'reading')} were fitted. "
-    text += f"The rms residual falls for {words.listing(parts)}. " if parts else ""
-    chi2, dof = words.number(estimate["chi2"]), words.number(estimate["dof"])
-    text += f"χ² is {words.num(chi2)} for {words.num(dof)} degrees of freedom"
-    return f"{text}{_judged(chi2, dof)}."
+    values = estimate.parameters
+    if values:
+        # The table breaks over pages; before it, the tall picture would leave a gap.
+        caption = _parameters_caption(values)
+        picture = Picture("parameters", lambda: parameters.draw(values), caption)
+        chapter += [_table(values), picture]
+    return chapter + _iterations(estimate.iterations)
 
 
-def _judged(chi2: float, dof: float) -> str:
+# -- the fit ---------------------------------------------------------------------------
+
+
+def _fit(estimate: EstimateSection) -> str:
+    sentences = [f"The fit uses {text.count(estimate.readings, 'reading')}."]
+    before, after = estimate.rms_before, estimate.rms_after
+    changes = [
+        f"from {_rms_of(estimate, name, before)} to {_rms_of(estimate, name, after)}"
+        f" ({name})"
+        for name in before
+    ]
+    if changes:
+        falls = all(missing.entry(after, name) < before[name] for name in before)
+        verb = "falls" if falls else "changes"
+        sentences.append(f"The rms residual {verb} {text.listing(changes)}.")
+    chi2, dof = text.number(estimate.chi2), text.number(estimate.dof)
+    judgement = _judgement(estimate.chi2, estimate.dof)
+    sentences.append(f"χ² is {chi2} for {dof} degrees of freedom{judgement}.")
+    return " ".join(sentences)
+
+
+def _rms_of(estimate: EstimateSection, channel: str, rms: Mapping[str, float]) -> str:
+    return text.in_unit_of(channel, missing.entry(rms, channel), estimate.units)
+
+
+def _judgement(chi2: float, dof: float) -> str:
     """Whether chi-square agrees with the stated noise, by its normal approximation."""
     if not dof > 0.0:
         return ""
     z = (chi2 - dof) / np.sqrt(2.0 * dof)
-    if z > 3.0:
+    if z > DISAGREEMENT:
         return (
-            ": far more than the stated noise explains, so the model lacks something or"
+            ", far more than the stated noise explains: the model lacks something, or"
             " the noise is larger"
         )
-    return (
-        ": less than the stated noise would leave, so the noise is overstated"
-        if z < -3.0
-        else ": as the noise predicts"
-    )
+    if z < -DISAGREEMENT:
+        return ", less than the stated noise would leave: the noise is overstated"
+    return ", as the stated noise predicts"
 
 
-def _left(estimate: Part) -> str:
-    after = style.array(estimate.get("residuals") or [])
-    text = (
-        "Residual of each reading with nominal and with identified parameters; the"
-        " scales differ."
+def _residuals_caption(estimate: EstimateSection) -> str:
+    caption = (
+        "Residual of each reading with nominal and with identified parameters, on"
+        " different scales."
     )
-    if not np.isfinite(after).any():
-        return text
-    worst = int(np.nanargmax(np.abs(after))) + 1
-    unit = estimate["units"][estimate["channels"][worst - 1]]
-    if len(set(estimate["units"].values())) > 1:
-        return text
-    return (
-        f"{text} The largest left is {words.quantity(np.nanmax(np.abs(after)), unit)}"
-        f" at reading {worst}."
-    )
+    sizes = np.abs(missing.array(estimate.residuals))
+    several_units = len(set(estimate.units.values())) > 1
+    if several_units or not np.isfinite(sizes).any():
+        return caption
+    worst = int(np.nanargmax(sizes))
+    unit = estimate.units[estimate.channels[worst]]
+    largest = text.quantity(sizes[worst], unit)
+    return f"{caption} The largest after the fit is {largest}, at reading {worst + 1}."
 
 
-def _found(values: Mapping[str, Part]) -> str:
-    """Caption of the interval plot: how many are seen, how the truth fared."""
-    kinds = [str(v.get("identified")) for v in values.values()]
-    text = (
-        f"Each parameter against its tolerance. {kinds.count('seen')} of {len(kinds)}"
-        f" are seen, {kinds.count('weak')} only weakly, {kinds.count('prior')} stay as"
-        " uncertain as the tolerance."
-    )
-    best = min(values, key=lambda name: parameters.normalised(values[name])[1])
-    text += (
-        f" Tightened most: {best}, to"
-        f" {words.percent(parameters.normalised(values[best])[1])} of its tolerance."
-    )
-    pulls = [pull for pull in map(_pull, values.values()) if np.isfinite(pull)]
+# -- parameters ------------------------------------------------------------------------
+
+
+def _parameters_caption(values: Estimates) -> str:
+    """How many parameters are determined, and how many intervals hold the truth."""
+    verdicts = [estimate.identified for estimate in values.values()]
+    determined, weak = verdicts.count("seen"), verdicts.count("weak")
+    sentences = [
+        "Each parameter against its tolerance.",
+        f"{determined} of {len(verdicts)} are determined, {weak} only weakly,"
+        f" {verdicts.count('prior')} stay as uncertain as the tolerance.",
+    ]
+    shrinkages = {name: parameters.shrinkage(p) for name, p in values.items()}
+    known = {name: x for name, x in shrinkages.items() if math.isfinite(x)}
+    if known:
+        best = min(known, key=lambda name: known[name])
+        share = text.percent(known[best])
+        sentences.append(f"Most improved: {best}, to {share} of its tolerance.")
+    pulls = [pull for pull in map(_pull, values.values()) if math.isfinite(pull)]
     if pulls:
-        inside = sum(abs(p) <= 1.96 for p in pulls)
-        text += (
-            f" {inside} of {len(pulls)} intervals hold the truth (crosses); about"
-            f" {round(0.95 * len(pulls))} should."
+        inside = sum(abs(pull) <= parameters.HALF_WIDTH_95 for pull in pulls)
+        expected = round(0.95 * len(pulls))
+        sentences.append(
+            f"{inside} of {len(pulls)} intervals contain the truth (crosses); about"
+            f" {expected} should."
         )
-    return text
+    return " ".join(sentences)
 
 
-def _pull(value: Part) -> float:
+def _pull(estimate: ParameterEstimate) -> float:
     """(value - truth) / sd."""
-    sd = words.number(value["sd"])
-    return (
-        (words.number(value["value"]) - words.number(value.get("truth"))) / sd
-        if sd > 0.0
-        else float("nan")
-    )
+    if not estimate.sd > 0.0:
+        return math.nan
+    return (estimate.value - or_nan(estimate.truth)) / estimate.sd
 
 
-def _table(values: Mapping[str, Part]) -> Table:
-    rows = [_row(name, v) for name, v in values.items()]
+def _table(values: Estimates) -> Table:
     columns = [
         TableColumn("Parameter"),
-        *number_column("Value", "sd", "Nominal", "Tolerance"),
+        *number_columns("Value", "sd", "Nominal", "Tolerance"),
         TableColumn("Unit"),
         TableColumn("Verdict"),
     ]
-    known = any(v.get("truth") is not None for v in values.values())
-    if known:
-        columns += number_column("Truth", "Pull")
-    rows = rows if known else [row[:7] for row in rows]
-    weak = {"weak": "chosen", "prior": "bad"}
     caption = (
         "Identified parameters with standard deviations; the tolerance is the standard"
         " deviation before any reading."
     )
-    caption += " Pull: (value − truth) / sd." if known else ""
-    return Table(
-        columns,
-        rows,
-        caption,
-        [weak.get(str(v.get("identified")), "") for v in values.values()],
-    )
+    with_truth = any(estimate.truth is not None for estimate in values.values())
+    if with_truth:
+        columns += number_columns("Truth", "Pull")
+        caption += " Pull: (value − truth) / sd."
+    rows = [_row(name, p, with_truth=with_truth) for name, p in values.items()]
+    marks = [MARKS.get(estimate.identified, "") for estimate in values.values()]
+    return Table(columns, rows, caption, marks)
 
 
-def _row(name: str, v: Part) -> list[str]:
-    decimals = words.decimals_of(v["sd"])
-    verdict = parameters.MEANING.get(str(v.get("identified")), str(v.get("identified")))
-    return [
+def _row(name: str, estimate: ParameterEstimate, *, with_truth: bool) -> list[str]:
+    decimals = text.decimals_for(estimate.sd)
+    verdict = estimate.identified
+    cells = [
         name,
-        words.fixed(v["value"], decimals),
-        words.fixed(v["sd"], decimals),
-        words.plain(v["nominal"], 7),
-        words.plain(v["prior_sd"], 3),
-        words.unit(str(v["unit"])),
-        verdict,
-        words.fixed(v.get("truth"), decimals),
-        words.fixed(_pull(v), 1),
+        text.fixed(estimate.value, decimals),
+        text.fixed(estimate.sd, decimals),
+        text.trimmed(estimate.nominal, 7),
+        text.trimmed(estimate.prior_sd, 3),
+        text.unit_symbol(estimate.unit),
+        text.meaning(verdict, parameters.MEANING),
     ]
+    if with_truth:
+        cells.append(text.fixed(estimate.truth, decimals))
+        cells.append(text.fixed(_pull(estimate), 1))
+    return cells
 
 
-def _iterations(rows: list[Mapping[str, float]]) -> list[Block]:
-    if not rows:
+def _iterations(iterations: Sequence[Mapping[str, float]]) -> list[Block]:
+    if not iterations:
         return []
-    keys = list(dict.fromkeys(key for row in rows for key in row))
-    cells = [[words.plain(row.get(key), 4) for key in keys] for row in rows]
-    titles = [words.heading(key) for key in keys]
-    return [Table(number_column(*titles), cells, "The fit, stage by stage.")]
+    keys = list(dict.fromkeys(key for row in iterations for key in row))
+    rows = [
+        [text.trimmed(missing.entry(row, key)) for key in keys] for row in iterations
+    ]
+    columns = number_columns(*[text.heading(key) for key in keys])
+    return [Table(columns, rows, "The fit, stage by stage.")]
+
+
+CHAPTER: Final = Chapter("identification", "Identification", blocks)

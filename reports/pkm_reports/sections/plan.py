@@ -1,145 +1,168 @@
-"""Which readings to take, in which order: drawing, stages, working order, readings."""
+"""Chapter: the machine, and which readings to take in which order."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
-from pkm_reports import words
+from oed.result import (
+    DesignSection,
+    Drawing,
+    MachineInfo,
+    PlannedReading,
+    PlanSection,
+    StudyResult,
+)
+from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,
-    Items,
+    Chapter,
     Paragraph,
     Picture,
     Table,
     TableColumn,
-    number_column,
-    text_column,
+    headed_list,
+    number_columns,
+    text_columns,
     transposed,
+    wide_column,
 )
 from pkm_reports.figures import machine
-from pkm_reports.sections.parts import order
-
-ANCHOR: Final = "plan"
-TITLE: Final = "Machine and plan"
-Part = Mapping[str, Any]
+from pkm_reports.sections import working_order
+from pkm_reports.sections.stages.chapter import has_schedule
 
 
-def blocks(result: Part) -> list[Block]:
-    """Drawing, stages, the working order, the readings."""
-    design, drawing = result.get("design"), result.get("drawing")
-    made: list[Block] = [Paragraph(_about(result["machine"]))]
-    if drawing:
-        made.append(Picture("machine", lambda: machine.draw(drawing), _seen(drawing)))
-    made += _stages(result["plan"]) if result.get("plan") else []
-    return made + (
-        [Paragraph(_chosen(design)), *order.blocks(design), *_readings(design)]
-        if design
-        else []
-    )
+def blocks(result: StudyResult) -> list[Block]:
+    """Drawing, stages, working order, readings."""
+    design, drawing, plan = result.design, result.drawing, result.plan
+    chapter: list[Block] = [Paragraph(_about(result.machine))]
+    if drawing is not None:
+        caption = _drawing_caption(drawing)
+        chapter.append(Picture("machine", lambda: machine.draw(drawing), caption))
+    if plan is not None and not has_schedule(plan):
+        chapter += _stages(plan)
+    if design is not None:
+        chapter.append(Paragraph(_choice(design)))
+        chapter += working_order.blocks(design)
+        chapter += _readings(design.poses)
+    return chapter
 
 
-def _about(info: Part) -> str:
-    text = f"{info['name']}: {words.sentence(info['about'])}"
-    return (
-        f"{text} Source: {words.sentence(info['source'])}"
-        if info.get("source")
-        else text
-    )
+def _about(info: MachineInfo) -> str:
+    about = f"{info.name}: {text.sentence(info.about)}"
+    if not info.source:
+        return about
+    return f"{about} Source: {text.sentence(info.source)}"
 
 
-def _seen(drawing: Part) -> str:
-    """Caption of the drawing: how many readings where, and how far they reach."""
-    names = list(drawing.get("reading_of") or [])
-    tips = machine.points(drawing.get("tool_points") or [])
-    told = words.listing((f"{names.count(n)} in {n}" for n in dict.fromkeys(names)), 5)
-    text = "The machine at its home pose in the base frame, equal scale on all axes."
+def _drawing_caption(drawing: Drawing) -> str:
+    """How many readings where, and how far they reach."""
+    caption = "The machine at its home pose in the base frame, equal scale on all axes."
+    tips = machine.points_mm(drawing.tool_points)
     if not len(tips):
-        return text
-    x, y, z = np.ptp(tips, axis=0)
-    reach = f"{words.num(x)} × {words.num(y)} × {words.num(z)}{words.GAP}mm (x, y, z)"
-    where = f": {told}" if names else ""
-    return (
-        f"{text} {words.count(len(tips), 'tool point')}{where}; together they span"
-        f" {reach}."
-    )
+        return caption
+    setups = drawing.reading_of
+    counts = [f"{setups.count(name)} in {name}" for name in dict.fromkeys(setups)]
+    where = f": {text.listing(counts, 5)}" if counts else ""
+    sides = [text.number(side) for side in np.ptp(tips, axis=0)]
+    span = f"{' × '.join(sides)}{text.NO_BREAK}mm (x, y, z)"
+    points = text.count(len(tips), "tool point")
+    return f"{caption} {points}{where}; together they span {span}."
 
 
-def _readings(design: Part) -> list[Block]:
-    poses = design.get("poses") or []
+# -- readings --------------------------------------------------------------------------
+
+
+def _choice(design: DesignSection) -> str:
+    """What was chosen, by what, out of how many."""
+    readings = text.count(design.n, "reading")
+    choice = f"Criterion {design.criterion} chose {readings}"
+    if design.candidates:
+        choice += f" out of {text.count(design.candidates, 'candidate')}"
+    if design.retained:
+        choice += f"; {design.retained} of them belong to the earlier plan"
+    return f"{choice}. The next chapter says how good this choice is."
+
+
+def _readings(poses: Sequence[PlannedReading]) -> list[Block]:
     if not poses:
         return []
-    commands = list(dict.fromkeys(key for pose in poses for key in pose["command"]))
-    readings = list(dict.fromkeys(key for pose in poses for key in pose["reading"]))
+    commands = list(dict.fromkeys(key for pose in poses for key in pose.command))
+    channels = list(dict.fromkeys(key for pose in poses for key in pose.reading))
     columns = [
         TableColumn("No.", number=True),
-        *text_column("Set-up", "Run"),
-        *number_column("Order in run", *[words.heading(c) for c in commands]),
-        *number_column(*[f"{words.heading(r)}, nominal" for r in readings]),
+        *text_columns("Set-up", "Run"),
+        *number_columns("Order in run"),
+        *number_columns(*[text.heading(name) for name in commands]),
+        *number_columns(*[f"{text.heading(name)}, nominal" for name in channels]),
     ]
-    cells = [[str(k) for k in range(1, len(poses) + 1)]]
-    cells += [[str(p[key]) for p in poses] for key in ("setup", "run", "order")]
-    cells += [words.column([p["command"].get(c) for p in poses]) for c in commands]
-    cells += [words.column([p["reading"].get(r) for p in poses]) for r in readings]
-    return [Table(columns, transposed(cells), _told(poses))]
-
-
-def _told(poses: Sequence[Part]) -> str:
-    """Caption of the plan: what to do, set-up by set-up."""
-    parts = []
-    for setup in dict.fromkeys(str(p["setup"]) for p in poses):
-        mine = [p for p in poses if p["setup"] == setup]
-        runs = list(dict.fromkeys(str(p["run"]) for p in mine))
-        named = f" ({words.listing(runs, 4)})" if runs != ["1"] else ""
-        parts.append(f"{words.count(len(mine), 'reading')} in {setup}{named}")
-    return (
-        f"The readings to take, from top to bottom: {words.listing(parts, 5)}. The"
-        " machine is commanded to each row."
-    )
-
-
-def _chosen(design: Part) -> str:
-    """What was chosen, by what, out of how many."""
-    text = f"{words.count(design['n'], 'reading')} were chosen"
-    if design.get("candidates"):
-        text += f" out of {words.count(design['candidates'], 'candidate')}"
-    text += f" by criterion {design['criterion']}"
-    kept = design.get("kept") or 0
-    text += f"; {kept} of them belonged to the plan before" if kept else ""
-    return f"{text}. How good the choice is known to be is told in the next chapter."
-
-
-def _stages(plan: Part) -> list[Block]:
-    stages = plan.get("stages") or []
-    others = [words.sentence(text) for text in plan.get("alternatives") or []]
-    extra: list[Block] = (
-        [Paragraph("Alternatives that were looked at:"), Items(others)]
-        if others
-        else []
-    )
-    if not stages:
-        return extra
     cells = [
-        [str(k + 1) for k in range(len(stages))],
-        [str(s["measurement"]) for s in stages],
-        [words.listing(s["setups"]) for s in stages],
-        [str(s["readings"]) for s in stages],
-        [str(s["identifies"]) for s in stages],
-        [words.num(s["cost"]) for s in stages],
-        [words.num(s["kappa"], 4) for s in stages],
-        [words.numbers(s.get("predicted") or {}, 3) for s in stages],
+        [str(k) for k in range(1, len(poses) + 1)],
+        [pose.setup for pose in poses],
+        [pose.run for pose in poses],
+        [str(pose.order) for pose in poses],
     ]
+    for name in commands:
+        cells.append(
+            text.aligned(missing.column([pose.command for pose in poses], name))
+        )
+    for name in channels:
+        cells.append(
+            text.aligned(missing.column([pose.reading for pose in poses], name))
+        )
+    return [Table(columns, transposed(cells), _readings_caption(poses))]
+
+
+def _readings_caption(poses: Sequence[PlannedReading]) -> str:
+    """What to do, set-up by set-up."""
+    parts = []
+    for setup in dict.fromkeys(pose.setup for pose in poses):
+        of_setup = [pose for pose in poses if pose.setup == setup]
+        part = f"{text.count(len(of_setup), 'reading')} in {setup}"
+        runs = list(dict.fromkeys(pose.run for pose in of_setup))
+        if runs != ["1"]:
+            part += f" ({text.listing(runs, 4)})"
+        parts.append(part)
+    return (
+        f"The readings to take, from top to bottom: {text.listing(parts, 5)}. Each row"
+        " holds the command to the machine."
+    )
+
+
+# -- stages without a schedule ---------------------------------------------------------
+
+
+def _stages(plan: PlanSection) -> list[Block]:
+    considered = [entry for entry in plan.alternatives if isinstance(entry, str)]
+    alternatives = headed_list("Alternatives considered:", text.sentences(considered))
+    stages = plan.stages
+    if not stages:
+        return alternatives
     columns = [
         TableColumn("Stage", number=True),
         TableColumn("Measurement"),
-        TableColumn("Set-ups", wide=True),
+        wide_column("Set-ups"),
+        *number_columns("Readings", "Rank", "Cost [min]", "κ"),
+        wide_column("Predicted afterwards"),
     ]
-    columns += number_column("Readings", "Identifies", "Cost [min]", "κ")
-    columns.append(TableColumn("Predicted afterwards", wide=True))
-    caption = (
-        f"The plan as stages, in order; together {words.quantity(plan['cost'], 'min')}"
-        " of machine time."
-    )
-    return [Table(columns, transposed(cells), caption), *extra]
+    rows = [
+        [
+            str(k),
+            stage.measurement,
+            text.listing(stage.setups),
+            str(stage.readings),
+            str(stage.identifies),
+            text.number(stage.cost),
+            text.number(stage.kappa, 4),
+            text.named_quantities(stage.predicted, 3),
+        ]
+        for k, stage in enumerate(stages, 1)
+    ]
+    cost = text.quantity(plan.cost, "min")
+    caption = f"The plan in stages; together they take {cost} of machine time."
+    return [Table(columns, rows, caption), *alternatives]
+
+
+CHAPTER: Final = Chapter("plan", "Machine and plan", blocks)

@@ -1,163 +1,171 @@
-"""The posterior by sampling: worst directions, marginals, and whether the sampler can
-be trusted.
-"""
+"""Chapter: the posterior by sampling: worst directions, marginals, sampler diagnostics."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from pkm_reports import words
+from oed.result import Marginal, PosteriorSection, StudyResult
+from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
+    Chapter,
     Notice,
     Paragraph,
     Picture,
     Table,
     TableColumn,
     absent,
-    number_column,
+    number_columns,
     transposed,
+    wide_column,
 )
 from pkm_reports.figures import corner
+from pkm_reports.missing import or_nan
 
-ANCHOR: Final = "posterior"
-TITLE: Final = "Posterior"
-Part = Mapping[str, Any]
 LARGEST_RHAT: Final = 1.01
 SMALLEST_ESS: Final = 1000.0
+#: sd, in prior standard deviations, above which the readings say little
+WIDE: Final = 0.7
 
 
-def blocks(result: Part) -> list[Block]:
+def blocks(result: StudyResult) -> list[Block]:
     """Sampler, corner plot, directions, marginals."""
-    part = result.get("posterior")
-    if not part:
+    posterior = result.posterior
+    if posterior is None:
         return absent("Sampling the posterior")
-    made: list[Block] = [
-        Paragraph(_sampler(part)),
-        *_doubts(part.get("marginals") or {}),
+    caption = _caption(posterior)
+    return [
+        Paragraph(_sampler(posterior)),
+        *_diagnostics(posterior.marginals),
+        Picture("corner", lambda: corner.draw(posterior), caption),
+        *_directions(posterior),
+        *_marginals(posterior.marginals),
     ]
-    made.append(Picture("corner", lambda: corner.draw(part), _caption(part)))
-    return made + _directions(part) + _marginals(part.get("marginals") or {})
 
 
-def _sampler(part: Part) -> str:
+def _sampler(posterior: PosteriorSection) -> str:
+    draws = text.number(posterior.draws)
+    walkers = text.count(posterior.walkers, "walker")
+    acceptance = text.percent(posterior.acceptance)
+    time = text.number(posterior.autocorrelation)
     return (
-        f"{words.num(part['draws'])} draws were kept from"
-        f" {words.count(part['walkers'], 'walker')};"
-        f" {words.percent(part['acceptance'])} of the moves were accepted, and the"
-        f" autocorrelation time is {words.num(part['autocorrelation'])} steps. All"
+        f"The posterior has {draws} draws from {walkers}. The sampler accepted"
+        f" {acceptance} of its moves; the autocorrelation time is {time} steps. All"
         " draws are in posterior.nc."
     )
 
 
-def _doubts(marginals: Mapping[str, Part]) -> list[Block]:
-    """A notice where a marginal is not well sampled, one sentence where all are; held
-    parameters are not sampled.
+def _diagnostics(marginals: Mapping[str, Marginal]) -> list[Block]:
+    """A notice where a marginal is badly sampled, one sentence where all are well.
+
+    Held parameters are not sampled.
     """
-    sampled = {
-        name: m for name, m in marginals.items() if np.isfinite(words.number(m["rhat"]))
-    }
+    sampled = {name: m for name, m in marginals.items() if _is_sampled(m)}
     if not sampled:
         return []
-    rhat, ess = (
-        max(m["rhat"] for m in sampled.values()),
-        min(words.number(m["ess"]) for m in sampled.values()),
+    rhat = max(or_nan(m.rhat) for m in sampled.values())
+    ess = min(or_nan(m.ess) for m in sampled.values())
+    diagnostics = (
+        f"R-hat is at most {text.fixed(rhat, 3)}, and the effective sample size at"
+        f" least {text.fixed(ess, 0)}"
     )
-    told = (
-        f"R-hat is at most {words.fixed(rhat, 3)}, and at least {words.fixed(ess, 0)}"
-        " draws are effective"
-    )
-    bad = [
-        n
-        for n, m in sampled.items()
-        if m["rhat"] > LARGEST_RHAT or not words.number(m["ess"]) >= SMALLEST_ESS
-    ]
+    bad = [name for name, m in sampled.items() if not _is_well_sampled(m)]
     if not bad:
-        return [Paragraph(f"Every marginal is well sampled: {told}.")]
+        return [Paragraph(f"Every marginal is well sampled: {diagnostics}.")]
     wanted = f"wanted: {LARGEST_RHAT} at most, {SMALLEST_ESS:.0f} at least"
     return [
         Notice(
-            f"The sampler has not fully mixed: {told} ({wanted}). Concerned:"
-            f" {words.listing(bad, 8)}."
+            f"The sampler has not fully mixed: {diagnostics} ({wanted}). This concerns"
+            f" {text.listing(bad, 8)}."
         )
     ]
 
 
-def _caption(part: Part) -> str:
-    names, draws = corner.shown(part)
-    text = (
-        "Posterior of the worst-seen directions in prior standard deviations: below the"
-        " diagonal the draws of each pair (dashed, where it fits: the prior's 1-sigma"
-        " circle), on it the histogram, with the prior in grey."
+def _is_sampled(marginal: Marginal) -> bool:
+    return math.isfinite(or_nan(marginal.rhat))
+
+
+def _is_well_sampled(marginal: Marginal) -> bool:
+    mixed = or_nan(marginal.rhat) <= LARGEST_RHAT
+    return mixed and or_nan(marginal.ess) >= SMALLEST_ESS
+
+
+def _caption(posterior: PosteriorSection) -> str:
+    names, draws = corner.shown(posterior)
+    caption = (
+        "Posterior of the worst-determined directions in prior standard deviations:"
+        " below the diagonal the draws of each pair (dashed, where it fits: the prior's"
+        " 1-sigma circle), on it the histogram, with the prior in grey."
     )
     if not names:
-        return text
+        return caption
     sds = np.std(draws, axis=0)
-    told = [
-        f"{name} {words.num(sd, 2)}"
-        for name, sd in zip(corner.short(names), sds, strict=True)
+    labels = corner.short_names(names)
+    sizes = [
+        f"{label} {text.number(sd, 2)}" for label, sd in zip(labels, sds, strict=True)
     ]
-    wide = int(np.sum(sds > 0.7))
-    verdict = {0: "All are clearly tightened by the readings."}.get(
-        wide,
+    wide = int(np.sum(sds > WIDE))
+    verdict = (
         f"{wide} of {len(names)} stay nearly as wide as the prior: the readings say"
-        " little about them.",
+        " little about them."
+        if wide
+        else "The readings clearly tighten all of them."
     )
-    return f"{text} Standard deviations: {words.listing(told)}. {verdict}"
+    return f"{caption} Standard deviations: {text.listing(sizes)}. {verdict}"
 
 
-def _directions(part: Part) -> list[Block]:
+def _directions(posterior: PosteriorSection) -> list[Block]:
     """What d1, d2, ... stand for, where the names are too long for the axes."""
-    names, draws = corner.shown(part)
-    short = corner.short(names)
-    if not names or short == names:
+    names, draws = corner.shown(posterior)
+    labels = corner.short_names(names)
+    if not names or labels == names:
         return []
     columns = [
         TableColumn("Label"),
-        TableColumn("Direction", wide=True),
-        *number_column("Mean", "sd"),
+        wide_column("Direction"),
+        *number_columns("Mean", "sd"),
     ]
-    spread = [words.fixed(x, 2) for x in np.std(draws, axis=0)]
-    rows = transposed(
-        [short, names, [words.fixed(x, 2) for x in np.mean(draws, axis=0)], spread]
+    means = [text.fixed(x, 2) for x in np.mean(draws, axis=0)]
+    sds = [text.fixed(x, 2) for x in np.std(draws, axis=0)]
+    rows = transposed([labels, names, means, sds])
+    caption = (
+        "Directions of the corner plot, in prior standard deviations (an sd of 1 means"
+        " that the readings say nothing)."
     )
-    return [
-        Table(
-            columns,
-            rows,
-            "Directions of the corner plot, in prior standard deviations (1 means:"
-            " nothing learnt).",
-        )
-    ]
+    return [Table(columns, rows, caption)]
 
 
-def _marginals(marginals: Mapping[str, Part]) -> list[Block]:
+def _marginals(marginals: Mapping[str, Marginal]) -> list[Block]:
     if not marginals:
         return []
-    rows = []
-    for name, m in marginals.items():
-        decimals = words.decimals_of(m["sd"])
-        numbers = [
-            words.fixed(m[key], decimals) for key in ("mean", "sd", "q025", "q975")
-        ]
-        ess = words.fixed(m["ess"], 0)
-        rows.append(
-            [name, *numbers, words.unit(str(m["unit"])), words.fixed(m["rhat"], 3), ess]
-        )
     columns = [
         TableColumn("Parameter"),
-        *number_column("Mean", "sd", "2.5 %", "97.5 %"),
+        *number_columns("Mean", "sd", "2.5 %", "97.5 %"),
         TableColumn("Unit"),
+        *number_columns("R-hat", "ESS"),
     ]
-    columns += number_column("R-hat", "ESS")
+    rows = [_marginal_row(name, marginal) for name, marginal in marginals.items()]
+    caption = (
+        "Marginals of the posterior with sampler diagnostics (ESS: effective sample"
+        " size)."
+    )
+    return [Table(columns, rows, caption)]
+
+
+def _marginal_row(name: str, marginal: Marginal) -> list[str]:
+    decimals = text.decimals_for(marginal.sd)
+    numbers = (marginal.mean, marginal.sd, marginal.q025, marginal.q975)
     return [
-        Table(
-            columns,
-            rows,
-            "Marginals of the posterior with sampler diagnostics (ESS: effective sample"
-            " size).",
-        )
+        name,
+        *[text.fixed(number, decimals) for number in numbers],
+        text.unit_symbol(marginal.unit),
+        text.fixed(marginal.rhat, 3),
+        text.fixed(marginal.ess, 0),
     ]
+
+
+CHAPTER: Final = Chapter("posterior", "Posterior", blocks)

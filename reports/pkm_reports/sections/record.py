@@ -1,121 +1,115 @@
-"""What was computed with what: warnings, set-ups, machine table, study file, versions
-and seed.
-"""
+"""Chapter: what was computed with what: warnings, set-ups, machine, study, versions."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
-from pkm_reports import words
+from oed.result import MachineInfo, SetupInfo, StudyResult
+from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
+    Chapter,
     Code,
-    Items,
     Paragraph,
     Table,
     TableColumn,
-    text_column,
+    headed_list,
+    wide_column,
 )
 
-ANCHOR: Final = "record"
-TITLE: Final = "Record"
-Part = Mapping[str, Any]
+#: columns of the machine's table that hold sentences
+SENTENCES: Final = ("about", "text")
 
 
-def blocks(result: Part) -> list[Block]:
+def blocks(result: StudyResult) -> list[Block]:
     """Everything needed to run the study again."""
-    warnings = [words.sentence(w) for w in result.get("warnings") or []]
-    made: list[Block] = (
-        [Paragraph("Warnings:"), Items(warnings)]
-        if warnings
-        else [Paragraph("There are no warnings.")]
-    )
-    made += _setups(result.get("setups") or [])
-    made += _machine(result["machine"])
-    made += [
+    warnings = headed_list("Warnings:", text.sentences(result.warnings))
+    return [
+        *(warnings or [Paragraph("There are no warnings.")]),
+        *_setups(result.setups),
+        *_machine(result.machine),
         _versions(result),
         Paragraph("The study file:"),
-        Code(str(result.get("study_text", ""))),
+        Code(result.study_text),
     ]
-    return made
 
 
-def _setups(setups: Sequence[Part]) -> list[Block]:
+def _setups(setups: Sequence[SetupInfo]) -> list[Block]:
     if not setups:
         return []
-    rows = [
-        [
-            str(s["name"]),
-            (
-                f"{s['instrument']}: {words.sentence(s['about'])}"
-                if s.get("about")
-                else str(s["instrument"])
-            ),
-            words.numbers(s.get("numbers") or {}),
-            words.numbers(s.get("sigma") or {}),
-            words.numbers(s.get("unknowns") or {}),
-        ]
-        for s in setups
-    ]
     columns = [
         TableColumn("Set-up"),
-        TableColumn("Instrument", wide=True),
-        TableColumn("Settings", wide=True),
+        wide_column("Instrument"),
+        wide_column("Settings"),
+        TableColumn("Noise (1 sigma)"),
+        wide_column("Unknowns and tolerances"),
     ]
-    columns += [
-        *text_column("Noise (1 sigma)"),
-        TableColumn("Unknowns and tolerances", wide=True),
+    rows = [
+        [
+            setup.name,
+            _instrument(setup),
+            text.named_quantities(setup.numbers),
+            text.named_quantities(setup.sigma),
+            text.named_quantities(setup.unknowns),
+        ]
+        for setup in setups
     ]
-    return [
-        Table(
-            columns,
-            rows,
-            f"{words.count(len(setups), 'set-up')} as used: settings, noise, and"
-            " unknowns that are identified too.",
-        )
-    ]
+    caption = (
+        f"{text.count(len(setups), 'set-up')} as used: settings, noise, and the"
+        " unknowns that the fit identifies as well."
+    )
+    return [Table(columns, rows, caption)]
 
 
-def _machine(info: Part) -> list[Block]:
-    table = info.get("parameters") or []
+def _instrument(setup: SetupInfo) -> str:
+    if not setup.about:
+        return setup.instrument
+    return f"{setup.instrument}: {text.sentence(setup.about)}"
+
+
+def _machine(machine: MachineInfo) -> list[Block]:
+    table = machine.parameters
     if not table:
         return []
     keys = list(dict.fromkeys(key for row in table for key in row))
     numeric = {
-        k for k in keys if all(isinstance(row.get(k), (int, float)) for row in table)
+        key
+        for key in keys
+        if all(key in row and not isinstance(row[key], str) for row in table)
     }
     columns = [
-        TableColumn(words.heading(k), number=k in numeric, wide=k in ("about", "text"))
-        for k in keys
+        TableColumn(text.heading(key), number=key in numeric, wide=key in SENTENCES)
+        for key in keys
     ]
     rows = [[_cell(key, row.get(key)) for key in keys] for row in table]
-    caption = f"Parameters of {info['name']}, nominal and tolerance."
-    if info.get("frame"):
+    caption = f"Parameters of {machine.name}, nominal and tolerance."
+    if machine.frame:
         caption += (
-            " Held at nominal, because they only choose the base frame:"
-            f" {words.listing(info['frame'])}."
+            " These stay at nominal, because they only choose the base frame:"
+            f" {text.listing(machine.frame)}."
         )
     return [Table(columns, rows, caption)]
 
 
-def _cell(key: str, value: Any) -> str:
+def _cell(key: str, value: str | float | None) -> str:
     if isinstance(value, str):
-        return words.unit(value) if key == "unit" else value
-    return words.plain(value, 7)
+        return text.unit_symbol(value) if key == "unit" else value
+    return text.trimmed(value, 7)
 
 
-def _versions(result: Part) -> Table:
-    rows = [["study", str(result["study"])], ["seed", str(result["seed"])]]
-    rows += [
-        ["time", words.quantity(result.get("seconds"), "s")],
-        ["result schema", str(result["schema"])],
+def _versions(result: StudyResult) -> Table:
+    rows = [
+        ["study", result.study],
+        ["seed", str(result.seed)],
+        ["time", text.quantity(result.seconds, "s")],
+        ["result schema", str(result.schema)],
+        ["pkm-oed", result.version],
     ]
-    rows += [["pkm-oed", str(result["version"])]]
-    rows += [
-        [str(k), str(v)]
-        for k, v in (result.get("versions") or {}).items()
-        if k != "pkm-oed"
-    ]
+    others = {n: v for n, v in result.versions.items() if n != "pkm-oed"}
+    rows += [[name, version] for name, version in others.items()]
     caption = "Seed and versions: the same ones give the same numbers."
-    return Table([TableColumn("What"), TableColumn("Value", wide=True)], rows, caption)
+    return Table([TableColumn("What"), wide_column("Value")], rows, caption)
+
+
+CHAPTER: Final = Chapter("record", "Record", blocks)

@@ -1,11 +1,11 @@
-"""What stands before the first chapter: the answer in five sentences, and the claims."""
+"""What stands before the first chapter: the answer in a few sentences, and the claims."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Sequence
 
-from pkm_reports import words
+from oed.result import Claim, StudyResult
+from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
     Items,
@@ -13,57 +13,58 @@ from pkm_reports.blocks import (
     Paragraph,
     Table,
     TableColumn,
-    transposed,
+    wide_column,
 )
 
 
-def blocks(result: Mapping[str, Any]) -> list[Block]:
-    """Headline sentences, claims, and a pointer to the warnings if there are any."""
-    headline = [words.pretty(line) for line in result.get("headline") or []]
-    made: list[Block] = (
-        [Items(headline, numbered=True)]
-        if headline
-        else [Paragraph("No headline was computed.")]
-    )
-    warnings = result.get("warnings") or []
-    if warnings:
-        told = "is 1 warning" if len(warnings) == 1 else f"are {len(warnings)} warnings"
-        made.append(
-            Notice(
-                f"There {told}: see the last chapter. The first:"
-                f" {words.sentence(warnings[0])}"
-            )
-        )
-    return made + _claims(result.get("claims") or [])
+def blocks(result: StudyResult) -> list[Block]:
+    """Headline sentences, a pointer to the warnings if there are any, and claims."""
+    headline = [text.with_symbols(line) for line in result.headline]
+    opening: list[Block] = [Items(headline, numbered=True)]
+    if not headline:
+        opening = [Paragraph("No headline was computed.")]
+    if result.warnings:
+        opening.append(Notice(_warning(result.warnings)))
+    return opening + _claims(result.claims)
 
 
-def _claims(claims: list[Mapping[str, Any]]) -> list[Block]:
+def _warning(warnings: Sequence[str]) -> str:
+    verb = "is" if len(warnings) == 1 else "are"
+    count = text.count(len(warnings), "warning")
+    first = text.sentence(warnings[0])
+    return f"There {verb} {count}: see the last chapter. The first: {first}"
+
+
+def _claims(claims: Sequence[Claim]) -> list[Block]:
     if not claims:
         return [Paragraph("This study makes no claims to check.")]
-    failed = [str(c["claim"]) for c in claims if not c["met"]]
-    verdict = f"Not met: {words.listing(failed)}." if failed else "All are met."
-    rows = transposed(
-        [
-            [str(c["claim"]) for c in claims],
-            [_measured(c["measured"]) for c in claims],
-            [str(c["wanted"]) for c in claims],
-            ["✓ met" if c["met"] else "✗ not met" for c in claims],
-        ]
-    )
-    told = any(isinstance(c["measured"], str) for c in claims)
-    measured = TableColumn("Measured", number=not told, wide=told)
+    failed = [claim.claim for claim in claims if not claim.met]
+    verdict = f"Not met: {text.listing(failed)}." if failed else "All are met."
+    worded = any(isinstance(claim.measured, str) for claim in claims)
     columns = [
         TableColumn("Claim"),
-        measured,
-        TableColumn("Wanted", wide=True),
+        TableColumn("Measured", number=not worded, wide=worded),
+        wide_column("Wanted"),
         TableColumn("Verdict"),
     ]
-    marks = ["good" if c["met"] else "bad" for c in claims]
+    rows = [
+        [
+            claim.claim,
+            _measured(claim.measured),
+            claim.wanted,
+            "✓ met" if claim.met else "✗ not met",
+        ]
+        for claim in claims
+    ]
+    marks = ["good" if claim.met else "bad" for claim in claims]
     caption = (
-        f"What the study claims in its [expect] table, against what came out. {verdict}"
+        "The claims of the study, from its [expect] table, against the measured"
+        f" values. {verdict}"
     )
     return [Table(columns, rows, caption, marks)]
 
 
-def _measured(value: Any) -> str:
-    return words.cut(value) if isinstance(value, str) else words.plain(value, 5)
+def _measured(value: float | str) -> str:
+    if isinstance(value, str):
+        return text.shorten(value)
+    return text.trimmed(value, 5)

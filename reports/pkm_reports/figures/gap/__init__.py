@@ -1,1 +1,1 @@
-"""The figures of the gap."""
+"""The figures of the gap between model and machine."""

@@ -1,97 +1,85 @@
-"""Which effects could be told from which others: a matrix of sqrt(lambda)."""
+"""Which effects can be told from which others: a matrix of sqrt(lambda)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 
-from pkm_reports import style, words
-from pkm_reports.figures.gap.causes import spoken
+from oed.arrays import Array
+from oed.result import DetectabilityTable
+from pkm_reports import missing, style, text
+from pkm_reports.figures.gap.effects import spoken
 
-#: sqrt(lambda) below which two effects are not told apart, and far above which they are
+#: sqrt(lambda) below which two effects are not told apart, and above which they clearly are
 LIMIT, CLEAR = 5.0, 10.0
-#: not told apart, barely, clearly
+#: colours and legend of: not told apart, barely, clearly
 COLOURS: Final = ("#f3c4a5", "#f7ecc8", "#cfe6dd")
-WORDS: Final = (
+MEANINGS: Final = (
     f"below {LIMIT:g}: not told apart",
     f"{LIMIT:g} to {CLEAR:g}: barely",
     f"above {CLEAR:g}: told apart",
 )
-#: inches of one cell, at the most
-CELL: Final = 0.42
+#: inches of one cell, at most, and from which its number has normal size
+LARGEST_CELL, SMALL_CELL = 0.42, 0.34
+#: size from which a number has no decimal
+WHOLE: Final = 9.95
 
 
-def draw(table: Mapping[str, Any]) -> Figure:
-    """Rows are effects, columns what else could explain them; on the diagonal how well
-    each is seen at all.
+def draw(table: DetectabilityTable) -> Figure:
+    """Rows are effects, columns the effects that could explain them instead.
+
+    The diagonal shows how well each effect is detected where nothing else acts.
     """
-    names = [str(n) for n in table["names"]]
+    names = table.names
     if len(names) < 2:
         return style.empty("Fewer than two effects can be tested with these readings.")
-    values = np.array([style.array(row) for row in table["apart"]])
-    cell = min(CELL, (style.WIDTH - 1.5) / len(names))
+    values = missing.table(table.separation)
+    cell = min(LARGEST_CELL, (style.WIDTH - 1.5) / len(names))
     figure = style.figure(cell * len(names) + 1.75)
     axes = figure.subplots()
-    norm = BoundaryNorm([0.0, LIMIT, CLEAR, np.inf], 3)
-    axes.imshow(
-        np.where(np.isfinite(values), values, 0.0),
-        cmap=ListedColormap(COLOURS),
-        norm=norm,
-        aspect="equal",
-    )
-    _cells(axes, values, 7.0 if cell > 0.34 else 6.0)
-    _labels(axes, names)
-    figure.legend(
-        handles=[Patch(color=c, label=w) for c, w in zip(COLOURS, WORDS, strict=True)],
-        loc="outside lower center",
-        ncols=3,
-    )
+    shade: Any = {"cmap": ListedColormap(COLOURS)}
+    shade["norm"] = BoundaryNorm([0.0, LIMIT, CLEAR, np.inf], len(COLOURS))
+    known = np.where(np.isfinite(values), values, 0.0)
+    axes.imshow(known, aspect="equal", **shade)
+    _write_numbers(axes, values, 7.0 if cell > SMALL_CELL else 6.0)
+    _set_labels(axes, [spoken(name) for name in names])
+    patches = [
+        Patch(color=colour, label=meaning)
+        for colour, meaning in zip(COLOURS, MEANINGS, strict=True)
+    ]
+    figure.legend(handles=patches, loc="outside lower center", ncols=3)
     return figure
 
 
-def _cells(axes: Axes, values: np.ndarray, size: float) -> None:
-    for k, row in enumerate(values):
-        for j, value in enumerate(row):
-            bold = "bold" if k == j else "normal"
-            axes.text(
-                j,
-                k,
-                short(value),
-                ha="center",
-                va="center",
-                fontsize=size,
-                color=style.INK,
-                fontweight=bold,
-            )
-    for k in range(len(values)):
-        axes.add_patch(_frame(k))
-
-
-def _frame(k: int) -> Any:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle(
-        (k - 0.5, k - 0.5), 1.0, 1.0, fill=False, edgecolor=style.INK, linewidth=0.9
-    )
-
-
 def short(value: float) -> str:
-    """A cell's number: one decimal below 10, whole ones above."""
+    """The number of a cell: one decimal below 10, none above."""
     if not np.isfinite(value):
-        return words.MISSING
-    return f"{value:.1f}" if value < 9.95 else f"{value:.0f}"
+        return text.MISSING
+    return f"{value:.1f}" if value < WHOLE else f"{value:.0f}"
 
 
-def _labels(axes: Axes, names: list[str]) -> None:
+def _write_numbers(axes: Axes, values: Array, size: float) -> None:
+    """Numbers in the cells; those of the diagonal bold, in a frame."""
+    letters: Any = {"ha": "center", "va": "center", "fontsize": size}
+    for (row, column), value in np.ndenumerate(values):
+        weight = "bold" if row == column else "normal"
+        words = short(value)
+        axes.text(column, row, words, color=style.INK, fontweight=weight, **letters)
+    for k in range(len(values)):
+        frame: Any = {"fill": False, "edgecolor": style.INK, "linewidth": 0.9}
+        axes.add_patch(Rectangle((k - 0.5, k - 0.5), 1.0, 1.0, **frame))
+
+
+def _set_labels(axes: Axes, names: Sequence[str]) -> None:
     places = list(range(len(names)))
-    style.fixed_ticks(axes, "y", places, [spoken(n) for n in names])
-    style.fixed_ticks(axes, "x", places, [spoken(n) for n in names])
+    style.fixed_ticks(axes, "y", places, names)
+    style.fixed_ticks(axes, "x", places, names)
     axes.xaxis.tick_top()
     axes.xaxis.set_label_position("top")
     for label in axes.get_xticklabels():
@@ -100,8 +88,9 @@ def _labels(axes: Axes, names: list[str]) -> None:
     axes.set_ylabel("effect")
     axes.grid(False)
     axes.tick_params(length=0)
-    axes.set_xticks(np.arange(len(names) + 1) - 0.5, minor=True)
-    axes.set_yticks(np.arange(len(names) + 1) - 0.5, minor=True)
+    between = np.arange(len(names) + 1) - 0.5
+    axes.set_xticks(between, minor=True)
+    axes.set_yticks(between, minor=True)
     axes.grid(True, which="minor", color="white", linewidth=1.2)
     axes.tick_params(which="minor", length=0)
     for spine in axes.spines.values():

@@ -1,9 +1,9 @@
-"""Residuals of each run before and after the found effects are in the model."""
+"""Residuals of each run, before and after the effects are in the model."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -11,154 +11,130 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
-from pkm_reports import style, words
+from oed.arrays import Array
+from oed.result import Trace
+from oed.result.record import Number
+from pkm_reports import missing, style, text
 
 MOST: Final = 9
-COLUMNS: Final = 3
-#: readings of a run up to which each has a marker of full size
+MOST_COLUMNS: Final = 3
+#: readings of a run up to which each has a mark of full size
 FEW: Final = 60
-AXIS: Final = {
-    "circle": "angle [°]",
-    "line": "way along the line [mm]",
-    "points": "reading",
-}
+#: quantile of the residuals, and the factor above it that counts as an outlier
+QUANTILE, FAR = 0.98, 3.0
+#: channels that set-ups have alone, so that a title need not name them
+SINGLE_CHANNELS: Final = ("length", "height")
+AXIS_LABELS: Final = {"circle": "angle [°]", "line": "distance along the line [mm]"}
 
 
-def draw(traces: Sequence[Mapping[str, Any]]) -> Figure:
-    """A panel for each run: what calibration leaves, what the effects explain of it,
-    and what is left then.
-    """
-    kept = chosen(traces)
-    if not kept:
+def draw(traces: Sequence[Trace]) -> Figure:
+    """A panel for each run: residuals before, explained part, residuals after."""
+    shown = choose(traces)
+    if not shown:
         return style.empty("No residuals are stored in this result.")
-    columns = 2 if len(kept) == 4 else min(COLUMNS, len(kept))
-    rows = math.ceil(len(kept) / columns)
+    columns = 2 if len(shown) == 4 else min(MOST_COLUMNS, len(shown))
+    rows = math.ceil(len(shown) / columns)
     figure = style.figure(0.45 + 1.55 * rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    limits = _limits(kept)
-    loads = len({t.get("payload_N") for t in kept}) > 1
-    for axes, trace in zip(grid, kept, strict=False):
-        _panel(axes, trace, limits[trace["unit"]], loads=loads)
-    for axes in grid[len(kept) :]:
-        axes.set_visible(False)
-    for k, axes in enumerate(grid[: len(kept)]):
-        axes.set_ylabel(
-            f"[{words.unit(str(kept[k]['unit']))}]" if k % columns == 0 else ""
-        )
-        if k + columns >= len(kept):
-            axes.set_xlabel(AXIS.get(str(kept[k]["kind"]), "reading"))
-    handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    limits = _limits(shown)
+    loads = len({trace.payload for trace in shown}) > 1
+    for k, (axes, trace) in enumerate(zip(grid, shown, strict=False)):
+        _panel(axes, trace, limits[trace.unit])
+        _set_title(axes, trace, loads=loads)
+        unit = text.unit_symbol(trace.unit)
+        axes.set_ylabel(f"[{unit}]" if k % columns == 0 else "")
+        if k + columns >= len(shown):
+            axes.set_xlabel(AXIS_LABELS.get(trace.kind, "reading"))
+    style.hide(grid[len(shown) :])
+    entries = style.legend_entries(grid[:1])
+    style.legend_below(figure, entries, len(entries))
     return figure
 
 
-def chosen(traces: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Up to MOST runs, those with the largest residuals before, in the order of the
-    data.
-    """
-    known = [t for t in traces if np.isfinite(style.array(t.get("before") or [])).any()]
-    ranked = sorted(range(len(known)), key=lambda k: -rms(known[k]["before"]))
+def choose(traces: Sequence[Trace]) -> list[Trace]:
+    """Up to MOST runs with the largest residuals before, in the order of the data."""
+    known = [trace for trace in traces if missing.finite(trace.before)]
+    sizes = [rms(missing.array(trace.before)) for trace in known]
+    ranked = sorted(range(len(known)), key=lambda k: -sizes[k])
     return [known[k] for k in sorted(ranked[:MOST])]
 
 
-def rms(values: Any) -> float:
-    """Root mean square of numbers from JSON."""
-    found = style.array(values)
-    return float(np.sqrt(np.nanmean(found**2))) if np.isfinite(found).any() else 0.0
+def rms(values: Array) -> float:
+    """Root mean square of the finite values; 0 where there is none."""
+    if not np.isfinite(values).any():
+        return 0.0
+    return float(np.sqrt(np.nanmean(values**2)))
 
 
-def title(trace: Mapping[str, Any], *, loads: bool = False) -> str:
-    """Set-up and run; the channel where it is not the only one that a set-up has, the
-    payload where it varies.
+def largest(values: Sequence[Number]) -> float:
+    """Largest size of the finite values."""
+    return max(map(abs, missing.finite(values)), default=0.0)
+
+
+def title(trace: Trace, *, loads: bool = False) -> str:
+    """Set-up and run, with the channel and the payload (`loads`) where they matter."""
+    name = f"{trace.setup}, {trace.run}"
+    if trace.channel not in SINGLE_CHANNELS:
+        name += f", {trace.channel}"
+    if loads and trace.payload is not None:
+        name += f", {text.trimmed(trace.payload, 4)} N"
+    return name
+
+
+def _limits(traces: Sequence[Trace]) -> dict[str, float]:
+    """Half of the vertical range for each unit, the same in all panels.
+
+    A single outlier does not rule it.
     """
-    name = f"{trace['setup']}, {trace['run']}"
-    name += "" if trace["channel"] in ("length", "height") else f", {trace['channel']}"
-    known = loads and trace.get("payload_N") is not None
-    return f"{name}, {words.plain(trace['payload_N'], 4)} N" if known else name
+    limits: dict[str, float] = {}
+    for unit in {trace.unit for trace in traces}:
+        of_unit = [trace for trace in traces if trace.unit == unit]
+        sizes = np.abs(np.concatenate([_all_values(trace) for trace in of_unit]))
+        spread = float(np.nanquantile(sizes, QUANTILE))
+        top = float(np.nanmax(sizes))
+        limits[unit] = 1.1 * (top if top < FAR * spread else 1.5 * spread) or 1.0
+    return limits
 
 
-def _limits(traces: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Half of the vertical range for each unit: the same in all panels, not ruled by a
-    single outlier.
-    """
-    found: dict[str, float] = {}
-    for unit in {str(t["unit"]) for t in traces}:
-        mine = [t for t in traces if t["unit"] == unit]
-        every = np.abs(
-            np.concatenate(
-                [
-                    style.array(t[k])
-                    for t in mine
-                    for k in ("before", "after", "explained")
-                ]
-            )
-        )
-        spread = float(np.nanquantile(every, 0.98))
-        largest = float(np.nanmax(every))
-        found[unit] = 1.1 * (largest if largest < 3.0 * spread else 1.5 * spread) or 1.0
-    return found
+def _all_values(trace: Trace) -> Array:
+    return missing.array([*trace.before, *trace.after, *trace.explained])
 
 
-def _panel(axes: Axes, trace: Mapping[str, Any], limit: float, *, loads: bool) -> None:
-    at = style.array(trace["at"])
-    before, after, explained = (
-        style.array(trace[k]) for k in ("before", "after", "explained")
-    )
-    unknown = style.array(trace.get("unexplained") or [])
-    size = 2.6 if len(at) <= FEW else 1.5
-    line = "-" if trace["kind"] != "points" else ""
+def _panel(axes: Axes, trace: Trace, limit: float) -> None:
+    at = missing.array(trace.at)
+    explained = missing.array(trace.explained)
+    unexplained = missing.array(trace.unexplained)
+    marks: Any = {"ls": "", "marker": "o", "ms": 2.6 if len(at) <= FEW else 1.5}
+    joined = trace.kind != "points"
+    lines: Any = {"ls": "-" if joined else "", "marker": "" if joined else "_", "ms": 5}
+
+    def plot(values: Array, label: str, **look: Any) -> None:
+        axes.plot(at, np.clip(values, -limit, limit), label=label, **look)
+
     axes.axhline(0.0, color=style.INK, lw=0.6)
-    axes.plot(
-        at,
-        np.clip(before, -limit, limit),
-        "o",
-        ms=size,
-        color=style.GREY,
-        label="before",
-    )
-    explains = np.clip(explained, -limit, limit)
-    mark = "" if line else "_"
-    if np.any(explains):
-        axes.plot(
-            at,
-            explains,
-            line,
-            marker=mark,
-            ms=5,
-            lw=1.2,
-            color=style.ORANGE,
-            label="explained by the effects",
-        )
-    if np.any(unknown):
-        axes.plot(
-            at,
-            np.clip(unknown, -limit, limit),
-            line,
-            marker=mark,
-            ms=5,
-            color=style.PINK,
-            label="unknown form",
-        )
-    if np.any(explains):
-        axes.plot(
-            at,
-            np.clip(after, -limit, limit),
-            "o",
-            ms=size,
-            color=style.BLUE,
-            label="after",
-        )
+    plot(missing.array(trace.before), "before", color=style.GREY, **marks)
+    if np.any(explained):
+        label = "explained by the effects"
+        plot(explained, label, lw=1.2, color=style.ORANGE, **lines)
+    if np.any(unexplained):
+        plot(unexplained, "unknown form", color=style.PINK, **lines)
+    if np.any(explained):
+        plot(missing.array(trace.after), "after", color=style.BLUE, **marks)
     axes.set_ylim(-limit, limit)
     axes.yaxis.set_major_locator(MaxNLocator(4))
-    if trace["kind"] == "circle":
+    if trace.kind == "circle":
         axes.set_xlim(0.0, 360.0)
         axes.xaxis.set_major_locator(MultipleLocator(90.0))
     else:
         axes.xaxis.set_major_locator(MaxNLocator(4))
-    last = f" to {words.num(rms(after), 2)}" if np.any(explains) else ""
-    told = f"{words.num(rms(before), 2)}{last} {words.unit(str(trace['unit']))}"
-    axes.set_title(
-        f"{style.safe(title(trace, loads=loads), 36)}\nrms {told}",
-        fontsize=7,
-        fontweight="normal",
-    )
+
+
+def _set_title(axes: Axes, trace: Trace, *, loads: bool) -> None:
+    """Name of the run, and its rms before and after."""
+    size = text.number(rms(missing.array(trace.before)), 2)
+    if any(trace.explained):
+        size += f" to {text.number(rms(missing.array(trace.after)), 2)}"
+    name = style.label(title(trace, loads=loads), 36)
+    unit = text.unit_symbol(trace.unit)
+    letters: Any = {"fontsize": 7, "fontweight": "normal"}
+    axes.set_title(f"{name}\nrms {size} {unit}", **letters)

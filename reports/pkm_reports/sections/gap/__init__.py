@@ -1,1 +1,1 @@
-"""The chapters about the gap."""
+"""The chapters about the gap between model and machine."""

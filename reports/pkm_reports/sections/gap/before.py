@@ -1,236 +1,305 @@
-"""What the readings could find before any is taken: detectable sizes, rivals, and runs
-that tell effects apart.
-"""
+"""Chapter: what planned readings could detect, and runs that tell effects apart."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
 
-from pkm_reports import words
+from oed import units
+from oed.result import (
+    ChosenRun,
+    ChosenRuns,
+    DetectabilityRecord,
+    DetectabilityTable,
+    RivalRecord,
+    SeparationRecord,
+    SharedRecord,
+    StudyResult,
+)
+from oed.result.record import Number
+from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
+    Chapter,
     Items,
-    Paragraph,
     Picture,
     Table,
     TableColumn,
-    number_column,
+    headed_list,
+    number_columns,
+    wide_column,
 )
 from pkm_reports.figures.gap import confusable
-from pkm_reports.figures.gap.causes import spoken
+from pkm_reports.figures.gap.effects import spoken
 
-ANCHOR: Final = "gap-before"
-TITLE: Final = "What these readings could find"
-Part = Mapping[str, Any]
 #: rows of the table of imitated combinations
 MOST: Final = 16
-CONDITIONS: Final = {"direction": "", "payload": "N", "feed": "mm/min", "time": "min"}
-MINUTE, FEED = 60.0, 1e-3 / 60.0
+#: weight of the detectability in the order of these rows, where separations are equal
+TIE_BREAK: Final = 1e-3
+#: rms, in the unit of its channel, from which an effect shows in a channel
+VISIBLE: Final = 1e-9
+DIRECTION_SIGNS: Final = {True: "+1", False: f"{text.MINUS}1"}
 
 
-def present(result: Part) -> bool:
-    """Whether it was looked at."""
-    return bool(result.get("gap_before"))
-
-
-def blocks(result: Part) -> list[Block]:
-    """Findings, chosen runs, detectable sizes, confusability, combinations that are
-    imitated, what cannot be tested.
-    """
-    before: Part = result["gap_before"]
-    made: list[Block] = [
-        Items(
-            [words.pretty(words.sentence(w)) for w in before.get("words") or []],
-            numbered=True,
+def blocks(result: StudyResult) -> list[Block]:
+    """Findings, chosen runs, detectable sizes, confusability, untestable effects."""
+    before = result.gap_before
+    if before is None:
+        return []
+    findings = Items(text.sentences(before.words), numbered=True)
+    chosen, channel_units = before.chosen, before.units
+    if chosen is None:
+        table = _detectability(
+            before.table, channel_units, "these readings", "gap_before"
         )
-    ]
-    chosen, units = before.get("chosen"), before.get("units") or {}
-    if chosen:
-        made += [_runs(chosen), _told(chosen)]
-        made += _table(chosen["table"], units, "the chosen runs", "gap_before_chosen")
-    return made + _table(
-        before["table"],
-        units,
-        "the readings planned" if chosen else "these readings",
-        "gap_before",
+        return [findings, *table]
+    of_chosen = _detectability(
+        chosen.table, channel_units, "the chosen runs", "gap_before_chosen"
     )
+    of_planned = _detectability(
+        before.table, channel_units, "the planned readings", "gap_before"
+    )
+    return [findings, _runs(chosen), _separations(chosen), *of_chosen, *of_planned]
 
 
-def _runs(chosen: Part) -> Block:
-    known = [c for c in CONDITIONS if any(c in r["condition"] for r in chosen["runs"])]
-    columns = [TableColumn("Set-up"), TableColumn("Run", wide=True)]
-    titles = [
-        f"{c.capitalize()} [{CONDITIONS[c]}]" if CONDITIONS[c] else c.capitalize()
-        for c in known
+# -- chosen runs -----------------------------------------------------------------------
+
+
+def _direction(value: float) -> str:
+    return DIRECTION_SIGNS[value > 0.0]
+
+
+def _payload(value: float) -> str:
+    return text.trimmed(value)
+
+
+def _feed(value: float) -> str:
+    return text.trimmed(units.number(value, "mm") * units.factor("min"))
+
+
+def _start(value: float) -> str:
+    return text.trimmed(units.number(value, "min"))
+
+
+#: column title and text of each condition of a run, from its SI value
+CONDITIONS: Final[Mapping[str, tuple[str, Callable[[float], str]]]] = {
+    "direction": ("Direction", _direction),
+    "payload": ("Payload [N]", _payload),
+    "feed": ("Feed [mm/min]", _feed),
+    "time": ("Start [min]", _start),
+}
+
+
+def _runs(chosen: ChosenRuns) -> Block:
+    known = [
+        name for name in CONDITIONS if any(name in run.condition for run in chosen.runs)
     ]
-    columns += number_column(
-        *[t.replace("Time", "Start") for t in titles], "Takes [min]"
-    )
+    titles = [CONDITIONS[name][0] for name in known]
+    columns = [
+        TableColumn("Set-up"),
+        wide_column("Run"),
+        *number_columns(*titles, "Takes [min]"),
+    ]
     rows = [
         [
-            str(r["setup"]),
-            str(r["run"]),
-            *[_condition(r, c) for c in known],
-            words.num(r["seconds"] / MINUTE, 2),
+            run.setup,
+            run.run,
+            *[_condition(run, name) for name in known],
+            text.number(units.number(run.seconds, "min"), 2),
         ]
-        for r in chosen["runs"]
+        for run in chosen.runs
     ]
-    share = words.certain(chosen["efficiency"])
-    text = (
-        f"{words.count(len(rows) - chosen['kept'], 'run')} chosen out of"
-        f" {chosen['candidates']}"
-    )
-    text += f", beside {chosen['kept']} kept ones" if chosen["kept"] else ""
-    text += f": {words.num(chosen['seconds'] / MINUTE)} min with mounting. "
-    known_best = (
+    return Table(columns, rows, _runs_caption(chosen))
+
+
+def _condition(run: ChosenRun, name: str) -> str:
+    if name not in run.condition:
+        return text.MISSING
+    _, written = CONDITIONS[name]
+    return written(run.condition[name])
+
+
+def _runs_caption(chosen: ChosenRuns) -> str:
+    runs = text.count(len(chosen.runs) - chosen.retained, "run")
+    caption = f"{runs} chosen out of {chosen.candidates}"
+    if chosen.retained:
+        caption += f", in addition to {chosen.retained} of the earlier plan"
+    minutes = text.number(units.number(chosen.seconds, "min"))
+    share = text.percent_at_least(chosen.efficiency)
+    verdict = (
         "All plans were tried: none is better."
-        if chosen["proven"]
+        if chosen.proven
         else f"At least {share} of the best plan."
     )
-    return Table(columns, rows, text + known_best)
+    return f"{caption}: {minutes} min with mounting. {verdict}"
 
 
-def _condition(run: Part, name: str) -> str:
-    value = run["condition"].get(name)
-    if value is None:
-        return words.MISSING
-    if name == "direction":
-        return "+1" if value > 0 else f"{words.MINUS}1"
-    return words.plain(value / {"feed": FEED, "time": MINUTE}.get(name, 1.0))
-
-
-def _told(chosen: Part) -> Block:
-    rows, marks = [], []
-    for t in chosen["told"]:
-        form = "" if t["words"] == spoken(t["effect"]) else f", {t['words']}"
-        row = [
-            f"{spoken(t['effect'])}{form}",
-            spoken(t["rival"]),
-            words.num(t["before"]),
-            words.num(t["apart"]),
-        ]
-        rows.append([*row, words.num(t["seen"])])
-        marks.append("good" if t["apart"] >= confusable.LIMIT else "")
+def _separations(chosen: ChosenRuns) -> Block:
     columns = [
-        TableColumn("Effect", wide=True),
+        wide_column("Effect"),
         TableColumn("Told from"),
-        *number_column("Before", "Now", "Without the rival"),
+        *number_columns("Before", "Now", "Without the rival"),
     ]
-    limit = words.plain(confusable.LIMIT)
-    caption = (
-        "How well each form of an effect is told from its rival, in units of the"
-        f" noise; {limit} and more is good. "
-    )
-    caption += (
-        "Before: by the readings planned without the choice of runs. No plan has a"
-        " least value above "
-    )
-    return Table(columns, rows, caption + f"{words.num(chosen['bound'])}.", marks)
-
-
-def _table(table: Part, units: Mapping[str, str], of: str, name: str) -> list[Block]:
-    made: list[Block] = []
-    tested = sorted(
-        (e for e in table["effects"] if not e["not_testable"]),
-        key=lambda e: -e["detectability"],
-    )
-    if tested:
-        made.append(_sizes(tested, table, units, of))
-        text = (
-            f"Effects told from one another by {of}: how well the effect of the row is"
-            " seen once the one of the "
-        )
-        text += (
-            "column may explain it too, in units of the noise: the first at its"
-            " expected size, the other of any "
-        )
-        text += "size. Framed: how well it is seen where nothing else acts."
-        made.append(Picture(name, lambda: confusable.draw(table), text))
-    return made + _imitated(tested, of) + _untested(table)
-
-
-def _sizes(tested: list[Part], table: Part, units: Mapping[str, str], of: str) -> Block:
-    rows, marks = [], []
-    for e in tested:
-        hardest = e["rivals"][0] if e["rivals"] else None
-        rows.append(
-            [
-                spoken(e["name"]),
-                _lengths(e["signature"], units),
-                words.percent(e["absorbed"]),
-                words.num(e["detectability"]),
-                words.percent(e["power"]),
-                _lengths(e["median"], units),
-                (
-                    f"{spoken(hardest['name'])} ({confusable.short(hardest['apart'])})"
-                    if hardest
-                    else words.MISSING
-                ),
-            ]
-        )
-        marks.append("good" if e["visible"] else "bad")
-    titles = ("Expected rms", "Absorbed", "Seen", "Chance", "Least rms")
-    columns = [
-        TableColumn("Effect", wide=True),
-        *number_column(*titles),
-        TableColumn("Hardest rival", wide=True),
+    rows = [
+        [
+            _form(separation),
+            spoken(separation.rival),
+            text.number(separation.before),
+            text.number(separation.separation),
+            text.number(separation.detectability),
+        ]
+        for separation in chosen.separations
     ]
+    marks = [
+        "good" if separation.separation >= confusable.LIMIT else ""
+        for separation in chosen.separations
+    ]
+    limit = text.trimmed(confusable.LIMIT)
     caption = (
-        f"What {of} ({words.count(table['readings'], 'reading')}) could find. Absorbed:"
-        " share that calibration takes for geometry. Seen: what is left, in units of"
-        " the noise. Chance: of finding it at 1 % false alarm. Least rms: size that is"
-        " found 9 times in 10, typically. Hardest rival: the effect that explains most"
-        " of it, and what is seen then. The noise is that stated in the study."
+        "How well each form of an effect can be told from its rival, in units of the"
+        f" noise; {limit} and more is good. Before: with the readings planned without"
+        " the choice of runs. No plan has a smallest value above"
+        f" {text.number(chosen.bound)}."
     )
     return Table(columns, rows, caption, marks)
 
 
-def _lengths(by_channel: Mapping[str, Any], units: Mapping[str, str]) -> str:
-    shown = {n: v for n, v in by_channel.items() if v is None or v > 1e-9}
-    told = [words.quantity(v, str(units.get(n, ""))) for n, v in shown.items()]
-    return words.listing(
-        told
-        if len(told) < 2
-        else [f"{n} {t}" for n, t in zip(shown, told, strict=True)]
-    )
+def _form(separation: SeparationRecord) -> str:
+    name = spoken(separation.effect)
+    return name if separation.words == name else f"{name}, {separation.words}"
 
 
-def _imitated(tested: list[Part], of: str) -> list[Block]:
-    found = [(e, r, s) for e in tested for r in e["rivals"] for s in r["shared"]]
-    found.sort(key=lambda x: x[2]["apart"] - 1e-3 * x[2]["seen"])
+# -- detectability ---------------------------------------------------------------------
+
+
+def _detectability(
+    table: DetectabilityTable, channel_units: Mapping[str, str], of: str, name: str
+) -> list[Block]:
+    """Sizes, confusability and what is imitated, of readings named by `of`."""
+    testable = [record for record in table.effects if not record.not_testable]
+    testable.sort(key=lambda record: -record.detectability)
+    part: list[Block] = []
+    if testable:
+        caption = (
+            f"How well {of} tell effects from one another, in units of the noise:"
+            " detectability of the row's effect at its expected size, once the column's"
+            " effect of any size may explain it too. Framed: detectability where nothing"
+            " else acts."
+        )
+        part.append(_sizes(testable, table, channel_units, of))
+        part.append(Picture(name, lambda: confusable.draw(table), caption))
+    return part + _imitated(testable, of) + _untestable(table)
+
+
+def _sizes(
+    testable: Sequence[DetectabilityRecord],
+    table: DetectabilityTable,
+    channel_units: Mapping[str, str],
+    of: str,
+) -> Block:
+    titles = ("Expected rms", "Absorbed", "Detectability", "Chance", "Smallest rms")
+    columns = [
+        wide_column("Effect"),
+        *number_columns(*titles),
+        wide_column("Hardest rival"),
+    ]
     rows = [
         [
-            spoken(e["name"]),
-            s["words"],
-            spoken(r["name"]),
-            words.num(s["seen"], 2),
-            words.num(s["apart"], 2),
+            spoken(record.name),
+            _sizes_by_channel(record.signature, channel_units),
+            text.percent(record.absorbed),
+            text.number(record.detectability),
+            text.percent(record.power),
+            _sizes_by_channel(record.median, channel_units),
+            _hardest_rival(record),
         ]
-        for e, r, s in found[:MOST]
+        for record in testable
     ]
-    if not rows:
+    marks = ["good" if record.visible else "bad" for record in testable]
+    readings = text.count(table.readings, "reading")
+    caption = (
+        f"What {of} ({readings}) could detect. Absorbed: share that calibration takes"
+        " for geometry. Detectability: what remains, in units of the noise. Chance: of"
+        " detection at 1 % false alarm. Smallest rms: size that is detected 9 times in"
+        " 10, typically. Hardest rival: the effect that explains most of it, and the"
+        " detectability that then remains. The noise is that stated in the study."
+    )
+    return Table(columns, rows, caption, marks)
+
+
+def _hardest_rival(record: DetectabilityRecord) -> str:
+    if not record.rivals:
+        return text.MISSING
+    rival = record.rivals[0]
+    return f"{spoken(rival.name)} ({confusable.short(rival.separation)})"
+
+
+def _sizes_by_channel(
+    sizes: Mapping[str, Number], channel_units: Mapping[str, str]
+) -> str:
+    """Rms by channel; one channel alone needs no name."""
+    visible = {n: rms for n, rms in sizes.items() if rms is None or rms > VISIBLE}
+    entries = {
+        name: text.in_unit_of(name, rms, channel_units) for name, rms in visible.items()
+    }
+    if len(entries) < 2:
+        return text.listing(entries.values())
+    return text.listing(f"{name} {entry}" for name, entry in entries.items())
+
+
+#: an effect, its rival, and a combination of coefficients that the rival imitates
+Imitation = tuple[DetectabilityRecord, RivalRecord, SharedRecord]
+
+
+def _imitated(testable: Sequence[DetectabilityRecord], of: str) -> list[Block]:
+    imitations = [
+        (record, rival, shared)
+        for record in testable
+        for rival in record.rivals
+        for shared in rival.shared
+    ]
+    if not imitations:
         return []
+    imitations.sort(key=_nearness)
+    shown = imitations[:MOST]
     columns = [
         TableColumn("Effect"),
-        TableColumn("Coefficients", wide=True),
+        wide_column("Coefficients"),
         TableColumn("Imitated by"),
+        *number_columns("Alone", "With the rival"),
     ]
-    columns += number_column("Seen", "Then")
-    cut = f" The {len(rows)} nearest of {len(found)}." if len(found) > len(rows) else ""
+    rows = [
+        [
+            spoken(record.name),
+            shared.words,
+            spoken(rival.name),
+            text.number(shared.detectability, 2),
+            text.number(shared.separation, 2),
+        ]
+        for record, rival, shared in shown
+    ]
     caption = (
-        f"Forms of an effect that {of} could see, but not tell from another effect:"
-        f" seen alone, and then.{cut}"
+        f"Forms of an effect that {of} could detect, but not tell from another effect:"
+        " detectability alone, and with the rival."
     )
+    if len(imitations) > len(shown):
+        caption += f" The {len(shown)} nearest of {len(imitations)}."
     return [Table(columns, rows, caption)]
 
 
-def _untested(table: Part) -> list[Block]:
-    missing = [e for e in table["effects"] if e["not_testable"]]
-    if not missing:
-        return []
-    told = [
-        words.sentence(f"{spoken(e['name']).capitalize()}: {e['not_testable']}")
-        for e in missing
+def _nearness(imitation: Imitation) -> float:
+    """Sorts combinations that the rival imitates best to the front."""
+    shared = imitation[2]
+    return shared.separation - TIE_BREAK * shared.detectability
+
+
+def _untestable(table: DetectabilityTable) -> list[Block]:
+    reasons = [
+        text.sentence(f"{spoken(record.name).capitalize()}: {record.not_testable}")
+        for record in table.effects
+        if record.not_testable
     ]
-    return [Paragraph("Effects that could not be tested:"), Items(told)]
+    return headed_list("Effects that could not be tested:", reasons)
+
+
+CHAPTER: Final = Chapter("gap-before", "What these readings could detect", blocks)

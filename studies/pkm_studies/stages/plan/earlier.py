@@ -6,7 +6,6 @@ import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,10 +15,13 @@ from oed.design.candidates import reading_time
 from oed.machine import Machine
 from oed.measurement import Measurement
 from oed.planning.option import Option
+from oed.result import ParameterEstimate, StudyResult
 from pkm_studies.errors import Place
 from pkm_studies.resolve.plan import plan_request
 from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
 
+#: identified parameters by name
+Estimates = Mapping[str, ParameterEstimate]
 FILE = "posterior.nc"
 
 
@@ -40,7 +42,7 @@ class EarlierSession:
 
 
 def read_earlier_session(
-    resolved: ResolvedStudy, folder: Path, stored: Mapping[str, Any]
+    resolved: ResolvedStudy, folder: Path, stored: StudyResult
 ) -> EarlierSession:
     """What the result `stored` in `folder` tells about the study's machine.
 
@@ -59,8 +61,7 @@ def read_earlier_session(
         dataclasses.replace(p, nominal=float(identified.get(p.name, p.nominal)))
         for p in machine.parameters
     ]
-    drawing = stored.get("drawing") or {}
-    done = Counter(str(setup) for setup in drawing.get("reading_of", []))
+    done = Counter(stored.drawing.reading_of if stored.drawing else [])
     seconds = _session_seconds(resolved, done)
     tolerance = measurement.tolerance[measurement.free]
     words = (
@@ -83,19 +84,19 @@ def _free_names(measurement: Measurement) -> list[str]:
 
 
 def _estimate(
-    stored: Mapping[str, Any], machine: str, free: Sequence[str], folder: Path
-) -> Mapping[str, Any]:
+    stored: StudyResult, machine: str, free: Sequence[str], folder: Path
+) -> Estimates:
     """The estimated parameters of a stored result, all of the free ones among them."""
     place = Place(str(folder / "result.json")).key("estimate")
-    if not stored.get("estimate"):
+    if stored.estimate is None:
         raise place.error("nothing was identified there", "make it with `oed identify`")
-    estimate: Mapping[str, Any] = stored["estimate"]["parameters"]
+    estimate = stored.estimate.parameters
     remedy = f"give a result for {machine} of this study"
     absent = [name for name in free if name not in estimate]
     if absent:
         raise place.error(f"it has no estimate of {absent[0]}", remedy)
-    if stored["machine"]["name"] != machine:
-        raise place.error(f"it is about {stored['machine']['name']}", remedy)
+    if stored.machine.name != machine:
+        raise place.error(f"it is about {stored.machine.name}", remedy)
     return estimate
 
 
@@ -114,23 +115,24 @@ def _without_done(
 
 
 def _posterior(
-    draws: Path, estimate: Mapping[str, Any], free: list[str]
+    draws: Path, estimate: Estimates, free: list[str]
 ) -> tuple[Array, Array, str]:
     """Values (n,), their covariance (n, n), SI, and where they come from."""
     sample = _read_draws(draws, free) if draws.is_file() else None
     if sample is not None:
         covariance = np.atleast_2d(np.cov(sample.T))
         return sample.mean(axis=0), covariance, "draws of the posterior"
-    value = _column(estimate, free, "value")
-    sd = _column(estimate, free, "sd")
+    rows = [estimate[name] for name in free]
+    value = _in_si([row.value for row in rows], rows)
+    sd = _in_si([row.sd for row in rows], rows)
     source = "standard deviations of the estimate, taken as independent"
     return value, np.diag(sd**2), source
 
 
-def _column(estimate: Mapping[str, Any], free: list[str], key: str) -> Array:
-    """One number (n,) of each free parameter's estimate, SI."""
-    rows = [estimate[name] for name in free]
-    return np.array([float(units.to_si(row[key], row["unit"])) for row in rows])
+def _in_si(numbers: Sequence[float], rows: Sequence[ParameterEstimate]) -> Array:
+    """One number (n,) of each estimate, given in the estimate's unit."""
+    pairs = zip(numbers, rows, strict=True)
+    return np.array([float(units.to_si(number, row.unit)) for number, row in pairs])
 
 
 def _read_draws(path: Path, free: list[str]) -> Array | None:

@@ -1,0 +1,89 @@
+"""3-D axes with one scale on all axes, fitted to a rectangle of the figure."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Bbox
+from mpl_toolkits.mplot3d import proj3d  # type: ignore[import-untyped]
+
+from oed.arrays import Array
+
+#: lower and upper corner (3,) of what is shown, mm
+Box = tuple[Array, Array]
+#: left, bottom, right and top of a rectangle, as shares of the figure
+Rectangle = tuple[float, float, float, float]
+VIEW: Final = {"elev": 20.0, "azim": -58.0}
+#: least depth of a box, as a share of its largest side, and room around it
+LEAST_DEPTH, MARGIN = 0.3, 1.06
+#: share of the largest side below which an axis has few ticks
+SHORT: Final = 0.6
+#: letters do not scale with the box, so fitting takes more than one step
+FITTING_STEPS: Final = 3
+
+
+def box_around(cloud: Array) -> Box:
+    """A box around points (n, 3); a flat one gets some depth."""
+    low, high = np.nanmin(cloud, axis=0), np.nanmax(cloud, axis=0)
+    longest = max(float(np.max(high - low)), 1.0)
+    size = MARGIN * np.maximum(high - low, LEAST_DEPTH * longest)
+    return (low + high - size) / 2.0, (low + high + size) / 2.0
+
+
+def set_axes(axes: Any, box: Box) -> None:
+    """Limits of the box, one scale on all axes, few ticks."""
+    size = box[1] - box[0]
+    for k, name in enumerate("xyz"):
+        short = size[k] < SHORT * size.max()
+        getattr(axes, f"set_{name}lim")(box[0][k], box[1][k])
+        set_label = getattr(axes, f"set_{name}label")
+        set_label(f"{name} [mm]", labelpad=-2.0 if short else 0.0)
+        axis = getattr(axes, f"{name}axis")
+        ticks = MaxNLocator(3 if short else 5, steps=[1, 2, 2.5, 5, 10])
+        axis.set_major_locator(ticks)
+        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
+        axis.set_tick_params(pad=-1.0, labelsize=6.5)
+    axes.zaxis.set_tick_params(pad=1.0)
+    axes.set_box_aspect(size)
+    axes.view_init(**VIEW)
+
+
+def fit_to(figure: Figure, axes: Any, box: Box, room: Rectangle) -> None:
+    """Move and scale the axes until box, ticks and labels fill the rectangle.
+
+    How much of its rectangle a 3-D box fills depends on its shape and on the view.
+    """
+    middle = np.array([room[0] + room[2], room[1] + room[3]]) / 2.0
+    wanted = np.array(room[2:]) - room[:2]
+    canvas: Any = FigureCanvasAgg(figure)
+    for _ in range(FITTING_STEPS):
+        figure.draw_without_rendering()
+        (x0, y0), (x1, y1) = _extent(figure, axes, box, canvas.get_renderer())
+        place = axes.get_position()
+        scale = min(wanted / [x1 - x0, y1 - y0])
+        centre = np.array([x0 + x1, y0 + y1]) / 2.0
+        corner = middle + scale * (np.array([place.x0, place.y0]) - centre)
+        axes.set_position((*corner, scale * place.width, scale * place.height))
+
+
+def _extent(figure: Figure, axes: Any, box: Box, renderer: Any) -> Array:
+    """Corners (2, 2) of what the axes cover, as shares of the figure."""
+    covered = [
+        axis.get_tightbbox(renderer) for axis in (axes.xaxis, axes.yaxis, axes.zaxis)
+    ]
+    covered.append(_outline(axes, box))
+    to_shares = figure.transFigure.inverted()
+    return np.asarray(to_shares.transform(Bbox.union(covered).get_points()))
+
+
+def _outline(axes: Any, box: Box) -> Bbox:
+    """Rectangle on the canvas around the eight corners of the 3-D box."""
+    corners = np.array(list(itertools.product(*zip(*box, strict=True))))
+    x, y, _ = proj3d.proj_transform(*corners.T, axes.get_proj())
+    pixels = axes.transData.transform(np.column_stack([x, y]))
+    return Bbox([pixels.min(axis=0), pixels.max(axis=0)])

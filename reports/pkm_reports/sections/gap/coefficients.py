@@ -1,0 +1,57 @@
+"""Coefficients of the effects found, against the sizes expected of them."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from oed.result import CoefficientRecord, GapSection
+from pkm_reports import text
+from pkm_reports.blocks import (
+    Block,
+    Table,
+    TableColumn,
+    number_columns,
+    wide_column,
+)
+from pkm_reports.figures.gap.effects import spoken
+
+MOST: Final = 12
+
+
+def blocks(gap: GapSection) -> list[Block]:
+    """The largest coefficients in expected sizes, first the largest."""
+    ranked = sorted(gap.coefficients, key=lambda c: -abs(in_expected_sizes(c, c.value)))
+    shown = ranked[:MOST]
+    if not shown:
+        return []
+    columns = [
+        TableColumn("Effect"),
+        wide_column("Coefficient"),
+        *number_columns("Value [SI]", "Sd [SI]", "In expected sizes"),
+    ]
+    caption = (
+        "Coefficients of the effects found, in SI units and in units of the size that"
+        " was expected of each"
+    )
+    if len(ranked) > len(shown):
+        caption += f"; the {len(shown)} largest of {len(ranked)}"
+    return [Table(columns, [_row(c) for c in shown], f"{caption}.")]
+
+
+def _row(coefficient: CoefficientRecord) -> list[str]:
+    value = in_expected_sizes(coefficient, coefficient.value)
+    sd = in_expected_sizes(coefficient, coefficient.sd)
+    return [
+        spoken(coefficient.effect),
+        coefficient.name,
+        text.number(coefficient.value),
+        text.number(coefficient.sd, 2),
+        f"{text.fixed(value, 2)} ± {text.fixed(sd, 2)}",
+    ]
+
+
+def in_expected_sizes(coefficient: CoefficientRecord, number: float) -> float:
+    """A value or sd over the expected size; NaN where that is not known."""
+    size = coefficient.prior_sd
+    return math.nan if size is None or not size > 0.0 else number / size

@@ -1,0 +1,166 @@
+"""Explanations of the gap with their probabilities, and the sizes of the effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from oed.result import AnswerRecord, GapSection, SizeRecord
+from pkm_reports import text
+from pkm_reports.blocks import (
+    Block,
+    Table,
+    TableColumn,
+    number_columns,
+    wide_column,
+)
+from pkm_reports.figures.gap import effects
+from pkm_reports.figures.gap.effects import spoken
+
+MOST_ANSWERS: Final = 6
+#: members from which a class is counted, not represented by one of its names
+MANY: Final = 6
+#: rms, in the unit of its channel, from which an effect shows in a channel
+VISIBLE: Final = 1e-9
+
+
+def blocks(gap: GapSection) -> list[Block]:
+    """Explanations, the credible set, sizes of the effects."""
+    part: list[Block] = []
+    if gap.answers:
+        part.append(_answers(gap))
+    if gap.answers and len(gap.set95) > 1:
+        part.append(_credible_set(gap))
+    if gap.sizes:
+        part.append(_sizes(gap))
+    return part
+
+
+def probabilities_caption(gap: GapSection) -> str:
+    """How many effects could be tested, and which are not shown."""
+    sentences = [
+        "Probability that each effect acts in these readings, after calibration"
+        " explained what it can.",
+        f"{len(gap.tried) - len(gap.not_testable)} of"
+        f" {text.count(len(gap.tried), 'effect')} could be tested.",
+    ]
+    classes = gap.answers[0].classes if gap.answers else []
+    if any(len(group) > 1 for group in classes):
+        sentences.append("Those in light blue cannot be told from those in blue.")
+    more = len(gap.marginal) - len(effects.shown(gap))
+    if more > 0:
+        sentences.append(f"The {more} least probable are not shown.")
+    return " ".join(sentences)
+
+
+# -- answers ---------------------------------------------------------------------------
+
+
+def _columns() -> list[TableColumn]:
+    return [
+        wide_column("Explanation"),
+        TableColumn("Probability", number=True),
+        wide_column("Cannot be told from"),
+    ]
+
+
+def _answers(gap: GapSection) -> Table:
+    rows = [row(answer) for answer in gap.answers[:MOST_ANSWERS]]
+    caption = (
+        "Explanations of the gap. An effect beside a named one that could be any of"
+        " many is reported as an effect of unknown form."
+    )
+    return Table(_columns(), rows, caption)
+
+
+def _credible_set(gap: GapSection) -> Table:
+    rows = [row(answer) for answer in gap.set95]
+    caption = (
+        "Credible set: with 95 % probability one of these sets of effects acts, with or"
+        " without a remainder of unknown form. The remainder is named where it is more"
+        " likely than not. An effect stands for all that cannot be told from it."
+    )
+    return Table(_columns(), rows, caption)
+
+
+def row(answer: AnswerRecord) -> list[str]:
+    """An explanation, its probability, and what cannot be told from it."""
+    aliases = [
+        spoken(name)
+        for group in answer.classes
+        for name in group
+        if name not in answer.effects or len(group) >= MANY
+    ]
+    others = text.listing(dict.fromkeys(aliases)) or text.MISSING
+    return [_explanation(answer), text.percent(answer.probability), others]
+
+
+def _explanation(answer: AnswerRecord) -> str:
+    """The effects of an answer; one of a large class is not named before the others."""
+    sizes = {group[0]: len(group) for group in answer.classes if len(group) >= MANY}
+    names = [_effect(name, sizes) for name in answer.effects]
+    return text.listing(names) or "no gap: noise alone"
+
+
+def _effect(name: str, class_sizes: Mapping[str, int]) -> str:
+    if name == "unknown":
+        return "an effect of unknown form"
+    if name in class_sizes:
+        return f"one of {class_sizes[name]}"
+    return spoken(name)
+
+
+# -- sizes -----------------------------------------------------------------------------
+
+
+def _sizes(gap: GapSection) -> Table:
+    columns = [
+        TableColumn("Effect"),
+        wide_column("What it is"),
+        *number_columns("Size, rms", "Detectability"),
+    ]
+    rows = [
+        [
+            spoken(size.effect),
+            _about(gap, size.effect),
+            _rms(gap, size),
+            text.number(size.detectability),
+        ]
+        for size in gap.sizes
+    ]
+    caption = (
+        "Effects found, with their size in the readings. Detectability: what"
+        " calibration leaves of the effect, as a multiple of the noise over all"
+        " readings together; below about 5 an effect is hard to detect."
+    )
+    if any(_constants(gap, size.effect) for size in gap.sizes):
+        caption += (
+            " In brackets: what its form depends on, at the likeliest value, in SI"
+            " units."
+        )
+    return Table(columns, rows, caption)
+
+
+def _about(gap: GapSection, effect: str) -> str:
+    """What an effect is, with the constants of its form in SI."""
+    about = gap.about[effect].about if effect in gap.about else ""
+    constants = _constants(gap, effect)
+    if not constants:
+        return about
+    values = [f"{name} = {text.number(value)}" for name, value in constants.items()]
+    return f"{about} ({', '.join(values)})"
+
+
+def _constants(gap: GapSection, effect: str) -> Mapping[str, float]:
+    return gap.constants.get(effect, {})
+
+
+def _rms(gap: GapSection, size: SizeRecord) -> str:
+    """Rms by channel; one channel alone needs no name."""
+    named = len(gap.units) != 1
+    entries = []
+    for channel, rms in size.rms.items():
+        if rms > VISIBLE:
+            entry = text.in_unit_of(channel, rms, gap.units)
+            entries.append(f"{channel} {entry}" if named else entry)
+    return text.listing(entries)

@@ -1,3 +1,0 @@
-"""Parts of the chapters about the design, one a module with `blocks(design)`: nothing
-where a result lacks it.
-"""

@@ -1,0 +1,1 @@
+"""The chapter about a plan in stages, a part of it a module."""
