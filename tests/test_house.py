@@ -1,6 +1,4 @@
-"""The house itself: what the wheel holds, which way imports run, what no committed file
-may contain.
-"""
+"""The wheel's content, the direction of imports, and texts that no file may contain."""
 
 import ast
 import re
@@ -57,7 +55,7 @@ def committed() -> list[Path]:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Names in the wheel, its own metadata aside."""
+    """Names in the wheel, without its metadata."""
     folder = tmp_path_factory.mktemp("wheel")
     built = run(
         sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)
@@ -69,13 +67,17 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     ]
 
 
-def test_wheel_holds_exactly_the_four_packages(wheel: list[str]) -> None:
+def test_wheel_holds_exactly_the_four_packages_and_the_studies(
+    wheel: list[str],
+) -> None:
     expected = {
         f"{name}/{path.relative_to(folder).as_posix()}"
         for name, folder in PACKAGES.items()
         for path in folder.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
+    studies = (ROOT / "studies").glob("*.study.toml")
+    expected |= {f"pkm_studies/shipped/{path.name}" for path in studies}
     assert set(wheel) == expected
     assert len(wheel) == len(expected)
 
@@ -86,22 +88,23 @@ def test_wheel_package_is_typed(wheel: list[str], name: str) -> None:
 
 
 def test_imports_run_one_way() -> None:
-    told = run(str(Path(sys.executable).with_name("lint-imports")), "--no-cache")
-    assert told.returncode == 0, told.stdout + told.stderr
+    linter = shutil.which("lint-imports", path=str(Path(sys.executable).parent))
+    assert linter is not None
+    report = run(linter, "--no-cache")
+    assert report.returncode == 0, report.stdout + report.stderr
 
 
 @pytest.mark.parametrize(
     "pattern", [MACHINE_PATH, REGISTRY], ids=["machine path", "registry"]
 )
 def test_no_file_names(committed: list[Path], pattern: re.Pattern[str]) -> None:
-    found = []
+    hits = []
     for path in committed:
         raw = path.read_bytes()
         text = "" if b"\0" in raw else raw.decode("utf-8", errors="ignore")
-        found += [
-            f"{path.relative_to(ROOT)}: {hit.group()}" for hit in pattern.finditer(text)
-        ]
-    assert not found
+        name = path.relative_to(ROOT)
+        hits += [f"{name}: {hit.group()}" for hit in pattern.finditer(text)]
+    assert not hits
 
 
 @pytest.mark.parametrize(
@@ -132,12 +135,13 @@ def test_one_version_everywhere(project: dict) -> None:
 
 def test_the_lock_is_of_these_dependencies(project: dict) -> None:
     lock = tomllib.loads((ROOT / "uv.lock").read_text(encoding="utf-8"))
-    (own,) = (package for package in lock["package"] if package["name"] == "pkm-oed")
-    locked = own["metadata"]["requires-dist"] + own["metadata"]["requires-dev"]["dev"]
-    asked = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
-    assert {item["name"] + item["specifier"] for item in locked} == {
-        re.sub(r"\[.*\]", "", item) for item in asked
-    }, "run `make lock`"
+    (package,) = (p for p in lock["package"] if p["name"] == "pkm-oed")
+    metadata_table = package["metadata"]
+    entries = metadata_table["requires-dist"] + metadata_table["requires-dev"]["dev"]
+    locked = {entry["name"] + entry["specifier"] for entry in entries}
+    stated = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
+    without_extras = {re.sub(r"\[.*\]", "", item) for item in stated}
+    assert locked == without_extras, "run `make lock`"
 
 
 def test_the_command_of_the_package_is_there(project: dict) -> None:

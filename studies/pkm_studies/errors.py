@@ -1,5 +1,4 @@
-"""Bad input, told in one paragraph: which file, which field, which value, what to do
-about it.
+"""Errors about bad input: one paragraph with file, field, value and remedy.
 
 Fields are dotted paths as in the file; entries of lists count from 1
 (`setup[2].length_mm`).
@@ -13,7 +12,7 @@ import math
 from collections.abc import Iterable
 from typing import Final
 
-#: longest value, problem and remedy that are told
+#: most characters of a value, a problem and a remedy
 VALUE, PROBLEM, REMEDY = 60, 220, 240
 _MISSING: Final = object()
 
@@ -30,24 +29,20 @@ class InputError(Exception):
         field: str = "",
         value: str = "",
     ) -> None:
-        self.problem, self.remedy = shorten(problem, PROBLEM), shorten(remedy, REMEDY)
-        self.file, self.field, self.value = (
-            file,
-            shorten(field, 2 * VALUE),
-            shorten(value, VALUE),
-        )
-        super().__init__(self._told())
+        """Shorten all parts to what fits in one paragraph."""
+        self.file = file
+        self.field = shorten(field, 2 * VALUE)
+        self.value = shorten(value, VALUE)
+        self.problem = shorten(problem, PROBLEM)
+        self.remedy = shorten(remedy, REMEDY)
+        super().__init__(self._paragraph())
 
-    def _told(self) -> str:
-        subject = (
-            f"{self.field} = {self.value}"
-            if self.value and self.field
-            else self.field or self.value
-        )
-        return (
-            ": ".join(part for part in (self.file, subject, self.problem) if part)
-            + f"; {self.remedy}."
-        )
+    def _paragraph(self) -> str:
+        subject = self.field or self.value
+        if self.field and self.value:
+            subject = f"{self.field} = {self.value}"
+        parts = [part for part in (self.file, subject, self.problem) if part]
+        return f"{': '.join(parts)}; {self.remedy}."
 
 
 class SourceAbsentError(InputError):
@@ -56,7 +51,7 @@ class SourceAbsentError(InputError):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Place:
-    """Where in which file a value stands."""
+    """File and field of a value."""
 
     file: str
     field: str = ""
@@ -71,12 +66,12 @@ class Place:
 
     def error(self, problem: str, remedy: str, value: object = _MISSING) -> InputError:
         """The error to raise for a value at this place."""
-        told = "" if value is _MISSING else quote(value)
-        return InputError(problem, remedy, file=self.file, field=self.field, value=told)
+        text = "" if value is _MISSING else quote(value)
+        return InputError(problem, remedy, file=self.file, field=self.field, value=text)
 
 
 def quote(value: object) -> str:
-    """A value of a study as a person wrote it, on one line."""
+    """A value of a study as it is written in the file, on one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
@@ -88,10 +83,11 @@ def quote(value: object) -> str:
 
 def shorten(text: str, length: int) -> str:
     """Text on one line, printable, of at most `length` characters."""
-    line = " ".join(
-        "".join(c if c.isprintable() else " " for c in text[: 4 * length]).split()
-    )
-    return line if len(line) <= length else line[: length - 4].rstrip() + " ..."
+    printable = (c if c.isprintable() else " " for c in text[: 4 * length])
+    line = " ".join("".join(printable).split())
+    if len(line) <= length:
+        return line
+    return f"{line[: length - 4].rstrip()} ..."
 
 
 def suggest(word: str, known: Iterable[str], kind: str = "allowed") -> str:
@@ -99,6 +95,6 @@ def suggest(word: str, known: Iterable[str], kind: str = "allowed") -> str:
     names = list(dict.fromkeys(known))
     if not names:
         return f"nothing is {kind} here: remove it"
-    near = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
-    listed = f"{kind}: {', '.join(names)}"
-    return f"did you mean {near[0]}? ({listed})" if near else listed
+    listing = f"{kind}: {', '.join(names)}"
+    nearest = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    return f"did you mean {nearest[0]}? ({listing})" if nearest else listing

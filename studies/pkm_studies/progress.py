@@ -1,4 +1,4 @@
-"""How long work tells where it is."""
+"""How long work reports its progress."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """What a pipeline tells: the stage it begins, and the share of it that is done."""
+    """What a pipeline reports: the stage that begins, and the share that is done."""
 
     def stage(self, name: str) -> None:
         """A stage begins."""
 
     def share(self, done: float) -> None:
-        """Share (0..1) of the present stage that is done."""
+        """The share (0..1) of the present stage that is done."""
 
 
 class Silent:
     """Progress that nobody watches."""
 
     def stage(self, name: str) -> None:
-        """Say nothing."""
+        """Ignore the stage."""
 
     def share(self, done: float) -> None:
-        """Say nothing."""
+        """Ignore the share."""

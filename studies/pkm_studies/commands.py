@@ -1,0 +1,376 @@
+"""The subcommands of `oed`. Each imports what is heavy only when it is called."""
+
+from __future__ import annotations
+
+import enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pkm_studies import console
+from pkm_studies.errors import InputError
+
+if TYPE_CHECKING:
+    from oed.result import Claim, StudyResult
+    from pkm_studies.study import Study
+
+DONE, FAILED, BAD_INPUT = 0, 1, 2
+
+app = typer.Typer(
+    name="oed",
+    help=(
+        "Optimal experiment design and uncertainty for calibrating parallel kinematic"
+        " machines."
+    ),
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+StudyPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="STUDY",
+        help="A study file, or the name of a shipped study.",
+        show_default=False,
+    ),
+]
+OutFolder = Annotated[
+    Path,
+    typer.Option(metavar="DIR", help="Folder for the results.", show_default=False),
+]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the study's.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", help="Print only errors and failing claims.")
+]
+
+
+class Kind(enum.StrEnum):
+    """What `oed list` lists."""
+
+    machines = enum.auto()
+    instruments = enum.auto()
+    effects = enum.auto()
+    criteria = enum.auto()
+    studies = enum.auto()
+
+
+class Schema(enum.StrEnum):
+    """Files that `oed schema` describes."""
+
+    study = enum.auto()
+    result = enum.auto()
+    readings = enum.auto()
+
+
+@app.command()
+def run(
+    study: StudyPath,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results [out/NAME]."),
+    ] = None,
+    seed: Seed = None,
+    quiet: Quiet = False,
+) -> int:
+    """Run a study: design, identification, accuracy, report."""
+    from pkm_studies import display, files
+
+    loaded = _load(study)
+    folder = out or Path("out") / loaded.name
+    files.check_writable(folder)
+    from pkm_studies import pipeline  # only now: errors of input come at once
+
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.run(loaded, folder, seed=seed, progress=progress)
+    return _report_result(result, folder, quiet)
+
+
+@app.command()
+def check(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", help="Studies and readings.", show_default=False
+        ),
+    ],
+) -> int:
+    """Check studies and readings; run nothing."""
+    from pkm_studies import checks
+
+    errors = 0
+    for path, verdict in checks.check(paths):
+        if isinstance(verdict, InputError):
+            console.print_error(str(verdict))
+            errors += 1
+        else:
+            print(f"{path}: {verdict}")
+    return BAD_INPUT if errors else DONE
+
+
+@app.command()
+def simulate(
+    study: StudyPath,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="READINGS.csv", help="File for the readings.", show_default=False
+        ),
+    ],
+) -> int:
+    """Write readings of a virtual machine, and its truth in a second file."""
+    from pkm_studies import files
+
+    loaded = _load(study)
+    files.check_writable(out.parent)
+    from pkm_studies import pipeline
+
+    readings, truth = pipeline.simulate(loaded, out)
+    print(f"Readings: {readings}\nTruth: {truth}")
+    return DONE
+
+
+@app.command()
+def identify(
+    study: StudyPath,
+    readings: Annotated[
+        Path, typer.Option(metavar="CSV", help="The readings.", show_default=False)
+    ],
+    out: OutFolder,
+    seed: Seed = None,
+    quiet: Quiet = False,
+) -> int:
+    """Identify the machine from readings."""
+    from pkm_studies import display, files
+
+    loaded = _load(study)
+    files.check_writable(out)
+    from pkm_studies import pipeline
+
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.run(
+            loaded, out, seed=seed, progress=progress, readings=[readings]
+        )
+    return _report_result(result, out, quiet)
+
+
+@app.command()
+def diagnose(
+    study: StudyPath,
+    out: OutFolder,
+    readings: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV", help="The readings [those of the study].", show_default=False
+        ),
+    ] = None,
+    seed: Seed = None,
+    quiet: Quiet = False,
+) -> int:
+    """Find what causes the gap between model and machine: which effect, and where."""
+    from pkm_studies import display, files
+
+    loaded = _load(study)
+    files.check_writable(out)
+    from pkm_studies import pipeline
+
+    given = None if readings is None else [readings]
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.diagnose(loaded, given, out, seed=seed, progress=progress)
+    return _report_result(result, out, quiet)
+
+
+@app.command()
+def plan(
+    study: StudyPath,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results [out/NAME-plan]."),
+    ] = None,
+    after: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RESULT_DIR",
+            help="Result of an earlier session: plan the stages after it.",
+        ),
+    ] = None,
+    seed: Seed = None,
+    quiet: Quiet = False,
+) -> int:
+    """Plan which measurements to do, in which order; read and fit nothing."""
+    from pkm_studies import display, files
+
+    loaded = _load(study)
+    folder = out or Path("out") / f"{loaded.name}-plan"
+    files.check_writable(folder)
+    from pkm_studies import pipeline
+
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.plan(
+            loaded, folder, after=after, seed=seed, progress=progress
+        )
+    if not quiet and result.plan is not None:
+        display.print_plan(result.plan)
+    return _report_result(result, folder, quiet)
+
+
+@app.command()
+def report(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR", help="Folder with a result.json.", show_default=False
+        ),
+    ],
+) -> int:
+    """Write the HTML and PDF report again from result.json."""
+    from pkm_studies import result_folder
+
+    for path in result_folder.write_report(folder):
+        print(f"Report: {path}")
+    return DONE
+
+
+@app.command(name="list")
+def list_entries(
+    kind: Annotated[Kind, typer.Argument(show_default=False)],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> int:
+    """List machines, instruments, effects, criteria or shipped studies."""
+    if kind is Kind.studies:
+        return _list_studies(as_json)
+    import dataclasses
+
+    from pkm_studies import catalogue
+
+    entries = catalogue.listing(kind.value)
+    if as_json:
+        console.print_json([dataclasses.asdict(entry) for entry in entries])
+        return DONE
+    rows = [(e.name, [e.about, f"source: {e.source}"]) for e in entries]
+    _print_rows(rows)
+    return DONE
+
+
+def _list_studies(as_json: bool) -> int:
+    from pkm_studies import shipped
+
+    studies = list(shipped.studies().values())
+    if as_json:
+        entries = [
+            {"name": s.name, "title": s.title, "question": s.question} for s in studies
+        ]
+        console.print_json(entries)
+        return DONE
+    _print_rows([(s.name, [s.title, s.question]) for s in studies])
+    return DONE
+
+
+def _print_rows(rows: list[tuple[str, list[str]]]) -> None:
+    """Print names in a column, with the lines about each next to it."""
+    width = max((len(name) for name, _ in rows), default=0)
+    for name, lines in rows:
+        for label, line in zip([name, *[""] * len(lines)], lines, strict=False):
+            print(f"{label:<{width}}  {line}")
+
+
+@app.command()
+def schema(
+    of: Annotated[
+        Schema, typer.Argument(metavar="study|result|readings", show_default=False)
+    ],
+) -> int:
+    """Print a JSON schema, for editors and scripts."""
+    from pkm_studies import schemas
+
+    console.print_json(schemas.SCHEMAS[of.value]())
+    return DONE
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the study.", show_default=False)],
+    machine: Annotated[
+        str | None,
+        typer.Option(help="A machine of `oed list machines`.", show_default=False),
+    ] = None,
+    instrument: Annotated[
+        str | None,
+        typer.Option(
+            help="An instrument of `oed list instruments`.", show_default=False
+        ),
+    ] = None,
+    source: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="STUDY",
+            help="A study of `oed list studies` to copy.",
+            show_default=False,
+        ),
+    ] = None,
+) -> int:
+    """Write a study to start from: a commented one, or a copy of a shipped one."""
+    path = _new_study(name, machine, instrument, source)
+    print(f"Study: {path}; edit it, then: oed run {path}")
+    return DONE
+
+
+def _new_study(
+    name: str, machine: str | None, instrument: str | None, source: str | None
+) -> Path:
+    if source is not None:
+        if machine is not None or instrument is not None:
+            raise InputError(
+                "--from copies a whole study",
+                "leave out --machine and --instrument, or leave out --from",
+            )
+        from pkm_studies import shipped
+
+        return shipped.copy(name, source, Path())
+    if machine is None or instrument is None:
+        raise InputError(
+            "it is not said what to start from",
+            "give --machine and --instrument, or --from STUDY",
+        )
+    from pkm_studies import template
+
+    return template.write(name, machine, instrument, Path())
+
+
+# -- studies in, results out -----------------------------------------------------------
+
+
+def _load(path: Path) -> Study:
+    """The study of a file or of a shipped study's name."""
+    from pkm_studies import shipped, study
+
+    return study.load(shipped.study_path(path))
+
+
+def _report_result(result: StudyResult, folder: Path, quiet: bool) -> int:
+    """Print headline, files and claims; the exit code."""
+    if not quiet:
+        for sentence in result.headline:
+            print(sentence)
+        names = ("report.html", "report.pdf", "result.json")
+        paths = [folder / name for name in names if (folder / name).is_file()]
+        print(f"Report: {', '.join(map(str, paths))}")
+        for claim in result.claims:
+            print(f"Claim {_verdict(claim)}")
+    failing = [claim for claim in result.claims if not claim.met]
+    for claim in failing:
+        console.print_error(f"claim {_verdict(claim)}")
+    return FAILED if failing else DONE
+
+
+def _verdict(claim: Claim) -> str:
+    if claim.met and isinstance(claim.measured, str):
+        return f"{claim.claim}: met: {claim.wanted}"
+    measured = claim.measured
+    if isinstance(measured, float):
+        measured = f"{measured:.6g}"
+    met = "met" if claim.met else "not met"
+    return f"{claim.claim}: {met}: {claim.wanted}, measured {measured}"
