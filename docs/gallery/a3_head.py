@@ -1,11 +1,10 @@
-"""A3 spindle head: the published plan of two ball-bar circles against thirty readings
-chosen by D-optimality.
+"""A3 spindle head: the published two ball-bar circles against thirty D-optimal readings.
 
     python docs/gallery/a3_head.py [FOLDER]
 
 Two circles of 15 readings see 18 of 21 parameters, as any plan with one tool does.
 Thirty readings chosen out of 1512 see the same 18 better: the two circles have a
-D-efficiency of 68 %, so 44 readings of theirs are worth these 30. The condition number
+D-efficiency of 68 %, so 44 of their readings are worth these 30. The condition number
 of two circles has its minimum at 15 points, but no plateau after it.
 """
 
@@ -20,68 +19,72 @@ from pkm_models.instruments import ball_bar
 from pkm_models.machines.a3_head import C, D, machine
 from pkm_reports import style
 
-HOME, ROUND = C + D, 2.0 * np.pi
-bar = Measurement(
-    machine, [mount(ball_bar.instrument, "cup", teach=(HOME + 0.220, 0.0, 0.0))]
-)
+HOME, FULL_TURN = C + D, 2.0 * np.pi
+cup = mount(ball_bar.instrument, "cup", teach=(HOME + 0.220, 0.0, 0.0))
+bar = Measurement(machine, [cup])
 
 
-def held(strokes: np.ndarray, points: int) -> np.ndarray:
-    """Commands (n, 3) on circles at some strokes (m); theta is led by the bar."""
-    stroke, psi = (
-        v.ravel()
-        for v in np.meshgrid(strokes, np.linspace(0.0, ROUND, points, endpoint=False))
-    )
-    command, possible = bar.hold(
-        "cup", np.column_stack([HOME + stroke, psi, 0.0 * psi]), "theta"
-    )
+def on_circles(strokes: np.ndarray, points: int) -> np.ndarray:
+    """Commands (n, 3) on circles at some strokes (m); the bar leads theta."""
+    angles = np.linspace(0.0, FULL_TURN, points, endpoint=False)
+    stroke, psi = (axis.ravel() for axis in np.meshgrid(strokes, angles))
+    start = np.column_stack([HOME + stroke, psi, 0.0 * psi])
+    command, possible = bar.hold("cup", start, "theta")
     assert possible.all()
     return command
 
 
-def rows(command: np.ndarray) -> np.ndarray:
+def identification_matrix(command: np.ndarray) -> np.ndarray:
     """H (n, 21) of readings at some commands, all parameters as lengths."""
-    return information.scaled(bar, [bar.series("cup", command)], bar.nominal, "length")[
-        :, bar.free
-    ]
+    series = [bar.series("cup", command)]
+    h = information.scaled(bar, series, bar.nominal, "length")
+    return h[:, bar.free]
 
 
-def singular(command: np.ndarray) -> np.ndarray:
+def singular_values(command: np.ndarray) -> np.ndarray:
     """The 18 singular values that are not zero."""
-    return np.linalg.svd(rows(command), compute_uv=False)[:18]
+    h = identification_matrix(command)
+    return np.linalg.svd(h, compute_uv=False)[:18]
 
 
-circles, grid = (
-    held(np.array([0.080, 0.200]), 15),
-    held(np.linspace(0.0, 0.200, 21), 72),
-)
-names = [n for n, free in zip(bar.names, bar.free, strict=True) if free]
-verdict = identifiability.analyse(rows(grid), names, 1.0 / bar.lengths[bar.free])
+def log_det(command: np.ndarray) -> float:
+    """Log det of the information about the 18 directions."""
+    return 2.0 * float(np.log(singular_values(command)).sum())
+
+
+def condition_number(points: int) -> float:
+    """Of the paper's two circles with so many points each."""
+    values = singular_values(on_circles(STROKES, points))
+    return float(values[0] / values[-1])
+
+
+STROKES = np.array([0.080, 0.200])
+circles = on_circles(STROKES, 15)
+grid = on_circles(np.linspace(0.0, 0.200, 21), 72)
+candidates = identification_matrix(grid)
+names = np.array(bar.names)[bar.free]
+verdict = identifiability.analyse(candidates, names, 1.0 / bar.lengths[bar.free])
 assert (verdict.rank, len(names)) == (18, 21)  # all 1512 candidates together
 
-chosen = exchange.choose(rows(grid), 30, np.random.default_rng(1), "D", rounds=3)
-of_paper, of_choice = (
-    2.0 * np.log(singular(c)).sum() for c in (circles, grid[chosen.indices])
-)
-efficiency = np.exp((of_paper - of_choice) / 18.0)
-assert abs(of_paper + 65.58) < 0.01
-assert of_choice > -58.80
+chosen = exchange.choose(candidates, 30, np.random.default_rng(1), "D", rounds=3)
+published_value, chosen_value = log_det(circles), log_det(grid[chosen.indices])
+efficiency = np.exp((published_value - chosen_value) / 18.0)
+assert abs(published_value + 65.58) < 0.01
+assert chosen_value > -58.80
 assert 0.67 < efficiency < 0.69
 
 counts = np.arange(12, 21)
-kappa = np.array(
-    [(s := singular(held(np.array([0.080, 0.200]), n)))[0] / s[-1] for n in counts]
-)
+kappa = np.array([condition_number(n) for n in counts])
 assert counts[kappa.argmin()] == 15
-assert (
-    kappa[counts > 15].min() > 1.1 * kappa.min()
-)  # the minimum, but no plateau after it
+more_points = kappa[counts > 15]
+assert more_points.min() > 1.1 * kappa.min()  # the minimum, but no plateau after it
 
 picture = _draw.Picture("Thirty readings", "Condition number of two circles")
-picture.machine(bar.kinematics, np.array([HOME + 0.080, 0.9, np.deg2rad(30.0)]))
+tilted = np.array([HOME + 0.080, 0.9, np.deg2rad(30.0)])
+picture.machine(bar.kinematics, tilted)
 plans = (
-    (circles, "two circles", of_paper),
-    (grid[chosen.indices], "chosen", of_choice),
+    (circles, "two circles", published_value),
+    (grid[chosen.indices], "chosen", chosen_value),
 )
 for (command, name, value), shade, marker in zip(
     plans, (style.ORANGE, style.BLUE), "oD", strict=True
@@ -102,7 +105,7 @@ picture.save(
             " one tool"
         ),
         (
-            f"log det {of_paper:.2f} for two circles of 15, {of_choice:.2f} for 30"
+            f"log det {published_value:.2f} for two circles of 15, {chosen_value:.2f} for 30"
             f" chosen: efficiency {efficiency:.0%}"
         ),
         f"condition number {kappa[3]:.0f} for 15 a circle, {kappa[4]:.0f} for 16",

@@ -1,13 +1,12 @@
-"""Cable robot: four lines for three degrees of freedom, so that the machine itself
-tells whether its model is right.
+"""Cable robot: four lines for three degrees of freedom test the model by themselves.
 
     python docs/gallery/cable_robot.py [FOLDER]
 
-A virtual Hangprinter is dragged about by hand and its motors are read; a camera sees it
-in nine poses. Anchors, spools and line lengths are identified from these nine. In 35
-other poses nobody knows where it was, but four lines meet in one point only on the
-right machine: the gap that they leave falls from centimetres to what a line is good
-for. The study `hangprinter_hp4` does the same with real readings.
+A virtual Hangprinter is moved by hand while its motors are read; a camera observes nine
+poses. These nine identify anchors, spools and line lengths. In 35 other poses the place
+is unknown, but four lines meet in one point only on the right machine. Their gap falls
+from centimetres to the noise of a line. The study `hangprinter_hp4` does the same with
+real readings.
 """
 
 import _draw
@@ -21,26 +20,32 @@ from pkm_models.instruments import camera, redundancy
 from pkm_models.machines.cable_robot import FOLD, GEAR, LINES, SPOOL, machine
 from pkm_reports import style
 
-KNOWN, OTHER, LINE = 9, 35, 0.3e-3  # poses, poses, m of noise on each line
+OBSERVED, UNOBSERVED, LINE_NOISE = 9, 35, 0.3e-3  # poses, poses, m
 rng = np.random.default_rng(11)
 robot = Measurement(
     machine,
     [mount(camera.known_frame, "camera"), mount(redundancy.instrument, "lines")],
 )
 truth = simulate.draw(robot, rng)
-places = rng.uniform([-0.35, -0.35, 0.0], [0.35, 0.35, 1.2], (KNOWN + OTHER, 3))
+LOW, HIGH = (-0.35, -0.35, 0.0), (0.35, 0.35, 1.2)  # m
+places = rng.uniform(LOW, HIGH, (OBSERVED + UNOBSERVED, 3))
 motors = compensate.joints(robot.kinematics, places, truth)  # taut lines at each place
-turns = (
+motor_per_metre = (
     np.array([FOLD[i] for i in LINES]) * GEAR / SPOOL
 )  # of a motor, rad for a metre of line
-motors += LINE * turns * rng.standard_normal(motors.shape)
+motors += LINE_NOISE * motor_per_metre * rng.standard_normal(motors.shape)
 
-known = [robot.series_from_joints(name, motors[:KNOWN]) for name in ("camera", "lines")]
-seen = places[:KNOWN] + 1e-3 * rng.standard_normal((KNOWN, 3))
-found = identify(robot, known, np.concatenate([seen.ravel(), np.zeros(KNOWN)]))
-other = robot.series_from_joints("lines", motors[KNOWN:])
+observed = [
+    robot.series_from_joints(name, motors[:OBSERVED]) for name in ("camera", "lines")
+]
+camera_readings = places[:OBSERVED] + 1e-3 * rng.standard_normal((OBSERVED, 3))
+estimate = identify(
+    robot, observed, np.concatenate([camera_readings.ravel(), np.zeros(OBSERVED)])
+)
+unobserved = robot.series_from_joints("lines", motors[OBSERVED:])
 before, after = (
-    1e3 * robot.readings([other], theta) for theta in (robot.nominal, found.theta)
+    1e3 * robot.readings([unobserved], theta)
+    for theta in (robot.nominal, estimate.theta)
 )
 
 
@@ -51,12 +56,12 @@ def rms(values: np.ndarray) -> float:
 
 assert rms(before) > 5.0
 assert rms(after) < 1.0
-assert np.abs((found.theta - truth) / found.sd).max() < 4.0
+assert np.abs((estimate.theta - truth) / estimate.sd).max() < 4.0
 
 picture = _draw.Picture("Nine known poses, 35 others", "Gap that four lines leave")
 picture.machine(robot.kinematics)
-picture.points(places[KNOWN:], color=style.GREY, ms=2.0, label="unknown")
-picture.points(places[:KNOWN], label="seen by the camera")
+picture.points(places[OBSERVED:], color=style.GREY, ms=2.0, label="unknown")
+picture.points(places[:OBSERVED], label="observed by the camera")
 for values, colour, name in (
     (before, style.GREY, "nominal"),
     (after, style.BLUE, "identified"),

@@ -1,11 +1,11 @@
-"""Linear delta printer: heights alone do not tell the arm lengths.
+"""Linear delta printer: heights alone do not determine the arm lengths.
 
     python docs/gallery/linear_delta.py [FOLDER]
 
-A touch probe on the bed reads z at 61 places, which is what a printer's own calibration
-does. The common error of the three arms stays nearly as it was; it shows as a wrong
-scale in x and y, which heights hardly see. Six distances on an object help as far as
-the object's own scale is known: a printed one shrinks, a metal plate does not.
+A touch probe on the bed reads z at 61 places, as the printer's own calibration does. The
+common error of the three arms stays almost undetermined: it appears as a wrong scale in
+x and y, which heights hardly see. Six distances on an object help as far as the object's
+scale is known. A printed object shrinks, a metal plate does not.
 """
 
 import _draw
@@ -24,12 +24,10 @@ printer = Measurement(
     machine,
     [
         mount(height_probe.instrument, "probe", sigma=[30e-6]),
-        mount(
-            calliper.instrument, "print", sigma=[60e-6]
-        ),  # its shrinkage is known to 0.1 %
-        mount(
-            calliper.instrument, "gauge", sigma=[60e-6], tolerances={"scale": 1e-5}
-        ),  # a metal plate
+        # a printed object, whose shrinkage is known to 0.1 %
+        mount(calliper.instrument, "print", sigma=[60e-6]),
+        # a metal plate
+        mount(calliper.instrument, "gauge", sigma=[60e-6], tolerances={"scale": 1e-5}),
     ],
 )
 rings = [
@@ -38,9 +36,9 @@ rings = [
     for k in range(n)
 ]
 bed = np.array([(r * np.cos(a), r * np.sin(a), HEIGHT) for r, a in rings])
-hexagon = np.array(
-    [(0.1 * np.cos(a), 0.1 * np.sin(a), HEIGHT) for a in np.pi / 3.0 * np.arange(6)]
-)
+sixths = np.pi / 3.0 * np.arange(6)
+level = np.full(6, HEIGHT)
+hexagon = np.column_stack([0.1 * np.cos(sixths), 0.1 * np.sin(sixths), level])
 corners = np.vstack([[0.0, 0.0, HEIGHT], hexagon])
 heights = printer.series("probe", bed)
 plans = {
@@ -50,33 +48,35 @@ plans = {
 }
 
 
-def common(series: list[Series], kind: str) -> float:
-    """Posterior over prior standard deviation of the mean error of three parameters of
-    a kind.
-    """
-    seen = explain.look(printer, series, "tolerance")
-    mean = np.array([n.rstrip("123") == kind for n in seen.names]) / np.sqrt(3.0)
-    return float(np.sqrt(mean @ seen.covariance @ mean))
+def common_share(series: list[Series], kind: str) -> float:
+    """Share of the prior standard deviation that three parameters' mean keeps."""
+    view = explain.look(printer, series, "tolerance")
+    members = np.array([n.rstrip("123") == kind for n in view.names])
+    mean = members / np.sqrt(3.0)
+    return float(np.sqrt(mean @ view.covariance @ mean))
 
 
-seen = explain.look(printer, [heights])
-words = " ".join(finding.text for finding in explain.explain(seen))
+view = explain.look(printer, [heights])
+words = " ".join(finding.text for finding in explain.explain(view))
 assert "the common arm (arm1, arm2, arm3) keeps" in words
-left = {
-    name: [common(series, kind) for kind in KINDS] for name, series in plans.items()
+shares = {
+    name: [common_share(series, kind) for kind in KINDS]
+    for name, series in plans.items()
 }
-assert left["heights"][0] > 0.75
-assert left["and a printed object"][0] < 0.7
-assert left["and a metal plate"][0] < 0.35
+assert shares["heights"][0] > 0.75
+assert shares["and a printed object"][0] < 0.7
+assert shares["and a metal plate"][0] < 0.35
 
-picture = _draw.Picture("61 heights, 6 distances", "Common error left of its tolerance")
+picture = _draw.Picture(
+    "61 heights, 6 distances", "Share of the tolerance that is left"
+)
 picture.machine(printer.kinematics)
 picture.points(bed, color=style.GREY, label="heights")
 picture.points(hexagon, label="distances")
 for corner in hexagon:
     picture.line(np.array([corners[0], corner]), color=style.BLUE, lw=0.8)
 shades = (style.GREY, style.SKY, style.BLUE)
-for k, ((name, values), shade) in enumerate(zip(left.items(), shades, strict=True)):
+for k, ((name, values), shade) in enumerate(zip(shares.items(), shades, strict=True)):
     picture.plot.barh(
         np.arange(3) + 0.25 * (1 - k),
         [100.0 * v for v in values],
@@ -92,6 +92,6 @@ picture.save(
     __file__,
     [
         f"{name}: the common arm keeps {100.0 * values[0]:.0f} % of its tolerance"
-        for name, values in left.items()
+        for name, values in shares.items()
     ],
 )

@@ -1,13 +1,12 @@
-"""Micro-CMM: what calibrated artefacts see of three legs, and the right direct
-kinematics.
+"""Micro-CMM: what artefacts see of three legs, and the correct direct kinematics.
 
     python docs/gallery/micro_cmm.py [FOLDER]
 
-The machine's 15 errors come in nine combinations: a leg tells R_f - R_p, R_f theta_f -
-R_p theta_p and its zero, and nothing else. Positions in a frame that is known see all
-nine. A ball plate lies where it was put, and distances have no place at all: both lose
-the three motions of the machine in its plane, which no user needs. The closed form of
-its paper is wrong; the corrected one agrees with Newton's method on the closure.
+The machine's 15 errors appear in nine combinations: for each leg R_f - R_p,
+R_f theta_f - R_p theta_p and its zero. Positions in a known frame see all nine. A ball
+plate has an unknown place, and distances have none. Both lose the three motions of the
+machine in its plane, which no user needs. The closed form of its paper is wrong; the
+corrected one agrees with Newton's method on the closure.
 """
 
 import _draw
@@ -31,50 +30,47 @@ cmm = Measurement(
 side, heights = (-0.035, 0.0, 0.035), (-0.24, -0.16)
 balls = np.array([(x, y, z) for z in heights for x in side for y in side])
 rng = np.random.default_rng(5)
-pairs = rng.permutation(
-    np.vstack([balls, balls])
-)  # 18 pairs of balls, first and second end
+ends = np.vstack([balls, balls])
+pairs = rng.permutation(ends)  # 18 pairs of balls, first and second end
+pair_names = [str(k // 2) for k in range(len(pairs))]
 series = {
     "positions": cmm.series("positions", balls),
     "ball plate": cmm.series("ball plate", balls),
-    "distances": cmm.series(
-        "distances", pairs, [str(k // 2) for k in range(len(pairs))]
-    ),
+    "distances": cmm.series("distances", pairs, pair_names),
 }
-seen = {name: look(cmm, [s]) for name, s in series.items()}
+views = {name: look(cmm, [s]) for name, s in series.items()}
 
 _, lengths = cmm.kinematics.inverse(balls)
-newton = cmm.kinematics.forward(
-    lengths, machine.nominal, np.tile(machine.home_command, (len(balls), 1))
-)
-apart = np.abs(direct(lengths) - newton).max()
-assert apart < 1e-12
-found = {name: (s.verdict.rank, len(s.names)) for name, s in seen.items()}
-assert found == {"positions": (9, 15), "ball plate": (12, 21), "distances": (7, 16)}
-assert {"rf1": 1.0, "rp1": -1.0} in [
-    {n: round(v, 6) for n, v in c.items()}
-    for c in seen["positions"].verdict.named(seen["positions"].verdict.combinations)
-]
+start = np.tile(machine.home_command, (len(balls), 1))
+newton = cmm.kinematics.forward(lengths, machine.nominal, start)
+difference = np.abs(direct(lengths) - newton).max()
+assert difference < 1e-12
+ranks = {name: (s.verdict.rank, len(s.names)) for name, s in views.items()}
+assert ranks == {"positions": (9, 15), "ball plate": (12, 21), "distances": (7, 16)}
+verdict = views["positions"].verdict
+combinations = verdict.named(verdict.combinations)
+rounded = [{n: round(v, 6) for n, v in c.items()} for c in combinations]
+assert {"rf1": 1.0, "rp1": -1.0} in rounded
 
 picture = _draw.Picture("18 balls at two heights", "What is seen, and how well")
 picture.machine(cmm.kinematics)
 picture.points(balls)
-for k, (name, s) in enumerate(seen.items()):
-    values = s.verdict.identifiable
-    picture.plot.plot(
-        np.arange(1, len(values) + 1), values, marker=style.marker(k), color=style.CYCLE[k], ms=3.5, lw=1.0,
-        label=f"{name}: {len(values)} of {len(s.names)}",
-    )  # fmt: skip
+for k, (name, view) in enumerate(views.items()):
+    values = view.verdict.identifiable
+    label = f"{name}: {len(values)} of {len(view.names)}"
+    appearance = {"marker": style.marker(k), "color": style.CYCLE[k]}
+    numbers = np.arange(1, len(values) + 1)
+    picture.plot.plot(numbers, values, **appearance, ms=3.5, lw=1.0, label=label)
 style.log_axis(picture.plot, "y")
 picture.plot.set(xlabel="direction, best seen first", ylabel="singular value")
 picture.plot.legend(fontsize=6.5, frameon=False)
 picture.save(
     __file__,
     [
-        f"closed form and Newton are {apart:.0e} m apart over the workspace",
+        f"closed form and Newton are {difference:.0e} m apart over the workspace",
         *(
             f"{name}: {rank} of {n} directions seen"
-            for name, (rank, n) in found.items()
+            for name, (rank, n) in ranks.items()
         ),
     ],
 )

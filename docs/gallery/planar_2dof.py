@@ -1,12 +1,11 @@
-"""Planar manipulator: what the relative measurements RM 1 to 5 of its paper see, and
-why two are better than one.
+"""Planar manipulator: what the relative measurements RM 1 to 5 of its paper see.
 
     python docs/gallery/planar_2dof.py [FOLDER]
 
 Chang, Li and Li (2011), Chinese Journal of Mechanical Engineering, section 2.3. RM 5
-alone sees all six combinations of the seven errors that relative readings can see, one
-of them hardly. RM 4, the guides' tilts against a square, makes that one 19 times as
-strong, though it sees two combinations only, both of which RM 5 sees too.
+alone sees all six combinations of the seven errors that relative readings can see, but
+one of them hardly. RM 4 measures the guides' tilts against a square. It sees only two
+combinations, both of which RM 5 sees too, but makes the weakest one 19 times as strong.
 """
 
 import _draw
@@ -19,15 +18,13 @@ from pkm_models.instruments import relative
 from pkm_models.machines.planar_2dof import machine
 from pkm_reports import style
 
-PLACES = [
-    0.0,
-    *(0.3 * k for k in (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)),
-]  # m; the reference first
+STEPS = (0, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5)
+PLACES = [0.3 * step for step in STEPS]  # m; the reference first
 LINES = {
     "along y": (PLACES, [0.0, 0.75, 1.5]),
     "along z": ([-1.5, 0.0, 1.5], [0.3 * k for k in range(6)]),
 }
-KINDS = {
+DIRECTIONS = {
     "rm1": "along y",
     "rm2": "along z",
     "rm3": "along y",
@@ -36,7 +33,7 @@ KINDS = {
 }
 
 measurement = Measurement(
-    machine, [mount(getattr(relative, name), name) for name in KINDS]
+    machine, [mount(getattr(relative, name), name) for name in DIRECTIONS]
 )
 
 
@@ -44,19 +41,18 @@ def read(name: str) -> Series:
     """One measurement on the paper's lines, each line a run that begins with its
     reference.
     """
-    y, z = LINES[KINDS[name]]
-    if KINDS[name] == "along y":
+    y, z = LINES[DIRECTIONS[name]]
+    if DIRECTIONS[name] == "along y":
         poses = [(a, b, f"z = {b:.2f}") for b in z for a in y]
     else:
         poses = [(a, b, f"y = {a:.2f}") for a in y for b in z]
-    return measurement.series(
-        name, np.array([p[:2] for p in poses]), run=[p[2] for p in poses]
-    )
+    command = np.array([pose[:2] for pose in poses])
+    return measurement.series(name, command, run=[pose[2] for pose in poses])
 
 
-series = {name: read(name) for name in KINDS}
-seen: dict[str, Seen] = {name: look(measurement, [s]) for name, s in series.items()}
-seen["rm4 and rm5"] = look(measurement, [series["rm4"], series["rm5"]])
+series = {name: read(name) for name in DIRECTIONS}
+views: dict[str, Seen] = {name: look(measurement, [s]) for name, s in series.items()}
+views["rm4 and rm5"] = look(measurement, [series["rm4"], series["rm5"]])
 picture = _draw.Picture("Reading lines of RM 4 and RM 5", "What is seen, and how well")
 for y in (-1.5, 0.0, 1.5):
     picture.machine(
@@ -67,32 +63,32 @@ for y in (-1.5, 0.0, 1.5):
     )
 for name, colour in (("rm4", style.ORANGE), ("rm5", style.BLUE)):
     lines = series[name].command
-    picture.points(
-        np.column_stack([np.zeros(len(lines)), lines]), color=colour, label=name
-    )
-for k, (name, found) in enumerate(seen.items()):
-    values = found.verdict.identifiable
-    look_of = {"marker": style.marker(k), "color": style.CYCLE[k], "ms": 3.5, "lw": 1.0}
-    picture.plot.plot(np.arange(1, len(values) + 1), values, label=name, **look_of)
+    places = np.column_stack([np.zeros(len(lines)), lines])
+    picture.points(places, color=colour, label=name)
+for k, (name, view) in enumerate(views.items()):
+    values = view.verdict.identifiable
+    appearance = {
+        "marker": style.marker(k),
+        "color": style.CYCLE[k],
+        "ms": 3.5,
+        "lw": 1.0,
+    }
+    numbers = np.arange(1, len(values) + 1)
+    picture.plot.plot(numbers, values, label=name, **appearance)
 style.log_axis(picture.plot, "y")
 picture.plot.set(xlabel="direction, best seen first", ylabel="singular value")
 picture.plot.legend(fontsize=6.5, frameon=False)
 
-assert {name: found.verdict.rank for name, found in seen.items()} == {
-    "rm1": 5, "rm2": 1, "rm3": 6, "rm4": 2, "rm5": 6, "rm4 and rm5": 6,
-}  # fmt: skip
-gain = (
-    seen["rm4 and rm5"].verdict.identifiable[-1] / seen["rm5"].verdict.identifiable[-1]
-)
+ranks = {name: view.verdict.rank for name, view in views.items()}
+assert list(ranks) == [*DIRECTIONS, "rm4 and rm5"]
+assert list(ranks.values()) == [5, 1, 6, 2, 6, 6]
+weakest = {name: view.verdict.identifiable[-1] for name, view in views.items()}
+gain = weakest["rm4 and rm5"] / weakest["rm5"]
 assert 18.5 < gain < 19.1, (
     "RM 4 beside RM 5 makes the least seen direction 19 times as strong"
 )
 picture.save(
     __file__,
-    [
-        f"{name}: {found.verdict.rank} of 7, the least by"
-        f" {found.verdict.identifiable[-1]:.2g}"
-        for name, found in seen.items()
-    ]
+    [f"{name}: {ranks[name]} of 7, the least by {weakest[name]:.2g}" for name in views]
     + [f"RM 4 beside RM 5 makes the least seen direction {gain:.0f} times as strong"],
 )
