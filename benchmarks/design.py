@@ -36,7 +36,6 @@ for _name in THREADS:
 
 import argparse
 import dataclasses
-import resource
 import statistics
 import sys
 from collections.abc import Callable
@@ -260,6 +259,15 @@ def run(arguments: argparse.Namespace) -> list[Row]:
     return rows + peer_runs.run_all(folder, arguments.timeout, names)
 
 
+def peak_memory() -> float:
+    """Peak memory of this process, GiB; NaN on Windows, which does not count it."""
+    try:
+        import resource
+    except ImportError:
+        return float("nan")
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / GIBIBYTE_IN_KIB
+
+
 def main() -> None:
     """Print one table."""
     arguments = parse_arguments()
@@ -272,8 +280,7 @@ def main() -> None:
     if arguments.markdown:
         arguments.markdown.write_text(format_markdown(rows), encoding="utf-8")
     if arguments.large:
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / GIBIBYTE_IN_KIB
-        print(f"peak memory {peak:.2f} GiB")
+        print(f"peak memory {peak_memory():.2f} GiB")
 
 
 if __name__ == "__main__":

@@ -96,7 +96,9 @@ def readings(name: str, seed: int) -> tuple[GapProblem, Sequence[Effect]]:
     )
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "one.csv").write_text(
-            write.table(case).to_csv(index=False), encoding="utf-8"
+            write.table(case).to_csv(index=False, lineterminator="\n"),
+            encoding="utf-8",
+            newline="",
         )
         problem = loading.prepared(
             Path(folder), loading.Case("one", plan.study, "one.csv")

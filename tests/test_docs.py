@@ -6,6 +6,7 @@
 import os
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -119,6 +120,7 @@ def test_the_tutorial_quotes_its_files() -> None:
     assert len(files["my_machine.py"].splitlines()) < 100
 
 
+@pytest.mark.skipif(shutil.which("bash") is None, reason="commands are for bash")
 def test_the_tutorial_runs_as_written(tmp_path: Path) -> None:
     ran = 0
     for block in blocks(TUTORIAL):

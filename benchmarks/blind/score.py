@@ -235,14 +235,19 @@ def _write(made: Score, out: Path) -> None:
         for r in rows
     ]
     paired = [dataclasses.asdict(p) | {"better": p.verdict} for p in made.paired]
-    loading.write(out / "rows.csv", pd.DataFrame(flat).to_csv(index=False))
-    loading.write(out / "paired.csv", pd.DataFrame(paired).to_csv(index=False))
+    loading.write(
+        out / "rows.csv", pd.DataFrame(flat).to_csv(index=False, lineterminator="\n")
+    )
+    loading.write(
+        out / "paired.csv",
+        pd.DataFrame(paired).to_csv(index=False, lineterminator="\n"),
+    )
     matrices = {}
     for method in (DIAGNOSIS, *(m for m in made.beside if m != KNOWING)):
         matrix = confusion.confusion(made.entries, method)
         name = "confusion" if method == DIAGNOSIS else f"confusion_{method}"
         matrices[method] = matrix.counts.to_dict(orient="index")
-        loading.write(out / f"{name}.csv", matrix.counts.to_csv())
+        loading.write(out / f"{name}.csv", matrix.counts.to_csv(lineterminator="\n"))
         confusion.picture(
             matrix, out / f"{name}.png", f"What acts and what was answered: {method}"
         )

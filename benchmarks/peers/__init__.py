@@ -14,7 +14,6 @@ the choice as a function, and `peers/__main__.py` times only that function.
 
 from __future__ import annotations
 
-import resource
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -40,8 +39,12 @@ class Task(NamedTuple):
 def processor_seconds() -> float:
     """Processor time of this process and of its finished children.
 
-    Other processes on the machine do not count.
+    Other processes on the machine do not count. On Windows, children do not either.
     """
+    try:
+        import resource
+    except ImportError:
+        return time.process_time()
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 

@@ -24,7 +24,7 @@ from peers import candidates, processor_seconds
 def main() -> None:
     """Run the task that the command line names, and print its answer."""
     name, number = sys.argv[1], int(sys.argv[2])
-    answer_stream = os.fdopen(os.dup(1), "w")
+    answer_stream = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     warnings.simplefilter("ignore")
     random.seed(1)

@@ -112,7 +112,7 @@ def _found(kind: str) -> dict[str, tuple[str, Any]]:
 
 def _lookup(reference: str, kind: str, wanted: type, folder: Path, place: Place) -> Any:
     module_name, _, attribute = reference.rpartition(":")
-    if not module_name and reference.endswith(".py"):
+    if reference.endswith(".py"):  # a drive on Windows has a colon as well
         module_name, attribute = reference, ""
     if not module_name:
         return _by_short_name(reference, kind, place)
