@@ -34,7 +34,7 @@ def plan() -> tuple[Measurement, Series]:
     )
     angles = 2.0 * np.pi * np.arange(15) / 15
     command = np.array([[z, psi, 0.0] for z in (1.146, 1.266) for psi in angles])
-    command, _ = measurement.hold("cup", command, "theta")
+    command, _ = measurement.commands_at_fixed_reading("cup", command, "theta")
     return measurement, measurement.series("cup", command)
 
 

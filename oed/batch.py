@@ -19,10 +19,30 @@ from oed.arrays import Array
 #: columns of the mapped tapes: large batches are cut into the first, the rest is padded
 #: into the smallest that fits, by a third at the most from 4 on; a tape is made where
 #: it is wanted first, in half a millisecond
-CHUNKS = (1024, 768, 512, 384, 256, 192, 128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 2, 1)
+CHUNK_SIZES = (
+    1024,
+    768,
+    512,
+    384,
+    256,
+    192,
+    128,
+    96,
+    64,
+    48,
+    32,
+    24,
+    16,
+    12,
+    8,
+    6,
+    4,
+    2,
+    1,
+)
 
 
-class Batched:
+class BatchedFunction:
     """Vectorised form of `inputs -> outputs`, SX matrices.
 
     Calling it with arrays (n, size_in) or (size_in,), one for each input, returns a
@@ -53,7 +73,9 @@ class Batched:
         results = [np.empty((n, rows * columns)) for rows, columns in self._shapes]
         start = 0
         while start < n:
-            size = min((c for c in CHUNKS if c >= n - start), default=CHUNKS[0])
+            size = min(
+                (c for c in CHUNK_SIZES if c >= n - start), default=CHUNK_SIZES[0]
+            )
             part = slice(start, min(start + size, n))
             self._tape(size).run([a[part] for a in flat], [r[part] for r in results])
             start += size

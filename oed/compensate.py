@@ -49,9 +49,9 @@ def error_model(
     x, q = kinematics.inverse(command, p, tool)
     by_joint, by_parameter = (
         kinematics.joint_sensitivity(x, q, p),
-        kinematics.sensitivity(x, q, p),
+        kinematics.parameter_sensitivity(x, q, p),
     )
-    held = kinematics.held(x, tool)
+    held = kinematics.commanded_jacobian(x, tool)
     joints = -np.linalg.pinv(held @ by_joint) @ (held @ by_parameter)
     rotation, point, twist = kinematics.frames(x, tool)
     return ErrorModel(
@@ -64,7 +64,7 @@ def error_model(
     )
 
 
-def joints(
+def compensated_joints(
     kinematics: Kinematics, command: Array, parameters: Array, tool: Array = NO_TOOL
 ) -> Array:
     """Joint values (n, nq) that hold the commands (n, n_dof) on a machine with these

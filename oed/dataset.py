@@ -27,7 +27,15 @@ from oed.machine import Coordinate, Machine
 from oed.measurement import Measurement, Series
 from oed.readings_table import ReadingsError, ReadingsFile, suggest
 
-__all__ = ["Dataset", "Layout", "ReadingsError", "build", "from_series", "load", "save"]
+__all__ = [
+    "ColumnLayout",
+    "Dataset",
+    "ReadingsError",
+    "from_series",
+    "from_tables",
+    "load",
+    "save",
+]
 
 #: covariates with their SI units; temperatures of bodies, `temp_<body>_C`, come on top
 COVARIATES = {
@@ -38,11 +46,11 @@ COVARIATES = {
     "repeat": "1",
 }
 TEMPERATURE = "temp_"
-SLACK = 1e-9
+RANGE_SLACK = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Layout:
+class ColumnLayout:
     """What the columns of one set-up's readings are."""
 
     command: tuple[Coordinate, ...]
@@ -68,7 +76,7 @@ class Dataset:
     series: tuple[Series, ...]
     y: Array
     covariates: pd.DataFrame
-    layouts: Mapping[str, Layout]
+    layouts: Mapping[str, ColumnLayout]
     dropped: int = 0
 
     def __post_init__(self) -> None:
@@ -133,7 +141,7 @@ def load(path: Path | Sequence[Path], measurement: Measurement) -> Dataset:
     """Readings of one file, or of several taken together. Raises ReadingsError."""
     paths = [path] if isinstance(path, Path) else list(path)
     known = _known(measurement)
-    return build([readings_table.read(p, known) for p in paths], measurement)
+    return from_tables([readings_table.read(p, known) for p in paths], measurement)
 
 
 def from_series(
@@ -154,7 +162,7 @@ def from_series(
     ]
     rows = pd.concat(frames, ignore_index=True)
     layouts = {
-        s.setup: layout(measurement.machine, measurement.setups[s.setup])
+        s.setup: column_layout(measurement.machine, measurement.setups[s.setup])
         for s in distinct
     }
     first = np.array([2 if layouts[n].reference else 1 for n in rows["setup"]])
@@ -184,10 +192,10 @@ def _distinct(series: Sequence[Series]) -> tuple[Series, ...]:
     return tuple(made)
 
 
-def layout(machine: Machine, setup: Setup) -> Layout:
+def column_layout(machine: Machine, setup: Setup) -> ColumnLayout:
     """Columns of a set-up's readings on a machine."""
     instrument = setup.instrument
-    return Layout(
+    return ColumnLayout(
         machine.command,
         machine.joints,
         instrument.channels,
@@ -198,7 +206,7 @@ def layout(machine: Machine, setup: Setup) -> Layout:
 # -- from tables -----------------------------------------------------------------------
 
 
-def build(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dataset:
+def from_tables(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dataset:
     """Readings of checked tables, for a machine and its set-ups. Raises ReadingsError."""
     for table in tables:
         _check_columns(table, measurement)
@@ -220,7 +228,7 @@ def build(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dataset:
         y=np.concatenate([p.y for p in parts]),
         covariates=pd.concat([p.covariates for p in parts], ignore_index=True),
         layouts={
-            s.setup: layout(measurement.machine, measurement.setups[s.setup])
+            s.setup: column_layout(measurement.machine, measurement.setups[s.setup])
             for s in series
         },
         dropped=sum(p.dropped for p in parts),
@@ -266,7 +274,7 @@ def _check_columns(table: ReadingsFile, measurement: Measurement) -> None:
                 column=column.name,
             )
         if column.unit != expected:
-            written = readings_table.fitting(stem, expected) or [
+            written = readings_table.spellings(stem, expected) or [
                 _column(stem, expected)
             ]
             problem, remedy = "the unit does not fit", f"write {', '.join(written)}"
@@ -441,7 +449,9 @@ def _in_range(
     what: str,
 ) -> None:
     for k, c in enumerate(coordinates):
-        outside = (values[:, k] < c.lower - SLACK) | (values[:, k] > c.upper + SLACK)
+        outside = (values[:, k] < c.lower - RANGE_SLACK) | (
+            values[:, k] > c.upper + RANGE_SLACK
+        )
         for i in np.flatnonzero(outside)[:1]:
             factor = table.columns[c.name].factor
             remedy = (
@@ -492,7 +502,7 @@ def to_csv(dataset: Dataset) -> str:
 
 
 def _rows(
-    series: Series, y: Array, known: pd.DataFrame, layout: Layout
+    series: Series, y: Array, known: pd.DataFrame, layout: ColumnLayout
 ) -> list[dict[str, str]]:
     values = y.reshape(len(series), -1)
     rows: list[dict[str, str]] = []
@@ -524,7 +534,7 @@ def _rows(
     return rows
 
 
-def _pose(series: Series, k: int, layout: Layout) -> dict[str, str]:
+def _pose(series: Series, k: int, layout: ColumnLayout) -> dict[str, str]:
     recorded = bool(np.isnan(series.command[k]).any())
     coordinates, values = (
         (layout.joints, series.q[k])
@@ -567,14 +577,14 @@ def _unit_of(covariate: str) -> str:
 
 def _column(name: str, unit: str) -> str:
     """How a column is written: `z_mm`, `psi_deg`, `time_s`, `direction`."""
-    if name in readings_table.PLAIN:
+    if name in readings_table.UNITLESS:
         return name
     return f"{name}_{_written(unit)}"
 
 
 def _written(unit: str) -> str:
     """Unit in which a quantity is written."""
-    return {"m": "mm", "rad": "deg", "K": "C", "m/s": readings_table.FEED}.get(
+    return {"m": "mm", "rad": "deg", "K": "C", "m/s": readings_table.FEED_UNIT}.get(
         unit, unit
     )
 
@@ -585,7 +595,7 @@ def _text(value: float, unit: str) -> str:
     written = _written(unit)
     factor = (
         units.factor("mm") / units.factor("min")
-        if written == readings_table.FEED
+        if written == readings_table.FEED_UNIT
         else units.factor(written)
     )
     return f"{value / factor:.15g}"

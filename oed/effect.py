@@ -23,7 +23,7 @@ from oed.machine import Machine
 
 #: singular value of the tool's motion by its joints, against the largest, below which a
 #: direction is none of its own
-STIFF = 0.05
+DIRECTION_CUTOFF = 0.05
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -79,18 +79,18 @@ class State:
     tool: Array
     axis: Array
     joints: Array
-    sense: Array
-    reversal: Array
+    motion_sign: Array
+    travel_since_reversal: Array
     rate: Array
     acceleration: Array
-    force: Array
-    weight: Array
+    tool_force: Array
+    platform_force: Array
     twist: Array
-    strut: Array
-    along: Array
+    strut_length: Array
+    strut_direction: Array
     base: Array
     platform: Array
-    per_length: Array
+    joint_per_length: Array
     phase: Array
     run: NDArray[np.str_]
     order: Array
@@ -99,39 +99,41 @@ class State:
     payload: Array
     direction: Array
     temperature: Mapping[str, Array]
-    heaviest: float
-    session: Array
-    progress: Array
-    start: Mapping[str, float]
+    max_payload: float
+    session_times: Array
+    session_progress: Array
+    start_temperature: Mapping[str, float]
     channels: tuple[str, ...]
     settings: Mapping[str, float]
-    stroke: Array
+    joint_range: Array
     home: Array
-    span: tuple[float, float]
+    session_span: tuple[float, float]
 
     @functools.cached_property
-    def pushing(self) -> Array:
+    def joints_per_displacement(self) -> Array:
         """Joint changes (m, nq, 3) that displace the tool along each axis of the base,
         without turning it if they can; nothing along an axis in which joints hardly
         move it.
         """
         size = np.repeat([1.0, self.machine.lever], 3)[:, None]
         motion = self.twist * size if len(self.limbs) >= 6 else self.twist[:, :3]
-        return np.asarray(np.linalg.pinv(motion, rcond=STIFF)[:, :, :3])
+        return np.asarray(np.linalg.pinv(motion, rcond=DIRECTION_CUTOFF)[:, :, :3])
 
-    def displaced(self, axis: int, amount: Array) -> dict[int, Array]:
+    def displacing_joints(self, axis: int, amount: Array) -> dict[int, Array]:
         """Joint changes {joint: (m,)} that displace the tool along an axis of the base
         by `amount` (m,), m.
         """
-        change = self.pushing[:, :, axis] * amount[:, None]
+        change = self.joints_per_displacement[:, :, axis] * amount[:, None]
         return {i: change[:, i] for i in self.limbs}
 
     @functools.cached_property
-    def lengthening(self) -> Array:
+    def joints_per_extension(self) -> Array:
         """Joint changes (m, nq) that displace the tool along its axis, without turning
         it if they can; per m.
         """
-        return np.asarray(np.einsum("mqk,mk->mq", self.pushing, self.axis))
+        return np.asarray(
+            np.einsum("mqk,mk->mq", self.joints_per_displacement, self.axis)
+        )
 
     @property
     def limbs(self) -> range:
@@ -201,10 +203,10 @@ class Effect:
     remedy: str = ""
     exposed_by: str = ""
     unfit: Callable[[Machine], str | None] = lambda machine: None
-    alike: bool = False
-    textbook: float = 0.5
+    common_to_limbs: bool = False
+    textbook_share: float = 0.5
 
-    def grid(self) -> list[dict[str, float]]:
+    def constant_grid(self) -> list[dict[str, float]]:
         """Every combination of the constants' values."""
         grid: list[dict[str, float]] = [{}]
         for name, values in self.constants.items():

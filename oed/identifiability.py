@@ -21,7 +21,7 @@ from oed.machine import Machine
 #: near 1e-16; the finest true sensitivities of the machines here lie above 1e-5. In
 #: between are directions of no practical use, such as the eighteenth of a single circle
 #: of the A3 head (4e-8), which 0.5 um noise would leave at metres.
-TOLERANCE = 1e-6
+RANK_TOLERANCE = 1e-6
 #: coefficients below this (with parameters in their scaled unit) are rounding
 ROUNDING = 1e-7
 PIVOTS = (1e-2, 1e-4, 1e-6, 1e-9)
@@ -54,11 +54,11 @@ class Identifiability:
     lost: Array
 
     @property
-    def identifiable(self) -> Array:
+    def identifiable_singular_values(self) -> Array:
         """Singular values (rank,) of the identifiable directions."""
         return self.singular_values[: self.rank]
 
-    def named(self, rows: Array) -> list[dict[str, float]]:
+    def coefficients_by_name(self, rows: Array) -> list[dict[str, float]]:
         """Rows of coefficients as {parameter: coefficient}, zeros left out."""
         return [
             {n: float(c) for n, c in zip(self.names, row, strict=True) if c != 0.0}
@@ -67,7 +67,7 @@ class Identifiability:
 
 
 def analyse(
-    h: Array, names: Sequence[str], scale: Array, tolerance: float = TOLERANCE
+    h: Array, names: Sequence[str], scale: Array, tolerance: float = RANK_TOLERANCE
 ) -> Identifiability:
     """Identifiability of a scaled H (N, n) whose columns were multiplied by `scale`
     (n,).

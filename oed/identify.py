@@ -23,7 +23,7 @@ from scipy import optimize
 from oed import identifiability, information, units
 from oed.arrays import Array
 from oed.measurement import Measurement, Series
-from oed.noise.covariance import Noise, of
+from oed.noise.covariance import Noise, as_noise
 
 #: rounds of the noise-scale estimate; it settles in a few
 NOISE_ROUNDS = 8
@@ -39,7 +39,7 @@ class IdentificationError(RuntimeError):
 
 
 @dataclasses.dataclass(frozen=True)
-class Coordinates:
+class IdentifiableCoordinates:
     """Identifiable coordinates about an origin: theta = origin + basis @ z + unseen @
     w; SI.
 
@@ -50,27 +50,27 @@ class Coordinates:
 
     origin: Array
     basis: Array
-    unseen: Array
+    null_basis: Array
     dual: Array
 
-    def at(self, theta: Array) -> Array:
+    def from_theta(self, theta: Array) -> Array:
         """Coordinates z (r,) of parameters (n,); what lies in unseen directions is
         dropped.
         """
         return np.asarray(self.dual @ (theta - self.origin))
 
-    def theta(self, z: Array) -> Array:
+    def to_theta(self, z: Array) -> Array:
         """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""
         return self.origin + z @ self.basis.T
 
 
 @dataclasses.dataclass(frozen=True)
-class Round:
+class FitStage:
     """One stage of an identification: what it freed, where it began and ended. rms in
     whitened units.
     """
 
-    freed: tuple[str, ...]
+    patterns: tuple[str, ...]
     iterations: int
     rms_before: float
     rms_after: float
@@ -99,16 +99,16 @@ class Estimate:
     theta: Array
     covariance: Array
     prior_sd: Array
-    coordinates: Coordinates
+    coordinates: IdentifiableCoordinates
     z: Array
     residuals: Array
-    before: Array
+    residuals_before: Array
     noise: Noise
     noise_scale: dict[str, float]
     noise_estimated: bool
     dof: float
     chi2: float
-    rounds: tuple[Round, ...]
+    stages: tuple[FitStage, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -126,13 +126,13 @@ class Estimate:
         )
 
 
-def coordinates(
+def identifiable_coordinates(
     measurement: Measurement,
     series: Sequence[Series],
-    at: Array,
+    theta: Array,
     noise: Noise | Array,
     tolerance: Array | None = None,
-) -> Coordinates:
+) -> IdentifiableCoordinates:
     """Identifiable coordinates of the readings, with H taken `at` (n,); held are
     entries with zero tolerance.
 
@@ -140,18 +140,22 @@ def coordinates(
     """
     scale = measurement.tolerance if tolerance is None else tolerance
     free = np.flatnonzero(scale > 0)
-    jacobian = measurement.jacobian(series, at)
+    jacobian = measurement.jacobian(series, theta)
     h = information.whiten(jacobian, noise)
     # judged with lengths, so that a generous tolerance or a quiet instrument does not
     # change what is seen
     judged = (
-        jacobian * measurement.reading_lengths(series)[:, None] / measurement.lengths
+        jacobian
+        * measurement.reading_length_factors(series)[:, None]
+        / measurement.length_factors
     )[:, free]
     verdict = identifiability.analyse(
-        judged, [measurement.names[k] for k in free], 1.0 / measurement.lengths[free]
+        judged,
+        [measurement.names[k] for k in free],
+        1.0 / measurement.length_factors[free],
     )
     moves = np.linalg.qr(
-        (verdict.null_space / measurement.lengths[free] / scale[free]).T
+        (verdict.null_space / measurement.length_factors[free] / scale[free]).T
     )[0]
     full = np.linalg.qr(moves, mode="complete")[0] if moves.size else np.eye(len(free))
     lost, kept = full[:, : moves.shape[1]], full[:, moves.shape[1] :]
@@ -166,8 +170,8 @@ def coordinates(
     basis[free] = scale[free, None] * (kept @ vt.T)
     dual[:, free] = (kept @ vt.T).T / scale[free]
     unseen[free] = scale[free, None] * lost
-    return Coordinates(
-        np.where(scale > 0, measurement.nominal, at), basis, unseen, dual
+    return IdentifiableCoordinates(
+        np.where(scale > 0, measurement.nominal, theta), basis, unseen, dual
     )
 
 
@@ -194,7 +198,7 @@ def identify(
 
     Raises IdentificationError.
     """
-    stated = measurement.noise(series) if noise is None else of(noise)
+    stated = measurement.noise(series) if noise is None else as_noise(noise)
     _check(measurement, series, y)
     theta = measurement.nominal if start is None else start
     before = left = y - measurement.readings(series, theta)
@@ -216,7 +220,7 @@ def identify(
         max_iterations,
     )
     estimate = dataclasses.replace(
-        estimate, before=before, rounds=(*rounds, *estimate.rounds)
+        estimate, residuals_before=before, stages=(*rounds, *estimate.stages)
     )
     return dataclasses.replace(
         estimate, warnings=tuple(_warnings(measurement, estimate))
@@ -238,16 +242,19 @@ def _settled(
     the noise has settled; without warnings.
     """
     tolerance = _freed(measurement, patterns)
-    groups, scale = measurement.owners(series), dict.fromkeys(measurement.setups, 1.0)
+    groups, scale = (
+        measurement.setup_of_readings(series),
+        dict.fromkeys(measurement.setups, 1.0),
+    )
     used = stated
     # at least twice: the coordinates of the result are those of H at the result, not at
     # the start
     for _ in range(NOISE_ROUNDS if estimate_noise else 2):
-        local = coordinates(measurement, series, theta, used, tolerance)
+        local = identifiable_coordinates(measurement, series, theta, used, tolerance)
         z, iterations = _solve(
-            measurement, series, y, used, local, local.at(theta), max_iterations
+            measurement, series, y, used, local, local.from_theta(theta), max_iterations
         )
-        theta = local.theta(z)
+        theta = local.to_theta(z)
         residuals = y - measurement.readings(series, theta)
         covariance, leverage = _covariance(measurement, series, theta, used, tolerance)
         if not estimate_noise:
@@ -266,21 +273,23 @@ def _settled(
         coordinates=local,
         z=z,
         residuals=residuals,
-        before=before,
+        residuals_before=before,
         noise=used,
         noise_scale={k: scale[k] for k in dict.fromkeys(groups)},
         noise_estimated=estimate_noise,
         dof=len(y) - float(leverage.sum()),
         chi2=float(white @ white),
-        rounds=(
-            Round(tuple(patterns), iterations, _rms(used.whiten(before)), _rms(white)),
+        stages=(
+            FitStage(
+                tuple(patterns), iterations, _rms(used.whiten(before)), _rms(white)
+            ),
         ),
         warnings=(),
     )
 
 
 def _check(measurement: Measurement, series: Sequence[Series], y: Array) -> None:
-    expected = len(measurement.owners(series))
+    expected = len(measurement.setup_of_readings(series))
     if y.shape != (expected,):
         raise IdentificationError(
             f"{expected} readings were planned, {y.shape} are given"
@@ -314,22 +323,22 @@ def _rough(
     before: Array,
     patterns: Sequence[str],
     max_iterations: int,
-) -> tuple[Array, Array, Round]:
+) -> tuple[Array, Array, FitStage]:
     """A stage that only finds a place to start from: theta (n,), residuals (N,) there,
     and what was done.
     """
-    local = coordinates(
+    local = identifiable_coordinates(
         measurement, series, theta, noise, _freed(measurement, patterns)
     )
     z, iterations = _solve(
-        measurement, series, y, noise, local, local.at(theta), max_iterations
+        measurement, series, y, noise, local, local.from_theta(theta), max_iterations
     )
-    found = local.theta(z)
+    found = local.to_theta(z)
     after = y - measurement.readings(series, found)
     return (
         found,
         after,
-        Round(
+        FitStage(
             tuple(patterns),
             iterations,
             _rms(noise.whiten(before)),
@@ -343,7 +352,7 @@ def _solve(
     series: Sequence[Series],
     y: Array,
     noise: Noise,
-    local: Coordinates,
+    local: IdentifiableCoordinates,
     z0: Array,
     max_iterations: int,
 ) -> tuple[Array, int]:
@@ -353,11 +362,11 @@ def _solve(
     r = local.basis.shape[1]
 
     def residual(z: Array) -> Array:
-        model = measurement.try_readings(series, local.theta(z))
+        model = measurement.try_readings(series, local.to_theta(z))
         return np.concatenate([noise.whiten(model - y), z])
 
     def slope(z: Array) -> Array:
-        h = noise.whiten(measurement.jacobian(series, local.theta(z)))
+        h = noise.whiten(measurement.jacobian(series, local.to_theta(z)))
         return np.vstack([h @ local.basis, np.eye(r)])
 
     found = optimize.least_squares(

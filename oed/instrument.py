@@ -58,7 +58,7 @@ class Frame:
 
     rotation: Expr
     point: Expr
-    misfit: Expr | None = None
+    closure_misfit: Expr | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -92,7 +92,7 @@ class Instrument:
     observe: Callable[[Sequence[Frame], Values, Values], Sequence[Expr]]
     reference: Literal["teach", "run"] | None = None
     sources: Callable[[Sequence[Frame], Values, Values], Expr] | None = None
-    holds: Callable[[Mapping[str, float]], float] | None = None
+    fixed_reading: Callable[[Mapping[str, float]], float] | None = None
     unfit: Callable[[Machine], str | None] = lambda machine: None
     about: str = ""
 
@@ -116,7 +116,7 @@ class Protocol:
     average: bool = True
 
     @property
-    def passes(self) -> list[str]:
+    def pass_names(self) -> list[str]:
         """Names of the passes of a run, in order."""
         ways = ("forward", "backward") if self.both_directions else ("forward",)
         return [f"{way} {k + 1}" for way in ways for k in range(self.repeats)]

@@ -28,19 +28,19 @@ import casadi as ca
 import numpy as np
 
 from oed.arrays import Array, Index, Mask
-from oed.batch import Batched
+from oed.batch import BatchedFunction
 from oed.machine import Coordinate, Expr, Machine, Parameter, Values
 
 #: Newton stops once a step (m, rad) is below this: convergence is quadratic, so the
 #: next is at rounding level
-STEP = 1e-8
-ITERATIONS = 30
+STEP_TOLERANCE = 1e-8
+MAX_ITERATIONS = 30
 #: reciprocal condition number of phi_x (lengths over the lever) below which a pose
 #: counts as singular
-SINGULAR = 1e-6
+SINGULAR_BELOW = 1e-6
 #: longest Newton step (m, rad): longer ones are shortened, so that the assembly mode of
 #: the start is kept
-REACH = 0.2
+MAX_STEP = 0.2
 
 
 class AssemblyError(RuntimeError):
@@ -94,26 +94,26 @@ class Kinematics:
         twist = _twist(rotation, tip, x)
         error = ca.SX.sym("error", 6)
 
-        self._forward = Batched("forward", [x, q, p], [settled, settled_x])
-        self._closure_slope = Batched("closure_slope", [x, q, p], [phi_x])
-        self._inverse = Batched(
+        self._forward = BatchedFunction("forward", [x, q, p], [settled, settled_x])
+        self._closure_slope = BatchedFunction("closure_slope", [x, q, p], [phi_x])
+        self._inverse = BatchedFunction(
             "inverse", [x, q, p, c, tool], [both, ca.jacobian(both, xq)]
         )
-        self._guess = Batched(
+        self._guess = BatchedFunction(
             "guess", [c], [ca.vertcat(*guess_x), ca.vertcat(*guess_q)]
         )
-        self._slopes = Batched(
+        self._slopes = BatchedFunction(
             "slopes",
             [x, q, p],
             [settled_x, ca.jacobian(settled, p), ca.jacobian(settled, q)],
         )
-        self._held = Batched(
+        self._held = BatchedFunction(
             "held", [x, tool], [ca.jacobian(ca.vertcat(*machine.commanded(xs, tip)), x)]
         )
-        self._frame = Batched("frame", [x, tool], [rotation, tip, twist])
+        self._frame = BatchedFunction("frame", [x, tool], [rotation, tip, twist])
         components = ca.vertcat(*machine.read_error(cs, [error[i] for i in range(6)]))
-        self._components = Batched("components", [c, error], [components])
-        self._components_slope = Batched(
+        self._components = BatchedFunction("components", [c, error], [components])
+        self._components_slope = BatchedFunction(
             "components_slope", [c], [ca.jacobian(components, error)]
         )
         self._home_sign: float | None = None
@@ -122,7 +122,7 @@ class Kinematics:
             None
             if machine.skeleton is None
             else [
-                Batched(f"line{i}", [x, q, p], [ca.horzcat(*line)])
+                BatchedFunction(f"line{i}", [x, q, p], [ca.horzcat(*line)])
                 for i, line in enumerate(machine.skeleton(xs, qs, ps))
             ]
         )
@@ -205,7 +205,7 @@ class Kinematics:
         return x
 
     def try_forward(
-        self, q: Array, p: Array, start: Array, step: float = STEP
+        self, q: Array, p: Array, start: Array, step: float = STEP_TOLERANCE
     ) -> tuple[Array, Mask]:
         """As `forward`, but tells failures as a mask (n,) or (m, n) instead of raising.
 
@@ -226,7 +226,7 @@ class Kinematics:
         )
         return (x, bad) if single else (x.reshape(m, n, -1), bad.reshape(m, n))
 
-    def forward_each(self, q: Array, p: Array, start: Array) -> Array:
+    def forward_per_pose(self, q: Array, p: Array, start: Array) -> Array:
         """As `forward`, with parameters p (n, np) of its own for each pose; result (n,
         nx). Raises AssemblyError.
         """
@@ -258,7 +258,7 @@ class Kinematics:
         base, platform, by_joint = self._struts(x, q, p)
         return base.swapaxes(1, 2), platform.swapaxes(1, 2), -1.0 / by_joint
 
-    def start_at(self, q: Array) -> Array:
+    def start_poses(self, q: Array) -> Array:
         """Start poses (n, nx) for joints without a command: followed from the home pose
         in small steps.
         """
@@ -268,16 +268,16 @@ class Kinematics:
             x = self.forward(home_q + share * (q - home_q), self.machine.nominal, x)
         return x
 
-    def sensitivity(self, x: Array, q: Array, p: Array) -> Array:
+    def parameter_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dp (n, nx, np) at fixed joints."""
         by_x, by_p, _ = self._slopes(x, q, p)
         return -_solve(by_x, by_p)
 
-    def refuse_singular(self, x: Array, q: Array, p: Array) -> None:
+    def check_regular(self, x: Array, q: Array, p: Array) -> None:
         """Raise AssemblyError where a pose is so near a singular one that slopes mean
         nothing.
         """
-        near = self.singularity(x, q, p) < SINGULAR
+        near = self.reciprocal_condition(x, q, p) < SINGULAR_BELOW
         if near.any():
             where = np.flatnonzero(near)
             raise AssemblyError(
@@ -292,7 +292,7 @@ class Kinematics:
         by_x, _, by_q = self._slopes(x, q, p)
         return -_solve(by_x, by_q)
 
-    def singularity(self, x: Array, q: Array, p: Array) -> Array:
+    def reciprocal_condition(self, x: Array, q: Array, p: Array) -> Array:
         """Reciprocal condition number (n,) of phi_x, lengths in units of the machine's
         lever: 0 where singular.
         """
@@ -306,7 +306,7 @@ class Kinematics:
 
     # -- how a pose is read ------------------------------------------------------------
 
-    def held(self, x: Array, tool: Array) -> Array:
+    def commanded_jacobian(self, x: Array, tool: Array) -> Array:
         """d commanded / dx (n, n_dof, nx)."""
         return self._held(x, tool)[0]
 
@@ -317,13 +317,13 @@ class Kinematics:
         rotation, tip, twist = self._frame(x, tool)
         return rotation, tip, twist
 
-    def components(self, command: Array, twist: Array) -> Array:
+    def error_components(self, command: Array, twist: Array) -> Array:
         """Pose error components (n, k) of twists (n, 6) [m, rad] at commands (n,
         n_dof).
         """
         return self._components(command, twist)[0]
 
-    def components_slope(self, command: Array) -> Array:
+    def error_components_jacobian(self, command: Array) -> Array:
         """Linear map (n, k, 6) from twist to components."""
         return self._components_slope(command)[0]
 
@@ -367,7 +367,7 @@ def _twist(rotation: ca.SX, tip: ca.SX, x: ca.SX) -> ca.SX:
 
 def _struts(
     machine: Machine, vectors: Sequence[Expr], named: Sequence[Values], phi: Expr
-) -> Batched | None:
+) -> BatchedFunction | None:
     """Struts' ends (3, nq) at base and platform, and slope of the row that holds each
     joint over it.
     """
@@ -379,10 +379,12 @@ def _struts(
         row = next(phi[i] for i in range(phi.numel()) if ca.depends_on(phi[i], q))
         slopes.append(ca.jacobian(row, q))
     base, platform = (ca.horzcat(*side) for side in zip(*ends, strict=True))
-    return Batched("struts", list(vectors), [base, platform, ca.vertcat(*slopes)])
+    return BatchedFunction(
+        "struts", list(vectors), [base, platform, ca.vertcat(*slopes)]
+    )
 
 
-def misfit(phi: Expr, x: Expr) -> Expr | None:
+def closure_misfit(phi: Expr, x: Expr) -> Expr | None:
     """By how much the equations of a redundant machine miss each other where it
     settles.
 
@@ -416,7 +418,7 @@ def _solve(matrix: Array, right: Array) -> Array:
 def _newton(
     evaluate: Callable[[Array, Index], list[Array]],
     z: Array,
-    tolerance: float = STEP,
+    tolerance: float = STEP_TOLERANCE,
     posed: int | None = None,
 ) -> tuple[Array, Mask]:
     """Newton on all rows of z at once; rows leave as they converge. Returns z and the
@@ -427,7 +429,7 @@ def _newton(
     """
     bad = np.zeros(z.shape[0], dtype=bool)
     todo = np.arange(z.shape[0])
-    for _ in range(ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         value, slope = evaluate(z[todo], todo)
         step = _solve(slope, value[..., None])[..., 0]
         size = np.abs(step).max(axis=1)
@@ -436,7 +438,7 @@ def _newton(
         bad[todo[~sound]] = True
         short = (
             step[sound]
-            * np.minimum(1.0, REACH / np.maximum(moved[sound], REACH))[:, None]
+            * np.minimum(1.0, MAX_STEP / np.maximum(moved[sound], MAX_STEP))[:, None]
         )
         z[todo[sound]] -= short
         todo = todo[sound & (size > tolerance)]

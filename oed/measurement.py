@@ -22,15 +22,15 @@ from scipy.optimize import elementwise
 
 from oed.arrays import Array, Index, Mask
 from oed.instrument import Protocol, Setup
-from oed.kinematics import STEP, AssemblyError, Kinematics
+from oed.kinematics import STEP_TOLERANCE, AssemblyError, Kinematics
 from oed.machine import Machine, Parameter
 from oed.noise import covariance as noise
 from oed.noise.covariance import Noise
-from oed.view import View
+from oed.observation import ObservationModel
 
 #: Newton's last step (m, rad) where many parameter vectors near a known one are
 #: evaluated: leaves 1e-11 m
-NEAR = 2e-6
+NEAR_STEP_TOLERANCE = 2e-6
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -69,22 +69,22 @@ class Series:
             run=self.run[rows],
         )
 
-    def passes(self, protocol: Protocol) -> Series:
+    def expand_passes(self, protocol: Protocol) -> Series:
         """The readings of all passes, each pass of a run a run of its own, backward
         ones in reverse; as they are if the protocol averages.
         """
-        if protocol.average or len(protocol.passes) == 1:
+        if protocol.average or len(protocol.pass_names) == 1:
             return self
         rows, labels = [], []
         for run in dict.fromkeys(self.run):
             members = np.flatnonzero(self.run == run)
-            for name in protocol.passes:
+            for name in protocol.pass_names:
                 rows.append(members[::-1] if name.startswith("backward") else members)
                 labels += [f"{run}, {name}"] * len(members)
         taken = self.take(np.concatenate(rows))
         return dataclasses.replace(taken, run=np.array(labels, dtype=np.str_))
 
-    def parted(self) -> Series:
+    def separate_poses(self) -> Series:
         """The same readings with a pose of its own for each: the passes of a run share
         poses, but not their state.
 
@@ -105,7 +105,7 @@ class Series:
             index=index,
         )
 
-    def commands(self) -> Array:
+    def reading_commands(self) -> Array:
         """Command (n, n_dof) of the pose that each reading reads."""
         return self.command[self.index[:, 0]]
 
@@ -134,7 +134,7 @@ class Measurement:
             for s in setups
             for n in s.nuisances
         )
-        self._views = {s.name: View(machine, s) for s in setups}
+        self._views = {s.name: ObservationModel(machine, s) for s in setups}
         self._nuisance: dict[str, slice] = {}
         start = len(machine.parameters)
         for s in setups:
@@ -172,7 +172,7 @@ class Measurement:
         return np.asarray(self.tolerance > 0.0)
 
     @property
-    def lengths(self) -> Array:
+    def length_factors(self) -> Array:
         """Factor (n,) that turns each entry into a length (m): the machine's lever for
         angles and ratios.
         """
@@ -213,7 +213,7 @@ class Measurement:
         q = np.atleast_2d(np.asarray(q, dtype=float))
         chosen = self.setups[setup]
         labels = np.array(["1"] * len(q) if run is None else list(run), dtype=np.str_)
-        x = self.kinematics.start_at(q)
+        x = self.kinematics.start_poses(q)
         command = np.full((len(q), len(self.machine.command)), np.nan)
         if chosen.teach is not None:
             teach = np.array(chosen.teach)[None]
@@ -245,7 +245,9 @@ class Measurement:
             index = np.arange(n)[:, None]
         return Series(setup, q, x, command, index.astype(np.intp), run)
 
-    def hold(self, setup: str, command: Array, coordinate: str) -> tuple[Array, Mask]:
+    def commands_at_fixed_reading(
+        self, setup: str, command: Array, coordinate: str
+    ) -> tuple[Array, Mask]:
         """Solve one command coordinate so that the nominal reading is what the
         instrument holds by design.
 
@@ -254,11 +256,11 @@ class Measurement:
         sphere about its cup.
         """
         chosen = self.setups[setup]
-        if chosen.instrument.holds is None:
+        if chosen.instrument.fixed_reading is None:
             raise ValueError(
                 f"{chosen.instrument.name} holds no reading: give {coordinate} itself"
             )
-        wanted = chosen.instrument.holds(chosen.settings)
+        wanted = chosen.instrument.fixed_reading(chosen.settings)
         column = [c.name for c in self.machine.command].index(coordinate)
         limits = self.machine.workspace(chosen.tool)[column]
         command = np.array(command, dtype=float)
@@ -321,7 +323,7 @@ class Measurement:
         by_pose, by_setup, by_machine = self._slopes(series, x, p, s)
         dq, dp = (
             self.kinematics.joint_sensitivity(x, series.q, p),
-            self.kinematics.sensitivity(x, series.q, p),
+            self.kinematics.parameter_sensitivity(x, series.q, p),
         )
         places = [series.index[:, j] for j in range(series.index.shape[1])]
         joints = tuple(slope @ dq[k] for slope, k in zip(by_pose, places, strict=True))
@@ -330,7 +332,7 @@ class Measurement:
             parameters[0] = parameters[0] + by_machine
         return Response(joints, tuple(parameters), by_setup)
 
-    def moved(
+    def perturbed_readings(
         self,
         series: Series,
         theta: Array,
@@ -350,17 +352,17 @@ class Measurement:
             theta[self._nuisance[series.setup]] + nuisances,
         )
         q = series.q + joints
-        x = self.kinematics.forward_each(q, p, series.start)
+        x = self.kinematics.forward_per_pose(q, p, series.start)
         places = [series.index[:, j] for j in range(series.index.shape[1])]
         view = self._views[series.setup]
-        inner = [*(q[k] for k in places), p[places[0]]] if view.inner else []
+        inner = [*(q[k] for k in places), p[places[0]]] if view.uses_closure else []
         return view.read([*(x[k] for k in places), s, *inner]).ravel()
 
-    def nuisances(self, setup: str) -> slice:
+    def nuisance_slice(self, setup: str) -> slice:
         """Where the unknowns of a set-up are in theta."""
         return self._nuisance[setup]
 
-    def owners(self, series: Sequence[Series]) -> list[str]:
+    def setup_of_readings(self, series: Sequence[Series]) -> list[str]:
         """Set-up of each reading (N,), in the order of `readings`."""
         return [
             s.setup
@@ -374,9 +376,9 @@ class Measurement:
 
     def noise(self, series: Sequence[Series]) -> Noise:
         """Noise of the readings, at their nominal poses, SI."""
-        return noise.join([self._noise(s) for s in series])
+        return noise.concatenate_noise([self._noise(s) for s in series])
 
-    def reading_lengths(self, series: Sequence[Series]) -> Array:
+    def reading_length_factors(self, series: Sequence[Series]) -> Array:
         """Factor (N,) that turns each reading into a length (m): the machine's lever
         for angles and ratios.
         """
@@ -394,7 +396,9 @@ class Measurement:
             ]
         )
 
-    def near(self, series: Sequence[Series], theta: Array) -> Callable[[Array], Array]:
+    def readings_near(
+        self, series: Sequence[Series], theta: Array
+    ) -> Callable[[Array], Array]:
         """`try_readings` of the series for many thetas (m, n) near `theta` (n,): fewer
         Newton iterations.
 
@@ -405,14 +409,18 @@ class Measurement:
         known = []
         for s in series:
             x = self._poses(s, theta[None], strict=True)[0]
-            known.append((s, x, self.kinematics.sensitivity(x, s.q, theta[:np_])))
+            known.append(
+                (s, x, self.kinematics.parameter_sensitivity(x, s.q, theta[:np_]))
+            )
 
         def readings(many: Array) -> Array:
             move = many[:, :np_] - theta[:np_]
             moved = [(s, x + np.einsum("mkp,dp->dmk", dx, move)) for s, x, dx in known]
             return np.hstack(
                 [
-                    self._read(dataclasses.replace(s, start=start), many, NEAR)
+                    self._read(
+                        dataclasses.replace(s, start=start), many, NEAR_STEP_TOLERANCE
+                    )
                     for s, start in moved
                 ]
             )
@@ -424,10 +432,15 @@ class Measurement:
         return np.asarray(self._poses(series, theta[None], strict=True)[0])
 
     def _poses(
-        self, series: Series, theta: Array, *, strict: bool, step: float = STEP
+        self,
+        series: Series,
+        theta: Array,
+        *,
+        strict: bool,
+        step: float = STEP_TOLERANCE,
     ) -> Array:
         p = theta[:, : len(self.machine.parameters)]
-        if len(p) == 1 and step == STEP:
+        if len(p) == 1 and step == STEP_TOLERANCE:
             return self._poses_again(series, p, strict=strict)
         if strict:
             return self.kinematics.forward(series.q, p, series.start)
@@ -452,7 +465,9 @@ class Measurement:
         self._last[series.setup] = series, p.copy(), x
         return x
 
-    def _read(self, series: Series, theta: Array, step: float = STEP) -> Array:
+    def _read(
+        self, series: Series, theta: Array, step: float = STEP_TOLERANCE
+    ) -> Array:
         x = self._poses(series, theta, strict=False, step=step)
         s = theta[:, self._nuisance[series.setup]]
         m, n = theta.shape[0], len(series)
@@ -462,7 +477,7 @@ class Measurement:
         ]
         view = self._views[series.setup]
         inner: list[Array] = []
-        if view.inner:
+        if view.uses_closure:
             inner = [
                 np.tile(series.q[series.index[:, j]], (m, 1))
                 for j in range(series.index.shape[1])
@@ -477,7 +492,7 @@ class Measurement:
         shared = np.array([c.shared for c in channels]) * setup.sigma
         if setup.instrument.sources is None and not shared.any():
             return Noise(sigma)
-        own = self.own_noise(series)
+        own = self.reading_covariances(series)
         places, covariances = [], []
         for run in dict.fromkeys(series.run):
             members = np.flatnonzero(series.run == run)
@@ -487,9 +502,9 @@ class Measurement:
             common = np.kron(np.ones((len(members), len(members))), np.diag(shared**2))
             covariances.append(linalg.block_diag(*own[members]) + common)
             places.append(place)
-        return noise.blocks(covariances, places)
+        return noise.block_noise(covariances, places)
 
-    def own_noise(self, series: Series) -> Array:
+    def reading_covariances(self, series: Series) -> Array:
         """Covariance (n, channels, channels), SI, of each reading by itself, without
         what its run shares.
         """
@@ -516,8 +531,8 @@ class Measurement:
             theta[self._nuisance[series.setup]],
         )
         x = self._poses(series, theta[None], strict=True)[0]
-        self.kinematics.refuse_singular(x, series.q, p)
-        dx = self.kinematics.sensitivity(x, series.q, p)
+        self.kinematics.check_regular(x, series.q, p)
+        dx = self.kinematics.parameter_sensitivity(x, series.q, p)
         by_pose, by_setup, by_machine = self._slopes(series, x, p, s)
         rows = np.zeros((len(series), by_setup.shape[1], len(theta)))
         for j, slope in enumerate(by_pose):
@@ -537,7 +552,7 @@ class Measurement:
         view = self._views[series.setup]
         inner = (
             [*(series.q[series.index[:, j]] for j in range(series.index.shape[1])), p]
-            if view.inner
+            if view.uses_closure
             else []
         )
         return view.slopes([*frames, s, *inner])

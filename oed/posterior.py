@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from oed.arrays import Array
-from oed.identify import Coordinates, Estimate
+from oed.identify import Estimate, IdentifiableCoordinates
 from oed.measurement import Measurement, Series
 
 #: prior standard deviation of a log noise factor
@@ -67,12 +67,12 @@ class Posterior:
     burn_in: int
 
     @property
-    def flat(self) -> Array:
+    def pooled(self) -> Array:
         """All draws (chains * draws, n), SI."""
         return self.draws.reshape(-1, self.draws.shape[2])
 
 
-def prepare() -> None:
+def import_samplers() -> None:
     """Import what sampling needs: seconds, in which an interruption would be told by
     other people's code.
     """
@@ -91,7 +91,7 @@ def sample(
     walkers: int | None = None,
     ess: float = 1000.0,
     max_steps: int = 20_000,
-    keep: int = 20_000,
+    max_draws: int = 20_000,
     progress: Callable[[float], None] | None = None,
 ) -> Posterior:
     """Sample about `estimate`; at most `keep` draws are returned. `progress` is told
@@ -129,11 +129,11 @@ def sample(
             and sampler.iteration > 10 * longest
         ):
             chain = np.swapaxes(sampler.get_chain(discard=burn_in), 0, 1)
-            moving = target.local.theta(chain[..., : target.r])[..., target.moving]
+            moving = target.local.to_theta(chain[..., : target.r])[..., target.moving]
             if np.min(_ess(moving)) > ess and np.max(_rhat(moving)) < MIXED:
                 break
     chain = np.swapaxes(sampler.get_chain(discard=burn_in), 0, 1)
-    thin = max(1, -(-chain.shape[0] * chain.shape[1] // keep))
+    thin = max(1, -(-chain.shape[0] * chain.shape[1] // max_draws))
     return _gather(target, chain, thin, rng, sampler, longest, burn_in)
 
 
@@ -180,9 +180,9 @@ class _Target:
             estimate,
             noise_groups,
         )
-        self.local: Coordinates = estimate.coordinates
-        self.readings = measurement.near(series, estimate.theta)
-        labels = np.array(measurement.owners(series))
+        self.local: IdentifiableCoordinates = estimate.coordinates
+        self.readings = measurement.readings_near(series, estimate.theta)
+        labels = np.array(measurement.setup_of_readings(series))
         self.interrupted = False
         self._members = [labels == g for g in noise_groups]
         self.r = self.local.basis.shape[1]
@@ -207,7 +207,7 @@ class _Target:
 
     def _density(self, points: Array) -> Array:
         z, log_noise = points[:, : self.r], points[:, self.r :]
-        white = self._stated.whiten_last(self.readings(self.local.theta(z)) - self.y)
+        white = self._stated.whiten_last(self.readings(self.local.to_theta(z)) - self.y)
         square, count = white**2, np.zeros(len(points))
         for k, members in enumerate(self._members):
             square[:, members] *= np.exp(-2.0 * log_noise[:, k])[:, None]
@@ -227,7 +227,7 @@ class _Target:
         millimetre's tolerance moves a reading by a micrometre to second order. Two
         Gauss-Newton steps take that out.
         """
-        if not self.local.unseen.size:
+        if not self.local.null_basis.size:
             return theta
         before = theta.reshape(-1, theta.shape[-1])
         wanted = self.readings(before)
@@ -281,9 +281,10 @@ def _gather(
 ) -> Posterior:
     local, r = target.local, target.local.basis.shape[1]
     unseen = (
-        rng.standard_normal((*chain.shape[:2], local.unseen.shape[1])) @ local.unseen.T
+        rng.standard_normal((*chain.shape[:2], local.null_basis.shape[1]))
+        @ local.null_basis.T
     )
-    theta = target.carried(local.theta(chain[:, ::thin, :r]), unseen[:, ::thin])
+    theta = target.carried(local.to_theta(chain[:, ::thin, :r]), unseen[:, ::thin])
     moved = np.flatnonzero(np.ptp(theta.reshape(-1, theta.shape[2]), axis=0) > 0)
     ess, rhat = np.full(theta.shape[2], np.nan), np.full(theta.shape[2], np.nan)
     ess[moved] = _ess(theta[..., moved])

@@ -32,7 +32,7 @@ from oed.kinematics import Kinematics
 
 Reference = Literal["home", "absolute", "best_fit"]
 #: virtual machines drawn to tell the 95th percentile and the largest error
-DRAWS = 400
+VIRTUAL_MACHINES = 400
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Prediction:
     names: tuple[str, ...]
     before: dict[str, Spread]
     after: dict[str, Spread]
-    known: dict[str, Spread]
+    fully_corrected: dict[str, Spread]
     sd_before: Array
     sd_after: Array
     budget: dict[str, dict[str, float]]
@@ -91,7 +91,7 @@ def error_maps(
     """Referenced error maps at workspace commands (n, n_dof)."""
     model = error_model(kinematics, command, tool)
     home = error_model(kinematics, kinematics.machine.home_command[None], tool)
-    slope = kinematics.components_slope(command)
+    slope = kinematics.error_components_jacobian(command)
     return ErrorMaps(
         command=command,
         names=tuple(c.name for c in kinematics.machine.components),
@@ -111,7 +111,7 @@ def error_maps(
     )
 
 
-def referenced(
+def relative_to_reference(
     twist: Array,
     home_twist: Array,
     model: ErrorModel,
@@ -235,14 +235,14 @@ def predict(
         names=maps.names,
         before=told["before"],
         after=told["after"],
-        known=told["known"],
+        fully_corrected=told["known"],
         sd_before=exact["before"],
         sd_after=exact["after"],
         budget=_budget(maps, sources),
     )
 
 
-def spread_of(errors: Array) -> Spread:
+def error_spread(errors: Array) -> Spread:
     """Spread of realised errors (machines, n) of one component."""
     return Spread(
         float(np.sqrt(np.mean(errors**2))),
@@ -254,14 +254,14 @@ def spread_of(errors: Array) -> Spread:
 def _spread(errors: Array, exact: Array) -> Spread:
     # rms comes from the covariance itself; only the percentile and the largest need
     # draws
-    drawn = spread_of(errors)
+    drawn = error_spread(errors)
     return Spread(float(np.sqrt(np.mean(exact**2))), drawn.p95, drawn.largest)
 
 
 def _draws(covariance: Array, rng: np.random.Generator) -> Array:
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(
-        rng.standard_normal((DRAWS, len(values)))
+        rng.standard_normal((VIRTUAL_MACHINES, len(values)))
         @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
     )
 
@@ -315,7 +315,7 @@ def budget_sources(
     noise = (vt.T * (gain / (1.0 + gain) ** 2)) @ vt
     scale = np.outer(tolerance[:keep], tolerance[:keep])
     parts = [("readings' noise", noise[:keep, :keep] * scale)]
-    kinds = [kind(n) for n in names]
+    kinds = [parameter_kind(n) for n in names]
     for label in dict.fromkeys(kinds):
         mine = np.array([k == label for k in kinds]) & (tolerance > 0)
         if mine.any():
@@ -324,7 +324,7 @@ def budget_sources(
     return parts
 
 
-def kind(name: str) -> str:
+def parameter_kind(name: str) -> str:
     """`da1x` -> "da", `cup_220.cup_x` -> "cup": parameters of one kind share a source
     in the budget.
     """

@@ -20,13 +20,13 @@ import pandas as pd
 
 from oed import units
 
-LIMIT: Final = 64_000_000  # bytes
+MAX_BYTES: Final = 64_000_000  # bytes
 LABELS: Final = ("setup", "run")
 REQUIRED: Final = ("setup", "run", "order")
 #: columns without a unit in their name
-PLAIN: Final = ("order", "direction", "repeat")
-FEED: Final = "mm_min"
-MOST: Final = 200  # columns
+UNITLESS: Final = ("order", "direction", "repeat")
+FEED_UNIT: Final = "mm_min"
+MAX_COLUMNS: Final = 200  # columns
 #: names in a frame that no column of a file can have
 FILE, ROW = "#file", "#row"
 HEADER: Final = (
@@ -153,10 +153,10 @@ def from_rows(
 
 def parse_column(name: str) -> ReadingsColumn:
     """What a column's name says. Raises UnitError."""
-    if name in LABELS or name in PLAIN:
+    if name in LABELS or name in UNITLESS:
         return ReadingsColumn(name, name, "1", 1.0)
     stem, _, tail = name.partition("_")
-    if stem == "feed" and tail == FEED:
+    if stem == "feed" and tail == FEED_UNIT:
         return ReadingsColumn(
             name, stem, "m/s", units.factor("mm") / units.factor("min")
         )
@@ -176,10 +176,10 @@ def _text(path: Path) -> str:
     size = path.stat().st_size
     if not path.is_file():
         raise ReadingsError("this is no file", "name a readings file", file=str(path))
-    if size > LIMIT:
+    if size > MAX_BYTES:
         problem = f"{size / 1e6:.0f} MB is too large for readings"
         raise ReadingsError(
-            problem, f"split it: at most {LIMIT / 1e6:.0f} MB", file=str(path)
+            problem, f"split it: at most {MAX_BYTES / 1e6:.0f} MB", file=str(path)
         )
     data = path.read_bytes()
     try:
@@ -246,7 +246,7 @@ def _header(
             row=1,
             column=missing[0],
         )
-    if len(names) > MOST:
+    if len(names) > MAX_COLUMNS:
         raise ReadingsError(
             f"{len(names)} columns are too many", HEADER, file=file, row=1
         )
@@ -276,7 +276,7 @@ def _header(
     return columns
 
 
-def fitting(stem: str, unit: str) -> list[str]:
+def spellings(stem: str, unit: str) -> list[str]:
     """How a column of an SI unit may be written."""
     return [f"{stem}_{u}" for u in units.UNITS if units.si_unit(u) == unit]
 
@@ -286,8 +286,8 @@ def _with_unit(name: str, known: Mapping[str, str]) -> str:
     stem = name.rpartition("_")[0]
     for found in (name, stem):
         if found in known:
-            return f"write {', '.join(fitting(found, known[found]))}"
-    plain = difflib.get_close_matches(name, (*PLAIN, *LABELS), n=1, cutoff=0.7)
+            return f"write {', '.join(spellings(found, known[found]))}"
+    plain = difflib.get_close_matches(name, (*UNITLESS, *LABELS), n=1, cutoff=0.7)
     return (
         f"did you mean {plain[0]}?"
         if plain

@@ -15,7 +15,7 @@ from oed.arrays import Array
 from oed.measurement import Measurement, Series
 
 
-def draw(
+def draw_parameters(
     measurement: Measurement, rng: np.random.Generator, machines: int | None = None
 ) -> Array:
     """True parameters theta (n,) or (machines, n), drawn from the tolerances about
@@ -29,7 +29,7 @@ def draw(
     return measurement.nominal + measurement.tolerance * rng.standard_normal(shape)
 
 
-def read(
+def draw_readings(
     measurement: Measurement,
     series: Sequence[Series],
     truth: Array,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import sample
 
-from oed import explain
+from oed.assessment import assess
 from oed.result import DesignSection
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.section import design_section
@@ -73,7 +73,7 @@ def section(resolved: ResolvedStudy, found: ChosenDesign) -> DesignSection:
     return design_section(
         resolved,
         found,
-        explain.look(found.measurement, found.series, resolved.study.design.scaling),
+        assess(found.measurement, found.series, resolved.study.design.scaling),
     )
 
 

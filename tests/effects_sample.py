@@ -102,7 +102,9 @@ def session(machine: str, known: tuple[str, ...] = COVARIATES) -> SimpleNamespac
 def columns(name: str, state: State, **constants: float) -> dict[str, Column]:
     """An effect's columns by name, at given constants or the first of its grid."""
     made = list(
-        effect_of(name).columns(state, **(effect_of(name).grid()[0] | constants))
+        effect_of(name).columns(
+            state, **(effect_of(name).constant_grid()[0] | constants)
+        )
     )
     assert len({c.name for c in made}) == len(made)
     return {c.name: c for c in made}

@@ -17,7 +17,7 @@ from oed.effect import Column, Effect, State
 from oed.gap.data.diagnosis import Answer, Block, Closure, Coefficient, Diagnosis, Size
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import signature
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 
 STUDY = """\
 schema = 1
@@ -127,7 +127,7 @@ def _columns(state: State) -> Iterable[Column]:
             f"leg {i + 1}",
             5e-6,
             label=f"leg {i + 1}",
-            joints={i: 0.5 * state.sense[:, i]},
+            joints={i: 0.5 * state.motion_sign[:, i]},
         )
 
 
@@ -168,7 +168,7 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
         ),
         set95=(ACTS,),
         marginal={"cold": 0.01, "backlash": 0.98},
-        law=stated(problem),
+        law=stated_law(problem),
         noise_words=("The noise is as stated.",),
         constants={},
         coefficients=_coefficients(columns.names, mean * scales, sd * scales),

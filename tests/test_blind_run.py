@@ -102,13 +102,13 @@ def test_the_runner_cannot_know_labels():
 def diagnosed(blind, problem):
     """A diagnosis without a search: no gap."""
     from oed.gap.data.diagnosis import Answer, Block, Closure, Diagnosis
-    from oed.noise.law import stated
+    from oed.noise.law import stated_law
 
     answers = (Answer((), 0.9), Answer(("step",), 0.1, (("step", "mount_drift"),)))
     nothing = np.zeros(len(problem))
     fields = {f.name: () for f in dataclasses.fields(Diagnosis)} | {
         "problem": problem, "verdict": "none", "answers": answers, "set95": answers, "marginal": {"step": 0.1},
-        "law": dataclasses.replace(stated(problem), variance=np.linspace(1.0, 2.0, len(problem))),
+        "law": dataclasses.replace(stated_law(problem), variance=np.linspace(1.0, 2.0, len(problem))),
         "explained": nothing, "unexplained": nothing, "before": nothing, "after": nothing,
         "where": (Block("leg 1", 0.5, 0.1),), "not_testable": {},
         "closure": (Closure("whole", math.nan, -math.inf, math.inf, 0.5, 1.0, 1.1, 1.0, 10),),
@@ -150,7 +150,7 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(
     assert told["closure"][0]["value"] is None
     law = blind.run.law_of(told["law"], len(told["law"]["variance"]))
     assert law.variance[-1] == 2.0
-    assert math.isinf(law.tails)
+    assert math.isinf(law.student_dof)
     assert blind.run.run(folder, out, limit=1, without="step", workers=1, told=str) == 0
     assert calls[3][0] == calls[2][0] - 1
     assert (out / "without" / "step" / f"{names[0]}.json").is_file()
@@ -163,7 +163,7 @@ def test_who_knows_the_noise_is_given_its_covariance(
 
     def diagnose(problem, effects, rng, *, law):
         white = Whitener(problem, law)
-        whitened = white.white(
+        whitened = white.whiten(
             np.eye(len(problem))
         )  # W, with W^T W the inverse of the covariance, which the search sees
         covariances.append(
@@ -205,7 +205,7 @@ def test_who_knows_the_noise_is_given_its_covariance(
                 problem.sigma, problem.sigma
             )
         np.testing.assert_allclose(whole, wanted, atol=1e-9 * wanted.max())
-        for members, part in zip(problem.blocks, parts, strict=False):
+        for members, part in zip(problem.members, parts, strict=False):
             assert np.array_equal(part, wanted[np.ix_(members[rows], members[rows])])
     assert blind.knowing.diagnosed(made, tmp_path, limit=2, workers=1, told=str) == 0
     assert len(covariances) == 2  # what is there is not made again

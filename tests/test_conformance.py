@@ -125,7 +125,7 @@ def test_the_workspace_is_far_from_singular_poses(
     case: Case, kinematics: Kinematics, rng: np.random.Generator
 ) -> None:
     x, q = kinematics.inverse(case.commands(rng, 500))
-    assert kinematics.singularity(x, q, case.machine.nominal).min() > 0.05
+    assert kinematics.reciprocal_condition(x, q, case.machine.nominal).min() > 0.05
 
 
 def test_a_pose_out_of_reach_is_named(
@@ -230,7 +230,7 @@ def test_many_machines_at_once_read_as_one_by_one(
     assert together.shape == (7, 20 * len(m.setups[setup].instrument.channels))
     for row, theta in zip(together, thetas, strict=True):
         assert np.abs(m.readings([series], theta) - row).max() < 1e-14
-    near = m.near([series], thetas[0])(thetas)
+    near = m.readings_near([series], thetas[0])(thetas)
     assert np.abs(near - together).max() < 1e-10
 
 

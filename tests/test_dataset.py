@@ -51,7 +51,7 @@ def test_commands_covariates_and_readings_come_in_si(
     np.testing.assert_allclose(found.y, [0.300001, 0.300002, 0.299999], rtol=1e-15)
     (series,) = found.series
     np.testing.assert_allclose(
-        series.commands()[1], [1.146, math.pi / 2, math.pi / 6], rtol=1e-14
+        series.reading_commands()[1], [1.146, math.pi / 2, math.pi / 6], rtol=1e-14
     )
     assert list(series.run) == ["low", "low", "high"]
     assert list(found.covariates["order"]) == [1, 2, 1]
@@ -154,7 +154,7 @@ def test_what_is_written_is_read_back(
     again = dataset.load(path, head)
     np.testing.assert_allclose(again.y, y, rtol=1e-14, atol=1e-300)
     np.testing.assert_allclose(
-        again.series[0].commands(), command, rtol=1e-14, atol=1e-300
+        again.series[0].reading_commands(), command, rtol=1e-14, atol=1e-300
     )
     np.testing.assert_allclose(again.series[0].q, made.series[0].q, rtol=1e-12)
     assert list(again.series[0].run) == [r[3] for r in rows]
@@ -227,7 +227,7 @@ def test_a_plan_to_fill_in_has_empty_readings(
     unit=st.sampled_from(sorted(units.UNITS)),
 )
 def test_a_column_says_its_unit(stem: str, unit: str) -> None:
-    if stem in (*readings_table.PLAIN, *readings_table.LABELS) or (stem, unit) == (
+    if stem in (*readings_table.UNITLESS, *readings_table.LABELS) or (stem, unit) == (
         "feed",
         "mm_min",
     ):
@@ -343,7 +343,7 @@ def test_refused_as_text(
 def test_a_huge_file_is_refused_unread(head: Measurement, tmp_path: Path) -> None:
     path = tmp_path / "huge.csv"
     with path.open("wb") as file:
-        file.truncate(readings_table.LIMIT + 1)
+        file.truncate(readings_table.MAX_BYTES + 1)
     with pytest.raises(ReadingsError, match="too large"):
         dataset.load(path, head)
 

@@ -211,7 +211,7 @@ def test_heights_alone_cannot_tell_the_arms(
     ) -> identifiability.Identifiability:
         names = [n for n in m.names[:10] if n != "angle3"] + list(unknowns)
         columns = [m.names.index(n) for n in names]
-        scale = 1 / m.lengths[columns]
+        scale = 1 / m.length_factors[columns]
         return identifiability.analyse(
             m.jacobian(series, m.nominal)[:, columns] * scale, names, scale
         )
@@ -219,7 +219,8 @@ def test_heights_alone_cannot_tell_the_arms(
     alone = verdict([heights_of(m, session)], "S04_probe.offset")
     assert (alone.rank, len(alone.names)) == (7, 10)
     assert all(
-        any(arm in direction for direction in alone.named(alone.lost)) for arm in ARMS
+        any(arm in direction for direction in alone.coefficients_by_name(alone.lost))
+        for arm in ARMS
     )
     unit = np.eye(10)[[alone.names.index(arm) for arm in ARMS]]
     assert np.linalg.norm(unit @ alone.null_space.T, axis=1).min() > 0.1
@@ -227,7 +228,7 @@ def test_heights_alone_cannot_tell_the_arms(
         [heights_of(m, session), distances_of(m, session)], "S04_probe.offset"
     )
     assert both.rank == 9
-    assert [set(direction) for direction in both.named(both.lost)] == [
+    assert [set(direction) for direction in both.coefficients_by_name(both.lost)] == [
         {"endstop1", "endstop2", "endstop3", "S04_probe.offset"}
     ]
     found = identify(m, [heights_of(m, session)], session.heights, estimate_noise=True)
@@ -263,8 +264,8 @@ def test_the_sampled_arms_are_as_wide(
     drawn = posterior.sample(measurement, series, y, estimate, np.random.default_rng(1))
     arms = [measurement.names.index(arm) for arm in ARMS]
     assert drawn.ess[arms].min() >= 1000
-    assert drawn.flat.std(axis=0)[arms] == pytest.approx(estimate.sd[arms], rel=0.15)
-    assert (drawn.flat.std(axis=0)[arms] > 0.4 * MM).all()
+    assert drawn.pooled.std(axis=0)[arms] == pytest.approx(estimate.sd[arms], rel=0.15)
+    assert (drawn.pooled.std(axis=0)[arms] > 0.4 * MM).all()
 
 
 @pytest.mark.parametrize("name", ["delta_v400", "delta_v400_reverse"])

@@ -60,7 +60,9 @@ def test_an_effect_says_what_it_is_and_what_to_do(name: str) -> None:
     first = next(
         iter(effect.constants.values()), ()
     )  # a larger grid is looked through by turns, this one first
-    assert len(effect.grid()) <= (1000 if len(first) <= 64 < len(effect.grid()) else 64)
+    assert len(effect.constant_grid()) <= (
+        1000 if len(first) <= 64 < len(effect.constant_grid()) else 64
+    )
 
 
 #: columns a leg, of effects that adapt by more than 16
@@ -107,7 +109,9 @@ def test_the_signature_is_the_slope_of_the_exact_machine(
     """The error of first order falls with the square of the size."""
     s, effect = session(machine), effect_of(name)
     points = [
-        p for p in effect.grid() if any(True for _ in effect.columns(s.states[0], **p))
+        p
+        for p in effect.constant_grid()
+        if any(True for _ in effect.columns(s.states[0], **p))
     ]
     point = points[len(points) // 2]
     found = signature(effect, point, s.states, s.responses, s.measurement, s.series)

@@ -26,7 +26,7 @@ def test_guideway_is_the_slider_joint_displaced() -> None:
     state, response, index = s.states[1], s.responses[1], s.measurement.machine.index
     column = columns("guideway", state)["leg 2 radial curve 1"]
     found = response.joints[0][:, :, 1] * column.joints[1][:, None]
-    bend = terms.curve(terms.place(state)[:, 1], 0)
+    bend = terms.travel_curve(terms.travel_position(state)[:, 1], 0)
     out = np.array([np.cos(2.0 * np.pi / 3.0), np.sin(2.0 * np.pi / 3.0)])
     wanted = sum(
         response.parameters[0][:, :, index(f"dR2{k}")] * (bend * o)[:, None]
@@ -68,7 +68,7 @@ def test_gravity_lowers_the_platform_by_the_work_it_does(machine: str) -> None:
     sunk = heights(moved)[0] - heights(series.q)[0]
     assert sunk == pytest.approx(-1e-6 * np.sum(np.square(middle), axis=0), rel=1e-3)
     loaded = dataclasses.replace(
-        state, payload=np.full(len(state), 300.0), heaviest=300.0
+        state, payload=np.full(len(state), 300.0), max_payload=300.0
     )
     heavy = columns("gravity", loaded, ratio=2.0)["drives"]
     assert heavy.joints[0] - drives.joints[0] == pytest.approx(-0.5 * tip[0], rel=1e-5)
@@ -140,7 +140,7 @@ def test_friction_winds_up_anew_after_a_reversal() -> None:
         sense=np.ones((4, 6)),
         reversal=np.tile(gone[:, None], (1, 6)),
     )
-    known = terms.travel(state.machine).strut
+    known = terms.travel(state.machine).strut_length
     behind = columns("friction", made, distance=distance)["leg 2"].joints[1]
     assert behind == pytest.approx(-wound / known[1], abs=1e-3)
     assert behind[1] == pytest.approx(0.0, abs=1e-12)
@@ -191,7 +191,7 @@ def test_pitch_accumulation_is_a_smooth_random_curve_that_leaves_zero_and_scale_
     """
     whole = session("planar_2dof").states[0]
     nodes, weights = np.polynomial.legendre.leggauss(len(whole))
-    low, high = whole.stroke
+    low, high = whole.joint_range
     state = dataclasses.replace(
         whole, joints=low + 0.5 * (nodes[:, None] + 1.0) * (high - low)
     )
@@ -221,15 +221,17 @@ def test_a_place_is_in_the_travel_that_the_session_has_of_a_joint() -> None:
     travel where they read less.
     """
     whole = session("hexapod").states
-    places = np.vstack([terms.place(s) for s in whole])
+    places = np.vstack([terms.travel_position(s) for s in whole])
     assert places.min(axis=0) == pytest.approx(-np.ones(6))
     assert places.max(axis=0) == pytest.approx(np.ones(6))
     known, state = terms.travel(whole[0].machine), whole[0]
     middle = state.joints.mean(axis=0)
-    short = dataclasses.replace(state, stroke=np.array([middle - 1e-3, middle + 1e-3]))
-    slope = terms.place(
+    short = dataclasses.replace(
+        state, joint_range=np.array([middle - 1e-3, middle + 1e-3])
+    )
+    slope = terms.travel_position(
         dataclasses.replace(short, joints=state.joints + 1e-3)
-    ) - terms.place(short)
+    ) - terms.travel_position(short)
     assert slope == pytest.approx(
         np.broadcast_to(2e-3 / (0.25 * (known.high - known.low)), slope.shape)
     )
@@ -256,11 +258,11 @@ def test_joint_runout_goes_twice_a_turn() -> None:
     a quarter of the error's.
     """
     state = small(session("hexapod").states[0], 3)
-    up, out = np.array([0.0, 0.0, 1.0]), terms.radial(state)[1, 3]
+    up, out = np.array([0.0, 0.0, 1.0]), terms.radial_directions(state)[1, 3]
     across = np.array([-out[1], out[0], 0.0])
-    along, half = state.along.copy(), np.sqrt(0.5)
+    along, half = state.strut_direction.copy(), np.sqrt(0.5)
     along[:, 3] = up, half * (out + up), half * (across + up)
-    swung = dataclasses.replace(state, along=along)
+    swung = dataclasses.replace(state, strut_direction=along)
     wanted = {
         (2, 0.0): ([0.0, 1.0, 0.0], [1.0, 0.0, 1.0]),
         (1, 0.0): ([0.0, half, 0.0], [1.0, half, 1.0]),
@@ -297,7 +299,7 @@ def test_joint_runout_at_the_platform_turns_with_it() -> None:
         state,
         base=state.base @ turn.T,
         platform=state.platform @ turn.T,
-        along=state.along @ turn.T,
+        strut_direction=state.strut_direction @ turn.T,
     )
     for end, way in itertools.product((0.0, 1.0), (0.0, 1.0)):
         before, after = (
@@ -348,7 +350,7 @@ def test_joint_clearance_changes_sides_with_the_load() -> None:
         force=even,
         weight=even,
         payload=np.array([0.0, -400.0]),
-        heaviest=400.0,
+        max_payload=400.0,
     )
     column = columns("joint_clearance", two, ratio=0.5)["leg 6"]
     assert column.scale * column.joints[5] == pytest.approx([-5e-6, 5e-6])
@@ -359,8 +361,8 @@ def test_joint_clearance_is_taken_up_by_the_load_that_statics_give() -> None:
     some of the play is taken up.
     """
     state = session("hexapod").states[1]
-    lever = np.cross(state.platform - state.tool[:, None], state.along)
-    struts = np.concatenate([state.along, lever], axis=-1).transpose(0, 2, 1)
+    lever = np.cross(state.platform - state.tool[:, None], state.strut_direction)
+    struts = np.concatenate([state.strut_direction, lever], axis=-1).transpose(0, 2, 1)
     down, middle = (
         np.array([0.0, 0.0, -600.0]),
         state.platform.mean(axis=1) - state.tool,
@@ -370,7 +372,7 @@ def test_joint_clearance_is_taken_up_by_the_load_that_statics_give() -> None:
     tension = np.linalg.solve(struts, weight[..., None])[..., 0]
     assert (tension < 0.0).all()
     assert state.payload.max() > 0.0
-    made = columns("joint_clearance", state, ratio=600.0 / state.heaviest, soft=0.2)
+    made = columns("joint_clearance", state, ratio=600.0 / state.max_payload, soft=0.2)
     for i in range(6):
         for name, play, soft in (("", 10e-6, 0.2), (" harder", 4e-6, 0.06)):
             column = made[f"leg {i + 1}{name}"]
@@ -391,14 +393,14 @@ def test_joint_clearance_that_differs_along_the_travel_is_play() -> None:
         force=even,
         weight=even,
         payload=np.array([0.0, -400.0]),
-        heaviest=400.0,
+        max_payload=400.0,
     )
     two = dataclasses.replace(two, joints=two.joints[[0, 0]])
     made = columns("joint_clearance", two, ratio=0.5)
     play = made["leg 6"].joints[5] + 0.5 * made["leg 6 slope"].joints[5]
     assert play[0] == pytest.approx(-play[1])
     assert abs(play[0]) == pytest.approx(
-        0.5 * (1.0 + 0.5 * abs(terms.place(two)[0, 5]))
+        0.5 * (1.0 + 0.5 * abs(terms.travel_position(two)[0, 5]))
     )
 
 
@@ -415,7 +417,7 @@ def test_pushing_displaces_the_tool_as_it_says(machine: str) -> None:
     for state, series in zip(s.states, s.series, strict=True):
         tool = np.array(s.measurement.setups[series.setup].tool)
         for k, axis in enumerate(np.eye(3)):
-            change = step * state.pushing[:, :, k]
+            change = step * state.joints_per_displacement[:, :, k]
             if machine == "planar_2dof" and k == 0:
                 assert change == pytest.approx(0.0, abs=1e-12 * step)
                 continue
@@ -502,7 +504,7 @@ def test_constant_and_linear_bending_is_what_the_payload_makes_of_it() -> None:
     state = session("hexapod").states[0]
     pose = np.repeat(state.pose[:1] + 0.1, 4, axis=0)
     loads = np.array([0.0, 200.0, 200.0, np.nan])
-    loaded = small(state, 4, pose=pose, payload=loads, heaviest=200.0)
+    loaded = small(state, 4, pose=pose, payload=loads, max_payload=200.0)
     made = columns("frame_bending", loaded, sag=0.5)
     offset = {c.name: p for c, p in zip(state.machine.pose, pose[0], strict=True)}
     middle = {c.name: 0.5 * (c.lower + c.upper) for c in state.machine.command}
@@ -513,5 +515,5 @@ def test_constant_and_linear_bending_is_what_the_payload_makes_of_it() -> None:
         )
         share = 0.5 * np.array([0.0, 1.0, 1.0, 0.0])
         assert change == pytest.approx(
-            6e-6 * size * share[:, None] * loaded.pushing[:, :, 2]
+            6e-6 * size * share[:, None] * loaded.joints_per_displacement[:, :, 2]
         )

@@ -58,7 +58,10 @@ def test_leg_thermal_of_a_carriage_is_its_screw() -> None:
     rod = made["leg 2 per kelvin strut"]
     assert rod.shape
     assert rod.joints[1] == pytest.approx(
-        2.0 * state.strut[:2, 1] * state.per_length[:2, 1] * np.array([0.0, 1.0])
+        2.0
+        * state.strut_length[:2, 1]
+        * state.joint_per_length[:2, 1]
+        * np.array([0.0, 1.0])
     )
 
 
@@ -72,7 +75,12 @@ def test_leg_thermal_of_a_turning_arm_is_its_rod() -> None:
     warm = small(state, 2, machine=machine, temperature={"leg": np.array([21.0, 23.0])})
     made = columns("leg_thermal", warm)
     assert "leg 2 per kelvin strut" not in made
-    grown = 2.0 * state.strut[:2, 1] * state.per_length[:2, 1] * np.array([0.0, 1.0])
+    grown = (
+        2.0
+        * state.strut_length[:2, 1]
+        * state.joint_per_length[:2, 1]
+        * np.array([0.0, 1.0])
+    )
     assert made["leg 2 per kelvin"].joints[1] == pytest.approx(grown)
 
 
@@ -85,7 +93,7 @@ def test_what_warms_at_work_cools_in_breaks() -> None:
     both = np.concatenate([first, first + first[-1] + 7200.0])
     before, after = float(first[-1]), float(first[-1] + 7200.0)
     timed = small(state, 2, time=np.array([before, after]), session=both)
-    share = terms.warming(timed, "leg", 5400.0)[1]
+    share = terms.warm_up(timed, "leg", 5400.0)[1]
     assert share[0] == pytest.approx(1.0 - np.exp(-before / 5400.0))
     assert share[1] == pytest.approx(share[0] * np.exp(-7200.0 / 5400.0))
 
@@ -96,7 +104,7 @@ def test_a_body_lags_behind_its_sensor() -> None:
     """
     state, time = session("hexapod").states[0], np.linspace(0.0, 7200.0, 10)
     ramp = small(state, 10, time=time, temperature={"leg": 1e-3 * time})
-    measured, rise, behind = terms.warming(ramp, "leg", 1800.0)
+    measured, rise, behind = terms.warm_up(ramp, "leg", 1800.0)
     assert measured
     assert rise == pytest.approx(1e-3 * time)
     assert behind == pytest.approx(-1.8 * (1.0 - np.exp(-time / 1800.0)))
@@ -205,7 +213,7 @@ def test_step_is_there_in_its_window(
     begins in the session.
     """
     state = session("planar_2dof").states[0]
-    assert state.span == (0.0, HOURS)
+    assert state.session_span == (0.0, HOURS)
     time = np.concatenate(
         [
             np.linspace(0.0, HOURS, len(state) - 6),
@@ -286,7 +294,10 @@ def test_progress_is_by_the_clock_or_by_the_order_of_the_readings() -> None:
     for name, frame in told.items():
         made = states(s.measurement, s.series, frame, s.measurement.nominal)
         gone[name] = np.concatenate(
-            [m.progress[k.index[:, 0]] for m, k in zip(made, s.series, strict=True)]
+            [
+                m.session_progress[k.index[:, 0]]
+                for m, k in zip(made, s.series, strict=True)
+            ]
         )
     assert gone["clock"] == pytest.approx((time - time[0]) / (time[-1] - time[0]))
     assert gone["order"] == pytest.approx(np.arange(rows) / (rows - 1.0))

@@ -419,13 +419,15 @@ def predicted(case: Planar) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
     """
     whole, held = case.whole, case.held
     noise = np.zeros((len(whole), len(whole)))
-    for members, base in zip(whole.blocks, whole.base, strict=True):
+    for members, base in zip(whole.members, whole.stated_correlation, strict=True):
         noise[np.ix_(members, members)] = np.eye(len(members)) if base is None else base
     plain = noise + whole.slopes @ whole.slopes.T
     named = [
         effect_of(n) for n in dict.fromkeys(c.effect for c in case.found.coefficients)
     ]
-    choices = itertools.product(*([(e, point) for point in e.grid()] for e in named))
+    choices = itertools.product(
+        *([(e, point) for point in e.constant_grid()] for e in named)
+    )
     best = max(
         (corrected(case, plain, forms) for forms in choices),
         key=lambda c: evidence(case, c),

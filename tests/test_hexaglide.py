@@ -5,9 +5,9 @@ tracker loses.
 import numpy as np
 from oracles import hexapod_geometry as oracle
 
-from oed import explain, identifiability
+from oed import identifiability
 from oed.arrays import Array
-from oed.explain import Seen
+from oed.assessment import Assessment, assess
 from oed.instrument import Setup, mount
 from oed.kinematics import Kinematics
 from oed.measurement import Measurement
@@ -77,9 +77,9 @@ def test_no_pose_of_the_workspace_is_near_a_singular_one(
     assert (q[:, 1::2] - q[:, ::2]).min() > 0.9
 
 
-def look(setup: Setup, plan: Array) -> Seen:
+def look(setup: Setup, plan: Array) -> Assessment:
     m = Measurement(MACHINE, [setup])
-    return explain.look(m, [m.series(setup.name, plan)])
+    return assess(m, [m.series(setup.name, plan)])
 
 
 def test_positions_in_a_known_frame_lose_the_platforms_three_rotations(
@@ -89,8 +89,10 @@ def test_positions_in_a_known_frame_lose_the_platforms_three_rotations(
     seen = look(
         mount(pose_tracker.position, "point", tolerances=known), commands(rng, 60)
     )
-    assert seen.verdict.rank == 39
-    motions, rest = identifiability.lost_motions(seen.verdict, MACHINE, seen.scale)
+    assert seen.identifiability.rank == 39
+    motions, rest = identifiability.lost_motions(
+        seen.identifiability, MACHINE, seen.scale
+    )
     assert motions == [
         f"rotation of the platform joints about the tool point, {n} axis" for n in "xyz"
     ]
@@ -104,8 +106,10 @@ def test_a_free_frame_hides_what_leaves_the_guides_along_x(
     and the turn about the travel.
     """
     seen = look(mount(pose_tracker.instrument, "pose"), commands(rng, 60))
-    assert (len(seen.names), seen.verdict.rank) == (48, 44)
-    motions, rest = identifiability.lost_motions(seen.verdict, MACHINE, seen.scale)
+    assert (len(seen.names), seen.identifiability.rank) == (48, 44)
+    motions, rest = identifiability.lost_motions(
+        seen.identifiability, MACHINE, seen.scale
+    )
     told = ["translation of the carriages along " + n for n in "xyz"]
     told.append("rotation of the carriages about the base's origin, x axis")
     assert [m.split(" together")[0] for m in motions] == told

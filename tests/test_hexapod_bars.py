@@ -10,7 +10,8 @@ from oracles import hexapod_geometry as oracle
 
 from oed import explain, identifiability
 from oed.arrays import Array
-from oed.explain import Finding, Seen
+from oed.assessment import Assessment, assess
+from oed.explain import Finding
 from oed.instrument import Setup, mount
 from oed.kinematics import Kinematics
 from oed.measurement import Measurement
@@ -65,7 +66,7 @@ def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
 
 def test_slopes_are_those_of_the_oracle(rng: np.random.Generator) -> None:
     x, q = KINEMATICS.inverse(commands(rng, 4))
-    slopes = KINEMATICS.frames(x, NO_TOOL)[2] @ KINEMATICS.sensitivity(
+    slopes = KINEMATICS.frames(x, NO_TOOL)[2] @ KINEMATICS.parameter_sensitivity(
         x, q, MACHINE.nominal
     )
     for xi, qi, slope in zip(x, q, slopes, strict=True):
@@ -95,11 +96,9 @@ def test_the_legs_at_home_are_told_by_the_generic_geometry() -> None:
 # -- what is seen ----------------------------------------------------------------------
 
 
-def look(setups: list[Setup], plans: list[Array]) -> Seen:
+def look(setups: list[Setup], plans: list[Array]) -> Assessment:
     m = Measurement(MACHINE, setups)
-    return explain.look(
-        m, [m.series(s.name, c) for s, c in zip(setups, plans, strict=True)]
-    )
+    return assess(m, [m.series(s.name, c) for s, c in zip(setups, plans, strict=True)])
 
 
 def free_cup(tool: float = 0.0, **settings: float) -> Setup:
@@ -114,12 +113,14 @@ def held(rng: np.random.Generator, n: int) -> Array:
     led by the bar.
     """
     m = Measurement(MACHINE, [free_cup()])
-    command, possible = m.hold("cup, tool 0.0", commands(rng, n), "z")
+    command, possible = m.commands_at_fixed_reading(
+        "cup, tool 0.0", commands(rng, n), "z"
+    )
     assert possible.all()
     return command
 
 
-def lost(seen: Seen) -> Finding:
+def lost(seen: Assessment) -> Finding:
     return next(f for f in explain.explain(seen) if f.kind == "lost")
 
 
@@ -127,7 +128,7 @@ def test_full_poses_in_a_known_frame_see_42_of_42(rng: np.random.Generator) -> N
     seen = look(
         [mount(pose_tracker.instrument, "pose", tolerances=KNOWN)], [commands(rng, 60)]
     )
-    assert (len(seen.names), seen.verdict.rank) == (42, 42)
+    assert (len(seen.names), seen.identifiability.rank) == (42, 42)
     assert (seen.shrinkage < 0.7).all()
 
 
@@ -135,8 +136,8 @@ def test_seven_poses_are_enough_and_six_are_not(rng: np.random.Generator) -> Non
     """Six equations a pose, seven unknowns a leg: each leg needs seven poses."""
     tracker = [mount(pose_tracker.instrument, "pose", tolerances=KNOWN)]
     at = commands(rng, 7)
-    assert look(tracker, [at]).verdict.rank == 42
-    assert look(tracker, [at[:6]]).verdict.rank == 36
+    assert look(tracker, [at]).identifiability.rank == 42
+    assert look(tracker, [at[:6]]).identifiability.rank == 36
 
 
 def test_positions_alone_lose_the_platforms_three_rotations(
@@ -145,8 +146,10 @@ def test_positions_alone_lose_the_platforms_three_rotations(
     seen = look(
         [mount(pose_tracker.position, "point", tolerances=KNOWN)], [commands(rng, 60)]
     )
-    assert seen.verdict.rank == 39
-    motions, rest = identifiability.lost_motions(seen.verdict, MACHINE, seen.scale)
+    assert seen.identifiability.rank == 39
+    motions, rest = identifiability.lost_motions(
+        seen.identifiability, MACHINE, seen.scale
+    )
     assert motions == [
         f"rotation of the platform joints about the tool point, {n} axis" for n in "xyz"
     ]
@@ -158,8 +161,10 @@ def test_a_free_frame_hides_the_base(rng: np.random.Generator) -> None:
     tracker's frame.
     """
     seen = look([mount(pose_tracker.instrument, "pose")], [commands(rng, 60)])
-    assert (len(seen.names), seen.verdict.rank) == (48, 42)
-    motions, rest = identifiability.lost_motions(seen.verdict, MACHINE, seen.scale)
+    assert (len(seen.names), seen.identifiability.rank) == (48, 42)
+    motions, rest = identifiability.lost_motions(
+        seen.identifiability, MACHINE, seen.scale
+    )
     assert len(motions) == 6
     assert len(rest) == 0
     assert all(
@@ -174,7 +179,7 @@ def test_a_single_ball_distance_says_what_it_loses(rng: np.random.Generator) -> 
     """
     for n in (150, 600):
         seen = look([free_cup()], [held(rng, n)])
-        assert (len(seen.names), seen.verdict.rank) == (45, 36)
+        assert (len(seen.names), seen.identifiability.rank) == (45, 36)
     told = lost(seen)
     assert told.text.startswith("Lost, 9 directions of 45: ")
     for axis in "xyz":
@@ -209,12 +214,12 @@ def test_its_remedies_are_computed_and_hold(rng: np.random.Generator) -> None:
         assert (
             "all lost directions" in said
             if back == 9
-            else re.search(rf"brings back {back} of 9", said)
+            else re.search(rf"recovers {back} of 9", said)
         )
         plans = [at + np.array([0, 0, s.tool[2], 0, 0, 0]) for s in setups]
         seen = look(setups, plans)
         assert len(seen.names) == parameters
-        assert len(seen.names) - seen.verdict.rank == 9 - back
+        assert len(seen.names) - seen.identifiability.rank == 9 - back
 
 
 def test_the_lost_turns_change_no_distance_at_any_size(

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from oracles import micro_cmm_geometry as oracle
 
-from oed import explain, identify, predict, simulate
+from oed import identify, predict, simulate
 from oed.arrays import Array
+from oed.assessment import assess
 from oed.instrument import Setup, mount
 from oed.kinematics import Kinematics
 from oed.measurement import Measurement
@@ -70,7 +71,7 @@ def test_newton_agrees_with_the_oracle_on_machines_that_are_not_perfect(
 def test_slopes_are_those_of_the_oracle() -> None:
     points, p = grid(3, 3), MACHINE.nominal
     _, q = KINEMATICS.inverse(points)
-    slopes = KINEMATICS.sensitivity(points, q, p)
+    slopes = KINEMATICS.parameter_sensitivity(points, q, p)
     for k in range(len(p)):
         moved = p + 1e-30j * np.eye(len(p))[k]
         expected = oracle.probe(q + moved[12:], centres(moved)[None]).imag / 1e-30
@@ -151,10 +152,10 @@ def measurement(*setups: Setup) -> Measurement:
 
 def test_position_readings_see_nine_of_fifteen_in_the_stated_combinations() -> None:
     m = measurement(mount(camera.known_frame, "position"))
-    seen = explain.look(m, [m.series("position", grid(4, 3))])
+    seen = assess(m, [m.series("position", grid(4, 3))])
     assert len(seen.names) == 15
-    assert seen.verdict.rank == 9
-    found = seen.verdict.named(seen.verdict.combinations)
+    assert seen.identifiability.rank == 9
+    found = seen.identifiability.coefficients_by_name(seen.identifiability.combinations)
     for i in (1, 2, 3):
         assert pytest.approx({f"rf{i}": 1.0, f"rp{i}": -1.0}, rel=1e-6) in found
         assert {f"dl{i}": 1.0} in [pytest.approx(c) for c in found]
@@ -181,8 +182,8 @@ def test_a_ball_plate_loses_the_machines_motions_in_its_plane_as_well() -> None:
     turn about z.
     """
     m = measurement(mount(ball_plate.instrument, "plate", at_z=-0.2))
-    seen = explain.look(m, [m.series("plate", grid(4, 2))])
-    assert (len(seen.names), seen.verdict.rank) == (21, 12)
+    seen = assess(m, [m.series("plate", grid(4, 2))])
+    assert (len(seen.names), seen.identifiability.rank) == (21, 12)
 
 
 def test_distances_see_as_much_of_the_machine_as_the_plate(
@@ -191,10 +192,10 @@ def test_distances_see_as_much_of_the_machine_as_the_plate(
     """Machine 9 less the three motions in the plane; the scale is a seventh."""
     m = measurement(mount(ball_plate.distance, "gauge"))
     pairs = np.vstack([rng.permutation(grid(3, 2)) for _ in range(4)])
-    seen = explain.look(
+    seen = assess(
         m, [m.series("gauge", pairs, [str(i // 2) for i in range(len(pairs))])]
     )
-    assert (len(seen.names), seen.verdict.rank) == (16, 7)
+    assert (len(seen.names), seen.identifiability.rank) == (16, 7)
 
 
 def test_a_ball_plate_by_hand() -> None:
@@ -214,10 +215,10 @@ def test_a_ball_plate_by_hand() -> None:
 def test_planted_errors_come_back_in_what_is_seen(rng: np.random.Generator) -> None:
     m = measurement(mount(camera.known_frame, "position", sigma=[0.2e-6] * 3))
     series = [m.series("position", grid(4, 3))]
-    truth = simulate.draw(m, rng)
-    y = simulate.read(m, series, truth, rng)
+    truth = simulate.draw_parameters(m, rng)
+    y = simulate.draw_readings(m, series, truth, rng)
     found = identify.identify(m, series, y)
-    verdict = explain.look(m, series).verdict
+    verdict = assess(m, series).identifiability
     off = verdict.combinations @ (found.theta - truth)
     sd = np.sqrt(
         np.diag(verdict.combinations @ found.covariance @ verdict.combinations.T)

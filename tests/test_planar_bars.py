@@ -45,12 +45,14 @@ def together(*numbers: int) -> tuple[Measurement, list[Series]]:
 def verdict(m: Measurement, series: list[Series]) -> Identifiability:
     h = information.scaled(m, series, m.nominal, "length")[:, m.free]
     return identifiability.analyse(
-        h, [n for n, f in zip(m.names, m.free, strict=True) if f], 1 / m.lengths[m.free]
+        h,
+        [n for n, f in zip(m.names, m.free, strict=True) if f],
+        1 / m.length_factors[m.free],
     )
 
 
 def table(v: Identifiability) -> list[dict[str, float]]:
-    return v.named(v.combinations)
+    return v.coefficients_by_name(v.combinations)
 
 
 # -- the machine -----------------------------------------------------------------------
@@ -84,7 +86,8 @@ def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(
     )
     assert np.abs(printed - step).max() < 1e-13
     assert (
-        np.abs(m.kinematics.sensitivity(x, q, oracle.NOMINAL) - printed).max() < 1e-13
+        np.abs(m.kinematics.parameter_sensitivity(x, q, oracle.NOMINAL) - printed).max()
+        < 1e-13
     )
 
 
@@ -201,7 +204,9 @@ def test_rm3_and_rm5_see_all_but_the_common_height() -> None:
         v = verdict(*_one(number))
         assert v.rank == 6
         assert table(v) == SIX
-        assert v.named(v.lost) == [{"z1": pytest.approx(1.0), "z2": pytest.approx(1.0)}]
+        assert v.coefficients_by_name(v.lost) == [
+            {"z1": pytest.approx(1.0), "z2": pytest.approx(1.0)}
+        ]
 
 
 def test_rm4_sees_both_tilts() -> None:
@@ -226,8 +231,8 @@ def test_smallest_singular_values() -> None:
 
     Lines and reference points are the paper's.
     """
-    least = {k: verdict(*_one(k)).identifiable[-1] for k in (3, 5)}
-    both = verdict(*together(4, 5)).identifiable[-1]
+    least = {k: verdict(*_one(k)).identifiable_singular_values[-1] for k in (3, 5)}
+    both = verdict(*together(4, 5)).identifiable_singular_values[-1]
     assert least[3] == pytest.approx(0.0006, rel=0.02)
     assert least[5] == pytest.approx(0.0137, rel=0.02)
     assert both == pytest.approx(0.257, rel=0.02)
@@ -238,7 +243,9 @@ def test_singular_values_are_the_oracle_s() -> None:
     for k in RM:
         expected = np.linalg.svd(oracle.identification_rows(k), compute_uv=False)
         v = verdict(*_one(k))
-        assert v.identifiable == pytest.approx(expected[: v.rank], rel=1e-9)
+        assert v.identifiable_singular_values == pytest.approx(
+            expected[: v.rank], rel=1e-9
+        )
 
 
 def test_a_ruler_of_unknown_direction_hides_a_turn_of_the_machine() -> None:

@@ -57,7 +57,7 @@ def test_rows_are_slopes_of_the_readings(
         # whitening is known up to a rotation of a reading's channels: products are not
         rows, expected = rows.T @ rows, expected.T @ expected
     elif scaling == "length":
-        expected *= m.reading_lengths([series])[:, None]
+        expected *= m.reading_length_factors([series])[:, None]
     assert rows == pytest.approx(expected, abs=2e-6 * np.abs(expected).max())
 
 

@@ -55,7 +55,7 @@ def test_eigenvalues_without_tolerances(name: str) -> None:
         text(f'criterion = "{name}"\nreadings = 18\n', tables=tables)
     )
     m = resolved.measurement
-    h = (m.jacobian(resolved.candidates, m.nominal) / m.lengths)[:, m.free]
+    h = (m.jacobian(resolved.candidates, m.nominal) / m.length_factors)[:, m.free]
     assert len(h) == 20
     basis = np.linalg.svd(h, full_matrices=False)[2][: found.choice.directions].T
     told = []

@@ -72,7 +72,7 @@ def test_a_budget_is_kept_and_used() -> None:
 
 def test_readings_keep_their_distance() -> None:
     _, found = chosen(text(KNOWN + "apart = { z_mm = 320, psi_deg = 110 }\n"))
-    command = np.vstack([s.commands() for s in found.series])[:, :2] / [
+    command = np.vstack([s.reading_commands() for s in found.series])[:, :2] / [
         0.32,
         np.radians(110),
     ]
@@ -81,7 +81,7 @@ def test_readings_keep_their_distance() -> None:
     ]
     assert gap.min() >= 1.0 - 1e-9
     _, near = chosen(text(KNOWN))
-    command = np.vstack([s.commands() for s in near.series])[:, :2] / [
+    command = np.vstack([s.reading_commands() for s in near.series])[:, :2] / [
         0.32,
         np.radians(110),
     ]

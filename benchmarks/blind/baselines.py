@@ -25,7 +25,7 @@ from oed.arrays import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 
 #: effects that the stepwise selection may take, and the share of a column's size that
 #: calibration must leave
@@ -44,7 +44,7 @@ def stepwise(problem: GapProblem, library: Library) -> list[str]:
     BIC = N log(RSS / N) + k log N; k counts a form's columns and its effect's
     constants.
     """
-    metric = Metric(problem, stated(problem))
+    metric = Metric(problem, stated_law(problem))
     white, absorbed = metric.parts(np.column_stack([problem.residual, library.columns]))
     full = white.T @ white - absorbed.T @ absorbed
     raw = np.sqrt((library.columns**2).sum(axis=0))
@@ -156,7 +156,7 @@ def runs_of(problem: GapProblem) -> Runs:
     """Harmonics of the residuals after calibration, run by run; noise is told by what
     they leave, and by repeats.
     """
-    metric = Metric(problem, stated(problem))
+    metric = Metric(problem, stated_law(problem))
     left = problem.residual - problem.slopes @ metric.fit(problem.residual)
     rows, phase = problem.rows, problem.rows["phase"].to_numpy(dtype=float)
     names = [
@@ -170,9 +170,9 @@ def runs_of(problem: GapProblem) -> Runs:
         np.repeat(state.joints[s.index[:, 0]], r.nuisances.shape[1], axis=0)
         for s, state, r in zip(problem.series, problem.states, problem.responses, strict=True)
     ])  # fmt: skip
-    for members in problem.blocks:
-        for channel in np.unique(problem.group[members]):
-            at = members[problem.group[members] == channel]
+    for members in problem.members:
+        for channel in np.unique(problem.channel[members]):
+            at = members[problem.channel[members] == channel]
             order = int(np.clip((len(at) - 1) // (2 * PER_HARMONIC), 0, HIGHEST))
             told, error = _harmonics(phase[at], left[at], order)
             key = (

@@ -295,7 +295,7 @@ def true_law(problem: GapProblem, sigma: Array) -> TrueLaw:
     """
     told = sigma / np.outer(problem.sigma, problem.sigma)
     across = told.copy()
-    for members in problem.blocks:
+    for members in problem.members:
         across[np.ix_(members, members)] = 0.0
     if float(np.abs(across).max(initial=0.0)) > 1e-9:
         raise ValueError(

@@ -300,15 +300,15 @@ def _law(law: NoiseLaw) -> dict[str, Any]:
     1.
     """
     return {
-        "repeat": law.repeat,
-        "wander": law.wander,
-        "sway": law.sway,
-        "reach": law.reach,
+        "repeat": law.run_sd,
+        "wander": law.ar1_sd,
+        "sway": law.run_harmonic_sd,
+        "reach": law.ar1_length,
         "level": law.level,
-        "tails": _known(law.tails),
-        "strays": law.strays,
+        "tails": _known(law.student_dof),
+        "strays": law.outlier_share,
         "variance": _unless_one(law.variance),
-        "ratio": None if law.ratio is None else _unless_one(law.ratio),
+        "ratio": None if law.channel_ratio is None else _unless_one(law.channel_ratio),
     }
 
 
@@ -316,15 +316,17 @@ def law_of(said: dict[str, Any], size: int) -> NoiseLaw:
     """The law that a result tells, for `size` readings."""
     variance = said["variance"] or [1.0] * size
     return NoiseLaw(
-        repeat=said["repeat"],
-        wander=said["wander"],
-        sway=said.get("sway", 0.0),
-        reach=said["reach"],
+        run_sd=said["repeat"],
+        ar1_sd=said["wander"],
+        run_harmonic_sd=said.get("sway", 0.0),
+        ar1_length=said["reach"],
         variance=np.array(variance, dtype=float),
         level=said["level"],
-        tails=math.inf if said["tails"] is None else said["tails"],
-        strays=said.get("strays", 0.0),
-        ratio=None if said["ratio"] is None else np.array(said["ratio"], dtype=float),
+        student_dof=math.inf if said["tails"] is None else said["tails"],
+        outlier_share=said.get("strays", 0.0),
+        channel_ratio=None
+        if said["ratio"] is None
+        else np.array(said["ratio"], dtype=float),
     )
 
 

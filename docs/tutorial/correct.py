@@ -21,8 +21,8 @@ axes = np.meshgrid(
     [0.04, 0.08, 0.12], np.deg2rad(np.arange(0, 360, 30)), np.deg2rad([-15, 0, 15])
 )
 command = np.column_stack([axis.ravel() for axis in axes])
-before = compensate.joints(kinematics, command, machine.nominal)
-after = compensate.joints(kinematics, command, identified)
+before = compensate.compensated_joints(kinematics, command, machine.nominal)
+after = compensate.compensated_joints(kinematics, command, identified)
 print(
     "first pose, joints before and after, degrees:",
     np.rad2deg(before[0]).round(3),
@@ -36,7 +36,7 @@ for name, q, model in (
     ("before", before, machine.nominal),
     ("after", after, identified),
 ):
-    q_home = compensate.joints(kinematics, home, model)
+    q_home = compensate.compensated_joints(kinematics, home, model)
     error = compensate.pose_error(kinematics, command, q, true)
     error = error - compensate.pose_error(kinematics, home, q_home, true)
     x, y, phi = np.sqrt(np.mean(error[:, [0, 1, 5]] ** 2, axis=0))

@@ -14,7 +14,7 @@ from oed.machine import Expr, Parameter, Values
 from pkm_models.rotation import tilt_torsion
 
 
-def unknowns(shift: float, turn: float) -> tuple[Parameter, ...]:
+def frame_parameters(shift: float, turn: float) -> tuple[Parameter, ...]:
     """The six unknowns with their tolerances (m, rad); 0 holds them, as for a frame
     that is known.
     """
@@ -36,17 +36,17 @@ def unknowns(shift: float, turn: float) -> tuple[Parameter, ...]:
     )
 
 
-def turned(s: Values, rotation: Expr) -> Expr:
+def rotation_in_frame(s: Values, rotation: Expr) -> Expr:
     """A rotation (3 x 3) or direction (3,) of the base frame, as the instrument sees
     it.
     """
     return tilt_torsion(s["turn_x"], s["turn_y"], s["turn_z"]) @ rotation
 
 
-def moved(s: Values, point: Expr, about: Expr) -> Expr:
+def point_in_frame(s: Values, point: Expr, about: Expr) -> Expr:
     """A point (3,) of the base frame, as the instrument sees it."""
     return (
-        turned(s, point - about)
+        rotation_in_frame(s, point - about)
         + about
         + ca.vertcat(s["shift_x"], s["shift_y"], s["shift_z"])
     )

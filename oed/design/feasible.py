@@ -113,7 +113,7 @@ def check_readings(
     refused: dict[str, Mask] = dict(_outside_joints(measurement, series, limits))
     details: dict[str, Array] = {}
     if limits.singularity is not None:
-        margin = measurement.kinematics.singularity(
+        margin = measurement.kinematics.reciprocal_condition(
             x, series.q, measurement.machine.nominal
         )
         details["singularity"] = margin[series.index].min(axis=1)
@@ -201,12 +201,12 @@ def _held_value(measurement: Measurement, series: Series, held: float | None) ->
     if held is not None:
         return held
     setup = measurement.setups[series.setup]
-    if setup.instrument.holds is None:
+    if setup.instrument.fixed_reading is None:
         raise ValueError(
             f"{setup.instrument.name} holds no reading by design: state the value that"
             " its travel is about"
         )
-    return float(setup.instrument.holds(setup.settings))
+    return float(setup.instrument.fixed_reading(setup.settings))
 
 
 def _first_channel(measurement: Measurement, series: Series, values: Array) -> Array:

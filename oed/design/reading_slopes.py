@@ -21,7 +21,7 @@ import numpy as np
 
 from oed.information import Scaling, column_scale
 from oed.instrument import Frame, Setup
-from oed.kinematics import misfit, symbols
+from oed.kinematics import closure_misfit, symbols
 from oed.machine import Machine
 from oed.measurement import Measurement
 
@@ -107,7 +107,7 @@ def symbolic_reading(
         q, qs = symbols(f"q{j}", machine.joints)
         phi = ca.vertcat(*machine.closure(xs, qs, ps))
         rotation, point = machine.platform(xs)
-        frames.append(Frame(rotation, point + rotation @ tool, misfit(phi, x)))
+        frames.append(Frame(rotation, point + rotation @ tool, closure_misfit(phi, x)))
         poses.append((x, q, phi))
     y = ca.vertcat(*instrument.observe(frames, ss, known))
     by_machine = ca.jacobian(y, p)

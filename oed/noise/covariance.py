@@ -28,29 +28,29 @@ class Noise:
     """
 
     sigma: Array
-    white: sparse.csr_array | None = None
+    whitening: sparse.csr_array | None = None
     root: sparse.csr_array | None = None
 
     def whiten(self, values: Array) -> Array:
         """Whitened values: (N,), (N, n), with readings first."""
-        if self.white is not None:
-            return np.asarray(self.white @ values)
+        if self.whitening is not None:
+            return np.asarray(self.whitening @ values)
         return values / self.sigma.reshape(-1, *[1] * (values.ndim - 1))
 
     def whiten_last(self, values: Array) -> Array:
         """Whitened values (..., N), with readings last."""
         return (
             values / self.sigma
-            if self.white is None
-            else np.asarray((self.white @ values.T).T)
+            if self.whitening is None
+            else np.asarray((self.whitening @ values.T).T)
         )
 
     def scaled(self, factor: Array) -> Noise:
         """The same noise times a factor (N,), equal within each run."""
-        if self.white is None or self.root is None:
+        if self.whitening is None or self.root is None:
             return Noise(self.sigma * factor)
         white, root = (
-            self.white @ sparse.diags_array(1.0 / factor),
+            self.whitening @ sparse.diags_array(1.0 / factor),
             sparse.diags_array(factor) @ self.root,
         )
         return Noise(
@@ -63,17 +63,17 @@ class Noise:
         return self.sigma * e if self.root is None else np.asarray((self.root @ e.T).T)
 
 
-def of(noise: Noise | Array) -> Noise:
+def as_noise(noise: Noise | Array) -> Noise:
     """Standard deviations (N,) as independent noise; a Noise as it is."""
     return noise if isinstance(noise, Noise) else Noise(np.asarray(noise, dtype=float))
 
 
-def independent(sigma: Array) -> Noise:
+def independent_noise(sigma: Array) -> Noise:
     """Independent readings with standard deviations (N,)."""
     return Noise(sigma)
 
 
-def blocks(covariances: Sequence[Array], places: Sequence[Index]) -> Noise:
+def block_noise(covariances: Sequence[Array], places: Sequence[Index]) -> Noise:
     """Noise with dense covariance blocks at index sets `places`, which together cover
     all readings.
     """
@@ -99,13 +99,13 @@ def blocks(covariances: Sequence[Array], places: Sequence[Index]) -> Noise:
     return Noise(sigma, made(white), made(root))
 
 
-def join(parts: Sequence[Noise]) -> Noise:
+def concatenate_noise(parts: Sequence[Noise]) -> Noise:
     """Noise of readings one after the other."""
     sigma = np.concatenate([p.sigma for p in parts])
-    if all(p.white is None for p in parts):
+    if all(p.whitening is None for p in parts):
         return Noise(sigma)
     white = [
-        p.white if p.white is not None else sparse.diags_array(1.0 / p.sigma)
+        p.whitening if p.whitening is not None else sparse.diags_array(1.0 / p.sigma)
         for p in parts
     ]
     root = [

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import optimize, special
 
 from oed.arrays import Array
-from oed.noise.law import NoiseLaw, stated
+from oed.noise.law import NoiseLaw, stated_law
 from oed.noise.runs import Runs
 
 #: prior of log(1 + share) of the run's and the carried error: of the size of the noise,
@@ -37,7 +37,7 @@ _RATIO = 4.0
 #: worth behind that counts no more
 STEPS, NOTHING = (0.1, 0.3, 0.7, 1.5, 3.0, 6.0), 6.0
 #: where a search begins: white, runs that do not repeat, an error carried along
-STARTS = tuple(
+START_POINTS = tuple(
     np.array(v)
     for v in (
         (-2.0, -2.0, REACH, -2.0),
@@ -58,15 +58,15 @@ def fit(
     variances of single readings stay as in `start`; the level is 1.
     """
     given = start is not None
-    start = stated(runs) if start is None else start
-    groups = int(runs.group.max()) + 1
+    start = stated_law(runs) if start is None else start
+    groups = int(runs.channel.max()) + 1
     bounds = (*_BOUNDS, *[(-_RATIO, _RATIO)] * (groups - 1))
 
     def law(v: Array) -> NoiseLaw:
         ratio = None
         if groups > 1:
-            ratio = np.exp(np.concatenate([[0.0], v[4:]]))[runs.group]
-        return dataclasses.replace(_law(start, v), level=1.0, ratio=ratio)
+            ratio = np.exp(np.concatenate([[0.0], v[4:]]))[runs.channel]
+        return dataclasses.replace(_law(start, v), level=1.0, channel_ratio=ratio)
 
     def cost(v: Array) -> float:
         inside = all(
@@ -77,7 +77,9 @@ def fit(
         return -(log_evidence(law(v)) + _prior(v))
 
     first = _first(runs, start)
-    starts = [first] if given else [np.concatenate([v, first[4:]]) for v in STARTS]
+    starts = (
+        [first] if given else [np.concatenate([v, first[4:]]) for v in START_POINTS]
+    )
     best = min((_descend(cost, v) for v in starts), key=lambda minimum: minimum[1])
     return law(best[0]), _prior(best[0]) + _about(cost, *best)
 
@@ -116,16 +118,18 @@ def _side(height: Callable[[float], float], end: float) -> float:
 
 def _first(runs: Runs, law: NoiseLaw) -> Array:
     """Coordinates of a law."""
-    groups = int(runs.group.max()) + 1
+    groups = int(runs.channel.max()) + 1
     ratios = np.zeros(groups - 1)
-    if law.ratio is not None:
-        ratios = np.log([law.ratio[runs.group == g][0] for g in range(1, groups)])
+    if law.channel_ratio is not None:
+        ratios = np.log(
+            [law.channel_ratio[runs.channel == g][0] for g in range(1, groups)]
+        )
     return np.array(
         [
-            _inverse(law.repeat),
-            _inverse(law.wander),
-            np.log(law.reach),
-            _inverse(law.sway),
+            _inverse(law.run_sd),
+            _inverse(law.ar1_sd),
+            np.log(law.ar1_length),
+            _inverse(law.run_harmonic_sd),
             *ratios,
         ]
     )
@@ -136,10 +140,10 @@ def _law(start: NoiseLaw, v: Array) -> NoiseLaw:
     shares = [_size(s) for s in v[_SHARES]]
     return dataclasses.replace(
         start,
-        repeat=shares[0],
-        wander=shares[1],
-        reach=float(np.exp(v[2])),
-        sway=shares[2],
+        run_sd=shares[0],
+        ar1_sd=shares[1],
+        ar1_length=float(np.exp(v[2])),
+        run_harmonic_sd=shares[2],
     )
 
 
@@ -175,7 +179,7 @@ def _prior(v: Array) -> float:
     )
 
 
-def quiet(law: NoiseLaw) -> tuple[NoiseLaw, float]:
+def without_run_noise(law: NoiseLaw) -> tuple[NoiseLaw, float]:
     """The law without errors that a run or its readings share, and the log of the prior
     that lies about it: whatever is seen is then a gap.
     """
@@ -184,28 +188,30 @@ def quiet(law: NoiseLaw) -> tuple[NoiseLaw, float]:
     return _law(law, v), _prior(v) + float(np.log(volume).sum())
 
 
-def words(runs: Runs, law: NoiseLaw) -> tuple[str, ...]:
+def describe(runs: Runs, law: NoiseLaw) -> tuple[str, ...]:
     """A law as a person reads it."""
     told = [f"single readings scatter by {law.level:.2g} times the stated noise"]
-    if law.repeat > 0.2:
+    if law.run_sd > 0.2:
         told.append(
-            f"a run repeats to {law.level * law.repeat:.2g} times the stated noise"
+            f"a run repeats to {law.level * law.run_sd:.2g} times the stated noise"
         )
-    if law.sway > 0.2:
+    if law.run_harmonic_sd > 0.2:
         told.append(
-            f"a run's first harmonic repeats to {law.level * law.sway:.2g} times the"
+            f"a run's first harmonic repeats to {law.level * law.run_harmonic_sd:.2g} times the"
             " stated noise"
         )
-    if law.wander > 0.2:
+    if law.ar1_sd > 0.2:
         told.append(
-            f"an error of {law.level * law.wander:.2g} times the stated noise is"
-            f" carried along over about {law.reach:.0f} readings"
+            f"an error of {law.level * law.ar1_sd:.2g} times the stated noise is"
+            f" carried along over about {law.ar1_length:.0f} readings"
         )
-    if np.isfinite(law.tails):
+    if np.isfinite(law.student_dof):
         told.append(
-            f"readings far off are frequent (Student t with {law.tails:.2g} degrees of"
+            f"readings far off are frequent (Student t with {law.student_dof:.2g} degrees of"
             " freedom)"
         )
-    if law.strays > 0.0:
-        told.append(f"about {100.0 * law.strays:.2g} % of the readings are far off")
+    if law.outlier_share > 0.0:
+        told.append(
+            f"about {100.0 * law.outlier_share:.2g} % of the readings are far off"
+        )
     return tuple(told)

@@ -37,15 +37,15 @@ class NoiseLaw:
                             normal
     """
 
-    repeat: float
-    wander: float
-    reach: float
+    run_sd: float
+    ar1_sd: float
+    ar1_length: float
     variance: Array
     level: float = 1.0
-    tails: float = np.inf
-    strays: float = 0.0
-    ratio: Array | None = None
-    sway: float = 0.0
+    student_dof: float = np.inf
+    outlier_share: float = 0.0
+    channel_ratio: Array | None = None
+    run_harmonic_sd: float = 0.0
 
     def block(self, runs: Runs, number: int, rows: Index | None = None) -> Array:
         """Covariance (k, k) of a run's readings, or of those of its `rows` (positions
@@ -60,20 +60,20 @@ class NoiseLaw:
         """Covariances (B, k, k) of the runs of a batch."""
         members = batch.members
         root = np.sqrt(self.variance[members])
-        covariance = batch.correlation * (root[:, :, None] * root[:, None, :])
+        covariance = batch.stated_correlation * (root[:, :, None] * root[:, None, :])
         related = (
-            self.repeat**2
-            + self.wander**2 * np.exp(batch.distance * (-1.0 / self.reach))
-            + self.sway**2 * batch.harmonic
+            self.run_sd**2
+            + self.ar1_sd**2 * np.exp(batch.distance * (-1.0 / self.ar1_length))
+            + self.run_harmonic_sd**2 * batch.harmonic_cosine
         )
         covariance += np.where(batch.same_channel, related, 0.0)
-        if self.ratio is not None:
-            ratio = self.ratio[members]
+        if self.channel_ratio is not None:
+            ratio = self.channel_ratio[members]
             covariance *= ratio[:, :, None] * ratio[:, None, :]
         return np.asarray(self.level**2 * covariance)
 
 
-def stated(runs: Runs) -> NoiseLaw:
+def stated_law(runs: Runs) -> NoiseLaw:
     """The stated noise and nothing else."""
     return NoiseLaw(0.0, 0.0, 1.0, np.ones(len(runs)))
 
@@ -99,7 +99,7 @@ class Whitener:
             )
         self.size = sum(members.size for members, _ in self._parts)
 
-    def white(self, values: Array) -> Array:
+    def whiten(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened."""
         wide = values[:, None] if values.ndim == 1 else values
         done = [
@@ -119,7 +119,7 @@ def _blocks(runs: Runs, law: NoiseLaw, rows: Index | None) -> list[tuple[Index, 
     counted = np.zeros(len(runs), dtype=bool)
     counted[rows] = True
     found: dict[int, tuple[list[Index], list[Array]]] = {}
-    for k, members in enumerate(runs.blocks):
+    for k, members in enumerate(runs.members):
         mine = np.flatnonzero(counted[members])
         if mine.size:
             batch = found.setdefault(mine.size, ([], []))

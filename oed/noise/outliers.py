@@ -35,15 +35,15 @@ _GRID = np.linspace(-60.0, 60.0, 12001)
 
 
 @dataclasses.dataclass(frozen=True)
-class Student:
+class StudentT:
     """Student t of some degrees of freedom."""
 
-    degrees: float
-    strays = 0.0
+    dof: float
+    outlier_share = 0.0
 
     def log_density(self, e: Array) -> Array:
         """Of errors in units of the scale."""
-        n = self.degrees
+        n = self.dof
         norm = (
             special.gammaln(0.5 * (n + 1.0))
             - special.gammaln(0.5 * n)
@@ -53,20 +53,22 @@ class Student:
 
     def weight(self, e: Array) -> Array:
         """s(e) / e."""
-        return (self.degrees + 1.0) / (self.degrees + e**2)
+        return (self.dof + 1.0) / (self.dof + e**2)
 
 
 @dataclasses.dataclass(frozen=True)
-class Mixed:
+class ContaminatedNormal:
     """Normal errors, a share of which, `strays`, is `wild` times as large."""
 
-    strays: float
-    wild: float
-    degrees = np.inf
+    outlier_share: float
+    outlier_scale: float
+    dof = np.inf
 
     def _parts(self, e: Array) -> tuple[Array, Array]:
-        core = np.log1p(-self.strays) - 0.5 * e**2
-        return core, np.log(self.strays / self.wild) - 0.5 * (e / self.wild) ** 2
+        core = np.log1p(-self.outlier_share) - 0.5 * e**2
+        return core, np.log(self.outlier_share / self.outlier_scale) - 0.5 * (
+            e / self.outlier_scale
+        ) ** 2
 
     def log_density(self, e: Array) -> Array:
         """Of errors in units of the core's."""
@@ -76,19 +78,22 @@ class Mixed:
         """s(e) / e."""
         core, far = self._parts(e)
         ordinary = special.expit(core - far)
-        return np.asarray(ordinary + (1.0 - ordinary) / self.wild**2)
+        return np.asarray(ordinary + (1.0 - ordinary) / self.outlier_scale**2)
 
 
-Shape = Student | Mixed
-NORMAL = Mixed(1e-12, 1.0)
-SHAPES: tuple[Shape, ...] = (
-    *(Student(n) for n in DEGREES),
-    *(Mixed(share, wild) for share, wild in itertools.product(SHARES, WILD)),
+ErrorDensity = StudentT | ContaminatedNormal
+NORMAL = ContaminatedNormal(1e-12, 1.0)
+CANDIDATE_DENSITIES: tuple[ErrorDensity, ...] = (
+    *(StudentT(n) for n in DEGREES),
+    *(
+        ContaminatedNormal(share, wild)
+        for share, wild in itertools.product(SHARES, WILD)
+    ),
 )
 
 
 @functools.cache
-def information(shape: Shape) -> float:
+def fisher_information(shape: ErrorDensity) -> float:
     """Fisher information of an error, over that of a normal one of the same unit."""
     score = shape.weight(_GRID) * _GRID
     return float(np.trapezoid(score**2 * np.exp(shape.log_density(_GRID)), _GRID))
@@ -105,14 +110,14 @@ class Outliers:
                       ones
     """
 
-    residual: Array
-    shape: Shape
+    pseudo_residual: Array
+    density: ErrorDensity
     log_odds: float
 
-    def law(self, law: NoiseLaw) -> NoiseLaw:
+    def with_outliers(self, law: NoiseLaw) -> NoiseLaw:
         """The law of `residual`, with how many of the readings are far off."""
         return dataclasses.replace(
-            law, tails=self.shape.degrees, strays=self.shape.strays
+            law, student_dof=self.density.dof, outlier_share=self.density.outlier_share
         )
 
 
@@ -129,26 +134,28 @@ def detect(residual: Array, covariance: Array) -> Outliers | None:
     for turn in range(TURNS):
         predicted = clean - inverse @ clean / precision
         errors = (residual - predicted) * np.sqrt(precision)
-        fits = [(shape, *_fitted(shape, errors)) for shape in (NORMAL, *SHAPES)]
+        fits = [
+            (shape, *_fitted(shape, errors)) for shape in (NORMAL, *CANDIDATE_DENSITIES)
+        ]
         shape, scale, height = max(fits[1:], key=lambda fit: fit[2])
         if height < fits[0][2] + WORTH:
             return None
         e = errors / scale
-        normal = shape.weight(e) * e / information(shape)
+        normal = shape.weight(e) * e / fisher_information(shape)
         step = predicted + normal * scale / np.sqrt(precision) - clean
         clean = clean + (step if turn == 0 else 0.5 * step)
         if np.abs(step).max() < STILL:
             break
-    least = information(shape)
+    least = fisher_information(shape)
     odds = (
         shape.log_density(e)
         - NORMAL.log_density(normal * np.sqrt(least))
         - 0.5 * np.log(least)
     )
-    return Outliers(clean, shape, float(odds.sum()) - np.log(len(SHAPES)))
+    return Outliers(clean, shape, float(odds.sum()) - np.log(len(CANDIDATE_DENSITIES)))
 
 
-def _fitted(shape: Shape, errors: Array) -> tuple[float, float]:
+def _fitted(shape: ErrorDensity, errors: Array) -> tuple[float, float]:
     """The scale of errors that suits a shape best, and their log likelihood."""
 
     def cost(log_scale: float) -> float:

@@ -28,20 +28,20 @@ class RunBatch:
     """
 
     members: Index
-    correlation: Array
+    stated_correlation: Array
     same_channel: Mask
     distance: Array
-    harmonic: Array
+    harmonic_cosine: Array
 
     def take(self, rows: Index) -> RunBatch:
         """The readings at positions `rows` (k',) of each run."""
         pairs = (slice(None), rows[:, None], rows)
         return RunBatch(
             members=self.members[:, rows],
-            correlation=self.correlation[pairs],
+            stated_correlation=self.stated_correlation[pairs],
             same_channel=self.same_channel[pairs],
             distance=self.distance[pairs],
-            harmonic=self.harmonic[pairs],
+            harmonic_cosine=self.harmonic_cosine[pairs],
         )
 
 
@@ -56,23 +56,25 @@ class Runs:
     phase    (N,) angle of each reading along its circle, rad
     """
 
-    base: tuple[Array | None, ...]
-    blocks: tuple[Index, ...]
-    along: Array
-    group: Index
+    stated_correlation: tuple[Array | None, ...]
+    members: tuple[Index, ...]
+    position: Array
+    channel: Index
     phase: Array
 
     def __len__(self) -> int:
-        return len(self.along)
+        return len(self.position)
 
     @functools.cached_property
     def batches(self) -> tuple[RunBatch, ...]:
         """All runs, those of one length together; channels apart where independent."""
         by_size: dict[int, list[tuple[Index, Array | None]]] = {}
-        for members, correlation in zip(self.blocks, self.base, strict=True):
+        for members, correlation in zip(
+            self.members, self.stated_correlation, strict=True
+        ):
             parts = [members]
             if correlation is None:
-                channel = self.group[members]
+                channel = self.channel[members]
                 parts = [members[channel == g] for g in np.unique(channel)]
             for part in parts:
                 by_size.setdefault(len(part), []).append((part, correlation))
@@ -80,18 +82,18 @@ class Runs:
 
     def batch(self, number: int) -> RunBatch:
         """One run, by its number."""
-        return self._batch([(self.blocks[number], self.base[number])])
+        return self._batch([(self.members[number], self.stated_correlation[number])])
 
     def _batch(self, parts: Sequence[tuple[Index, Array | None]]) -> RunBatch:
         members = np.array([part for part, _ in parts])
         size = members.shape[1]
         stated = [np.eye(size) if known is None else known for _, known in parts]
-        channel, along = self.group[members], self.along[members]
+        channel, along = self.channel[members], self.position[members]
         phase = self.phase[members]
         return RunBatch(
             members=members,
-            correlation=np.array(stated),
+            stated_correlation=np.array(stated),
             same_channel=channel[:, :, None] == channel[:, None, :],
             distance=np.abs(along[:, :, None] - along[:, None, :]),
-            harmonic=np.cos(phase[:, :, None] - phase[:, None, :]),
+            harmonic_cosine=np.cos(phase[:, :, None] - phase[:, None, :]),
         )

@@ -135,7 +135,7 @@ def _build(rows: Sequence[Row], name: str, measurement: Measurement) -> Dataset:
         (i, [row.get(key, "") for key in header]) for i, row in enumerate(rows, start=2)
     ]
     try:
-        return dataset.build(
+        return dataset.from_tables(
             [readings_table.from_rows([(1, header), *cells], name)], measurement
         )
     except ReadingsError as error:

@@ -266,7 +266,7 @@ def _held(machine: Machine, instrument: Instrument) -> str | None:
     """The coordinate by which the instrument can lead the tool at most poses of the
     grid, if there is one.
     """
-    if instrument.holds is None:
+    if instrument.fixed_reading is None:
         return None
     ends = [
         (0.0, 2.0 * math.pi) if _turns(c) else _span(c, machine)
@@ -291,7 +291,9 @@ def _share(
     setup = mount(instrument, SETUP, teach=teach, **settings)  # type: ignore[arg-type]
     try:
         return float(
-            Measurement(machine, [setup]).hold(SETUP, command, coordinate)[1].mean()
+            Measurement(machine, [setup])
+            .commands_at_fixed_reading(SETUP, command, coordinate)[1]
+            .mean()
         )
     except (AssemblyError, ValueError):
         return 0.0

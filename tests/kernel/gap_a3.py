@@ -21,7 +21,7 @@ def _scale(state: State) -> Iterable[Column]:
 
 def _gravity(state: State) -> Iterable[Column]:
     load = 600.0 + np.nan_to_num(state.payload)
-    give = state.force * state.per_length * load[:, None]
+    give = state.tool_force * state.joint_per_length * load[:, None]
     yield Column("legs", GIVES, "", {i: give[:, i] for i in state.limbs})
 
 
@@ -38,7 +38,7 @@ bar_length = _effect(
 
 
 def warm(state: State, tau: float) -> Iterable[Column]:
-    rise = 1.0 - np.exp(-(state.time - state.span[0]) / tau)
+    rise = 1.0 - np.exp(-(state.time - state.session_span[0]) / tau)
     yield Column("frame", 5e-6, "", {i: rise for i in state.limbs})
     yield Column(
         "leg 1 more", 2e-6, "leg 1", {0: rise * state.joints[:, 0]}, shape=True

@@ -15,7 +15,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 from pkm_models.instruments import relative
 from pkm_models.machines import planar_2dof
 
@@ -61,9 +61,9 @@ def readings(
     )
     rng = np.random.default_rng(seed)
     noise = made.slopes @ rng.standard_normal(made.slopes.shape[1])
-    for k, members in enumerate(made.blocks):
+    for k, members in enumerate(made.members):
         noise[members] += np.linalg.cholesky(
-            stated(made).block(made, k)
+            stated_law(made).block(made, k)
         ) @ rng.standard_normal(len(members))
     return made.with_residual(noise)
 
@@ -108,7 +108,7 @@ def _bow(state: State, turns: float) -> list[Column]:
 
 def _slip(state: State) -> list[Column]:
     return [
-        Column(f"leg {i + 1}", 5e-6, f"leg {i + 1}", {i: state.sense[:, i]})
+        Column(f"leg {i + 1}", 5e-6, f"leg {i + 1}", {i: state.motion_sign[:, i]})
         for i in state.limbs
     ]
 

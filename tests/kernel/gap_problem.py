@@ -63,7 +63,7 @@ def law(problem: GapProblem) -> NoiseLaw:
         5.0,
         np.random.default_rng(3).uniform(0.6, 1.8, len(problem)),
         level=1.3,
-        sway=0.6,
+        run_harmonic_sd=0.6,
     )
 
 
@@ -72,12 +72,14 @@ def dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
     formula.
     """
     total, phase = np.diag(law.variance), problem.rows["phase"].to_numpy(dtype=float)
-    for members in problem.blocks:
+    for members in problem.members:
         for i in members:
             for j in members:
-                lag = abs(problem.along[i] - problem.along[j])
-                total[i, j] += law.repeat**2 + law.wander**2 * np.exp(-lag / law.reach)
-                total[i, j] += law.sway**2 * np.cos(phase[i] - phase[j])
+                lag = abs(problem.position[i] - problem.position[j])
+                total[i, j] += law.run_sd**2 + law.ar1_sd**2 * np.exp(
+                    -lag / law.ar1_length
+                )
+                total[i, j] += law.run_harmonic_sd**2 * np.cos(phase[i] - phase[j])
     return law.level**2 * total + problem.slopes @ problem.slopes.T
 
 

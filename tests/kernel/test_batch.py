@@ -4,15 +4,19 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.batch import CHUNKS, Batched
+from oed.batch import CHUNK_SIZES, BatchedFunction
 
 A, B = ca.SX.sym("a", 3), ca.SX.sym("b", 2)
-SIZES = sorted({1, 2, 3, *CHUNKS, *(c + 1 for c in CHUNKS), 2 * CHUNKS[0] + 5})
+SIZES = sorted(
+    {1, 2, 3, *CHUNK_SIZES, *(c + 1 for c in CHUNK_SIZES), 2 * CHUNK_SIZES[0] + 5}
+)
 
 
 @pytest.fixture(scope="module")
-def function() -> Batched:
-    return Batched("f", [A, B], [A * ca.sum1(B), A @ B.T + 1.0, ca.sum1(A) / A[0]])
+def function() -> BatchedFunction:
+    return BatchedFunction(
+        "f", [A, B], [A * ca.sum1(B), A @ B.T + 1.0, ca.sum1(A) / A[0]]
+    )
 
 
 def expected(a: np.ndarray, b: np.ndarray) -> list[np.ndarray]:
@@ -32,13 +36,15 @@ def same(got: list[np.ndarray], want: list[np.ndarray]) -> bool:
 
 @pytest.mark.parametrize("n", SIZES)
 def test_batches_of_any_size_equal_numpy(
-    function: Batched, rng: np.random.Generator, n: int
+    function: BatchedFunction, rng: np.random.Generator, n: int
 ) -> None:
     a, b = rng.uniform(1, 2, (n, 3)), rng.uniform(1, 2, (n, 2))
     assert same(function(a, b), expected(a, b))
 
 
-def test_one_row_serves_all(function: Batched, rng: np.random.Generator) -> None:
+def test_one_row_serves_all(
+    function: BatchedFunction, rng: np.random.Generator
+) -> None:
     a, b = rng.uniform(1, 2, (70, 3)), rng.uniform(1, 2, 2)
     wide = np.tile(b, (70, 1))
     assert same(function(a, b), expected(a, wide))
@@ -47,7 +53,7 @@ def test_one_row_serves_all(function: Batched, rng: np.random.Generator) -> None
 
 
 def test_results_are_not_overwritten_by_the_next_call(
-    function: Batched, rng: np.random.Generator
+    function: BatchedFunction, rng: np.random.Generator
 ) -> None:
     a, b = rng.uniform(1, 2, (10, 3)), rng.uniform(1, 2, (10, 2))
     first = function(a, b)
@@ -57,7 +63,7 @@ def test_results_are_not_overwritten_by_the_next_call(
 
 
 def test_inputs_may_be_views_and_are_left_alone(
-    function: Batched, rng: np.random.Generator
+    function: BatchedFunction, rng: np.random.Generator
 ) -> None:
     a, b = rng.uniform(1, 2, (3, 12)).T[::2], rng.uniform(1, 2, (6, 4))[:, ::2]
     before = a.copy(), b.copy()
@@ -68,13 +74,13 @@ def test_inputs_may_be_views_and_are_left_alone(
 
 def test_an_empty_input_and_an_empty_batch() -> None:
     none = ca.SX.sym("none", 0)
-    square = Batched("g", [A, none], [A**2, ca.jacobian(A, none)])
+    square = BatchedFunction("g", [A, none], [A**2, ca.jacobian(A, none)])
     value, slope = square(np.full((5, 3), 2.0), np.zeros((5, 0)))
     assert (value == 4.0).all()
     assert slope.size == 0
     assert square(np.zeros((0, 3)), np.zeros((0, 0)))[0].shape == (0, 3)
 
 
-def test_a_batch_of_the_wrong_length_is_refused(function: Batched) -> None:
+def test_a_batch_of_the_wrong_length_is_refused(function: BatchedFunction) -> None:
     with pytest.raises(ValueError, match="broadcast"):
         function(np.ones((4, 3)), np.ones((3, 2)))

@@ -29,7 +29,7 @@ def test_joint_corrections_are_eq_24_and_what_remains_is_eq_25(
     model = compensate.error_model(A3, command)
     oracle = a3.compensator(*command.T)
     assert np.abs(model.joints - oracle.dq).max() < 1e-11 * np.abs(oracle.dq).max()
-    left = A3.components_slope(command) @ model.remaining
+    left = A3.error_components_jacobian(command) @ model.remaining
     assert (
         np.abs(left[:, [0, 1, 5]] - oracle.dc).max() < 1e-11 * np.abs(oracle.dc).max()
     )
@@ -52,7 +52,7 @@ def test_a_longer_tool_holds_its_own_point(rng: np.random.Generator) -> None:
     command, tool = commands(rng, 50) + np.array([0.1, 0, 0]), np.array([0, 0, 0.1])
     model = compensate.error_model(A3, command, tool)
     assert np.abs(model.raw - a3.linear_model(*command.T, 0.1)).max() < 1e-12
-    left = A3.components_slope(command) @ model.remaining
+    left = A3.error_components_jacobian(command) @ model.remaining
     assert np.abs(left[:, 2:5]).max() < 1e-11
     q = a3.inverse_nominal(*command.T, 0.1)
     by_joint = (
@@ -68,14 +68,14 @@ def test_a_known_machine_reaches_its_commands_exactly(rng: np.random.Generator) 
     """
     command = commands(rng, 60)
     for p in SPREAD * rng.standard_normal((5, 24)):
-        reached = a3.forward(p, compensate.joints(A3, command, p))
+        reached = a3.forward(p, compensate.compensated_joints(A3, command, p))
         psi, theta, _ = a3.euler(reached.R)
         assert np.abs(reached.tip[:, 2] - command[:, 0]).max() < 1e-13
         assert np.abs(np.angle(np.exp(1j * (psi - command[:, 1])))).max() < 1e-11
         assert np.abs(theta - command[:, 2]).max() < 1e-12
     machine = linear_delta.machine.nominal + 2e-3 * rng.standard_normal(10)
     point = CASES["linear_delta"].commands(rng, 60)
-    q = compensate.joints(DELTA, point, machine)
+    q = compensate.compensated_joints(DELTA, point, machine)
     assert (
         np.abs(
             delta.nozzle(q, machine[0], machine[1:4], machine[4:7], machine[7:]) - point

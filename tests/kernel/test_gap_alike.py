@@ -13,10 +13,10 @@ from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.library import DIFFER, Library
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 
 LOOSE = dataclasses.replace(BOW, constants={"turns": (2.0,)})
-TWINS = dataclasses.replace(LOOSE, name="twins", alike=True)
+TWINS = dataclasses.replace(LOOSE, name="twins", common_to_limbs=True)
 
 
 def _more(state: State, turns: float) -> list[Column]:
@@ -75,7 +75,9 @@ def test_what_adapts_is_alike_too() -> None:
 
 @pytest.mark.parametrize("share", [0.1, 0.5])
 def test_an_effect_says_how_likely_its_textbook_form_is(share: float) -> None:
-    made = library.build(readings(1), [dataclasses.replace(ADAPTING, textbook=share)])
+    made = library.build(
+        readings(1), [dataclasses.replace(ADAPTING, textbook_share=share)]
+    )
     plain_forms = [
         a for a in made.atoms if not any("more" in made.names[c] for c in a.columns)
     ]
@@ -109,6 +111,6 @@ def test_evidence_is_for_what_limbs_are(
 def _evidence(problem: GapProblem, effect: Effect) -> float:
     none = library.build(problem, ())
     search = Search(
-        problem, library.build(problem, [effect]), none, stated(problem), 0.0
+        problem, library.build(problem, [effect]), none, stated_law(problem), 0.0
     )
     return next(h for h in search.run() if h.effects).log_evidence

@@ -20,7 +20,7 @@ from oed.gap.data.signature import signature
 from oed.gap.forms import library
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 from pkm_models.effects import bar_length, encoder_scale
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
@@ -58,7 +58,7 @@ def readings(bars: tuple[Bar, ...]) -> GapProblem:
                 a3_plans.HOME_Z + setup.tool[2] + stroke,
                 2 * np.pi * np.arange(POINTS) / POINTS,
             )
-            command, possible = m.hold(
+            command, possible = m.commands_at_fixed_reading(
                 name, np.column_stack([0 * psi + z, psi, 0 * psi]), "theta"
             )
             if possible.all():
@@ -137,7 +137,7 @@ def searched(
     acting = p.with_residual(change + noise)
     nothing = library.build(acting, ())
     search = Search(
-        acting, library.build(acting, EFFECTS), nothing, stated(acting), 0.0
+        acting, library.build(acting, EFFECTS), nothing, stated_law(acting), 0.0
     )
     found = search.fit((effect,), (search.library.atoms_of(effect)[0],), (1.0,))
     return search, found

@@ -14,7 +14,7 @@ from oed.gap.cause.closure import closure, expected_gain, oracle_closure
 from oed.gap.data.problem import GapProblem, assemble
 from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 from pkm_models.instruments import calliper
 from pkm_models.machines import linear_delta
 
@@ -25,7 +25,7 @@ def held_out(problem: GapProblem, split: str) -> list[np.ndarray]:
     """Masks of the folds of `case.circles`, from how its runs were made: heights, or
     fifths by the angle commanded.
     """
-    height, psi = problem.series[0].commands()[:, :2].T
+    height, psi = problem.series[0].reading_commands()[:, :2].T
     if split == "whole":
         return [height == h for h in np.unique(height)]
     fifth = np.searchsorted(np.unique(psi), psi) * 5 // len(np.unique(psi))
@@ -187,7 +187,7 @@ def test_right_effect_closes_what_the_oracle_closes_and_a_wrong_one_harms(
     root = np.linalg.cholesky(covariance)
     G = np.column_stack(
         [
-            case.in_joint(problem, k, 1e-6 * problem.states[0].sense[:, k])
+            case.in_joint(problem, k, 1e-6 * problem.states[0].motion_sign[:, k])
             for k in range(3)
         ]
     )
@@ -217,11 +217,11 @@ def test_right_effect_closes_what_the_oracle_closes_and_a_wrong_one_harms(
 
 def test_interval_covers_the_oracles_closure(rng: np.random.Generator) -> None:
     problem = case.circles()
-    law = stated(problem)
+    law = stated_law(problem)
     covariance = case.dense(problem, law)
     root = np.linalg.cholesky(covariance)
     change = case.sized(
-        case.in_joint(problem, 0, 1e-6 * problem.states[0].sense[:, 0]),
+        case.in_joint(problem, 0, 1e-6 * problem.states[0].motion_sign[:, 0]),
         covariance,
         10.0,
     )
@@ -235,7 +235,7 @@ def test_interval_covers_the_oracles_closure(rng: np.random.Generator) -> None:
 
 def test_repeats_are_held_out_together() -> None:
     problem = case.circles(12, (1.10, 1.22), 3)
-    height = problem.series[0].commands()[:, 0]
+    height = problem.series[0].reading_commands()[:, 0]
     # what only one height has can not be learned from the other: no gain on whole runs,
     # though five repeats have it
     change = np.where(height < 1.15, 1.0, 0.0) * np.cos(
@@ -250,10 +250,10 @@ def test_repeats_are_held_out_together() -> None:
         ]
     )
     whole = closure(
-        r, stated(r), G, np.random.default_rng(0), split="whole", scale=20.0
+        r, stated_law(r), G, np.random.default_rng(0), split="whole", scale=20.0
     )
     within = closure(
-        r, stated(r), G, np.random.default_rng(0), split="within", scale=20.0
+        r, stated_law(r), G, np.random.default_rng(0), split="within", scale=20.0
     )
     assert abs(whole.value) < 0.05
     assert within.value > 0.9
@@ -265,7 +265,7 @@ def test_where_all_runs_repeat_one_path_each_is_held_out(
     problem = case.circles(12, (1.16,), 2)
     way = problem.rows["direction"].to_numpy(dtype=float)
     r = problem.with_residual(10.0 * way + rng.standard_normal(len(way)))
-    found = closure(r, stated(r), way[:, None], rng, split="whole", scale=10.0)
+    found = closure(r, stated_law(r), way[:, None], rng, split="whole", scale=10.0)
     assert (found.n, found.value > 0.9) == (len(way), True)
 
 
@@ -277,11 +277,12 @@ def test_one_run_cannot_be_held_out_whole(rng: np.random.Generator) -> None:
         [series.take(np.arange(12))],
         full.rows.iloc[:12][["setup", "run", "order"]],
     )
-    found = closure(problem, stated(problem), np.ones((12, 1)), rng, split="whole")
+    found = closure(problem, stated_law(problem), np.ones((12, 1)), rng, split="whole")
     assert found.n == 0
     assert np.isnan(found.value)
     assert (
-        closure(problem, stated(problem), np.ones((12, 1)), rng, split="within").n == 12
+        closure(problem, stated_law(problem), np.ones((12, 1)), rng, split="within").n
+        == 12
     )
 
 
@@ -299,7 +300,7 @@ def test_short_runs_make_five_folds(rng: np.random.Generator) -> None:
     r = problem.with_residual(rng.standard_normal(len(problem)))
     for split in SPLITS:
         found = closure(
-            r, stated(r), rng.standard_normal((len(r), 2)), rng, split=split
+            r, stated_law(r), rng.standard_normal((len(r), 2)), rng, split=split
         )
         assert found.n == 20
         assert found.s0 < 4.0
@@ -338,7 +339,7 @@ def test_same_seed_same_closure_and_folds_do_not_depend_on_it(
 def test_columns_that_do_not_fit_are_refused(
     readings: GapProblem, rng: np.random.Generator
 ) -> None:
-    law = stated(readings)
+    law = stated_law(readings)
     with pytest.raises(ValueError, match=r"143, 1.*144 readings need \(144, k\)"):
         closure(readings, law, np.ones((143, 1)), rng, split="whole")
     bad = np.ones((144, 2))

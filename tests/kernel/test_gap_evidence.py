@@ -26,13 +26,13 @@ def problem() -> GapProblem:
 
 def _law(problem: GapProblem) -> NoiseLaw:
     variance = 1.0 + np.arange(len(problem)) % 3
-    ratio = np.where(problem.group == 0, 1.0, 1.7)
-    return NoiseLaw(0.8, 1.5, 4.0, variance, ratio=ratio, sway=0.7)
+    ratio = np.where(problem.channel == 0, 1.0, 1.7)
+    return NoiseLaw(0.8, 1.5, 4.0, variance, channel_ratio=ratio, run_harmonic_sd=0.7)
 
 
 def _dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
     covariance = problem.slopes @ problem.slopes.T
-    for k, members in enumerate(problem.blocks):
+    for k, members in enumerate(problem.members):
         covariance[np.ix_(members, members)] += law.block(problem, k)
     return covariance
 
@@ -156,20 +156,20 @@ def test_residual_does_not_depend_on_where_the_fit_ended(problem: GapProblem) ->
 )
 def test_noise_law_is_found(repeat: float, wander: float, sway: float) -> None:
     problem = white_lines(7, runs=12, length=40)
-    true = NoiseLaw(repeat, wander, 6.0, np.ones(len(problem)), sway=sway)
+    true = NoiseLaw(repeat, wander, 6.0, np.ones(len(problem)), run_harmonic_sd=sway)
     rng = np.random.default_rng(8)
     y = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
-    for k, members in enumerate(problem.blocks):
+    for k, members in enumerate(problem.members):
         y[members] += linalg.cholesky(
             true.block(problem, k), lower=True
         ) @ rng.standard_normal(len(members))
     found, _ = noise.fit_law(problem.with_residual(y), np.zeros((len(problem), 0)))
     # the reference reading of RM 5 is shared already: repeat comes on top
-    assert found.repeat == pytest.approx(repeat, abs=0.4 + 0.4 * repeat)
-    assert found.wander == pytest.approx(wander, abs=0.4 + 0.2 * wander)
-    assert found.sway == pytest.approx(sway, abs=0.35 + 0.3 * sway)
+    assert found.run_sd == pytest.approx(repeat, abs=0.4 + 0.4 * repeat)
+    assert found.ar1_sd == pytest.approx(wander, abs=0.4 + 0.2 * wander)
+    assert found.run_harmonic_sd == pytest.approx(sway, abs=0.35 + 0.3 * sway)
     if wander:
-        assert 2.5 < found.reach < 15.0
+        assert 2.5 < found.ar1_length < 15.0
 
 
 def test_prior_about_a_law_is_its_volume() -> None:
@@ -202,20 +202,23 @@ def test_a_law_that_has_to_be_tuned_is_less_likely_than_one_that_holds_anyhow(
     """
     problem, rng = white_lines(7, runs=12, length=40), np.random.default_rng(15)
     y = rng.standard_normal(len(problem))
-    for members in problem.blocks:
+    for members in problem.members:
         y[members] += shift * rng.standard_normal()
     law, prior = noise.fit_law(problem.with_residual(y), np.zeros((len(problem), 0)))
-    quiet, most = estimate.quiet(law)
-    assert (law.repeat > 0.5) == bool(shift)
-    assert quiet.repeat < 0.05
+    quiet, most = estimate.without_run_noise(law)
+    assert (law.run_sd > 0.5) == bool(shift)
+    assert quiet.run_sd < 0.05
     assert most - prior == pytest.approx(2.5 if shift else 0.3, abs=1.0)
 
 
 def test_a_law_in_words_tells_the_first_harmonic(problem: GapProblem) -> None:
-    law = NoiseLaw(0.0, 0.0, 1.0, np.ones(len(problem)), level=2.0, sway=0.8)
-    told = estimate.words(problem, law)
+    law = NoiseLaw(0.0, 0.0, 1.0, np.ones(len(problem)), level=2.0, run_harmonic_sd=0.8)
+    told = estimate.describe(problem, law)
     assert [w for w in told if "first harmonic" in w] == [
         "a run's first harmonic repeats to 1.6 times the stated noise"
     ]
     assert len(told) == 2
-    assert len(estimate.words(problem, dataclasses.replace(law, sway=0.1))) == 1
+    assert (
+        len(estimate.describe(problem, dataclasses.replace(law, run_harmonic_sd=0.1)))
+        == 1
+    )

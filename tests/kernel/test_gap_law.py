@@ -13,7 +13,9 @@ from kernel.gap_lines import readings
 from oed.gap.data.metric import Metric
 from oed.noise.law import NoiseLaw, Whitener
 
-LAW = NoiseLaw(0.7, 0.9, 6.0, np.ones(1), level=1.3, ratio=np.ones(1), sway=0.4)
+LAW = NoiseLaw(
+    0.7, 0.9, 6.0, np.ones(1), level=1.3, channel_ratio=np.ones(1), run_harmonic_sd=0.4
+)
 
 
 @pytest.mark.parametrize("related", [False, True])
@@ -21,20 +23,22 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     problem, rng = readings(3), np.random.default_rng(3)
     size = len(problem)
     wide = [
-        0.4 * np.ones((len(b), len(b))) + 0.6 * np.eye(len(b)) for b in problem.blocks
+        0.4 * np.ones((len(b), len(b))) + 0.6 * np.eye(len(b)) for b in problem.members
     ]
     # a stated correlation of a run's readings keeps its channels together
     problem = dataclasses.replace(
-        problem, base=tuple(wide) if related else (None,) * len(wide)
+        problem, stated_correlation=tuple(wide) if related else (None,) * len(wide)
     )
     variance = rng.uniform(1.0, 3.0, size)
-    law = dataclasses.replace(LAW, variance=variance, ratio=1.0 + 0.5 * problem.group)
+    law = dataclasses.replace(
+        LAW, variance=variance, channel_ratio=1.0 + 0.5 * problem.channel
+    )
     dense = np.zeros((size, size))
-    for k, members in enumerate(problem.blocks):
+    for k, members in enumerate(problem.members):
         dense[np.ix_(members, members)] = law.block(problem, k)
     whitener, values = Whitener(problem, law), rng.standard_normal((size, 3))
     assert whitener.log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-9)
-    white = whitener.white(values)
+    white = whitener.whiten(values)
     assert white.T @ white == pytest.approx(
         values.T @ np.linalg.solve(dense, values), rel=1e-9
     )
@@ -43,5 +47,5 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
         values.T @ np.linalg.solve(geometry, values), rel=1e-6, abs=1e-6
     )
     assert {len(m) for batch in problem.batches for m in batch.members} == {
-        len(problem.blocks[0]) // (1 if related else 2)
+        len(problem.members[0]) // (1 if related else 2)
     }

@@ -16,17 +16,19 @@ from oed.gap import diagnose as diagnosing
 from oed.gap.data import noise
 from oed.gap.data.problem import GapProblem
 from oed.noise import estimate, outliers
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 
 
 def alone(problem: GapProblem) -> GapProblem:
     """The same readings, each independent of the others, with nothing to absorb."""
     free = np.zeros((len(problem), 1))
-    return dataclasses.replace(problem, base=(None,) * len(problem.blocks), slopes=free)
+    return dataclasses.replace(
+        problem, stated_correlation=(None,) * len(problem.members), slopes=free
+    )
 
 
-@pytest.mark.parametrize("shape", outliers.SHAPES, ids=str)
-def test_a_shape_is_a_density_with_its_score(shape: outliers.Shape) -> None:
+@pytest.mark.parametrize("shape", outliers.CANDIDATE_DENSITIES, ids=str)
+def test_a_shape_is_a_density_with_its_score(shape: outliers.ErrorDensity) -> None:
     def density(e: float) -> float:
         return float(np.exp(shape.log_density(np.array(e))))
 
@@ -40,8 +42,10 @@ def test_a_shape_is_a_density_with_its_score(shape: outliers.Shape) -> None:
 def test_a_student_is_scipy_s_and_its_information_is_known() -> None:
     e = np.linspace(-20.0, 20.0, 41)
     for n in outliers.DEGREES:
-        assert outliers.Student(n).log_density(e) == pytest.approx(stats.t(n).logpdf(e))
-        assert outliers.information(outliers.Student(n)) == pytest.approx(
+        assert outliers.StudentT(n).log_density(e) == pytest.approx(
+            stats.t(n).logpdf(e)
+        )
+        assert outliers.fisher_information(outliers.StudentT(n)) == pytest.approx(
             (n + 1.0) / (n + 3.0), abs=1e-4
         )
 
@@ -51,30 +55,34 @@ def test_few_strays_cost_next_to_no_information() -> None:
     as its variance says.
     """
     for share, wild in itertools.product(outliers.SHARES, outliers.WILD):
-        kept = outliers.information(outliers.Mixed(share, wild))
+        kept = outliers.fisher_information(outliers.ContaminatedNormal(share, wild))
         assert 1.0 / (1.0 - share + share * wild**2) < kept < 1.0
         assert kept > 1.0 - 4.0 * share
 
 
 @pytest.mark.parametrize(
     "shape",
-    [outliers.Student(3.0), outliers.Student(6.0), outliers.Mixed(0.02, 10.0)],
+    [
+        outliers.StudentT(3.0),
+        outliers.StudentT(6.0),
+        outliers.ContaminatedNormal(0.02, 10.0),
+    ],
     ids=str,
 )
 def test_a_pseudo_error_tells_of_a_small_change_what_the_error_does(
-    shape: outliers.Shape,
+    shape: outliers.ErrorDensity,
 ) -> None:
     """Log likelihood ratios of a shift by a tenth, one reading in ten thousand; a
     normal law of the same variance in place of the score's would tell far less.
     """
     rng = np.random.default_rng(5)
-    if isinstance(shape, outliers.Student):
-        e = rng.standard_t(shape.degrees, 10_000)
+    if isinstance(shape, outliers.StudentT):
+        e = rng.standard_t(shape.dof, 10_000)
     else:
         e = rng.standard_normal(10_000) * np.where(
-            rng.random(10_000) < shape.strays, shape.wild, 1.0
+            rng.random(10_000) < shape.outlier_share, shape.outlier_scale, 1.0
         )
-    told = outliers.information(shape)
+    told = outliers.fisher_information(shape)
     normal = shape.weight(e) * e / told
     for shift in (-0.06, 0.03, 0.06):
         exact = (shape.log_density(e - shift) - shape.log_density(e)).sum()
@@ -87,7 +95,7 @@ def test_normal_readings_have_no_strays() -> None:
     twenty.
     """
     found = [
-        noise.detect_outliers(p, stated(p), np.zeros((len(p), 0)))
+        noise.detect_outliers(p, stated_law(p), np.zeros((len(p), 0)))
         for p in (white_lines(k, 5, 31) for k in range(12))
     ]
     assert sum(f is not None for f in found) <= 1
@@ -100,12 +108,12 @@ def test_strays_are_told_and_no_others() -> None:
     y = problem.residual.copy()
     y[far] += 12.0 * rng.choice([-1.0, 1.0], 12)
     found = noise.detect_outliers(
-        problem.with_residual(y), stated(problem), np.zeros((len(problem), 0))
+        problem.with_residual(y), stated_law(problem), np.zeros((len(problem), 0))
     )
     assert found is not None
     ordinary = np.delete(np.arange(len(problem)), far)
-    assert np.abs(found.residual - y)[far].min() > 5.0
-    assert np.sqrt(np.mean((found.residual - y)[ordinary] ** 2)) < 0.3
+    assert np.abs(found.pseudo_residual - y)[far].min() > 5.0
+    assert np.sqrt(np.mean((found.pseudo_residual - y)[ordinary] ** 2)) < 0.3
 
 
 @pytest.mark.parametrize(("degrees", "seed"), [(3.0, 1), (4.0, 2)])
@@ -120,9 +128,9 @@ def test_what_is_left_tells_as_much_as_heavy_tails_allow(
     for _ in range(150):
         y = rng.standard_t(degrees, len(problem))
         found = noise.detect_outliers(
-            problem.with_residual(y), stated(problem), np.zeros((len(problem), 0))
+            problem.with_residual(y), stated_law(problem), np.zeros((len(problem), 0))
         )
-        means.append(np.mean(y if found is None else found.residual))
+        means.append(np.mean(y if found is None else found.pseudo_residual))
         plain_means.append(np.mean(y))
     least = (degrees + 3.0) / (degrees + 1.0)
     assert np.var(means) * len(problem) == pytest.approx(least, rel=0.3)
@@ -138,14 +146,16 @@ def test_strays_are_told_beside_a_model_of_many_columns() -> None:
         len(problem)
     )
     assert (
-        noise.detect_outliers(problem.with_residual(y), stated(problem), columns)
+        noise.detect_outliers(problem.with_residual(y), stated_law(problem), columns)
         is None
     )
     far = rng.choice(len(problem), 9, replace=False)
     y[far] += 15.0 * rng.choice([-1.0, 1.0], len(far))
-    found = noise.detect_outliers(problem.with_residual(y), stated(problem), columns)
+    found = noise.detect_outliers(
+        problem.with_residual(y), stated_law(problem), columns
+    )
     assert found is not None
-    moved = np.abs(found.residual - y)
+    moved = np.abs(found.pseudo_residual - y)
     assert moved[far].min() > 5.0
     assert np.quantile(np.delete(moved, far), 0.95) < 1.0
 
@@ -155,10 +165,10 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     be they far off.
     """
     problem = readings(3)
-    law = dataclasses.replace(stated(problem), wander=2.0, reach=8.0)
+    law = dataclasses.replace(stated_law(problem), ar1_sd=2.0, ar1_length=8.0)
     rng = np.random.default_rng(4)
     y = np.zeros(len(problem))
-    for k, members in enumerate(problem.blocks):
+    for k, members in enumerate(problem.members):
         y[members] = np.linalg.cholesky(law.block(problem, k)) @ rng.standard_normal(
             len(members)
         )
@@ -170,8 +180,8 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     )
     assert found is not None
     beside = np.concatenate([far - 2, far + 2])  # two channels are read by turns
-    assert np.abs(found.residual - y)[beside].max() < 1.0
-    assert np.abs(found.residual - y)[far].max() < 5.0
+    assert np.abs(found.pseudo_residual - y)[beside].max() < 1.0
+    assert np.abs(found.pseudo_residual - y)[far].max() < 5.0
 
 
 def test_an_effect_is_found_in_heavy_tails_and_none_without_it() -> None:
@@ -184,7 +194,7 @@ def test_an_effect_is_found_in_heavy_tails_and_none_without_it() -> None:
     healthy = calm.with_residual(calm.residual + wild)
     found = diagnosing.diagnose(healthy, EFFECTS, np.random.default_rng(0))
     assert found.verdict == "none"
-    assert found.law.strays > 0.0 or np.isfinite(found.law.tails)
+    assert found.law.outlier_share > 0.0 or np.isfinite(found.law.student_dof)
     assert any("far off" in words for words in found.noise_words)
     assert found.law.level == pytest.approx(1.0, abs=0.2)
     ill = planted(healthy, SLIP, {"leg 1": 1.0})
@@ -195,13 +205,13 @@ def test_an_effect_is_found_in_heavy_tails_and_none_without_it() -> None:
 
 def test_a_law_in_words_tells_how_many_are_far_off() -> None:
     problem = white_lines()
-    law = stated(problem)
-    assert not any("far off" in words for words in estimate.words(problem, law))
-    few = estimate.words(problem, dataclasses.replace(law, strays=0.02))
+    law = stated_law(problem)
+    assert not any("far off" in words for words in estimate.describe(problem, law))
+    few = estimate.describe(problem, dataclasses.replace(law, outlier_share=0.02))
     assert few[-1] == "about 2 % of the readings are far off"
     assert (
         "Student t with 4 degrees"
-        in estimate.words(problem, dataclasses.replace(law, tails=4.0))[-1]
+        in estimate.describe(problem, dataclasses.replace(law, student_dof=4.0))[-1]
     )
 
 
@@ -210,9 +220,9 @@ def _bumpy(problem: GapProblem, count: int) -> np.ndarray:
     channel of one run.
     """
     made = []
-    for members in problem.blocks:
-        for group in np.unique(problem.group):
-            mine = members[problem.group[members] == group]
+    for members in problem.members:
+        for group in np.unique(problem.channel):
+            mine = members[problem.channel[members] == group]
             at = (np.arange(len(mine)) + 0.5) / len(mine)
             for k in range(count):
                 made.append(np.zeros(len(problem)))

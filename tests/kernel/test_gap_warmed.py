@@ -27,7 +27,9 @@ def machines() -> Machines:
     rows = problem.rows.assign(time=SLOWLY * problem.rows["time"])
     states = tuple(
         dataclasses.replace(
-            s, time=SLOWLY * s.time, span=tuple(SLOWLY * v for v in s.span)
+            s,
+            time=SLOWLY * s.time,
+            session_span=tuple(SLOWLY * v for v in s.session_span),
         )
         for s in problem.states
     )
@@ -69,7 +71,7 @@ def grown(problem: GapProblem, share: np.ndarray) -> np.ndarray:
     state = problem.states[0]
     return np.sum(
         [
-            case.in_joint(problem, i, 1e-6 * share * state.lengthening[:, i])
+            case.in_joint(problem, i, 1e-6 * share * state.joints_per_extension[:, i])
             for i in state.limbs
         ],
         axis=0,

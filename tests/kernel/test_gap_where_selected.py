@@ -146,7 +146,9 @@ def test_an_effects_own_columns_tell_its_leg_where_general_looks_mistake_it(
     columns = np.column_stack([case.in_joint(problem, k, 1e-6 * odd) for k in range(3)])
     for k in range(9):
         change = case.sized(columns[:, k % 3], machines.covariance, 6.0)
-        other = case.in_joint(problem, (k + 1) % 3, 1e-6 * state.sense[:, (k + 1) % 3])
+        other = case.in_joint(
+            problem, (k + 1) % 3, 1e-6 * state.motion_sign[:, (k + 1) % 3]
+        )
         r = (
             change
             + case.sized(other, machines.covariance, 7.0)
@@ -173,14 +175,14 @@ def test_a_selected_wave_is_told_in_a_run_that_has_it(machines: Machines) -> Non
     clock = problem.rows["time"].to_numpy(dtype=float)
     columns = np.column_stack([np.cos(clock / 4.7), np.sin(clock / 4.7)])
     names, right, blind = (
-        [f"run {problem.rows['run'][b[0]]}" for b in problem.blocks],
+        [f"run {problem.rows['run'][b[0]]}" for b in problem.members],
         0,
         0,
     )
     for k in range(6):
         acting, change = (k, (k + 2) % 6), np.zeros(len(problem))
         for run in acting:
-            change[problem.blocks[run]] = columns[problem.blocks[run]] @ [0.6, 0.8]
+            change[problem.members[run]] = columns[problem.members[run]] @ [0.6, 0.8]
         r = case.sized(
             change, machines.covariance, 9.0
         ) + machines.root @ rng.standard_normal(len(problem))
@@ -209,9 +211,9 @@ def test_what_acts_in_some_runs_is_told_in_each_by_all_of_them(
     is told of what acts in all.
     """
     rng, problem = np.random.default_rng(26), machines.problem
-    names = [f"run {problem.rows['run'][b[0]]}" for b in problem.blocks]
+    names = [f"run {problem.rows['run'][b[0]]}" for b in problem.members]
     acting = np.isin(
-        np.arange(len(problem)), np.concatenate([problem.blocks[k] for k in (1, 3, 4)])
+        np.arange(len(problem)), np.concatenate([problem.members[k] for k in (1, 3, 4)])
     )
     odd = rng.standard_normal(len(problem))
     change = np.where(acting, odd, 0.0)
@@ -327,7 +329,10 @@ def test_legs_of_tells_the_leg_and_is_quiet_without_one(machines: Machines) -> N
     rng = np.random.default_rng(8)
     state, scale = machines.problem.states[0], np.ones(3)
     G = np.column_stack(
-        [case.in_joint(machines.problem, k, 3e-6 * state.sense[:, k]) for k in range(3)]
+        [
+            case.in_joint(machines.problem, k, 3e-6 * state.motion_sign[:, k])
+            for k in range(3)
+        ]
     )
     labels, alarms, right = ["leg 1", "leg 2", "leg 3"], 0, 0
     for k in range(200):

@@ -25,16 +25,18 @@ def test_a_sum_that_cannot_be_taken_apart() -> None:
     """Readings see p0 + 2 p1 and p2."""
     v = analyse([[1, 2, 0], [0, 0, 3], [2, 4, 1]])
     assert v.rank == 2
-    assert v.named(v.combinations) == [
+    assert v.coefficients_by_name(v.combinations) == [
         {"p0": pytest.approx(0.5), "p1": pytest.approx(1.0)},
         {"p2": pytest.approx(1.0)},
     ]
-    assert v.named(v.lost) == [{"p0": pytest.approx(1.0), "p1": pytest.approx(-0.5)}]
+    assert v.coefficients_by_name(v.lost) == [
+        {"p0": pytest.approx(1.0), "p1": pytest.approx(-0.5)}
+    ]
 
 
 def test_a_difference_is_told_with_a_leading_plus() -> None:
     v = analyse([[1, -1]])
-    assert v.named(v.combinations) == [
+    assert v.coefficients_by_name(v.combinations) == [
         {"p0": pytest.approx(1.0), "p1": pytest.approx(-1.0)}
     ]
     assert np.abs(v.lost) == pytest.approx(np.ones((1, 2)))
@@ -55,7 +57,7 @@ def test_everything_or_nothing_seen() -> None:
 def test_fewer_readings_than_parameters() -> None:
     v = analyse([[1.0, 1.0, 1.0]])
     assert v.singular_values == pytest.approx([np.sqrt(3), 0, 0])
-    assert v.identifiable == pytest.approx([np.sqrt(3)])
+    assert v.identifiable_singular_values == pytest.approx([np.sqrt(3)])
     assert v.lost.shape == (2, 3)
 
 
@@ -88,7 +90,7 @@ def test_the_published_relative_measurement() -> None:
     v = identifiability.analyse(
         np.array([[1 / D, -1 / D, 1.0]] * 5), ["z1", "z2", "beta"], np.ones(3)
     )
-    assert v.named(v.combinations) == [
+    assert v.coefficients_by_name(v.combinations) == [
         {
             "z1": pytest.approx(1 / D),
             "z2": pytest.approx(-1 / D),
@@ -152,8 +154,8 @@ def test_the_order_and_repetition_of_readings_does_not_matter(
     again = analyse(np.vstack([h[order], h]))
     assert again.rank == rank
     assert again.combinations == pytest.approx(analyse(h).combinations, abs=1e-6)
-    assert again.identifiable == pytest.approx(
-        np.sqrt(2) * analyse(h).identifiable, rel=1e-9
+    assert again.identifiable_singular_values == pytest.approx(
+        np.sqrt(2) * analyse(h).identifiable_singular_values, rel=1e-9
     )
 
 

@@ -11,7 +11,7 @@ from oracles import a3_geometry as a3
 from kernel import a3_plans
 from kernel.cases import CASES
 from oed import simulate
-from oed.identify import IdentificationError, coordinates, identify
+from oed.identify import IdentificationError, identifiable_coordinates, identify
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import ball_bar, calliper, height_probe
@@ -66,7 +66,7 @@ def test_small_errors_give_the_linear_closed_form(
     m, series = bar
     truth = 1e-4 * m.tolerance * np.random.default_rng(1).standard_normal(27)
     y = noisy(series, truth, 2)
-    command = series.commands()
+    command = series.reading_commands()
     q = a3.bar_rows(*command.T, np.array([0, 0, a3.Z_TEACH])) * m.tolerance / NOISE
     gain = np.linalg.inv(np.eye(27) + q.T @ q)
     found = identify(m, [series], y)
@@ -115,10 +115,10 @@ def test_large_errors_end_at_the_minimum_of_the_oracles_objective(
     assert found.residuals == pytest.approx(
         y - oracle_readings(series, found.theta), abs=1e-12
     )
-    assert found.before == pytest.approx(y - a3.BAR, abs=1e-12)
+    assert found.residuals_before == pytest.approx(y - a3.BAR, abs=1e-12)
     assert found.chi2 == pytest.approx(np.sum((found.residuals / NOISE) ** 2))
-    assert found.rounds[-1].rms_after == pytest.approx(np.sqrt(found.chi2 / 30))
-    assert found.rounds[0].rms_before > 100
+    assert found.stages[-1].rms_after == pytest.approx(np.sqrt(found.chi2 / 30))
+    assert found.stages[0].rms_before > 100
 
 
 def test_without_noise_what_is_seen_is_recovered(
@@ -126,14 +126,14 @@ def test_without_noise_what_is_seen_is_recovered(
 ) -> None:
     """The seen directions of a small error come back, the lost ones stay at nominal."""
     m, series = bar
-    local = coordinates(m, [series], m.nominal, m.sigma([series]))
+    local = identifiable_coordinates(m, [series], m.nominal, m.sigma([series]))
     rng = np.random.default_rng(4)
     z, w = rng.standard_normal(18), rng.standard_normal(3)
-    truth = m.nominal + 1e-3 * (local.basis @ z + local.unseen @ w)
+    truth = m.nominal + 1e-3 * (local.basis @ z + local.null_basis @ w)
     found = identify(
         m, [series], oracle_readings(series, truth), noise=np.full(30, 1e-12)
     )
-    assert local.at(found.theta) == pytest.approx(1e-3 * z, abs=1e-5)
+    assert local.from_theta(found.theta) == pytest.approx(1e-3 * z, abs=1e-5)
 
 
 def test_coordinates_split_theta_into_seen_and_unseen(
@@ -154,26 +154,29 @@ def test_coordinates_split_theta_into_seen_and_unseen(
         (*printer, 1),
         (probe, [probe.series("probe", flat)], 1),
     ):
-        local = coordinates(m, series, m.nominal, m.sigma(series))
-        assert local.unseen.shape[1] == unseen
+        local = identifiable_coordinates(m, series, m.nominal, m.sigma(series))
+        assert local.null_basis.shape[1] == unseen
         n, r = local.basis.shape
         assert r + unseen == m.free.sum()
         both = (
-            np.hstack([local.basis, local.unseen])[m.free] / m.tolerance[m.free, None]
+            np.hstack([local.basis, local.null_basis])[m.free]
+            / m.tolerance[m.free, None]
         )
         assert both.T @ both == pytest.approx(np.eye(r + unseen), abs=1e-9)
         assert (
             np.abs(
-                m.jacobian(series, m.nominal) @ local.unseen / m.sigma(series)[:, None]
+                m.jacobian(series, m.nominal)
+                @ local.null_basis
+                / m.sigma(series)[:, None]
             ).max()
             < 1e-4
         )
         z, w = rng.standard_normal((4, r)), rng.standard_normal(unseen)
-        theta = local.theta(z)
+        theta = local.to_theta(z)
         assert theta.shape == (4, n)
         for k in range(4):
-            assert local.at(theta[k]) == pytest.approx(z[k], abs=1e-9)
-            assert local.at(theta[k] + local.unseen @ w) == pytest.approx(
+            assert local.from_theta(theta[k]) == pytest.approx(z[k], abs=1e-9)
+            assert local.from_theta(theta[k] + local.null_basis @ w) == pytest.approx(
                 z[k], abs=1e-9
             )
 
@@ -185,8 +188,8 @@ def test_estimates_scatter_as_their_covariance_says(printer: tuple) -> None:
     m, series = printer
     rng = np.random.default_rng(6)
     misses = []
-    for truth in simulate.draw(m, rng, 200):
-        found = identify(m, series, simulate.read(m, series, truth, rng))
+    for truth in simulate.draw_parameters(m, rng, 200):
+        found = identify(m, series, simulate.draw_readings(m, series, truth, rng))
         misses.append(((found.theta - truth) / np.where(m.free, found.sd, 1.0))[m.free])
     assert np.std(misses, axis=0) == pytest.approx(1.0, abs=0.21)
     assert np.mean(misses, axis=0) == pytest.approx(0.0, abs=0.3)
@@ -200,18 +203,20 @@ def test_rough_before_fine(bar: tuple[Measurement, Series]) -> None:
         identify(m, [series], y),
         identify(m, [series], y, stages=[["dq*"], ["*"]]),
     )
-    assert [r.freed for r in staged.rounds] == [("dq*",), ("*",)]
-    assert staged.rounds[0].rms_after < staged.rounds[0].rms_before
-    assert staged.rounds[1].rms_before == pytest.approx(
-        staged.rounds[0].rms_after, rel=1e-9
+    assert [r.patterns for r in staged.stages] == [("dq*",), ("*",)]
+    assert staged.stages[0].rms_after < staged.stages[0].rms_before
+    assert staged.stages[1].rms_before == pytest.approx(
+        staged.stages[0].rms_after, rel=1e-9
     )
-    assert staged.rounds[1].rms_after < staged.rounds[1].rms_before
+    assert staged.stages[1].rms_after < staged.stages[1].rms_before
     # the same minimum, up to where the lost directions were frozen
     assert m.readings([series], staged.theta) == pytest.approx(
         m.readings([series], once.theta), abs=NOISE
     )
     seen = once.coordinates
-    assert seen.at(staged.theta) == pytest.approx(seen.at(once.theta), abs=0.05)
+    assert seen.from_theta(staged.theta) == pytest.approx(
+        seen.from_theta(once.theta), abs=0.05
+    )
 
 
 def test_only_what_is_freed_moves(bar: tuple[Measurement, Series]) -> None:
@@ -237,7 +242,7 @@ def test_understated_noise_is_found(printer: tuple) -> None:
     factors = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        truth = simulate.draw(m, rng)
+        truth = simulate.draw_parameters(m, rng)
         exact, sigma = m.readings(series, truth), m.sigma(series)
         actual = np.where(np.arange(len(sigma)) < 20, 3.0, 1.0) * sigma
         found = identify(
@@ -340,9 +345,9 @@ def test_two_set_ups_are_fitted_together() -> None:
             + NOISE * rng.standard_normal(30)
         )
     found = identify(m, series, np.concatenate(y))
-    assert found.coordinates.unseen.shape[1] == 1
+    assert found.coordinates.null_basis.shape[1] == 1
     assert found.chi2 < found.dof + 5 * np.sqrt(2 * found.dof)
-    z = found.coordinates.at(truth) - found.z
+    z = found.coordinates.from_theta(truth) - found.z
     h = found.noise.whiten(m.jacobian(series, found.theta)) @ found.coordinates.basis
     precision = np.eye(len(z)) + h.T @ h
     assert z @ precision @ z < len(z) + 5 * np.sqrt(2 * len(z))
@@ -357,8 +362,8 @@ def test_a_bar_on_the_delta_sees_the_arms(rng: np.random.Generator) -> None:
         [mount(ball_bar.instrument, "bar", teach=(0.0, 0.0, 0.02))],
     )
     series = [m.series("bar", CASES["linear_delta"].commands(rng, 60))]
-    truth = simulate.draw(m, rng)
-    found = identify(m, series, simulate.read(m, series, truth, rng))
+    truth = simulate.draw_parameters(m, rng)
+    found = identify(m, series, simulate.draw_readings(m, series, truth, rng))
     assert found.chi2 / found.dof < 2.0
     assert np.abs((found.theta - truth)[m.free] / found.sd[m.free]).max() < 4.0
     assert found.shrinkage[m.free].min() < 0.05

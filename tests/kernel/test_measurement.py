@@ -99,7 +99,7 @@ def test_calliper_distances_are_the_oracles(rng: np.random.Generator) -> None:
         np.abs(m.readings([series], theta) - (1 + theta[:, 10:]) * distance).max()
         < 1e-13
     )
-    assert (series.commands() == command[[2, 3, 4, 6, 7, 8]]).all()
+    assert (series.reading_commands() == command[[2, 3, 4, 6, 7, 8]]).all()
 
 
 def test_a_controller_that_knows_better_sends_other_joints(
@@ -142,7 +142,7 @@ def test_taking_readings_of_a_series(rng: np.random.Generator, name: str) -> Non
     assert m.jacobian([part], theta) == pytest.approx(
         m.jacobian([series], theta)[flat], abs=1e-13
     )
-    assert (part.commands() == series.commands()[rows]).all()
+    assert (part.reading_commands() == series.reading_commands()[rows]).all()
     assert (part.run == series.run[rows]).all()
     assert len(part.q) < len(series.q)
 
@@ -154,7 +154,7 @@ def test_a_bar_leads_the_tool_on_a_sphere() -> None:
     m = a3_plans.measurement()
     psi = np.linspace(0, 2 * np.pi, 25)
     command = np.column_stack([np.full(25, a3_plans.HOME_Z + 0.12), psi, np.zeros(25)])
-    found, possible = m.hold("cup", command, "theta")
+    found, possible = m.commands_at_fixed_reading("cup", command, "theta")
     assert possible.all()
     assert (
         np.abs(
@@ -168,7 +168,7 @@ def test_a_bar_leads_the_tool_on_a_sphere() -> None:
     short = Measurement(
         m.machine, [mount(ball_bar.instrument, "bar", teach=(1.286, 0, 0), length=0.05)]
     )
-    _, possible = short.hold("bar", command, "theta")
+    _, possible = short.commands_at_fixed_reading("bar", command, "theta")
     assert not possible.any()
 
 
@@ -177,7 +177,9 @@ def test_only_a_bar_holds_a_reading() -> None:
     with pytest.raises(
         ValueError, match="height_probe holds no reading: give theta itself"
     ):
-        m.hold("probe", a3_head.machine.home_command[None], "theta")
+        m.commands_at_fixed_reading(
+            "probe", a3_head.machine.home_command[None], "theta"
+        )
 
 
 def two_channels() -> Instrument:
@@ -228,7 +230,7 @@ def test_several_set_ups_and_channels_are_laid_out_in_order(
 
 def test_scales_of_the_columns() -> None:
     m = a3_plans.measurement()
-    assert m.lengths == pytest.approx([1.0] * 21 + [a3.D] * 3 + [1.0] * 3)
+    assert m.length_factors == pytest.approx([1.0] * 21 + [a3.D] * 3 + [1.0] * 3)
     assert information.column_scale(m, "length") == pytest.approx(
         np.r_[a3.SCALE, 1, 1, 1]
     )
@@ -251,7 +253,7 @@ def test_whitening(rng: np.random.Generator) -> None:
         rng.standard_normal((6, 3)),
         rng.uniform(1, 2, 6),
     )
-    white = noise.blocks([covariance], [np.arange(6)]).whiten(rows)
+    white = noise.block_noise([covariance], [np.arange(6)]).whiten(rows)
     assert white.T @ white == pytest.approx(
         rows.T @ np.linalg.inv(covariance) @ rows, rel=1e-10
     )
@@ -285,7 +287,7 @@ def test_only_whitened_rows_carry_the_noise() -> None:
         h * m.tolerance / sigma[:, None]
     )
     assert information.scaled(m, [series], m.nominal, "length") == pytest.approx(
-        h / m.lengths
+        h / m.length_factors
     )
     assert (information.scaled(m, [series], m.nominal, "si") == h).all()
 
@@ -302,7 +304,7 @@ def test_a_pose_that_cannot_be_assembled_at_some_parameters(
     assert np.isfinite(y[[0, 2]]).all()
     with pytest.raises(AssemblyError, match=r"linear_delta: .* cannot be assembled"):
         m.readings([series], theta)
-    assert np.isnan(m.near([series], m.nominal)(theta)[1]).all()
+    assert np.isnan(m.readings_near([series], m.nominal)(theta)[1]).all()
 
 
 def test_slopes_where_readings_were_asked_for_solve_no_pose_again(
@@ -342,13 +344,13 @@ def test_virtual_machines_scatter_as_stated(rng: np.random.Generator) -> None:
     spread is known to 1.6 %.
     """
     m = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
-    truth = simulate.draw(m, rng, 2000)
+    truth = simulate.draw_parameters(m, rng, 2000)
     spread = truth.std(axis=0) / np.where(m.free, m.tolerance, 1.0)
     assert spread[m.free] == pytest.approx(1.0, abs=0.08)
     assert (truth[:, ~m.free] == m.nominal[~m.free]).all()
     assert truth.mean(axis=0) == pytest.approx(m.nominal, abs=0.1 * m.tolerance.max())
     series = m.series("probe", CASES["linear_delta"].commands(rng, 3))
-    y = simulate.read(m, [series], np.tile(truth[0], (2000, 1)), rng)
+    y = simulate.draw_readings(m, [series], np.tile(truth[0], (2000, 1)), rng)
     assert y.std(axis=0) == pytest.approx(20e-6, rel=0.08)
     assert y.mean(axis=0) == pytest.approx(m.readings([series], truth[0]), abs=3e-6)
-    assert simulate.draw(m, rng).shape == m.nominal.shape
+    assert simulate.draw_parameters(m, rng).shape == m.nominal.shape

@@ -266,7 +266,7 @@ def test_the_passes_of_a_protocol_are_runs_that_follow_each_other() -> None:
     m = Measurement(planar_2dof.machine, [setup])
     command = np.column_stack([np.linspace(-1, 1, 4), np.full(4, 0.5)])
     protocol = Protocol(both_directions=True, average=False)
-    series = m.series("probe", command, run=["line"] * 4).passes(protocol)
+    series = m.series("probe", command, run=["line"] * 4).expand_passes(protocol)
     labels = list(dict.fromkeys(series.run))
     runs = [np.flatnonzero(series.run == label).tolist() for label in labels]
     path = order.order_poses(

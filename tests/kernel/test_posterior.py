@@ -38,7 +38,7 @@ def problem(
     series = [m.series("probe", flat[:readings])]
     if distances:
         series.append(m.series("calliper", flat[readings:]))
-    truth = simulate.draw(m, rng)
+    truth = simulate.draw_parameters(m, rng)
     y = m.readings(series, truth) + noise * m.sigma(series) * rng.standard_normal(
         len(m.sigma(series))
     )
@@ -55,7 +55,7 @@ def test_a_nearly_linear_problem_has_the_laplace_posterior(distances: bool) -> N
     assert drawn.ess[m.free].min() >= 1000
     assert np.isnan(drawn.ess[~m.free]).all()
     assert drawn.rhat[m.free].max() < 1.03
-    flat, sd = drawn.flat[:, m.free], estimate.sd[m.free]
+    flat, sd = drawn.pooled[:, m.free], estimate.sd[m.free]
     assert (flat.mean(axis=0) - estimate.theta[m.free]) / sd == pytest.approx(
         0.0, abs=4.5 / np.sqrt(1000)
     )
@@ -64,7 +64,7 @@ def test_a_nearly_linear_problem_has_the_laplace_posterior(distances: bool) -> N
         np.ix_(m.free, m.free)
     ] / np.outer(sd, sd)
     assert np.abs(correlation).max() < 4.5 / np.sqrt(1000)
-    assert (drawn.flat[:, ~m.free] == m.nominal[~m.free]).all()
+    assert (drawn.pooled[:, ~m.free] == m.nominal[~m.free]).all()
     assert 0.1 < drawn.acceptance < 0.95
 
 
@@ -125,19 +125,19 @@ def test_draws_of_a_machine_with_lost_directions_still_read_as_observed() -> Non
     m = a3_plans.measurement()
     series = [a3_plans.circles(m, 15)]
     rng = np.random.default_rng(3)
-    y = simulate.read(m, series, a3_plans.table_3(m), rng)
+    y = simulate.draw_readings(m, series, a3_plans.table_3(m), rng)
     estimate = identify(m, series, y)
     drawn = posterior.sample(m, series, y, estimate, rng, ess=300)
-    white = estimate.noise.whiten_last(m.readings(series, drawn.flat[::97]) - y)
+    white = estimate.noise.whiten_last(m.readings(series, drawn.pooled[::97]) - y)
     expected = estimate.chi2 + (
         30 - estimate.dof
     )  # chi2 at the top, and one for each direction the readings settle
     assert np.mean(np.sum(white**2, axis=1)) == pytest.approx(expected, rel=0.15)
-    assert drawn.flat.std(axis=0)[m.free] == pytest.approx(
+    assert drawn.pooled.std(axis=0)[m.free] == pytest.approx(
         estimate.sd[m.free], rel=0.15
     )
     local = estimate.coordinates
-    lost = np.linalg.pinv(local.unseen) @ (drawn.flat - estimate.theta).T
+    lost = np.linalg.pinv(local.null_basis) @ (drawn.pooled - estimate.theta).T
     assert lost.std(axis=1) == pytest.approx(1.0, abs=0.1)
 
 
@@ -151,13 +151,13 @@ def test_what_is_kept_is_bounded_and_progress_is_told() -> None:
         estimate,
         np.random.default_rng(2),
         ess=100,
-        keep=500,
+        max_draws=500,
         walkers=40,
         progress=told.append,
     )
     assert drawn.draws.shape[0] == 40
     assert drawn.draws.shape[0] * drawn.draws.shape[1] <= 500 + 40
-    assert drawn.flat.shape == (
+    assert drawn.pooled.shape == (
         drawn.draws.shape[0] * drawn.draws.shape[1],
         len(m.names),
     )
@@ -172,7 +172,7 @@ def test_steps_are_limited() -> None:
         m, series, y, estimate, np.random.default_rng(2), ess=1e9, max_steps=260
     )
     assert drawn.steps == 260
-    assert np.isfinite(drawn.flat).all()
+    assert np.isfinite(drawn.pooled).all()
 
 
 def test_the_file_holds_the_draws(tmp_path: Path) -> None:

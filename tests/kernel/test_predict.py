@@ -50,7 +50,7 @@ def test_the_published_passage(passage: tuple) -> None:
     axis and 33.4 arcsec of spin.
     """
     command = a3_plans.workspace()
-    told = predicted(predict.error_maps(A3, command, "home"), passage).known
+    told = predicted(predict.error_maps(A3, command, "home"), passage).fully_corrected
     for name, um in paper.HOME_REFERENCED_UM.items():
         assert 1e6 * told[name].rms == pytest.approx(um, rel=0.01)
     home = compensate.error_model(A3, A3.machine.home_command[None])
@@ -58,7 +58,7 @@ def test_the_published_passage(passage: tuple) -> None:
     turns = np.stack(
         [
             1e6
-            * predict.referenced(
+            * predict.relative_to_reference(
                 1e-6 * model.raw[..., k],
                 1e-6 * home.raw[..., k],
                 model,
@@ -130,7 +130,8 @@ def test_the_absolute_error_is_the_papers_and_the_home_referenced_one_vanishes_a
     absolute = predict.error_maps(A3, near_home, "absolute")
     assert np.abs(home.raw[:, :3]).max() < 3e-3 * np.abs(absolute.raw[:, :3]).max()
     assert absolute.raw == pytest.approx(
-        A3.components_slope(near_home) @ a3.linear_model(*near_home.T), rel=1e-9
+        A3.error_components_jacobian(near_home) @ a3.linear_model(*near_home.T),
+        rel=1e-9,
     )
 
 
@@ -146,7 +147,7 @@ def test_best_fit_removes_any_rigid_motion() -> None:
     other = rng.standard_normal((len(command), 6))
 
     def fitted(twist: np.ndarray) -> np.ndarray:
-        return predict.referenced(
+        return predict.relative_to_reference(
             twist, other[:1], model, home, "best_fit", A3.machine.lever
         )
 
@@ -157,7 +158,7 @@ def test_best_fit_removes_any_rigid_motion() -> None:
     assert np.linalg.norm(fitted(other) * weight) <= np.linalg.norm(
         (fitted(other) + 1e-3 * rigid) * weight
     )
-    absolute = predict.referenced(
+    absolute = predict.relative_to_reference(
         other, other[:1], model, home, "absolute", A3.machine.lever
     )
     assert (absolute == other).all()
@@ -221,7 +222,8 @@ def test_each_source_is_what_its_spread_alone_would_leave(passage: tuple) -> Non
             mine[: len(h)] = True
         else:
             mine[len(h) :] = [
-                f"tolerance of {predict.kind(name)}" == label for name in names
+                f"tolerance of {predict.parameter_kind(name)}" == label
+                for name in names
             ]
         assert part == pytest.approx(
             (gain[:24, mine] @ gain[:24, mine].T), rel=1e-5, abs=1e-7 * part.max()
@@ -240,7 +242,7 @@ def test_each_source_is_what_its_spread_alone_would_leave(passage: tuple) -> Non
     ],
 )
 def test_kinds_of_parameters(name: str, told: str) -> None:
-    assert predict.kind(name) == told
+    assert predict.parameter_kind(name) == told
 
 
 def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
@@ -259,13 +261,13 @@ def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
     for key, moved in (
         ("before", maps.raw),
         ("after", maps.remaining),
-        ("known", 0.0 * maps.raw),
+        ("fully_corrected", 0.0 * maps.raw),
     ):
         errors = np.einsum("nkp,dp->dnk", maps.raw, left) + np.einsum(
             "nkp,dp->dnk", moved, found
         )
         for k, name in enumerate(maps.names):
-            want, got = predict.spread_of(errors[..., k]), getattr(told, key)[name]
+            want, got = predict.error_spread(errors[..., k]), getattr(told, key)[name]
             assert got.rms == pytest.approx(want.rms, rel=0.04)
             assert (got.p95, got.largest) == pytest.approx(
                 (want.p95, want.largest), rel=0.12
@@ -289,15 +291,15 @@ def test_after_identification_known_errors_stay_where_they_are(passage: tuple) -
         assert sure.after[name].rms == pytest.approx(
             np.sqrt(np.mean((maps.remaining @ mean)[:, k] ** 2)), abs=1e-15
         )
-        assert sure.known[name].rms == 0.0
+        assert sure.fully_corrected[name].rms == 0.0
         assert sure.after[name].largest == pytest.approx(
             np.abs((maps.remaining @ mean)[:, k]).max(), abs=1e-15
         )
     unsure, plan = predicted(maps, passage, mean=mean), predicted(maps, passage)
     for name in maps.names:
-        assert unsure.known[name].rms == plan.known[name].rms
+        assert unsure.fully_corrected[name].rms == plan.fully_corrected[name].rms
         assert unsure.after[name].rms ** 2 == pytest.approx(
-            sure.after[name].rms ** 2 + plan.known[name].rms ** 2
+            sure.after[name].rms ** 2 + plan.fully_corrected[name].rms ** 2
         )
 
 
@@ -308,7 +310,7 @@ def test_same_seed_same_prediction(passage: tuple) -> None:
 
 def test_spread_by_hand() -> None:
     errors = np.array([[3.0, -4.0], [0.0, 0.0]])
-    spread = predict.spread_of(errors)
+    spread = predict.error_spread(errors)
     assert spread.rms == pytest.approx(2.5)
     assert spread.largest == pytest.approx(0.95 * 4.0)
 
@@ -347,10 +349,15 @@ def test_home_is_zeroed_in_the_platforms_own_axes(rng: np.random.Generator) -> N
     )
     at_home = np.r_[np.zeros(3), turn][None]
     assert (
-        np.abs(predict.referenced(carried, at_home, model, home, "home", 1.0)).max()
+        np.abs(
+            predict.relative_to_reference(carried, at_home, model, home, "home", 1.0)
+        ).max()
         < 1e-12
     )
     fixed = np.tile(at_home, (len(command), 1))
     assert (
-        np.abs(predict.referenced(fixed, at_home, model, home, "home", 1.0)).max() > 0.1
+        np.abs(
+            predict.relative_to_reference(fixed, at_home, model, home, "home", 1.0)
+        ).max()
+        > 0.1
     )

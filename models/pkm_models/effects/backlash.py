@@ -24,9 +24,9 @@ def columns(state: State, distance: float) -> Iterable[Column]:
     """-b sense / 2 a leg; shape: play that differs along the travel, and that is taken
     up after a reversal.
     """
-    unit, at = terms.metre(state), terms.place(state)
-    behind = -0.5 * state.sense * unit
-    fresh = np.exp(-state.reversal / (distance * unit))
+    unit, at = terms.joint_per_metre(state), terms.travel_position(state)
+    behind = -0.5 * state.motion_sign * unit
+    fresh = np.exp(-state.travel_since_reversal / (distance * unit))
     for i in state.limbs:
         leg, half = f"leg {i + 1}", behind[:, i]
         yield Column(leg, PLAY, leg, {i: half})
@@ -36,7 +36,11 @@ def columns(state: State, distance: float) -> Iterable[Column]:
             ("fresh", fresh[:, i]),
         ):
             yield Column(
-                f"{leg} {name}", terms.ADAPT * PLAY, leg, {i: half * form}, shape=True
+                f"{leg} {name}",
+                terms.SHAPE_SHARE * PLAY,
+                leg,
+                {i: half * form},
+                shape=True,
             )
 
 
@@ -55,5 +59,5 @@ effect = Effect(
         " compensation a leg"
     ),
     exposed_by="the same circle in both directions, at two feeds",
-    alike=True,
+    common_to_limbs=True,
 )

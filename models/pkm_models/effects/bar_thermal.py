@@ -23,7 +23,7 @@ def columns(state: State, tau: float, held: float) -> Iterable[Column]:
     that mounted it, which fades from the start of each set-up; shape: the other of the
     two, and a second time constant.
     """
-    measured, warm, second = terms.warming(state, "bar", tau)
+    measured, warm, second = terms.warm_up(state, "bar", tau)
     name, long = bar.label(state), bar.length(state) or bar.NOMINAL
     unit, scale = (
         ("per kelvin", terms.STEEL) if measured else ("rise", RISE * terms.STEEL)
@@ -31,7 +31,7 @@ def columns(state: State, tau: float, held: float) -> Iterable[Column]:
     hand, most = "held", RISE * terms.STEEL
     forms = {
         unit: (scale, warm),
-        f"{unit} second": (terms.ADAPT * scale, second),
+        f"{unit} second": (terms.SHAPE_SHARE * scale, second),
         hand: (most, _fading(state, tau / 4.0)),
     }
     textbook = hand if held else unit
@@ -50,7 +50,7 @@ def _fading(state: State, tau: float) -> Array:
     """
     known = state.time[np.isfinite(state.time)]
     return (
-        np.exp(-(terms.filled(state.time) - known.min()) / tau)
+        np.exp(-(terms.fill_gaps(state.time) - known.min()) / tau)
         if known.size
         else np.zeros(len(state))
     )
@@ -62,7 +62,7 @@ effect = Effect(
     about="a bar that grows with its temperature",
     columns=columns,
     needs=("time or temp_bar",),
-    constants={"tau": terms.TIMES, "held": (0.0, 1.0)},
+    constants={"tau": terms.TIME_CONSTANTS, "held": (0.0, 1.0)},
     remedy=(
         "let the bar reach the shop's temperature, do not hold it in the hand, or"
         " correct by its sensor"

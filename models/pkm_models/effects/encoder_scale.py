@@ -29,5 +29,5 @@ effect = Effect(
         " controller"
     ),
     exposed_by="a laser interferometer along a joint, or a second known tool length",
-    alike=True,
+    common_to_limbs=True,
 )

@@ -25,7 +25,7 @@ def columns(state: State, period: float) -> Iterable[Column]:
         for k in (1, 2):
             angle = 2.0 * np.pi * k * state.joints[:, i] / period
             for name, value in (("sin", np.sin(angle)), ("cos", np.cos(angle))):
-                scale = SHARE * period * (1.0 if k == 1 else terms.ADAPT)
+                scale = SHARE * period * (1.0 if k == 1 else terms.SHAPE_SHARE)
                 yield Column(f"{leg} {name} {k}", scale, leg, {i: value}, shape=k > 1)
 
 
@@ -43,5 +43,5 @@ effect = Effect(
         " signals"
     ),
     exposed_by="slow, dense readings over a few signal periods",
-    unfit=terms.turning,
+    unfit=terms.has_rotary_drives,
 )

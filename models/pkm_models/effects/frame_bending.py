@@ -19,7 +19,7 @@ from pkm_models.effects import terms
 
 FIELD = 20e-6  # m, at a lever's distance from the middle of the workspace
 #: sizes of constant, linear, quadratic ... fields, against the quadratic one's
-PARTS = (0.3, 0.3, 1.0, terms.ADAPT, 0.5 * terms.ADAPT)
+PARTS = (0.3, 0.3, 1.0, terms.SHAPE_SHARE, 0.5 * terms.SHAPE_SHARE)
 #: payloads are a half to a seventh of what the frame carries anyhow
 SAGS = (0.15, 0.5)
 
@@ -32,14 +32,18 @@ def columns(state: State, sag: float) -> Iterable[Column]:
     sag: how much more the frame bends under the session's heaviest payload than under
     none
     """
-    offset, load = _offset(state), sag * terms.carried(state)
+    offset, load = _offset(state), sag * terms.payload_share(state)
     for degree, part in enumerate(PARTS if len(offset) < 3 else PARTS[:4]):
         for name, field in _products(offset, degree):
             bent = field * (load if degree < 2 else 1.0 + load)
             for k, axis in enumerate("xyz"):
                 told = f"{axis} by {name}" if name else axis
                 yield Column(
-                    told, part * FIELD, "", state.displaced(k, bent), shape=degree != 2
+                    told,
+                    part * FIELD,
+                    "",
+                    state.displacing_joints(k, bent),
+                    shape=degree != 2,
                 )
 
 

@@ -19,7 +19,7 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     """Even radial growth; shape: a second time constant, growth in height, one side
     warmer than the other.
     """
-    measured, warm, second = terms.warming(state, "frame", tau)
+    measured, warm, second = terms.warm_up(state, "frame", tau)
     unit, scale, strain = (
         ("per kelvin", terms.STEEL, 1.0) if measured else ("rise", RISE, terms.STEEL)
     )
@@ -27,19 +27,23 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     flat = away * np.array([1.0, 1.0, 0.0])
     size = float(np.linalg.norm(flat, axis=-1).mean()) or 1.0
     height = (state.machine.lever + away[..., 2:]) * np.array([0.0, 0.0, 1.0])
-    even, up = (strain * terms.stretched(state, shift) for shift in (flat, height))
+    even, up = (strain * terms.joint_change(state, shift) for shift in (flat, height))
     yield Column(unit, scale, "", _joints(even, warm))
     yield Column(
-        f"{unit} second", terms.ADAPT * scale, "", _joints(even, second), shape=True
+        f"{unit} second",
+        terms.SHAPE_SHARE * scale,
+        "",
+        _joints(even, second),
+        shape=True,
     )
     yield Column(
-        f"{unit} height", terms.ADAPT * scale, "", _joints(up, warm), shape=True
+        f"{unit} height", terms.SHAPE_SHARE * scale, "", _joints(up, warm), shape=True
     )
     for k, axis in enumerate("xy"):
-        side = strain * terms.stretched(state, flat * flat[..., k : k + 1] / size)
+        side = strain * terms.joint_change(state, flat * flat[..., k : k + 1] / size)
         yield Column(
             f"{unit} side {axis}",
-            terms.ADAPT * scale,
+            terms.SHAPE_SHARE * scale,
             "",
             _joints(side, warm),
             shape=True,
@@ -56,11 +60,11 @@ effect = Effect(
     about="a frame that grows with its temperature, moving the base joints apart",
     columns=columns,
     needs=("time or temp_frame",),
-    constants={"tau": terms.TIMES},
+    constants={"tau": terms.TIME_CONSTANTS},
     remedy=(
         "hold the shop's temperature, shield the frame from draught and sun, or"
         " compensate by a sensor on the frame"
     ),
     exposed_by="cups far apart and large tilts, repeated in the course of hours",
-    unfit=terms.no_struts,
+    unfit=terms.lacks_struts,
 )

@@ -28,14 +28,18 @@ def columns(state: State, distance: float) -> Iterable[Column]:
     friction by load, more of it at low speed, and more along the travel.
     """
     unit, at, known = (
-        terms.metre(state),
-        terms.place(state),
+        terms.joint_per_metre(state),
+        terms.travel_position(state),
         terms.travel(state.machine),
     )
-    screw = np.where(known.guide.any(axis=1), 1.0 + 0.5 * at, state.strut / known.strut)
-    wound = state.sense * (1.0 - 2.0 * np.exp(-state.reversal / (distance * unit)))
+    screw = np.where(
+        known.guide.any(axis=1), 1.0 + 0.5 * at, state.strut_length / known.strut
+    )
+    wound = state.motion_sign * (
+        1.0 - 2.0 * np.exp(-state.travel_since_reversal / (distance * unit))
+    )
     behind = -wound * unit * screw
-    load = np.abs(state.force * state.per_length) * len(state.limbs) / 2.0
+    load = np.abs(state.tool_force * state.joint_per_length) * len(state.limbs) / 2.0
     slow = np.nan_to_num(np.exp(-np.abs(state.rate) / (STRIBECK * unit)), nan=0.0)
     for i in state.limbs:
         leg = f"leg {i + 1}"
@@ -43,7 +47,7 @@ def columns(state: State, distance: float) -> Iterable[Column]:
         for name, form in (("load", load), ("slow", slow), ("slope", at)):
             yield Column(
                 f"{leg} {name}",
-                terms.ADAPT * WIND_UP,
+                terms.SHAPE_SHARE * WIND_UP,
                 leg,
                 {i: behind[:, i] * form[:, i]},
                 shape=True,
@@ -62,6 +66,6 @@ effect = Effect(
         " encoder, or compensate friction"
     ),
     exposed_by="circles in both directions at a slow feed, and with another load",
-    unfit=terms.no_struts,
-    alike=True,
+    unfit=terms.lacks_struts,
+    common_to_limbs=True,
 )

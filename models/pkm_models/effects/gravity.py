@@ -20,14 +20,19 @@ def columns(state: State, ratio: float) -> Iterable[Column]:
     less where the load is large, legs that differ, weights that act elsewhere.
     """
     (load, extra), square, at = (
-        terms.loaded(state, ratio),
-        terms.metre(state) ** 2,
-        terms.place(state),
+        terms.joint_load(state, ratio),
+        terms.joint_per_metre(state) ** 2,
+        terms.travel_position(state),
     )
     drive = load * square
-    strut = load * state.per_length**2 * state.strut / terms.travel(state.machine).strut
+    strut = (
+        load
+        * state.joint_per_length**2
+        * state.strut_length
+        / terms.travel(state.machine).strut
+    )
     size = np.abs(drive) + 1e-9
-    small = terms.ADAPT * GIVES
+    small = terms.SHAPE_SHARE * GIVES
     yield Column("drives", GIVES, "", _all(drive))
     yield Column("struts", GIVES, "", _all(strut))
     yield Column("travel", small, "", _all(drive * at), shape=True)
@@ -37,7 +42,11 @@ def columns(state: State, ratio: float) -> Iterable[Column]:
     )
     yield Column("payload", small, "", _all(extra * square), shape=True)
     yield Column(
-        "place", small, "", _all((state.force - state.weight) * square), shape=True
+        "place",
+        small,
+        "",
+        _all((state.tool_force - state.platform_force) * square),
+        shape=True,
     )
     for i in state.limbs:
         yield Column(
@@ -57,11 +66,11 @@ effect = Effect(
     ),
     about="legs that give under the weight of platform and payload",
     columns=columns,
-    constants={"ratio": terms.RATIOS},
+    constants={"ratio": terms.MASS_RATIOS},
     remedy=(
         "stiffen or counterbalance, or compensate with a stiffness model and the"
         " payload of the job"
     ),
     exposed_by="the same circle with and without a payload",
-    unfit=terms.no_struts,
+    unfit=terms.lacks_struts,
 )

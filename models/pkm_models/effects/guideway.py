@@ -22,15 +22,18 @@ def columns(state: State) -> Iterable[Column]:
     """Towards and from the middle (radial) and across, a leg: modes of a smooth random
     curve over the travel, of which those after the first two let the form adapt.
     """
-    guide, at = terms.travel(state.machine).guide, terms.place(state)
-    out = terms.radial(state)
+    guide, at = terms.travel(state.machine).guide, terms.travel_position(state)
+    out = terms.radial_directions(state)
     out = out - np.einsum("mjk,jk->mj", out, guide)[..., None] * guide
     out /= np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-9)
     for name, direction in (("radial", out), ("across", np.cross(guide, out))):
-        seen = terms.stretched(state, direction)
+        seen = terms.joint_change(state, direction)
         for i in state.limbs:
             for k in range(terms.CURVES):
-                change, leg = {i: seen[:, i] * terms.curve(at[:, i], k)}, f"leg {i + 1}"
+                change, leg = (
+                    {i: seen[:, i] * terms.travel_curve(at[:, i], k)},
+                    f"leg {i + 1}",
+                )
                 yield Column(
                     f"{leg} {name} curve {k + 1}", CURVE, leg, change, shape=k > 1
                 )
@@ -39,7 +42,7 @@ def columns(state: State) -> Iterable[Column]:
 def unfit(machine: Machine) -> str | None:
     """Only machines whose joints move carriages have guideways."""
     if machine.struts is None:
-        return terms.no_struts(machine)
+        return terms.lacks_struts(machine)
     return (
         None
         if terms.travel(machine).guide.any()
@@ -59,6 +62,6 @@ effect = Effect(
         " controller"
     ),
     exposed_by="readings over the full stroke of each carriage",
-    textbook=0.1,
+    textbook_share=0.1,
     unfit=unfit,
 )

@@ -27,9 +27,9 @@ def columns(state: State, ratio: float, soft: float) -> Iterable[Column]:
     that differs along the travel of a leg whose load changes its sign: what is always
     taken up is a leg's zero and scale.
     """
-    pull = terms.loaded(state, ratio)[0] * state.per_length
-    half = 0.5 * state.per_length
-    at = terms.place(state)
+    pull = terms.joint_load(state, ratio)[0] * state.joint_per_length
+    half = 0.5 * state.joint_per_length
+    at = terms.travel_position(state)
     for i in state.limbs:
         leg, side = f"leg {i + 1}", np.tanh(pull[:, i] / soft)
         yield Column(leg, PLAY, leg, {i: half[:, i] * side})
@@ -39,7 +39,7 @@ def columns(state: State, ratio: float, soft: float) -> Iterable[Column]:
         ):
             yield Column(
                 f"{leg} {name}",
-                terms.ADAPT * PLAY,
+                terms.SHAPE_SHARE * PLAY,
                 leg,
                 {i: half[:, i] * form},
                 shape=True,
@@ -51,11 +51,11 @@ effect = Effect(
     source="catalogues of rod ends and spherical joints: internal clearance 5 to 20 um",
     about="play of the joints at a leg's ends, taken up by the sign of its load",
     columns=columns,
-    constants={"ratio": terms.RATIOS, "soft": SOFT},
+    constants={"ratio": terms.MASS_RATIOS, "soft": SOFT},
     remedy="preload or renew the joints of the leg",
     exposed_by=(
         "pull and push at the platform, at poses where a leg's load changes its sign"
     ),
-    unfit=terms.no_struts,
-    alike=True,
+    unfit=terms.lacks_struts,
+    common_to_limbs=True,
 )

@@ -18,7 +18,7 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 RUNOUT = 4e-6  # m
-SLIGHT, WAVY = terms.ADAPT, 0.15  # of runout
+SLIGHT, WAVY = terms.SHAPE_SHARE, 0.15  # of runout
 #: harmonics of the joint's angle that its centre wanders by along the leg, as its shape
 #: and what rolls in it have them, and sideways, as much as along
 ALONG, SIDEWAYS = (
@@ -40,11 +40,11 @@ def columns(state: State, platform: float, across: float) -> Iterable[Column]:
     beside = np.cross(up, away)
     way, aside = (beside, away) if across else (away, beside)
     angle = np.arctan2(
-        *(np.einsum("mjk,mjk->mj", state.along, axis) for axis in (way, up))
+        *(np.einsum("mjk,mjk->mj", state.strut_direction, axis) for axis in (way, up))
     )
     ways = {
-        "": (state.per_length, ALONG),
-        "sideways ": (terms.stretched(state, aside), SIDEWAYS),
+        "": (state.joint_per_length, ALONG),
+        "sideways ": (terms.joint_change(state, aside), SIDEWAYS),
     }
     for i, (kind, (seen, shares)) in itertools.product(state.limbs, ways.items()):
         leg = f"leg {i + 1}"
@@ -60,7 +60,7 @@ def columns(state: State, platform: float, across: float) -> Iterable[Column]:
 
 def _base(state: State) -> tuple[Array, Array]:
     """Unit vectors (m, nq, 3) at the base: away from the machine's middle, and up."""
-    away = terms.radial(state)
+    away = terms.radial_directions(state)
     return away, np.broadcast_to(np.array([0.0, 0.0, 1.0]), away.shape)
 
 
@@ -86,6 +86,6 @@ effect = Effect(
     constants={"platform": (0.0, 1.0), "across": (0.0, 1.0)},
     remedy="measure the joints' runout on a bench, and renew or map those that wander",
     exposed_by="large tilts in all directions",
-    textbook=0.1,
-    unfit=terms.no_struts,
+    textbook_share=0.1,
+    unfit=terms.lacks_struts,
 )

@@ -21,7 +21,7 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     for i in state.limbs:
         leg, own = f"leg {i + 1}", f"leg{i + 1}"
         carried = bool(known.guide[i].any()) and state.machine.joints[i].unit == "m"
-        measured, warm, second = terms.warming(
+        measured, warm, second = terms.warm_up(
             state, own if own in state.temperature else "leg", tau
         )
         unit, scale, strain = (
@@ -30,8 +30,8 @@ def columns(state: State, tau: float) -> Iterable[Column]:
             else ("rise", RISE, terms.STEEL)
         )
         strut, stays = (
-            state.per_length[:, i] * length
-            for length in (state.strut[:, i], known.strut[i])
+            state.joint_per_length[:, i] * length
+            for length in (state.strut_length[:, i], known.strut[i])
         )
         long, fixed = (
             (state.joints[:, i], known.high[i] - known.low[i])
@@ -45,7 +45,7 @@ def columns(state: State, tau: float) -> Iterable[Column]:
         for name, form in shapes.items():
             yield Column(
                 f"{leg} {unit} {name}",
-                terms.ADAPT * scale,
+                terms.SHAPE_SHARE * scale,
                 leg,
                 {i: strain * form},
                 shape=True,
@@ -58,12 +58,12 @@ effect = Effect(
     about="legs that grow with their temperature",
     columns=columns,
     needs=("time or temp_leg or temp_leg1",),
-    constants={"tau": terms.TIMES},
+    constants={"tau": terms.TIME_CONSTANTS},
     remedy=(
         "let the legs warm up before use, cool the screws, or compensate by a"
         " temperature sensor on each leg"
     ),
     exposed_by="a reference circle repeated in the course of hours",
-    unfit=terms.no_struts,
-    alike=True,
+    unfit=terms.lacks_struts,
+    common_to_limbs=True,
 )

@@ -26,11 +26,11 @@ READINGS = ("dy", "dz")
 
 def columns(state: State) -> Iterable[Column]:
     """In step with time, an unknown of each set-up; shape: a drift that comes to rest."""
-    time = terms.share(state)
+    time = terms.session_share(state)
     block = f"set-up {state.setup}"
     for name, form, part in (
         ("", time, 1.0),
-        (" settling", -np.expm1(-5.0 * time) - time, terms.ADAPT),
+        (" settling", -np.expm1(-5.0 * time) - time, terms.SHAPE_SHARE),
     ):
         for unknown, scale in UNKNOWNS.items():
             full = f"{state.setup} {unknown}{name}"

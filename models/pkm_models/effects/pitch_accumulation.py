@@ -19,10 +19,10 @@ def columns(state: State) -> Iterable[Column]:
     """Modes of a smooth random curve over the travel a leg; those after the first two
     let the form adapt.
     """
-    unit, at = terms.metre(state), terms.place(state)
+    unit, at = terms.joint_per_metre(state), terms.travel_position(state)
     for i in state.limbs:
         for k in range(terms.CURVES):
-            change = {i: unit[:, i] * terms.curve(at[:, i], k)}
+            change = {i: unit[:, i] * terms.travel_curve(at[:, i], k)}
             yield Column(
                 f"leg {i + 1} curve {k + 1}", CURVE, f"leg {i + 1}", change, shape=k > 1
             )
@@ -38,5 +38,5 @@ effect = Effect(
         " controller's pitch table"
     ),
     exposed_by="readings over the full stroke of each joint",
-    textbook=0.1,
+    textbook_share=0.1,
 )

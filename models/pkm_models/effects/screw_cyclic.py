@@ -48,7 +48,7 @@ def columns(state: State, pitch: float) -> Iterable[Column]:
         for k in (1, 2):
             angle = 2.0 * np.pi * k * state.joints[:, i] / pitch
             for name, value in (("sin", np.sin(angle)), ("cos", np.cos(angle))):
-                scale = TURN if k == 1 else terms.ADAPT * TURN
+                scale = TURN if k == 1 else terms.SHAPE_SHARE * TURN
                 yield Column(f"{leg} {name} {k}", scale, leg, {i: value}, shape=k > 1)
 
 
@@ -62,5 +62,5 @@ effect = Effect(
         "align the screw's bearings and coupling, or close the loop by a linear encoder"
     ),
     exposed_by="poses so dense that several fall within one turn of the screw",
-    unfit=terms.turning,
+    unfit=terms.has_rotary_drives,
 )

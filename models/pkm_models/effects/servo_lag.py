@@ -17,19 +17,19 @@ DELAY, SECOND, FEED = 1e-3, 3e-4, 0.05  # s, s^2, m/s
 def columns(state: State) -> Iterable[Column]:
     """-T rate a leg; shape: acceleration, and a delay that grows with the rate."""
     rate, faster = np.nan_to_num(state.rate), np.nan_to_num(state.acceleration)
-    bent = rate * np.abs(rate) / (FEED * terms.metre(state))
+    bent = rate * np.abs(rate) / (FEED * terms.joint_per_metre(state))
     for i in state.limbs:
         leg = f"leg {i + 1}"
         yield Column(leg, DELAY, leg, {i: -rate[:, i]})
         yield Column(
             f"{leg} acceleration",
-            terms.ADAPT * SECOND,
+            terms.SHAPE_SHARE * SECOND,
             leg,
             {i: -faster[:, i]},
             shape=True,
         )
         yield Column(
-            f"{leg} feed", terms.ADAPT * DELAY, leg, {i: -bent[:, i]}, shape=True
+            f"{leg} feed", terms.SHAPE_SHARE * DELAY, leg, {i: -bent[:, i]}, shape=True
         )
 
 
@@ -46,5 +46,5 @@ effect = Effect(
         "match the position loop gains of the legs, or tune the velocity feed-forward"
     ),
     exposed_by="the same circle at two feeds, in both directions",
-    alike=True,
+    common_to_limbs=True,
 )

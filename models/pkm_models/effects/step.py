@@ -30,13 +30,13 @@ def columns(state: State, when: float, lasts: float) -> Iterable[Column]:
     `lasts`: share of the session after which all is as before; negative: before `when`,
     from which on it is.
     """
-    time = terms.share(state)
+    time = terms.session_share(state)
     first, last = (when, when + lasts) if lasts > 0.0 else (when + lasts, when)
     inside = ((time >= first) & (time < last)).astype(float)
     if not inside.any():
         return
     fine = [inside * (time < first + k / 3.0 / (COUNT + 1)) for k in (1, 2)]
-    unit = terms.metre(state)
+    unit = terms.joint_per_metre(state)
     for name, form, part in (
         ("", inside, 1.0),
         (" later", fine[0], 0.5),

@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 
-from oed import smooth
+from oed import smooth_basis
 from oed.arrays import Array
 from oed.effect import State
 from oed.kinematics import AssemblyError, Kinematics
@@ -18,18 +18,18 @@ from oed.machine import Machine
 STEEL = 11.5e-6  # 1/K, thermal expansion (ISO 230-3)
 #: time constants of warming up, s: a motor's housing half an hour, a machine frame four
 #: hours (ISO 230-3, annex)
-TIMES = (1800.0, 3600.0, 7200.0, 14400.0)
+TIME_CONSTANTS = (1800.0, 3600.0, 7200.0, 14400.0)
 #: how much smaller a column that only lets the form adapt is expected to be than the
 #: textbook's
-ADAPT = 0.4
+SHAPE_SHARE = 0.4
 #: weight of what moves over the heaviest payload: that of a printer is 10 N, of a
 #: hexapod 2 kN, and payloads go with it
-RATIOS = (0.3, 1.0, 3.0, 10.0)
+MASS_RATIOS = (0.3, 1.0, 3.0, 10.0)
 #: distance over which an error along a joint's travel hangs together, of half the
 #: travel read; modes it is told by
-SMOOTH, CURVES = 0.5, 10
+CORRELATION_LENGTH, CURVES = 0.5, 10
 #: least part of a joint's whole travel over which its error is a curve of its own
-PART = 0.25
+MIN_TRAVEL_SHARE = 0.25
 REMEMBERED = 32
 
 
@@ -92,64 +92,68 @@ def _reached(kinematics: Kinematics, command: Array) -> tuple[Array, Array]:
             command = np.delete(command, error.indices, axis=0)
 
 
-def place(state: State) -> Array:
+def travel_position(state: State) -> Array:
     """Where each joint (m, nq) is in the travel that the session has of it, from -1 to
     1.
 
     Curves over the whole travel would tell nothing of what bends within a part of it.
     Errors that bend within less than a part of PART are smooth in what is read.
     """
-    known, (low, high) = travel(state.machine), state.stroke
-    half = 0.5 * np.maximum(high - low, PART * (known.high - known.low))
+    known, (low, high) = travel(state.machine), state.joint_range
+    half = 0.5 * np.maximum(high - low, MIN_TRAVEL_SHARE * (known.high - known.low))
     return np.asarray((state.joints - 0.5 * (low + high)) / half)
 
 
-def curve(at: Array, number: int) -> Array:
+def travel_curve(at: Array, number: int) -> Array:
     """One of the CURVES of a smooth error along a travel, at places in it from -1 to 1:
     without mean and slope, for a joint's zero and scale are other effects.
     """
-    return smooth.curve(at, number, reach=SMOOTH, count=CURVES, straight=2)
+    return smooth_basis.curve_mode(
+        at, number, correlation_length=CORRELATION_LENGTH, count=CURVES, detrend=2
+    )
 
 
-def metre(state: State) -> Array:
+def joint_per_metre(state: State) -> Array:
     """What a metre of strut is worth in each joint (m, nq), without sign: 1 where a
     joint is a length.
     """
     turning = np.array([c.unit == "rad" for c in state.machine.joints])
     worth = np.where(
-        np.isfinite(state.per_length),
-        np.abs(state.per_length),
+        np.isfinite(state.joint_per_length),
+        np.abs(state.joint_per_length),
         1.0 / state.machine.lever,
     )
     return np.where(turning, worth, 1.0)
 
 
-def carried(state: State) -> Array:
+def payload_share(state: State) -> Array:
     """Payload (m,) as a share of the session's heaviest; zeros where there is none."""
     return (
-        np.nan_to_num(state.payload) / state.heaviest
-        if state.heaviest > 0.0
+        np.nan_to_num(state.payload) / state.max_payload
+        if state.max_payload > 0.0
         else np.zeros(len(state))
     )
 
 
-def loaded(state: State, ratio: float) -> tuple[Array, Array]:
+def joint_load(state: State, ratio: float) -> tuple[Array, Array]:
     """Load (m, nq) of each joint per newton of what moves, and what the payload has of
     it; ratio: see `RATIOS`.
     """
-    extra = state.force * (carried(state) / ratio)[:, None]
-    return state.weight + extra, extra
+    extra = state.tool_force * (payload_share(state) / ratio)[:, None]
+    return state.platform_force + extra, extra
 
 
-def stretched(state: State, shift: Array) -> Array:
+def joint_change(state: State, shift: Array) -> Array:
     """Joint changes (m, nq) worth base ends displaced by shift (m, nq, 3), m.
 
     |A - B - shift| = l is |A - B| = l + along . shift to first order.
     """
-    return np.asarray(state.per_length * np.einsum("mjk,mjk->mj", state.along, shift))
+    return np.asarray(
+        state.joint_per_length * np.einsum("mjk,mjk->mj", state.strut_direction, shift)
+    )
 
 
-def radial(state: State) -> Array:
+def radial_directions(state: State) -> Array:
     """Horizontal unit vectors (m, nq, 3) from the middle of the base ends to each; x
     where an end is in the middle.
     """
@@ -162,7 +166,7 @@ def radial(state: State) -> Array:
     )
 
 
-def no_struts(machine: Machine) -> str | None:
+def lacks_struts(machine: Machine) -> str | None:
     """Why an effect that acts on struts cannot be computed; None where it can."""
     return (
         None
@@ -171,7 +175,7 @@ def no_struts(machine: Machine) -> str | None:
     )
 
 
-def turning(machine: Machine) -> str | None:
+def has_rotary_drives(machine: Machine) -> str | None:
     """Why an effect of linear drives cannot occur; None where it can."""
     return (
         "its joints turn: it has no linear drives"
@@ -180,7 +184,7 @@ def turning(machine: Machine) -> str | None:
     )
 
 
-def filled(values: Array) -> Array:
+def fill_gaps(values: Array) -> Array:
     """Values with gaps (NaN) closed from their neighbours; zeros where nothing is
     known.
     """
@@ -190,15 +194,15 @@ def filled(values: Array) -> Array:
     return np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
 
 
-def since(state: State) -> Array:
+def session_time(state: State) -> Array:
     """Time (m,) since the session's first reading, s; zeros where no time is known."""
-    return filled(state.time - state.span[0])
+    return fill_gaps(state.time - state.session_span[0])
 
 
-def share(state: State) -> Array:
+def session_share(state: State) -> Array:
     """Time (m,) as a share of the session, 0 to 1."""
-    length = state.span[1] - state.span[0]
-    return since(state) / length if length > 0.0 else np.zeros(len(state))
+    length = state.session_span[1] - state.session_span[0]
+    return session_time(state) / length if length > 0.0 else np.zeros(len(state))
 
 
 #: gaps (s) that are more than the way to the next pose, and how many times their median
@@ -206,7 +210,7 @@ def share(state: State) -> Array:
 PAUSE, BREAK = 60.0, 2.5
 
 
-def warming(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:
+def warm_up(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:
     """How warm a body is at each pose (m,): (whether it was measured, as in the
     textbook, what may come to it).
 
@@ -216,10 +220,10 @@ def warming(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:
     are none; and a faster part, with tau / 4.
     """
     kelvin = state.temperature.get(body, np.full(len(state), np.nan))
-    time = since(state)
+    time = session_time(state)
     if np.isfinite(kelvin).any():
-        start = state.start.get(body, kelvin[np.isfinite(kelvin)][0])
-        rise = filled(kelvin - start)
+        start = state.start_temperature.get(body, kelvin[np.isfinite(kelvin)][0])
+        rise = fill_gaps(kelvin - start)
         return True, rise, _lag(rise, time, tau) - rise
     return False, _worked(state, tau), _worked(state, tau / 4.0)
 
@@ -228,7 +232,7 @@ def _worked(state: State, tau: float) -> Array:
     """Share (m,) of its final temperature that a body has: T' = (u - T) / tau, u = 1 at
     work and 0 in breaks.
     """
-    session = state.session
+    session = state.session_times
     if not session.size:
         return np.zeros(len(state))
     gaps = np.diff(session)

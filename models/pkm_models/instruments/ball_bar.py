@@ -55,7 +55,7 @@ instrument = Instrument(
     cost=COST,
     observe=_taught,
     reference="teach",
-    holds=lambda k: k["length"],
+    fixed_reading=lambda k: k["length"],
 )
 
 free_cup = Instrument(
@@ -73,5 +73,5 @@ free_cup = Instrument(
     nuisances=_cup(1.0e-3),
     cost=COST,
     observe=_free,
-    holds=lambda k: k["length"],
+    fixed_reading=lambda k: k["length"],
 )

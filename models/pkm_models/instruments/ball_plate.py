@@ -33,7 +33,9 @@ SOURCE = "ISO 10360-2 (calibrated test lengths for coordinate measuring machines
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     nominal = ca.vertcat(k["at_x"], k["at_y"], k["at_z"])
     return list(
-        ca.vertsplit(registration.moved(s, frames[0].point - nominal, ca.DM.zeros(3)))
+        ca.vertsplit(
+            registration.point_in_frame(s, frames[0].point - nominal, ca.DM.zeros(3))
+        )
     )
 
 
@@ -50,7 +52,7 @@ instrument = Instrument(
         Setting(f"at_{n}", "m", 0.0, f"{n} of the plate's origin in the base frame")
         for n in "xyz"
     ),
-    nuisances=registration.unknowns(0.5e-3, 5e-3),
+    nuisances=registration.frame_parameters(0.5e-3, 5e-3),
     cost=Cost(setup=1800.0, reading=60.0),
     observe=_observe,
 )

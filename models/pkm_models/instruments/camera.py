@@ -31,7 +31,9 @@ COST = Cost(setup=900.0, reading=20.0)
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    return list(ca.vertsplit(registration.moved(s, frames[0].point, ca.DM.zeros(3))))
+    return list(
+        ca.vertsplit(registration.point_in_frame(s, frames[0].point, ca.DM.zeros(3)))
+    )
 
 
 def _in_base_frame(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -47,7 +49,7 @@ instrument = Instrument(
     ),
     channels=CHANNELS,
     settings=(),
-    nuisances=registration.unknowns(5e-3, 10e-3),
+    nuisances=registration.frame_parameters(5e-3, 10e-3),
     cost=COST,
     observe=_observe,
 )

@@ -63,7 +63,7 @@ def _gimbal(k: Values) -> Expr:
 def _ends(frame: Frame, s: Values, k: Values) -> tuple[Expr, Expr]:
     """A and B as the instrument sees them."""
     ends = (frame.point, frame.point - k["baseline"] * frame.rotation[:, 2])
-    a, b = (registration.moved(s, end, _gimbal(k)) for end in ends)
+    a, b = (registration.point_in_frame(s, end, _gimbal(k)) for end in ends)
     return a, b
 
 
@@ -99,12 +99,12 @@ def _sources(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
 
 
 def _observe_position(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    a = registration.moved(s, frames[0].point, _gimbal(k))
+    a = registration.point_in_frame(s, frames[0].point, _gimbal(k))
     return [a[0], a[1], a[2]]
 
 
 def _sources_position(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
-    return _spread(registration.moved(s, frames[0].point, _gimbal(k)), k)
+    return _spread(registration.point_in_frame(s, frames[0].point, _gimbal(k)), k)
 
 
 instrument = Instrument(
@@ -116,7 +116,7 @@ instrument = Instrument(
     ),
     channels=(*POINT, *AXIS),
     settings=(*SETTINGS, BASELINE),
-    nuisances=registration.unknowns(0.1e-3, 0.1e-3),
+    nuisances=registration.frame_parameters(0.1e-3, 0.1e-3),
     cost=Cost(setup=3600.0, reading=60.0),
     observe=_observe,
     sources=_sources,
@@ -128,7 +128,7 @@ position = Instrument(
     about="laser ball bar on a gimbal: position of the tool alone",
     channels=POINT,
     settings=SETTINGS,
-    nuisances=registration.unknowns(0.1e-3, 0.1e-3),
+    nuisances=registration.frame_parameters(0.1e-3, 0.1e-3),
     cost=Cost(setup=3600.0, reading=20.0),
     observe=_observe_position,
     sources=_sources_position,

@@ -35,12 +35,12 @@ ANGLES = tuple(
 
 
 def _position(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    point = registration.moved(s, frames[0].point, ca.DM.zeros(3))
+    point = registration.point_in_frame(s, frames[0].point, ca.DM.zeros(3))
     return [point[0], point[1], point[2]]
 
 
 def _pose(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    seen = registration.turned(s, frames[0].rotation)
+    seen = registration.rotation_in_frame(s, frames[0].rotation)
     gamma = ca.atan2(-seen[0, 1], seen[0, 0])
     return [*_position(frames, s, k), *registration.axis_angles(seen[:, 2]), gamma]
 
@@ -51,7 +51,7 @@ instrument = Instrument(
     about="tracker: position and orientation of the tool",
     channels=(*POINT, *ANGLES),
     settings=(),
-    nuisances=registration.unknowns(0.05e-3, 0.05e-3),
+    nuisances=registration.frame_parameters(0.05e-3, 0.05e-3),
     cost=Cost(setup=2700.0, reading=15.0),
     observe=_pose,
 )
@@ -62,7 +62,7 @@ position = Instrument(
     about="tracker: position of the tool alone",
     channels=POINT,
     settings=(),
-    nuisances=registration.unknowns(0.05e-3, 0.05e-3),
+    nuisances=registration.frame_parameters(0.05e-3, 0.05e-3),
     cost=Cost(setup=2700.0, reading=10.0),
     observe=_position,
 )

@@ -22,7 +22,7 @@ from oed.machine import Expr, Machine, Values
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    return [frames[0].misfit]
+    return [frames[0].closure_misfit]
 
 
 def _unfit(machine: Machine) -> str | None:

@@ -225,7 +225,7 @@ def log_evidence(problem: GapProblem, law: NoiseLaw, columns: Array) -> float:
     the parameters' slopes too, as from `compress`.
     """
     whitener = Whitener(problem, law)
-    white = whitener.white(np.column_stack([problem.residual, columns]))
+    white = whitener.whiten(np.column_stack([problem.residual, columns]))
     full = white.T @ white
     inner = full[1:, 1:] + np.eye(columns.shape[1])
     factor = linalg.cholesky(inner, lower=True, check_finite=False)

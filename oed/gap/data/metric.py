@@ -37,7 +37,7 @@ class Metric:
 
     def whiten(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened by the noise alone, run after run."""
-        return self._whitener.white(values)
+        return self._whitener.whiten(values)
 
     def parts(self, values: Array) -> tuple[Array, Array]:
         """Parts (u0, u1) of values u (N, k): <u, v> = u0^T v0 - u1^T v1."""

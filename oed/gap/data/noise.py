@@ -35,11 +35,13 @@ def detect_outliers(
 ) -> Outliers | None:
     """Outliers under a law, with columns (N, k) of prior N(0, 1) in the model."""
     covariance = columns @ columns.T + problem.slopes @ problem.slopes.T
-    for number, members in enumerate(problem.blocks):
+    for number, members in enumerate(problem.members):
         covariance[np.ix_(members, members)] += law.block(problem, number)
     return detect(problem.residual, covariance)
 
 
 def without_outliers(problem: GapProblem, outliers: Outliers | None) -> GapProblem:
     """The problem with pseudo-residuals in place of the outliers, if there are any."""
-    return problem if outliers is None else problem.with_residual(outliers.residual)
+    return (
+        problem if outliers is None else problem.with_residual(outliers.pseudo_residual)
+    )

@@ -124,7 +124,7 @@ def assemble(
     Parameters are nominal by default; without y the readings are only planned, and
     their residuals are 0.
     """
-    series = tuple(s.parted() for s in series)
+    series = tuple(s.separate_poses() for s in series)
     theta = measurement.nominal if theta is None else theta
     jacobian = measurement.jacobian(series, theta)
     y = measurement.readings(series, theta) if y is None else y
@@ -149,10 +149,10 @@ def assemble(
         residual=residual / sigma,
         slopes=jacobian[:, free] * tolerance / sigma[:, None],
         names=tuple(measurement.names[k] for k in free),
-        base=_stated_correlations(noise, blocks),
-        blocks=blocks,
-        along=_numbers_in_runs(rows, blocks),
-        group=pd.factorize(kinds)[0].astype(np.intp),
+        stated_correlation=_stated_correlations(noise, blocks),
+        members=blocks,
+        position=_numbers_in_runs(rows, blocks),
+        channel=pd.factorize(kinds)[0].astype(np.intp),
         phase=rows["phase"].to_numpy(dtype=float),
         rows=rows,
     )

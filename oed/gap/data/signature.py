@@ -96,7 +96,7 @@ def signature(
         labels=tuple(columns[n].label for n in names),
         scales=np.array([columns[n].scale for n in names]),
         shape=np.array([columns[n].shape for n in names], dtype=bool),
-        textbook=effect.textbook,
+        textbook=effect.textbook_share,
     )
 
 
@@ -213,7 +213,9 @@ def _exact_series(
                 nuisances[:, k] += size * column.nuisances[nuisance.name][read]
         for k, change in _direct_changes(column, measurement, series):
             direct[:, k] += size * change[read]
-    readings = measurement.moved(series, theta, joints, parameters, nuisances)
+    readings = measurement.perturbed_readings(
+        series, theta, joints, parameters, nuisances
+    )
     return readings + direct.ravel()
 
 

@@ -17,7 +17,7 @@ from oed.measurement import Measurement, Series
 TEMPERATURE = "temp_"
 DOWN = (0.0, 0.0, -1.0)
 #: covariates of a reading that a State has under the same name
-COVARIATES = ("time", "progress", "feed", "payload", "direction")
+COVARIATES = ("time", "session_progress", "feed", "payload", "direction")
 
 
 def states(
@@ -33,7 +33,7 @@ def states(
     """
     times = _column(covariates, "time")
     session = _session(covariates, times, series)
-    covariates = covariates.assign(progress=_progress(times))
+    covariates = covariates.assign(session_progress=_progress(times))
     down = np.array(gravity, dtype=float)
     down = down / np.linalg.norm(down)
     by_series, start = [], 0
@@ -58,11 +58,11 @@ def _session(
     if session.size:
         span = (float(session[0]), float(session[-1]))
     return {
-        "heaviest": float(np.nanmax(load, initial=0.0)),
-        "session": session,
-        "start": _first_temperatures(covariates, times),
-        "stroke": np.array([joints.min(axis=0), joints.max(axis=0)]),
-        "span": span,
+        "max_payload": float(np.nanmax(load, initial=0.0)),
+        "session_times": session,
+        "start_temperature": _first_temperatures(covariates, times),
+        "joint_range": np.array([joints.min(axis=0), joints.max(axis=0)]),
+        "session_span": span,
     }
 
 
@@ -135,8 +135,8 @@ def _state(
         setup=series.setup,
         joints=series.q,
         **geometry,
-        sense=moved.sense,
-        reversal=moved.reversal,
+        motion_sign=moved.sense,
+        travel_since_reversal=moved.reversal,
         rate=moved.rate,
         acceleration=moved.acceleration,
         phase=phase_along_runs(tip, run, taught),
@@ -175,14 +175,14 @@ def _geometry(
         "pose": x,
         "tool": tip,
         "axis": rotation[:, :, 2],
-        "force": force,
-        "weight": force + torque,
+        "tool_force": force,
+        "platform_force": force + torque,
         "twist": by_joint,
-        "strut": length,
-        "along": strut / length[..., None],
+        "strut_length": length,
+        "strut_direction": strut / length[..., None],
         "base": base,
         "platform": platform,
-        "per_length": per_length,
+        "joint_per_length": per_length,
     }
 
 

@@ -112,7 +112,7 @@ def build(
         if not forms:
             refused[effect.name] = "it changes none of these readings"
             continue
-        for form, log_weight, halved in _with_alike(forms, effect.alike):
+        for form, log_weight, halved in _with_alike(forms, effect.common_to_limbs):
             start = len(names)
             blocks.append(problem.in_noise_units(form.columns))
             names += form.names
@@ -144,7 +144,7 @@ def _forms(
     stay. A very large grid is scanned in textbook forms; there, the first values of all
     constants but the first have half the weight, and without a metric only these count.
     """
-    grid = effect.grid()
+    grid = effect.constant_grid()
     if len(grid) <= LARGE:
         forms = _signatures(problem, effect, grid)
         return _best(problem, metric, _equally_likely(forms))

@@ -77,9 +77,9 @@ def _within_limits(
 def _hold_warnings(measurement: Measurement, series: Series, place: Place) -> list[str]:
     """A warning where an instrument such as a ball bar cannot hold its reading."""
     setup = measurement.setups[series.setup]
-    if setup.instrument.holds is None:
+    if setup.instrument.fixed_reading is None:
         return []
-    length = setup.instrument.holds(setup.settings)
+    length = setup.instrument.fixed_reading(setup.settings)
     unit = setup.instrument.channels[0].unit
     nominal = measurement.readings([series], measurement.nominal)
     readings = nominal[:: len(setup.sigma)]

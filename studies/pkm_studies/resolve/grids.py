@@ -203,11 +203,11 @@ def solve_held(
         return command, 0
     place = place.key(hold)
     instrument = measurement.setups[setup].instrument
-    if instrument.holds is None:
+    if instrument.fixed_reading is None:
         problem = f"{instrument.name} holds no reading by design"
         raise place.error(problem, f"give {hold} values with a unit", "hold")
     try:
-        solved, solvable = measurement.hold(setup, command, hold)
+        solved, solvable = measurement.commands_at_fixed_reading(setup, command, hold)
     except AssemblyError as error:
         raise place.error(str(error), "narrow the grid", "hold") from error
     lost = int((~solvable).sum())
@@ -246,7 +246,7 @@ def planned_series(
     except AssemblyError as error:
         raise place.error(str(error), "keep to poses the machine can reach") from error
     check_joint_range(measurement.machine, series, place)
-    return series.passes(measurement.setups[setup].protocol)
+    return series.expand_passes(measurement.setups[setup].protocol)
 
 
 def check_joint_range(machine: Machine, series: Series, place: Place) -> None:

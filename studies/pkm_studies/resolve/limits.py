@@ -66,7 +66,7 @@ def _likely(
         raise place.key("travel_chance").error(
             "a chance to stay within which travel?", "give travel_mm as well"
         )
-    if measurement.setups[series.setup].instrument.holds is None:
+    if measurement.setups[series.setup].instrument.fixed_reading is None:
         return np.ones(len(series), dtype=bool)
     covariance = np.diag(measurement.tolerance**2)
     travel = _metres(table.travel_mm)
@@ -86,7 +86,7 @@ def _limits(
         tool_cone = _cone(table.tool_cone, place.key("tool_cone"))
         cup = _point(cup_place(measurement, name))
     travel = None
-    if table.travel_mm is not None and setup.instrument.holds is not None:
+    if table.travel_mm is not None and setup.instrument.fixed_reading is not None:
         travel = _metres(table.travel_mm)
     return feasible.ReadingLimits(
         joints=_joint_ranges(table, measurement, place.key("joints")),

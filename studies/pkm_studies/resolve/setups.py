@@ -91,7 +91,7 @@ def _tolerances(
 
 def _protocol(table: SetupTable, instrument: Instrument, place: Place) -> Protocol:
     protocol = Protocol(table.repeats, table.both_directions, table.average)
-    if len(protocol.passes) > 1 and instrument.reference == "run":
+    if len(protocol.pass_names) > 1 and instrument.reference == "run":
         problem = (
             f"{instrument.name} reads against the first pose of a run, so its runs"
             " are not repeated here"

@@ -128,7 +128,7 @@ def _noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, tuple[float, 
         stated = _sigma(special.get(name, {}), channels, place.key(name))
         sigma = {c.name: c.sigma for c in channels} | general | stated
         protocol = setup.protocol
-        root = math.sqrt(len(protocol.passes)) if protocol.average else 1.0
+        root = math.sqrt(len(protocol.pass_names)) if protocol.average else 1.0
         noise[name] = tuple(sigma[c.name] / root for c in channels)
     return noise
 

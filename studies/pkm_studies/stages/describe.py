@@ -90,7 +90,7 @@ def _numbers(machine: Machine, setup: Setup) -> dict[str, float]:
 
 
 def _passes(setup: Setup) -> str:
-    count = len(setup.protocol.passes)
+    count = len(setup.protocol.pass_names)
     if count == 1:
         return ""
     use = "their mean is the reading" if setup.protocol.average else "each is a reading"

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.arrays import Array
-from oed.batch import Batched
+from oed.batch import BatchedFunction
 from oed.instrument import Frame, Setup
-from oed.kinematics import misfit, symbols
+from oed.kinematics import closure_misfit, symbols
 from oed.machine import Machine
 
 
-class View:
+class ObservationModel:
     """One set-up's observation g(x_1, x_2, s) and its slopes, compiled.
 
     Where the instrument reads what the poses alone do not tell (a redundant machine's
@@ -30,16 +30,17 @@ class View:
             x, xs = symbols(f"x{j}", machine.pose)
             q, qs = symbols(f"q{j}", machine.joints)
             rotation, point = machine.platform(xs)
-            gap = misfit(ca.vertcat(*machine.closure(xs, qs, ps)), x)
+            gap = closure_misfit(ca.vertcat(*machine.closure(xs, qs, ps)), x)
             poses.append(x)
             joints.append(q)
             frames.append(Frame(rotation, point + rotation @ ca.DM(setup.tool), gap))
         s, ss = symbols("s", setup.nuisances)
         y = ca.vertcat(*setup.instrument.observe(frames, ss, setup.settings))
-        self.inner = bool(ca.depends_on(y, ca.vertcat(*joints, p)))
-        known = [*poses, s, *joints, p] if self.inner else [*poses, s]
+        self.uses_closure = bool(ca.depends_on(y, ca.vertcat(*joints, p)))
+        known = [*poses, s, *joints, p] if self.uses_closure else [*poses, s]
         slopes = [
-            ca.jacobian(y, v) for v in ([*poses, s, p] if self.inner else [*poses, s])
+            ca.jacobian(y, v)
+            for v in ([*poses, s, p] if self.uses_closure else [*poses, s])
         ]
         self._arity, self._channels = (
             setup.instrument.arity,
@@ -51,10 +52,10 @@ class View:
         ]
         sources = setup.instrument.sources
         spread = ca.SX(1, 1) if sources is None else sources(frames, ss, setup.settings)
-        self._sources = Batched("sources", [*poses, s], [ca.vec(spread)])
+        self._sources = BatchedFunction("sources", [*poses, s], [ca.vec(spread)])
         self._spread = spread.shape
-        self._value = Batched("read", known, [y])
-        self._slope = Batched("slope", known, slopes)
+        self._value = BatchedFunction("read", known, [y])
+        self._slope = BatchedFunction("slope", known, slopes)
 
     def read(self, known: Sequence[Array]) -> Array:
         """Channels (n, channels) at the poses (n, nx), s, and what else it depends on."""
@@ -79,5 +80,5 @@ class View:
         return (
             shaped[: self._arity],
             shaped[self._arity],
-            shaped[-1] if self.inner else None,
+            shaped[-1] if self.uses_closure else None,
         )

@@ -23,8 +23,8 @@ from oed.arrays import Array
 POINTS = 200
 
 
-def curve(
-    at: Array, number: int, *, reach: float, count: int, straight: int = 0
+def curve_mode(
+    at: Array, number: int, *, correlation_length: float, count: int, detrend: int = 0
 ) -> Array:
     """Mode `number` of the `count` largest at places (...) in a span from -1 to 1; held
     at its end beyond.
@@ -32,7 +32,7 @@ def curve(
     reach     r, where the span is 2 long;  straight: 1 for curves without their mean, 2
               without their slope either
     """
-    grid, made = _modes(reach, count, straight)
+    grid, made = _modes(correlation_length, count, detrend)
     return np.asarray(np.interp(at, grid, made[number]))
 
 
@@ -49,7 +49,9 @@ def _modes(reach: float, count: int, straight: int) -> tuple[Array, Array]:
     )
 
 
-def field(places: Array, *, reach: float, share: float, count: int) -> Array:
+def field_modes(
+    places: Array, *, correlation_length: float, energy_share: float, count: int
+) -> Array:
     """Modes (m, k) of a field of standard deviation 1 with the same correlation of
     places (m, n), the largest first.
 
@@ -57,9 +59,13 @@ def field(places: Array, *, reach: float, share: float, count: int) -> Array:
             `count` modes
     """
     there, back = np.unique(np.round(places, 9), axis=0, return_inverse=True)
-    way = np.sqrt(3.0) / reach * np.linalg.norm(there[:, None] - there, axis=-1)
+    way = (
+        np.sqrt(3.0)
+        / correlation_length
+        * np.linalg.norm(there[:, None] - there, axis=-1)
+    )
     values, vectors = np.linalg.eigh((1.0 + way) * np.exp(-way))
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-    enough = int(np.searchsorted(np.cumsum(values), share * values.sum())) + 1
+    enough = int(np.searchsorted(np.cumsum(values), energy_share * values.sum())) + 1
     kept = min(enough, count)
     return np.asarray((vectors[:, :kept] * np.sqrt(values[:kept]))[back.ravel()])

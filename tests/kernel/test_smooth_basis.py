@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from oed import smooth
+from oed import smooth_basis
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(60)
 
@@ -28,7 +28,9 @@ def _correlation(way: np.ndarray, reach: float) -> np.ndarray:
 def _curves(reach: float, count: int, straight: int) -> np.ndarray:
     return np.column_stack(
         [
-            smooth.curve(NODES, k, reach=reach, count=count, straight=straight)
+            smooth_basis.curve_mode(
+                NODES, k, correlation_length=reach, count=count, detrend=straight
+            )
             for k in range(count)
         ]
     )
@@ -61,7 +63,9 @@ def test_modes_are_orthogonal_the_largest_first(straight: int) -> None:
 
 
 def test_a_curve_stays_as_it_is_beyond_its_span() -> None:
-    ends = smooth.curve(np.array([-5.0, -1.0, 1.0, 5.0]), 0, reach=0.5, count=4)
+    ends = smooth_basis.curve_mode(
+        np.array([-5.0, -1.0, 1.0, 5.0]), 0, correlation_length=0.5, count=4
+    )
     assert ends[0] == ends[1]
     assert ends[2] == ends[3]
 
@@ -72,7 +76,9 @@ def test_a_field_has_the_covariance_between_its_places_and_is_the_same_in_the_sa
 ) -> None:
     there = rng.uniform(-1.0, 1.0, (40, 3))
     places = np.vstack([there, there[::-1]])  # there and back
-    made = smooth.field(places, reach=reach, share=1.0, count=1000)
+    made = smooth_basis.field_modes(
+        places, correlation_length=reach, energy_share=1.0, count=1000
+    )
     far = np.linalg.norm(places[:, None] - places, axis=-1)
     assert made @ made.T == pytest.approx(_correlation(far, reach), abs=1e-6)
     assert made[:40] == pytest.approx(made[:39:-1])
@@ -85,7 +91,9 @@ def test_a_field_is_told_by_as_few_modes_as_hold_its_share(
 ) -> None:
     places = rng.uniform(-1.0, 1.0, (60, 2))
     every, some, few = (
-        smooth.field(places, reach=0.8, share=s, count=c)
+        smooth_basis.field_modes(
+            places, correlation_length=0.8, energy_share=s, count=c
+        )
         for s, c in ((1.0, 99), (0.9, 99), (0.9, 3))
     )
     told = np.cumsum(np.square(every).sum(axis=0)) / 60.0
