@@ -93,7 +93,7 @@ def bar(
     heights = np.linspace(1.066, 1.266, 7) + tool
     angles = np.arange(around) * 2.0 * np.pi / around
     grid = np.array([[h, psi, 0.0] for h in heights for psi in angles])
-    command, possible = measurement.hold(name, grid, "theta")
+    command, possible = measurement.commands_at_fixed_reading(name, grid, "theta")
     if possible.sum() <= 20:
         return None
     series = measurement.series(name, command[possible])
@@ -345,7 +345,9 @@ def test_refits_are_the_fits_of_identify() -> None:
     option = planar(660.0).best.stages[0].option
     m, rng = option.measurement, np.random.default_rng(4)
     for _ in range(3):
-        y = simulate.read(m, option.series, simulate.draw(m, rng), rng)
+        y = simulate.draw_readings(
+            m, option.series, simulate.draw_parameters(m, rng), rng
+        )
         fast = refit(m, option.series, y, m.nominal)
         slow = identify(m, option.series, y)
         difference = np.abs(fast.theta - slow.theta)

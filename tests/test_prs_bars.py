@@ -22,7 +22,7 @@ from prs_sample import (
 )
 
 from oed import explain, identify
-from oed.explain import Seen
+from oed.assessment import assess
 from oed.instrument import Instrument, mount
 from oed.kinematics import Kinematics
 from oed.machine import Machine
@@ -39,12 +39,12 @@ SPIN = "rotation of the platform joints about the tool tip, z axis"
 
 def analyse(
     machine: Machine, instrument: Instrument, tolerances: Mapping[str, float] = KNOWN
-) -> Seen:
+) -> Assessment:
     m, series = measured(machine, instrument, tolerances)
-    return explain.look(m, [series])
+    return assess(m, [series])
 
 
-def lost_text(analysis: Seen) -> str:
+def lost_text(analysis: Assessment) -> str:
     """The sentence about lost directions."""
     findings = explain.explain(analysis)
     return next(f.text for f in findings if "lost" in f.text.lower())
@@ -237,7 +237,7 @@ def test_full_closure_sees_18_17_and_15_of_18(z: float | np.ndarray) -> None:
         (pose_tracker.position, 15),
     ):
         m, series = measured(FULL, instrument, z=z)
-        assert explain.look(m, [series]).verdict.rank == rank
+        assert assess(m, [series]).identifiability.rank == rank
 
 
 def test_the_lost_directions_are_rotations_of_the_platform_joints() -> None:
@@ -310,7 +310,7 @@ def test_table_4_comes_back_in_every_identifiable_combination(
     scores, ratios = [], []
     for seed in range(8):
         m, series, y = planted(seed, tolerances)
-        combinations = explain.look(m, [series]).verdict.combinations
+        combinations = assess(m, [series]).identifiability.combinations
         free = np.flatnonzero(m.free)
         estimate = identify.identify(m, [series], y)
         truth = np.r_[PAPER.ravel(), np.zeros(6)]

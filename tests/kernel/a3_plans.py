@@ -58,7 +58,9 @@ def bar_commands(
     theta follows from stroke (m) and psi (rad).
     """
     z = HOME_Z + m.setups[setup].tool[2] + stroke
-    command, possible = m.hold(setup, np.column_stack([z, psi, 0.0 * psi]), "theta")
+    command, possible = m.commands_at_fixed_reading(
+        setup, np.column_stack([z, psi, 0.0 * psi]), "theta"
+    )
     assert possible.all()
     return command
 
@@ -93,7 +95,7 @@ def analyse(
 
     Returns with it the lost motions in words, and the remaining null space.
     """
-    scale = 1.0 / m.lengths[m.free]
+    scale = 1.0 / m.length_factors[m.free]
     names = [name for name, is_free in zip(m.names, m.free, strict=True) if is_free]
     identifiable = identifiability.analyse(rows(m, series), names, scale)
     motions, remaining = identifiability.lost_motions(identifiable, m.machine, scale)

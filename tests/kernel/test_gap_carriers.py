@@ -28,7 +28,10 @@ def _hum(state: State) -> list[Column]:
     parts = [Column(f"leg {i + 1}", UNIT, joints={i: wave}) for i in state.limbs]
     return [
         *parts,
-        *(Column(f"tool {k}", UNIT, joints=state.displaced(k, wave)) for k in range(3)),
+        *(
+            Column(f"tool {k}", UNIT, joints=state.displacing_joints(k, wave))
+            for k in range(3)
+        ),
     ]
 
 
@@ -46,7 +49,7 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
     form = carriers.at_poses(
         problem, [np.sin(2.0 * np.pi * s.time / PERIOD) for s in problem.states]
     )[..., None]
-    *legs, tool = carriers.all_carriers(problem)[len(np.unique(problem.group)) :]
+    *legs, tool = carriers.all_carriers(problem)[len(np.unique(problem.channel)) :]
     for i, leg in enumerate(legs):
         assert carriers.apply_carrier(leg, form)[:, 0, 0] == pytest.approx(
             wanted[f"leg {i + 1}"], abs=1e-9

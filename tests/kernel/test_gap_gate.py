@@ -21,7 +21,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.processes.catalogue import PROCESSES
 from oed.gap.place import locate
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 
 BLANK = {
     "atoms": (),
@@ -125,7 +125,7 @@ def test_only_where_none_would_be_told_its_odds_are_divided(
         problem,
         library.build(problem, EFFECTS),
         library.build(problem, PROCESSES[:1]),
-        stated(problem),
+        stated_law(problem),
         0.0,
     )
     after = gate.reweigh([search], made, before, np.random.default_rng(1))
@@ -155,7 +155,7 @@ def test_the_gate_leaves_the_draws_of_what_comes_after_alone(
     for p in (0.9, 1e-12):
         monkeypatch.setattr(locate, "least_p_value", lambda *given, p=p: p)
         found[p] = diagnosing.diagnose(
-            problem, EFFECTS, np.random.default_rng(0), law=stated(problem)
+            problem, EFFECTS, np.random.default_rng(0), law=stated_law(problem)
         )
     assert found[0.9].verdict == "none"
     assert found[0.9].where == ()

@@ -22,7 +22,7 @@ from oed.gap.place.legs import ALL
 from oed.gap.place.locate import locate
 from oed.gap.place.regions import Region
 from oed.gap.place.scan import Scan
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 
 KINDS = ("leg", "run", "time", "phase", "direction")
 
@@ -68,7 +68,7 @@ def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(
 
 def test_what_the_parameters_can_absorb_is_no_column(rng: np.random.Generator) -> None:
     problem = case.circles()
-    root = Embedding(problem, stated(problem))
+    root = Embedding(problem, stated_law(problem))
     k = problem.names.index("dq1")
     assert np.linalg.norm(problem.slopes[:, k]) > 1000.0
     other = rng.standard_normal(len(problem))
@@ -103,7 +103,9 @@ def test_corrected_p_values_are_those_of_a_bootstrap_that_fits_again() -> None:
     rng = np.random.default_rng(5)
     r = np.linalg.cholesky(covariance) @ rng.standard_normal(len(problem))
     r += case.sized(
-        case.in_joint(problem, 1, 1e-6 * problem.states[0].sense[:, 1]), covariance, 4.5
+        case.in_joint(problem, 1, 1e-6 * problem.states[0].motion_sign[:, 1]),
+        covariance,
+        4.5,
     )
     found = {
         b.block: b.p_value
@@ -178,7 +180,7 @@ def test_effect_in_one_leg_is_found_there(machines: Machines, form: str) -> None
         limb, q = k % 3, state.joints[:, k % 3]
         u = (q - q.min()) / np.ptp(q)
         change = {
-            "sense": state.sense[:, limb],
+            "sense": state.motion_sign[:, limb],
             "wave": np.cos(
                 2.0 * np.pi * u * rng.uniform(3.0, 12.0) + rng.uniform(0.0, 6.0)
             ),
@@ -198,13 +200,14 @@ def test_the_same_change_in_all_legs_is_told_as_that(
 ) -> None:
     state = machines.problem.states[0]
     change = sum(
-        case.in_joint(machines.problem, k, 1e-6 * state.sense[:, k]) for k in range(3)
+        case.in_joint(machines.problem, k, 1e-6 * state.motion_sign[:, k])
+        for k in range(3)
     )
     found = machines.located(change, 12.0, rng)
     assert found[0].block == ALL
     assert {b.block for b in found} >= {"leg 1", "leg 2", "leg 3"}
     one = machines.located(
-        case.in_joint(machines.problem, 1, 1e-6 * state.sense[:, 1]), 12.0, rng
+        case.in_joint(machines.problem, 1, 1e-6 * state.motion_sign[:, 1]), 12.0, rng
     )
     assert ALL not in {b.block for b in one}
 
@@ -213,7 +216,7 @@ def test_fault_in_one_run_is_found_there(machines: Machines) -> None:
     rng = np.random.default_rng(4)
     problem, right = machines.problem, 0
     for k in range(12):
-        members = problem.blocks[k % 6]
+        members = problem.members[k % 6]
         change = np.zeros(len(problem))
         change[members] = np.cos(
             problem.rows["phase"].to_numpy()[members] + rng.uniform(0.0, 6.0)
@@ -263,14 +266,14 @@ def test_a_stretch_ends_halfway_to_the_readings_beside_it(machines: Machines) ->
     rows = machines.problem.rows
     late = rows["time"] + 600.0 * rows["run"].ne(rows["run"].shift()).cumsum()
     problem = dataclasses.replace(machines.problem, rows=rows.assign(time=late))
-    inside, time = problem.blocks[3], late.to_numpy(dtype=float)
+    inside, time = problem.members[3], late.to_numpy(dtype=float)
     told = {
         w.place
         for w in session.window(
             problem, time[inside].min(), time[inside].max(), frozenset({1})
         )
     }
-    before, after = time[problem.blocks[2]].max(), time[problem.blocks[4]].min()
+    before, after = time[problem.members[2]].max(), time[problem.members[4]].min()
     begin, end = 0.5 * (before + time[inside].min()), 0.5 * (time[inside].max() + after)
     assert after - end > 290.0
     assert told == {f"time {begin:.0f}-{end:.0f}"}
@@ -293,7 +296,7 @@ def test_a_leg_disturbed_by_anothers_motion_is_that_leg(
     machines: Machines, rng: np.random.Generator, limb: int, other: int
 ) -> None:
     change = case.in_joint(
-        machines.problem, limb, 1e-6 * machines.problem.states[0].sense[:, other]
+        machines.problem, limb, 1e-6 * machines.problem.states[0].motion_sign[:, other]
     )
     found = [first(machines.located(change, 10.0, rng), "leg") for _ in range(5)]
     assert found.count(f"leg {limb + 1}") >= 4
@@ -351,11 +354,11 @@ def test_readings_without_covariates_and_with_several_channels(
     table = pd.DataFrame({"setup": setup, "run": series.run, "order": order})
     problem = assemble(measurement, [series], table)
     r = problem.residual + rng.standard_normal(len(problem))
-    found = locate(problem.with_residual(r), stated(problem), rng, draws=100)
+    found = locate(problem.with_residual(r), stated_law(problem), rng, draws=100)
     names = {b.block for b in found}
     assert {f"leg {k + 1}" for k in problem.states[0].limbs} <= names
     assert not any(n.startswith(("time", "direction")) for n in names)
     hit = r.copy()
-    hit[problem.blocks[1]] += 30.0 * rng.standard_normal(len(problem.blocks[1]))
-    found = locate(problem.with_residual(hit), stated(problem), rng, draws=100)
-    assert first(found, "run") == f"run {problem.rows['run'][problem.blocks[1][0]]}"
+    hit[problem.members[1]] += 30.0 * rng.standard_normal(len(problem.members[1]))
+    found = locate(problem.with_residual(hit), stated_law(problem), rng, draws=100)
+    assert first(found, "run") == f"run {problem.rows['run'][problem.members[1][0]]}"

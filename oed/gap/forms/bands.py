@@ -82,7 +82,7 @@ def swing_bands(problem: GapProblem) -> list[Band]:
         unit, span = "readings", float(sum(len(s) for s in problem.series))
     if not carrier.shape[1] or span <= 0.0:
         return []
-    progress = carriers.at_poses(problem, [s.progress for s in problem.states])
+    progress = carriers.at_poses(problem, [s.session_progress for s in problem.states])
     frequencies = np.arange(1, SWINGS + 1) / (2.0 * span)
     names = ["all parameters together"]
     return [Band(unit, span * progress, [carrier], frequencies, names)]
@@ -93,16 +93,16 @@ def run_bands(problem: GapProblem) -> list[Band]:
     if _timed(problem):
         return []
     arc = _arc(problem)
-    runs = np.zeros((len(problem), len(problem.blocks)))
-    for k, members in enumerate(problem.blocks):
+    runs = np.zeros((len(problem), len(problem.members)))
+    for k, members in enumerate(problem.members):
         runs[members, k] = 1.0
     runs = runs[:, runs.sum(axis=0) >= LEAST]
     span = float(arc[:, 0].max())
     if not runs.shape[1] or span <= 0.0:
         return []
-    longest = max(len(members) for members in problem.blocks)
+    longest = max(len(members) for members in problem.members)
     frequencies = _frequencies(span, 1.0 / span, 0.5 * longest / span)
-    count = len(np.unique(problem.group))
+    count = len(np.unique(problem.channel))
     channels = carriers.all_carriers(problem)[:count]
     names = carriers.carrier_names(problem)[:count]
     bands = []
@@ -256,7 +256,7 @@ def _since_run_start(problem: GapProblem, clock: Array, poses: int) -> Array:
     What a reading is read against was seen as its run began.
     """
     against = np.repeat(clock[:, None], poses, axis=1)
-    for members in problem.blocks:
+    for members in problem.members:
         against[members, 1:] = clock[members].min()
     return against
 
@@ -269,7 +269,7 @@ def _arc(problem: GapProblem) -> Array:
     tool = carriers.at_poses(problem, [s.tool for s in problem.states])
     order = problem.rows["order"].to_numpy(dtype=float)
     arc = np.zeros(tool.shape[:2])
-    for members in problem.blocks:
+    for members in problem.members:
         at = members[np.argsort(order[members], kind="stable")]
         steps = np.linalg.norm(np.diff(tool[at, 0], axis=0), axis=1)
         arc[at[1:], 0] = np.cumsum(steps)

@@ -92,10 +92,10 @@ def all_carriers(problem: GapProblem) -> list[Array]:
     the poses that a reading sees.
     """
     legs = joint_carriers(problem)
-    groups = np.unique(problem.group)
+    groups = np.unique(problem.channel)
     channels = np.zeros((len(problem), len(groups), legs.shape[2]))
     rows = np.arange(len(problem))
-    channels[rows, problem.group, 0] = UNIT / problem.sigma
+    channels[rows, problem.channel, 0] = UNIT / problem.sigma
     alone = []
     for carriers in (channels, legs):
         alone += [carriers[:, i, None] for i in range(carriers.shape[1])]
@@ -106,8 +106,8 @@ def carrier_names(problem: GapProblem) -> list[str]:
     """Each of `all_carriers` in words."""
     channels = problem.rows["channel"].to_numpy()
     names = []
-    for group in np.unique(problem.group):
-        channel = channels[problem.group == group][0]
+    for group in np.unique(problem.channel):
+        channel = channels[problem.channel == group][0]
         names.append(f"the readings of {channel}")
     names += [f"leg {i + 1}" for i in problem.states[0].limbs]
     return [*names, "the tool"]
@@ -149,7 +149,7 @@ def tool_carrier(problem: GapProblem, legs: Array) -> Array:
 
     `legs` (N, nq, J) are the joints' carriers.
     """
-    pushing = at_poses(problem, [s.pushing for s in problem.states])
+    pushing = at_poses(problem, [s.joints_per_displacement for s in problem.states])
     return np.asarray(np.einsum("nqj,njqk->nkj", legs, pushing))
 
 

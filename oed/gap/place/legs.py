@@ -91,16 +91,16 @@ def _smooth_forms(problem: GapProblem, number: int, limb: int) -> dict[str, Arra
     linear = np.column_stack([ones, u])
     forms = {
         "travel": np.cos(np.pi * u[:, None] * SMOOTH),
-        "sense": state.sense[:, limb, None] * linear,
+        "sense": state.motion_sign[:, limb, None] * linear,
     }
     force = np.zeros_like(u)
-    if np.isfinite(state.force).all():
-        force = state.force[:, limb]
+    if np.isfinite(state.tool_force).all():
+        force = state.tool_force[:, limb]
     load = np.nan_to_num(state.payload)
     by_load = np.column_stack([ones, u, load, load * u])
     forms["load"] = force[:, None] * by_load
-    if np.isfinite(state.span).all():
-        first, last = state.span
+    if np.isfinite(state.session_span).all():
+        first, last = state.session_span
         duration = max(last - first, 1e-12)
         at = np.nan_to_num((state.time - first) / duration)
         forms["time"] = np.column_stack([at, at**2, at * u])
@@ -118,6 +118,6 @@ def _with_other_leg(
     """Errors (m, 3) of a leg that come with the motion of the one `step` legs on."""
     state, u = problem.states[number], _travel(problem, number, limb)
     other = (limb + step) % len(state.limbs)
-    motion = np.where(np.isfinite(state.rate), state.rate, state.sense)
+    motion = np.where(np.isfinite(state.rate), state.rate, state.motion_sign)
     rate = motion[:, other]
     return np.column_stack([rate, np.abs(rate), rate * u])

@@ -52,7 +52,7 @@ def sectors(problem: GapProblem) -> Iterator[Region]:
 def _has_phase(problem: GapProblem, phase: Array) -> Mask:
     """Whether a reading's run has places enough along it (N,)."""
     valid = np.zeros(len(problem), dtype=bool)
-    for members in problem.blocks:
+    for members in problem.members:
         places = np.unique(np.round(phase[members], 9))
         valid[members] = len(places) >= WAVES
     return valid

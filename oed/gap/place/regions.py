@@ -54,19 +54,19 @@ def joint_change(problem: GapProblem, limb: int, change: Sequence[Array]) -> Arr
 
 def channel_offsets(problem: GapProblem) -> Array:
     """One column (N, channels) for each kind of reading."""
-    groups = np.unique(problem.group)
-    return np.asarray(problem.group[:, None] == groups, dtype=float)
+    groups = np.unique(problem.channel)
+    return np.asarray(problem.channel[:, None] == groups, dtype=float)
 
 
 def runs(problem: GapProblem) -> Iterator[tuple[str, Array]]:
     """Name of each run, where there are several, and which readings (N,) it has."""
-    if len(problem.blocks) < 2:
+    if len(problem.members) < 2:
         return
-    first = [members[0] for members in problem.blocks]
+    first = [members[0] for members in problem.members]
     labels = problem.rows[["setup", "run"]].iloc[first].astype(str)
     ambiguous = labels["run"].duplicated(keep=False).to_numpy()
     names = zip(labels["setup"], labels["run"], strict=True)
     for k, (setup, run) in enumerate(names):
         inside = np.zeros(len(problem))
-        inside[problem.blocks[k]] = 1.0
+        inside[problem.members[k]] = 1.0
         yield f"run {setup} {run}" if ambiguous[k] else f"run {run}", inside

@@ -80,7 +80,7 @@ def tool_growth(problem: GapProblem, shares: Sequence[Array]) -> Array:
 
     It is longer by shares (m, k) of a unit at the poses of each series.
     """
-    growth = [s.lengthening for s in problem.states]
+    growth = [s.joints_per_extension for s in problem.states]
     parts = []
     for limb in problem.states[0].limbs:
         pairs = zip(shares, growth, strict=True)

@@ -152,7 +152,7 @@ def whiten(option: Option, chosen: Index, values: Array) -> Array:
     parts = []
     start = 0
     for s in series:
-        root = np.linalg.cholesky(measurement.own_noise(s))
+        root = np.linalg.cholesky(measurement.reading_covariances(s))
         n, k = root.shape[:2]
         part = values[:, start : start + n * k].reshape(-1, n, k)
         white = np.linalg.solve(root, part.transpose(1, 2, 0))

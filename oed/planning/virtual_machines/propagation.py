@@ -203,7 +203,7 @@ class _Propagation:
 
     def _draw(self, measurement: Measurement, rng: np.random.Generator) -> Array:
         """True parameters (n,) of a machine and of all set-ups."""
-        truth = simulate.draw(measurement, rng)
+        truth = simulate.draw_parameters(measurement, rng)
         root = self._prior_root(measurement)
         if root is not None:
             free = measurement.free

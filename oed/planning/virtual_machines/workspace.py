@@ -121,10 +121,10 @@ class WorkspaceErrors:
         twist, model = self._twist(self.model, controller, believed, truth)
         home_twist, home = self._twist(self.home, controller, believed, truth)
         lever = self.kinematics.machine.lever
-        referenced = predict.referenced(
+        referenced = predict.relative_to_reference(
             twist, home_twist, model, home, self.reference, lever
         )
-        return self.kinematics.components(self.maps.command, referenced)
+        return self.kinematics.error_components(self.maps.command, referenced)
 
     def _twist(
         self, model: ErrorModel, controller: Array, believed: Array, truth: Array

@@ -78,7 +78,7 @@ def on_tool(
 ) -> Iterable[Column]:
     """The tool displaced along each axis of the base by a change (m,)."""
     for k, axis in enumerate("xyz"):
-        yield Column(f"{name} {axis}", size, joints=state.displaced(k, change))
+        yield Column(f"{name} {axis}", size, joints=state.displacing_joints(k, change))
 
 
 def on_readings_and_tool(
@@ -114,9 +114,9 @@ def known(values: Array) -> Array:
 
 def relative_payload(state: State) -> Array:
     """Payload (m,) as a share of the session's largest; zeros where unknown."""
-    if state.heaviest <= 0.0:
+    if state.max_payload <= 0.0:
         return np.zeros(len(state))
-    return known(state.payload) / state.heaviest
+    return known(state.payload) / state.max_payload
 
 
 def relative_feed(feed: Array) -> Array:

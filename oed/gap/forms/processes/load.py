@@ -26,7 +26,7 @@ HARMONICS, TOOL_HARMONICS = 4, 2
 
 def over_load(state: State) -> Iterable[Column]:
     """An error that comes with the payload, over the pose and along the runs."""
-    if state.heaviest == 0.0:
+    if state.max_payload == 0.0:
         return
     load = relative_payload(state)
     yield from on_readings(state, "load", UNIT, load)
@@ -38,7 +38,7 @@ def over_load(state: State) -> Iterable[Column]:
 
 def parameters_over_load(state: State) -> Iterable[Column]:
     """All of the machine's parameters shifted by the payload, by a micrometre in all."""
-    if state.heaviest == 0.0:
+    if state.max_payload == 0.0:
         return
     load = relative_payload(state)
     for k, share in parameter_shares(state.machine).items():

@@ -26,7 +26,7 @@ def of_another(state: State, shift: float) -> Iterable[Column]:
     count = len(state.limbs)
     if shift >= count:
         return
-    rate = np.where(np.isfinite(state.rate), state.rate, state.sense)
+    rate = np.where(np.isfinite(state.rate), state.rate, state.motion_sign)
     fastest = np.abs(rate).max(axis=0)
     rate = rate / np.maximum(fastest, 1e-12)
     for i in state.limbs:
@@ -44,9 +44,9 @@ def over_sense(state: State) -> Iterable[Column]:
     """
     ones = np.ones(len(state))
     for i in state.limbs:
-        q, sense = state.joints[:, i], state.sense[:, i]
+        q, sense = state.joints[:, i], state.motion_sign[:, i]
         share = share_of_span(q, float(q.min()), float(q.max()))
-        distance = state.reversal[:, i] / max(float(np.ptp(q)), 1e-12)
+        distance = state.travel_since_reversal[:, i] / max(float(np.ptp(q)), 1e-12)
         for k, since in enumerate(SINCE, start=1):
             change = sense * np.exp(-distance / since)
             yield on_joint(i, f"turned {k}", UNIT, change)

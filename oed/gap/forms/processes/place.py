@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed import smooth
+from oed import smooth_basis
 from oed.arrays import Array
 from oed.effect import Column, State
 from oed.gap.forms.processes.base import (
@@ -44,11 +44,13 @@ def over_pose(state: State) -> Iterable[Column]:
 
 def over_travel(state: State) -> Iterable[Column]:
     """An error of each joint over its travel in the session: a random smooth curve."""
-    low, high = state.stroke
+    low, high = state.joint_range
     for i in state.limbs:
         at = in_travel(state.joints[:, i], low[i], high[i])
         for k in range(CURVES):
-            curve = smooth.curve(at, k, reach=BENDS, count=CURVES, straight=1)
+            curve = smooth_basis.curve_mode(
+                at, k, correlation_length=BENDS, count=CURVES, detrend=1
+            )
             yield on_joint(i, f"travel {k + 1}", UNIT, curve)
 
 
@@ -72,9 +74,11 @@ def _field(state: State, reach: float, factor: Array) -> Iterable[Column]:
     """A random smooth error over all joints' travels, times a factor (m,)."""
     if not factor.any():
         return
-    low, high = state.stroke
+    low, high = state.joint_range
     joints = [in_travel(state.joints[:, i], low[i], high[i]) for i in state.limbs]
     at = np.column_stack(joints)
-    modes = smooth.field(at, reach=reach, share=WHOLE, count=MODES)
+    modes = smooth_basis.field_modes(
+        at, correlation_length=reach, energy_share=WHOLE, count=MODES
+    )
     for k, mode in enumerate(modes.T, start=1):
         yield from on_readings(state, f"{state.setup} {k}", UNIT, factor * mode)

@@ -49,5 +49,5 @@ def _rise(state: State, body: float) -> Array:
     if body >= len(names):
         return np.zeros(len(state))
     name = names[int(body)]
-    rise = state.temperature[name] - state.start[name]
+    rise = state.temperature[name] - state.start_temperature[name]
     return np.asarray(np.nan_to_num(rise))

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed import smooth
+from oed import smooth_basis
 from oed.arrays import Array
 from oed.effect import Column, State
 from oed.gap.forms.processes.base import (
@@ -34,20 +34,20 @@ STARTS = (1.5, 5.0)
 
 def over_time(state: State) -> Iterable[Column]:
     """Drift of the readings."""
-    for k, wave in enumerate(cosines(state.progress, DRIFTS), start=1):
+    for k, wave in enumerate(cosines(state.session_progress, DRIFTS), start=1):
         yield from on_readings(state, f"time {k}", UNIT / k, wave)
 
 
 def tool_over_time(state: State) -> Iterable[Column]:
     """Drift of the tool's place."""
-    for k, wave in enumerate(cosines(state.progress, DRIFTS), start=1):
+    for k, wave in enumerate(cosines(state.session_progress, DRIFTS), start=1):
         yield from on_tool(state, f"time {k}", UNIT / k, wave)
 
 
 def joints_over_time(state: State) -> Iterable[Column]:
     """Drift of each joint."""
     for i in state.limbs:
-        for k, wave in enumerate(cosines(state.progress, DRIFTS), start=1):
+        for k, wave in enumerate(cosines(state.session_progress, DRIFTS), start=1):
             yield on_joint(i, f"time {k}", UNIT / k, wave)
 
 
@@ -56,29 +56,31 @@ def tool_growing(state: State, reach: float) -> Iterable[Column]:
 
     Its length is a random smooth curve over the session.
     """
-    at = 2.0 * state.progress - 1.0
+    at = 2.0 * state.session_progress - 1.0
     for k in range(GROWING):
-        length = smooth.curve(at, k, reach=2.0 * reach, count=GROWING, straight=1)
-        change = state.lengthening * length[:, None]
+        length = smooth_basis.curve_mode(
+            at, k, correlation_length=2.0 * reach, count=GROWING, detrend=1
+        )
+        change = state.joints_per_extension * length[:, None]
         joints = {i: change[:, i] for i in state.limbs}
         yield Column(f"axis time {k}", UNIT, joints=joints)
 
 
 def settling(state: State, within: float) -> Iterable[Column]:
     """What fades after the session's start, as in any warm-up, in the readings."""
-    fading = np.exp(-state.progress / within)
+    fading = np.exp(-state.session_progress / within)
     yield from on_readings(state, "settles", UNIT, fading)
 
 
 def tool_settling(state: State, within: float) -> Iterable[Column]:
     """What fades after the session's start, in the tool's place."""
-    fading = np.exp(-state.progress / within)
+    fading = np.exp(-state.session_progress / within)
     yield from on_tool(state, "settles", UNIT, fading)
 
 
 def joints_settling(state: State, within: float) -> Iterable[Column]:
     """What fades after the session's start, in each joint."""
-    fading = np.exp(-state.progress / within)
+    fading = np.exp(-state.session_progress / within)
     for i in state.limbs:
         yield on_joint(i, "settles", UNIT, fading)
 
@@ -100,15 +102,15 @@ def _fading(state: State, within: float) -> Array:
 
     Zeros where there is only one set-up, whose start is the session's.
     """
-    if np.ptp(state.progress) > 1.0 - 1e-9:
+    if np.ptp(state.session_progress) > 1.0 - 1e-9:
         return np.zeros(len(state))
-    since = state.progress - state.progress.min()
+    since = state.session_progress - state.session_progress.min()
     return np.asarray(np.exp(-since / within))
 
 
 def windows(state: State, when: float, lasts: float) -> Iterable[Column]:
     """A disturbance for a while: a bump at a share of the session."""
-    distance = (state.progress - when) / lasts
+    distance = (state.session_progress - when) / lasts
     bump = np.exp(-0.5 * distance**2)
     yield from on_readings_and_tool(state, "while", UNIT, bump)
 

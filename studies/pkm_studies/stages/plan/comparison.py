@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import criteria, explain, result
+from oed import criteria, result
+from oed.assessment import assess
 from oed.planning.search import PlanSearchResult
 from oed.planning.sequence.stage_plan import StagePlan
 from oed.planning.stage import travel
@@ -39,12 +40,12 @@ def compare_sequence(
     best, bound = _best_plan(task, sequence, search, seconds)
     readings = [s for stage in sequence.stages for s in stage.series]
     measurement = task.resolved.measurement_with({s.setup for s in readings})
-    explained = explain.look(measurement, readings)
-    singular_values = explained.verdict.identifiable
+    explained = assess(measurement, readings)
+    singular_values = explained.identifiability.identifiable_singular_values
     return result.SequenceRecord(
         name=", then ".join(names),
         sequence=task.record(sequence),
-        rank=explained.verdict.rank,
+        rank=explained.identifiability.rank,
         parameters=len(explained.names),
         kappa=criteria.kappa(singular_values),
         weakest=float(singular_values[-1]),

@@ -10,6 +10,7 @@ import numpy as np
 
 from oed import criteria, explain, result, units
 from oed.arrays import Array
+from oed.assessment import Assessment, assess
 from oed.measurement import Measurement, Series
 from oed.planning.search import PlanSearchResult
 from oed.planning.sequence.stage_plan import StagePlan
@@ -98,7 +99,7 @@ def _stage_records(
     for stage, ordered in zip(plan.stages, arranged, strict=True):
         readings.extend(ordered.series)
         measurement = task.resolved.measurement_with({s.setup for s in readings})
-        cumulative = explain.look(measurement, readings)
+        cumulative = assess(measurement, readings)
         records.append(_stage_record(task, stage, ordered, clock, cumulative))
         clock += units.number(stage.seconds, "min")
     return records
@@ -109,10 +110,10 @@ def _stage_record(
     stage: PlanStage,
     ordered: order.OrderedPlan,
     begin_min: float,
-    cumulative: explain.Seen,
+    cumulative: Assessment,
 ) -> result.StageRecord:
     """One stage; `cumulative` is the verdict on all readings up to it."""
-    verdict = explain.look(stage.option.measurement, stage.series).verdict
+    verdict = assess(stage.option.measurement, stage.series).identifiability
     accuracy = task.accuracy(stage.covariance)
     duration_min = units.number(stage.seconds, "min")
     return result.StageRecord(
@@ -121,7 +122,7 @@ def _stage_record(
         readings=sum(len(s) for s in stage.series),
         identifies=verdict.rank,
         cost=duration_min,
-        kappa=criteria.kappa(verdict.identifiable),
+        kappa=criteria.kappa(verdict.identifiable_singular_values),
         predicted=accuracy,
         chosen=len(stage.chosen),
         begin_min=begin_min,
@@ -134,7 +135,7 @@ def _stage_record(
         },
         lost=float((1.0 - stage.probability).sum()),
         cut_off_um=_largest_residual_um(stage),
-        rank=cumulative.verdict.rank,
+        rank=cumulative.identifiability.rank,
         parameters=_standard_deviations(stage),
         unidentified=_unidentified(task, stage, cumulative),
         accuracy=accuracy,
@@ -180,7 +181,7 @@ def _standard_deviations(stage: PlanStage) -> dict[str, result.Sd]:
 
 
 def _unidentified(
-    task: PlanTask, stage: PlanStage, cumulative: explain.Seen
+    task: PlanTask, stage: PlanStage, cumulative: Assessment
 ) -> list[str]:
     """Parameters, then combinations of them, that no reading so far determines."""
     measurement = stage.option.measurement
@@ -190,7 +191,7 @@ def _unidentified(
     alone = [name for name, value in pairs if value > UNIDENTIFIED]
     unit = {p.name: p.unit for p in cumulative.measurement.parameters}
     combinations = []
-    for terms in cumulative.verdict.named(cumulative.verdict.lost):
+    for terms in cumulative.identifiability.coefficients_by_name(cumulative.identifiability.lost):
         if set(terms) <= set(names) and not set(terms) <= set(alone):
-            combinations.append(explain.combination(terms, unit))
+            combinations.append(explain.combination_text(terms, unit))
     return [*alone, *combinations]
