@@ -22,7 +22,7 @@ from prs_sample import (
 )
 
 from oed import explain, identify
-from oed.assessment import assess
+from oed.assessment import Assessment, assess
 from oed.instrument import Instrument, mount
 from oed.kinematics import Kinematics
 from oed.machine import Machine

@@ -198,7 +198,7 @@ def build(
     setups = tuple(dict.fromkeys(s.setup for s in series))
     counts = np.concatenate([part.readings for part in parts])
     first = np.cumsum(counts) - counts
-    commands = np.vstack([s.commands() for s in series])
+    commands = np.vstack([s.reading_commands() for s in series])
     seconds = [reading_time(measurement, s.setup) for s in series]
     reading_seconds = np.repeat(seconds, [len(s) for s in series])
     mounting = [measurement.setups[name].instrument.cost.setup for name in setups]
@@ -251,7 +251,7 @@ def _join_blocks(parts: Sequence[_SeriesBlocks], free: Mask) -> Array:
 def reading_time(measurement: Measurement, setup: str) -> float:
     """Seconds of one planned reading with all passes that are averaged into it."""
     mounted = measurement.setups[setup]
-    passes = len(mounted.protocol.passes) if mounted.protocol.average else 1
+    passes = len(mounted.protocol.pass_names) if mounted.protocol.average else 1
     return mounted.instrument.cost.reading * passes
 
 
@@ -268,7 +268,7 @@ def _series_blocks(
     rows = jacobian.reshape(count, k, -1)
     whiten = scaling == "tolerance"
     if scaling == "length":
-        lengths = measurement.reading_lengths([series])
+        lengths = measurement.reading_length_factors([series])
         rows = rows * lengths.reshape(count, k, 1)
     if whole_runs:
         if whiten:
@@ -278,7 +278,7 @@ def _series_blocks(
     single = np.ones(count, dtype=np.intp)
     if not whiten:
         return _SeriesBlocks(rows, np.zeros((count, k, 0)), single)
-    factor = np.linalg.inv(np.linalg.cholesky(measurement.own_noise(series)))
+    factor = np.linalg.inv(np.linalg.cholesky(measurement.reading_covariances(series)))
     shared = _shared_columns(measurement, series)
     return _SeriesBlocks(factor @ rows, factor @ shared, single)
 

@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from oed.arrays import Array, Index, Mask
-from oed.batch import Batched
+from oed.batch import BatchedFunction
 from oed.design.segments import Capsule, segment_distance
 from oed.kinematics import AssemblyError, Kinematics, symbols
 from oed.measurement import Measurement, Series
@@ -96,7 +96,7 @@ class Skeleton:
         pairs = [pair for line in checked for pair in itertools.pairwise(line)]
         self._count = len(pairs)
         ends = ca.vertcat(*[ca.vertcat(ca.vec(a), ca.vec(b)) for a, b in pairs])
-        self._ends = Batched("skeleton_ends", [x, q, p], [ends])
+        self._ends = BatchedFunction("skeleton_ends", [x, q, p], [ends])
 
     def segments(self, x: Array, q: Array, p: Array) -> Array:
         """Segments (n, k, 2, 3) of poses x (n, nx) with joints q (n, nq), m."""

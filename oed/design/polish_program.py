@@ -193,14 +193,14 @@ class PolishProgram:
         """The first channel of each reading is the value that the instrument holds."""
         series = self.start.series[k]
         instrument = self.start.setup(series).instrument
-        if instrument.holds is None:
+        if instrument.fixed_reading is None:
             return
         settings = self._setups[series.setup].settings
         known = {item.name: settings[i] for i, item in enumerate(instrument.settings)}
         index = np.unique(series.index, axis=0)
         y = value.map(len(index))(*self._reading_inputs(k, index))
         slack = self.travel or 0.0
-        self._constrain(y[0, :] - instrument.holds(known), -slack, slack)
+        self._constrain(y[0, :] - instrument.fixed_reading(known), -slack, slack)
 
     def set_objective(
         self,

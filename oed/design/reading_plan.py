@@ -95,10 +95,10 @@ def _hold_errors(
     None where the instrument holds nothing.
     """
     setup = plan.setup(series)
-    if setup.instrument.holds is None:
+    if setup.instrument.fixed_reading is None:
         return None
     reading = _first_channel(plan.measurement, series)
-    error = reading - setup.instrument.holds(setup.settings)
+    error = reading - setup.instrument.fixed_reading(setup.settings)
     return np.asarray(error - np.clip(error, -(travel or 0.0), travel or 0.0))
 
 

@@ -106,7 +106,7 @@ def conclude(
         set95=answers.credible_set(groups),
         marginal=_marginal(search.library.effects, hypotheses, shares),
         law=law,
-        noise_words=estimate.words(problem, law),
+        noise_words=estimate.describe(problem, law),
         constants=_constants(search, best, [size.effect for size in parts.sizes]),
         coefficients=parts.coefficients,
         sizes=parts.sizes,

@@ -447,7 +447,7 @@ def test_a_guided_move_follows_its_instrument() -> None:
     m = a3_plans.measurement()
     ends = a3_plans.bar_commands(m, np.array([0.0, 0.2]), np.zeros(2))
     middle = ends.mean(axis=0, keepdims=True)
-    guide = partial(m.hold, "cup", coordinate="theta")
+    guide = partial(m.commands_at_fixed_reading, "cup", coordinate="theta")
     cup = np.array([0.0, 0.0, a3.Z_TEACH])
     straight, guided = (
         a3.forward(np.zeros(24), a3.inverse_nominal(*c[0])).tip
@@ -471,7 +471,9 @@ def test_a_guided_move_follows_its_instrument() -> None:
         m.machine, [mount(ball_bar.instrument, "cup", teach=(1.286, 0, 0), length=0.05)]
     )
     assert not clearance.free_moves(
-        ends[:1], ends[1:], guide=partial(short.hold, "cup", coordinate="theta")
+        ends[:1],
+        ends[1:],
+        guide=partial(short.commands_at_fixed_reading, "cup", coordinate="theta"),
     ).any()
 
 

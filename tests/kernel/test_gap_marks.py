@@ -16,7 +16,7 @@ from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import bands, carriers, library, marks, waves
 from oed.gap.forms.library import Library
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 
 HEIGHTS = (1.10, 1.14, 1.18, 1.22)
 
@@ -25,7 +25,7 @@ def _noisy(seed: int) -> GapProblem:
     problem = gap_problem.circles(points=36, heights=HEIGHTS)
     rng = np.random.default_rng(seed)
     return problem.with_residual(
-        np.linalg.cholesky(gap_problem.dense(problem, stated(problem)))
+        np.linalg.cholesky(gap_problem.dense(problem, stated_law(problem)))
         @ rng.normal(size=len(problem))
     )
 
@@ -46,15 +46,15 @@ def _marked(problem: GapProblem, periods: dict[int, float], size: float) -> GapP
     return problem.with_residual(
         problem.residual
         + gap_problem.sized(
-            np.asarray(change), gap_problem.dense(problem, stated(problem)), size
+            np.asarray(change), gap_problem.dense(problem, stated_law(problem)), size
         )
     )
 
 
 def _found(problem: GapProblem) -> tuple[Library, Hypothesis]:
     none = library.build(problem, ())
-    made = marks.add(none, problem, stated(problem))
-    return made, compare([Search(problem, none, made, stated(problem), 0.0)])[0]
+    made = marks.add(none, problem, stated_law(problem))
+    return made, compare([Search(problem, none, made, stated_law(problem), 0.0)])[0]
 
 
 @pytest.mark.parametrize(
@@ -104,13 +104,13 @@ def test_what_a_fine_wave_explains_is_what_the_metric_says() -> None:
     size, bin_size = marks._division(float(place[:, :, long].max()))
     energy = marks._energies(
         problem,
-        Metric(problem, stated(problem)),
+        Metric(problem, stated_law(problem)),
         legs[:, long],
         place[:, :, long] / bin_size,
         size,
     )
     inverse, quick, exact = (
-        np.linalg.inv(gap_problem.dense(problem, stated(problem))),
+        np.linalg.inv(gap_problem.dense(problem, stated_law(problem))),
         [],
         [],
     )

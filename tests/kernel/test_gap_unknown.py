@@ -23,7 +23,7 @@ from oed.gap.forms import carriers, library, waves
 from oed.gap.forms.library import Library
 from oed.gap.forms.processes.catalogue import PROCESSES
 from oed.noise import estimate
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 
 SMOOTH = [
     p
@@ -47,8 +47,8 @@ def _apart(
     r (dense).
     """
     noise = problem.slopes @ problem.slopes.T
-    for k, members in enumerate(problem.blocks):
-        noise[np.ix_(members, members)] += stated(problem).block(problem, k)
+    for k, members in enumerate(problem.members):
+        noise[np.ix_(members, members)] += stated_law(problem).block(problem, k)
     inverse, kept = np.linalg.inv(noise), []
     for part, energy in zip(parts, energies, strict=True):
         for other in kept:
@@ -68,7 +68,7 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
     )
     change = _apart(problem, [book, own], [0.75 * SIZE**2, 0.25 * SIZE**2])
     acting = problem.with_residual(problem.residual + change)
-    best = compare([Search(acting, known, processes, stated(problem), 0.0)])[0]
+    best = compare([Search(acting, known, processes, stated_law(problem), 0.0)])[0]
     assert best.key == (frozenset({"bow"}), True)
     assert best.share == pytest.approx(0.75, abs=0.15)
 
@@ -79,7 +79,9 @@ def test_a_process_that_is_like_no_effect_is_unknown_alone(seed: int) -> None:
     known, processes = library.build(problem, EFFECTS), library.build(problem, SMOOTH)
     change = _apart(problem, [_some(processes, "over the pose", rng)], [SIZE**2])
     acting = problem.with_residual(problem.residual + change)
-    best, *others = compare([Search(acting, known, processes, stated(problem), 0.0)])
+    best, *others = compare(
+        [Search(acting, known, processes, stated_law(problem), 0.0)]
+    )
     assert best.key == (frozenset(), True)
     shares = [h.share for h in others if h.unknown]
     assert shares
@@ -159,7 +161,7 @@ def test_the_least_share_is_what_is_lost_without_it(
     small: float, wanted: float
 ) -> None:
     """Of two effects whose parts of the residual do not overlap, by their energies."""
-    problem, law = readings(5), stated(readings(5))
+    problem, law = readings(5), stated_law(readings(5))
     known = library.build(problem, EFFECTS)
     one, two = (
         max((known.atoms[k].columns for k in known.atoms_of(n)), key=len)
@@ -187,16 +189,24 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     hum = np.where(dy, 2.0 * np.sin(2.0 * np.pi * time / 173.0 + 1.0), 0.0)
     none = library.build(problem, ())
     made = waves.add(
-        none, problem.with_residual(problem.residual + hum), stated(problem)
+        none, problem.with_residual(problem.residual + hum), stated_law(problem)
     )
     assert made.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
     search = Search(
-        problem.with_residual(problem.residual + hum), none, made, stated(problem), 0.0
+        problem.with_residual(problem.residual + hum),
+        none,
+        made,
+        stated_law(problem),
+        0.0,
     )
     best = compare([search])[0]
     assert best.key == (frozenset(), True)
     quiet = Search(
-        problem, none, waves.add(none, problem, stated(problem)), stated(problem), 0.0
+        problem,
+        none,
+        waves.add(none, problem, stated_law(problem)),
+        stated_law(problem),
+        0.0,
     )
     assert compare([quiet])[0].key == (frozenset(), False)
 
@@ -239,8 +249,8 @@ def _waved(problem: GapProblem, wave: np.ndarray) -> tuple[Library, Hypothesis]:
         problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0)
     )
     none = library.build(problem, ())
-    made = waves.add(none, acting, stated(problem))
-    return made, compare([Search(acting, none, made, stated(problem), 0.0)])[0]
+    made = waves.add(none, acting, stated_law(problem))
+    return made, compare([Search(acting, none, made, stated_law(problem), 0.0)])[0]
 
 
 def _periods(made: Library, unit: str) -> list[float]:
@@ -322,9 +332,9 @@ def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
         library.build(problem, ()),
         problem.with_residual(problem.residual + change),
     )
-    made = waves.add(none, acting, stated(problem))
+    made = waves.add(none, acting, stated_law(problem))
     assert _periods(made, "travel_m")[0] == pytest.approx(0.037, rel=0.002)
-    best = compare([Search(acting, none, made, stated(problem), 0.0)])[0]
+    best = compare([Search(acting, none, made, stated_law(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
     assert made.atoms[best.process].constants["period_travel_m"] == pytest.approx(
@@ -384,12 +394,12 @@ def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_tol
         library.build(problem, ()),
     )
     made = library.build(problem, PROCESSES)
-    best = compare([Search(acting, none, made, stated(problem), 0.0)])[0]
+    best = compare([Search(acting, none, made, stated_law(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
     chosen = made.atoms[best.process]
     assert (chosen.effect, dict(chosen.constants)) == ("settling", {"within": 0.15})
-    still = compare([Search(problem, none, made, stated(problem), 0.0)])[0]
+    still = compare([Search(problem, none, made, stated_law(problem), 0.0)])[0]
     assert still.key == (frozenset(), False)
 
 
@@ -429,9 +439,9 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
     place = np.column_stack([np.cos(3.0 * state.phase), np.sin(5.0 * state.phase)])[
         read
     ]
-    sizes = rng.standard_normal((3 if back else len(one.blocks), 2))
+    sizes = rng.standard_normal((3 if back else len(one.members), 2))
     change = np.zeros(len(one))
-    for number, members in enumerate(one.blocks):
+    for number, members in enumerate(one.members):
         change[members] = place[members] @ sizes[(number % 6) // 2 if back else number]
     acting = one.with_residual(rng.standard_normal(len(one)) + 3.0 * change)
     none = library.build(acting, ())
@@ -440,17 +450,19 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
     told = compare(
         [
             Search(acting, none, made, *pair)
-            for pair in ((carried, prior), estimate.quiet(carried))
+            for pair in ((carried, prior), estimate.without_run_noise(carried))
         ]
     )
-    assert carried.wander + carried.sway > 0.5
+    assert carried.ar1_sd + carried.run_harmonic_sd > 0.5
     assert told[0].unknown == back
 
 
 def test_what_comes_back_with_nothing_that_is_known_is_no_process() -> None:
     problem = readings(9)
     state = dataclasses.replace(
-        problem.states[0], payload=np.full(len(problem.states[0]), np.nan), heaviest=0.0
+        problem.states[0],
+        payload=np.full(len(problem.states[0]), np.nan),
+        max_payload=0.0,
     )
     (process,) = (p for p in PROCESSES if p.name == "coming back with")
     assert not list(process.columns(state, reach=0.3, what=1))
@@ -479,8 +491,8 @@ def test_noise_told_beside_a_wave_does_not_hold_it() -> None:
     alone, prior = noise.fit_law(acting, np.zeros((len(acting), 0)))
     none = waves.add(library.build(acting, ()), acting, alone)
     made, (beside,) = pursuit.pursue(none, acting, [alone])
-    assert alone.wander > 0.5
-    assert beside[0].wander < 0.5 * alone.wander
+    assert alone.ar1_sd > 0.5
+    assert beside[0].ar1_sd < 0.5 * alone.ar1_sd
     first = Search(acting, library.build(acting, ()), made, alone, prior).run()
     anew = Search(acting, library.build(acting, ()), made, *beside).run()
 
@@ -497,17 +509,17 @@ def test_what_shifts_whole_runs_is_looked_for_where_runs_repeat() -> None:
     """
     problem = readings(8)
     runs = np.concatenate(
-        [np.full(len(members), k) for k, members in enumerate(problem.blocks)]
+        [np.full(len(members), k) for k, members in enumerate(problem.members)]
     )
     shift = 4.0 * np.cos(
-        np.pi * runs[np.argsort(np.concatenate(problem.blocks))] / len(problem.blocks)
+        np.pi * runs[np.argsort(np.concatenate(problem.members))] / len(problem.members)
     )
     acting = problem.with_residual(problem.residual + shift)
     loose, _ = noise.fit_law(acting, np.zeros((len(acting), 0)))
     made = library.build(acting, SMOOTH)
-    _, (noisy, calm) = pursuit.pursue(made, acting, [loose, stated(problem)])
-    assert loose.repeat > 1.0
-    assert calm[0].repeat < 0.5 * min(noisy[0].repeat, loose.repeat)
+    _, (noisy, calm) = pursuit.pursue(made, acting, [loose, stated_law(problem)])
+    assert loose.run_sd > 1.0
+    assert calm[0].run_sd < 0.5 * min(noisy[0].run_sd, loose.run_sd)
 
 
 @pytest.mark.parametrize("suits", [True, False])
@@ -518,7 +530,7 @@ def test_no_gap_is_given_a_law_of_its_own(suits: bool) -> None:
     problem = readings(7)
     none, law = (
         library.build(problem, ()),
-        dataclasses.replace(stated(problem), wander=3.0, reach=8.0),
+        dataclasses.replace(stated_law(problem), ar1_sd=3.0, ar1_length=8.0),
     )
     best = noise.fit_law(problem, np.zeros((len(problem), 0)))
     made = [Search(problem, none, none, *(best if suits else (law, 0.0)))]
@@ -531,7 +543,7 @@ def test_no_gap_is_given_a_law_of_its_own(suits: bool) -> None:
 
     assert len(made) == (1 if suits else 2)
     assert suits or worth(made[1]) > worth(made[0]) + 20.0
-    assert made[-1].law.wander < 0.3
+    assert made[-1].law.ar1_sd < 0.3
 
 
 def test_two_waves_are_told_together() -> None:
@@ -543,18 +555,18 @@ def test_two_waves_are_told_together() -> None:
     acting = problem.with_residual(problem.residual + both)
     none = library.build(acting, ())
     made, _ = pursuit.pursue(
-        waves.add(none, acting, stated(acting)), acting, [stated(acting)]
+        waves.add(none, acting, stated_law(acting)), acting, [stated_law(acting)]
     )
-    best = compare([Search(acting, none, made, stated(acting), 0.0)])[0]
+    best = compare([Search(acting, none, made, stated_law(acting), 0.0)])[0]
     assert best.process is not None
     assert made.atoms[best.process].effect == pursuit.NAME
     assert made.atoms[best.process].constants["processes"] >= 2.0
-    kept = waves.add(none, problem, stated(problem))
+    kept = waves.add(none, problem, stated_law(problem))
     quiet = Search(
         problem,
         none,
-        pursuit.pursue(kept, problem, [stated(problem)])[0],
-        stated(problem),
+        pursuit.pursue(kept, problem, [stated_law(problem)])[0],
+        stated_law(problem),
         0.0,
     )
     assert compare([quiet])[0].key == (frozenset(), False)
@@ -573,8 +585,8 @@ def test_all_parameters_swing_together() -> None:
     )
     acting = problem.with_residual(problem.residual + change)
     none = library.build(problem, ())
-    made = waves.add(none, acting, stated(problem))
-    best = compare([Search(acting, none, made, stated(problem), 0.0)])[0]
+    made = waves.add(none, acting, stated_law(problem))
+    best = compare([Search(acting, none, made, stated_law(problem), 0.0)])[0]
     assert best.process is not None
     chosen = made.atoms[best.process]
     assert len(chosen.columns) == 2 * slopes.shape[1]
@@ -590,7 +602,7 @@ def test_a_wave_is_found_in_runs_without_a_clock() -> None:
     timeless = dataclasses.replace(problem, rows=problem.rows.drop(columns="time"))
     rng = np.random.default_rng(31)
     phase = np.zeros(len(problem))
-    for members in problem.blocks:
+    for members in problem.members:
         phase[members] = rng.uniform(0.0, 2.0 * np.pi)
     made, best = _waved(
         timeless, np.nan_to_num(2.5 * np.sin(2.0 * np.pi * way / 0.61 + phase))
@@ -598,5 +610,5 @@ def test_a_wave_is_found_in_runs_without_a_clock() -> None:
     assert best.key == (frozenset(), True)
     assert best.process is not None
     chosen = made.atoms[best.process]
-    assert len(chosen.columns) == 2 * len(problem.blocks)
+    assert len(chosen.columns) == 2 * len(problem.members)
     assert chosen.constants["period_m"] == pytest.approx(0.61, rel=0.1)

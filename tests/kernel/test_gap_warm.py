@@ -11,7 +11,7 @@ import pytest
 from effects_sample import session
 
 from kernel.gap_lines import readings
-from oed import smooth
+from oed import smooth_basis
 from oed.effect import State
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis
@@ -20,7 +20,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.processes.catalogue import PROCESSES
 from oed.gap.forms.processes.time import MOUNTED, settling_mounted, tool_growing
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 
 
 def _with(problem: GapProblem, **changes: object) -> GapProblem:
@@ -40,7 +40,7 @@ def _best(
     return (
         made,
         compare(
-            [Search(acting, library.build(problem, ()), made, stated(problem), 0.0)]
+            [Search(acting, library.build(problem, ()), made, stated_law(problem), 0.0)]
         )[0],
     )
 
@@ -50,7 +50,7 @@ def _read(problem: GapProblem, channel: str, wave: np.ndarray) -> np.ndarray:
     in units of the noise.
     """
     at = wave[problem.series[0].index[:, 0]]
-    kinds = len(np.unique(problem.group))
+    kinds = len(np.unique(problem.channel))
     return np.where(problem.rows["channel"] == channel, np.repeat(at, kinds), 0.0)
 
 
@@ -87,7 +87,7 @@ def test_what_fades_after_a_set_ups_start_is_found_in_the_middle_of_a_session(
     within: float,
 ) -> None:
     problem = _later(readings(12))
-    gone = problem.states[0].progress - 0.5
+    gone = problem.states[0].session_progress - 0.5
     made, best = _best(problem, _read(problem, "dz", 6.0 * np.exp(-gone / within)))
     assert best.key == (frozenset(), True)
     assert best.process is not None
@@ -107,8 +107,8 @@ def test_a_single_set_up_settles_as_the_session_does() -> None:
         for column in settling_mounted(later, 0.1)
         if "dz" in column.reading
     ]
-    assert faded[0][np.argmin(later.progress)] == pytest.approx(1.0)
-    assert faded[0][np.argmax(later.progress)] == pytest.approx(np.exp(-5.0))
+    assert faded[0][np.argmin(later.session_progress)] == pytest.approx(1.0)
+    assert faded[0][np.argmax(later.session_progress)] == pytest.approx(np.exp(-5.0))
 
 
 def test_a_growing_tool_moves_along_its_axis() -> None:
@@ -127,8 +127,8 @@ def test_a_growing_tool_moves_along_its_axis() -> None:
             moved = np.einsum(
                 "mki,im->mk", s.twist, np.array([column.joints[i] for i in s.limbs])
             )
-            grown = smooth.curve(
-                2.0 * s.progress - 1.0, k, reach=0.2, count=20, straight=1
+            grown = smooth_basis.curve_mode(
+                2.0 * s.session_progress - 1.0, k, correlation_length=0.2, count=20, detrend=1
             )
             assert moved[:, :3] == pytest.approx(grown[:, None] * s.axis, abs=1e-9)
             assert moved[:, 3:] == pytest.approx(np.zeros_like(s.axis), abs=1e-9)
@@ -138,9 +138,11 @@ def _later(problem: GapProblem) -> GapProblem:
     """The set-up as the second half of a session."""
 
     def half(state: State) -> np.ndarray:
-        return np.asarray(0.5 + 0.5 * state.progress)
+        return np.asarray(0.5 + 0.5 * state.session_progress)
 
     return dataclasses.replace(
         problem,
-        states=tuple(dataclasses.replace(s, progress=half(s)) for s in problem.states),
+        states=tuple(
+            dataclasses.replace(s, session_progress=half(s)) for s in problem.states
+        ),
     )

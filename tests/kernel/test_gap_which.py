@@ -25,7 +25,7 @@ from oed.gap.data.evidence import SIZES
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.noise.law import NoiseLaw, stated
+from oed.noise.law import NoiseLaw, stated_law
 from pkm_models.effects import step
 
 
@@ -36,7 +36,7 @@ def _search(
 ) -> Search:
     made = library.build(problem, effects)
     none = library.build(problem, ())
-    return Search(problem, made, none, stated(problem) if law is None else law, 0.0)
+    return Search(problem, made, none, stated_law(problem) if law is None else law, 0.0)
 
 
 def _brute(search: Search, effects: tuple[str, ...]) -> float:
@@ -121,7 +121,7 @@ def test_an_unknown_takes_nothing_from_a_selected_effect() -> None:
         problem,
         library.build(problem, [BOW]),
         library.build(problem, [same]),
-        stated(problem),
+        stated_law(problem),
         0.0,
     )
     known = next(h for h in search.run() if h.key == (frozenset({"bow"}), False))
@@ -152,7 +152,7 @@ def test_many_constants_keep_the_few_that_explain() -> None:
         BOW, constants={"turns": tuple(np.linspace(1.0, 8.0, 57))}
     )
     problem = planted(readings(7), BOW, {"leg 1": 2.0}, turns=5.0)
-    law = stated(problem)
+    law = stated_law(problem)
     made = library.build(problem, [dense], Metric(problem, law))
     kept = {a.constants["turns"] for a in made.atoms}
     assert len(kept) == library.BEST
@@ -184,17 +184,17 @@ CURL = Effect(
 
 
 def test_a_large_grid_is_looked_through_whole() -> None:
-    assert len(CURL.grid()) > library.LARGE
+    assert len(CURL.constant_grid()) > library.LARGE
     problem = planted(
         readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1
     )
-    metric = Metric(problem, stated(problem))
+    metric = Metric(problem, stated_law(problem))
     made = library.build(problem, [CURL], metric)
     kept = {(a.constants["turns"], a.constants["bend"]) for a in made.atoms}
     assert (TURNS[31], -0.1) in kept
     assert len(kept) == library.BEST
     best = compare(
-        [Search(problem, made, library.build(problem, ()), stated(problem), 0.0)]
+        [Search(problem, made, library.build(problem, ()), stated_law(problem), 0.0)]
     )[0]
     assert made.atoms[best.atoms[0]].constants == {"turns": TURNS[31], "bend": -0.1}
     blind = library.build(problem, [CURL])
@@ -216,8 +216,8 @@ def test_forms_have_the_prior_of_one_effect_before_any_is_dropped(
 
     monkeypatch.setattr(library, "_best", best)
     effect = dataclasses.replace(CURL, constants={"turns": TURNS, "bend": bends})
-    library.build(problem, [effect], Metric(problem, stated(problem)))
-    forms, large = chosen[-1], len(effect.grid()) > library.LARGE
+    library.build(problem, [effect], Metric(problem, stated_law(problem)))
+    forms, large = chosen[-1], len(effect.constant_grid()) > library.LARGE
     weights = np.exp([w for _, w in forms])
     assert weights.sum() == pytest.approx(1.0)
     points = [tuple(c.values()) for c, _ in forms]
@@ -253,7 +253,7 @@ def test_a_form_of_a_large_grid_adapts_once_it_is_chosen() -> None:
     made = library.build(
         problem,
         [dataclasses.replace(CURL, columns=bent)],
-        Metric(problem, stated(problem)),
+        Metric(problem, stated_law(problem)),
     )
     kept = {(a.constants["turns"], a.constants["bend"]): [] for a in made.atoms}
     for a in made.atoms:
@@ -308,7 +308,9 @@ def test_diagnosis_from_end_to_end() -> None:
 
 def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
     problem = planted(readings(8), SLIP, {"leg 1": 2.0})
-    law = dataclasses.replace(stated(problem), repeat=0.7, wander=0.3, reach=5.0)
+    law = dataclasses.replace(
+        stated_law(problem), run_sd=0.7, ar1_sd=0.3, ar1_length=5.0
+    )
     found = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0), law=law)
     assert found.answers[0].effects == ("slip",)
     assert dataclasses.replace(found.law, level=1.0) == law

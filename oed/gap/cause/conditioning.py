@@ -17,8 +17,8 @@ class RunNoise:
     """Noise of the runs: innovations of held-out readings given the others of a run."""
 
     def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
-        self._blocks = problem.blocks
-        count = len(problem.blocks)
+        self._blocks = problem.members
+        count = len(problem.members)
         self._inverse = [_inverse(law.block(problem, k)) for k in range(count)]
 
     def information(self, slopes: Array, residual: Array) -> Information:

@@ -37,7 +37,7 @@ class Paths:
             channels = response.nuisances.shape[1]
             joints.append(np.repeat(read, channels, axis=0))
         self._joints = np.concatenate(joints)
-        self._runs = problem.blocks
+        self._runs = problem.members
         readings = problem.rows.groupby(["setup", "run", "order"], sort=False)
         self._reading = readings.ngroup().to_numpy()
         self._setup = problem.rows["setup"].to_numpy()

@@ -109,7 +109,7 @@ class Search:
     def law_at(self, level: float) -> NoiseLaw:
         """The law at a noise level, with the outliers' distribution."""
         law = dataclasses.replace(self.law, level=level)
-        return law if self.outliers is None else self.outliers.law(law)
+        return law if self.outliers is None else self.outliers.with_outliers(law)
 
     def alternatives(
         self,

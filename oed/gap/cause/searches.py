@@ -108,7 +108,7 @@ def _search(
     The first law was fitted with nothing in the model.
     """
     plain = laws[0][0]
-    quiet = estimate.quiet(plain)
+    quiet = estimate.without_run_noise(plain)
     laws = [*laws, quiet]
     processes = _add_located(processes, problem, plain)
     processes, pursued = pursuit.pursue(processes, problem, [plain, quiet[0]])
@@ -159,7 +159,7 @@ def _with_gap(
     both = np.hstack([columns, forms])
     outliers = noise.detect_outliers(problem, search.law, both)
     clean = noise.without_outliers(problem, outliers)
-    if np.abs(clean.residual - before.residual).max() < OTHER:
+    if np.abs(clean.residual - before.pseudo_residual).max() < OTHER:
         return []
     nothing = np.zeros((len(problem), 0))
     results = []
@@ -225,7 +225,7 @@ def _log_evidences(
 
 def _same(a: NoiseLaw, b: NoiseLaw) -> bool:
     """Whether two laws are nearly the same."""
-    shares = [np.array([law.repeat, law.wander, law.sway]) for law in (a, b)]
+    shares = [np.array([law.run_sd, law.ar1_sd, law.run_harmonic_sd]) for law in (a, b)]
     if np.abs(shares[0] - shares[1]).max() >= SAME_SHARES:
         return False
-    return bool(abs(np.log(a.reach) - np.log(b.reach)) < SAME_REACH)
+    return bool(abs(np.log(a.ar1_length) - np.log(b.ar1_length)) < SAME_REACH)

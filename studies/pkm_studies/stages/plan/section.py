@@ -191,7 +191,9 @@ def _unidentified(
     alone = [name for name, value in pairs if value > UNIDENTIFIED]
     unit = {p.name: p.unit for p in cumulative.measurement.parameters}
     combinations = []
-    for terms in cumulative.identifiability.coefficients_by_name(cumulative.identifiability.lost):
+    for terms in cumulative.identifiability.coefficients_by_name(
+        cumulative.identifiability.lost
+    ):
         if set(terms) <= set(names) and not set(terms) <= set(alone):
             combinations.append(explain.combination_text(terms, unit))
     return [*alone, *combinations]
