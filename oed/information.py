@@ -19,7 +19,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.measurement import Measurement, Series
-from oed.noise.covariance import Noise, of
+from oed.noise.covariance import Noise, as_noise
 
 Scaling = Literal["si", "length", "tolerance"]
 
@@ -29,7 +29,7 @@ def column_scale(measurement: Measurement, scaling: Scaling) -> Array:
     if scaling == "si":
         return np.ones(len(measurement.parameters))
     if scaling == "length":
-        return 1.0 / measurement.lengths
+        return 1.0 / measurement.length_factors
     if scaling == "tolerance":
         return measurement.tolerance
     raise ValueError(f"scaling {scaling!r} is none of {get_args(Scaling)}")
@@ -40,7 +40,7 @@ def whiten(rows: Array, noise: Noise | Array) -> Array:
 
     `noise` is a Noise, or standard deviations (N,) of independent readings.
     """
-    return of(noise).whiten(rows)
+    return as_noise(noise).whiten(rows)
 
 
 def scaled(
@@ -54,7 +54,7 @@ def scaled(
     if scaling == "tolerance":
         return measurement.noise(series).whiten(rows)
     if scaling == "length":
-        return rows * measurement.reading_lengths(series)[:, None]
+        return rows * measurement.reading_length_factors(series)[:, None]
     return rows
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed import explain
+from oed.assessment import assess
 from pkm_studies import study
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
@@ -48,7 +48,7 @@ def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long() -> 
     assert len(series[0]) == 30
     seconds = [
         single_stage_plan(
-            r, explain.look(r.measurement, r.reference_plans[0].series), {}
+            r, assess(r.measurement, r.reference_plans[0].series), {}
         ).cost
         * 60
         for r in (once, six)
@@ -66,7 +66,7 @@ def test_kept_passes_hold_what_their_mean_holds() -> None:
         resolved("repeats = 3\nboth_directions = true"),
     )
     seen = [
-        explain.look(r.measurement, r.reference_plans[0].series, "tolerance")
+        assess(r.measurement, r.reference_plans[0].series, "tolerance")
         for r in (kept, mean)
     ]
     assert len(seen[0].series[0]) == 180
@@ -76,7 +76,7 @@ def test_kept_passes_hold_what_their_mean_holds() -> None:
     assert len(runs) == 12
     series = seen[0].series[0]
     forth, back = (
-        series.commands()[series.run == f"z=1266mm, {way} 2", 1]
+        series.reading_commands()[series.run == f"z=1266mm, {way} 2", 1]
         for way in ("forward", "backward")
     )
     assert (back == forth[::-1]).all()

@@ -208,11 +208,14 @@ def test_strut_only_machine_loses_the_three_tangential_offsets_from_full_poses()
     None
 ):
     analysis = analyse(STRUTS, pose_tracker.instrument)
-    assert (analysis.verdict.rank, len(analysis.names)) == (15, 18)
+    assert (analysis.identifiability.rank, len(analysis.names)) == (15, 18)
     tangential = np.zeros((3, 3, 6))
     tangential[range(3), range(3), 3:5] = oracle.TANGENT
     assert (
-        np.abs(analysis.verdict.combinations @ tangential.reshape(3, 18).T).max() < 1e-9
+        np.abs(
+            analysis.identifiability.combinations @ tangential.reshape(3, 18).T
+        ).max()
+        < 1e-9
     )
     for text in (
         "dR1y by +1 mm",
@@ -252,7 +255,7 @@ def test_the_lost_directions_are_rotations_of_the_platform_joints() -> None:
     analysis = analyse(FULL, laser_ball_bar.instrument)
     spin = np.zeros((3, 6))
     spin[:, :2] = np.cross([0.0, 0.0, 1.0], oracle.BALLS)[:, :2]
-    assert np.abs(analysis.verdict.combinations @ spin.ravel()).max() < 1e-9
+    assert np.abs(analysis.identifiability.combinations @ spin.ravel()).max() < 1e-9
 
 
 def test_a_frame_that_is_not_known_hides_two_more_directions() -> None:
@@ -266,12 +269,12 @@ def test_a_frame_that_is_not_known_hides_two_more_directions() -> None:
         (laser_ball_bar.position, 19),
     ):
         analysis = analyse(FULL, instrument, {})
-        assert (analysis.verdict.rank, len(analysis.names)) == (rank, 24)
+        assert (analysis.identifiability.rank, len(analysis.names)) == (rank, 24)
         for k, n in enumerate("xy"):
             shift = np.zeros(24)
             shift[[analysis.names.index(f"dR{i}{n}") for i in (1, 2, 3)]] = 1.0
             shift[18 + k] = -1.0
-            assert np.abs(analysis.verdict.combinations @ shift).max() < 1e-9
+            assert np.abs(analysis.identifiability.combinations @ shift).max() < 1e-9
 
 
 # -- Table 4 planted -------------------------------------------------------------------

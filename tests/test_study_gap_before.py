@@ -20,7 +20,7 @@ from sample import changed
 
 from oed import dataset
 from oed.gap.before import detect, runs
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 from oed.result import DetectabilityTable
 from pkm_models.effects import encoder_scale, gravity
 from pkm_reports import sections, style
@@ -110,14 +110,16 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
         runs.Run(
             name=str(r),
             setup="cup",
-            command=published.commands()[published.run == r],
+            command=published.reading_commands()[published.run == r],
             condition={},
         )
         for r in dict.fromkeys(published.run)
     ]
     problem, _ = runs.prepare(asked.measurement, made)
     effects = [gravity.effect, encoder_scale.effect]
-    told = detect.detect(problem, stated(problem), effects, np.random.default_rng(0))
+    told = detect.detect(
+        problem, stated_law(problem), effects, np.random.default_rng(0)
+    )
     np.testing.assert_allclose(table["apart"], told.separation, rtol=1e-6, atol=1e-8)
     rows = {e["name"]: e for e in table["effects"]}
     assert rows["gravity"]["detectability"] == pytest.approx(
@@ -144,7 +146,7 @@ def test_poses_of_the_chosen_runs_can_be_filled_in_and_read(
     assert set(read.covariates["payload"]) == {0.0, 200.0}
     # direction -1 is the same circle in reverse
     back = read.covariates["direction"].to_numpy() == -1.0
-    psi = read.series[0].commands()[back][:12, 1]
+    psi = read.series[0].reading_commands()[back][:12, 1]
     assert (np.diff(psi) < 0).sum() >= 10
 
 

@@ -43,7 +43,7 @@ def write(folder: Path, result: StudyResult, state: RunState, *, sheet: bool) ->
 
 def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
     """Planned readings as a readings file to fill in."""
-    empty = np.full(len(measurement.owners(series)), np.nan)
+    empty = np.full(len(measurement.setup_of_readings(series)), np.nan)
     return dataset.to_csv(dataset.from_series(series, empty, measurement))
 
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from oed import explain
 from oed.arrays import Array
+from oed.assessment import Assessment
 from oed.identify import Estimate
 from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
@@ -99,7 +99,7 @@ class RunState:
     plan: PlanOutcome | None = None
     planned: tuple[Series, ...] = ()
     readings: Readings | None = None
-    identifiability: explain.Seen | None = None
+    identifiability: Assessment | None = None
     estimate: Estimate | None = None
     posterior: Posterior | None = None
     sections: Mapping[str, Any] = dataclasses.field(default_factory=dict)

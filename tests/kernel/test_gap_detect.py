@@ -15,7 +15,7 @@ from oed.gap.before.combinations import in_words
 from oed.gap.before.power import ideal_power, needed_lambda
 from oed.gap.before.table import ROOM
 from oed.gap.data.signature import signature
-from oed.noise.law import NoiseLaw, stated
+from oed.noise.law import NoiseLaw, stated_law
 
 FIVE = (0.0, 0.05, 0.1, 0.15, 0.2)
 ALL = [gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity]
@@ -99,9 +99,9 @@ def test_lambdas_are_those_of_the_dense_covariance(tools):
 
 def test_least_size_is_found_nine_times_in_ten():
     p, rng = problem(strokes=(0.0, 0.1, 0.2)), np.random.default_rng(5)
-    row = detect.detect(p, stated(p), [gap_a3.encoder_scale], rng).effects[0]
+    row = detect.detect(p, stated_law(p), [gap_a3.encoder_scale], rng).effects[0]
     g, made = columns(p, gap_a3.encoder_scale)
-    c = dense(p, stated(p))
+    c = dense(p, stated_law(p))
     root = np.linalg.cholesky(c)
     inner = np.linalg.solve(root, g)
     change = (
@@ -128,7 +128,7 @@ def free(p):
 
 def test_common_scale_and_bar_length_are_one_class_with_one_tool():
     p = free(problem(points=36))
-    told = detect.detect(p, stated(p), ALL, np.random.default_rng(0))
+    told = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
     assert told.exact == (("encoder_scale", "bar_length"),)
     scale = told.row("encoder_scale")
     bar = next(r for r in scale.rivals if r.name == "bar_length")
@@ -146,7 +146,7 @@ def test_common_scale_and_bar_length_are_one_class_with_one_tool():
 
 def test_two_tool_lengths_tell_scale_from_bar():
     p = free(problem((0.0, 0.1)))
-    told = detect.detect(p, stated(p), ALL, np.random.default_rng(0))
+    told = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
     assert not told.exact
     angle = told.angles[
         told.names.index("encoder_scale"), told.names.index("bar_length")
@@ -159,7 +159,7 @@ def test_classes_name_who_is_absorbed_by_whom():
     # scale, not the other way
     p = problem()
     p = dataclasses.replace(p, slopes=p.slopes * 0.02)
-    told = detect.detect(p, stated(p), ALL, np.random.default_rng(0))
+    told = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
     assert told.row("bar_length").visible
     assert told.row("encoder_scale").visible
     assert told.classes == (("encoder_scale", "bar_length"),)
@@ -168,10 +168,10 @@ def test_classes_name_who_is_absorbed_by_whom():
 
 def test_calibration_absorbs_most_of_static_gravity():
     p = problem(strokes=FIVE, points=24)
-    row = detect.detect(p, stated(p), ALL, np.random.default_rng(0)).row("gravity")
+    row = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0)).row("gravity")
     g, _ = columns(p, gap_a3.gravity)
     kept = np.sqrt(
-        np.trace(g.T @ np.linalg.solve(dense(p, stated(p)), g)) / np.sum(g**2)
+        np.trace(g.T @ np.linalg.solve(dense(p, stated_law(p)), g)) / np.sum(g**2)
     )
     assert 1.0 - row.absorbed == pytest.approx(kept, rel=1e-6)
     assert kept < 0.12
@@ -183,7 +183,7 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
         gap_a3.gravity, name="both_ways", needs=("direction: both",)
     )
     told = detect.detect(
-        p, stated(p), [both, gap_a3.encoder_scale], np.random.default_rng(0)
+        p, stated_law(p), [both, gap_a3.encoder_scale], np.random.default_rng(0)
     )
     assert told.not_testable == {
         "both_ways": "the readings do not have direction: both"
@@ -191,7 +191,7 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
     assert told.names == ("encoder_scale",)
     assert not told.row("both_ways").visible
     unseen = dataclasses.replace(gap_a3.bar_length, columns=lambda s: [])
-    told = detect.detect(p, stated(p), [unseen], np.random.default_rng(0))
+    told = detect.detect(p, stated_law(p), [unseen], np.random.default_rng(0))
     assert "changes none" in told.not_testable["bar_length"]
     assert told.classes == ()
 
@@ -207,12 +207,12 @@ def test_combinations_in_words():
 def test_same_seed_same_figures_and_bad_input():
     p = problem(strokes=(0.0, 0.2))
     one, two = (
-        detect.detect(p, stated(p), ALL, np.random.default_rng(4)) for _ in range(2)
+        detect.detect(p, stated_law(p), ALL, np.random.default_rng(4)) for _ in range(2)
     )
     assert one.effects == two.effects
     with pytest.raises(ValueError, match="each once"):
         detect.detect(
-            p, stated(p), [gap_a3.gravity, gap_a3.gravity], np.random.default_rng(0)
+            p, stated_law(p), [gap_a3.gravity, gap_a3.gravity], np.random.default_rng(0)
         )
     with pytest.raises(KeyError, match="no effect"):
         one.row("rust")

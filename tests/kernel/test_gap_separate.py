@@ -16,7 +16,7 @@ from oed.gap.before import choose, detect, runs
 from oed.gap.before.pool import Pool
 from oed.gap.before.table import ROOM
 from oed.gap.data.signature import signature
-from oed.noise.law import NoiseLaw, stated
+from oed.noise.law import NoiseLaw, stated_law
 
 WANTED = [gap_a3.gravity, gap_a3.encoder_scale]
 
@@ -41,7 +41,7 @@ def pool(
     points=12,
 ):
     _, p, rows = laid_out(tools, strokes, payloads, points)
-    return Pool(p, stated(p), rows, WANTED)
+    return Pool(p, stated_law(p), rows, WANTED)
 
 
 def columns(p, effect):
@@ -166,7 +166,7 @@ def test_payload_and_second_tool_tell_gravity_from_scale():
     candidates, p, rows = laid_out(
         strokes=(0.0, 0.08, 0.14, 0.2), payloads=(0.0, 100.0), points=15
     )
-    made = Pool(p, stated(p), rows, WANTED, pairs=[("gravity", "encoder_scale")])
+    made = Pool(p, stated_law(p), rows, WANTED, pairs=[("gravity", "encoder_scale")])
     names = [(r.setup, r.name) for r in candidates]
     paper = np.array(
         [names.index(("cup", "80 mm, 0 N")), names.index(("cup", "200 mm, 0 N"))]
@@ -176,7 +176,9 @@ def test_payload_and_second_tool_tell_gravity_from_scale():
     assert found.pairs[0].separation > 29.0
     assert len({candidates[k].condition["payload"] for k in found.runs}) == 2
     # without the load as a factor four circles and a second tool do not
-    plain_pool = Pool(p, stated(p), rows, WANTED, pairs=[("gravity", "encoder_scale")])
+    plain_pool = Pool(
+        p, stated_law(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
+    )
     idle = [k for k, r in enumerate(candidates) if not r.condition["payload"]]
     assert (
         max(
@@ -235,7 +237,7 @@ def test_the_told_plan_agrees_with_the_table_before_measuring():
     candidates, p, _ = laid_out()
     found = choose.choose(pool(), Rules(size=4), np.random.default_rng(0))
     own, _ = runs.prepare(p.measurement, [candidates[k] for k in found.runs])
-    told = detect.detect(own, stated(own), WANTED, np.random.default_rng(0))
+    told = detect.detect(own, stated_law(own), WANTED, np.random.default_rng(0))
     legs = next(t for t in found.pairs if t.effect == "gravity")
     assert told.row("gravity").detectability == pytest.approx(
         legs.detectability, rel=1e-5
@@ -260,7 +262,7 @@ def test_runs_are_laid_out_in_order_and_direction():
         condition={"direction": -1.0, "temp_leg": 293.0},
     )
     series, covariates = runs.lay_out(m, [there, back])
-    np.testing.assert_allclose(series[0].commands()[4:], command[::-1])
+    np.testing.assert_allclose(series[0].reading_commands()[4:], command[::-1])
     assert covariates["time"].tolist()[:4] == [10.0, 20.0, 30.0, 40.0]
     assert covariates["time"].isna().sum() == 4
     assert covariates["order"].tolist() == [0, 1, 2, 3] * 2
@@ -279,11 +281,11 @@ def test_bad_input_is_refused_with_a_remedy():
             p.measurement, [runs.Run(name="a", setup="cup", command=command)] * 2
         )
     with pytest.raises(ValueError, match="nothing to tell apart"):
-        Pool(p, stated(p), rows, [gap_a3.gravity])
+        Pool(p, stated_law(p), rows, [gap_a3.gravity])
     with pytest.raises(ValueError, match="'rust'"):
-        Pool(p, stated(p), rows, WANTED, pairs=[("gravity", "rust")])
+        Pool(p, stated_law(p), rows, WANTED, pairs=[("gravity", "rust")])
     with pytest.raises(ValueError, match="no coefficient among"):
-        Pool(p, stated(p), rows, WANTED, combinations={"gravity": [{"leg 9": 1.0}]})
+        Pool(p, stated_law(p), rows, WANTED, combinations={"gravity": [{"leg 9": 1.0}]})
     with pytest.raises(ValueError, match="cannot choose 40 different runs out of 20"):
         choose.choose(pool(), Rules(size=40), np.random.default_rng(0))
     with pytest.raises(ValueError, match="share of D"):

@@ -128,7 +128,11 @@ def test_a_growing_tool_moves_along_its_axis() -> None:
                 "mki,im->mk", s.twist, np.array([column.joints[i] for i in s.limbs])
             )
             grown = smooth_basis.curve_mode(
-                2.0 * s.session_progress - 1.0, k, correlation_length=0.2, count=20, detrend=1
+                2.0 * s.session_progress - 1.0,
+                k,
+                correlation_length=0.2,
+                count=20,
+                detrend=1,
             )
             assert moved[:, :3] == pytest.approx(grown[:, None] * s.axis, abs=1e-9)
             assert moved[:, 3:] == pytest.approx(np.zeros_like(s.axis), abs=1e-9)

@@ -251,7 +251,7 @@ def _signatures(problem: GapProblem, effect: Effect) -> list[Signature]:
     reason = untestable(effect, problem.states)
     forms: list[Signature] = []
     if reason is None:
-        grid = effect.grid()
+        grid = effect.constant_grid()
         if len(grid) > FORMS:
             places = np.linspace(0, len(grid) - 1, FORMS).round().astype(int)
             grid = [grid[k] for k in np.unique(places)]
@@ -282,7 +282,7 @@ def _whiten(
     values: Array,
 ) -> Array:
     """Values (N, k) at the readings of a run, whitened by its noise."""
-    for k, members in enumerate(problem.blocks):
+    for k, members in enumerate(problem.members):
         if members[0] == rows[0]:
             factor = linalg.cholesky(law.block(problem, k), lower=True)
             white = linalg.solve_triangular(factor, values[members], lower=True)

@@ -90,7 +90,7 @@ class GramTable:
         if reason is not None:
             self.refused[effect.name] = reason
             return []
-        every = [problem.signature(effect, point) for point in effect.grid()]
+        every = [problem.signature(effect, point) for point in effect.constant_grid()]
         changing = [s for s in every if s.names]
         if not changing:
             self.refused[effect.name] = "it changes none of these readings"

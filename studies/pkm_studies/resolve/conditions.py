@@ -74,7 +74,7 @@ def _mounting_time(setup: Setup, table: ConditionsTable) -> float:
 def _pose_time(setup: Setup, table: ConditionsTable) -> float:
     """Time at one pose, s: all its passes, where their mean is the reading."""
     protocol = setup.protocol
-    passes = len(protocol.passes) if protocol.average else 1
+    passes = len(protocol.pass_names) if protocol.average else 1
     return reading_time(setup, table) * passes
 
 

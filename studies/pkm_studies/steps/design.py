@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oed import explain
+from oed.assessment import assess
 from oed.information import Scaling
 from oed.result import PolishSummary
 from pkm_studies.run_state import RunState, Stream
@@ -77,7 +77,7 @@ def analyse_identifiability(state: RunState) -> RunState:
         for plan in resolved.reference_plans
         if not set(plan.setups) <= used
     }
-    verdict = explain.look(state.measurement, series, scaling)
+    verdict = assess(state.measurement, series, scaling)
     return state.replace(identifiability=verdict).with_sections(
         identifiability=identifiability.identifiability_section(
             verdict, scaling, others

@@ -39,7 +39,7 @@ def sample_posterior(state: RunState) -> RunState:
         return state
     assert state.readings is not None
     assert state.readings.y is not None
-    posterior.prepare()
+    posterior.import_samplers()
     state.progress.stage("posterior")
     draws = posterior.sample(
         state.measurement,

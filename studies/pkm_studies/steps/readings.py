@@ -73,7 +73,7 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> VirtualReadi
     measurement, request = state.measurement, state.resolved.gap
     truth = _true_parameters(state)
     if request is None:
-        y = simulate.read(measurement, series, truth, state.rng(Stream.NOISE))
+        y = simulate.draw_readings(measurement, series, truth, state.rng(Stream.NOISE))
         return VirtualReadings(Readings(series=tuple(series), y=y, truth=truth), [])
     planned = virtual_readings.empty_readings(measurement, series, request)
     exact, effects = virtual_readings.exact_readings(
@@ -97,7 +97,7 @@ def _true_parameters(state: RunState) -> Array:
     table, stated = state.study.readings, state.resolved.true_parameters
     measurement = state.measurement
     if table is None or table.draw or not stated:
-        truth = simulate.draw(measurement, state.rng(Stream.TRUTH))
+        truth = simulate.draw_parameters(measurement, state.rng(Stream.TRUTH))
     else:
         truth = measurement.nominal
     for k, name in enumerate(measurement.names):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from oed import criteria, explain
+from oed import criteria
+from oed.assessment import Assessment
 from oed.design.candidates import reading_time
 from oed.measurement import Measurement, Series
 from oed.result import AlternativePlan, PlanSection, StageRecord
@@ -20,12 +21,12 @@ def plan_seconds(measurement: Measurement, series: Sequence[Series]) -> float:
 
 def single_stage_plan(
     resolved: ResolvedStudy,
-    identifiability: explain.Seen,
+    identifiability: Assessment,
     predicted: Mapping[str, float],
 ) -> PlanSection:
     """The readings as one stage, with their cost in minutes."""
     measurement, series = identifiability.measurement, identifiability.series
-    verdict = identifiability.verdict
+    verdict = identifiability.identifiability
     setups = list(dict.fromkeys(s.setup for s in series))
     instruments = [measurement.setups[n].instrument.name for n in setups]
     stage = StageRecord(
@@ -34,7 +35,7 @@ def single_stage_plan(
         readings=sum(len(s) for s in series),
         identifies=verdict.rank,
         cost=plan_seconds(measurement, series) / 60.0,
-        kappa=criteria.kappa(verdict.identifiable),
+        kappa=criteria.kappa(verdict.identifiable_singular_values),
         predicted=dict(predicted),
     )
     references: list[str | AlternativePlan] = [

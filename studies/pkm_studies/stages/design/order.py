@@ -144,7 +144,7 @@ def _order_setup(
     start = None
     if table.order.start == "home":
         start = move_times.travel_from(measurement, whole, speeds)
-    passes = not setup.protocol.average and len(setup.protocol.passes) > 1
+    passes = not setup.protocol.average and len(setup.protocol.pass_names) > 1
     relative = setup.instrument.reference == "run"
     fixed = table.whole_runs or relative or passes
     route = order.order_poses(
@@ -208,7 +208,7 @@ def _joined(measurement: Measurement, setup: str, parts: list[Series]) -> Series
         return parts[0]
     if measurement.setups[setup].instrument.reference != "run":
         labels = [str(run) for s in parts for run in s.run]
-        commands = np.vstack([s.commands() for s in parts])
+        commands = np.vstack([s.reading_commands() for s in parts])
         return measurement.series(setup, commands, labels)
     runs: list[str] = []
     index: list[Index] = []

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from oed import criteria, explain
+from oed import criteria
+from oed.assessment import Assessment, assess
 from oed.measurement import Measurement
 from oed.result import PlanScore
 from pkm_studies.resolve.resolved import ResolvedStudy
@@ -28,11 +29,11 @@ class _Plan(NamedTuple):
 
     name: str
     measurement: Measurement
-    identifiability: explain.Seen
+    identifiability: Assessment
 
 
 def plan_scores(
-    resolved: ResolvedStudy, chosen: ChosenDesign, identifiability: explain.Seen
+    resolved: ResolvedStudy, chosen: ChosenDesign, identifiability: Assessment
 ) -> list[PlanScore]:
     """Scores of the chosen plan, which comes first, and of comparable reference plans.
 
@@ -56,15 +57,15 @@ def plan_scores(
 
 
 def _comparable(
-    resolved: ResolvedStudy, chosen: ChosenDesign, identifiability: explain.Seen
+    resolved: ResolvedStudy, chosen: ChosenDesign, identifiability: Assessment
 ) -> list[_Plan]:
     table = chosen.criteria.table
     plans = [_Plan("chosen", chosen.measurement, identifiability)]
     for reference in resolved.reference_plans:
         measurement = resolved.measurement_with(reference.setups)
-        other = explain.look(measurement, reference.series, table.scaling)
+        other = assess(measurement, reference.series, table.scaling)
         same_setups = set(reference.setups) <= set(resolved.measurement.setups)
-        same_rank = other.verdict.rank == identifiability.verdict.rank
+        same_rank = other.identifiability.rank == identifiability.identifiability.rank
         if table.prior or (same_setups and same_rank):
             plans.append(_Plan(reference.name, measurement, other))
     return plans
@@ -100,7 +101,7 @@ def _with_setups(
 
 def _score(plan: _Plan, judge: StudyCriteria, value: float) -> PlanScore:
     table, series = judge.table, plan.identifiability.series
-    s = plan.identifiability.verdict.identifiable
+    s = plan.identifiability.identifiability.identifiable_singular_values
     n = sum(len(x) for x in series)
     prior = 1.0 if table.prior else 0.0
     return PlanScore(

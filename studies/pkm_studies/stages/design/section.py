@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from oed import explain
+from oed.assessment import Assessment
 from oed.measurement import Measurement, Series
 from oed.result import DesignSection, PlannedReading
 from pkm_studies.resolve.quantities import column
@@ -18,7 +18,7 @@ from pkm_studies.stages.design.select import ChosenDesign
 
 
 def design_section(
-    resolved: ResolvedStudy, chosen: ChosenDesign, identifiability: explain.Seen
+    resolved: ResolvedStudy, chosen: ChosenDesign, identifiability: Assessment
 ) -> DesignSection:
     """The chosen plan with its certificate, scored with the reference plans."""
     table, choice, polish = chosen.criteria.table, chosen.choice, chosen.polish
@@ -75,7 +75,7 @@ def planned_readings(
         channels = measurement.setups[s.setup].instrument.channels
         nominal = measurement.readings([s], measurement.nominal)
         y = nominal.reshape(len(s), len(channels))
-        commands = s.commands()
+        commands = s.reading_commands()
         number: Counter[str] = Counter()
         for k, run in enumerate(s.run):
             number[run] += 1

@@ -6,8 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from oed import criteria, explain
+from oed import criteria
 from oed.arrays import Array
+from oed.assessment import assess
 from oed.design import candidates
 from oed.design.exchange import Choice
 from oed.information import Scaling
@@ -233,7 +234,11 @@ def kappa_map(circles: Circles, scaling: Scaling) -> KappaMap:
         row = []
         for n in circles.points:
             readings = [circles.series(m, n)]
-            identifiability = explain.look(circles.measurement, readings, scaling)
-            row.append(criteria.kappa(identifiability.verdict.identifiable))
+            identifiability = assess(circles.measurement, readings, scaling)
+            row.append(
+                criteria.kappa(
+                    identifiability.identifiability.identifiable_singular_values
+                )
+            )
         table.append(row)
     return KappaMap(circles.title, list(circles.circles), list(circles.points), table)

@@ -67,7 +67,7 @@ def with_reference_readings(
         )
     except ValueError as error:
         raise every.error(str(error), "raise it") from error
-    commands, runs = series.commands(), []
+    commands, runs = series.reading_commands(), []
     scheduled = []
     for k in timed.pose:
         scheduled.append(command if k < 0 else commands[k])
@@ -85,7 +85,7 @@ def _reference_command(
 ) -> Array:
     """The reference's command (n_dof,): as the study says, or the route's first pose."""
     if not axes:
-        return np.asarray(series.commands()[route.indices[0]])
+        return np.asarray(series.reading_commands()[route.indices[0]])
     machine, setup = measurement.machine, measurement.setups[series.setup]
     command, hold, keys = grids.grid_commands(axes, machine, place)
     if len(command) != 1:

@@ -32,14 +32,14 @@ def estimate_section(
     fine = {c.name: units.FINE[c.unit] for c in channels}
     factor = np.array([units.factor(fine[c.name]) for c in channels])
     names = np.array([c.name for c in channels])
-    after, before = estimate.residuals / factor, estimate.before / factor
+    after, before = estimate.residuals / factor, estimate.residuals_before / factor
     rounds = [
         {
             "evaluations": r.iterations,
             "rms_before": r.rms_before,
             "rms_after": r.rms_after,
         }
-        for r in estimate.rounds
+        for r in estimate.stages
     ]
     return EstimateSection(
         parameters=_parameters(measurement, estimate, truth),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from oed import explain
+from oed.assessment import Assessment, assess
 from oed.information import Scaling
 from oed.measurement import Measurement, Series
 from oed.result import IdentifiabilityFinding, IdentifiabilitySection
@@ -13,13 +14,13 @@ Readings = tuple[Measurement, Sequence[Series]]
 
 
 def identifiability_section(
-    identifiability: explain.Seen, scaling: Scaling, others: Mapping[str, Readings]
+    identifiability: Assessment, scaling: Scaling, others: Mapping[str, Readings]
 ) -> IdentifiabilitySection:
     """Rank, singular values, null directions and sentences.
 
     `others` are readings that the sentences may recommend as a remedy.
     """
-    verdict = identifiability.verdict
+    verdict = identifiability.identifiability
     words = [
         IdentifiabilityFinding(f.kind, f.text, list(f.remedies))
         for f in explain.explain(identifiability, others)
@@ -31,8 +32,8 @@ def identifiability_section(
         tolerance=verdict.tolerance,
         scaling=scaling,
         singular_values=[float(v) for v in verdict.singular_values],
-        combinations=verdict.named(verdict.combinations),
-        lost=verdict.named(verdict.lost),
+        combinations=verdict.coefficients_by_name(verdict.combinations),
+        lost=verdict.coefficients_by_name(verdict.lost),
         words=words,
     )
 
@@ -46,7 +47,7 @@ def variants(
     """Sections for each reference plan, and for each set-up of the plan alone."""
     sections = {}
     for name, (reference_measurement, reference_series) in references.items():
-        identifiability = explain.look(reference_measurement, reference_series, scaling)
+        identifiability = assess(reference_measurement, reference_series, scaling)
         sections[name] = identifiability_section(identifiability, scaling, {})
     by_setup: dict[str, list[Series]] = {}
     for s in series:
@@ -55,7 +56,7 @@ def variants(
         return sections
     for name, alone in by_setup.items():
         others = {n: (measurement, s) for n, s in by_setup.items() if n != name}
-        identifiability = explain.look(measurement, alone, scaling)
+        identifiability = assess(measurement, alone, scaling)
         sections[f"{name} alone"] = identifiability_section(
             identifiability, scaling, others
         )

@@ -28,7 +28,7 @@ def posterior_section(
         if estimate.prior_sd[k] == 0.0:
             continue
         unit = units.display(p.unit)
-        values = units.from_si(posterior.flat[:, k], unit)
+        values = units.from_si(posterior.pooled[:, k], unit)
         low, high = np.quantile(values, [0.025, 0.975])
         marginals[p.name] = Marginal(
             mean=float(values.mean()),
@@ -43,7 +43,7 @@ def posterior_section(
     return PosteriorSection(
         marginals=marginals,
         acceptance=posterior.acceptance,
-        draws=len(posterior.flat),
+        draws=len(posterior.pooled),
         walkers=posterior.draws.shape[0],
         autocorrelation=posterior.autocorrelation,
         directions=directions,

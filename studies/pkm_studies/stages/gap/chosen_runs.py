@@ -17,7 +17,7 @@ from oed.gap.before.runs import Run
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 from oed.result.gap_before import (
     ChosenRun,
     ChosenRuns,
@@ -101,7 +101,7 @@ def choose_runs(
     candidates, rows = runs.prepare(measurement, request.runs, gravity=gravity)
     try:
         pool = Pool(
-            candidates, stated(candidates), rows, request.wanted, request.rivals
+            candidates, stated_law(candidates), rows, request.wanted, request.rivals
         )
         choice = choose.choose(
             pool,
@@ -137,9 +137,11 @@ def _separation_before(
     planned: GapProblem, request: GapDesignRequest
 ) -> dict[Pair, float]:
     """sqrt(lambda) of each pair in other planned readings; none where untestable."""
-    blocks = planned.blocks
+    blocks = planned.members
     try:
-        pool = Pool(planned, stated(planned), blocks, request.wanted, request.rivals)
+        pool = Pool(
+            planned, stated_law(planned), blocks, request.wanted, request.rivals
+        )
     except ValueError:
         return {}
     return {
@@ -184,5 +186,5 @@ def _poses_csv(
 ) -> str:
     """The chosen runs as a readings file; readings and times are to be filled in."""
     columns = covariates.drop(columns=["setup", "run", "order"]).assign(time=np.nan)
-    empty = np.full(len(measurement.owners(series)), np.nan)
+    empty = np.full(len(measurement.setup_of_readings(series)), np.nan)
     return dataset.to_csv(dataset.from_series(series, empty, measurement, columns))

@@ -17,7 +17,7 @@ from oed.gap.before.detection import Detectability, EffectRival
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
-from oed.noise.law import stated
+from oed.noise.law import stated_law
 from oed.result.gap_before import (
     DetectabilityRecord,
     DetectabilityTable,
@@ -87,7 +87,7 @@ def detectability_table(
     fine: Mapping[str, str],
 ) -> DetectabilityTable:
     """Detectability of every effect in planned readings, sizes in fine units."""
-    detection = detect.detect(planned, stated(planned), effects, rng)
+    detection = detect.detect(planned, stated_law(planned), effects, rng)
     about = {e.name: e.about for e in effects}
     return DetectabilityTable(
         readings=len(planned),

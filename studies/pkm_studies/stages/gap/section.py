@@ -182,7 +182,7 @@ def _coefficients(
 def _columns(effect: Effect, diagnosis: Diagnosis) -> list[Column]:
     """All columns of an effect, over its constants and the set-ups."""
     columns: list[Column] = []
-    for constants in effect.grid():
+    for constants in effect.constant_grid():
         for state in diagnosis.problem.states:
             columns += effect.columns(state, **constants)
     return columns

@@ -68,7 +68,7 @@ def _drawn_runs(diagnosis: Diagnosis) -> list[Index]:
     channels = rows["channel"].to_numpy()
     long: list[Index] = []
     short: dict[str, list[Index]] = {}
-    for members in diagnosis.problem.blocks:
+    for members in diagnosis.problem.members:
         first = rows.iloc[members[0]]
         if (channels[members] == first["channel"]).sum() < MIN_POINTS:
             short.setdefault(str(first["setup"]), []).append(members)

@@ -32,8 +32,8 @@ def empty_readings(
 ) -> Dataset:
     """Planned readings without values, with covariates from [gap.conditions]."""
     covariates = planned_covariates(measurement, series, request.conditions)
-    parted = [s.parted() for s in series]
-    empty = np.full(len(measurement.owners(parted)), np.nan)
+    parted = [s.separate_poses() for s in series]
+    empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
     return dataset.from_series(parted, empty, measurement, covariates)
 
 

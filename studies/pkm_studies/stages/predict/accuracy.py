@@ -80,7 +80,7 @@ def _section(
             compensatable=compensatable[name],
             before=_spread(prediction.before[name], fine[name]),
             after=_spread(prediction.after[name], fine[name]),
-            known=_spread(prediction.known[name], fine[name]),
+            known=_spread(prediction.fully_corrected[name], fine[name]),
             budget=prediction.budget[name],
         )
         for name in prediction.names

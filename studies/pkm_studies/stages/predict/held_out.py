@@ -33,14 +33,14 @@ def held_out_sections(
     rng: np.random.Generator,
 ) -> list[HeldOutSection]:
     """One section for each series and channel of the held-out readings y (N,), SI."""
-    count = min(PREDICTIVE_DRAWS, len(posterior.flat))
-    draws = rng.choice(len(posterior.flat), size=count, replace=False)
+    count = min(PREDICTIVE_DRAWS, len(posterior.pooled))
+    draws = rng.choice(len(posterior.pooled), size=count, replace=False)
     sections, start = [], 0
     for s in series:
         channels = measurement.setups[s.setup].instrument.channels
         readings = y[start : start + len(s) * len(channels)]
         start += len(readings)
-        predicted = measurement.readings([s], posterior.flat[draws])
+        predicted = measurement.readings([s], posterior.pooled[draws])
         factors = _noise_factors(measurement, posterior, s.setup, draws)
         noise = measurement.noise([s]).draw(rng, predicted.shape) * factors[:, None]
         centre = predicted.mean(axis=0)
@@ -85,7 +85,7 @@ def _setup_adjustment(
     measurement: Measurement, series: Series, posterior: Posterior
 ) -> Array:
     """Q (N, N), which takes the set-up's unknowns out of its readings."""
-    mean = posterior.flat.mean(axis=0)
+    mean = posterior.pooled.mean(axis=0)
     columns = _setup_unknowns(measurement, series.setup)
     slope = measurement.jacobian([series], mean)[:, columns]
     noise = measurement.noise([series])

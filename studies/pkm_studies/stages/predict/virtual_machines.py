@@ -39,20 +39,20 @@ def realised_accuracy(
     home_model = compensate.error_model(kinematics, home)
     errors = []
     for k in range(count):
-        truth = simulate.draw(measurement, rng)
-        y = simulate.read(measurement, series, truth, rng)
+        truth = simulate.draw_parameters(measurement, rng)
+        y = simulate.draw_readings(measurement, series, truth, rng)
         estimate = identify.identify(measurement, series, y, stages=stages)
         identified, true = estimate.theta[:keep], truth[:keep]
         twist = _remaining_twist(measurement, command, identified, true)
         home_twist = _remaining_twist(measurement, home, identified, true)
-        referenced = predict.referenced(
+        referenced = predict.relative_to_reference(
             twist, home_twist, model, home_model, reference, measurement.machine.lever
         )
-        errors.append(kinematics.components(command, referenced))
+        errors.append(kinematics.error_components(command, referenced))
         progress((k + 1) / count)
     table = np.array(errors)
     return {
-        c.name: predict.spread_of(table[:, :, k])
+        c.name: predict.error_spread(table[:, :, k])
         for k, c in enumerate(measurement.machine.components)
     }
 
@@ -62,5 +62,5 @@ def _remaining_twist(
 ) -> Array:
     """Pose error (n, 6) at commands, driven with the identified parameters."""
     kinematics = measurement.kinematics
-    q = compensate.joints(kinematics, command, identified)
+    q = compensate.compensated_joints(kinematics, command, identified)
     return compensate.pose_error(kinematics, command, q, true)
