@@ -26,10 +26,12 @@ robot = Measurement(
     machine,
     [mount(camera.known_frame, "camera"), mount(redundancy.instrument, "lines")],
 )
-truth = simulate.draw(robot, rng)
+truth = simulate.draw_parameters(robot, rng)
 LOW, HIGH = (-0.35, -0.35, 0.0), (0.35, 0.35, 1.2)  # m
 places = rng.uniform(LOW, HIGH, (OBSERVED + UNOBSERVED, 3))
-motors = compensate.joints(robot.kinematics, places, truth)  # taut lines at each place
+motors = compensate.compensated_joints(
+    robot.kinematics, places, truth
+)  # taut lines at each place
 motor_per_metre = (
     np.array([FOLD[i] for i in LINES]) * GEAR / SPOOL
 )  # of a motor, rad for a metre of line

@@ -14,7 +14,8 @@ import itertools
 import _draw
 import numpy as np
 
-from oed.explain import explain, look
+from oed.assessment import assess
+from oed.explain import explain
 from oed.instrument import mount
 from oed.measurement import Measurement
 from pkm_models.instruments import ball_bar, pose_tracker
@@ -75,7 +76,7 @@ plans = {
     "positions": [hexapod.series("positions", oriented)],
     "full poses": [hexapod.series("poses", oriented)],
 }
-views = {name: look(hexapod, series) for name, series in plans.items()}
+views = {name: assess(hexapod, series) for name, series in plans.items()}
 ranks = {name: (v.verdict.rank, len(v.names)) for name, v in views.items()}
 assert ranks["bar, level"][0] < 20
 assert ranks["bar, turned"] == (36, 45)

@@ -12,6 +12,7 @@ import _draw
 import numpy as np
 
 from oed import explain
+from oed.assessment import assess
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import calliper, height_probe
@@ -50,13 +51,13 @@ plans = {
 
 def common_share(series: list[Series], kind: str) -> float:
     """Share of the prior standard deviation that three parameters' mean keeps."""
-    view = explain.look(printer, series, "tolerance")
+    view = assess(printer, series, "tolerance")
     members = np.array([n.rstrip("123") == kind for n in view.names])
     mean = members / np.sqrt(3.0)
     return float(np.sqrt(mean @ view.covariance @ mean))
 
 
-view = explain.look(printer, [heights])
+view = assess(printer, [heights])
 words = " ".join(finding.text for finding in explain.explain(view))
 assert "the common arm (arm1, arm2, arm3) keeps" in words
 shares = {

@@ -11,7 +11,8 @@ closure adds the planes in which the revolute joints hold the struts.
 import _draw
 import numpy as np
 
-from oed.explain import Seen, explain, look
+from oed.assessment import Assessment, assess
+from oed.explain import explain
 from oed.instrument import mount
 from oed.measurement import Measurement
 from pkm_models.instruments import laser_ball_bar
@@ -30,7 +31,7 @@ MODELS = {
     "full closure": prs_spindle.machine,
 }
 
-views: dict[str, Seen] = {}
+views: dict[str, Assessment] = {}
 for name, machine in MODELS.items():
     bar = mount(
         laser_ball_bar.instrument,
@@ -41,7 +42,7 @@ for name, machine in MODELS.items():
         at_z=0.1,
     )
     measurement = Measurement(machine, [bar])
-    views[name] = look(measurement, [measurement.series("ball_bar", COMMANDS)])
+    views[name] = assess(measurement, [measurement.series("ball_bar", COMMANDS)])
 
 picture = _draw.Picture(
     "Upright and tilted; the 22 tool tips", "What is left of each tolerance"
@@ -84,7 +85,7 @@ assert shares["full closure"]["dR1y"] < 0.01, (
 )
 
 
-def lost_text(view: Seen) -> str:
+def lost_text(view: Assessment) -> str:
     """What the readings lose, in words."""
     return next(f.text for f in explain(view) if f.kind == "lost")
 

@@ -41,9 +41,11 @@ def against_home(
     in the base frame, orientation in the platform's axes, by exact rotations.
     """
     home = m.machine.home_command
-    real = a3.forward(truth, compensate.joints(m.kinematics, command, believed))
+    real = a3.forward(
+        truth, compensate.compensated_joints(m.kinematics, command, believed)
+    )
     at_home = a3.forward(
-        truth, compensate.joints(m.kinematics, home[None], believed)[0]
+        truth, compensate.compensated_joints(m.kinematics, home[None], believed)[0]
     )
     tip, _ = a3.nominal_pose(*command.T)
     home_tip, home_rotation = a3.nominal_pose(*home)
