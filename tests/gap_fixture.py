@@ -207,7 +207,11 @@ def _places(problem: GapProblem) -> tuple[Block, ...]:
     )
 
 
-def _posterior(g: Array, covariance: Array, r: Array) -> tuple[Array, Array]:
+def _posterior(
+    g: Array,
+    covariance: Array,
+    r: Array,
+) -> tuple[Array, Array]:
     """Mean and standard deviation (n,) of coefficients with prior N(0, 1)."""
     weighted = np.linalg.solve(covariance, np.column_stack([g, r]))
     normal = g.T @ weighted

@@ -17,7 +17,14 @@ COMPONENTS = {
     "phi": "arcsec",
 }
 #: size of each component's error against that of z
-SCALES = {"x": 0.85, "y": 0.8, "z": 1.0, "psi": 2.1, "theta": 0.08, "phi": 0.5}
+SCALES = {
+    "x": 0.85,
+    "y": 0.8,
+    "z": 1.0,
+    "psi": 2.1,
+    "theta": 0.08,
+    "phi": 0.5,
+}
 DIRECTIONS = [
     "spin about the TCP",
     "tilt x about TCP",
@@ -33,7 +40,11 @@ def estimate(rng: np.random.Generator) -> dict[str, Any]:
     before = wave + 25.0 * rng.normal(size=30)
     after = 0.5 * rng.normal(size=30)
     iterations = [
-        {"step": float(k), "rms_um": 50.0 * 0.05**k + 0.41, "damping": 10.0**-k}
+        {
+            "step": float(k),
+            "rms_um": 50.0 * 0.05**k + 0.41,
+            "damping": 10.0**-k,
+        }
         for k in range(4)
     ]
     return {
@@ -148,7 +159,11 @@ def delta_prediction(rng: np.random.Generator) -> dict[str, Any]:
     for x, y in grid:
         bowl = 30.0 + 0.002 * (x * x + y * y)
         after = {axis: bowl + float(rng.normal()) for axis in "xyz"}
-        command = {"x_mm": float(x), "y_mm": float(y), "z_mm": 0.0}
+        command = {
+            "x_mm": float(x),
+            "y_mm": float(y),
+            "z_mm": 0.0,
+        }
         before = {axis: 10 * error for axis, error in after.items()}
         points.append({"command": command, "before": before, "after": after})
     return {
@@ -162,7 +177,11 @@ def delta_prediction(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def _map_point(z: float, psi: float, theta: float) -> dict[str, Any]:
+def _map_point(
+    z: float,
+    psi: float,
+    theta: float,
+) -> dict[str, Any]:
     ripple = 0.2 * math.cos(math.radians(3.0 * psi))
     size = 0.5 + theta / 30.0 + ripple
     after = {name: 40.0 * scale * size for name, scale in SCALES.items()}
@@ -174,7 +193,11 @@ def _map_point(z: float, psi: float, theta: float) -> dict[str, Any]:
     }
 
 
-def _component(correctable: bool, unit: str, scale: float) -> dict[str, Any]:
+def _component(
+    correctable: bool,
+    unit: str,
+    scale: float,
+) -> dict[str, Any]:
     after = 66.0 if correctable else 310.0
     budget = {
         "home errors": 0.11,
@@ -193,13 +216,22 @@ def _component(correctable: bool, unit: str, scale: float) -> dict[str, Any]:
 
 
 def _spread(rms: float, unit: str) -> dict[str, Any]:
-    return {"rms": rms, "p95": 1.9 * rms, "max": 2.7 * rms, "unit": unit}
+    return {
+        "rms": rms,
+        "p95": 1.9 * rms,
+        "max": 2.7 * rms,
+        "unit": unit,
+    }
 
 
 # -- held-out readings -----------------------------------------------------------------
 
 
-def held_out(name: str, n: int, rng: np.random.Generator) -> dict[str, Any]:
+def held_out(
+    name: str,
+    n: int,
+    rng: np.random.Generator,
+) -> dict[str, Any]:
     """Readings of another session, predicted by the fit."""
     half = 0.09 + 0.03 * rng.random(n)
     residuals = 0.5 * half * rng.normal(size=n)

@@ -37,7 +37,12 @@ def machine() -> dict[str, Any]:
     }
 
 
-def _parameter(name: str, tolerance: float, unit: str, about: str) -> dict[str, Any]:
+def _parameter(
+    name: str,
+    tolerance: float,
+    unit: str,
+    about: str,
+) -> dict[str, Any]:
     return {
         "name": name,
         "nominal": 0.0,
@@ -95,12 +100,13 @@ def drawing(readings: list[dict[str, Any]]) -> dict[str, Any]:
     """The head at home, the cups, and a bar to each tool point."""
     base = _joints(RADIUS)
     platform = base + np.array([0.0, 0.0, HEIGHT])
-    tool = [platform.mean(axis=0), np.array([0.0, 0.0, TOOL + HEIGHT])]
+    tip = np.array([0.0, 0.0, TOOL + HEIGHT])
+    legs = [_line("machine", list(leg)) for leg in zip(base, platform, strict=True)]
     lines = [
         _line("machine", [*base, base[0]]),
         _line("machine", [*platform, platform[0]]),
-        *[_line("machine", list(leg)) for leg in zip(base, platform, strict=True)],
-        _line("machine", tool),
+        *legs,
+        _line("machine", [platform.mean(axis=0), tip]),
     ]
     cups = {
         name: np.array([0.0, 0.0, TOOL + HEIGHT + stroke - 0.14])
@@ -124,7 +130,8 @@ def delta_drawing() -> dict[str, Any]:
     """A linear delta with a grid of probed points."""
     feet = _joints(0.16)
     tool = np.array([0.0, 0.0, 0.02])
-    top, carriage = np.array([0.0, 0.0, 0.72]), np.array([0.0, 0.0, 0.33])
+    top = np.array([0.0, 0.0, 0.72])
+    carriage = np.array([0.0, 0.0, 0.33])
     columns = [_line("machine", [foot, foot + top]) for foot in feet]
     arms = [_line("machine", [foot + carriage, tool]) for foot in feet]
     steps = range(-2, 3)
@@ -147,14 +154,16 @@ def _rotation(psi: float, theta: float) -> Array:
     x, y = math.cos(psi), math.sin(psi)
     cross = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]])
     twice = cross @ cross
-    turn: Array = np.eye(3) + math.sin(theta) * cross + (1 - math.cos(theta)) * twice
+    sine, versine = math.sin(theta), 1.0 - math.cos(theta)
+    turn: Array = np.eye(3) + sine * cross + versine * twice
     return turn
 
 
 def _tool_point(reading: dict[str, Any]) -> Array:
     """Tool point on the bar's sphere, roughly."""
     command = reading["command"]
-    psi, theta = math.radians(command["psi_deg"]), math.radians(command["theta_deg"])
+    psi = math.radians(command["psi_deg"])
+    theta = math.radians(command["theta_deg"])
     tip = _rotation(psi, theta) @ np.array([0.0, 0.0, TOOL])
     return np.array([tip[0], tip[1], 1e-3 * command["z_mm"]])
 

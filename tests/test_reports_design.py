@@ -69,6 +69,18 @@ def _design() -> dict[str, Any]:
     return design
 
 
+def _design_without(names: list[str]) -> dict[str, Any]:
+    design = _design()
+    for name in names:
+        del design[name]
+    return design
+
+
+def _each_and_all(names: list[str]) -> list[list[str]]:
+    """Each of the names alone, then all of them."""
+    return [*[[name] for name in names], names]
+
+
 def test_the_certificate_and_its_numbers_are_reported() -> None:
     shown = shown_text(result_of(report_fixture.sample()))
     for words in (
@@ -96,13 +108,12 @@ def test_the_certificate_and_its_numbers_are_reported() -> None:
         assert words in shown, words
 
 
-@pytest.mark.parametrize("names", [*[[name] for name in OPTIONAL], OPTIONAL])
+@pytest.mark.parametrize("names", _each_and_all(OPTIONAL))
 def test_each_part_of_the_design_may_be_absent(names: list[str]) -> None:
-    design = {key: value for key, value in _design().items() if key not in names}
-    _check_texts(_with_design(design))
+    _check_texts(_with_design(_design_without(names)))
 
 
-@pytest.mark.parametrize("names", [*[[name] for name in NULLABLE], NULLABLE])
+@pytest.mark.parametrize("names", _each_and_all(NULLABLE))
 def test_parts_of_the_design_may_be_null(names: list[str]) -> None:
     _check_texts(_with_design(_design() | dict.fromkeys(names)))
 
@@ -114,13 +125,17 @@ def _check_texts(result: StudyResult) -> None:
 
 
 def test_a_design_without_optional_parts_has_its_page() -> None:
-    design = {key: value for key, value in _design().items() if key not in OPTIONAL}
-    assert "How good" in shown_text(_with_design(design))
+    result = _with_design(_design_without(OPTIONAL))
+    assert "How good" in shown_text(result)
 
 
 def test_numbers_that_were_not_finite_leave_gaps() -> None:
     design = _design()
-    design["compared"][1]["values"] = {"D": None, "E": 3.0e-6, "kappa": None}
+    design["compared"][1]["values"] = {
+        "D": None,
+        "E": 3.0e-6,
+        "kappa": None,
+    }
     del design["plans"][1]["predicted"]["z_um"]
     design["robust"]["values"][0] = None
     design["how_many"]["accuracy"]["z_um"][0] = None
@@ -130,7 +145,7 @@ def test_numbers_that_were_not_finite_leave_gaps() -> None:
 
 
 def test_an_old_result_still_has_its_certificate() -> None:
-    old = {key: value for key, value in _design().items() if key not in NEWER}
+    old = _design_without(NEWER)
     sentence = (
         "Certified to 97.3 % of the best possible 30 readings out of 1512 candidates."
     )
@@ -181,7 +196,14 @@ def test_efficiencies_are_ratios_of_phi(main: str) -> None:
     np.testing.assert_allclose(criteria.efficiencies(entries), expected, rtol=1e-9)
     # Proven designs leave only the gain, and for D the directions.
     replace = msgspec.structs.replace
-    proven = [replace(entry, bound=entry.value, efficiency=1.0) for entry in entries]
+    proven = [
+        replace(
+            entry,
+            bound=entry.value,
+            efficiency=1.0,
+        )
+        for entry in entries
+    ]
     again = criteria.efficiencies(proven, 4)
     known = slice(0 if main != "Ds" else 1, None)
     np.testing.assert_allclose(again[known], expected[known], rtol=1e-9)
@@ -199,7 +221,12 @@ def _poses(commands: list[dict[str, float]]) -> list[PlannedReading]:
 def test_the_path_takes_the_coordinates_that_vary_most() -> None:
     # 2000 mm, 18 mm, 5.7 degrees, 20 degrees
     commands = [
-        {"a_mm": 1e3 * k, "b_um": 9e3 * k, "c_rad": 0.05 * k, "d_deg": 10.0 * k}
+        {
+            "a_mm": 1e3 * k,
+            "b_um": 9e3 * k,
+            "c_rad": 0.05 * k,
+            "d_deg": 10.0 * k,
+        }
         for k in range(3)
     ]
     plane = path.choose_plane(_poses(commands))
@@ -222,7 +249,8 @@ def test_a_way_over_a_full_turn_is_the_short_one() -> None:
     with style.applied():
         axes = path.draw(poses).axes[0]
     ends = [np.array(line.get_xydata()) for line in axes.lines]
-    lengths = [float(np.ptp(points[:, 1])) for points in ends if len(points) == 2]
+    segments = [points for points in ends if len(points) == 2]
+    lengths = [float(np.ptp(points[:, 1])) for points in segments]
     assert lengths == pytest.approx([30.0, 30.0, 100.0])
     low, high = axes.get_ylim()
     assert high - low == pytest.approx(360.0)
@@ -249,9 +277,9 @@ def test_numbers_of_the_path_do_not_overlap(count: int) -> None:
     numbers = {number for note in notes for number in note.get_text().split()}
     assert {"1", str(count)} <= numbers
     for a, b in itertools.combinations(boxes, 2):
-        beside = a.x0 >= b.x1 or b.x0 >= a.x1
+        apart = a.x0 >= b.x1 or b.x0 >= a.x1
         above = a.y0 >= b.y1 or b.y0 >= a.y1
-        assert beside or above
+        assert apart or above
 
 
 # -- scenarios -------------------------------------------------------------------------

@@ -78,7 +78,7 @@ def test_the_page_has_findings_causes_places_and_closure(
         "The gap comes from backlash (probability 97 %)",
         "Remedy for backlash: preload the screws",
         "96 % 91 % to 99 %",  # closure within runs, with its interval
-        "parts of runs",
+        "stretches of runs",
         "These readings cannot tell the effects of a group from one another",
         "temp_frame_C",
         "leg 2 0.0020 90 %",
@@ -182,7 +182,13 @@ def test_legs_that_nothing_tells_apart_are_named(
     gap: GapSection, p_value: float, strength: float, tied: bool
 ) -> None:
     legs = [PlaceRecord("leg 1", 1e-9, 0.8), PlaceRecord("leg 2", p_value, strength)]
-    (table,) = places.blocks(replace(gap, verdict="effect", where=legs))
+    (table,) = places.blocks(
+        replace(
+            gap,
+            verdict="effect",
+            where=legs,
+        )
+    )
     sentence = "The readings of leg 1 and leg 2 are the same"
     assert (sentence in table.caption) == tied
 
@@ -242,15 +248,15 @@ def _figures(gap: GapSection) -> list[Figure]:
 def test_the_likeliest_cause_is_at_the_top_and_coloured(gap: GapSection) -> None:
     marginal = {f"effect_{k:02d}": 0.01 * k for k in range(14)} | {"backlash": 0.98}
     with style.applied():
-        left, right = gap_effects.draw(replace(gap, marginal=marginal)).axes
-    labels = [label.get_text() for label in left.get_yticklabels()]
+        bars, sizes = gap_effects.draw(replace(gap, marginal=marginal)).axes
+    labels = [label.get_text() for label in bars.get_yticklabels()]
     assert labels[:2] == ["backlash", "effect 13"]
     assert len(labels) == gap_effects.MOST
-    first, second = left.patches[:2]
+    first, second = bars.patches[:2]
     assert first.get_width() == pytest.approx(98.0)
     assert first.get_facecolor() != second.get_facecolor()
     rms = gap.sizes[0].rms["length"]
-    assert right.patches[0].get_width() == pytest.approx(rms)
+    assert sizes.patches[0].get_width() == pytest.approx(rms)
 
 
 def _scaled(trace: Trace, k: int) -> Trace:

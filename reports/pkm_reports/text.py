@@ -222,10 +222,16 @@ def listing(items: Iterable[str], most: int = 12) -> str:
 
 def sentence(words: str) -> str:
     """A sentence: a capital where it starts with a plain word, and a full stop."""
-    words = with_symbols(words).strip()
+    words = with_full_stop(words)
     first = words.partition(" ")[0]
     if len(first) > 1 and first.isalpha() and first.islower():
         words = words[:1].upper() + words[1:]
+    return words
+
+
+def with_full_stop(words: str) -> str:
+    """Text of a study, ended by a full stop."""
+    words = with_symbols(words).strip()
     if not words or words[-1] in ".!?:":
         return words
     return f"{words}."

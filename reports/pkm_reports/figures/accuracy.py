@@ -43,7 +43,12 @@ def draw(prediction: PredictionSection) -> Figure:
     bars = BARS[:2] if all_correctable(components) else BARS
     figure = style.figure(2.8)
     widths = [len(group) for group in groups]
-    grid = figure.subplots(1, len(units), squeeze=False, width_ratios=widths)
+    grid = figure.subplots(
+        1,
+        len(units),
+        squeeze=False,
+        width_ratios=widths,
+    )
     for axes, unit, group in zip(grid[0], units, groups, strict=True):
         _panel(axes, group, bars, prediction.realised or {})
         axes.set_ylabel(f"rms error [{text.unit_symbol(unit)}]")
@@ -76,7 +81,12 @@ def _panel(
         [realised[name].rms if name in realised else np.nan for name in group]
     )
     if np.isfinite(shown).any():
-        look: Any = {"color": style.ORANGE, "mec": style.INK, "mew": 0.6, "ms": 5}
+        look: Any = {
+            "color": style.ORANGE,
+            "mec": style.INK,
+            "mew": 0.6,
+            "ms": 5,
+        }
         axes.plot(places, shown, "D", label=REALISED, **look)
     style.log_axis(axes, "y")
     _set_limits(axes, group, shown)

@@ -43,7 +43,13 @@ def draw(components: Mapping[str, ComponentAccuracy]) -> Figure:
     return figure
 
 
-def _stack(axes: Axes, k: int, source: str, start: Array, percent: Array) -> None:
+def _stack(
+    axes: Axes,
+    k: int,
+    source: str,
+    start: Array,
+    percent: Array,
+) -> None:
     """The k-th source beside those before it, hatched where the colours repeat."""
     colour = style.CYCLE[k % len(style.CYCLE)]
     look: Any = {
@@ -53,7 +59,12 @@ def _stack(axes: Axes, k: int, source: str, start: Array, percent: Array) -> Non
         "ec": "white",
         "label": style.label(source),
     }
-    bars = axes.barh(range(len(percent)), percent, left=start, **look)
+    bars = axes.barh(
+        range(len(percent)),
+        percent,
+        left=start,
+        **look,
+    )
     written = [f"{share:.0f}" if share >= WRITTEN else "" for share in percent]
     letters: Any = {"fontsize": 7, "fontweight": "bold"}
     letters["color"] = style.INK if colour in style.PALE else "white"

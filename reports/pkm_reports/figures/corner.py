@@ -71,7 +71,13 @@ def _limits(x: Array) -> Limits:
     return min(-PRIOR_RANGE, lower), max(PRIOR_RANGE, upper)
 
 
-def _cell(axes: Axes, draws: Array, limits: Sequence[Limits], i: int, j: int) -> None:
+def _cell(
+    axes: Axes,
+    draws: Array,
+    limits: Sequence[Limits],
+    i: int,
+    j: int,
+) -> None:
     if j > i:
         axes.set_visible(False)
         return
@@ -82,13 +88,20 @@ def _cell(axes: Axes, draws: Array, limits: Sequence[Limits], i: int, j: int) ->
         _pair(axes, draws[:, j], draws[:, i], limits[j], limits[i])
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
-    bottom, left = i == len(limits) - 1, j == 0 and i > 0
-    axes.tick_params(labelsize=6.5, labelbottom=bottom, labelleft=left)
+    axes.tick_params(labelsize=6.5)
+    axes.tick_params(labelbottom=i == len(limits) - 1)
+    axes.tick_params(labelleft=j == 0 and i > 0)
 
 
 def _histogram(axes: Axes, x: Array, limits: Limits) -> None:
     look: Any = {"color": style.SKY, "histtype": "stepfilled", "lw": 0}
-    axes.hist(x, bins=36, range=limits, density=True, **look)
+    axes.hist(
+        x,
+        bins=36,
+        range=limits,
+        density=True,
+        **look,
+    )
     at = np.linspace(*limits, 120)
     prior = np.exp(-(at**2) / 2.0) / np.sqrt(2.0 * np.pi)
     axes.plot(at, prior, color=style.GREY, lw=1.1)
@@ -97,13 +110,25 @@ def _histogram(axes: Axes, x: Array, limits: Limits) -> None:
     axes.spines["left"].set_visible(False)
 
 
-def _pair(axes: Axes, x: Array, y: Array, xlim: Limits, ylim: Limits) -> None:
-    counts, xs, ys = np.histogram2d(x, y, bins=34, range=(xlim, ylim))
+def _pair(
+    axes: Axes,
+    x: Array,
+    y: Array,
+    xlim: Limits,
+    ylim: Limits,
+) -> None:
+    counts, xs, ys = np.histogram2d(
+        x,
+        y,
+        bins=34,
+        range=(xlim, ylim),
+    )
     density = np.ma.masked_equal(counts.T, 0.0)
     shade: Any = {"cmap": style.AMOUNT, "vmin": -0.1 * counts.max()}
     axes.pcolormesh(xs, ys, density, rasterized=True, **shade)
     # An arc of the prior's circle would only puzzle: it is drawn where all of it fits.
-    if max(xlim[0], ylim[0]) <= -1.0 and min(xlim[1], ylim[1]) >= 1.0:
+    lower, upper = max(xlim[0], ylim[0]), min(xlim[1], ylim[1])
+    if lower <= -1.0 and upper >= 1.0:
         angle = np.linspace(0.0, 2.0 * np.pi, 90)
         line: Any = {"color": style.GREY, "lw": 0.8, "ls": "--"}
         axes.plot(np.cos(angle), np.sin(angle), **line)

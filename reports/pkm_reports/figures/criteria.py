@@ -16,7 +16,14 @@ from pkm_reports import missing, style, text
 from pkm_reports.missing import or_nan
 
 #: phi is this power of the stored number: O1 and O5 are stored as square roots
-POWER: Final = {"E": 1, "O1": 2, "O2": 1, "O3": 1, "O4": 1, "O5": 2}
+POWER: Final = {
+    "E": 1,
+    "O1": 2,
+    "O2": 1,
+    "O3": 1,
+    "O4": 1,
+    "O5": 2,
+}
 #: criteria stored as a logarithm of phi, times a number of directions
 LOGARITHMIC: Final = ("D", "Ds", "compound")
 #: share of the colour scale above which letters are white
@@ -35,14 +42,24 @@ def draw(design: DesignSection) -> Figure:
     figure = style.figure(0.75 + 0.3 * len(names), width)
     axes = figure.subplots()
     low = min(0.5, math.floor(10.0 * float(np.nanmin(table))) / 10.0)
-    shade: Any = {"cmap": style.AMOUNT, "vmin": low, "vmax": 1.0, "aspect": "auto"}
+    shade: Any = {
+        "cmap": style.AMOUNT,
+        "vmin": low,
+        "vmax": 1.0,
+        "aspect": "auto",
+    }
     image = axes.imshow(np.ma.masked_invalid(np.minimum(table, 1.0)), **shade)
     _write_percentages(axes, table, low)
     style.fixed_ticks(axes, "x", range(len(names)), names)
     style.fixed_ticks(axes, "y", range(len(names)), names)
     axes.grid(False)
     axes.set(xlabel="plan designed for …", ylabel="… judged by")
-    bar: Any = figure.colorbar(image, ax=axes, label="efficiency", pad=0.02)
+    bar: Any = figure.colorbar(
+        image,
+        ax=axes,
+        label="efficiency",
+        pad=0.02,
+    )
     bar.outline.set_visible(False)
     return figure
 
@@ -64,7 +81,12 @@ def efficiencies(compared: Sequence[CriterionComparison], directions: int = 0) -
     return table
 
 
-def _ratio(criterion: str, value: float, best: float, directions: float) -> float:
+def _ratio(
+    criterion: str,
+    value: float,
+    best: float,
+    directions: float,
+) -> float:
     """phi of a design over phi of the best one, from the numbers as stored."""
     if criterion in LOGARITHMIC:
         return math.exp((value - best) / directions)

@@ -34,7 +34,13 @@ def _panel(axes: Axes, entry: HeldOutSection) -> None:
     inside = ~(np.abs(residuals) > half)
     bars: Any = {"color": style.LIGHT, "lw": min(7.0, 200.0 / len(at))}
     axes.vlines(at, -half, half, label="95 % predictive interval", **bars)
-    axes.plot(at[inside], residuals[inside], "o", color=style.BLUE, label="inside")
+    axes.plot(
+        at[inside],
+        residuals[inside],
+        "o",
+        color=style.BLUE,
+        label="inside",
+    )
     cross: Any = {"color": style.RED, "ms": 5, "label": "outside"}
     axes.plot(at[~inside], residuals[~inside], "X", **cross)
     axes.axhline(0.0, color=style.INK, lw=0.7)

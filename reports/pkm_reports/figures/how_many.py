@@ -44,7 +44,12 @@ def draw(summary: HowManySummary) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, name: str, sizes: Array, summary: HowManySummary) -> None:
+def _panel(
+    axes: Axes,
+    name: str,
+    sizes: Array,
+    summary: HowManySummary,
+) -> None:
     reached = missing.array(summary.accuracy[name])
     bound = _bound(summary.bound, name, len(sizes))
     wanted = missing.entry(summary.wanted, name)
@@ -53,11 +58,24 @@ def _panel(axes: Axes, name: str, sizes: Array, summary: HowManySummary) -> None
     low, high = float(values.min()) / 1.3, 1.3 * float(values.max())
     if np.isfinite(bound).any():
         label = "no plan of as many readings is better"
-        axes.fill_between(sizes, low, bound, color=style.LIGHT, lw=0, label=label)
+        axes.fill_between(
+            sizes,
+            low,
+            bound,
+            color=style.LIGHT,
+            lw=0,
+            label=label,
+        )
         axes.plot(sizes, bound, color=style.GREY, lw=0.8)
     axes.plot(sizes, reached, "o-", color=style.BLUE, label="plans found")
     if np.isfinite(wanted):
-        axes.axhline(wanted, color=style.RED, ls="--", lw=1.0, label="wanted")
+        axes.axhline(
+            wanted,
+            color=style.RED,
+            ls="--",
+            lw=1.0,
+            label="wanted",
+        )
     if summary.fewest is not None:
         label = f"fewest that reach all wanted: {summary.fewest}"
         line: Any = {"color": style.GREEN, "ls": ":", "lw": 1.3}
@@ -71,7 +89,11 @@ def _panel(axes: Axes, name: str, sizes: Array, summary: HowManySummary) -> None
     axes.set_title(style.label(text.heading(name)))
 
 
-def _bound(bounds: Mapping[str, Sequence[Number]], name: str, count: int) -> Array:
+def _bound(
+    bounds: Mapping[str, Sequence[Number]],
+    name: str,
+    count: int,
+) -> Array:
     """The bound at each number of readings, NaN where it is not known."""
     if name not in bounds or len(bounds[name]) != count:
         return np.full(count, np.nan)

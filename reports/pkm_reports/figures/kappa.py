@@ -43,10 +43,22 @@ def _panel(axes: Axes, entry: KappaMap) -> None:
     for k, (m, kappa) in enumerate(zip(entry.circles, table, strict=True)):
         colour = style.CYCLE[k % len(style.CYCLE)]
         label = f"m = {m}: {_smallest(n, kappa)}"
-        axes.plot(n, kappa, marker=style.marker(k), ms=3, color=colour, label=label)
+        axes.plot(
+            n,
+            kappa,
+            marker=style.marker(k),
+            ms=3,
+            color=colour,
+            label=label,
+        )
         if np.isfinite(kappa).any():
             at = int(np.nanargmin(kappa))
-            ring: Any = {"ms": 9, "mfc": "none", "mec": colour, "mew": 1.2}
+            ring: Any = {
+                "ms": 9,
+                "mfc": "none",
+                "mec": colour,
+                "mew": 1.2,
+            }
             axes.plot(n[at], kappa[at], "o", **ring)
     low, high = float(np.nanmin(table)), float(np.nanmax(table))
     axes.set_ylim(0.8 * low, min(CUT * low, 1.25 * high))

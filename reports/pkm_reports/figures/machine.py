@@ -99,25 +99,45 @@ def _setup_of_each(drawing: Drawing, count: int) -> list[str]:
 def _panel(
     figure: Figure, corner: tuple[float, float], title: str, shown: Scene, box: Box
 ) -> None:
-    left, foot = corner
-    place = (left, 0.1, 0.5, 0.84)
+    edge, foot = corner
+    place = (edge, 0.1, 0.5, 0.84)
     axes: Any = figure.add_axes(place, projection="3d", proj_type="ortho")
-    figure.text(left + 0.03, 0.955, title, fontsize=8.5, fontweight="bold")
+    figure.text(edge + 0.03, 0.955, title, fontsize=8.5, fontweight="bold")
     colours = style.colours(shown.setups)
     for setup, bar in zip(shown.setups, shown.bars, strict=False):
         ends = _inside(bar, box)
-        axes.plot(*ends.T, color=colours[setup], lw=0.6, alpha=0.45)
+        axes.plot(
+            *ends.T,
+            color=colours[setup],
+            lw=0.6,
+            alpha=0.45,
+        )
     for kind, line in shown.lines:
         _line(axes, kind, line, box)
     for k, (setup, colour) in enumerate(colours.items()):
         tips = shown.tips[[name == setup for name in shown.setups]]
-        look: Any = {"s": 16, "depthshade": False, "lw": 0.3, "ec": "white"}
-        axes.scatter(*tips.T, color=colour, marker=style.marker(k), **look)
+        look: Any = {
+            "s": 16,
+            "depthshade": False,
+            "lw": 0.3,
+            "ec": "white",
+        }
+        axes.scatter(
+            *tips.T,
+            color=colour,
+            marker=style.marker(k),
+            **look,
+        )
     scene.set_axes(axes, box)
-    scene.fit_to(figure, axes, box, (left + 0.015, foot, left + 0.485, 0.93))
+    scene.fit_to(figure, axes, box, (edge + 0.015, foot, edge + 0.485, 0.93))
 
 
-def _line(axes: Any, kind: str, line: Array, box: Box) -> None:
+def _line(
+    axes: Any,
+    kind: str,
+    line: Array,
+    box: Box,
+) -> None:
     """A polyline; a cup given as one point is drawn as a cross."""
     inside = _inside(line, box).T
     if len(line) == 1:
@@ -130,13 +150,14 @@ def _line(axes: Any, kind: str, line: Array, box: Box) -> None:
 
 def _inside(line: Array, box: Box) -> Array:
     """The line with gaps outside the box, in fine steps: 3-D axes clip nothing."""
-    if len(line) < 2 or (np.all(line >= box[0]) and np.all(line <= box[1])):
+    low, high = box
+    if len(line) < 2 or (np.all(line >= low) and np.all(line <= high)):
         return line
     corners = np.arange(len(line))
     at = np.linspace(0.0, len(line) - 1.0, 1 + STEPS * (len(line) - 1))
     fine = np.column_stack([np.interp(at, corners, x) for x in line.T])
-    outside = ~np.all((fine >= box[0]) & (fine <= box[1]), axis=1)
-    fine[outside] = np.nan
+    inside = (fine >= low) & (fine <= high)
+    fine[~inside.all(axis=1)] = np.nan
     return fine
 
 
@@ -145,15 +166,49 @@ def _legend_entries(shown: Scene) -> list[Line2D]:
     colours = list(style.colours(shown.setups).items())
     entries = []
     for k, (setup, colour) in enumerate(colours[:MOST_NAMES]):
-        look: Any = {"ls": "", "marker": style.marker(k), "color": colour}
-        entries.append(Line2D([], [], label=style.label(setup, 24), **look))
+        look: Any = {
+            "ls": "",
+            "marker": style.marker(k),
+            "color": colour,
+        }
+        entries.append(
+            Line2D(
+                [],
+                [],
+                label=style.label(setup, 24),
+                **look,
+            )
+        )
     more = len(colours) - MOST_NAMES
     if more > 0:
-        entries.append(Line2D([], [], ls="", label=f"and {more} more"))
-    entries.append(Line2D([], [], color=style.INK, lw=1.8, label="machine"))
+        entries.append(
+            Line2D(
+                [],
+                [],
+                ls="",
+                label=f"and {more} more",
+            )
+        )
+    entries.append(
+        Line2D(
+            [],
+            [],
+            color=style.INK,
+            lw=1.8,
+            label="machine",
+        )
+    )
     if shown.bars:
         label = "bar or line of sight"
-        entries.append(Line2D([], [], color=style.GREY, lw=0.7, label=label))
+        entries.append(
+            Line2D(
+                [],
+                [],
+                color=style.GREY,
+                lw=0.7,
+                label=label,
+            )
+        )
     if any(kind == "cup" for kind, _ in shown.lines):
         cross: Any = {"ls": "", "marker": "x", "color": style.INK}
         entries.append(Line2D([], [], label="cup or fixed end", **cross))

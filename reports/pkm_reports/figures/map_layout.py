@@ -35,7 +35,11 @@ class MapLayout:
         """Whether the angle is the azimuth of the tilt and the radius the tilt."""
         return (self.across, self.up) == POLAR
 
-    def poses_at(self, level: float, commands: Mapping[str, Array]) -> Mask:
+    def poses_at(
+        self,
+        level: float,
+        commands: Mapping[str, Array],
+    ) -> Mask:
         """Which poses (n,) belong to a panel."""
         if self.panel is None:
             return np.ones(len(commands[self.across]), dtype=bool)

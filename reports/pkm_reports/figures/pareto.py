@@ -40,14 +40,31 @@ def draw(plan: PlanSection) -> Figure:
     _set_limits(axes, every, plan)
     _draw_limits(axes, plan)
     if len(rejected):
-        axes.plot(*rejected.T, "x", color=style.GREY, ms=5, label="considered")
+        axes.plot(
+            *rejected.T,
+            "x",
+            color=style.GREY,
+            ms=5,
+            label="considered",
+        )
     if len(front):
         line: Any = {"color": style.BLUE, "drawstyle": "steps-post"}
         axes.plot(*front.T, "o-", label="best plan found for the time", **line)
     _draw_sequences(axes, compared[:MOST])
     if len(chosen):
-        star: Any = {"color": style.ORANGE, "mec": style.INK, "mew": 0.6, "ms": 12}
-        axes.plot(*chosen.T, "*", label="the plan", zorder=5, **star)
+        star: Any = {
+            "color": style.ORANGE,
+            "mec": style.INK,
+            "mew": 0.6,
+            "ms": 12,
+        }
+        axes.plot(
+            *chosen.T,
+            "*",
+            label="the plan",
+            zorder=5,
+            **star,
+        )
     style.log_axis(axes, "y")
     axes.set(xlabel="minutes", ylabel=GOAL_LABEL if plan.goal else NO_GOAL_LABEL)
     entries = style.legend_entries([axes])
@@ -67,7 +84,8 @@ def points(plans: Sequence[AlternativePlan]) -> Array:
 
 def _points(pairs: Sequence[tuple[float, float]]) -> Array:
     table = np.array(pairs, dtype=float).reshape(-1, 2)
-    return np.asarray(table[np.isfinite(table).all(axis=1) & (table[:, 1] > 0.0)])
+    finite, positive = np.isfinite(table).all(axis=1), table[:, 1] > 0.0
+    return np.asarray(table[finite & positive])
 
 
 def _set_limits(axes: Axes, every: Array, plan: PlanSection) -> None:
@@ -89,30 +107,68 @@ def _set_limits(axes: Axes, every: Array, plan: PlanSection) -> None:
 
 def _draw_limits(axes: Axes, plan: PlanSection) -> None:
     """Shade what no plan reaches, and mark the budget and the goal."""
-    left, right = axes.get_xlim()
+    start, end = axes.get_xlim()
     budget, bound = or_nan(plan.budget_min), or_nan(plan.bound)
     if bound > 0.0:
-        span = [left, budget if math.isfinite(budget) else right]
+        span = [start, budget if math.isfinite(budget) else end]
         shade: Any = {"color": style.LIGHT, "lw": 0, "zorder": 0}
         label = "no plan within the budget is better"
-        axes.fill_between(span, axes.get_ylim()[0], bound, label=label, **shade)
-        axes.plot(span, [bound, bound], color=style.GREY, lw=0.8)
+        axes.fill_between(
+            span,
+            axes.get_ylim()[0],
+            bound,
+            label=label,
+            **shade,
+        )
+        axes.plot(
+            span,
+            [bound, bound],
+            color=style.GREY,
+            lw=0.8,
+        )
     if math.isfinite(budget):
         label = f"budget: {text.trimmed(budget)} min"
-        axes.axvline(budget, color=style.RED, ls="--", lw=1.0, label=label)
+        axes.axvline(
+            budget,
+            color=style.RED,
+            ls="--",
+            lw=1.0,
+            label=label,
+        )
     if plan.goal:
         label = "below: the goal is reached"
-        axes.axhline(1.0, color=style.GREEN, ls=":", lw=1.3, label=label)
+        axes.axhline(
+            1.0,
+            color=style.GREEN,
+            ls=":",
+            lw=1.3,
+            label=label,
+        )
 
 
 def _draw_sequences(axes: Axes, compared: Sequence[SequenceRecord]) -> None:
     """Sequences that the study asked for, each with the bound of its time below it."""
     for k, record in enumerate(compared):
         place = points([record.sequence])
-        look: Any = {"marker": "DsP^vX"[k % 6], "ls": "", "ms": 6, "mew": 0.5}
+        look: Any = {
+            "marker": "DsP^vX"[k % 6],
+            "ls": "",
+            "ms": 6,
+            "mew": 0.5,
+        }
         look |= {"color": style.CYCLE[(k + 2) % len(style.CYCLE)], "mec": style.INK}
-        axes.plot(*place.T, label=style.label(f"sequence {record.name}", 48), **look)
+        axes.plot(
+            *place.T,
+            label=style.label(f"sequence {record.name}", 48),
+            **look,
+        )
         if record.bound > 0.0:
             label = "bound of a sequence's time" if k == len(compared) - 1 else None
             dash: Any = {"color": style.INK, "ms": 10, "mew": 1.4}
-            axes.plot(place[:, 0], [record.bound], "_", label=label, **dash)
+            axes.plot(
+                place[:, 0],
+                [record.bound],
+                "_",
+                label=label,
+                **dash,
+            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -56,7 +57,12 @@ def draw(poses: Sequence[PlannedReading]) -> Figure:
     rows = math.ceil(len(setups) / columns)
     figure = style.figure(0.2 + (3.2 if columns == 1 else 2.35) * rows)
     shared: Any = {"sharex": True, "sharey": True}
-    grid = figure.subplots(rows, columns, squeeze=False, **shared).ravel()
+    grid = figure.subplots(
+        rows,
+        columns,
+        squeeze=False,
+        **shared,
+    ).ravel()
     for k, (axes, setup, group) in enumerate(zip(grid, setups, groups, strict=False)):
         _panel(axes, plane, group, style.CYCLE[k % len(style.CYCLE)])
         axes.tick_params(labelbottom=k + columns >= len(setups))
@@ -91,9 +97,7 @@ def choose_plane(poses: Sequence[PlannedReading]) -> Plane | None:
             table[name] = values
     if not table:
         return None
-    spread = {
-        n: float(np.nanmax(v) - np.nanmin(v)) / _step(n) for n, v in table.items()
-    }
+    spread = {name: _range(values) / _step(name) for name, values in table.items()}
     widest = sorted(table, key=lambda name: -spread[name])[:2]
     if len(widest) == 1 or spread[widest[1]] == 0.0:
         table["reading"] = np.arange(1.0, len(poses) + 1.0)
@@ -103,6 +107,10 @@ def choose_plane(poses: Sequence[PlannedReading]) -> Plane | None:
     return _plane((first, second), np.column_stack([table[first], table[second]]))
 
 
+def _range(values: Array) -> float:
+    return float(np.nanmax(values) - np.nanmin(values))
+
+
 def _plane(names: tuple[str, str], at: Array) -> Plane:
     low, high = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
     span = high - low
@@ -110,8 +118,8 @@ def _plane(names: tuple[str, str], at: Array) -> Plane:
     turn[(span <= FULL_TURN / 2.0) | (span > FULL_TURN)] = np.inf
     # A coordinate that goes round is shown over one full turn.
     around = (FULL_TURN - span) / 2.0
-    beside = np.where(span > 0.0, 0.07 * span, 1.0)
-    room = np.where(np.isfinite(turn), around, beside)
+    margin = np.where(span > 0.0, 0.07 * span, 1.0)
+    room = np.where(np.isfinite(turn), around, margin)
     return Plane(names, at, turn, np.array([low - room, high + room]))
 
 
@@ -131,8 +139,11 @@ def _step(name: str) -> float:
 
 def crosses_edge(plane: Plane, setups: Sequence[str]) -> bool:
     """Whether the path leaves the figure on one side and returns on the other."""
-    steps = [k for k in range(len(setups) - 1) if setups[k] == setups[k + 1]]
-    return any(_turn_back(plane, plane.at[k], plane.at[k + 1]).any() for k in steps)
+    for k, (setup, following) in enumerate(itertools.pairwise(setups)):
+        start, end = plane.at[k], plane.at[k + 1]
+        if setup == following and _turn_back(plane, start, end).any():
+            return True
+    return False
 
 
 def _turn_back(plane: Plane, start: Array, end: Array) -> Array:
@@ -141,10 +152,15 @@ def _turn_back(plane: Plane, start: Array, end: Array) -> Array:
     return np.where(far, np.copysign(FULL_TURN, end - start), 0.0)
 
 
-def _panel(axes: Axes, plane: Plane, group: Index, colour: str) -> None:
+def _panel(
+    axes: Axes,
+    plane: Plane,
+    group: Index,
+    colour: str,
+) -> None:
     look: Any = {"color": colour, "lw": 0.7, "zorder": 1}
     look["alpha"] = 0.55 if len(group) < MANY else 0.2
-    for start, end in zip(plane.at[group[:-1]], plane.at[group[1:]], strict=True):
+    for start, end in itertools.pairwise(plane.at[group]):
         back = _turn_back(plane, start, end)
         axes.plot(*np.array([start, end - back]).T, **look)
         if back.any():  # out on one side, in on the other
@@ -159,7 +175,11 @@ def _ticks(name: str, turn: float) -> MultipleLocator | MaxNLocator:
     """Quarters of a turn, or a few round numbers."""
     if math.isfinite(turn):
         return MultipleLocator(turn / 4.0)
-    return MaxNLocator(6, steps=[1, 2, 5, 10], integer=name == "reading")
+    return MaxNLocator(
+        6,
+        steps=[1, 2, 5, 10],
+        integer=name == "reading",
+    )
 
 
 def _numbers_by_place(

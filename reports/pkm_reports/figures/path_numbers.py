@@ -12,7 +12,17 @@ from oed.arrays import Array
 
 #: where a number may stand about its place, in its own widths and heights
 OFFSETS: Final = np.array(
-    [[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, 1], [1, -1], [-1, -1]],
+    [
+        [0, 0],
+        [1, 0],
+        [-1, 0],
+        [0, 1],
+        [0, -1],
+        [1, 1],
+        [-1, 1],
+        [1, -1],
+        [-1, -1],
+    ],
     dtype=float,
 )
 #: numbers of readings written at one place
@@ -34,7 +44,13 @@ def write(
     corners = axes.bbox.get_points() * points
     taken: list[tuple[Array, Array]] = []
     for place, readings in numbers.items():
-        axes.plot(*place, "o", color=colour, ms=2.4, zorder=2)
+        axes.plot(
+            *place,
+            "o",
+            color=colour,
+            ms=2.4,
+            zorder=2,
+        )
         words = _joined(readings)
         half = LETTER_SIZE * np.array([FRAME + LETTER * len(words), HALF_HEIGHT])
         at = np.asarray(axes.transData.transform(place)) * points
@@ -65,7 +81,11 @@ def _free_centre(
     return None
 
 
-def _covered(centre: Array, half: Array, taken: Sequence[tuple[Array, Array]]) -> bool:
+def _covered(
+    centre: Array,
+    half: Array,
+    taken: Sequence[tuple[Array, Array]],
+) -> bool:
     return any(
         (np.abs(centre - other) < half + other_half).all()
         for other, other_half in taken
@@ -75,7 +95,12 @@ def _covered(centre: Array, half: Array, taken: Sequence[tuple[Array, Array]]) -
 def _annotate(
     axes: Axes, words: str, place: tuple[float, float], shift: Array, colour: str
 ) -> None:
-    frame: Any = {"boxstyle": "round,pad=0.18", "fc": "white", "ec": colour, "lw": 0.7}
+    frame: Any = {
+        "boxstyle": "round,pad=0.18",
+        "fc": "white",
+        "ec": colour,
+        "lw": 0.7,
+    }
     look: Any = {"fontsize": LETTER_SIZE, "annotation_clip": False, "zorder": 3}
     look |= {"ha": "center", "va": "center", "bbox": frame}
     offset: Any = tuple(shift)

@@ -55,14 +55,26 @@ def _panel(
     rms[~(rms > 0.0)] = np.nan
     at = np.arange(len(keys))
     known = np.isfinite(rms).any(axis=0)
-    least, most = np.nanmin(rms[:, known], axis=0), np.nanmax(rms[:, known], axis=0)
-    axes.hlines(at[known], least, most, color=style.LIGHT, lw=1.0)
+    least = np.nanmin(rms[:, known], axis=0)
+    most = np.nanmax(rms[:, known], axis=0)
+    axes.hlines(
+        at[known],
+        least,
+        most,
+        color=style.LIGHT,
+        lw=1.0,
+    )
     # The chosen plan is the first: drawn last, it lies on top.
     for k in reversed(range(len(plans))):
         look: Any = {"color": style.CYCLE[k % len(style.CYCLE)], "ls": ""}
         look |= {"marker": style.marker(k), "ms": 6 if k == 0 else 5}
         look |= {"mec": "white", "mew": 0.4, "zorder": 4.0 - 0.1 * k}
-        axes.plot(rms[k], at, label=labels[k], **look)
+        axes.plot(
+            rms[k],
+            at,
+            label=labels[k],
+            **look,
+        )
     if known.any():
         axes.set_xlim(float(least.min()) / 1.35, 1.35 * float(most.max()))
     style.log_axis(axes, "x")

@@ -39,10 +39,28 @@ def draw(estimate: EstimateSection) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, title: str, values: Array, colour: str) -> None:
+def _panel(
+    axes: Axes,
+    title: str,
+    values: Array,
+    colour: str,
+) -> None:
     at = np.arange(1, len(values) + 1)
-    axes.vlines(at, 0.0, values, color=colour, lw=0.7, alpha=0.6)
-    axes.plot(at, values, "o", ms=2.6 if len(at) > MANY else 3.6, color=colour)
+    axes.vlines(
+        at,
+        0.0,
+        values,
+        color=colour,
+        lw=0.7,
+        alpha=0.6,
+    )
+    axes.plot(
+        at,
+        values,
+        "o",
+        ms=2.6 if len(at) > MANY else 3.6,
+        color=colour,
+    )
     axes.axhline(0.0, color=style.INK, lw=0.7)
     rms = np.sqrt(np.nanmean(values**2))
     axes.set_title(f"{title}: rms {text.number(rms)}")

@@ -53,13 +53,18 @@ def set_axes(axes: Any, box: Box) -> None:
     axes.view_init(**VIEW)
 
 
-def fit_to(figure: Figure, axes: Any, box: Box, room: Rectangle) -> None:
+def fit_to(
+    figure: Figure,
+    axes: Any,
+    box: Box,
+    room: Rectangle,
+) -> None:
     """Move and scale the axes until box, ticks and labels fill the rectangle.
 
     How much of its rectangle a 3-D box fills depends on its shape and on the view.
     """
-    middle = np.array([room[0] + room[2], room[1] + room[3]]) / 2.0
-    wanted = np.array(room[2:]) - room[:2]
+    low, high = np.array(room[:2]), np.array(room[2:])
+    middle, wanted = (low + high) / 2.0, high - low
     canvas: Any = FigureCanvasAgg(figure)
     for _ in range(FITTING_STEPS):
         figure.draw_without_rendering()
@@ -71,7 +76,12 @@ def fit_to(figure: Figure, axes: Any, box: Box, room: Rectangle) -> None:
         axes.set_position((*corner, scale * place.width, scale * place.height))
 
 
-def _extent(figure: Figure, axes: Any, box: Box, renderer: Any) -> Array:
+def _extent(
+    figure: Figure,
+    axes: Any,
+    box: Box,
+    renderer: Any,
+) -> Array:
     """Corners (2, 2) of what the axes cover, as shares of the figure."""
     covered = [
         axis.get_tightbbox(renderer) for axis in (axes.xaxis, axes.yaxis, axes.zaxis)

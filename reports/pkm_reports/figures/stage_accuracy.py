@@ -81,12 +81,24 @@ def _component(
     tables = [{}, *[realised(stage) for stage in plan.stages]]
     reached = _positive(missing.column(tables, key))
     if np.isfinite(reached).any():
-        look: Any = {"color": style.ORANGE, "mec": style.INK, "mew": 0.6, "ms": 5}
+        look: Any = {
+            "color": style.ORANGE,
+            "mec": style.INK,
+            "mew": 0.6,
+            "ms": 5,
+        }
         axes.plot(at + BESIDE, reached, "D", label=REALISED, **look)
     wanted = missing.entry(plan.goal, key)
     if wanted > 0.0:
         axes.axhline(wanted, color=colour, ls=":", lw=1.0)
-        axes.plot([], [], color=style.GREY, ls=":", lw=1.0, label=WANTED)
+        axes.plot(
+            [],
+            [],
+            color=style.GREY,
+            ls=":",
+            lw=1.0,
+            label=WANTED,
+        )
 
 
 def _positive(values: Array) -> Array:

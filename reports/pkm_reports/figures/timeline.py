@@ -43,7 +43,12 @@ def draw(plan: PlanSection) -> Figure:
     return figure
 
 
-def _bar(axes: Axes, k: int, stage: StageRecord, right: float) -> None:
+def _bar(
+    axes: Axes,
+    k: int,
+    stage: StageRecord,
+    right: float,
+) -> None:
     """One stage, with its readings and minutes written where there is room."""
     begin = or_nan(stage.begin_min)
     end = begin + stage.cost if stage.end_min is None else stage.end_min

@@ -85,7 +85,13 @@ def _row(
     place: Any = {"location": "bottom" if single else "right"}
     place["pad"] = 0.03 if single else 0.02
     label = style.label(_error_label(prediction, name))
-    bar: Any = figure.colorbar(image, ax=list(row), shrink=0.85, label=label, **place)
+    bar: Any = figure.colorbar(
+        image,
+        ax=list(row),
+        shrink=0.85,
+        label=label,
+        **place,
+    )
     bar.outline.set_visible(False)
     along = "x" if single else "y"
     if isinstance(norm, LogNorm):
@@ -147,7 +153,8 @@ def _cells(
     """Cell edges and a grid of values with gaps as NaN; None where there is no grid."""
     across, up = across.round(DECIMALS), up.round(DECIMALS)
     xs, ys = np.unique(across), np.unique(up)
-    if min(len(xs), len(ys)) < 2 or len(values) < FILLED * len(xs) * len(ys):
+    cells = len(xs) * len(ys)
+    if min(len(xs), len(ys)) < 2 or len(values) < FILLED * cells:
         return None
     grid = np.full((len(ys), len(xs)), np.nan)
     grid[np.searchsorted(ys, up), np.searchsorted(xs, across)] = values

@@ -32,10 +32,10 @@ def draw(gap: GapSection) -> Figure:
         _draw_probabilities(figure.subplots(), names, gap)
         return figure
     shared: Any = {"sharey": True, "width_ratios": (3, 2)}
-    left, right = figure.subplots(1, 2, **shared)
-    _draw_probabilities(left, names, gap)
+    chances, sizes_panel = figure.subplots(1, 2, **shared)
+    _draw_probabilities(chances, names, gap)
     unit = next(iter(gap.units.values()))
-    _draw_sizes(right, rms, text.unit_symbol(unit))
+    _draw_sizes(sizes_panel, rms, text.unit_symbol(unit))
     return figure
 
 
@@ -63,7 +63,11 @@ def spoken(name: str) -> str:
     return "unknown form" if name == "unknown" else name.replace("_", " ")
 
 
-def _draw_probabilities(axes: Axes, names: Sequence[str], gap: GapSection) -> None:
+def _draw_probabilities(
+    axes: Axes,
+    names: Sequence[str],
+    gap: GapSection,
+) -> None:
     rivals = _indistinguishable(gap)
     percent = np.array([100.0 * gap.marginal[name] for name in names])
     at = np.arange(float(len(names)))
@@ -71,7 +75,13 @@ def _draw_probabilities(axes: Axes, names: Sequence[str], gap: GapSection) -> No
     axes.barh(at, percent, color=colours, height=0.7)
     for y, name in zip(at, names, strict=True):
         share = gap.marginal[name]
-        axes.text(100.0 * share + 1.5, y, _chance(share), va="center", fontsize=7)
+        axes.text(
+            100.0 * share + 1.5,
+            y,
+            _chance(share),
+            va="center",
+            fontsize=7,
+        )
     style.fixed_ticks(axes, "y", at.tolist(), [spoken(name) for name in names])
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(0.0, 115.0)
@@ -82,7 +92,11 @@ def _draw_probabilities(axes: Axes, names: Sequence[str], gap: GapSection) -> No
     axes.set_xlabel("probability that it acts [%]")
 
 
-def _colour(name: str, selected: Sequence[str], rivals: set[str]) -> str:
+def _colour(
+    name: str,
+    selected: Sequence[str],
+    rivals: set[str],
+) -> str:
     if name in selected:
         return style.BLUE
     return style.SKY if name in rivals else style.LIGHT
@@ -98,12 +112,23 @@ def _chance(share: float) -> str:
 def _draw_sizes(axes: Axes, rms: Array, unit: str) -> None:
     """Rms of each effect in the readings, over its channels."""
     at = np.arange(float(len(rms)))
-    axes.barh(at, np.nan_to_num(rms), color=style.ORANGE, height=0.7)
+    axes.barh(
+        at,
+        np.nan_to_num(rms),
+        color=style.ORANGE,
+        height=0.7,
+    )
     largest = float(np.nanmax(rms, initial=0.0)) or 1.0
     for y, size in zip(at, rms, strict=True):
         if np.isfinite(size):
-            beside = size + 0.02 * largest
-            axes.text(beside, y, text.number(size), va="center", fontsize=7)
+            label_at = size + 0.02 * largest
+            axes.text(
+                label_at,
+                y,
+                text.number(size),
+                va="center",
+                fontsize=7,
+            )
     axes.set_xlim(0.0, 1.2 * largest)
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.grid(False, axis="y")

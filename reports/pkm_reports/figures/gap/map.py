@@ -54,7 +54,12 @@ def draw(spots: Sequence[Spot], unit: str) -> Figure:
     bar_look: Any = {"shrink": 0.8, "pad": 0.02}
     bar_look["extend"] = "max" if beyond else "neither"
     panels = grid.ravel().tolist()
-    bar: Any = figure.colorbar(image, ax=panels, label=_scale_label(unit), **bar_look)
+    bar: Any = figure.colorbar(
+        image,
+        ax=panels,
+        label=_scale_label(unit),
+        **bar_look,
+    )
     bar.outline.set_visible(False)
     bar.ax.yaxis.set_major_locator(MaxNLocator(5))
     return figure
@@ -96,7 +101,12 @@ def _panel(
 ) -> Any:
     order = np.argsort(values)  # large residuals on top
     across, up = places[order, view[0]], places[order, view[1]]
-    look: Any = {"cmap": style.AMOUNT, "norm": norm, "ec": style.GREY, "lw": 0.3}
+    look: Any = {
+        "cmap": style.AMOUNT,
+        "norm": norm,
+        "ec": style.GREY,
+        "lw": 0.3,
+    }
     look["s"] = float(np.clip(3000.0 / len(places), 6.0, 30.0))
     image = axes.scatter(across, up, c=values[order], **look)
     axes.set(xlabel=f"{AXES[view[0]]} [mm]", ylabel=f"{AXES[view[1]]} [mm]")

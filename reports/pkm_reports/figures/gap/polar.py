@@ -97,9 +97,19 @@ def _rms(runs: Sequence[Trace], when: When) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def _panel(axes: Any, runs: Sequence[Trace], when: When, largest: float) -> None:
+def _panel(
+    axes: Any,
+    runs: Sequence[Trace],
+    when: When,
+    largest: float,
+) -> None:
     around = np.linspace(0.0, 2.0 * math.pi, 181)
-    axes.plot(around, np.ones_like(around), color=style.INK, lw=0.6)
+    axes.plot(
+        around,
+        np.ones_like(around),
+        color=style.INK,
+        lw=0.6,
+    )
     for run in runs:
         angle, residuals = np.radians(missing.array(run.at)), _residuals(run, when)
         order = np.arange(len(angle))
@@ -107,7 +117,12 @@ def _panel(axes: Any, runs: Sequence[Trace], when: When, largest: float) -> None
             order = np.append(order, 0)
         radius = np.clip(1.0 + SWING * residuals[order] / largest, 0.05, OUTER)
         label, line, colour = DIRECTIONS.get(run.direction or 0, NO_DIRECTION)
-        look: Any = {"color": colour, "lw": 0.9, "marker": "o", "ms": 1.4}
+        look: Any = {
+            "color": colour,
+            "lw": 0.9,
+            "marker": "o",
+            "ms": 1.4,
+        }
         axes.plot(angle[order], radius, line, label=label, **look)
     axes.set_rlim(0.0, OUTER)
     axes.yaxis.set_major_locator(FixedLocator([1.0 - SWING, 1.0, 1.0 + SWING]))
@@ -120,7 +135,8 @@ def _panel(axes: Any, runs: Sequence[Trace], when: When, largest: float) -> None
 
 def _goes_round(angle: Array) -> bool:
     """Whether the readings go all the way round."""
-    steps = np.diff(np.append(np.sort(angle), np.min(angle) + 2.0 * math.pi))
+    again = np.min(angle) + 2.0 * math.pi
+    steps = np.diff([*np.sort(angle), again])
     return bool(steps.max() < 4.0 * np.median(steps) + 1e-9)
 
 

@@ -104,22 +104,45 @@ def _panel(axes: Axes, trace: Trace, limit: float) -> None:
     at = missing.array(trace.at)
     explained = missing.array(trace.explained)
     unexplained = missing.array(trace.unexplained)
-    marks: Any = {"ls": "", "marker": "o", "ms": 2.6 if len(at) <= FEW else 1.5}
+    marks: Any = {
+        "ls": "",
+        "marker": "o",
+        "ms": 2.6 if len(at) <= FEW else 1.5,
+    }
     joined = trace.kind != "points"
-    lines: Any = {"ls": "-" if joined else "", "marker": "" if joined else "_", "ms": 5}
+    lines: Any = {
+        "ls": "-" if joined else "",
+        "marker": "" if joined else "_",
+        "ms": 5,
+    }
 
     def plot(values: Array, label: str, **look: Any) -> None:
-        axes.plot(at, np.clip(values, -limit, limit), label=label, **look)
+        axes.plot(
+            at,
+            np.clip(values, -limit, limit),
+            label=label,
+            **look,
+        )
 
     axes.axhline(0.0, color=style.INK, lw=0.6)
-    plot(missing.array(trace.before), "before", color=style.GREY, **marks)
+    plot(
+        missing.array(trace.before),
+        "before",
+        color=style.GREY,
+        **marks,
+    )
     if np.any(explained):
         label = "explained by the effects"
         plot(explained, label, lw=1.2, color=style.ORANGE, **lines)
     if np.any(unexplained):
         plot(unexplained, "unknown form", color=style.PINK, **lines)
     if np.any(explained):
-        plot(missing.array(trace.after), "after", color=style.BLUE, **marks)
+        plot(
+            missing.array(trace.after),
+            "after",
+            color=style.BLUE,
+            **marks,
+        )
     axes.set_ylim(-limit, limit)
     axes.yaxis.set_major_locator(MaxNLocator(4))
     if trace.kind == "circle":

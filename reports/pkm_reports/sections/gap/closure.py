@@ -10,7 +10,7 @@ from pkm_reports import text
 from pkm_reports.blocks import Block, Table, number_columns, wide_column
 from pkm_reports.missing import or_nan
 
-SPLITS: Final = {"within": "parts of runs", "whole": "whole runs"}
+SPLITS: Final = {"within": "stretches of runs", "whole": "whole runs"}
 #: shares beyond which an end of an interval is not written in figures
 HIGHEST, LOWEST = 1.5, -1.0
 #: share from which percent are rounded down, never up to the whole

@@ -12,7 +12,7 @@ def blocks(plan: PlanSection) -> list[Block]:
     """What is known before, the verdict, what would improve it, the bound, the stop."""
     part: list[Block] = []
     if plan.after:
-        part.append(Paragraph(f"Known before: {text.sentence(plan.after)}"))
+        part.append(Paragraph(f"Known before: {text.with_full_stop(plan.after)}"))
     needs = text.sentences(plan.needs)
     if is_missed(plan):
         part.append(Notice(_missed(plan)))
@@ -23,7 +23,7 @@ def blocks(plan: PlanSection) -> list[Block]:
     if plan.bound is not None:
         part.append(Paragraph(_bound(plan, plan.bound)))
     if plan.stop:
-        part.append(Paragraph(f"When to stop: {text.sentence(plan.stop)}"))
+        part.append(Paragraph(f"When to stop: {text.with_full_stop(plan.stop)}"))
     return part
 
 
