@@ -16,7 +16,7 @@ import msgspec
 import pytest
 import report_fixture
 from matplotlib.figure import Figure
-from report_fixture import check_inside, result_of, text_of
+from report_fixture import check_inside, result_of, shown_text, text_of
 
 from oed.result import Drawing, StudyResult
 from pkm_reports import document, sections, style, write_report
@@ -230,6 +230,15 @@ def test_a_result_file_of_an_older_version_still_loads(tmp_path: Path) -> None:
     assert (loaded.headline, loaded.claims, loaded.gap) == ([], [], None)
     result_folder.write_report(tmp_path, pdf=False)
     assert "was not part of this study" in (tmp_path / "report.html").read_text()
+
+
+def test_a_parameter_that_is_not_sampled_has_no_diagnostics() -> None:
+    """Its R-hat and effective sample size are null in the file."""
+    raw = report_fixture.bare() | {"posterior": report_fixture.sample()["posterior"]}
+    raw["posterior"]["marginals"]["dq1"] |= {"rhat": None, "ess": None}
+    shown = shown_text(result_of(raw))
+    assert "Every marginal is well sampled" in shown
+    assert "nan" not in shown.split()
 
 
 # -- names are never markup ------------------------------------------------------------
