@@ -87,9 +87,9 @@ from oed.effect import Column, Effect
 
 def _backlash(state, reach=1.0):
     for i in state.limbs:
-        gap = reach * 0.5 * state.sense[:, i]
+        gap = reach * 0.5 * state.motion_sign[:, i]
         yield Column(f"leg {i + 1}", 5e-6, label=f"leg {i + 1}", joints={i: gap})
-    yield Column("adapting", 1e-6, joints={0: state.sense[:, 0] * state.joints[:, 0]}, shape=True)
+    yield Column("adapting", 1e-6, joints={0: state.motion_sign[:, 0] * state.joints[:, 0]}, shape=True)
 
 
 backlash = Effect(

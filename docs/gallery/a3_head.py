@@ -29,7 +29,7 @@ def on_circles(strokes: np.ndarray, points: int) -> np.ndarray:
     angles = np.linspace(0.0, FULL_TURN, points, endpoint=False)
     stroke, psi = (axis.ravel() for axis in np.meshgrid(strokes, angles))
     start = np.column_stack([HOME + stroke, psi, 0.0 * psi])
-    command, possible = bar.hold("cup", start, "theta")
+    command, possible = bar.commands_at_fixed_reading("cup", start, "theta")
     assert possible.all()
     return command
 
@@ -63,7 +63,7 @@ circles = on_circles(STROKES, 15)
 grid = on_circles(np.linspace(0.0, 0.200, 21), 72)
 candidates = identification_matrix(grid)
 names = np.array(bar.names)[bar.free]
-verdict = identifiability.analyse(candidates, names, 1.0 / bar.lengths[bar.free])
+verdict = identifiability.analyse(candidates, names, 1.0 / bar.length_factors[bar.free])
 assert (verdict.rank, len(names)) == (18, 21)  # all 1512 candidates together
 
 chosen = exchange.choose(candidates, 30, np.random.default_rng(1), "D", rounds=3)

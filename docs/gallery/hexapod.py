@@ -60,7 +60,7 @@ oriented = np.array(
 
 def on_sphere(setup: str, command: np.ndarray) -> np.ndarray:
     """Commands led onto the bar's sphere by z."""
-    solved, possible = hexapod.hold(setup, command, "z")
+    solved, possible = hexapod.commands_at_fixed_reading(setup, command, "z")
     assert possible.all()
     return solved
 
@@ -77,7 +77,7 @@ plans = {
     "full poses": [hexapod.series("poses", oriented)],
 }
 views = {name: assess(hexapod, series) for name, series in plans.items()}
-ranks = {name: (v.verdict.rank, len(v.names)) for name, v in views.items()}
+ranks = {name: (v.identifiability.rank, len(v.names)) for name, v in views.items()}
 assert ranks["bar, level"][0] < 20
 assert ranks["bar, turned"] == (36, 45)
 assert ranks["bar, two tools"] == (41, 48)
@@ -95,7 +95,7 @@ picture = _draw.Picture(
     "72 bar readings, all orientations", "Directions seen, and lost"
 )
 picture.machine(hexapod.kinematics)
-tips = bar.commands()[:, :3]
+tips = bar.reading_commands()[:, :3]
 picture.points(tips, label="ball at the tool point")
 cup = np.array([0.0, 0.0, CUP])
 for tip in np.unique(tips.round(9), axis=0):

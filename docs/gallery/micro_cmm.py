@@ -45,10 +45,10 @@ start = np.tile(machine.home_command, (len(balls), 1))
 newton = cmm.kinematics.forward(lengths, machine.nominal, start)
 difference = np.abs(direct(lengths) - newton).max()
 assert difference < 1e-12
-ranks = {name: (s.verdict.rank, len(s.names)) for name, s in views.items()}
+ranks = {name: (s.identifiability.rank, len(s.names)) for name, s in views.items()}
 assert ranks == {"positions": (9, 15), "ball plate": (12, 21), "distances": (7, 16)}
-verdict = views["positions"].verdict
-combinations = verdict.named(verdict.combinations)
+verdict = views["positions"].identifiability
+combinations = verdict.coefficients_by_name(verdict.combinations)
 rounded = [{n: round(v, 6) for n, v in c.items()} for c in combinations]
 assert {"rf1": 1.0, "rp1": -1.0} in rounded
 
@@ -56,7 +56,7 @@ picture = _draw.Picture("18 balls at two heights", "What is seen, and how well")
 picture.machine(cmm.kinematics)
 picture.points(balls)
 for k, (name, view) in enumerate(views.items()):
-    values = view.verdict.identifiable
+    values = view.identifiability.identifiable_singular_values
     label = f"{name}: {len(values)} of {len(view.names)}"
     appearance = {"marker": style.marker(k), "color": style.CYCLE[k]}
     numbers = np.arange(1, len(values) + 1)

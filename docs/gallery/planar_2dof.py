@@ -51,7 +51,9 @@ def read(name: str) -> Series:
 
 
 series = {name: read(name) for name in DIRECTIONS}
-views: dict[str, Assessment] = {name: assess(measurement, [s]) for name, s in series.items()}
+views: dict[str, Assessment] = {
+    name: assess(measurement, [s]) for name, s in series.items()
+}
 views["rm4 and rm5"] = assess(measurement, [series["rm4"], series["rm5"]])
 picture = _draw.Picture("Reading lines of RM 4 and RM 5", "What is seen, and how well")
 for y in (-1.5, 0.0, 1.5):
@@ -66,7 +68,7 @@ for name, colour in (("rm4", style.ORANGE), ("rm5", style.BLUE)):
     places = np.column_stack([np.zeros(len(lines)), lines])
     picture.points(places, color=colour, label=name)
 for k, (name, view) in enumerate(views.items()):
-    values = view.verdict.identifiable
+    values = view.identifiability.identifiable_singular_values
     appearance = {
         "marker": style.marker(k),
         "color": style.CYCLE[k],
@@ -79,10 +81,13 @@ style.log_axis(picture.plot, "y")
 picture.plot.set(xlabel="direction, best seen first", ylabel="singular value")
 picture.plot.legend(fontsize=6.5, frameon=False)
 
-ranks = {name: view.verdict.rank for name, view in views.items()}
+ranks = {name: view.identifiability.rank for name, view in views.items()}
 assert list(ranks) == [*DIRECTIONS, "rm4 and rm5"]
 assert list(ranks.values()) == [5, 1, 6, 2, 6, 6]
-weakest = {name: view.verdict.identifiable[-1] for name, view in views.items()}
+weakest = {
+    name: view.identifiability.identifiable_singular_values[-1]
+    for name, view in views.items()
+}
 gain = weakest["rm4 and rm5"] / weakest["rm5"]
 assert 18.5 < gain < 19.1, (
     "RM 4 beside RM 5 makes the least seen direction 19 times as strong"

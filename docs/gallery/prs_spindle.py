@@ -75,8 +75,8 @@ shares = {
     name: dict(zip(view.names, view.shrinkage, strict=True))
     for name, view in views.items()
 }
-assert views["strut lengths alone"].verdict.rank == 15
-assert views["full closure"].verdict.rank == 17
+assert views["strut lengths alone"].identifiability.rank == 15
+assert views["full closure"].identifiability.rank == 17
 assert shares["strut lengths alone"]["dR1y"] > 0.999, (
     "the tangential offset of slider joint 1 is not in the equations"
 )

@@ -30,7 +30,7 @@ def problem(tools=(0.0,), strokes=FIVE, points=12):
 def dense(p, law):
     """Sigma + H Lambda H^T (N, N), written out."""
     whole = p.slopes @ p.slopes.T
-    for k, rows in enumerate(p.blocks):
+    for k, rows in enumerate(p.members):
         whole[np.ix_(rows, rows)] += law.block(p, k)
     return whole
 
