@@ -77,7 +77,7 @@ def page(package: Module, *, full: bool) -> str:
     entries = list(below(package))
     modules = [m for m in entries if not m.is_package]
     folders = [m for m in entries if m.is_package]
-    names = exported(package)
+    names = exported(package) if "." not in package.name else []
     lines = [f"``{package.name}``", "=" * (len(package.name) + 4), ""]
     lines += [f".. automodule:: {package.name}"]
     if full and names:

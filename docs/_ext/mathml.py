@@ -7,6 +7,7 @@ ziamath contains; the site gets those parts of the font that formulas use.
 
 from __future__ import annotations
 
+import re
 from html import escape
 from importlib.resources import files
 from logging import WARNING, getLogger
@@ -40,14 +41,22 @@ GLYPHS = (
 )
 
 
+#: a function's name followed by anything but a bracket or a space
+UNSPACED = re.compile(
+    r"<mo>&ApplyFunction;</mo>"
+    r"(?!\s*(?:<mspace|(?:<mrow>\s*)?<mo[^>]*>\s*[(\[]))"
+)
+
+
 def translate(node: nodes.Element, *, as_block: bool) -> str:
     """MathML of a formula; its source as code where it cannot be translated."""
     source = node.astext()
     try:
-        return str(tex2mathml(source, as_block=as_block))
+        text = str(tex2mathml(source, as_block=as_block))
     except MathError as error:
         logger.warning("formula %r: %s", source, error, location=node)
         return f"<code>{escape(source)}</code>"
+    return UNSPACED.sub('<mspace width="0.1667em"></mspace>', text)
 
 
 def visit_inline(self: HTML5Translator, node: nodes.math) -> None:

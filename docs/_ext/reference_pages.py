@@ -78,7 +78,9 @@ def schema_page(kind: str, title: str, first: str) -> str:
             description[0],
             *[line.removeprefix("    ") for line in description[1:]],
         ]
-        lines += [f".. _{name}:", "", *heading(name, "-")]
+        table = TABLE.match(description[0]) if description else None
+        lines += [f".. _{name}:", ""]
+        lines += heading(table.group(1) if table else name, "-")
         lines += plain_docstrings.restructured(text)
         required = entry.get("required", [])
         rows = [
