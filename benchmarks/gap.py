@@ -1,16 +1,17 @@
-"""One diagnosis, timed beside a greedy and a sampling alternative on the same library,
-readings and noise.
+"""Times of one diagnosis, of a greedy alternative and of a sampling one.
 
     python benchmarks/gap.py [--effect backlash] [--walkers 64] [--steps 2000]
+
+All have the same library, readings and noise.
 
 Readings: the A3 of the blind benchmark by its full plan (720 readings), one effect of
 sqrt(lambda) = 10, white noise, all covariates. Rows: `diagnose` (all effects, singles
 to triples, unknown processes, noise laws, where, how far); its search alone; forward
 selection by BIC over the same columns; and emcee on the coefficients of the likeliest
-pair of effects alone, one form of each, noise known. That is what a sampler needs for
-one form of one of the sets of effects that the search compares, and it gives no
-evidence. Wall and processor seconds of one run, on one BLAS thread: two threads on busy
-cores slow these small solves down tenfold.
+pair of effects alone, one form of each, noise known. A sampler needs that time for one
+form of one of the sets of effects that the search compares, and gives no evidence. Wall
+and processor seconds are of one run, on one BLAS thread: two threads on busy cores slow
+these small solves down tenfold.
 """
 
 from __future__ import annotations
@@ -45,15 +46,23 @@ from benchmarks.blind.generator import (
 from benchmarks.blind.generator.effects.thermal import climate
 from oed.effect import Effect
 from oed.gap import diagnose
-from oed.gap.cause import which
+from oed.gap.cause.compare import compare
+from oed.gap.cause.search import Search
+from oed.gap.cause.searches import searches
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
-    """A line of the table: seconds on the wall and of the processor, what was answered."""
+class Timing:
+    """A line of the table.
+
+    method       name of the method
+    wall         seconds on the wall
+    processor    seconds of the processor
+    answer       in words
+    """
 
     method: str
     wall: float
@@ -94,48 +103,42 @@ def readings(name: str, seed: int) -> tuple[GapProblem, Sequence[Effect]]:
         y,
         (seed, 0, 0),
     )
+    text = write.table(case).to_csv(index=False, lineterminator="\n")
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "one.csv").write_text(
-            write.table(case).to_csv(index=False, lineterminator="\n"),
-            encoding="utf-8",
-            newline="",
-        )
-        problem = loading.prepared(
-            Path(folder), loading.Case("one", plan.study, "one.csv")
-        )
+        file = Path(folder) / "one.csv"
+        file.write_text(text, encoding="utf-8", newline="")
+        one = loading.Case("one", plan.study, "one.csv")
+        problem = loading.prepare(Path(folder), one)
     return problem, loading.bench(plan.study).effects
 
 
-def timed(method: str, job: Callable[[], str]) -> Row:
+def time_once(method: str, job: Callable[[], str]) -> Timing:
     """A job, run once."""
     wall, processor = time.perf_counter(), time.process_time()
     answer = job()
-    return Row(
-        method, time.perf_counter() - wall, time.process_time() - processor, answer
-    )
+    wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    return Timing(method, wall, processor, answer)
 
 
-def sampled(problem: GapProblem, search: which.Search, walkers: int, steps: int) -> str:
-    """emcee over the coefficients of the likeliest pair of effects, prior N(0, size^2),
-    parameters marginalised.
+def sample(problem: GapProblem, search: Search, walkers: int, steps: int) -> str:
+    """emcee over the coefficients of the likeliest pair of effects.
+
+    Coefficients have the prior N(0, size^2); the parameters are marginalised.
     """
-    pair = next(h for h in search.run() if len(h.effects) == 2 and not h.unknown)
-    parts = [
-        s * search.library.columns[:, search.columns_of(a)]
-        for a, s in zip(pair.atoms, pair.sizes, strict=True)
-    ]
-    columns, metric = np.hstack(parts), Metric(problem, search.law)
-    gram = metric.gram(columns, columns) + np.eye(columns.shape[1])
-    told = metric.gram(columns, problem.residual[:, None])[:, 0]
-    count = columns.shape[1]
+    pairs = (h for h in search.run() if len(h.effects) == 2 and not h.unknown)
+    pair = next(pairs)
+    columns = pair.columns(search.library, search.processes)
+    metric, count = Metric(problem, search.law), columns.shape[1]
+    gram = metric.gram(columns, columns) + np.eye(count)
+    projected = metric.gram(columns, problem.residual[:, None])[:, 0]
+
+    def log_posterior(b: np.ndarray) -> np.ndarray:
+        energy = np.einsum("wi,ij,wj->w", b, gram, b)
+        return np.asarray(b @ projected - 0.5 * energy)
+
     walkers = max(walkers, 2 * count + 2)
     rng = np.random.default_rng(1)
-    sampler = emcee.EnsembleSampler(
-        walkers,
-        count,
-        lambda b: b @ told - 0.5 * np.einsum("wi,ij,wj->w", b, gram, b),
-        vectorize=True,
-    )
+    sampler = emcee.EnsembleSampler(walkers, count, log_posterior, vectorize=True)
     sampler.random_state = np.random.RandomState(1).get_state()  # what emcee takes
     sampler.run_mcmc(rng.standard_normal((walkers, count)), steps)
     each = sampler.get_autocorr_time(quiet=True).max()
@@ -154,54 +157,55 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--walkers", type=int, default=64)
     parser.add_argument("--steps", type=int, default=2000)
-    said = parser.parse_args()
-    problem, known = readings(said.effect, said.seed)
-    made: list[which.Search] = []
-
-    def whole() -> str:
-        found = diagnose.diagnose(problem, known, np.random.default_rng(1))
-        first = found.answers[0]
-        named = [" or ".join(c) for c in first.classes] + ["unknown"] * (
-            "unknown" in first.effects
-        )
-        return f"{' + '.join(named) or 'none'} ({first.probability:.2f})"
+    options = parser.parse_args()
+    problem, known = readings(options.effect, options.seed)
+    searched: list[Search] = []
 
     def search() -> str:
-        made.extend(diagnose.searches(problem, known))
-        tried = which.compare(made)
-        return (
-            f"{' + '.join(tried[0].effects) or 'none'}, of {len(tried)} sets of effects"
-        )
+        searched.extend(searches(problem, known))
+        best, *others = compare(searched)
+        effects_named = " + ".join(best.effects) or "none"
+        return f"{effects_named}, of {len(others) + 1} sets of effects"
 
     def greedy() -> str:
-        return (
-            " + ".join(baselines.stepwise(problem, library.build(problem, known)))
-            or "none"
-        )
+        names = baselines.stepwise(problem, library.build(problem, known))
+        return " + ".join(names) or "none"
 
-    rows = [
-        timed("diagnose", whole),
-        timed("its search alone", search),
-        timed("stepwise BIC", greedy),
-        timed(
-            "emcee, one pair",
-            lambda: sampled(problem, made[0], said.walkers, said.steps),
-        ),
+    def sampling() -> str:
+        return sample(problem, searched[0], options.walkers, options.steps)
+
+    timings = [
+        time_once("diagnose", lambda: diagnosis(problem, known)),
+        time_once("its search alone", search),
+        time_once("stepwise BIC", greedy),
+        time_once("emcee, one pair", sampling),
     ]
     print(
-        f"{len(problem)} readings, {len(known)} effects, {said.effect} acts with"
+        f"{len(problem)} readings, {len(known)} effects, {options.effect} acts with"
         " sqrt(lambda) = 10\n"
     )
-    print(
-        "| method | wall, s | processor, s | ratio | answer |\n| --- | --: | --: | --:"
-        " | --- |"
-    )
-    for r in rows:
-        print(
-            f"| {r.method} | {r.wall:.2f} | {r.processor:.2f} |"
-            f" {r.processor / rows[0].processor:.2f} | {r.answer} |"
-        )
+    report(timings)
     return 0
+
+
+def diagnosis(problem: GapProblem, known: Sequence[Effect]) -> str:
+    """The best answer of the whole diagnosis, in words."""
+    result = diagnose.diagnose(problem, known, np.random.default_rng(1))
+    first = result.answers[0]
+    names = [" or ".join(members) for members in first.classes]
+    if "unknown" in first.effects:
+        names.append("unknown")
+    return f"{' + '.join(names) or 'none'} ({first.probability:.2f})"
+
+
+def report(timings: Sequence[Timing]) -> None:
+    """Print the table; ratios are against the first line."""
+    print("| method | wall, s | processor, s | ratio | answer |")
+    print("| --- | --: | --: | --: | --- |")
+    for t in timings:
+        ratio = t.processor / timings[0].processor
+        times = f"{t.wall:.2f} | {t.processor:.2f} | {ratio:.2f}"
+        print(f"| {t.method} | {times} | {t.answer} |")
 
 
 if __name__ == "__main__":

@@ -32,9 +32,9 @@ def main(arguments: list[str] | None = None) -> int:
             help="how large effects must be, how far they depart from the textbook",
         )
     )
-    said = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        return int(said.run(said))
+        return int(options.run(options))
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2
@@ -67,30 +67,28 @@ def _generate_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_generate)
 
 
-def _generate(said: argparse.Namespace) -> int:
+def _generate(options: argparse.Namespace) -> int:
     from benchmarks.blind.generator import write
 
     start = time.perf_counter()
 
-    def told(done: int, count: int) -> None:
+    def report(done: int, count: int) -> None:
         if done % 50 == 0 or done == count:
-            print(
-                f"{done} of {count} cases, {time.perf_counter() - start:.0f} s",
-                flush=True,
-            )
+            seconds = time.perf_counter() - start
+            print(f"{done} of {count} cases, {seconds:.0f} s", flush=True)
 
-    if said.cases < 1:
-        raise ValueError(f"--cases {said.cases}: give at least 1")
+    if options.cases < 1:
+        raise ValueError(f"--cases {options.cases}: give at least 1")
     new = write.generate(
-        said.out,
-        name=said.name,
-        count=said.cases,
-        seed=said.seed,
-        machines=said.machines,
-        kinds=said.kinds,
-        told=told,
+        options.out,
+        name=options.name,
+        count=options.cases,
+        seed=options.seed,
+        machines=options.machines,
+        kinds=options.kinds,
+        report=report,
     )
-    print(f"{new} new in {said.out}")
+    print(f"{new} new in {options.out}")
     return 0
 
 
@@ -107,13 +105,14 @@ def _forms_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_forms)
 
 
-def _forms(said: argparse.Namespace) -> int:
-    from benchmarks.blind.generator import forms, plans
+def _forms(options: argparse.Namespace) -> int:
+    from benchmarks.blind.generator import forms
+    from benchmarks.blind.generator.machine_plans import PLANS
 
-    unknown = [m for m in said.machines if m not in plans.PLANS]
+    unknown = [m for m in options.machines if m not in PLANS]
     if unknown:
-        raise ValueError(f"--machines {unknown[0]}: there are {', '.join(plans.PLANS)}")
-    print(forms.markdown(tuple(said.machines), said.draws, said.seed))
+        raise ValueError(f"--machines {unknown[0]}: there are {', '.join(PLANS)}")
+    print(forms.markdown(tuple(options.machines), options.draws, options.seed))
     return 0
 
 

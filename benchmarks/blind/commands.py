@@ -1,5 +1,6 @@
-"""Options of `run`, `known-noise`, `list` and `score`; what these do is loaded only
-when they are asked for.
+"""Options of the commands `run`, `known-noise`, `list` and `score`.
+
+Their modules are imported only when they run.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-_told = partial(print, flush=True)
+_report = partial(print, flush=True)
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -17,7 +18,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     _run_options(commands.add_parser("run", help="diagnose every case of a set"))
     _known_options(
         commands.add_parser(
-            "known-noise", help="diagnose again as who knows the noise's covariance"
+            "known-noise",
+            help="diagnose again as an observer who knows the noise's covariance",
         )
     )
     _list_options(
@@ -43,7 +45,7 @@ def _workers(parser: argparse.ArgumentParser) -> None:
         "--workers", type=_count, default=0, help="processes; one a core if not given"
     )
     parser.add_argument(
-        "--again", action="store_true", help="make anew what is there already"
+        "--again", action="store_true", help="compute again what is there already"
     )
 
 
@@ -137,7 +139,7 @@ def _score_options(parser: argparse.ArgumentParser) -> None:
         "--pairs",
         type=Path,
         metavar="SET",
-        help="set of pairs beside it; results in the same folder",
+        help="further set of pairs; results in the same folder",
     )
     parser.add_argument(
         "--table", type=Path, help="Markdown file to write the table to"
@@ -153,35 +155,40 @@ def _count(text: str) -> int:
     return value
 
 
-def _run(said: argparse.Namespace) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     from benchmarks.blind import run
 
     failed = run.run(
-        said.cases,
-        said.out,
-        only=[n for n in said.only.split(",") if n],
-        listed=said.listed,
-        limit=said.limit,
-        without=said.without,
-        workers=said.workers,
-        dask=said.dask,
-        again=said.again,
-        seed=said.seed,
-        told=_told,
+        arguments.cases,
+        arguments.out,
+        only=[n for n in arguments.only.split(",") if n],
+        listed=arguments.listed,
+        limit=arguments.limit,
+        without=arguments.without,
+        workers=arguments.workers,
+        dask=arguments.dask,
+        again=arguments.again,
+        seed=arguments.seed,
+        report=_report,
     )
-    return _ended(failed)
+    return _exit_code(failed)
 
 
-def _known(said: argparse.Namespace) -> int:
-    from benchmarks.blind import knowing
+def _known(arguments: argparse.Namespace) -> int:
+    from benchmarks.blind import known_noise
 
     options = {
-        n: getattr(said, n) for n in ("listed", "limit", "workers", "again", "seed")
+        n: getattr(arguments, n)
+        for n in ("listed", "limit", "workers", "again", "seed")
     }
-    return _ended(knowing.diagnosed(said.cases, said.results, told=_told, **options))
+    return _exit_code(
+        known_noise.run_all(
+            arguments.cases, arguments.results, report=_report, **options
+        )
+    )
 
 
-def _ended(failed: int) -> int:
+def _exit_code(failed: int) -> int:
     if failed:
         print(
             f"{failed} diagnoses failed: see `error` in their files; they are tried"
@@ -191,21 +198,30 @@ def _ended(failed: int) -> int:
     return 1 if failed else 0
 
 
-def _list(said: argparse.Namespace) -> int:
+def _list(arguments: argparse.Namespace) -> int:
     from benchmarks.blind import listing
 
     options = {
-        n: getattr(said, n)
+        n: getattr(arguments, n)
         for n in ("kinds", "machines", "least", "apart", "withhold", "workers")
     }
-    print(f"{listing.write(said.cases, said.out, **options)} cases in {said.out}")
+    print(
+        f"{listing.write(arguments.cases, arguments.out, **options)} cases in {arguments.out}"
+    )
     return 0
 
 
-def _score(said: argparse.Namespace) -> int:
+def _score(arguments: argparse.Namespace) -> int:
     from benchmarks.blind import score
 
-    out = said.out or said.results / "score"
-    options = {n: getattr(said, n) for n in ("pairs", "workers", "again")}
-    score.run(said.cases, said.results, out=out, page=said.table, told=_told, **options)
+    out = arguments.out or arguments.results / "score"
+    options = {n: getattr(arguments, n) for n in ("pairs", "workers", "again")}
+    score.run(
+        arguments.cases,
+        arguments.results,
+        out=out,
+        page=arguments.table,
+        report=_report,
+        **options,
+    )
     return 0

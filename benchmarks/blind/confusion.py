@@ -1,6 +1,4 @@
-"""The confusion matrix: what acts against what was answered, printed, as CSV and as a
-picture.
-"""
+"""Confusion matrix: what acts against what was answered, printed and as a picture."""
 
 from __future__ import annotations
 
@@ -12,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.blind.entries import DIAGNOSIS, Entry
-from benchmarks.blind.judge import Said, exactly
-from benchmarks.blind.measures import SEEN, TOLERANCE
+from benchmarks.blind.judge import StatedAnswer, names_exactly
+from benchmarks.blind.selection import visible
 
 NONE, UNKNOWN, SEVERAL, FAILED = "none", "unknown", "several", "failed"
 #: the library's order, as readers know it
@@ -41,9 +39,7 @@ ORDER = (
 
 @dataclasses.dataclass(frozen=True)
 class Confusion:
-    """Counts (rows, columns) of what acts and what was answered, and each row's number
-    of cases.
-    """
+    """Counts of cases: rows are what acts, columns what was answered."""
 
     counts: pd.DataFrame
 
@@ -54,34 +50,28 @@ class Confusion:
 
 
 def confusion(entries: Sequence[Entry], method: str = DIAGNOSIS) -> Confusion:
-    """Of null cases and of single effects (known, exact, unknown) at sqrt(lambda) >= 6.
+    """Matrix of null cases and of single effects (known, exact, unknown).
 
-    A class that holds the true effect counts as the true effect, another as its first
-    name; an unknown remainder beside one name is left out; `several`: more names than
-    one, none of them alone.
+    Effects have sqrt(lambda) >= 6. A class that has the true effect counts as the true
+    effect, another as its first name. An unknown remainder with one name does not
+    count; `several` are more names than one.
     """
     acted, answered = [], []
     for e in entries:
-        if e.kind in ("pair", "known_unknown") or method not in e.said:
+        if e.kind in ("pair", "known_unknown") or method not in e.best:
             continue
-        if e.kind != "null" and e.severity < SEEN * (1.0 - TOLERANCE):
+        if e.kind != "null" and not visible(e):
             continue
         acted.append(_truth(e))
-        answered.append(_answer(e, e.said[method]))
-    counts = pd.crosstab(
-        pd.Series(acted, dtype=object), pd.Series(answered, dtype=object)
-    )
-    rows = [*ORDER, *sorted(set(acted) - {*ORDER, NONE}), NONE]
+        answered.append(_answer(e, e.best[method]))
+    acts = pd.Series(acted, dtype=object)
+    counts = pd.crosstab(acts, pd.Series(answered, dtype=object))
+    further = sorted(set(acted) - {*ORDER, NONE})
+    rows = [r for r in (*ORDER, *further, NONE) if r in counts.index]
     columns = [*ORDER, UNKNOWN, SEVERAL, NONE, FAILED]
-    counts = counts.reindex(
-        index=[r for r in rows if r in counts.index], columns=columns, fill_value=0
-    )
-    seen = [
-        c
-        for c in columns
-        if c in (UNKNOWN, NONE) or c in counts.index or counts[c].any()
-    ]
-    counts = counts[seen]
+    counts = counts.reindex(index=rows, columns=columns, fill_value=0)
+    always = {UNKNOWN, NONE, *rows}
+    counts = counts[[c for c in columns if c in always or counts[c].any()]]
     counts.index.name, counts.columns.name = "acts", "answered"
     return Confusion(counts)
 
@@ -93,51 +83,52 @@ def _truth(e: Entry) -> str:
     return f"({name})" if e.unknown else name
 
 
-def _answer(e: Entry, a: Said | None) -> str:
+def _answer(e: Entry, a: StatedAnswer | None) -> str:
     if a is None:
         return FAILED
     if len(a.classes) > 1:
         return SEVERAL
     if not a.classes:
         return UNKNOWN if a.unknown else NONE
-    return e.known[0] if e.known and exactly(a, e.known) else a.classes[0][0]
+    if e.known and names_exactly(a, e.known):
+        return e.known[0]
+    return a.classes[0][0]
 
 
-def text(made: Confusion) -> str:
+def text(matrix: Confusion) -> str:
     """The matrix to print: numbered columns, with their key below; dots for zeros."""
-    counts = made.counts
+    counts = matrix.counts
     width = max(len(str(r)) for r in counts.index) + 2
     lines = [" " * width + "".join(f"{k + 1:>4}" for k in range(counts.shape[1]))]
     for name, row in counts.iterrows():
-        lines.append(
-            f"{name!s:<{width}}" + "".join(f"{'.' if v == 0 else v:>4}" for v in row)
-        )
-    lines.append(
-        "answered: " + ", ".join(f"{k + 1} {c}" for k, c in enumerate(counts.columns))
-    )
+        cells = [f"{'.' if v == 0 else v:>4}" for v in row]
+        lines.append(f"{name!s:<{width}}" + "".join(cells))
+    columns = [f"{k} {c}" for k, c in enumerate(counts.columns, start=1)]
+    lines.append("answered: " + ", ".join(columns))
     return "\n".join(lines)
 
 
-def picture(made: Confusion, path: Path, title: str) -> None:
-    """Shares of each row as a picture with the counts written in; effects of nobody's
-    library in brackets.
+def picture(matrix: Confusion, path: Path, title: str) -> None:
+    """Draw the shares of each row with the counts written in.
+
+    Effects that are in no library are in brackets.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import FixedLocator
 
-    counts, shares = made.counts.to_numpy(), made.shares.to_numpy()
-    high, wide = counts.shape
-    figure = Figure(
-        figsize=(2.9 + 0.36 * wide, 2.4 + 0.27 * high), dpi=150, layout="constrained"
-    )
+    counts, shares = matrix.counts.to_numpy(), matrix.shares.to_numpy()
+    height, width = counts.shape
+    size = (2.9 + 0.36 * width, 2.4 + 0.27 * height)
+    figure = Figure(figsize=size, dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    shown = axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    image = axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for (i, j), count in np.ndenumerate(counts):
         if count:
-            acts, told = str(made.counts.index[i]), str(made.counts.columns[j])
-            right = told == (UNKNOWN if acts.startswith("(") else acts)
+            acts = str(matrix.counts.index[i])
+            answered = str(matrix.counts.columns[j])
+            right = answered == (UNKNOWN if acts.startswith("(") else acts)
             colour = "white" if shares[i, j] > 0.55 else "black"
             weight = "bold" if right else "normal"
             axes.text(
@@ -151,25 +142,25 @@ def picture(made: Confusion, path: Path, title: str) -> None:
                 fontweight=weight,
             )
     axes.set_xticks(
-        range(wide),
-        [_words(c) for c in made.counts.columns],
+        range(width),
+        [_words(c) for c in matrix.counts.columns],
         rotation=55,
         ha="right",
         fontsize=8,
     )
     sums = counts.sum(axis=1)
     labels = [
-        f"{_words(r)}  ({n})" for r, n in zip(made.counts.index, sums, strict=True)
+        f"{_words(r)}  ({n})" for r, n in zip(matrix.counts.index, sums, strict=True)
     ]
-    axes.set_yticks(range(high), labels, fontsize=8)
-    axes.xaxis.set_minor_locator(FixedLocator(np.arange(-0.5, wide).tolist()))
-    axes.yaxis.set_minor_locator(FixedLocator(np.arange(-0.5, high).tolist()))
+    axes.set_yticks(range(height), labels, fontsize=8)
+    axes.xaxis.set_minor_locator(FixedLocator(np.arange(-0.5, width).tolist()))
+    axes.yaxis.set_minor_locator(FixedLocator(np.arange(-0.5, height).tolist()))
     axes.grid(which="minor", color="0.85", linewidth=0.5)
     axes.tick_params(which="both", length=0)
     axes.set_xlabel("answered")
     axes.set_ylabel("acts (cases)")
     axes.set_title(title, fontsize=10)
-    figure.colorbar(shown, ax=axes, label="share of the row", fraction=0.03, pad=0.01)
+    figure.colorbar(image, ax=axes, label="share of the row", fraction=0.03, pad=0.01)
     figure.savefig(path)
 
 

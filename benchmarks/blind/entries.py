@@ -1,6 +1,4 @@
-"""What the scorer reads: of every case its label, the oracle's figures and the result,
-as one entry.
-"""
+"""Entries of the scorer: of every case its label, the oracle's figures and the result."""
 
 from __future__ import annotations
 
@@ -12,30 +10,32 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.blind import judge
-from benchmarks.blind.judge import Said
+from benchmarks.blind.judge import StatedAnswer
 
 DIAGNOSIS, BASELINES = "diagnosis", ("harmonic", "stepwise")
 #: machine that nobody who developed the diagnosis had
 UNSEEN = "hexapod"
-#: column of the readings by which a kind of place is told
-TOLD_BY = {"time": "time_s", "direction": "direction"}
+#: column of the readings that a kind of place needs
+COLUMN_OF = {"time": "time_s", "direction": "direction"}
 
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """A case and what was said of it.
+    """A case and its answers.
 
-    label, oracle   see `generator.cases.label` and `oracle`
-    said            best answer of each method; None where the diagnosis failed
-    answers, set95  all of the diagnosis's answers, and those that have 95 %
-    result          as written by `run`
+    label      see `generator.cases.label`
+    oracle     see `oracle`
+    best       best answer of each method; None where the diagnosis failed
+    answers    all of the diagnosis's answers
+    set95      the answers of its 95 % set
+    result     as written by `run`
     """
 
     label: Mapping[str, Any]
     oracle: Mapping[str, Any]
-    said: Mapping[str, Said | None]
-    answers: tuple[Said, ...]
-    set95: tuple[Said, ...]
+    best: Mapping[str, StatedAnswer | None]
+    answers: tuple[StatedAnswer, ...]
+    set95: tuple[StatedAnswer, ...]
     result: Mapping[str, Any]
 
     @property
@@ -65,134 +65,132 @@ class Entry:
 
     @property
     def severity(self) -> float:
-        """sqrt(lambda) that the case was made for: the least of its effects, each
-        beside the others; 0 without any.
+        """sqrt(lambda) that the case was made for: the least of its effects.
+
+        Each has the others in the model; 0 without any effect.
         """
-        return min((float(e["target"]) for e in self.label["effects"]), default=0.0)
+        targets = [float(e["target"]) for e in self.label["effects"]]
+        return min(targets, default=0.0)
 
     @property
     def testable(self) -> bool:
         """Whether these readings can test every known effect that acts."""
         return set(self.known) <= set(self.oracle["testable"])
 
-    @property
-    def apart(self) -> float:
-        """Least sqrt(lambda_k|j) over known effects and their rivals; 0 without any."""
+    def _figures(self, *, unknown: bool) -> list[Mapping[str, Any]]:
+        """The oracle's figures of the unknown effects, or of the known ones."""
         pairs = zip(self.label["effects"], self.oracle["effects"], strict=True)
-        return min(
-            (float(o["apart"]) for e, o in pairs if not e["unknown"]), default=0.0
-        )
+        return [figures for e, figures in pairs if e["unknown"] == unknown]
+
+    @property
+    def separation(self) -> float:
+        """Least sqrt(lambda_k|j) over known effects and their rivals; 0 without any."""
+        figures = self._figures(unknown=False)
+        return min((float(f["apart"]) for f in figures), default=0.0)
 
     @property
     def shown(self) -> float:
-        """Least sqrt(lambda) over known effects by which the library's form of it
-        explains more than any rival's; 0 where a rival's explains more.
+        """Least sqrt(lambda) that a known effect's library form explains beyond rivals'.
+
+        0 where a rival's explains more.
         """
-        pairs = zip(self.label["effects"], self.oracle["effects"], strict=True)
-        told = (
-            float(o["apart"]) ** 2 - float(o["own"]) ** 2
-            for e, o in pairs
-            if not e["unknown"]
-        )
-        return math.sqrt(max(min(told, default=0.0), 0.0))
+        margins = []
+        for f in self._figures(unknown=False):
+            margins.append(float(f["apart"]) ** 2 - float(f["own"]) ** 2)
+        return math.sqrt(max(min(margins, default=0.0), 0.0))
 
     @property
     def leg_shown(self) -> float:
-        """sqrt(lambda) by which a form of the library in a leg where the only effect
-        acts explains more than any in another leg; 0 where one in another explains
-        more, or where it acts in none.
+        """sqrt(lambda) that library forms in the true leg explain beyond other legs'.
+
+        Of the only effect; 0 where a form in another leg explains more, or where the
+        effect acts in none.
         """
-        (effect,), (told,) = self.label["effects"], self.oracle["effects"]
-        left, whole = told.get("legs", {}), float(effect["sqrt_lambda"])
-        here = min(
-            (float(v) for leg, v in left.items() if leg in self.blocks), default=whole
-        )
-        other = min(
-            (float(v) for leg, v in left.items() if leg not in self.blocks),
-            default=whole,
-        )
-        return math.sqrt(max(other**2 - here**2, 0.0))
+        (effect,), (figures,) = self.label["effects"], self.oracle["effects"]
+        remaining, whole = figures.get("legs", {}), float(effect["sqrt_lambda"])
+        in_true_legs: list[float] = []
+        in_others: list[float] = []
+        for leg, value in remaining.items():
+            group = in_true_legs if leg in self.blocks else in_others
+            group.append(float(value))
+        least = min(in_true_legs, default=whole)
+        least_other = min(in_others, default=whole)
+        return math.sqrt(max(least_other**2 - least**2, 0.0))
 
     @property
     def beyond(self) -> float:
-        """sqrt(lambda) of the unknown effect that no library effect can take over; 0
-        without any.
-        """
-        pairs = zip(self.label["effects"], self.oracle["effects"], strict=True)
-        return max((float(o["beyond"]) for e, o in pairs if e["unknown"]), default=0.0)
+        """sqrt(lambda) of the unknown effect beyond any library effect; 0 without any."""
+        figures = self._figures(unknown=True)
+        return max((float(f["beyond"]) for f in figures), default=0.0)
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """Where the effects act, where that is in part and the readings have the column
-        that tells it; with legs in which they would make the same readings.
+        """Where the effects act, where that is in part.
+
+        Without kinds whose column the readings lack; with legs in which the effects
+        would make the same readings.
         """
-        missing = {
-            kind
-            for kind, column in TOLD_BY.items()
-            if column not in self.label.get("columns", (column,))
-        }
-        true = [
-            b
-            for e in self.label["effects"]
-            for b in e["blocks"]
-            if b.split(" ")[0] not in missing
-        ]
-        ties = [group for e in self.oracle["effects"] for group in e.get("tied", ())]
-        return tuple(
-            dict.fromkeys(
-                [*true, *(leg for g in ties if set(g) & set(true) for leg in g)]
-            )
-        )
+        columns = self.label.get("columns", COLUMN_OF.values())
+        missing = [kind for kind, c in COLUMN_OF.items() if c not in columns]
+        true = []
+        for e in self.label["effects"]:
+            true += [b for b in e["blocks"] if b.split(" ")[0] not in missing]
+        equivalent = []
+        for figures in self.oracle["effects"]:
+            for group in figures.get("tied", ()):
+                if set(group) & set(true):
+                    equivalent += group
+        return tuple(dict.fromkeys([*true, *equivalent]))
 
 
 def read(
-    folder: Path, results: Path, oracles: Mapping[str, Mapping[str, Any]]
+    folder: Path,
+    results: Path,
+    oracles: Mapping[str, Mapping[str, Any]],
 ) -> list[Entry]:
-    """Entries of all cases that have a result. Raises ValueError where results and set
-    do not belong together.
+    """Entries of all cases that have a result.
+
+    Raises ValueError where results and set do not belong together.
     """
-    made = some(folder, results, oracles)
-    if not made:
+    entries = read_available(folder, results, oracles)
+    if not entries:
         raise ValueError(
             f"{results}: there is no result of a case in {folder}; diagnose them first"
             " with `run`"
         )
-    return made
+    return entries
 
 
-def some(
-    folder: Path, results: Path, oracles: Mapping[str, Mapping[str, Any]]
+def read_available(
+    folder: Path,
+    results: Path,
+    oracles: Mapping[str, Mapping[str, Any]],
 ) -> list[Entry]:
-    """Entries of those cases that have a result and figures of the oracle's, none
-    maybe.
-    """
-    made = []
+    """Entries of the cases that have a result and the oracle's figures, if any."""
+    entries = []
     for label in labels(folder):
         file = results / f"{label['id']}.json"
         if file.is_file() and label["id"] in oracles:
-            made.append(entry(label, oracles[label["id"]], _json(file)))
-    return made
+            entries.append(entry(label, oracles[label["id"]], _json(file)))
+    return entries
 
 
-def withheld(
-    folder: Path, results: Path, oracles: Mapping[str, Mapping[str, Any]]
+def read_withheld(
+    folder: Path,
+    results: Path,
+    oracles: Mapping[str, Mapping[str, Any]],
 ) -> list[tuple[str, Entry]]:
-    """(effect withheld, entry) of all results for which the library was short of an
-    effect that acts alone.
-    """
+    """(effect withheld, entry) of all results without the only effect that acts."""
     by_id = {label["id"]: label for label in labels(folder)}
-    made = []
+    pairs = []
     for file in sorted((results / "without").glob("*/*.json")):
-        label = by_id.get(file.stem)
-        if (
-            label is not None
-            and file.stem in oracles
-            and [e["name"] for e in label["effects"]] == [file.parent.name]
-        ):
-            made.append(
-                (file.parent.name, entry(label, oracles[file.stem], _json(file)))
-            )
-    return made
+        name, effect = file.stem, file.parent.name
+        if name not in by_id or name not in oracles:
+            continue
+        label = by_id[name]
+        if [e["name"] for e in label["effects"]] == [effect]:
+            pairs.append((effect, entry(label, oracles[name], _json(file))))
+    return pairs
 
 
 def labels(folder: Path) -> list[dict[str, Any]]:
@@ -202,21 +200,26 @@ def labels(folder: Path) -> list[dict[str, Any]]:
 
 
 def entry(
-    label: Mapping[str, Any], oracle: Mapping[str, Any], result: Mapping[str, Any]
+    label: Mapping[str, Any],
+    oracle: Mapping[str, Any],
+    result: Mapping[str, Any],
 ) -> Entry:
     """An entry; without `answers` the result is one of a failure."""
-    answers = _answers(result.get("answers", []))
-    methods: dict[str, Said | None] = {DIAGNOSIS: answers[0] if answers else None}
-    for name in BASELINES:
-        if name in result.get("baselines", {}):
-            methods[name] = Said(tuple((n,) for n in result["baselines"][name]))
-    return Entry(
-        label, oracle, methods, answers, _answers(result.get("set95", [])), result
-    )
+    answers = _parse(result.get("answers", []))
+    best: dict[str, StatedAnswer | None] = {DIAGNOSIS: None}
+    if answers:
+        best[DIAGNOSIS] = answers[0]
+    baselines = result.get("baselines", {})
+    for method in BASELINES:
+        if method in baselines:
+            classes = tuple((name,) for name in baselines[method])
+            best[method] = StatedAnswer(classes)
+    set95 = _parse(result.get("set95", []))
+    return Entry(label, oracle, best, answers, set95, result)
 
 
-def _answers(told: Sequence[Mapping[str, Any]]) -> tuple[Said, ...]:
-    return tuple(judge.said(a) for a in told)
+def _parse(answers: Sequence[Mapping[str, Any]]) -> tuple[StatedAnswer, ...]:
+    return tuple(judge.parse_answer(a) for a in answers)
 
 
 def _json(file: Path) -> dict[str, Any]:

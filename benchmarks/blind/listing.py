@@ -1,13 +1,12 @@
-"""Lists of cases by what is in them, for whoever sets a run up: opens labels, so a
-diagnosis must not see it.
+"""Lists of cases by their labels, as input of a run; a diagnosis must not see this.
 
-    python -m benchmarks.blind list --cases SET --kinds single --least 6 --withhold
-    --out WITHHELD
+    python -m benchmarks.blind list --cases SET --kinds single --least 6 --withhold \\
+        --out WITHHELD
 
-writes a line a case, {"id": ...}; with --withhold each names its effect, to be left out
-of the library: {"id": ..., "without": "backlash"}. `run --list` takes them. --apart
-keeps the cases whose known effects the readings can test and tell from every rival, for
-which it asks the oracle (about two seconds a case).
+writes a line a case, {"id": ...}. With --withhold each names its effect, to be withheld
+from the library: {"id": ..., "without": "backlash"}. `run --list` takes them. --apart
+selects the cases whose known effects the readings test and separate from every rival,
+by the oracle's figures (about two seconds a case).
 """
 
 from __future__ import annotations
@@ -17,7 +16,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.blind import entries, loading, measures, oracle, pool
+from benchmarks.blind import entries, loading, oracle, pool
+from benchmarks.blind.selection import reaches
 
 
 def write(
@@ -31,69 +31,71 @@ def write(
     withhold: bool = False,
     workers: int = 0,
 ) -> int:
-    """Write the list of a set's cases of some kinds and machines, severity `least` or
-    more, with known effects that are `apart` or more from every rival; how many there
-    are.
+    """Write the list of some of a set's cases; how many there are.
+
+    kinds, machines    only these
+    least              least severity
+    apart              least separation of known effects from every rival
+    withhold           name the effect to withhold in each line
 
     Raises ValueError for a kind or machine that no case has, and where no case fits.
     """
-    found = entries.labels(folder)
-    for option, given, field in (
-        ("--kinds", kinds, "kind"),
-        ("--machines", machines, "machine"),
-    ):
-        known = sorted({str(label[field]) for label in found})
-        for name in given:
-            if name not in known:
-                raise ValueError(
-                    f"{option} {name}: no case has it; there are {', '.join(known)}"
-                )
-    kept = []
-    for label in found:
+    labels = entries.labels(folder)
+    _check("--kinds", kinds, [str(label["kind"]) for label in labels])
+    _check("--machines", machines, [str(label["machine"]) for label in labels])
+    selected = []
+    for label in labels:
         acting = label["effects"]
-        if (kinds and label["kind"] not in kinds) or (
-            machines and label["machine"] not in machines
-        ):
+        if kinds and label["kind"] not in kinds:
+            continue
+        if machines and label["machine"] not in machines:
             continue
         if min((e["target"] for e in acting), default=0.0) < least:
             continue
         if withhold and (len(acting) != 1 or acting[0]["unknown"]):
             continue
-        kept.append(label)
+        selected.append(label)
     if apart > 0.0:
-        kept = _apart(folder, kept, apart, workers)
-    if not kept:
+        selected = _separated(folder, selected, apart, workers)
+    if not selected:
         raise ValueError(
             "no case fits; ask for more kinds, machines or a lower --least or --apart"
         )
-    lines = [
-        {"id": v["id"]} | ({"without": v["effects"][0]["name"]} if withhold else {})
-        for v in kept
-    ]
-    loading.write(out, "".join(json.dumps(line) + "\n" for line in lines))
+    lines = []
+    for label in selected:
+        line = {"id": label["id"]}
+        if withhold:
+            line["without"] = label["effects"][0]["name"]
+        lines.append(json.dumps(line) + "\n")
+    loading.write(out, "".join(lines))
     return len(lines)
 
 
-def _apart(
-    folder: Path, found: Sequence[dict[str, Any]], least: float, workers: int
+def _check(option: str, names: Sequence[str], known: Sequence[str]) -> None:
+    for name in names:
+        if name not in known:
+            there = ", ".join(sorted(set(known)))
+            raise ValueError(f"{option} {name}: no case has it; there are {there}")
+
+
+def _separated(
+    folder: Path,
+    labels: Sequence[dict[str, Any]],
+    least: float,
+    workers: int,
 ) -> list[dict[str, Any]]:
-    """Labels of the cases with known effects that the readings can test and tell from
-    every rival.
+    """Labels of the cases whose known effects the readings test and separate.
+
+    From every rival, by `least` or more.
     """
     cases = {c.id: c for c in loading.manifest(folder)}
-    jobs = [
-        oracle.Job(
-            folder, folder, cases[v["id"]], tuple(e["name"] for e in v["effects"])
-        )
-        for v in found
-    ]  # nothing is written: the figures of cases without a result are not kept
-    told = {
-        job.case.id: figures
-        for job, figures in pool.results(oracle.distances, jobs, workers=workers)
-    }
-    made = [entries.entry(v, told[v["id"]], {}) for v in found]
-    return [
-        dict(e.label)
-        for e in made
-        if e.known and e.testable and measures.at_least(e.apart, least)
-    ]
+    jobs = []
+    for label in labels:
+        acting = tuple(e["name"] for e in label["effects"])
+        # nothing is written: figures of cases without a result are not stored
+        jobs.append(oracle.OracleJob(folder, folder, cases[label["id"]], acting))
+    results = pool.results(oracle.distances, jobs, workers=workers)
+    figures = {job.case.id: distances for job, distances in results}
+    every = [entries.entry(label, figures[label["id"]], {}) for label in labels]
+    testable = [e for e in every if e.known and e.testable]
+    return [dict(e.label) for e in testable if reaches(e.separation, least)]

@@ -1,5 +1,4 @@
-"""What a diagnosis may read: the list of cases, their studies and readings, the library
-of effects.
+"""Loading of what a diagnosis may read: cases, studies, readings, the library.
 
 Labels and truth are no business of this module; the runner has no other way to a case.
 """
@@ -27,8 +26,11 @@ HERE = Path(__file__).resolve().parent
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Case:
-    """A case as the manifest names it: study file beside this module, readings relative
-    to the set's folder.
+    """A case as the manifest names it.
+
+    id          of the case
+    study       name of the study file, in this module's folder
+    readings    path of the readings, relative to the set's folder
     """
 
     id: str
@@ -48,8 +50,11 @@ class Case:
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """A study's measurement and the effects that are tried; gravity is its direction in
-    the base frame.
+    """A study's measurement with the library of effects.
+
+    measurement    machine and set-ups
+    effects        the library
+    gravity        its direction in the base frame
     """
 
     measurement: Measurement
@@ -58,22 +63,20 @@ class Bench:
 
 
 def manifest(folder: Path, only: Sequence[str] = ()) -> list[Case]:
-    """Cases of a set, in the manifest's order; `only` of these machines (`a3`) or plans
-    (`a3_full`).
+    """Cases of a set, in the manifest's order.
 
-    Raises ValueError for a line that is none, and for a machine that no case has;
-    OSError.
+    `only` of these machines (`a3`) or plans (`a3_full`). Raises ValueError for a line
+    that is none, and for a machine that no case has; OSError.
     """
     file, cases = folder / "manifest.jsonl", []
-    for number, line in enumerate(
-        file.read_text(encoding="utf-8").splitlines(), start=1
-    ):
+    lines = file.read_text(encoding="utf-8").splitlines()
+    for number, line in enumerate(lines, start=1):
         try:
-            said = json.loads(line)
-            cases.append(Case(said["id"], said["study"], said["readings"]))
+            entry = json.loads(line)
+            cases.append(Case(entry["id"], entry["study"], entry["readings"]))
         except (json.JSONDecodeError, KeyError, TypeError) as error:
             raise ValueError(
-                f"{file}, line {number}: {error!r}; make the set anew with `generate`"
+                f"{file}, line {number}: {error!r}; make the set again with `generate`"
             ) from None
     known = {c.machine for c in cases} | {c.plan for c in cases}
     for name in only:
@@ -87,17 +90,19 @@ def manifest(folder: Path, only: Sequence[str] = ()) -> list[Case]:
 
 @functools.cache
 def bench(name: str) -> Bench:
-    """The bench of a study file beside this module; made once in a process, for it
-    compiles the machine.
+    """The bench of a study file in this module's folder.
+
+    Once in a process, for it compiles the machine.
     """
-    said = study.load(HERE / name)
-    found = resolve.resolve(said, readings=[])
-    asked = resolve_gap.gap_request(said, found.machine, always=True)
-    assert asked is not None  # it is asked for always
-    return Bench(found.measurement_with(found.setups), asked.effects, asked.gravity)
+    stated = study.load(HERE / name)
+    resolved = resolve.resolve(stated, readings=[])
+    request = resolve_gap.gap_request(stated, resolved.machine, always=True)
+    assert request is not None  # `always` makes one
+    measurement = resolved.measurement_with(resolved.setups)
+    return Bench(measurement, request.effects, request.gravity)
 
 
-def prepared(folder: Path, case: Case) -> GapProblem:
+def prepare(folder: Path, case: Case) -> GapProblem:
     """The residuals of a case. Raises ReadingsError, IdentificationError."""
     at = bench(case.study)
     data = dataset.load(folder / case.readings, at.measurement)
@@ -107,7 +112,7 @@ def prepared(folder: Path, case: Case) -> GapProblem:
 
 
 def write(path: Path, text: str) -> None:
-    """A file that is there whole or not at all. Raises OSError."""
+    """Write a file, whole or not at all. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

@@ -1,12 +1,11 @@
-"""Diagnose every case of a set, by what a diagnosis may read: `cases/`,
-`manifest.jsonl` and the study files.
+"""Diagnosis of every case of a set, without its labels and truth.
 
     python -m benchmarks.blind run --cases SET --out RESULTS
     python -m benchmarks.blind run --cases SET --out RESULTS --list WITHHELD
 
 writes RESULTS/ID.json, and RESULTS/without/EFFECT/ID.json where an effect is withheld
-from the library. What is there already is left alone, but for cases that failed. Labels
-and truth are never opened, nor needed.
+from the library. It reads `cases/`, `manifest.jsonl` and the study files. Existing
+results stay, but for cases that failed.
 """
 
 from __future__ import annotations
@@ -34,13 +33,19 @@ from oed.noise.law import NoiseLaw
 
 J = TypeVar("J")
 EACH = "each"
-#: answers that are kept beyond those of the 95 % set
-KEPT = 20
+#: most answers that are stored, if the 95 % set has no more
+ANSWERS = 20
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Job:
-    """A case to diagnose, without one effect of the library where that is named."""
+class DiagnosisJob:
+    """A case to diagnose, without one effect of the library where that is named.
+
+    folder     of the set
+    case       the case
+    without    effect that is withheld; "" for none
+    seed       of the diagnosis's draws
+    """
 
     folder: Path
     case: Case
@@ -49,9 +54,8 @@ class Job:
 
     def file(self, out: Path) -> Path:
         """Where its result is."""
-        return (
-            out / "without" / self.without if self.without else out
-        ) / f"{self.case.id}.json"
+        folder = out / "without" / self.without if self.without else out
+        return folder / f"{self.case.id}.json"
 
 
 def run(
@@ -66,55 +70,57 @@ def run(
     dask: str = "",
     again: bool = False,
     seed: int = 0,
-    told: Callable[[str], None] = print,
+    report: Callable[[str], None] = print,
 ) -> int:
-    """Diagnose the cases of a set that have no result yet; how many failed. Raises
-    ValueError, OSError.
+    """Diagnose the cases of a set that have no result yet; how many failed.
 
-    only     machines or plans;  listed: file of cases (see `chosen`);  limit: at most
-             so many cases
-    without  an effect withheld from the library; `each`: every one in turn, and the
-             whole library not at all
-    again    diagnose afresh what has a result;  workers, dask: see `pool.results`
+    only       machines or plans
+    listed     file of cases, see `select_jobs`
+    limit      at most so many cases
+    without    an effect withheld from the library; `each`: every one in turn, and the
+               whole library not at all
+    workers    see `pool.results`
+    dask       see `pool.results`
+    again      diagnose again what has a result
+    report     takes a line of progress
+
+    Raises ValueError, OSError.
     """
-    jobs = chosen(
+    jobs = select_jobs(
         folder, only=only, listed=listed, limit=limit, without=without, seed=seed
     )
     if not again:
-        jobs = [j for j in jobs if not done(j.file(out))]
+        jobs = [j for j in jobs if not is_done(j.file(out))]
     jobs.sort(key=lambda j: j.case.study)  # a process compiles few machines
-    return carried_out(
-        work, jobs, lambda j: j.file(out), workers=workers, dask=dask, told=told
+    return carry_out(
+        work, jobs, lambda j: j.file(out), workers=workers, dask=dask, report=report
     )
 
 
-def carried_out(
+def carry_out(
     work: Callable[[J], str],
     jobs: Sequence[J],
     file: Callable[[J], Path],
     *,
     workers: int = 0,
     dask: str = "",
-    told: Callable[[str], None] = print,
+    report: Callable[[str], None] = print,
 ) -> int:
-    """Write the result that `work` makes of each job to its file, as they come; how
-    many have an `error`.
-    """
-    failed, begun = 0, time.perf_counter()
-    for number, (job, text) in enumerate(
-        pool.results(work, jobs, workers=workers, dask=dask), start=1
-    ):
+    """Write each job's result to its file, as they come; how many have an `error`."""
+    failed, start = 0, time.perf_counter()
+    results = pool.results(work, jobs, workers=workers, dask=dask)
+    for number, (job, text) in enumerate(results, start=1):
         loading.write(file(job), text)
         failed += "error" in json.loads(text)
         if number % 20 == 0 or number == len(jobs):
-            told(
-                f"{number} of {len(jobs)} diagnoses, {failed} failed,"
-                f" {time.perf_counter() - begun:.0f} s"
+            seconds = time.perf_counter() - start
+            report(
+                f"{number} of {len(jobs)} diagnoses, {failed} failed, {seconds:.0f} s"
             )
     return failed
 
 
-def chosen(
+def select_jobs(
     folder: Path,
     *,
     only: Sequence[str] = (),
@@ -122,28 +128,30 @@ def chosen(
     limit: int = 0,
     without: str = "",
     seed: int = 0,
-) -> list[Job]:
-    """Jobs of a set. Lines of the file `listed` are {"id": ..., "without": effect, or
-    nothing}. Raises ValueError.
+) -> list[DiagnosisJob]:
+    """Jobs of a set. Raises ValueError.
+
+    Lines of the file `listed` are {"id": ..., "without": effect, or nothing}.
     """
     cases = loading.manifest(folder, only)
     if listed is None:
-        some = cases[: limit or None]
-        return [
-            Job(folder, c, name, seed) for c in some for name in _withheld(c, without)
-        ]
+        jobs = []
+        for case in cases[: limit or None]:
+            jobs += [
+                DiagnosisJob(folder, case, e, seed) for e in _withheld(case, without)
+            ]
+        return jobs
     if without:
         raise ValueError(
             f"--without {without} and --list {listed}: give one of them; a list names"
             " what is withheld"
         )
     by_id, jobs = {c.id: c for c in cases}, []
-    for number, line in enumerate(
-        listed.read_text(encoding="utf-8").splitlines(), start=1
-    ):
+    lines = listed.read_text(encoding="utf-8").splitlines()
+    for number, line in enumerate(lines, start=1):
         try:
-            said = json.loads(line)
-            name, effect = str(said["id"]), str(said.get("without", ""))
+            entry = json.loads(line)
+            name, effect = str(entry["id"]), str(entry.get("without", ""))
         except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(
                 f'{listed}, line {number}: {error!r}; write {{"id": ..., "without":'
@@ -152,8 +160,7 @@ def chosen(
         if name in by_id:
             case = by_id[name]
             jobs += [
-                Job(folder, case, e, seed)
-                for e in (_withheld(case, effect) if effect else [""])
+                DiagnosisJob(folder, case, e, seed) for e in _withheld(case, effect)
             ]
     if not jobs:
         raise ValueError(
@@ -163,8 +170,9 @@ def chosen(
 
 
 def _withheld(case: Case, without: str) -> list[str]:
-    """Names to withhold, in turn. Raises ValueError for an effect that is not in the
-    library.
+    """Names to withhold, in turn.
+
+    Raises ValueError for an effect that is not in the library.
     """
     if not without:
         return [""]
@@ -179,7 +187,7 @@ def _withheld(case: Case, without: str) -> list[str]:
     return [without]
 
 
-def done(file: Path) -> bool:
+def is_done(file: Path) -> bool:
     """Whether a result is there, and none of a failure."""
     if not file.is_file():
         return False
@@ -189,56 +197,61 @@ def done(file: Path) -> bool:
         return False
 
 
-def work(job: Job) -> str:
-    """The text of a case's result: JSON, with `error` where the diagnosis fails, for no
-    failure may stop the others.
+def work(job: DiagnosisJob) -> str:
+    """The text of a case's result: JSON, with `error` where the diagnosis fails.
+
+    No failure may stop the others.
     """
-    return as_json(job, _diagnosed)
+    return result_text(job, _diagnose)
 
 
-def as_json(job: Job, made: Callable[[Job], dict[str, Any]]) -> str:
-    """What is `made` of a case, or the `error` that it ends with, as JSON."""
-    said: dict[str, Any] = {
+def result_text(
+    job: DiagnosisJob, diagnose_case: Callable[[DiagnosisJob], dict[str, Any]]
+) -> str:
+    """The record of a case's diagnosis, or the `error` that it ends with, as JSON."""
+    record: dict[str, Any] = {
         "id": job.case.id,
         "study": job.case.study,
         "without": job.without,
     }
     try:
-        said |= made(job)
+        record |= diagnose_case(job)
     except Exception as error:
-        said |= {
+        record |= {
             "error": f"{type(error).__name__}: {error}",
             "traceback": traceback.format_exc(limit=-4),
         }
-    return json.dumps(said, default=float, allow_nan=False)
+    return json.dumps(record, default=float, allow_nan=False)
 
 
-def _diagnosed(job: Job) -> dict[str, Any]:
-    begun = time.perf_counter()
-    effects = [
-        e for e in loading.bench(job.case.study).effects if e.name != job.without
-    ]
-    problem = loading.prepared(job.folder, job.case)
+def _diagnose(job: DiagnosisJob) -> dict[str, Any]:
+    start = time.perf_counter()
+    library = loading.bench(job.case.study).effects
+    effects = [e for e in library if e.name != job.without]
+    problem = loading.prepare(job.folder, job.case)
     ready = time.perf_counter()
-    said = told(diagnose.diagnose(problem, effects, draws(job)))
-    said["seconds"] = {
-        "prepare": ready - begun,
+    diagnosis = diagnose.diagnose(problem, effects, random_stream(job))
+    record = diagnosis_record(diagnosis)
+    record["seconds"] = {
+        "prepare": ready - start,
         "diagnose": time.perf_counter() - ready,
     }
     if not job.without:
-        said["baselines"] = beside(problem, effects)
-    return said
+        record["baselines"] = baseline_answers(problem, effects)
+    return record
 
 
-def draws(job: Job) -> np.random.Generator:
-    """The same draws for a case whatever is run before it."""
-    return np.random.default_rng(
-        [job.seed, zlib.crc32(f"{job.case.id}/{job.without}".encode())]
-    )
+def random_stream(job: DiagnosisJob) -> np.random.Generator:
+    """The random stream of a case, whatever runs before it."""
+    key = zlib.crc32(f"{job.case.id}/{job.without}".encode())
+    return np.random.default_rng([job.seed, key])
 
 
-def beside(problem: GapProblem, effects: Sequence[Effect]) -> dict[str, list[str]]:
-    """What the baselines answer."""
+def baseline_answers(
+    problem: GapProblem,
+    effects: Sequence[Effect],
+) -> dict[str, list[str]]:
+    """Effects that each baseline names."""
     known = library_of.build(problem, effects)
     return {
         "harmonic": baselines.harmonic(problem, known.effects),
@@ -246,27 +259,28 @@ def beside(problem: GapProblem, effects: Sequence[Effect]) -> dict[str, list[str
     }
 
 
-def told(found: Diagnosis) -> dict[str, Any]:
+def diagnosis_record(diagnosis: Diagnosis) -> dict[str, Any]:
     """A diagnosis as JSON takes it."""
+    count = max(ANSWERS, len(diagnosis.set95))
     return {
-        "verdict": found.verdict,
-        "answers": [_answer(a) for a in found.answers[: max(KEPT, len(found.set95))]],
-        "set95": [_answer(a) for a in found.set95],
-        "marginal": {n: round(float(p), 6) for n, p in found.marginal.items()},
+        "verdict": diagnosis.verdict,
+        "answers": [_answer(a) for a in diagnosis.answers[:count]],
+        "set95": [_answer(a) for a in diagnosis.set95],
+        "marginal": {n: round(float(p), 6) for n, p in diagnosis.marginal.items()},
         "where": [
             {
                 "block": b.block,
                 "p_value": _known(b.p_value),
                 "strength": _known(b.strength),
             }
-            for b in found.where
+            for b in diagnosis.where
         ],
-        "closure": [_closure(c) for c in found.closure],
-        "not_testable": sorted(found.not_testable),
-        "confusable": [list(c) for c in found.confusable],
+        "closure": [_closure(c) for c in diagnosis.closure],
+        "not_testable": sorted(diagnosis.not_testable),
+        "confusable": [list(c) for c in diagnosis.confusable],
         "sizes": [
             {"effect": s.effect, "detectability": _known(s.detectability)}
-            for s in found.sizes
+            for s in diagnosis.sizes
         ],
         "legs": [
             {
@@ -276,9 +290,9 @@ def told(found: Diagnosis) -> dict[str, Any]:
                 "mean": _known(c.mean),
                 "sd": _known(c.sd),
             }
-            for c in found.coefficients
+            for c in diagnosis.coefficients
         ],
-        "law": _law(found.law),
+        "law": _law(diagnosis.law),
     }
 
 
@@ -296,9 +310,7 @@ def _closure(c: Closure) -> dict[str, Any]:
 
 
 def _law(law: NoiseLaw) -> dict[str, Any]:
-    """All of a law; variances and ratios of single readings only where they are not all
-    1.
-    """
+    """All of a law; variances and ratios of single readings where they are not all 1."""
     return {
         "repeat": law.run_sd,
         "wander": law.ar1_sd,
@@ -312,27 +324,26 @@ def _law(law: NoiseLaw) -> dict[str, Any]:
     }
 
 
-def law_of(said: dict[str, Any], size: int) -> NoiseLaw:
-    """The law that a result tells, for `size` readings."""
-    variance = said["variance"] or [1.0] * size
+def law_of(record: dict[str, Any], size: int) -> NoiseLaw:
+    """The law of a result's record, for `size` readings."""
+    variance = record["variance"] or [1.0] * size
+    ratio, dof = record["ratio"], record["tails"]
     return NoiseLaw(
-        run_sd=said["repeat"],
-        ar1_sd=said["wander"],
-        run_harmonic_sd=said.get("sway", 0.0),
-        ar1_length=said["reach"],
+        run_sd=record["repeat"],
+        ar1_sd=record["wander"],
+        run_harmonic_sd=record.get("sway", 0.0),
+        ar1_length=record["reach"],
         variance=np.array(variance, dtype=float),
-        level=said["level"],
-        student_dof=math.inf if said["tails"] is None else said["tails"],
-        outlier_share=said.get("strays", 0.0),
-        channel_ratio=None
-        if said["ratio"] is None
-        else np.array(said["ratio"], dtype=float),
+        level=record["level"],
+        student_dof=math.inf if dof is None else dof,
+        outlier_share=record.get("strays", 0.0),
+        channel_ratio=None if ratio is None else np.array(ratio, dtype=float),
     )
 
 
 def _unless_one(values: Iterable[float]) -> list[float] | None:
-    told = [float(f"{v:.5g}") for v in values]
-    return None if all(v == 1.0 for v in told) else told
+    rounded = [float(f"{v:.5g}") for v in values]
+    return None if all(v == 1.0 for v in rounded) else rounded
 
 
 def _known(value: float) -> float | None:

@@ -1,44 +1,72 @@
-"""The benchmark's result as Markdown, for docs/benchmarks/blind_results.md."""
+"""Page of the benchmark's result as Markdown, for docs/benchmarks/blind_results.md."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from benchmarks.blind.measures import Paired, Row
+from benchmarks.blind.paired import SIGNIFICANT, Paired
+from benchmarks.blind.row import Row
 
-#: measures without a unit of share: told as numbers
+#: keys of measures that are numbers rather than shares
 NUMBERS = ("false effects", "class size", "set95 size", "closure", "probability")
-WORDS = {
+STATUS = {
     "aim": "aim reached",
     "must": "reached",
     "no": "**not reached**",
     "above": "above the band",
     "-": "",
 }
+#: keys of the rows by machine
+BY_MACHINE = (
+    "alarm",
+    "detection 6",
+    "detection 10",
+    "right class",
+    "right class 6",
+    "probability",
+    "unknown",
+    "pairs",
+    "set95",
+    "place",
+)
+TARGET_HEADS = ("measure", "result", "95 % interval", "cases", "must reach", "aim", "")
+PAIRED_HEADS = (
+    "cases",
+    "number",
+    "baseline",
+    "diagnosis right",
+    "baseline right",
+    "only one: d / b",
+    "p",
+    "better",
+)
+
+#: rows of other methods, by their names
+Methods = Mapping[str, Sequence[Row]]
 
 
 def markdown(
     rows: Sequence[Row],
-    beside: Mapping[str, Sequence[Row]],
+    methods: Methods,
     paired: Sequence[Paired],
     machines: Mapping[str, Sequence[Row]],
     about: Mapping[str, Any],
 ) -> str:
     """The whole page.
 
-    rows      the diagnosis's, those with a target first;  beside: rows of each baseline
-    paired    comparisons;  machines: rows of each machine's cases alone;  about: counts
-              of cases, see `score`
+    rows        the diagnosis's rows
+    methods     rows of each baseline
+    paired      comparisons
+    machines    rows of each machine's cases alone
+    about       counts of cases, see `score`
     """
+    cases, failed = about["cases"], about["failed"]
     parts = [
-        (
-            f"# Blind benchmark: {about['cases']} cases, {about['failed']} failed"
-            " diagnoses"
-        ),
+        f"# Blind benchmark: {cases} cases, {failed} failed diagnoses",
         "",
-        _by(about),
+        _counts(about),
         "",
         (
             "`python -m benchmarks.blind score --cases SET --results RESULTS --table"
@@ -47,107 +75,77 @@ def markdown(
             " defines what counts."
         ),
         "",
-        *_main(rows, beside),
+        *_rows_with_target(rows, methods),
         "",
         "Without a target:",
         "",
-        *_more(rows, beside),
+        *_rows_without_target(rows, methods),
         "",
         (
             "Diagnosis and baselines on the same cases (right answers; exact McNemar"
             " test; better at the 1 % level):"
         ),
         "",
-        *_paired(paired),
+        *_paired_rows(paired),
         "",
         "By machine:",
         "",
-        *_machines(machines),
+        *_machine_rows(machines),
     ]
     return "\n".join(parts) + "\n"
 
 
-def _by(about: Mapping[str, Any]) -> str:
-    kinds = ", ".join(f"{n} {k.replace('_', ' + ')}" for k, n in about["kinds"].items())
-    machines = ", ".join(f"{m} {n}" for m, n in about["machines"].items())
+def _counts(about: Mapping[str, Any]) -> str:
+    """Counts of cases in a sentence."""
+    kinds = [f"{n} {kind.replace('_', ' + ')}" for kind, n in about["kinds"].items()]
+    machines = [f"{machine} {n}" for machine, n in about["machines"].items()]
     more = ""
     if about["more"]:
         more = (
-            f" Beside them, {about['more']} pairs that can be distinguished from every rival,"
+            f" In addition, {about['more']} pairs that can be distinguished from every rival,"
             " for the rows of such pairs alone."
         )
-    return f"Cases by kind: {kinds}. By machine: {machines}.{more}"
-
-
-def _main(rows: Sequence[Row], beside: Mapping[str, Sequence[Row]]) -> Iterable[str]:
-    heads = [
-        "measure",
-        "result",
-        "95 % interval",
-        "cases",
-        "must reach",
-        "aim",
-        "",
-        *beside,
-    ]
-    yield _line(heads)
-    yield _line(["---", *["--:"] * 5, "---", *["--:"] * len(beside)])
-    for r in rows:
-        if r.sense:
-            must, aim = wanted(r)
-            word = WORDS[r.status] + (", proved" if r.proved else "")
-            yield _line(
-                [
-                    r.measure,
-                    value(r),
-                    interval(r),
-                    count(r),
-                    must,
-                    aim,
-                    word,
-                    *_others(r, beside),
-                ]
-            )
-
-
-def _more(rows: Sequence[Row], beside: Mapping[str, Sequence[Row]]) -> Iterable[str]:
-    yield _line(["measure", "result", "95 % interval", "cases", *beside])
-    yield _line(["---", *["--:"] * (3 + len(beside))])
-    for r in rows:
-        if not r.sense:
-            yield _line(
-                [r.measure, value(r), interval(r), count(r), *_others(r, beside)]
-            )
-
-
-def _others(row: Row, beside: Mapping[str, Sequence[Row]]) -> list[str]:
-    """The same measure of what stands beside; nothing where that has not the same
-    cases.
-    """
-    told = []
-    for rows in beside.values():
-        same = [r for r in rows if r.key == row.key and r.count == row.count]
-        told.append(value(same[0]) if same else "")
-    return told
-
-
-def _paired(paired: Sequence[Paired]) -> Iterable[str]:
-    yield _line(
-        [
-            "cases",
-            "number",
-            "baseline",
-            "diagnosis right",
-            "baseline right",
-            "only one: d / b",
-            "p",
-            "better",
-        ]
+    return (
+        f"Cases by kind: {', '.join(kinds)}. By machine: {', '.join(machines)}.{more}"
     )
+
+
+def _rows_with_target(rows: Sequence[Row], methods: Methods) -> Iterator[str]:
+    yield _line([*TARGET_HEADS, *methods])
+    yield _line(["---", *["--:"] * 5, "---", *["--:"] * len(methods)])
+    for row in rows:
+        if row.sense:
+            must, aim = target(row)
+            status = STATUS[row.status] + (", proved" if row.proved else "")
+            yield _line([*_figures(row), must, aim, status, *_others(row, methods)])
+
+
+def _rows_without_target(rows: Sequence[Row], methods: Methods) -> Iterator[str]:
+    yield _line(["measure", "result", "95 % interval", "cases", *methods])
+    yield _line(["---", *["--:"] * (3 + len(methods))])
+    for row in rows:
+        if not row.sense:
+            yield _line([*_figures(row), *_others(row, methods)])
+
+
+def _figures(row: Row) -> list[str]:
+    return [row.measure, value(row), interval(row), count(row)]
+
+
+def _others(row: Row, methods: Methods) -> list[str]:
+    """The same measure of other methods; nothing where they lack the same cases."""
+    cells = []
+    for rows in methods.values():
+        same = [r for r in rows if (r.key, r.count) == (row.key, row.count)]
+        cells.append(value(same[0]) if same else "")
+    return cells
+
+
+def _paired_rows(paired: Sequence[Paired]) -> Iterator[str]:
+    yield _line(PAIRED_HEADS)
     yield _line(["---", "--:", "---", "--:", "--:", "--:", "--:", "---"])
     for p in paired:
-        only = f"{p.only_diagnosis} / {p.only_other}"
-        told = f"{p.p_value:.1g}" if p.p_value < 0.01 else f"{p.p_value:.2f}"
+        digits = ".1g" if p.p_value < SIGNIFICANT else ".2f"
         yield _line(
             [
                 p.measure,
@@ -155,35 +153,29 @@ def _paired(paired: Sequence[Paired]) -> Iterable[str]:
                 p.baseline,
                 str(p.diagnosis),
                 str(p.other),
-                only,
-                told,
+                f"{p.only_diagnosis} / {p.only_other}",
+                f"{p.p_value:{digits}}",
                 p.verdict,
             ]
         )
 
 
-def _machines(machines: Mapping[str, Sequence[Row]]) -> Iterable[str]:
-    names = [
-        "alarm",
-        "detection 6",
-        "detection 10",
-        "right class",
-        "right class 6",
-        "probability",
-    ]
-    names += ["unknown", "pairs", "set95", "place"]
-    first = {r.key: r for rows in machines.values() for r in rows}
+def _machine_rows(machines: Mapping[str, Sequence[Row]]) -> Iterator[str]:
+    by_machine = [{row.key: row for row in rows} for rows in machines.values()]
     yield _line(["measure", *machines])
     yield _line(["---", *["--:"] * len(machines)])
-    for name in names:
-        if name in first:
-            cells = []
-            for rows in machines.values():
-                r = next((r for r in rows if r.key == name), None)
-                cells.append(
-                    "" if r is None or not r.count else f"{value(r)} ({count(r)})"
-                )
-            yield _line([first[name].measure, *cells])
+    for key in BY_MACHINE:
+        rows = [by_key.get(key) for by_key in by_machine]
+        measures = [row.measure for row in rows if row is not None]
+        if measures:
+            yield _line([measures[-1], *map(_cell, rows)])
+
+
+def _cell(row: Row | None) -> str:
+    """Value and cases of a machine's row, where it has any."""
+    if row is None or not row.count:
+        return ""
+    return f"{value(row)} ({count(row)})"
 
 
 def _line(cells: Iterable[str]) -> str:
@@ -195,7 +187,7 @@ def _line(cells: Iterable[str]) -> str:
 
 def value(row: Row) -> str:
     """A row's value: per cent for shares, else a number; a dash without cases."""
-    return _told(row, row.value) if row.count else "-"
+    return _in_words(row, row.value) if row.count else "-"
 
 
 def interval(row: Row) -> str:
@@ -214,7 +206,7 @@ def count(row: Row) -> str:
     return str(row.count) if row.hits is None else f"{row.hits}/{row.count}"
 
 
-def wanted(row: Row) -> tuple[str, str]:
+def target(row: Row) -> tuple[str, str]:
     """What a row must reach, and its aim."""
     if row.must is None or row.aim is None:
         return "", ""
@@ -225,14 +217,12 @@ def wanted(row: Row) -> tuple[str, str]:
 
 
 def _bound(row: Row, number: float) -> str:
-    return (
-        f"{number:.2f}"
-        if row.hits is None and not _is_share(row)
-        else f"{100 * number:g} %"
-    )
+    if row.hits is None and not _is_share(row):
+        return f"{number:.2f}"
+    return f"{100 * number:g} %"
 
 
-def _told(row: Row, number: float) -> str:
+def _in_words(row: Row, number: float) -> str:
     if math.isnan(number):
         return "-"
     return f"{100 * number:.1f} %" if _is_share(row) else f"{number:.2f}"

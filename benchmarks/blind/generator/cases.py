@@ -21,7 +21,8 @@ from numpy.random import Generator
 from benchmarks.blind.generator import effects, noise, plans, scene, severity, textbook
 from benchmarks.blind.generator.effects import Effect, Stage
 from benchmarks.blind.generator.effects.thermal import climate
-from benchmarks.blind.generator.machines import Array
+from benchmarks.blind.generator.machine import Array
+from benchmarks.blind.generator.machine_plans import PLANS
 from benchmarks.blind.generator.scene import Scene
 
 SETS = {"dev": 1, "blind": 2, "six": 3}
@@ -73,8 +74,13 @@ TRIES = 12
 
 @dataclasses.dataclass(frozen=True)
 class Sized:
-    """An effect with its amplitude; change (N,): exact difference of the noise-free
-    readings that it alone makes.
+    """An effect with its amplitude.
+
+    effect       the effect
+    known        whether the library may have it
+    target       sqrt(lambda) that it was made for
+    amplitude    of its largest addition, m
+    change       (N,) exact difference of the noise-free readings by it alone
     """
 
     effect: Effect
@@ -86,8 +92,17 @@ class Sized:
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A case as generated. y (N,) readings; clean (N,): with the effects, without
-    noise.
+    """A case as generated.
+
+    id, number      its name and number in the set
+    kind            null, single, pair, exact, unknown, known_unknown
+    scene, stage    machine, plan and readings without effects
+    law, group      noise law and which readings share errors
+    metric          of the severity
+    sized           effects that act
+    clean           (N,) readings with the effects, without noise
+    y               (N,) readings
+    seed            key of its random stream
     """
 
     id: str
@@ -115,8 +130,9 @@ class Role:
 
 
 def role(seed: int, name: str, k: int) -> Role:
-    """Kind, noise law, machine and plan of case k of a set. Raises ValueError for an
-    unknown set.
+    """Kind, noise law, machine and plan of case k of a set.
+
+    Raises ValueError for an unknown set.
     """
     if name not in SETS:
         raise ValueError(f"there is no set {name!r}; there are {', '.join(SETS)}")
@@ -140,13 +156,13 @@ def role(seed: int, name: str, k: int) -> Role:
         kind = "single"  # only the A3 has a plan with one bar and one tool
     if kind == "exact":
         return Role(kind, law, "a3", str(rng.choice(["single", "poor"], p=[0.7, 0.3])))
-    names = plans.PLANS[machine]
+    names = PLANS[machine]
     share = (0.55, 0.2, 0.25) if len(names) == 3 else (0.7, 0.3)
     return Role(kind, law, machine, str(rng.choice(names, p=share)))
 
 
 def identity(seed: int, name: str, k: int) -> str:
-    """A name that tells nothing."""
+    """A name that reveals nothing of the case."""
     return hashlib.sha256(f"{seed}/{name}/{k}".encode()).hexdigest()[:10]
 
 
@@ -163,8 +179,8 @@ def make(seed: int, name: str, k: int) -> Case:
     sized = _effects(rng, part.kind, base, stage, metric)
     push = None
     for s in sized:
-        mine = s.effect.push(s.amplitude)
-        push = mine if push is None else push.plus(mine)
+        added = s.effect.push(s.amplitude)
+        push = added if push is None else push.plus(added)
     clean = base.read(push)
     y = clean + noise.sample(rng, law, group)
     return Case(
@@ -243,8 +259,9 @@ def _limit(effect: Effect, known: bool, machine: str) -> float:
 def _scaled(
     base: Scene, size: severity.Size, effect: Effect, known: bool, target: float
 ) -> Sized:
-    """The effect at the amplitude that gives the target. Raises ArithmeticError where
-    no believable one does.
+    """The effect at the amplitude that gives the target.
+
+    Raises ArithmeticError where no plausible one does.
     """
     small = 1e-7
     trace = size(base.response(effect.push(small)))
@@ -272,21 +289,19 @@ def _pair(
     second_name = _name(rng, second, stage)
     if first_name == second_name:
         raise ArithmeticError("twice the same")
-    one, two = (
-        _form(rng, "single", first_name, stage),
-        _form(rng, second, second_name, stage),
-    )
-    ways = [metric.seen(base.response(e.push(1e-6))) for e in (one, two)]
-    if min(np.linalg.norm(w) for w in ways) <= 0:
+    one = _form(rng, "single", first_name, stage)
+    two = _form(rng, second, second_name, stage)
+    directions = [metric.embed(base.response(e.push(1e-6))) for e in (one, two)]
+    lengths = [np.linalg.norm(direction) for direction in directions]
+    if min(lengths) <= 0:
         raise ArithmeticError("no trace")
-    cosine = abs(float(ways[0] @ ways[1])) / float(
-        np.linalg.norm(ways[0]) * np.linalg.norm(ways[1])
-    )
+    product = abs(float(directions[0] @ directions[1]))
+    cosine = product / float(lengths[0] * lengths[1])
     if cosine > 0.9:
         raise ArithmeticError("nearly the same")
     return [
-        _scaled(base, metric.beside(ways[1]), one, True, a),
-        _scaled(base, metric.beside(ways[0]), two, known, b),
+        _scaled(base, metric.size_without(directions[1]), one, True, a),
+        _scaled(base, metric.size_without(directions[0]), two, known, b),
     ]
 
 
@@ -294,9 +309,10 @@ def label(case: Case) -> dict[str, object]:
     """What only the scorer may read."""
     plan = case.stage.plan
     names = effects.known_on(plan.machine.name)
-    rest = textbook.left(
-        case.scene, case.stage, case.metric, names, [s.change for s in case.sized]
-    )
+    changes = [s.change for s in case.sized]
+    distances = textbook.distances(case.scene, case.stage, case.metric, names, changes)
+    pairs = list(zip(case.sized, distances, strict=True))
+    exact = any(_is_exact(case, sized, by_form) for sized, by_form in pairs)
     return {
         "id": case.id,
         "number": case.number,
@@ -304,12 +320,8 @@ def label(case: Case) -> dict[str, object]:
         "plan": plan.name,
         "kind": case.kind,
         "columns": list(plan.columns),
-        "effects": [_told(case, s, r) for s, r in zip(case.sized, rest, strict=True)],
-        "class": (
-            list(effects.EXACT)
-            if any(_exact(case, s, r) for s, r in zip(case.sized, rest, strict=True))
-            else []
-        ),
+        "effects": [_effect_label(case, sized, by_form) for sized, by_form in pairs],
+        "class": list(effects.EXACT) if exact else [],
         "sqrt_lambda": round(case.metric.size(case.clean - case.scene.y), 4),
         "noise": dataclasses.asdict(case.law),
         "readings": len(case.y),
@@ -317,21 +329,25 @@ def label(case: Case) -> dict[str, object]:
     }
 
 
-def _exact(case: Case, sized: Sized, rest: dict[str, float]) -> bool:
-    """Whether it is a member of the exact class here: nothing is left of it beyond the
-    other.
-    """
+def _is_exact(case: Case, sized: Sized, distances: dict[str, float]) -> bool:
+    """Whether it is a member of the exact class here: the other one absorbs it whole."""
+    if sized.effect.name not in effects.EXACT:
+        return False
     whole = case.metric.size(sized.change)
-    return sized.effect.name in effects.EXACT and all(
-        rest.get(n, whole) < 0.02 * whole for n in effects.EXACT
-    )
+    return all(distances.get(n, whole) < 0.02 * whole for n in effects.EXACT)
 
 
-def _told(case: Case, sized: Sized, rest: dict[str, float]) -> dict[str, object]:
+def _effect_label(
+    case: Case,
+    sized: Sized,
+    distances: dict[str, float],
+) -> dict[str, object]:
+    """What the label states of an effect."""
     effect = sized.effect
-    nearest = min(rest, key=lambda n: rest[n])
+    nearest = min(distances, key=lambda n: distances[n])
     total = case.metric.size(sized.change)
-    own = rest.get(effect.name, total)
+    beyond_textbook = distances.get(effect.name, total)
+    sizes = {k: v * sized.amplitude for k, v in effect.unit.items()}
     return {
         "name": effect.name,
         "unknown": not sized.known,
@@ -340,19 +356,17 @@ def _told(case: Case, sized: Sized, rest: dict[str, float]) -> dict[str, object]
         "amplitude_um": round(1e6 * sized.amplitude, 5),
         "words": _words(sized),
         "blocks": list(effect.blocks),
-        "about": (
-            effect.about | {k: v * sized.amplitude for k, v in effect.unit.items()}
-        ),
+        "about": effect.about | sizes,
         "legs": _leg_shares(case, sized),
-        "beyond_textbook": round(own, 4),
+        "beyond_textbook": round(beyond_textbook, 4),
         "nearest": nearest,
-        "beyond_nearest": round(rest[nearest], 4),
-        "beyond": {n: round(v, 3) for n, v in rest.items()},
+        "beyond_nearest": round(distances[nearest], 4),
+        "beyond": {n: round(v, 3) for n, v in distances.items()},
     }
 
 
 def _words(sized: Sized) -> str:
-    """The size for people: `0.37 um at most, gap_um 0.74, leg 2`."""
+    """The size in words: `0.37 um at most, gap_um 0.74, leg 2`."""
     effect = sized.effect
     parts = [f"{1e6 * sized.amplitude:.3g} um at most"]
     parts += [f"{k} {v * sized.amplitude:.3g}" for k, v in effect.unit.items()]

@@ -1,14 +1,13 @@
-"""How large an effect must be to be seen, and how far its forms depart from the
-textbook: a table for people.
+"""Table of how large effects must be to be visible, and how far from the textbook.
 
 For each effect and machine, medians over drawn forms on one "full" plan with white
 noise:
 
-    um        largest addition at a joint, a place or a reading that gives sqrt(lambda)
-              = 10
-    own       share of sqrt(lambda) that the effect's own textbook form leaves
-    nearest   share that the best textbook form of any known effect leaves, and most
-              often whose
+    um          largest addition at a joint, a place or a reading that gives
+                sqrt(lambda) = 10
+    textbook    share of sqrt(lambda) that the effect's textbook form cannot absorb
+    nearest     share that the best textbook form of any known effect cannot absorb, and
+                most often whose
 """
 
 from __future__ import annotations
@@ -21,22 +20,22 @@ import numpy as np
 from benchmarks.blind.generator import effects, noise, plans, scene, severity, textbook
 from benchmarks.blind.generator.effects import Stage
 from benchmarks.blind.generator.effects.thermal import climate
-from benchmarks.blind.generator.machines import Array
+from benchmarks.blind.generator.machine import Array
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
+class FormRow:
     """A line of the table; see the module."""
 
     effect: str
     machine: str
     um: float
-    own: float
+    textbook: float
     nearest: float
     name: str
 
 
-def rows(machine: str, draws: int, seed: int) -> list[Row]:
+def rows(machine: str, draws: int, seed: int) -> list[FormRow]:
     """The table of one machine."""
     rng = np.random.default_rng([seed, 77])
     plan = plans.draw(rng, machine, "full")
@@ -49,36 +48,29 @@ def rows(machine: str, draws: int, seed: int) -> list[Row]:
     for name in known + effects.unknown_on(machine):
         form = effects.KNOWN[name] if name in known else effects.UNKNOWN[name]
         for k in range(draws):
-            change = base.response(
-                form(np.random.default_rng([seed, k]), stage).push(1e-6)
-            )
+            effect = form(np.random.default_rng([seed, k]), stage)
+            change = base.response(effect.push(1e-6))
             size = metric.size(change)
             if size > 1e-3:  # some forms leave no trace on some plans
                 drawn.append((name, size, change / size))
-    left = textbook.left(base, stage, metric, known, [change for _, _, change in drawn])
-    found = []
+    changes = [change for _, _, change in drawn]
+    distances = textbook.distances(base, stage, metric, known, changes)
+    table = []
     for name in dict.fromkeys(n for n, _, _ in drawn):
-        mine = [
-            (size, rest)
-            for (n, size, _), rest in zip(drawn, left, strict=True)
-            if n == name
-        ]
-        best = [min(rest, key=rest.__getitem__) for _, rest in mine]
-        found.append(
-            Row(
-                effect=name,
-                machine=machine,
-                um=float(np.median([10.0 / size for size, _ in mine])),
-                own=float(np.median([rest.get(name, 1.0) for _, rest in mine])),
-                nearest=float(
-                    np.median(
-                        [rest[b] for (_, rest), b in zip(mine, best, strict=True)]
-                    )
-                ),
-                name=Counter(best).most_common(1)[0][0],
-            )
+        numbers = [k for k, (n, _, _) in enumerate(drawn) if n == name]
+        by_draw = [distances[k] for k in numbers]
+        best = [min(by_form, key=by_form.__getitem__) for by_form in by_draw]
+        least = [min(by_form.values()) for by_form in by_draw]
+        row = FormRow(
+            effect=name,
+            machine=machine,
+            um=float(np.median([10.0 / drawn[k][1] for k in numbers])),
+            textbook=float(np.median([d.get(name, 1.0) for d in by_draw])),
+            nearest=float(np.median(least)),
+            name=Counter(best).most_common(1)[0][0],
         )
-    return found
+        table.append(row)
+    return table
 
 
 def markdown(machines: tuple[str, ...], draws: int, seed: int) -> str:
@@ -91,11 +83,13 @@ def markdown(machines: tuple[str, ...], draws: int, seed: int) -> str:
     for name in (*effects.KNOWN, *effects.UNKNOWN):
         cells = []
         for m in machines:
-            r = table[m].get(name)
-            cells.append(
-                "-"
-                if r is None
-                else f"{r.um:.3g} um, {r.own:.2f}, {r.nearest:.2f} {r.name}"
-            )
+            cells.append(_cell(table[m].get(name)))
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _cell(row: FormRow | None) -> str:
+    if row is None:
+        return "-"
+    figures = f"{row.um:.3g} um, {row.textbook:.2f}, {row.nearest:.2f}"
+    return f"{figures} {row.name}"

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from benchmarks.blind.generator.machines import Array, cayley, norm
+from benchmarks.blind.generator.machine import Array, cayley, norm
 
 STATE = 6  # columns of s
 

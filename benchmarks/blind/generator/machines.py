@@ -1,442 +1,31 @@
-"""Five machines as exact closures in plain NumPy, with every number free to differ from
-row to row.
-
-A pose is the reference tool point, and for machines that turn a Gibbs vector g (tangent
-of half the angle, times the axis) against the commanded orientation R0, so that the
-platform's rotation is R0 C(g) with the rational map C. All of it is polynomial or a
-root, so that complex input passes through and slopes come by the complex step. SI: m,
-rad, N.
-
-Parameters (names, nominal values, tolerances) mean what the models of the same machines
-mean; `extras` behind them are what no calibration knows (a carriage beside its guide).
-"""
+"""The five machines of the benchmark, their legs, and poses by the exact closure."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]  # real, or complex for slopes
-STEP = 1e-30  # complex step
-XYZ = "xyz"
-
-
-@dataclasses.dataclass(frozen=True)
-class Pose:
-    """Commanded poses of n rows: x (n, nx), R0 (n, 3, 3) and the joints q (n, nq) of
-    the nominal machine.
-    """
-
-    x: Array
-    R0: Array
-    q: Array
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Machine:
-    """A machine. Shapes: x (n, nx), R0 (n, 3, 3), q (n, nq), p (n, np + extras).
-
-    closure   (x, R0, q, p) -> (n, nx), zero when assembled; m
-    inverse   (command (n, dof), tool (n,)) -> Pose of the nominal machine; tool: length
-              added along the tool's axis
-    turns     whether the platform turns
-    tolerance prior standard deviations (np,); 0 where a parameter only chooses the base
-    frame
-    weight    N, order of the moving mass's weight;  com: its centre behind the tool
-              point along the tool, m
-    growth    spread (legs,) -> dp (np + extras,): the frame's unit expansion, by each
-              leg's share
-    """
-
-    name: str
-    command: tuple[tuple[str, str], ...]
-    legs: int
-    parameters: tuple[str, ...]
-    nominal: Array
-    tolerance: Array
-    extras: tuple[str, ...]
-    closure: Callable[[Array, Array, Array, Array], Array]
-    inverse: Callable[[Array, Array], Pose]
-    turns: bool
-    weight: float
-    com: float
-    growth: Callable[[Array], Array]
-
-    @property
-    def full(self) -> Array:
-        """Nominal parameters with the extras, (np + extras,)."""
-        return np.concatenate([self.nominal, np.zeros(len(self.extras))])
-
-    def column(self, name: str) -> int:
-        """Column of a parameter or extra."""
-        return (*self.parameters, *self.extras).index(name)
-
-
-def cayley(g: Array) -> Array:
-    """Rotation (n, 3, 3) of Gibbs vectors g (n, 3); exact and rational."""
-    g2 = (g * g).sum(-1)[:, None, None]
-    cross = np.zeros((len(g), 3, 3), g.dtype)
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -g[:, 2], g[:, 1], -g[:, 0]
-    cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = g[:, 2], -g[:, 1], g[:, 0]
-    return ((1 - g2) * np.eye(3) + 2 * g[:, :, None] * g[:, None, :] + 2 * cross) / (
-        1 + g2
-    )
-
-
-def rotation(machine: Machine, x: Array, R0: Array) -> Array:
-    """Platform to base, (n, 3, 3)."""
-    return R0 @ cayley(x[:, 3:6]) if machine.turns else R0
-
-
-def tip(machine: Machine, x: Array, R0: Array, tool: Array) -> Array:
-    """Tool point (n, 3) of tools `tool` (n,) longer than the reference's."""
-    if machine.name == "planar":
-        return np.stack([0 * x[:, 0], x[:, 0], x[:, 1]], -1)
-    if not machine.turns:
-        return x[:, :3]
-    return x[:, :3] + tool[:, None] * rotation(machine, x, R0)[:, :, 2]
-
-
-def norm(v: Array) -> Array:
-    """Euclidean norm over the last axis without conjugation, for the complex step."""
-    return np.sqrt((v * v).sum(-1))
-
-
-def about(axis: int, angle: Array) -> Array:
-    """Rotation (n, 3, 3) about a base axis."""
-    c, s, o, i = np.cos(angle), np.sin(angle), 0 * angle, 0 * angle + 1
-    z = np.stack(
-        [np.stack([c, -s, o], -1), np.stack([s, c, o], -1), np.stack([o, o, i], -1)], -2
-    )
-    order = [(2 + 0 - axis + k) % 3 for k in range(3)]
-    return z[:, order][:, :, order]
-
-
-def _points(p: Array, start: int, nominal: Array) -> Array:
-    """Joint centres (n, k, 3): nominal (k, 3) plus the errors in columns start.. of p."""
-    k = len(nominal)
-    return nominal + p[:, start : start + 3 * k].reshape(-1, k, 3)
-
-
-# -- A3 head: three extensible struts on revolute joints -------------------------------
-
-_A, _B, _C, _D = 0.250, 0.250, 0.526, 0.540  # m, Tian et al. 2016, Table 1
-_FI = 2 * np.pi * np.arange(3) / 3 - np.pi / 2
-_OUT = np.stack([np.cos(_FI), np.sin(_FI), np.zeros(3)], -1)
-_AXIS = np.stack([-np.sin(_FI), np.cos(_FI), np.zeros(3)], -1)  # of the revolute joints
-_A3_BASE, _A3_LOCAL = _B * _OUT, _A * _OUT - np.array([0.0, 0.0, _C])
-
-
-def _a3_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
-    R = R0 @ cayley(x[:, 3:6])
-    joint = x[:, None, :3] + _points(p, 12, _A3_LOCAL) @ np.swapaxes(R, 1, 2)
-    v, length = joint - _points(p, 3, _A3_BASE), q + p[:, 0:3]
-    return np.concatenate(
-        [norm(v) - length, (v * _AXIS).sum(-1) - length * np.sin(p[:, 21:24])], -1
-    )
-
-
-def _a3_inverse(command: Array, tool: Array) -> Pose:
-    z, psi, theta = command.T
-    R0 = about(2, psi) @ about(0, theta) @ about(2, -psi)
-    lean, reach = _A / 2 * (1 - np.cos(theta)), (_C + tool) * np.sin(theta)
-    point = np.stack(
-        [
-            lean * np.sin(2 * psi) + reach * np.sin(psi),
-            lean * np.cos(2 * psi) - reach * np.cos(psi),
-            z,
-        ],
-        -1,
-    )
-    point = point - tool[:, None] * R0[:, :, 2]
-    legs = point[:, None] + _A3_LOCAL @ np.swapaxes(R0, 1, 2) - _A3_BASE
-    return Pose(np.hstack([point, np.zeros((len(z), 3))]), R0, norm(legs))
-
-
-def _growth_points(start: int, places: Array, width: int) -> Callable[[Array], Array]:
-    def growth(spread: Array) -> Array:
-        dp = np.zeros(width)
-        dp[start : start + places.size] = (spread[:, None] * places).ravel()
-        return dp
-
-    return growth
-
-
-_A3_NAMES = (
-    *(f"dq{i}" for i in (1, 2, 3)),
-    *(f"db{i}{k}" for i in (1, 2, 3) for k in XYZ),
-    *(f"da{i}{k}" for i in (1, 2, 3) for k in XYZ),
-    *(f"beta{i}" for i in (1, 2, 3)),
-)
-_HELD = ("db1x", "db2y", "db3y", "db1z", "db2z", "db3z")
-A3 = Machine(
-    name="a3",
-    command=(("z", "mm"), ("psi", "deg"), ("theta", "deg")),
-    legs=3,
-    parameters=_A3_NAMES,
-    nominal=np.zeros(24),
-    tolerance=np.array(
-        [
-            0.0 if n in _HELD else 10e-3 if n.startswith("beta") else 1e-3
-            for n in _A3_NAMES
-        ]
-    ),
-    extras=(),
-    closure=_a3_closure,
-    inverse=_a3_inverse,
-    turns=True,
-    weight=600.0,
-    com=-0.25,
-    growth=_growth_points(3, _A3_BASE, 24),
-)
-
-# -- planar manipulator: two sliders, two struts ---------------------------------------
-
-_PD, _PL = 3.584, 3.350  # m, Chang, Li and Li 2011
-_SIDE = np.array([-0.5, 0.5])
-_PLANAR_TOLERANCE = np.array([0.5e-3, 0.5e-3, 0.5e-3, 0.5e-3, 0.5e-3, 0.3e-3, 0.3e-3])
-
-
-def _planar_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
-    travel, tilt = q + p[:, 1:3], p[:, 5:7]
-    y = _SIDE * p[:, 0:1] - travel * np.sin(tilt) + p[:, 7:9]
-    z = travel * np.cos(tilt)
-    return np.sqrt((x[:, 0:1] - y) ** 2 + (x[:, 1:2] - z) ** 2) - p[:, 3:5]
-
-
-def _planar_inverse(command: Array, tool: Array) -> Pose:
-    q = command[:, 1:] + np.sqrt(_PL**2 - (command[:, :1] - _SIDE * _PD) ** 2)
-    return Pose(command.copy(), np.tile(np.eye(3), (len(command), 1, 1)), q)
-
-
-def _planar_growth(spread: Array) -> Array:
-    dp = np.zeros(9)
-    dp[0], dp[7:9] = _PD, _SIDE * _PD * (spread - 1.0)
-    return dp
-
-
-PLANAR = Machine(
-    name="planar",
-    command=(("y", "mm"), ("z", "mm")),
-    legs=2,
-    parameters=("D", "z1", "z2", "l1", "l2", "beta1", "beta2"),
-    nominal=np.array([_PD, 0.0, 0.0, _PL, _PL, 0.0, 0.0]),
-    tolerance=_PLANAR_TOLERANCE,
-    extras=("side1", "side2"),
-    closure=_planar_closure,
-    inverse=_planar_inverse,
-    turns=False,
-    weight=1500.0,
-    com=0.0,
-    growth=_planar_growth,
-)
-
-# -- linear delta ----------------------------------------------------------------------
-
-_DR, _DL, _DE = 0.16175, 0.345, 0.420  # m, FLSun V400
-_DA = np.deg2rad([210.0, 330.0, 90.0])
-_DELTA_NAMES = (
-    "radius",
-    "arm1",
-    "arm2",
-    "arm3",
-    "angle1",
-    "angle2",
-    "angle3",
-    "endstop1",
-    "endstop2",
-    "endstop3",
-)
-
-
-def _delta_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
-    radius, arm, angle = p[:, 0:1], p[:, 1:4], p[:, 4:7]
-    height = p[:, 7:10] + np.sqrt(arm**2 - radius**2) - q
-    outward, sideways = radius + p[:, 10:13], p[:, 13:16]
-    cx = outward * np.cos(angle) - sideways * np.sin(angle)
-    cy = outward * np.sin(angle) + sideways * np.cos(angle)
-    return (
-        np.sqrt(
-            (x[:, 0:1] - cx) ** 2 + (x[:, 1:2] - cy) ** 2 + (x[:, 2:3] - height) ** 2
-        )
-        - arm
-    )
-
-
-def _delta_inverse(command: Array, tool: Array) -> Pose:
-    flat = (command[:, :1] - _DR * np.cos(_DA)) ** 2 + (
-        command[:, 1:2] - _DR * np.sin(_DA)
-    ) ** 2
-    q = _DE + np.sqrt(_DL**2 - _DR**2) - command[:, 2:] - np.sqrt(_DL**2 - flat)
-    return Pose(command.copy(), np.tile(np.eye(3), (len(command), 1, 1)), q)
-
-
-def _delta_growth(spread: Array) -> Array:
-    dp = np.zeros(16)
-    dp[0], dp[10:13] = _DR, _DR * (spread - 1.0)
-    return dp
-
-
-DELTA = Machine(
-    name="delta",
-    command=(("x", "mm"), ("y", "mm"), ("z", "mm")),
-    legs=3,
-    parameters=_DELTA_NAMES,
-    nominal=np.array([_DR, _DL, _DL, _DL, *_DA, _DE, _DE, _DE]),
-    tolerance=np.array(
-        [0.5e-3, 1e-3, 1e-3, 1e-3, 3.5e-3, 3.5e-3, 0.0, 1.5e-3, 1.5e-3, 1.5e-3]
-    ),
-    extras=("out1", "out2", "out3", "side1", "side2", "side3"),
-    closure=_delta_closure,
-    inverse=_delta_inverse,
-    turns=False,
-    weight=8.0,
-    com=0.0,
-    growth=_delta_growth,
-)
-
-# -- hexapod ---------------------------------------------------------------------------
-
-
-def _ring(radius: float, half: float, height: float) -> Array:
-    angle = np.deg2rad(
-        [120.0 * (i // 2) + (half if i % 2 else -half) for i in range(6)]
-    )
-    return np.stack(
-        [radius * np.cos(angle), radius * np.sin(angle), np.full(6, height)], -1
-    )
-
-
-_HEX_BASE, _HEX_LOCAL = _ring(0.300, 15.0, 0.0), _ring(0.200, 45.0, 0.100)
-
-
-def _hex_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
-    R = R0 @ cayley(x[:, 3:6])
-    joint = x[:, None, :3] + _points(p, 18, _HEX_LOCAL) @ np.swapaxes(R, 1, 2)
-    return norm(joint - _points(p, 0, _HEX_BASE)) - q - p[:, 36:42]
-
-
-def _hex_inverse(command: Array, tool: Array) -> Pose:
-    rx, ry, spin = command[:, 3:].T
-    theta, psi = np.hypot(rx, ry), np.arctan2(ry, rx)
-    R0 = about(2, psi) @ about(0, theta) @ about(2, -psi) @ about(2, spin)
-    point = command[:, :3] - tool[:, None] * R0[:, :, 2]
-    legs = point[:, None] + _HEX_LOCAL @ np.swapaxes(R0, 1, 2) - _HEX_BASE
-    return Pose(np.hstack([point, np.zeros((len(rx), 3))]), R0, norm(legs))
-
-
-HEXAPOD = Machine(
-    name="hexapod",
-    command=(
-        ("x", "mm"),
-        ("y", "mm"),
-        ("z", "mm"),
-        ("rx", "deg"),
-        ("ry", "deg"),
-        ("spin", "deg"),
-    ),
-    legs=6,
-    parameters=(
-        *(f"db{i}{k}" for i in range(1, 7) for k in XYZ),
-        *(f"da{i}{k}" for i in range(1, 7) for k in XYZ),
-        *(f"dl{i}" for i in range(1, 7)),
-    ),
-    nominal=np.zeros(42),
-    tolerance=np.concatenate([np.full(36, 0.3e-3), np.full(6, 0.5e-3)]),
-    extras=(),
-    closure=_hex_closure,
-    inverse=_hex_inverse,
-    turns=True,
-    weight=300.0,
-    com=0.12,
-    growth=_growth_points(0, _HEX_BASE, 42),
-)
-
-# -- hexaglide -------------------------------------------------------------------------
-
-_GLIDE_STRUT, _GLIDE_END = (
-    0.800,
-    -1.200,
-)  # m; x of the guides' ends, from which travel counts
-_GLIDE_SIDE = np.tile([-1.0, 1.0], 3)  # of the platform, on which each carriage is
-_GLIDE_BASE = np.repeat(
-    [[_GLIDE_END, -0.250, 0.800], [_GLIDE_END, 0.0, 0.800], [_GLIDE_END, 0.550, 0.500]],
-    2,
-    axis=0,
-)
-_GLIDE_LOCAL = np.repeat(
-    [[0.060, -0.200, 0.100], [0.170, 0.0, 0.050], [0.030, 0.100, 0.100]], 2, axis=0
-)
-_GLIDE_LOCAL[:, 0] *= _GLIDE_SIDE
-
-
-def _glide_carriage(q: Array) -> Array:
-    """Nominal carriages (n, 6, 3) at travels q (n, 6)."""
-    return _GLIDE_BASE + q[:, :, None] * np.array([1.0, 0.0, 0.0])
-
-
-def _glide_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
-    R = R0 @ cayley(x[:, 3:6])
-    joint = x[:, None, :3] + _points(p, 18, _GLIDE_LOCAL) @ np.swapaxes(R, 1, 2)
-    aside = p[:, 6:18].reshape(-1, 6, 2) + np.stack([p[:, 48:54], p[:, 42:48]], -1)
-    carriage = _glide_carriage(q) + np.concatenate([p[:, :6, None], aside], -1)
-    return norm(joint - carriage) - _GLIDE_STRUT - p[:, 36:42]
-
-
-def _glide_inverse(command: Array, tool: Array) -> Pose:
-    pose = _hex_inverse(
-        command, tool
-    )  # the pose is told alike; the travel is the side of a right-angled triangle
-    away = pose.x[:, None, :3] + _GLIDE_LOCAL @ np.swapaxes(pose.R0, 1, 2) - _GLIDE_BASE
-    along = np.sqrt(_GLIDE_STRUT**2 - away[:, :, 1] ** 2 - away[:, :, 2] ** 2)
-    return dataclasses.replace(pose, q=away[:, :, 0] + _GLIDE_SIDE * along)
-
-
-def _glide_growth(spread: Array) -> Array:
-    dp = np.zeros(
-        54
-    )  # guides move apart; along them the scales, not the frame, say where a carriage is
-    dp[6:18] = (spread[:, None] * _GLIDE_BASE[:, 1:]).ravel()
-    return dp
-
-
-HEXAGLIDE = Machine(
-    name="hexaglide",
-    command=HEXAPOD.command,
-    legs=6,
-    parameters=(
-        *(f"dq{i}" for i in range(1, 7)),
-        *(f"db{i}{k}" for i in range(1, 7) for k in "yz"),
-        *(f"da{i}{k}" for i in range(1, 7) for k in XYZ),
-        *(f"dl{i}" for i in range(1, 7)),
-    ),
-    nominal=np.zeros(42),
-    tolerance=np.repeat([0.5e-3, 0.3e-3, 0.5e-3], [6, 30, 6]),
-    extras=(
-        *(f"out{i}" for i in range(1, 7)),
-        *(f"side{i}" for i in range(1, 7)),
-    ),  # up, and across in the level
-    closure=_glide_closure,
-    inverse=_glide_inverse,
-    turns=True,
-    weight=250.0,
-    com=0.12,
-    growth=_glide_growth,
-)
+from benchmarks.blind.generator import a3, delta, hexaglide, hexapod, planar
+from benchmarks.blind.generator.a3 import A3
+from benchmarks.blind.generator.delta import DELTA
+from benchmarks.blind.generator.hexaglide import HEXAGLIDE
+from benchmarks.blind.generator.hexapod import HEXAPOD
+from benchmarks.blind.generator.machine import Array, Machine, Pose, norm, slope
+from benchmarks.blind.generator.planar import PLANAR
 
 MACHINES = {m.name: m for m in (A3, PLANAR, DELTA, HEXAPOD, HEXAGLIDE)}
-
-
-# -- joints and slopes -----------------------------------------------------------------
+LEG_VECTORS = {
+    "a3": a3.leg_vectors,
+    "planar": planar.leg_vectors,
+    "delta": delta.leg_vectors,
+    "hexapod": hexapod.leg_vectors,
+    "hexaglide": hexaglide.leg_vectors,
+}
 
 
 def joint_columns(machine: Machine, leg: int) -> tuple[list[int], list[int]]:
-    """Columns of p that place the base joint (or carriage) and the platform joint of a
-    leg; empty where none do.
+    """Columns of p that place a leg's base joint (or carriage) and platform joint.
+
+    Empty where none do.
     """
     if machine.name == "a3":
         return [3 + 3 * leg + k for k in range(3)], [12 + 3 * leg + k for k in range(3)]
@@ -450,51 +39,17 @@ def joint_columns(machine: Machine, leg: int) -> tuple[list[int], list[int]]:
 
 
 def leg_direction(machine: Machine, pose: Pose) -> Array:
-    """Unit vectors (n, legs, 3), base joint or carriage to platform, of the nominal
-    machine.
-    """
-    if machine.name in ("a3", "hexapod"):
-        base, local = (
-            (_A3_BASE, _A3_LOCAL) if machine.name == "a3" else (_HEX_BASE, _HEX_LOCAL)
-        )
-        v = pose.x[:, None, :3] + local @ np.swapaxes(pose.R0, 1, 2) - base
-    elif machine.name == "hexaglide":
-        v = (
-            pose.x[:, None, :3]
-            + _GLIDE_LOCAL @ np.swapaxes(pose.R0, 1, 2)
-            - _glide_carriage(pose.q)
-        )
-    elif machine.name == "planar":
-        foot = np.stack(
-            [0 * pose.q, np.broadcast_to(_SIDE * _PD, pose.q.shape), pose.q], -1
-        )
-        v = np.stack([0 * pose.x[:, 0], pose.x[:, 0], pose.x[:, 1]], -1)[:, None] - foot
-    else:
-        ring = np.broadcast_to(
-            _DR * np.stack([np.cos(_DA), np.sin(_DA)], -1), (len(pose.q), 3, 2)
-        )
-        height = _DE + np.sqrt(_DL**2 - _DR**2) - pose.q
-        v = pose.x[:, None, :] - np.concatenate([ring, height[:, :, None]], -1)
+    """Unit vectors (n, legs, 3) of the nominal machine's legs towards the platform."""
+    v = LEG_VECTORS[machine.name](pose)
     return v / norm(v)[..., None]
-
-
-def slope(f: Callable[[Array], Array], v: Array) -> Array:
-    """df/dv (n, m, k) of f: (n, k) -> (n, m), row by row, by the complex step."""
-    columns = []
-    for j in range(v.shape[1]):
-        w = v.astype(complex)
-        w[:, j] += 1j * STEP
-        columns.append(f(w).imag / STEP)
-    return np.stack(columns, -1)
 
 
 def settle(
     machine: Machine, start: Array, R0: Array, q: Array, p: Array
 ) -> tuple[Array, Array]:
-    """Pose x (n, nx) that closes the machine, by Newton, and the inverse (n, nx, nx) of
-    the last slope.
+    """Pose x (n, nx) that closes the machine, by Newton.
 
-    Raises ArithmeticError where it does not converge.
+    The second result is the inverse (n, nx, nx) of the last slope. Raises ArithmeticError where it does not converge.
     """
     x = start
     for _ in range(12):
@@ -502,10 +57,8 @@ def settle(
         step = np.einsum("nij,nj->ni", inverse, machine.closure(x, R0, q, p))
         x = x - step
         if np.abs(step).max() < 1e-9:
-            return (
-                x - np.einsum("nij,nj->ni", inverse, machine.closure(x, R0, q, p)),
-                inverse,
-            )
+            last = machine.closure(x, R0, q, p)
+            return x - np.einsum("nij,nj->ni", inverse, last), inverse
     raise ArithmeticError(
         f"{machine.name}: the pose does not settle ({np.abs(step).max():.1e})"
     )
@@ -514,8 +67,9 @@ def settle(
 def nearby(
     machine: Machine, start: Array, inverse: Array, R0: Array, q: Array, p: Array
 ) -> Array:
-    """As `settle`, for small changes of q and p: a fixed slope will do. Raises
-    ArithmeticError.
+    """As `settle`, for small changes of q and p, with a fixed slope.
+
+    Raises ArithmeticError.
     """
     x = start
     for _ in range(40):

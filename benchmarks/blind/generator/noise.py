@@ -16,8 +16,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from benchmarks.blind.generator.machines import Array
-from benchmarks.blind.generator.plans import REFERENCE, Index, Plan
+from benchmarks.blind.generator.machine import Array
+from benchmarks.blind.generator.plans import REFERENCE, Plan
+from benchmarks.blind.generator.runs import Index
 from benchmarks.blind.generator.scene import Layout
 
 LAWS = ("white", "correlated", "heavy", "run", "combined")
@@ -126,13 +127,13 @@ def grouping(plan: Plan, layout: Layout) -> Grouping:
 
 def covariance(law: Law, group: Grouping) -> Array:
     """Sigma (N, N) of the readings, m^2."""
-    own = law.level**2
+    variance = law.level**2
     if law.dof:
-        own *= (law.dof + 3.0) / (law.dof + 1.0)
-    found = np.diag(own / (1.0 - law.outliers) * group.sigma**2)
+        variance *= (law.dof + 3.0) / (law.dof + 1.0)
+    matrix = np.diag(variance / (1.0 - law.outliers) * group.sigma**2)
     for at in group.groups():
-        found[np.ix_(at, at)] += group.sigma[at[0]] ** 2 * _shared(law, group, at)
-    return found
+        matrix[np.ix_(at, at)] += group.sigma[at[0]] ** 2 * _shared(law, group, at)
+    return matrix
 
 
 def _shared(law: Law, group: Grouping, at: Index) -> Array:

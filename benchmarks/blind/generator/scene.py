@@ -13,16 +13,10 @@ import dataclasses
 import numpy as np
 
 from benchmarks.blind.generator.instruments import STATE
-from benchmarks.blind.generator.machines import (
-    Array,
-    Pose,
-    leg_direction,
-    nearby,
-    settle,
-    slope,
-    tip,
-)
-from benchmarks.blind.generator.plans import READ, Index, Plan
+from benchmarks.blind.generator.machine import Array, Pose, slope, tip
+from benchmarks.blind.generator.machines import leg_direction, nearby, settle
+from benchmarks.blind.generator.plans import READ, Plan
+from benchmarks.blind.generator.runs import Index
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -125,11 +119,11 @@ class Motion:
         by_x = slope(lambda v: machine.closure(v, pose.R0, pose.q, p), pose.x)
         by_q = slope(lambda v: machine.closure(pose.x, pose.R0, v, p), pose.q)
         dx = -np.linalg.solve(by_x, by_q)
-        found = []
+        lifts = []
         for tool in (plan.tool, plan.tool * 0 + machine.com):
             up = slope(lambda v, t=tool: tip(machine, v, pose.R0, t)[:, 2:], pose.x)  # type: ignore[misc]
-            found.append((up @ dx)[:, 0])
-        return found[0], found[1]
+            lifts.append((up @ dx)[:, 0])
+        return lifts[0], lifts[1]
 
 
 class Scene:

@@ -1,9 +1,9 @@
-"""How visible an effect is to the best possible test: lambda = dy^T M dy with M =
-(Sigma + J Lambda J^T)^-1.
+"""Severity of an effect, its visibility to the best possible test: lambda = dy^T M dy.
 
-dy is the exact nonlinear difference of the noise-free readings, J the slopes over
-parameters and set-up unknowns at the true machine, Lambda their tolerances squared. A
-flat direction (another effect, of free size) can be absorbed as well.
+M = (Sigma + J Lambda J^T)^-1. dy is the exact nonlinear difference of the noise-free
+readings, J the slopes over parameters and set-up unknowns at the true machine, Lambda
+their tolerances squared. A flat direction (another effect, of free size) can be
+absorbed as well.
 """
 
 from __future__ import annotations
@@ -13,15 +13,13 @@ from collections.abc import Callable
 import numpy as np
 from scipy import linalg
 
-from benchmarks.blind.generator.machines import Array
+from benchmarks.blind.generator.machine import Array
 
 Size = Callable[[Array], float]
 
 
 class Metric:
-    """The metric M of a case; `seen(v)` (N, k) are vectors in coordinates in which M is
-    the identity.
-    """
+    """The metric M of a case, with coordinates in which it is the identity."""
 
     def __init__(self, sigma: Array, J: Array, prior: Array) -> None:
         self._root = linalg.cholesky(sigma, lower=True, check_finite=False)
@@ -34,7 +32,7 @@ class Metric:
             linalg.solve_triangular(self._root, v, lower=True, check_finite=False)
         )
 
-    def seen(self, v: Array) -> Array:
+    def embed(self, v: Array) -> Array:
         """M^1/2 v for v (N,) or (N, k)."""
         w = self._white(v)
         shrink = self._shrink if w.ndim == 1 else self._shrink[:, None]
@@ -42,48 +40,51 @@ class Metric:
 
     def size(self, v: Array) -> float:
         """sqrt(lambda) of a difference of readings v (N,)."""
-        return float(np.linalg.norm(self.seen(v)))
+        return float(np.linalg.norm(self.embed(v)))
 
-    def beside(self, way: Array) -> Size:
-        """As `size`, once the direction `way` (N,), in the coordinates of `seen`, is
-        absorbed.
-        """
-        unit = way / np.linalg.norm(way)
+    def size_without(self, direction: Array) -> Size:
+        """As `size`, once a direction (N,) in the metric's coordinates is absorbed."""
+        unit = direction / np.linalg.norm(direction)
 
         def size(v: Array) -> float:
-            seen = self.seen(v)
-            return float(np.linalg.norm(seen - (seen @ unit) * unit))
+            embedded = self.embed(v)
+            return float(np.linalg.norm(embedded - (embedded @ unit) * unit))
 
         return size
 
 
-def beyond(seen: Array, columns: Array) -> float:
-    """Length of what is left of `seen` (N,) once columns (N, k), in the same
-    coordinates, are absorbed freely.
+def distance(vector: Array, columns: Array) -> float:
+    """Length of what columns (N, k) cannot absorb of a vector (N,).
+
+    All are in the metric's coordinates; the columns' sizes are free.
     """
     size = np.linalg.norm(columns, axis=0)
-    kept = columns[:, size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)]
-    if not kept.shape[1]:
-        return float(np.linalg.norm(seen))
-    kept = kept / np.linalg.norm(kept, axis=0)
-    values, vectors = np.linalg.eigh(kept.T @ kept)
+    least = 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
+    regular = columns[:, size > least]
+    if not regular.shape[1]:
+        return float(np.linalg.norm(vector))
+    regular = regular / np.linalg.norm(regular, axis=0)
+    values, vectors = np.linalg.eigh(regular.T @ regular)
     good = values > 1e-10 * values[-1]
-    share = vectors[:, good].T @ (kept.T @ seen)
-    return float(
-        np.sqrt(max(float(seen @ seen) - float((share**2 / values[good]).sum()), 0.0))
-    )
+    share = vectors[:, good].T @ (regular.T @ vector)
+    absorbed = float((share**2 / values[good]).sum())
+    return float(np.sqrt(max(float(vector @ vector) - absorbed, 0.0)))
 
 
 def amplitude(
-    change: Callable[[float], Array], wanted: Size, target: float, start: float
+    change: Callable[[float], Array],
+    size: Size,
+    target: float,
+    start: float,
 ) -> float:
-    """The amplitude at which `wanted(change(a))` is the target; secant steps from
-    `start`. Raises ArithmeticError.
+    """The amplitude a at which `size(change(a))` is the target.
+
+    Secant steps from `start`. Raises ArithmeticError.
     """
     a0, f0 = 0.0, 0.0
     a = start
     for _ in range(8):
-        f = wanted(change(a))
+        f = size(change(a))
         if not np.isfinite(f) or f <= 1e-12:
             raise ArithmeticError("this effect leaves no trace in the readings")
         if abs(f - target) < 2e-4 * target:

@@ -16,9 +16,9 @@ from numpy.polynomial.chebyshev import chebvander
 from benchmarks.blind.generator.effects.base import Stage, place_joints
 from benchmarks.blind.generator.effects.load import joint_force
 from benchmarks.blind.generator.instruments import STATE
-from benchmarks.blind.generator.machines import Array
+from benchmarks.blind.generator.machine import Array
 from benchmarks.blind.generator.scene import Push, Scene
-from benchmarks.blind.generator.severity import Metric, beyond
+from benchmarks.blind.generator.severity import Metric, distance
 
 Block = list[Push]
 TAUS = (600.0, 1800.0, 5400.0, 14400.0)
@@ -224,21 +224,24 @@ FORMS: dict[str, Callable[[Stage], Iterator[Block]]] = {
 }
 
 
-def left(
+def distances(
     scene: Scene,
     stage: Stage,
     metric: Metric,
     names: tuple[str, ...],
     changes: list[Array],
 ) -> list[dict[str, float]]:
-    """For each difference of readings (N,), what sqrt(lambda) is left once each named
-    form's best alternative is absorbed with sizes free.
+    """sqrt(lambda) of each difference of readings (N,) that named forms cannot absorb.
+
+    The best alternative of each form counts, its sizes free.
     """
-    seen = [metric.seen(c) for c in changes]
-    found: list[dict[str, float]] = [{} for _ in changes]
+    vectors = [metric.embed(change) for change in changes]
+    least: list[dict[str, float]] = [{} for _ in changes]
     for name in names:
         for block in FORMS[name](stage):
-            columns = metric.seen(np.stack([scene.response(p) for p in block], -1))
-            for k, v in enumerate(seen):
-                found[k][name] = min(found[k].get(name, np.inf), beyond(v, columns))
-    return found
+            responses = np.stack([scene.response(p) for p in block], -1)
+            columns = metric.embed(responses)
+            for by_name, vector in zip(least, vectors, strict=True):
+                remaining = distance(vector, columns)
+                by_name[name] = min(by_name.get(name, np.inf), remaining)
+    return least

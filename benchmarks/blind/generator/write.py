@@ -1,13 +1,12 @@
 """Sets of cases on disk.
 
-    DIR/manifest.jsonl         a line a case, in the order of names that tell nothing:
-                               id, study, readings
-    DIR/cases/ID.readings.csv  what a diagnosis may read
-    DIR/labels.jsonl           what only the scorer may read
-    DIR/truth/ID.npz           likewise: see `truth`
+    DIR/manifest.jsonl           a line a case, in the order of names that reveal nothing:
+                                 id, study, readings
+    DIR/cases/ID.readings.csv    what a diagnosis may read
+    DIR/labels.jsonl             what only the scorer may read
+    DIR/truth/ID.npz             likewise: see `truth`
 
-Cases that are there already are left alone, so that a run can be taken up again; the
-lists are made anew.
+Existing cases stay, so that an interrupted run can go on; the lists are written again.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +23,9 @@ import pandas as pd
 
 from benchmarks.blind.generator import cases, noise
 from benchmarks.blind.generator.cases import Case
-from benchmarks.blind.generator.machines import Array
-from benchmarks.blind.generator.plans import TEACH, Index
+from benchmarks.blind.generator.machine import Array
+from benchmarks.blind.generator.plans import TEACH
+from benchmarks.blind.generator.runs import Index
 
 
 def generate(
@@ -36,12 +36,14 @@ def generate(
     seed: int,
     machines: Collection[str] = (),
     kinds: Collection[str] = (),
-    told: Callable[[int, int], None] = lambda done, count: None,
+    report: Callable[[int, int], None] = lambda done, count: None,
 ) -> int:
-    """Write `count` cases of a set, of some machines and kinds only where these are
-    given; returns how many are new.
+    """Write `count` cases of a set; returns how many are new.
 
-    Case k is the same whatever else is asked for. Raises OSError, ValueError for
+    machines, kinds    only these, where given
+    report             takes the number of cases done, and of all
+
+    Case k does not depend on the other arguments. Raises OSError, ValueError for
     unknown names.
     """
     for folder in ("cases", "truth"):
@@ -50,17 +52,19 @@ def generate(
     new = 0
     labels, lines = [], []
     for done, k in enumerate(wanted):
-        label, made = _one(out, name, seed, k)
-        new += made
+        label, is_new = _one(out, name, seed, k)
+        new += is_new
         labels.append(label)
         lines.append(_line(label))
-        told(done + 1, len(wanted))
+        report(done + 1, len(wanted))
     order = np.argsort([str(line["id"]) for line in lines])
-    _replace(
-        out / "manifest.jsonl", "".join(json.dumps(lines[i]) + "\n" for i in order)
-    )
-    _replace(out / "labels.jsonl", "".join(json.dumps(labels[i]) + "\n" for i in order))
+    _replace(out / "manifest.jsonl", _as_lines([lines[i] for i in order]))
+    _replace(out / "labels.jsonl", _as_lines([labels[i] for i in order]))
     return new
+
+
+def _as_lines(records: Sequence[dict[str, object]]) -> str:
+    return "".join(json.dumps(record) + "\n" for record in records)
 
 
 def _numbers(
@@ -73,28 +77,27 @@ def _numbers(
                 raise ValueError(
                     f"set {name} has no {word!r}; it has {', '.join(known)}"
                 )
-    found: list[int] = []
+    numbers: list[int] = []
     k = 0
-    while len(found) < count:
+    while len(numbers) < count:
         if k > 1000 * (count + 1):
             raise ValueError(
                 f"set {name} has no case of {sorted(kinds)} on {sorted(machines)}"
             )
-        part = cases.role(seed, name, k)
-        if (not machines or part.machine in machines) and (
-            not kinds or part.kind in kinds
-        ):
-            found.append(k)
+        role = cases.role(seed, name, k)
+        of_machine = not machines or role.machine in machines
+        if of_machine and (not kinds or role.kind in kinds):
+            numbers.append(k)
         k += 1
-    return found
+    return numbers
 
 
 def _one(out: Path, name: str, seed: int, k: int) -> tuple[dict[str, object], bool]:
-    """The label of case k, made if it is not there; and whether it was made."""
+    """The label of case k, which is made if it is not there; and whether it is new."""
     key = cases.identity(seed, name, k)
-    kept = out / "truth" / f"{key}.json"
-    if kept.is_file():
-        return json.loads(kept.read_text(encoding="utf-8")), False
+    stored = out / "truth" / f"{key}.json"
+    if stored.is_file():
+        return json.loads(stored.read_text(encoding="utf-8")), False
     case = cases.make(seed, name, k)
     label = cases.label(case) | {"set": name, "study": case.stage.plan.study}
     _replace(
@@ -102,7 +105,7 @@ def _one(out: Path, name: str, seed: int, k: int) -> tuple[dict[str, object], bo
         table(case).to_csv(index=False, lineterminator="\n"),
     )
     np.savez(out / "truth" / f"{key}.npz", allow_pickle=False, **truth(case))
-    _replace(kept, json.dumps(label))
+    _replace(stored, json.dumps(label))
     return label, True
 
 
@@ -124,21 +127,21 @@ def _replace(path: Path, text: str) -> None:
 
 
 def table(case: Case) -> pd.DataFrame:
-    """The readings as a file shows them: text, empty where there is nothing."""
+    """The readings as a file has them: text, empty where there is no reading."""
     plan = case.stage.plan
     rows = np.flatnonzero(plan.kind != TEACH)
-    said: dict[str, list[str]] = {
+    cells: dict[str, list[str]] = {
         "setup": [plan.setups[k].name for k in plan.setup[rows]],
         "run": [plan.run_name(int(k)) for k in plan.run[rows]],
         "order": [str(k) for k in plan.order[rows]],
     }
     for k, (stem, unit) in enumerate(plan.machine.command):
         factor = {"mm": 1e3, "deg": 180.0 / np.pi}[unit]
-        said[f"{stem}_{unit}"] = [f"{v:.9f}" for v in plan.command[rows, k] * factor]
+        cells[f"{stem}_{unit}"] = [f"{v:.9f}" for v in plan.command[rows, k] * factor]
     for column, values, form in _covariates(case):
         if column in plan.columns:
-            said[column] = [form.format(v) for v in values[rows]]
-    return pd.DataFrame(said | _readings(case, rows))
+            cells[column] = [form.format(v) for v in values[rows]]
+    return pd.DataFrame(cells | _readings(case, rows))
 
 
 def _covariates(case: Case) -> list[tuple[str, Array, str]]:
@@ -174,36 +177,34 @@ def _readings(case: Case, rows: Index) -> dict[str, list[str]]:
 
 
 def truth(case: Case) -> dict[str, Array]:
-    """What the oracle needs: `dy_0`, `dy_1`, ... (N,) exact change by each effect
-    alone; `y0` without effects, `clean` with them, both free of noise; `y`; J (N, m)
-    with `prior` and `theta` (m,); the grouping and law of the noise.
+    """What the oracle needs, by name.
 
-    `covariance` makes Sigma (N, N) of it.
+    dy_0, dy_1, ...    (N,) exact change by each effect alone
+    y0, clean          (N,) readings without and with effects, both without noise
+    y                  (N,) readings
+    J                  (N, m) slopes
+    prior, theta       (m,) tolerances and values of the parameters, and their names
+    group_..., law     grouping and law of the noise: `covariance` makes Sigma of them
     """
-    found: dict[str, Array] = {f"dy_{i}": s.change for i, s in enumerate(case.sized)}
-    found |= {
+    arrays: dict[str, Array] = {f"dy_{i}": s.change for i, s in enumerate(case.sized)}
+    arrays |= {
         "y0": case.scene.y,
         "clean": case.clean,
         "y": case.y,
         "J": case.scene.J.astype(np.float32),
-    }
-    found |= {
         "prior": case.scene.prior,
         "theta": case.scene.theta,
         "names": np.array(case.scene.names),
     }
-    found |= {
-        f"group_{f.name}": getattr(case.group, f.name)
-        for f in dataclasses.fields(case.group)
-    }
-    found["law"] = np.array(json.dumps(dataclasses.asdict(case.law)))
-    return found
+    for field in dataclasses.fields(case.group):
+        arrays[f"group_{field.name}"] = getattr(case.group, field.name)
+    arrays["law"] = np.array(json.dumps(dataclasses.asdict(case.law)))
+    return arrays
 
 
-def covariance(kept: Mapping[str, Any]) -> Array:
+def covariance(truth: Mapping[str, Any]) -> Array:
     """Sigma (N, N), m^2, of a truth file as loaded."""
-    law = noise.Law(**json.loads(str(kept["law"])))
-    names = [f.name for f in dataclasses.fields(noise.Grouping)]
-    return noise.covariance(
-        law, noise.Grouping(**{n: kept[f"group_{n}"] for n in names})
-    )
+    law = noise.Law(**json.loads(str(truth["law"])))
+    names = [field.name for field in dataclasses.fields(noise.Grouping)]
+    grouping = noise.Grouping(**{name: truth[f"group_{name}"] for name in names})
+    return noise.covariance(law, grouping)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.random import Generator
 
 from benchmarks.blind.generator.instruments import BARS
-from benchmarks.blind.generator.machines import Array, Machine, joint_columns
+from benchmarks.blind.generator.machine import Array, Machine
+from benchmarks.blind.generator.machines import joint_columns
 from benchmarks.blind.generator.plans import Plan
 from benchmarks.blind.generator.scene import Layout, Motion, Push
 

@@ -13,7 +13,7 @@ from benchmarks.blind.generator.effects.base import (
     place_joints,
     smooth,
 )
-from benchmarks.blind.generator.machines import Array
+from benchmarks.blind.generator.machine import Array
 from benchmarks.blind.generator.scene import Push
 
 
@@ -117,10 +117,10 @@ def joint_runout(rng: Generator, stage: Stage) -> Effect:
     total = stage.zero()
     for leg in chosen:
         v = stage.motion.leg[:, leg]
-        seen = np.einsum("nij,ni->nj", stage.motion.pose.R0, v) if platform else v
+        direction = np.einsum("nij,ni->nj", stage.motion.pose.R0, v) if platform else v
         swing = np.arctan2(
-            seen @ _across(rng, seen),
-            np.abs(seen @ (seen.mean(0) / np.linalg.norm(seen.mean(0)))),
+            direction @ _across(rng, direction),
+            np.abs(direction @ (direction.mean(0) / np.linalg.norm(direction.mean(0)))),
         )
         shift = np.zeros((stage.rows, 3))
         for axis in range(

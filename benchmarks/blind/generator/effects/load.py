@@ -6,7 +6,7 @@ import numpy as np
 from numpy.random import Generator
 
 from benchmarks.blind.generator.effects.base import Effect, Stage, linear, smooth
-from benchmarks.blind.generator.machines import Array
+from benchmarks.blind.generator.machine import Array
 from benchmarks.blind.generator.scene import Push
 
 

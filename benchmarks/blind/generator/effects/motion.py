@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.blind.generator.effects.base import Effect, Stage, linear, pick_legs
 from benchmarks.blind.generator.effects.load import joint_force
-from benchmarks.blind.generator.machines import Array
-from benchmarks.blind.generator.plans import Index
+from benchmarks.blind.generator.machine import Array
+from benchmarks.blind.generator.runs import Index
 from benchmarks.blind.generator.scene import Push
 
 
@@ -32,7 +32,7 @@ class Pass:
 
 def passes(stage: Stage) -> list[Pass]:
     """The way through every run, in order."""
-    found = []
+    ways = []
     for here, closed in zip(stage.plan.runs, stage.plan.closed, strict=True):
         q = stage.motion.q[here]
         if closed:
@@ -52,8 +52,8 @@ def passes(stage: Stage) -> list[Pass]:
         way[::2], way[1::2] = q, turns
         rows = np.full(len(way), -1)
         rows[::2] = row
-        found.append(Pass(way, rows))
-    return found
+        ways.append(Pass(way, rows))
+    return ways
 
 
 def _turning(q0: Array, q1: Array, m0: Array, m1: Array) -> Array:

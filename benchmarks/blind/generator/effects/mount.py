@@ -41,12 +41,12 @@ def mount_drift(rng: Generator, stage: Stage) -> Effect:
         ds[np.ix_(here, np.array(setup.instrument.drifts))] = (
             (creep + slip)[:, None] * way / np.linalg.norm(way)
         )
-    own = (
+    runs = (
         []
         if only is None
         else sorted({int(r) for r in plan.run[(plan.setup == only) & (plan.run >= 0)]})
     )
-    blocks = tuple(f"run {plan.run_name(r)}" for r in own)
+    blocks = tuple(f"run {plan.run_name(r)}" for r in runs)
     return linear("mount_drift", Push(ds=ds), blocks)
 
 

@@ -17,7 +17,7 @@ from benchmarks.blind.generator.effects.base import (
     linear,
     pick_legs,
 )
-from benchmarks.blind.generator.machines import Array
+from benchmarks.blind.generator.machine import Array
 from benchmarks.blind.generator.plans import Plan
 from benchmarks.blind.generator.scene import Push
 
@@ -89,10 +89,10 @@ def _sensors(
         ("temp_bar_C", bar),
     ):
         lagged = body[0] + _lagged(body - body[0], rng.uniform(120.0, 600.0))
-        seen = rng.uniform(0.8, 1.1) * np.interp(plan.time, t, lagged) + rng.normal(
+        reading = rng.uniform(0.8, 1.1) * np.interp(plan.time, t, lagged) + rng.normal(
             0.0, 0.2
         )
-        shown[name] = np.round(seen + rng.normal(0.0, 0.05, len(seen)), 1)
+        shown[name] = np.round(reading + rng.normal(0.0, 0.05, len(reading)), 1)
     return shown
 
 
