@@ -192,7 +192,7 @@ def test_every_form_does_something_and_departs_from_its_textbook(blind):
                 "friction",
                 "servo_lag",
             ):
-                left = blind.textbook.left(
+                left = blind.textbook.distances(
                     made.scene, made.stage, made.metric, (name,), [change]
                 )[0][name]
                 departs.setdefault(name, []).append(left / made.metric.size(change))
@@ -213,11 +213,11 @@ def test_one_tool_cannot_tell_a_common_scale_from_the_bar_and_two_can(blind):
             np.random.default_rng(0), made.stage
         ).push(10e-6)
         seen = [
-            made.metric.seen(made.scene.read(p) - made.scene.y) for p in (scale, bar)
+            made.metric.embed(made.scene.read(p) - made.scene.y) for p in (scale, bar)
         ]
-        left[plan] = blind.severity.beyond(seen[0], seen[1][:, None]) / np.linalg.norm(
-            seen[0]
-        )
+        left[plan] = blind.severity.distance(
+            seen[0], seen[1][:, None]
+        ) / np.linalg.norm(seen[0])
     assert left["single"] < 0.01
     assert left["full"] > 0.05
 

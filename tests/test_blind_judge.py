@@ -18,7 +18,7 @@ from scipy import stats
 @pytest.fixture(scope="module")
 def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
     """The scorer's modules."""
-    return blind_modules("entries", "intervals", "judge", "measures")
+    return blind_modules("entries", "intervals", "judge", "measures", "row")
 
 
 # -- intervals -------------------------------------------------------------------------
@@ -71,7 +71,7 @@ def test_mean_interval_is_students(blind):
 
 def test_proved_is_what_the_worse_end_of_the_interval_reaches(blind):
     def row(hits: int, count: int) -> tuple[str, bool]:
-        told = blind.measures.share(
+        told = blind.row.share(
             "",
             "",
             [True] * hits + [False] * (count - hits),
@@ -118,17 +118,19 @@ def test_proved_is_what_the_worse_end_of_the_interval_reaches(blind):
     ],
 )
 def test_effects_found_by_an_answer(blind, effects, classes, truth, found, exact):
-    said = blind.judge.said(
+    said = blind.judge.parse_answer(
         {"effects": effects, "classes": classes, "probability": 1.0}
     )
-    assert blind.judge.found(said, truth) == found
-    assert blind.judge.exactly(said, truth) is exact
-    assert blind.judge.false_effects(said, truth) == len(said.classes) - found
+    assert blind.judge.count_true(said, truth) == found
+    assert blind.judge.names_exactly(said, truth) is exact
+    assert blind.judge.count_false(said, truth) == len(said.classes) - found
 
 
 def test_right_as_a_whole(blind):
     def right(effects, truth, unknown):
-        return blind.judge.right(blind.judge.said(answer(*effects)), truth, unknown)
+        return blind.judge.is_right(
+            blind.judge.parse_answer(answer(*effects)), truth, unknown
+        )
 
     assert right([], [], False)
     assert not right(["unknown"], [], False)
@@ -141,7 +143,7 @@ def test_right_as_a_whole(blind):
 
 def test_classes_that_do_not_fit_are_refused(blind):
     with pytest.raises(ValueError, match="other classes"):
-        blind.judge.said({"effects": ["a"], "classes": [["b"]]})
+        blind.judge.parse_answer({"effects": ["a"], "classes": [["b"]]})
 
 
 @pytest.mark.parametrize(
@@ -159,8 +161,8 @@ def test_classes_that_do_not_fit_are_refused(blind):
     ],
 )
 def test_same_place(blind, one, other, same):
-    assert blind.judge.same(one, other) is same
-    assert blind.judge.same(other, one) is same
+    assert blind.judge.same_place(one, other) is same
+    assert blind.judge.same_place(other, one) is same
 
 
 def test_place_is_that_of_the_likeliest_claimed_block(blind):

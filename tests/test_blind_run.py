@@ -24,7 +24,7 @@ BLIND = ROOT / "benchmarks" / "blind"
 NAMES = (
     "baselines",
     "entries",
-    "knowing",
+    "known_noise",
     "listing",
     "loading",
     "oracle",
@@ -75,9 +75,13 @@ def test_the_runner_cannot_know_labels():
                     "generator",
                     "oracle",
                     "entries",
-                    "knowing",
+                    "known_noise",
                     "listing",
+                    "checks",
                     "measures",
+                    "paired",
+                    "places",
+                    "selection",
                     "score",
                     "judge",
                 )
@@ -132,12 +136,14 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(
         return diagnosed(blind, problem)
 
     monkeypatch.setattr(blind.run.diagnose, "diagnose", diagnose)
-    monkeypatch.setattr(blind.run, "beside", lambda problem, effects: {"harmonic": []})
-    assert blind.run.run(folder, out, limit=2, workers=1, told=str) == 1
+    monkeypatch.setattr(
+        blind.run, "baseline_answers", lambda problem, effects: {"harmonic": []}
+    )
+    assert blind.run.run(folder, out, limit=2, workers=1, report=str) == 1
     assert (
-        blind.run.run(folder, out, limit=2, workers=1, told=str) == 0
+        blind.run.run(folder, out, limit=2, workers=1, report=str) == 0
     )  # the failed one again, and that alone
-    assert blind.run.run(folder, out, limit=2, workers=1, told=str) == 0
+    assert blind.run.run(folder, out, limit=2, workers=1, report=str) == 0
     assert len(calls) == 3
     assert calls[0] == calls[2]  # the same draws
     names = [c.id for c in blind.loading.manifest(folder)[:2]]
@@ -151,7 +157,9 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(
     law = blind.run.law_of(told["law"], len(told["law"]["variance"]))
     assert law.variance[-1] == 2.0
     assert math.isinf(law.student_dof)
-    assert blind.run.run(folder, out, limit=1, without="step", workers=1, told=str) == 0
+    assert (
+        blind.run.run(folder, out, limit=1, without="step", workers=1, report=str) == 0
+    )
     assert calls[3][0] == calls[2][0] - 1
     assert (out / "without" / "step" / f"{names[0]}.json").is_file()
 
@@ -174,7 +182,7 @@ def test_who_knows_the_noise_is_given_its_covariance(
         )
         return diagnosed(blind, problem)
 
-    monkeypatch.setattr(blind.knowing.diagnose, "diagnose", diagnose)
+    monkeypatch.setattr(blind.known_noise.diagnose, "diagnose", diagnose)
     assert (
         blind.main(
             [
@@ -191,7 +199,7 @@ def test_who_knows_the_noise_is_given_its_covariance(
         )
         == 0
     )
-    jobs = sorted(blind.run.chosen(made, limit=2), key=lambda j: j.case.study)
+    jobs = sorted(blind.run.select_jobs(made, limit=2), key=lambda j: j.case.study)
     for job, (whole, parts) in zip(jobs, covariances, strict=True):
         told = json.loads(
             (tmp_path / "known_noise" / f"{job.case.id}.json").read_text(
@@ -199,7 +207,7 @@ def test_who_knows_the_noise_is_given_its_covariance(
             )
         )
         assert told["answers"][0]["effects"] == []
-        problem = blind.loading.prepared(made, job.case)
+        problem = blind.loading.prepare(made, job.case)
         with np.load(made / "truth" / f"{job.case.id}.npz") as kept:
             wanted = blind.write.covariance(kept) / np.outer(
                 problem.sigma, problem.sigma
@@ -207,12 +215,14 @@ def test_who_knows_the_noise_is_given_its_covariance(
         np.testing.assert_allclose(whole, wanted, atol=1e-9 * wanted.max())
         for members, part in zip(problem.members, parts, strict=False):
             assert np.array_equal(part, wanted[np.ix_(members[rows], members[rows])])
-    assert blind.knowing.diagnosed(made, tmp_path, limit=2, workers=1, told=str) == 0
+    assert (
+        blind.known_noise.run_all(made, tmp_path, limit=2, workers=1, report=str) == 0
+    )
     assert len(covariances) == 2  # what is there is not made again
 
 
 def test_every_effect_is_withheld_in_turn(blind, made):
-    jobs = blind.run.chosen(made, limit=1, without="each")
+    jobs = blind.run.select_jobs(made, limit=1, without="each")
     assert [j.without for j in jobs] == [
         e.name for e in blind.loading.bench(jobs[0].case.study).effects
     ]
@@ -223,7 +233,7 @@ def test_lists_name_cases_and_what_is_withheld(blind, made, tmp_path):
     count = blind.listing.write(
         made, listed, kinds=["single"], least=4.0, withhold=True
     )
-    jobs = blind.run.chosen(made, listed=listed)
+    jobs = blind.run.select_jobs(made, listed=listed)
     labels = {label["id"]: label for label in blind.entries.labels(made)}
     assert len(jobs) == count > 0
     assert all(
@@ -255,13 +265,13 @@ def test_lists_keep_effects_that_can_be_told_from_every_rival(blind, made, tmp_p
     cases = [c for c in blind.loading.manifest(made) if c.id in labels]
     acting = {n: [e["name"] for e in v["effects"]] for n, v in labels.items()}
     figures = blind.oracle.run(
-        made, tmp_path / "results", cases, acting, workers=1, told=str
+        made, tmp_path / "results", cases, acting, workers=1, report=str
     )
     told = [blind.entries.entry(v, figures[n], {}) for n, v in labels.items()]
     apart = {
         e.label["id"]
         for e in told
-        if e.testable and e.severity >= 6.0 and e.apart >= 6.0
+        if e.testable and e.severity >= 6.0 and e.separation >= 6.0
     }
     assert names == apart
     assert 0 < count == len(apart) < len(labels)
@@ -346,7 +356,9 @@ def test_what_a_rival_leaves_is_that_of_a_wider_covariance(blind):
     )
     library = Library(columns, atoms, tuple("abcde"), ("",) * 5, np.ones(5), {})
     metric = blind.severity.Metric(sigma, J, prior)
-    left = blind.oracle.absorbed(metric.seen(dy), metric.seen(columns), library)
+    left = blind.oracle.effect_distances(
+        metric.embed(dy), metric.embed(columns), library
+    )
     for name, expected in left.items():
         dense = []
         for label, c in forms.items():
@@ -379,10 +391,12 @@ def test_legs_are_tied_where_each_would_make_the_same_readings(blind):
         {},
     )
     change = same @ [2.0, 1.0]
-    assert blind.oracle.tied(change, columns, library, "lost") == [["leg 1", "leg 2"]]
-    assert blind.oracle.tied(third @ [2.0, 1.0], columns, library, "lost") == []
-    assert blind.oracle.tied(rng.normal(size=30), columns, library, "lost") == []
-    assert blind.oracle.tied(change, columns, library, "other") == []
+    assert blind.oracle.tied_legs(change, columns, library, "lost") == [
+        ["leg 1", "leg 2"]
+    ]
+    assert blind.oracle.tied_legs(third @ [2.0, 1.0], columns, library, "lost") == []
+    assert blind.oracle.tied_legs(rng.normal(size=30), columns, library, "lost") == []
+    assert blind.oracle.tied_legs(change, columns, library, "other") == []
 
 
 def test_what_forms_in_one_leg_leave(blind):
@@ -403,11 +417,11 @@ def test_what_forms_in_one_leg_leave(blind):
     seen = np.array(
         [4.0, 2.0, 1.0, 3.0, 6.0]
     )  # |seen|^2 = 66; one column takes its own entry
-    left = blind.oracle.by_leg(seen, columns, library)
+    left = blind.oracle.leg_distances(seen, columns, library)
     assert left == pytest.approx(
         {"leg 1": math.sqrt(66 - 16), "leg 2": math.sqrt(66 - 4)}
     )
-    left = blind.oracle.by_leg(seen, columns, library, "b")
+    left = blind.oracle.leg_distances(seen, columns, library, "b")
     assert left == pytest.approx({"leg 1": math.sqrt(66 - 9)})
 
 
@@ -418,7 +432,9 @@ def test_oracle_of_generated_cases(blind, made, tmp_path):
         name = next(n for n, label in labels.items() if label["kind"] == kind)
         names = tuple(e["name"] for e in labels[name]["effects"])
         told = json.loads(
-            blind.oracle.work(blind.oracle.Job(made, tmp_path, cases[name], names))
+            blind.oracle.work(
+                blind.oracle.OracleJob(made, tmp_path, cases[name], names)
+            )
         )
         for e, label in zip(told["effects"], labels[name]["effects"], strict=True):
             assert e["sqrt_lambda"] == pytest.approx(label["sqrt_lambda"], rel=1e-3)
@@ -441,9 +457,9 @@ def test_oracle_of_two_effects_is_that_of_the_dense_metric(blind, made, tmp_path
     chosen = next(c for c in blind.loading.manifest(made) if c.id == label["id"])
     names = tuple(e["name"] for e in label["effects"])
     told = json.loads(
-        blind.oracle.work(blind.oracle.Job(made, tmp_path, chosen, names))
+        blind.oracle.work(blind.oracle.OracleJob(made, tmp_path, chosen, names))
     )["effects"]
-    problem = blind.loading.prepared(made, chosen)
+    problem = blind.loading.prepare(made, chosen)
     library = library_of.build(problem, blind.loading.bench(chosen.study).effects)
     with np.load(made / "truth" / f"{chosen.id}.npz") as kept:
         truth = {n: kept[n] for n in kept.files}
@@ -473,8 +489,8 @@ def test_oracle_refuses_readings_of_another_case(blind, made, tmp_path):
     shutil.copytree(made, folder)
     one, two = [c for c in blind.loading.manifest(folder) if c.plan == "a3_full"][:2]
     shutil.copy(folder / two.readings, folder / one.readings)
-    with pytest.raises(ValueError, match="make the set anew"):
-        blind.oracle.work(blind.oracle.Job(folder, tmp_path, one, ()))
+    with pytest.raises(ValueError, match="make the set again"):
+        blind.oracle.work(blind.oracle.OracleJob(folder, tmp_path, one, ()))
 
 
 # -- the baselines ---------------------------------------------------------------------
@@ -484,7 +500,7 @@ def test_oracle_refuses_readings_of_another_case(blind, made, tmp_path):
 def problem(blind, made):
     """A null case of the A3's full plan."""
     wanted = next(c for c in blind.loading.manifest(made) if c.plan == "a3_full")
-    return blind.loading.prepared(made, wanted)
+    return blind.loading.prepare(made, wanted)
 
 
 def clean(problem, seed: int):

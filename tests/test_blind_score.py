@@ -16,7 +16,9 @@ from blind_labels import LIBRARY, answer, by_key, case, entries_of, known, resul
 @pytest.fixture(scope="module")
 def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
     """The scorer's modules."""
-    return blind_modules("confusion", "entries", "judge", "measures", "score", "table")
+    return blind_modules(
+        "confusion", "entries", "judge", "measures", "paired", "score", "table"
+    )
 
 
 # -- measures --------------------------------------------------------------------------
@@ -57,7 +59,7 @@ def good(blind) -> list:
 
 def test_right_answers_reach_every_aim(blind):
     found = good(blind)
-    rows = by_key([*blind.measures.rows(found), *blind.measures.own_rows(found)])
+    rows = by_key([*blind.measures.rows(found), *blind.measures.diagnosis_rows(found)])
     wanted = {k: r for k, r in rows.items() if r.sense}
     assert {k: r.status for k, r in wanted.items() if k != "set95"} == dict.fromkeys(
         set(wanted) - {"set95"}, "aim"
@@ -75,7 +77,7 @@ def test_an_idle_diagnosis_raises_no_alarm_and_finds_nothing(blind):
     idle = [
         blind.entries.entry(e.label, e.oracle, result(answer())) for e in good(blind)
     ]
-    rows = by_key([*blind.measures.rows(idle), *blind.measures.own_rows(idle)])
+    rows = by_key([*blind.measures.rows(idle), *blind.measures.diagnosis_rows(idle)])
     assert rows["alarm white"].status == "aim"
     for key in (
         "detection 6",
@@ -108,7 +110,7 @@ def test_place_is_told_apart_where_a_gap_is_seen(blind):
             strict=True,
         )
     )
-    rows = by_key(blind.measures.own_rows([*good(blind), lost, wrong]))
+    rows = by_key(blind.measures.diagnosis_rows([*good(blind), lost, wrong]))
     assert (rows["place"].hits, rows["place"].count) == (2, 4)
     assert (rows["place seen"].hits, rows["place seen"].count) == (2, 3)
 
@@ -117,7 +119,9 @@ def test_a_failed_diagnosis_is_wrong_in_every_count(blind):
     failed = [
         blind.entries.entry(e.label, e.oracle, {"error": "x"}) for e in good(blind)
     ]
-    rows = by_key([*blind.measures.rows(failed), *blind.measures.own_rows(failed)])
+    rows = by_key(
+        [*blind.measures.rows(failed), *blind.measures.diagnosis_rows(failed)]
+    )
     bad = {k for k, r in rows.items() if r.sense and r.status != "no"}
     assert bad == {"set95 size"}  # an empty set is small
 
@@ -188,7 +192,7 @@ def test_a_leg_is_shown_where_a_form_in_it_explains_more_than_any_in_another(
     )
     where = [{"block": "leg 2", "p_value": 0.001, "strength": 1.0}]
     entry = blind.entries.entry(label, told, result(answer("backlash"), where=where))
-    rows = by_key(blind.measures.own_rows([entry]))
+    rows = by_key(blind.measures.diagnosis_rows([entry]))
     counts = [
         (rows[key].hits, rows[key].count) for key in ("leg shown", "leg not shown")
     ]
@@ -214,7 +218,9 @@ def test_padded_classes_show(blind):
     label = case("single", {"backlash": 10.0})
     padded = answer("friction", classes=[list(LIBRARY)])
     (entry,) = entries_of(blind, (label, result(padded)))
-    rows = by_key([*blind.measures.rows([entry]), *blind.measures.own_rows([entry])])
+    rows = by_key(
+        [*blind.measures.rows([entry]), *blind.measures.diagnosis_rows([entry])]
+    )
     assert rows["right class"].value == 1.0
     assert rows["class size"].value == len(LIBRARY)
 
@@ -226,7 +232,9 @@ def test_probability_sums_over_answers_that_name_the_effect(blind):
         answer("backlash", "unknown", p=0.2),
         answer("backlash", "step", p=0.2),
     ]
-    rows = by_key(blind.measures.own_rows(entries_of(blind, (label, result(*told)))))
+    rows = by_key(
+        blind.measures.diagnosis_rows(entries_of(blind, (label, result(*told))))
+    )
     assert rows["probability"].value == pytest.approx(0.7)
 
 
@@ -256,7 +264,7 @@ def test_paired_comparison_with_a_baseline(blind):
     ]
     told = {
         p.measure: p
-        for p in blind.measures.compared(entries_of(blind, *right, *wrong), "harmonic")
+        for p in blind.paired.compare(entries_of(blind, *right, *wrong), "harmonic")
     }
     same = told["detection at sqrt(lambda) >= 6"]
     assert (same.diagnosis, same.other, same.only_diagnosis, same.only_other) == (
@@ -270,7 +278,7 @@ def test_paired_comparison_with_a_baseline(blind):
     assert (classes.only_diagnosis, classes.only_other) == (9, 1)
     assert classes.p_value == pytest.approx(22 / 1024)
     more = entries_of(blind, *right, *right, *wrong)
-    better = {p.measure: p.verdict for p in blind.measures.compared(more, "harmonic")}
+    better = {p.measure: p.verdict for p in blind.paired.compare(more, "harmonic")}
     assert better["right class at sqrt(lambda) >= 6"] == "diagnosis"
 
 
@@ -364,7 +372,7 @@ def test_score_is_written_whole(blind, tmp_path):
         "paired.csv",
     } <= {p.name for p in tmp_path.iterdir()}
     text = blind.table.markdown(
-        made.rows, made.beside, made.paired, made.machines, made.about
+        made.rows, made.methods, made.paired, made.machines, made.about
     )
     line = next(
         t for t in text.splitlines() if t.startswith("| false alarm, white noise")
@@ -398,7 +406,7 @@ def test_what_would_be_were_the_noise_known_stands_beside_the_same_cases(blind):
     for informed, last in ((idle, "0.00"), (idle[:-1], ""), ((), None)):
         made = blind.score.score(found, informed=informed)
         text = blind.table.markdown(
-            made.rows, made.beside, made.paired, made.machines, made.about
+            made.rows, made.methods, made.paired, made.machines, made.about
         )
         head = next(t for t in text.splitlines() if t.startswith("| measure"))
         line = next(

@@ -48,7 +48,7 @@ def diagnosed(blind: SimpleNamespace, folder: Path, case: Any) -> Mapping[str, A
     (folder / f"{case.id}.csv").write_text(
         blind.write.table(case).to_csv(index=False), encoding="utf-8"
     )
-    job = blind.run.Job(
+    job = blind.run.DiagnosisJob(
         folder, blind.loading.Case(case.id, case.stage.plan.study, f"{case.id}.csv")
     )
     result = json.loads(blind.run.work(job))
@@ -92,7 +92,8 @@ def shortfalls(
     """
     missed = []
     said = [
-        (label, judge.said(result["answers"][0]), result) for label, result in found
+        (label, judge.parse_answer(result["answers"][0]), result)
+        for label, result in found
     ]
     alarms = [
         label["id"]
@@ -113,7 +114,7 @@ def shortfalls(
     wrong = [
         label["id"]
         for label, answer in known
-        if not judge.found(answer, [label["effects"][0]["name"]])
+        if not judge.count_true(answer, [label["effects"][0]["name"]])
     ]
     if len(wrong) > 1:
         missed.append(f"wrong class: {wrong}")
@@ -224,7 +225,7 @@ def test_false_alarms_of_each_noise_law(
         case = blind.cases.make(SEED, "dev", k)
         assert case.law.name == law
         answer = diagnosed(blind, tmp_path, case)["answers"][0]
-        if blind.judge.said(answer).gap:
+        if blind.judge.parse_answer(answer).gap:
             alarms.append((k, answer))
     assert len(numbers) == 10
     assert len(alarms) <= 2, alarms

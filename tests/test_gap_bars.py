@@ -98,8 +98,8 @@ def virtual(
     )
     effect, wanted = form(rng, stage), metric.size
     if beside is not None:
-        wanted = metric.beside(
-            metric.seen(base.response(beside(rng, stage).push(1e-6)))
+        wanted = metric.size_without(
+            metric.embed(base.response(beside(rng, stage).push(1e-6)))
         )
     start = size / wanted(base.response(effect.push(1e-7))) * 1e-7
     amplitude = blind.severity.amplitude(
