@@ -1,4 +1,4 @@
-"""Claims of a study, measured on its result.
+"""Checks the claims of a study on its result.
 
 `of` is a dotted path into result.json: names of fields and keys (which may hold dots),
 list entries by index from 0 (`plans[0]` or `plans.0`) or by their `name` or `title`
@@ -17,52 +17,69 @@ from oed.result import Claim
 from pkm_studies.errors import shorten, suggest
 from pkm_studies.study.tables import ClaimTable, StudyFile
 
+#: most characters of a measured text
 LONGEST = 200
 
 
 def check_claims(
     study: StudyFile, result: Mapping[str, Any], only: tuple[str, ...] | None = None
 ) -> list[Claim]:
-    """Each claim of [expect], in order. `result` is the result as plain tables and
-    lists.
+    """Each claim of [expect], in order, on a result as plain tables and lists.
 
-    `only`: the sections that were made; claims about others are left out.
+    `only`: names of sections; claims about other sections are left out.
     """
-    asked = {
-        n: t
-        for n, t in study.expect.items()
-        if only is None or re.split(r"[.\[]", t.of)[0] in only
-    }
-    return [_check(name, table, result) for name, table in asked.items()]
+    claims = []
+    for name, table in study.expect.items():
+        section = re.split(r"[.\[]", table.of)[0]
+        if only is None or section in only:
+            claims.append(_check(name, table, result))
+    return claims
+
+
+def _check(name: str, table: ClaimTable, result: Mapping[str, Any]) -> Claim:
+    wanted = f"{table.of} {_wanted(table)}"
+    try:
+        value = lookup(result, table.of)
+    except LookupError as error:
+        measured = shorten(str(error), LONGEST)
+        return Claim(claim=name, measured=measured, wanted=wanted, met=False)
+    return Claim(
+        claim=name,
+        measured=_measured(value, table.contains),
+        wanted=wanted,
+        met=_is_met(table, value),
+    )
+
+
+# -- the value at a path ---------------------------------------------------------------
 
 
 def lookup(result: object, path: str) -> Any:
-    """The value at a path. Raises LookupError that says how far the path led and what
-    there is.
+    """The value at a path.
+
+    Raises LookupError that says how far the path leads, and what is there.
     """
     tokens = [t for t in re.split(r"\.|\[(\d+)\]", path) if t]
-    seen: list[str] = []
+    walked: list[str] = []
     value = result
     while tokens:
-        step, used = _step(value, tokens)
+        next_value, used = _step(value, tokens)
         if not used:
-            there = _keys(value)
-            told = (
-                suggest(tokens[0], there, "there is") if there else "nothing below it"
-            )
-            raise LookupError(
-                f"no such result: {path}: no {tokens[0]} in"
-                f" {'.'.join(seen) or 'the result'}; {told}"
-            )
-        seen += tokens[:used]
-        value, tokens = step, tokens[used:]
+            raise LookupError(_dead_end(path, walked, tokens[0], value))
+        walked += tokens[:used]
+        value, tokens = next_value, tokens[used:]
     return value
 
 
+def _dead_end(path: str, walked: list[str], token: str, value: object) -> str:
+    where = ".".join(walked) or "the result"
+    keys = [str(key) for key in _table(value)]
+    there = suggest(token, keys, "there is") if keys else "nothing below it"
+    return f"no such result: {path}: no {token} in {where}; {there}"
+
+
 def _step(value: object, tokens: list[str]) -> tuple[object, int]:
-    """The value that the longest matching start of the path leads to, and how many
-    tokens that is (0: none).
-    """
+    """The value below that the longest start of the path names; tokens used, or 0."""
     if isinstance(value, list) and tokens[0].isdigit() and int(tokens[0]) < len(value):
         return value[int(tokens[0])], 1
     table = _table(value)
@@ -74,45 +91,25 @@ def _step(value: object, tokens: list[str]) -> tuple[object, int]:
 
 
 def _table(value: object) -> Mapping[str, object]:
-    """What can be named below a value: keys of a table, entries of a list by name or
-    title.
-    """
+    """What has a name below a value: keys of a table, list entries by name or title."""
     if isinstance(value, Mapping):
         return value
-    if isinstance(value, list):
-        named = [v for v in value if isinstance(v, Mapping)]
-        return {
-            str(v.get("name", v.get("title"))): v
-            for v in reversed(named)
-            if "name" in v or "title" in v
-        }
-    return {}
+    if not isinstance(value, list):
+        return {}
+    table = {}
+    for entry in reversed(value):  # of two entries with one name, the first counts
+        if isinstance(entry, Mapping) and ("name" in entry or "title" in entry):
+            table[str(entry.get("name", entry.get("title")))] = entry
+    return table
 
 
-def _keys(value: object) -> list[str]:
-    return [str(k) for k in _table(value)]
-
-
-def _check(name: str, table: ClaimTable, result: Mapping[str, Any]) -> Claim:
-    wanted = f"{table.of} {_wanted(table)}"
-    try:
-        measured = lookup(result, table.of)
-    except LookupError as error:
-        return Claim(
-            claim=name, measured=shorten(str(error), LONGEST), wanted=wanted, met=False
-        )
-    return Claim(
-        claim=name,
-        measured=_told(measured, table.contains),
-        wanted=wanted,
-        met=_met(table, measured),
-    )
+# -- wanted and measured ---------------------------------------------------------------
 
 
 def _wanted(table: ClaimTable) -> str:
     parts = []
     if table.equals is not None:
-        parts.append(f"= {_value(table.equals)}")
+        parts.append(f"= {_format_value(table.equals)}")
     if table.min is not None:
         parts.append(f">= {table.min:g}")
     if table.max is not None:
@@ -122,65 +119,52 @@ def _wanted(table: ClaimTable) -> str:
     return " and ".join(parts)
 
 
-def _value(value: object) -> str:
-    return (
-        f"{value:g}"
-        if isinstance(value, float)
-        else str(value).lower()
-        if isinstance(value, bool)
-        else str(value)
-    )
+def _format_value(value: bool | float | str) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _told(measured: object, wanted: str | None = None) -> float | str:
-    """A number as it is, everything else as text: the sentence that holds what was
-    wanted, or the beginning.
-    """
-    if isinstance(measured, int | float) and not isinstance(measured, bool):
-        return measured
-    sentences = list(_sentences(measured))
-    found = next((s for s in sentences if wanted is not None and wanted in s), None)
-    if found is None:
-        return shorten(
-            measured if isinstance(measured, str) else json.dumps(measured), LONGEST
-        )
-    start = max(0, found.index(wanted or "") - LONGEST // 4)
-    return shorten(("... " if start else "") + found[start:], LONGEST)
+def _measured(value: object, wanted: str | None = None) -> float | str:
+    """A number as it is; of everything else the sentence that is wanted, or the start."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return value
+    if wanted is not None:
+        for sentence in _texts(value):
+            if wanted in sentence:
+                start = max(0, sentence.index(wanted) - LONGEST // 4)
+                lead = "... " if start else ""
+                return shorten(lead + sentence[start:], LONGEST)
+    return shorten(value if isinstance(value, str) else json.dumps(value), LONGEST)
 
 
-def _sentences(value: object) -> Iterator[str]:
+def _texts(value: object) -> Iterator[str]:
     """All texts in a value."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
-        for part in value.values():
-            yield from _sentences(part)
+        for entry in value.values():
+            yield from _texts(entry)
     elif isinstance(value, list):
-        for part in value:
-            yield from _sentences(part)
+        for entry in value:
+            yield from _texts(entry)
 
 
-def _met(table: ClaimTable, measured: object) -> bool:
-    number = (
-        isinstance(measured, int | float)
-        and not isinstance(measured, bool)
-        and math.isfinite(measured)
-    )
-    checks = []
+def _is_met(table: ClaimTable, value: object) -> bool:
     if table.equals is not None:
-        checks.append(
-            isinstance(measured, bool) == isinstance(table.equals, bool)
-            and measured == table.equals
-        )
-    if table.min is not None:
-        checks.append(number and measured >= table.min)  # type: ignore[operator]
-    if table.max is not None:
-        checks.append(number and measured <= table.max)  # type: ignore[operator]
+        same_kind = isinstance(value, bool) == isinstance(table.equals, bool)
+        if not same_kind or value != table.equals:
+            return False
     if table.contains is not None:
-        text = (
-            measured
-            if isinstance(measured, str)
-            else json.dumps(measured, ensure_ascii=False)
-        )
-        checks.append(table.contains in text)
-    return all(checks)
+        text = value
+        if not isinstance(text, str):
+            text = json.dumps(text, ensure_ascii=False)
+        if table.contains not in text:
+            return False
+    if table.min is None and table.max is None:
+        return True
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    low = -math.inf if table.min is None else table.min
+    high = math.inf if table.max is None else table.max
+    return math.isfinite(value) and low <= value <= high

@@ -3,8 +3,8 @@
     pytest studies/a3_ball_bar.study.toml::rank
 
 A study runs once a session, into a folder of its own that is removed afterwards.
-Studies that say `slow = true` carry the mark `slow`; where the data that a study reads
-is absent, its claims are skipped, saying where it was looked for.
+Studies with `slow = true` carry the mark `slow`. Where the data that a study reads is
+absent, its claims are skipped with the place where it was looked for.
 """
 
 from __future__ import annotations
@@ -25,38 +25,35 @@ if TYPE_CHECKING:
 SUFFIX = ".study.toml"
 
 
-class ClaimNotMet(Exception):  # noqa: N818 - what pytest shows is the claim, not the class
+class ClaimNotMet(Exception):  # noqa: N818 - pytest shows the claim, not the class
     """A claim of a study that its result does not meet."""
 
     def __init__(self, claim: Claim) -> None:
-        measured = (
-            f"{claim.measured:.9g}"
-            if isinstance(claim.measured, float)
-            else claim.measured
-        )
+        """State what is wanted and what was measured."""
+        measured = claim.measured
+        if isinstance(measured, float):
+            measured = f"{measured:.9g}"
         super().__init__(
             f"claim {claim.claim}\n  wanted   {claim.wanted}\n  measured {measured}"
         )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The mark that slow studies carry."""
+    """Declare the mark of slow studies."""
     config.addinivalue_line("markers", "slow: a study that says it takes minutes")
 
 
 def pytest_collect_file(
     file_path: Path, parent: pytest.Collector
 ) -> pytest.Collector | None:
-    """Study files, by their suffix."""
-    return (
-        StudyCollector.from_parent(parent, path=file_path)
-        if file_path.name.endswith(SUFFIX)
-        else None
-    )
+    """Collect study files, by their suffix."""
+    if not file_path.name.endswith(SUFFIX):
+        return None
+    return StudyCollector.from_parent(parent, path=file_path)
 
 
 class StudyCollector(pytest.File):
-    """A study: runs at most once, at its first claim."""
+    """A study: it runs at most once, at its first claim."""
 
     _outcome: dict[str, Claim] | Exception | None = None
 
@@ -91,6 +88,7 @@ class ClaimItem(pytest.Item):
     """One claim."""
 
     def __init__(self, *, study: Study, **arguments: Any) -> None:
+        """Take the study besides pytest's own arguments."""
         super().__init__(**arguments)
         self.study = study
 
@@ -109,9 +107,7 @@ class ClaimItem(pytest.Item):
     def repr_failure(
         self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
     ) -> Any:
-        """The claim, or the one paragraph of a bad input; a traceback only for what
-        nobody foresaw.
-        """
+        """The claim, or the paragraph of a bad input; else a traceback."""
         from pkm_studies.errors import InputError
 
         if isinstance(excinfo.value, ClaimNotMet | InputError):
@@ -119,35 +115,31 @@ class ClaimItem(pytest.Item):
         return super().repr_failure(excinfo, style)
 
     def reportinfo(self) -> tuple[Path, int, str]:
-        """Where the claim stands in the file."""
-        return (
-            self.path,
-            _line(self.study.text, self.name),
-            f"{self.study.name}: {self.name}",
-        )
+        """File, line and title of the claim."""
+        line = _line(self.study.text, self.name)
+        return self.path, line, f"{self.study.name}: {self.name}"
 
 
 def _run(study: Study) -> dict[str, Claim]:
+    """The study's claims; reports are written only where a claim is about them."""
     from pkm_studies import pipeline
 
     folder = Path(tempfile.mkdtemp(prefix="oed-"))
+    report = any(table.of.startswith("report") for table in study.expect.values())
     try:
-        wanted = any(table.of.startswith("report") for table in study.expect.values())
-        return {
-            claim.claim: claim
-            for claim in pipeline.run(study, folder, report=wanted).claims
-        }
+        result = pipeline.run(study, folder, report=report)
+        return {claim.claim: claim for claim in result.claims}
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def _line(text: str, claim: str) -> int:
-    """Line, from 0, at which a claim of [expect] stands."""
-    start = re.search(r"^\[expect[.\]]", text, re.MULTILINE)
-    if start is None:
+    """Line, from 0, of a claim of [expect]."""
+    table = re.search(r"^\[expect[.\]]", text, re.MULTILINE)
+    if table is None:
         return 0
     name = re.escape(claim)
-    found = re.search(
-        rf"^(\[expect\.{name}\]|{name}\s*[.=])", text[start.start() :], re.MULTILINE
-    )
-    return text[: start.start() + (found.start() if found else 0)].count("\n")
+    pattern = rf"^(\[expect\.{name}\]|{name}\s*[.=])"
+    match = re.search(pattern, text[table.start() :], re.MULTILINE)
+    offset = match.start() if match else 0
+    return text[: table.start() + offset].count("\n")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import io
-import json
 import os
 import sys
 from typing import Any
@@ -24,6 +23,8 @@ def print_error(line: str) -> None:
 
 def print_json(value: Any) -> None:
     """Print JSON, with escapes where the terminal's encoding is not Unicode."""
+    import json
+
     unicode = (sys.stdout.encoding or "").lower().startswith("utf")
     print(json.dumps(value, indent=2, ensure_ascii=not unicode))
 

@@ -1,6 +1,4 @@
-"""Whether the functions of a user's own machine fit its coordinates: told as bad input,
-before anything is computed.
-"""
+"""Checks the functions of a user's own machine before anything is computed with them."""
 
 from __future__ import annotations
 
@@ -15,15 +13,21 @@ from oed.kinematics import AssemblyError, Kinematics, symbols
 from oed.machine import Machine
 from pkm_studies.errors import Place, shorten
 
-PLAIN = {f.name: f.default for f in dataclasses.fields(Machine)}["read_error"]
+#: the machine's default for `read_error`, which reads translations
+DEFAULT_READ_ERROR = {f.name: f.default for f in dataclasses.fields(Machine)}[
+    "read_error"
+]
 
 
 def check_machine(machine: Machine, place: Place) -> None:
-    """Raises InputError, naming the function of the machine that does not fit, or why
-    its home pose fails.
+    """Raises InputError that names the function that does not fit.
+
+    Also where the home pose does not assemble.
     """
-    _shapes(machine, place)
-    _numbers(machine, place)
+    _check_closure(machine, place)
+    _check_sizes(machine, place)
+    _check_read_error(machine, place)
+    _check_numbers(machine, place)
     try:
         Kinematics(machine).inverse(machine.home_command)
     except AssemblyError as error:
@@ -33,57 +37,63 @@ def check_machine(machine: Machine, place: Place) -> None:
         ) from error
 
 
-def _shapes(machine: Machine, place: Place) -> None:
-    x, q, p, c = (
-        symbols("s", s)[1]
-        for s in (machine.pose, machine.joints, machine.parameters, machine.command)
-    )
-    nx, nq, dof = len(x), len(q), len(c)
-    rows = _call(
+def _check_closure(machine: Machine, place: Place) -> None:
+    x, q, p, c = _named_symbols(machine)
+    equations = _call(
         "closure", lambda: ca.vertcat(*machine.closure(x, q, p)).numel(), place
     )
-    if rows < nx + nq - dof:
-        needed = f"{nx} pose + {nq} joint - {dof} command coordinates"
+    needed = len(x) + len(q) - len(c)
+    if equations < needed:
+        counts = f"{len(x)} pose + {len(q)} joint - {len(c)} command coordinates"
         raise place.error(
-            f"closure gives {rows} equations, not {nx + nq - dof}",
-            f"there must be one for each: {needed}",
+            f"closure gives {equations} equations, not {needed}",
+            f"there must be one for each: {counts}",
         )
+
+
+def _check_sizes(machine: Machine, place: Place) -> None:
+    x, q, _, c = _named_symbols(machine)
     rotation, point = _call("platform", lambda: machine.platform(x), place)
-    _same("platform (rotation)", ca.SX(rotation).shape, (3, 3), place)
-    _same("platform (point)", ca.SX(point).numel(), 3, place)
-    _same("target", _call("target", lambda: len(machine.target(c)), place), dof, place)
-    _same(
-        "commanded",
-        _call("commanded", lambda: len(machine.commanded(x, ca.SX.zeros(3))), place),
-        dof,
-        place,
+    _check_same("platform (rotation)", ca.SX(rotation).shape, (3, 3), place)
+    _check_same("platform (point)", ca.SX(point).numel(), 3, place)
+    target = _call("target", lambda: len(machine.target(c)), place)
+    _check_same("target", target, len(c), place)
+    commanded = _call(
+        "commanded", lambda: len(machine.commanded(x, ca.SX.zeros(3))), place
     )
+    _check_same("commanded", commanded, len(c), place)
     guess = _call("guess", lambda: tuple(len(part) for part in machine.guess(c)), place)
-    _same("guess (values for pose and joints)", guess, (nx, nq), place)
-    read = _call(
-        "read_error", lambda: len(machine.read_error(c, [ca.SX(0.0)] * 6)), place
-    )
-    _same("read_error", read, len(machine.components), place)
-    if machine.read_error is PLAIN and any(k.unit != "m" for k in machine.components):
-        names = ", ".join(k.name for k in machine.components if k.unit != "m")
+    sizes = len(x), len(q)
+    _check_same("guess (values for pose and joints)", guess, sizes, place)
+
+
+def _check_read_error(machine: Machine, place: Place) -> None:
+    _, _, _, c = _named_symbols(machine)
+    twist = [ca.SX(0.0)] * 6
+    count = _call("read_error", lambda: len(machine.read_error(c, twist)), place)
+    _check_same("read_error", count, len(machine.components), place)
+    rotations = [k.name for k in machine.components if k.unit != "m"]
+    if machine.read_error is DEFAULT_READ_ERROR and rotations:
         raise place.error(
-            f"{names} would be read as a translation",
+            f"{', '.join(rotations)} would be read as a translation",
             "give read_error: twist[3:] are the rotations",
         )
 
 
-def _numbers(machine: Machine, place: Place) -> None:
-    """The closure at the guess for home, in numbers: functions of `math` quietly give
-    no number for a symbol.
+def _check_numbers(machine: Machine, place: Place) -> None:
+    """Raises InputError where the closure is no number at the guess for home.
+
+    Functions of `math` and NumPy give no number for a symbol without an error.
     """
-    (x, xs), (q, qs), (p, ps), (c, cs) = (
-        symbols("s", s)
-        for s in (machine.pose, machine.joints, machine.parameters, machine.command)
-    )
+    pose, joints = symbols("s", machine.pose), symbols("s", machine.joints)
+    parameters = symbols("s", machine.parameters)
+    command = symbols("s", machine.command)
+    rows = machine.closure(pose[1], joints[1], parameters[1])
     closure = ca.Function(
-        "closure", [x, q, p], [ca.vertcat(*machine.closure(xs, qs, ps))]
+        "closure", [pose[0], joints[0], parameters[0]], [ca.vertcat(*rows)]
     )
-    guess = ca.Function("guess", [c], [ca.vertcat(*part) for part in machine.guess(cs)])
+    parts = [ca.vertcat(*part) for part in machine.guess(command[1])]
+    guess = ca.Function("guess", [command[0]], parts)
     value = closure(*guess(machine.home_command), machine.nominal)
     if not np.isfinite(np.array(value)).all():
         remedy = (
@@ -93,23 +103,31 @@ def _numbers(machine: Machine, place: Place) -> None:
         raise place.error("closure is not a number at the guess for home", remedy)
 
 
-def _call(name: str, work: Callable[[], Any], place: Place) -> Any:
-    """What a function of the machine gives; what it raises is told as bad input."""
+def _named_symbols(machine: Machine) -> tuple[Any, Any, Any, Any]:
+    """Symbols of pose, joints, parameters and command, by name."""
+    tables = machine.pose, machine.joints, machine.parameters, machine.command
+    x, q, p, c = (symbols("s", table)[1] for table in tables)
+    return x, q, p, c
+
+
+def _call(name: str, function: Callable[[], Any], place: Place) -> Any:
+    """The value of a machine's function; what it raises becomes an InputError."""
     try:
-        return work()
+        return function()
     except KeyError as error:
         raise place.error(
             f"{name} asks for {error}, which the machine has not", "check the name"
         ) from error
     except Exception as error:
-        problem = (
-            f"{name} fails with {type(error).__name__}: {shorten(str(error), 120)}"
-        )
-        raise place.error(problem, "mend it in the machine's file") from error
-
-
-def _same(name: str, found: object, wanted: object, place: Place) -> None:
-    if found != wanted:
+        reason = shorten(str(error), 120)
         raise place.error(
-            f"{name} gives {found}, not {wanted}", "give one for each coordinate"
+            f"{name} fails with {type(error).__name__}: {reason}",
+            "mend it in the machine's file",
+        ) from error
+
+
+def _check_same(name: str, value: object, wanted: object, place: Place) -> None:
+    if value != wanted:
+        raise place.error(
+            f"{name} gives {value}, not {wanted}", "give one for each coordinate"
         )

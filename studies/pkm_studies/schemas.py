@@ -1,4 +1,4 @@
-"""JSON schemas of the three files that people and scripts write or read."""
+"""JSON schemas of the files that people and scripts write or read."""
 
 from __future__ import annotations
 
@@ -12,27 +12,26 @@ from oed.result import StudyResult
 from pkm_studies.study.tables import StudyFile, StudyTable
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-Document = dict[str, Any]
+Schema = dict[str, Any]
 
 
-def study() -> Document:
+def study() -> Schema:
     """Schema of `*.study.toml`."""
-    made = _of(StudyFile, "A planning study")
-    for part in _parts(StudyTable):
-        if part.rest is not None and part.__name__ in made["$defs"]:
-            _open(made["$defs"][part.__name__], part)
-    return made
+    schema = _schema(StudyFile, "A planning study")
+    definitions = schema["$defs"]
+    for table in _subclasses(StudyTable):
+        if table.free_keys is not None and table.__name__ in definitions:
+            _open(definitions[table.__name__], table.free_keys)
+    return schema
 
 
-def result() -> Document:
+def result() -> Schema:
     """Schema of `result.json`."""
-    return _of(StudyResult, "The result of a study")
+    return _schema(StudyResult, "The result of a study")
 
 
-def readings() -> Document:
-    """Schema of one row of `*.readings.csv`, cells as numbers and text, nothing for an
-    empty cell.
-    """
+def readings() -> Schema:
+    """Schema of one row of `*.readings.csv`; an empty cell is null."""
     unit = "|".join(units.UNITS)
     number = {"type": ["number", "null"]}
     return {
@@ -64,27 +63,24 @@ def readings() -> Document:
     }
 
 
-SCHEMAS: dict[str, Callable[[], Document]] = {
+SCHEMAS: dict[str, Callable[[], Schema]] = {
     "study": study,
     "result": result,
     "readings": readings,
 }
 
 
-def _of(kind: type, title: str) -> Document:
-    made = msgspec.json.schema(kind)
-    return {"$schema": DIALECT, "title": title, **made}
+def _schema(kind: type, title: str) -> Schema:
+    return {"$schema": DIALECT, "title": title, **msgspec.json.schema(kind)}
 
 
-def _parts(base: type[StudyTable]) -> Iterator[type[StudyTable]]:
-    for part in base.__subclasses__():
-        yield part
-        yield from _parts(part)
+def _subclasses(base: type[StudyTable]) -> Iterator[type[StudyTable]]:
+    for table in base.__subclasses__():
+        yield table
+        yield from _subclasses(table)
 
 
-def _open(schema: Document, part: type[StudyTable]) -> None:
-    """Fields of free name stand in the table itself, not in a table named as the
-    struct's field.
-    """
-    collected = schema["properties"].pop(part.rest)
-    schema["additionalProperties"] = collected["additionalProperties"]
+def _open(schema: Schema, free_keys: str) -> None:
+    """Allow keys of free name in the table, in place of the field that collects them."""
+    field = schema["properties"].pop(free_keys)
+    schema["additionalProperties"] = field["additionalProperties"]

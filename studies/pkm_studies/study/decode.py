@@ -1,9 +1,8 @@
-"""From the plain tables of a TOML file to frozen structs; every refusal names its
-field.
+"""Decodes the plain tables of a TOML file into frozen structs, with named refusals.
 
-msgspec does the types; the walk here adds what a person needs: the path of the field,
-the nearest known name, and tables that keep fields of their own (`rest`), such as an
-instrument's settings.
+msgspec does the types. The walk here adds what a person needs: the path of the field,
+the nearest known name, and tables that collect keys of free name (`free_keys`), such as
+an instrument's settings.
 """
 
 from __future__ import annotations
@@ -20,7 +19,8 @@ import msgspec
 from pkm_studies.errors import InputError, Place, suggest
 
 T = TypeVar("T")
-WORDS = {
+#: msgspec's names of types, as words
+TYPES = {
     "float": "a number",
     "int": "a whole number",
     "str": "text",
@@ -29,13 +29,15 @@ WORDS = {
     "object": "a table",
     "null": "nothing",
 }
-#: patterns used in studies, in words
+#: patterns of the tables, as words
 PATTERNS = {"^[A-Za-z0-9][A-Za-z0-9_-]*$": "letters, digits, _ and - only"}
 
 
 def decode(kind: type[T], data: object, place: Place) -> T:
-    """A struct of type `kind` from a table; fields unknown to it go to its field named
-    by `rest`, if it has one.
+    """A struct of type `kind` from a table.
+
+    Keys that the struct does not know go to its field `free_keys`, if it has one.
+    Raises InputError.
     """
     if not isinstance(data, Mapping):
         raise place.error(
@@ -43,64 +45,69 @@ def decode(kind: type[T], data: object, place: Place) -> T:
             f"write it as [{place.field or 'name'}] with fields below",
             data,
         )
-    rest: str | None = getattr(kind, "rest", None)
+    free_keys: str | None = getattr(kind, "free_keys", None)
     fields = msgspec.structs.fields(kind)  # type: ignore[arg-type]
-    known = {f.encode_name: f for f in fields if f.name != rest}
+    known = {f.encode_name: f for f in fields if f.name != free_keys}
     values: dict[str, Any] = {}
     others: dict[str, Any] = {}
     for key, value in data.items():
         if key in known:
             values[known[key].name] = convert(known[key].type, value, place.key(key))
-        elif rest is not None:
+        elif free_keys is not None:
             others[key] = value
         else:
             raise place.key(key).error("unknown field", suggest(key, known))
-    missing = [f for f in known.values() if f.required and f.name not in values]
-    if missing:
-        raise _absent(missing[0].encode_name, place)
-    if rest is not None:
-        declared = next(f.type for f in fields if f.name == rest)
-        values[rest] = convert(declared, others, place)
+    for field in known.values():
+        if field.required and field.name not in values:
+            raise _missing(field.encode_name, place)
+    if free_keys is not None:
+        declared = next(f.type for f in fields if f.name == free_keys)
+        values[free_keys] = convert(declared, others, place)
     return kind(**values)
 
 
 def convert(kind: Any, value: object, place: Place) -> Any:
-    """A value of the annotated type `kind`: structs and containers of structs by
-    `decode`, the rest by msgspec.
-    """
-    options = (
-        typing.get_args(kind)
-        if typing.get_origin(kind) in (typing.Union, types.UnionType)
-        else (kind,)
-    )
-    for option in map(_bare, options):
+    """A value of the annotated type: structs by `decode`, plain values by msgspec."""
+    union = typing.get_origin(kind) in (typing.Union, types.UnionType)
+    options = typing.get_args(kind) if union else (kind,)
+    for option in map(_without_bounds, options):
         origin, inner = typing.get_origin(option), typing.get_args(option)
-        if _is_struct(option) and (isinstance(value, Mapping) or len(options) == 1):
+        is_table = isinstance(value, Mapping)
+        if _is_struct(option) and (is_table or len(options) == 1):
             return decode(option, value, place)
-        if origin is list and isinstance(value, Mapping) and _is_struct(inner[0]):
-            raise place.error(
-                "a list of tables is wanted",
-                f"write [[{place.field}]], with two brackets",
-            )
-        if origin is list and isinstance(value, list) and _is_struct(inner[0]):
-            return [decode(inner[0], v, place.item(i)) for i, v in enumerate(value)]
+        if origin is list and _is_struct(inner[0]):
+            if is_table:
+                raise place.error(
+                    "a list of tables is wanted",
+                    f"write [[{place.field}]], with two brackets",
+                )
+            if isinstance(value, list):
+                return [decode(inner[0], v, place.item(i)) for i, v in enumerate(value)]
         if origin is dict and isinstance(value, Mapping):
-            return {
-                _plain(inner[0], k, place.key(k)): convert(inner[1], v, place.key(k))
-                for k, v in value.items()
-            }
+            return _converted_table(inner, value, place)
     return _plain(kind, value, place)
 
 
-def finite(data: object, place: Place) -> None:
-    """Refuse nan, inf and numbers beyond floating point anywhere below `place`."""
+def _converted_table(
+    kinds: tuple[Any, ...], table: Mapping[Any, object], place: Place
+) -> dict[Any, Any]:
+    """A dict with keys and values of two annotated types."""
+    converted = {}
+    for key, value in table.items():
+        at = place.key(key)
+        converted[_plain(kinds[0], key, at)] = convert(kinds[1], value, at)
+    return converted
+
+
+def check_finite(data: object, place: Place) -> None:
+    """Raises InputError for nan, inf and numbers beyond floating point, at any depth."""
     if isinstance(data, Mapping):
         for key, value in data.items():
-            finite(value, place.key(key))
+            check_finite(value, place.key(key))
     elif isinstance(data, list):
         for i, value in enumerate(data):
-            finite(value, place.item(i))
-    elif isinstance(data, int | float) and not _sound(data):
+            check_finite(value, place.item(i))
+    elif isinstance(data, int | float) and not _is_finite(data):
         raise place.error(
             "not a finite number",
             "give a number; leave the field out to use its default",
@@ -108,38 +115,34 @@ def finite(data: object, place: Place) -> None:
         )
 
 
-def _sound(value: float) -> bool:
+def _is_finite(value: float) -> bool:
     try:
         return math.isfinite(value)
     except OverflowError:
         return False
 
 
-def _bare(kind: Any) -> Any:
-    """A type without its bounds, for which `_plain` cares."""
-    return (
-        typing.get_args(kind)[0]
-        if typing.get_origin(kind) is typing.Annotated
-        else kind
-    )
+def _without_bounds(kind: Any) -> Any:
+    """A type without the bounds that `_plain` checks."""
+    annotated = typing.get_origin(kind) is typing.Annotated
+    return typing.get_args(kind)[0] if annotated else kind
 
 
 def _is_struct(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
-def _absent(name: str, place: Place) -> InputError:
+def _missing(name: str, place: Place) -> InputError:
     where = f"[{place.field}]" if place.field else "the top of the file"
-    return place.key(name).error(
-        "missing", f"add {name} to {where}; see `oed schema study`"
-    )
+    remedy = f"add {name} to {where}; see `oed schema study`"
+    return place.key(name).error("missing", remedy)
 
 
 def _plain(kind: Any, value: object, place: Place) -> Any:
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        what, _, path = str(error).partition(" - at `$")
+        message, _, path = str(error).partition(" - at `$")
     for index in re.findall(r"\[(\d+)\]", path):
         value, place = value[int(index)], place.item(int(index))  # type: ignore[index]
     choices = [] if path.strip("`") else _choices(kind)
@@ -148,7 +151,7 @@ def _plain(kind: Any, value: object, place: Place) -> Any:
             "not one of the allowed values", suggest(value, choices), value
         )
     raise place.error(
-        _worded(what), "see `oed schema study` for what is allowed", value
+        _in_words(message), "see `oed schema study` for what is allowed", value
     )
 
 
@@ -156,13 +159,14 @@ def _choices(kind: Any) -> list[str]:
     """Words that a Literal anywhere in the type allows."""
     inner = typing.get_args(kind)
     if typing.get_origin(kind) is typing.Literal:
-        return [str(c) for c in inner]
-    return [c for k in inner for c in _choices(k)]
+        return [str(choice) for choice in inner]
+    return [choice for part in inner for choice in _choices(part)]
 
 
-def _worded(message: str) -> str:
-    """msgspec's message in words: "Expected `float`, got `str`" -> "a number is wanted,
-    not text".
+def _in_words(message: str) -> str:
+    """msgspec's message in plain words.
+
+    "Expected `float`, got `str`" becomes "a number is wanted, not text".
     """
     pattern = re.search(r"matching regex '(.*)'", message)
     if pattern:
@@ -170,11 +174,12 @@ def _worded(message: str) -> str:
     if "of length" in message:
         return "a list of another length is wanted: " + message.replace("`", "")
     expected, _, got = message.partition(", got ")
-    wanted = (
-        " or ".join(WORDS.get(w, w) for w in re.findall(r"[`|]\s*(\w+)", expected))
-        or expected
-    )
+    names = re.findall(r"[`|]\s*(\w+)", expected)
+    wanted = " or ".join(TYPES.get(name, name) for name in names) or expected
     bound = re.search(r"([<>]=? ?-?[\d.]+)", expected)
-    found = re.search(r"`(\w+)`", got)
-    tail = f", not {WORDS.get(found.group(1), found.group(1))}" if found else ""
-    return f"{wanted}{' ' + bound.group(1) if bound else ''} is wanted{tail}"
+    if bound:
+        wanted += f" {bound.group(1)}"
+    given = re.search(r"`(\w+)`", got)
+    if given:
+        return f"{wanted} is wanted, not {TYPES.get(given.group(1), given.group(1))}"
+    return f"{wanted} is wanted"

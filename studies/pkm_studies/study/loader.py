@@ -1,6 +1,4 @@
-"""Study files: TOML into the frozen structs of `study_tables`. No kernel here: see
-`resolve` for what it means.
-"""
+"""Loads a study file: TOML into frozen structs, checked without the kernel."""
 
 from __future__ import annotations
 
@@ -14,12 +12,13 @@ from pkm_studies.study import decode
 from pkm_studies.study.tables import ReadingsTable, StudyFile
 
 SCHEMA = 1
-LIMIT = 2_000_000  # bytes
+#: bytes of the largest study file
+LIMIT = 2_000_000
 SUFFIX = ".study.toml"
 
 
 class Study(StudyFile, frozen=True, kw_only=True):
-    """A study as loaded: its file and its text beside what it says."""
+    """A study as loaded: its tables, its file and its text."""
 
     path: Path
     text: str
@@ -36,8 +35,9 @@ class Study(StudyFile, frozen=True, kw_only=True):
 
 
 def load(path: Path | str) -> Study:
-    """Read and check a study file. Raises InputError that names file, field, value and
-    remedy.
+    """Read and check a study file.
+
+    Raises InputError that names file, field, value and remedy.
     """
     path = Path(path)
     text = files.read_text(path, limit=LIMIT, what="study file")
@@ -45,21 +45,19 @@ def load(path: Path | str) -> Study:
 
 
 def parse(text: str, path: Path) -> Study:
-    """As `load`, from text; `path` is what errors name and what paths in the study are
-    relative to.
-    """
+    """As `load`, from text; errors name `path`, and the study's paths start there."""
     place = Place(str(path))
     try:
         table = _toml(text, place)
-        decode.finite(table, place)
+        decode.check_finite(table, place)
     except RecursionError:
         raise place.error(
             "tables or lists are nested too deeply", "see `oed schema study`"
         ) from None
-    _schema(table, place)
-    said = decode.decode(StudyFile, table, place)
-    _one_by_one(said, place)
-    fields = {f: getattr(said, f) for f in said.__struct_fields__}
+    _check_schema(table, place)
+    tables = decode.decode(StudyFile, table, place)
+    _check_tables(tables, place)
+    fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
     return Study(**fields, path=path, text=text)
 
 
@@ -67,76 +65,58 @@ def _toml(text: str, place: Place) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except ValueError as error:
-        what = shorten(str(error), 100)
-        raise place.error(
-            f"this is no TOML: {what}", "mend it there, or start from `oed new`"
-        ) from None
+        problem = f"this is no TOML: {shorten(str(error), 100)}"
+        raise place.error(problem, "mend it there, or start from `oed new`") from None
 
 
-def _schema(table: dict[str, Any], place: Place) -> None:
+def _check_schema(table: dict[str, Any], place: Place) -> None:
+    place = place.key("schema")
     if "schema" not in table:
-        raise place.key("schema").error(
-            "missing", "write `schema = 1` at the top of the file"
-        )
+        raise place.error("missing", "write `schema = 1` at the top of the file")
     if table["schema"] != SCHEMA or isinstance(table["schema"], bool):
-        raise place.key("schema").error(
+        raise place.error(
             "unknown version", "this program reads schema = 1", table["schema"]
         )
 
 
-def _one_by_one(said: StudyFile, place: Place) -> None:
-    """What one table can tell without the kernel: names twice, claims that claim
-    nothing, readings from two places.
-    """
-    if not said.setup:
+def _check_tables(study: StudyFile, place: Place) -> None:
+    """Raises InputError for names used twice, empty claims, readings from two places."""
+    if not study.setup:
         raise place.key("setup").error(
             "missing", "add a [[setup]] with name and instrument"
         )
-    names = [s.name for s in said.setup]
+    names = [s.name for s in study.setup]
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise (
-                place.key("setup")
-                .item(i)
-                .key("name")
-                .error("used twice", "give each set-up its own name", name)
-            )
-    for name, claim in said.expect.items():
+            at = place.key("setup").item(i).key("name")
+            raise at.error("used twice", "give each set-up its own name", name)
+    for name, claim in study.expect.items():
         if (claim.equals, claim.min, claim.max, claim.contains) == (None,) * 4:
-            raise (
-                place.key("expect")
-                .key(name)
-                .error("claims nothing", "add equals, min, max or contains")
-            )
-    if said.readings is not None:
-        _readings(said.readings, place.key("readings"))
+            at = place.key("expect").key(name)
+            raise at.error("claims nothing", "add equals, min, max or contains")
+    if study.readings is not None:
+        _check_readings(study.readings, place.key("readings"))
 
 
-def _readings(said: ReadingsTable, place: Place) -> None:
-    ways = [
-        w
-        for w, given in (
-            ("files", said.files),
-            ("source", said.source),
-            ("simulate", said.simulate),
-        )
-        if given
-    ]
-    if len(ways) != 1:
-        problem = (
-            f"readings come from {' and '.join(ways)}"
-            if ways
-            else "it does not say where readings come from"
-        )
-        raise place.error(
-            problem, "give one of: files = [...], source = ..., simulate = true"
-        )
-    if (said.draw or said.truth) and not said.simulate:
+def _check_readings(table: ReadingsTable, place: Place) -> None:
+    given = {
+        "files": table.files,
+        "source": table.source,
+        "simulate": table.simulate,
+    }
+    sources = [name for name, value in given.items() if value]
+    if len(sources) != 1:
+        problem = "it does not say where readings come from"
+        if sources:
+            problem = f"readings come from {' and '.join(sources)}"
+        remedy = "give one of: files = [...], source = ..., simulate = true"
+        raise place.error(problem, remedy)
+    if (table.draw or table.truth) and not table.simulate:
         raise place.error(
             "draw and truth are for virtual machines",
             "add simulate = true, or remove them",
         )
-    if said.path is not None and said.source is None:
+    if table.path is not None and table.source is None:
         raise place.key("path").error(
-            "a path goes with a source", "name files in `files = [...]`", said.path
+            "a path goes with a source", "name files in `files = [...]`", table.path
         )

@@ -1,4 +1,4 @@
-"""What the tables of a study file are made of: their base, and kinds of numbers."""
+"""The base of a study's tables, and the kinds of numbers in them."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ READINGS = 30
 
 
 class StudyTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base: frozen, unknown fields refused. `rest` names the field that collects fields
-    of free name.
+    """Base of all tables: frozen, unknown fields refused.
+
+    `free_keys` names the field that collects keys of free name.
     """
 
-    rest: ClassVar[str | None] = None
+    free_keys: ClassVar[str | None] = None

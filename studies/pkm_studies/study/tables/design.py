@@ -1,4 +1,4 @@
-"""Tables for [design]: criterion, number of readings, polish, order, robustness."""
+"""Tables of [design]: criterion, number of readings, polish, order, robustness."""
 
 from __future__ import annotations
 
@@ -19,11 +19,14 @@ from pkm_studies.study.tables.limits import LimitsTable
 
 
 class PolishTable(StudyTable, frozen=True, kw_only=True):
-    """[design.polish]: chosen poses moved, off the grid, to a local optimum.
+    """[design.polish]: the chosen poses are moved off the grid to a local optimum.
 
-    free       set-up: { setting or tool_x, tool_y, tool_z with its unit: [lowest,
-               highest] }, moved along: `free = { cup = { at_x_mm = [-100, 100] } }`
-    clearance  least determinant of the closure's slopes, as a share of that at home
+    enabled     whether to polish
+    free        settings that may move, by set-up: a setting or tool_x, tool_y, tool_z
+                with its unit, and its lowest and highest value, as in
+                `free = { cup = { at_x_mm = [-100, 100] } }`
+    clearance   least determinant of the closure's slopes, as a share of that at home
+    iterations  of the optimiser, at most
     """
 
     enabled: bool = True
@@ -33,17 +36,21 @@ class PolishTable(StudyTable, frozen=True, kw_only=True):
 
 
 class OrderTable(StudyTable, frozen=True, kw_only=True):
-    """[design.order]: the order of reading; without this table, a short way by the
-    joints within each set-up.
+    """[design.order]: the order of reading; by default, short joint travel in a set-up.
 
-    start                where each set-up's way begins: at home, or anywhere
-    speed_mm_s, speed_deg_s   of the joints
-    reference_every_min  a thermal reference reading at least so often, first and last
-                         in each set-up, in runs named "reference"
-    reference            its command, `{ z_mm = 1146, psi_deg = 0, theta = "hold" }`; by
-                         default the set-up's first pose
-    change_tool_min, change_place_min, change_settings_min   time to change the tool, to move or teach the cup, to
-                         change what the settings tell (the bar): they order the set-ups
+    start                where each set-up begins: at home, or anywhere
+    speed_mm_s           of linear joints
+    speed_deg_s          of rotary joints
+    reference_every_min  longest time between two thermal reference readings; they are
+                         the first and the last readings of each set-up, too
+    reference            command of the reference, as in
+                         `{ z_mm = 1146, psi_deg = 0, theta = "hold" }`; by default the
+                         first pose of the set-up
+    change_tool_min      time to change the tool
+    change_place_min     time to move or teach the cup
+    change_settings_min  time to change what the settings describe, such as the bar
+
+    The changes decide the order of the set-ups.
     """
 
     start: Literal["home", "anywhere"] = "home"
@@ -57,11 +64,14 @@ class OrderTable(StudyTable, frozen=True, kw_only=True):
 
 
 class RobustTable(StudyTable, frozen=True, kw_only=True):
-    """[design.robust]: a plan that serves many machines, not only the nominal one.
+    """[design.robust]: a plan for many machines, not only the nominal one.
 
-    Scenarios of parameters and set-ups are drawn from the tolerances; the plan is
-    judged by their mean, by the mean of the worst share `level` ("cvar"), or by the
-    worst one. Needs a smooth criterion and prior = true.
+    risk       what the plan is judged by: the mean over scenarios, the mean of the worst
+               share `level` ("cvar"), or the worst one
+    level      that share
+    scenarios  number of machines and set-ups drawn from the tolerances
+
+    It needs a smooth criterion and prior = true.
     """
 
     risk: Literal["mean", "cvar", "worst"] = "mean"
@@ -70,11 +80,12 @@ class RobustTable(StudyTable, frozen=True, kw_only=True):
 
 
 class HowManyTable(StudyTable, frozen=True, kw_only=True):
-    """[design.how_many]: predicted accuracy against the number of readings, over the
-    workspace of [prediction].
+    """[design.how_many]: predicted accuracy against the number of readings.
 
-    readings   numbers to show;  wanted  `{ z_um = 50 }`: the fewest readings that reach
-               it are sought, up to `most`
+    readings   numbers of readings to show
+    wanted     accuracy, as in `{ z_um = 50 }`: the fewest readings that reach it are
+               sought
+    most       largest number of readings in that search
     """
 
     readings: Annotated[list[Count], msgspec.Meta(min_length=1)] = msgspec.field(
@@ -85,36 +96,42 @@ class HowManyTable(StudyTable, frozen=True, kw_only=True):
 
 
 class DesignTable(StudyTable, frozen=True, kw_only=True):
-    """[design]: how many readings to choose from the candidates, by which criterion,
-    under which rules.
+    """[design]: which readings to choose, by which criterion, under which rules.
 
-    criterion      D: the volume of the parameters' uncertainty; Ds: of those of
-                   `interest`; A: their mean variance; c: the variance of a
+    criterion      D: the volume of the parameters' uncertainty; Ds: that of `interest`;
+                   A: the mean variance of the parameters; c: the variance of a
                    `combination`; I, G: the mean and the largest variance of the pose
                    over the workspace of [prediction]; E: the worst-known direction;
                    kappa: the condition number; O1 to O5: the observability indices
-    compound       instead of a criterion: shares of several, `{ D = 0.5, I = 0.5 }`
-    interest       Ds: names or patterns; by default the machine's own parameters
-    combination    c: coefficients by parameter, per SI unit (m, rad)
-    accuracy       I, G: wanted accuracy, `{ x_um = 30, theta_arcsec = 5 }`; components
-                   not named do not count. By default all count, angles times the
-                   machine's lever
-    compare        criteria to design for besides, and to score each other's plans with
-    readings       how many to choose (30, where there is no budget); with whole_runs,
-                   how many runs
-    budget_min     time there is for mounting and reading, min, kept readings too;
-                   instead of or beside `readings`
-    setups_max     set-ups mounted at the most, besides those of kept readings
-    apart          least distance of two readings of a set-up, `{ z_mm = 10, psi_deg = 5
-                   }`
-    whole_runs     choose whole runs (circles, lines), not single readings
-    keep           name of a reference plan;  keep_readings: a readings file. Their
-                   readings are part of the plan, and new ones are chosen to go with
-                   them
-    scaling        "length": angles times the lever, readings alike; "tolerance": in
+    compound       instead of a criterion, shares of several: `{ D = 0.5, I = 0.5 }`
+    interest       for Ds: names or patterns; by default the machine's own parameters
+    combination    for c: coefficients by parameter, per SI unit (m, rad)
+    accuracy       for I and G: wanted accuracy, `{ x_um = 30, theta_arcsec = 5 }`;
+                   components not named do not count. By default all count, angles times
+                   the machine's lever
+    compare        further criteria to design for; each plan is scored by all of them
+    readings       number to choose (30, where there is no budget); with `whole_runs`,
+                   the number of runs
+    budget_min     time for mounting and reading, retained readings included; instead of
+                   `readings` or with it
+    setups_max     most set-ups to mount, besides those of retained readings
+    apart          least distance of two readings in a set-up, as in
+                   `{ z_mm = 10, psi_deg = 5 }`
+    whole_runs     whether to choose whole runs (circles, lines)
+    keep           name of a reference plan whose readings are part of the plan
+    keep_readings  readings file whose readings are part of the plan
+    scaling        "length": angles times the lever, all readings alike; "tolerance": in
                    units of tolerances and noise
-    prior          count the tolerances as knowledge; needs scaling = "tolerance"
-    starts         rounds of the search
+    prior          whether the tolerances count as knowledge; needs
+                   scaling = "tolerance"
+    starts         number of search rounds
+    candidates     [[design.candidates]] tables: what can be read
+    reference      [[design.reference]] tables: plans to compare with
+    limits         [design.limits]: which candidates can be read
+    polish         [design.polish]: poses off the grid
+    order          [design.order]: the order of reading
+    robust         [design.robust]: a plan for many machines
+    how_many       [design.how_many]: accuracy by number of readings
     """
 
     criterion: CriterionName = "D"
@@ -143,16 +160,14 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
 
     @property
     def size(self) -> int | None:
-        """Readings (or runs) to choose; None where only the budget tells."""
-        return (
-            READINGS
-            if self.readings is None and self.budget_min is None
-            else self.readings
-        )
+        """Number of readings or runs to choose; None where only the budget limits it."""
+        if self.readings is None and self.budget_min is None:
+            return READINGS
+        return self.readings
 
     @property
     def criteria(self) -> tuple[str, ...]:
-        """Names of the criteria judged by, shares aside."""
+        """Names of the criteria that judge a plan, without shares."""
         return tuple(self.compound) if self.compound else (self.criterion,)
 
     @property

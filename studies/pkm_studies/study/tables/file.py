@@ -31,7 +31,12 @@ from pkm_studies.study.tables.plan import PlanTable
 
 
 class ReportTable(StudyTable, frozen=True, kw_only=True):
-    """[report]."""
+    """[report]: what the report holds.
+
+    html    whether to write report.html
+    pdf     whether to write report.pdf and the measurement sheet
+    corner  number of directions in the corner plot of the posterior
+    """
 
     html: bool = True
     pdf: bool = True
@@ -39,7 +44,13 @@ class ReportTable(StudyTable, frozen=True, kw_only=True):
 
 
 class ClaimTable(StudyTable, frozen=True, kw_only=True):
-    """[expect]: what a result must be. `of` is a dotted path into result.json."""
+    """[expect]: a claim, which the result must meet.
+
+    of        dotted path into result.json
+    equals    the value
+    min, max  bounds of the value
+    contains  text that the value holds
+    """
 
     of: str
     equals: bool | float | str | None = None
@@ -49,7 +60,28 @@ class ClaimTable(StudyTable, frozen=True, kw_only=True):
 
 
 class StudyFile(StudyTable, frozen=True, kw_only=True):
-    """A study file, schema 1."""
+    """A study file, schema 1.
+
+    name       of the study and of its folder of results
+    title      of the report
+    question   that the study answers
+    seed       of all random numbers
+    slow       whether `pytest` runs its claims only with `-m slow`
+    machine    [machine]: the model and its numbers
+    setup      [[setup]] tables: instruments as mounted
+    noise      [noise]: standard deviation of a reading
+    prior      [prior]: tolerances of parameters
+    design     [design]: readings to choose
+    plan       [plan]: measurements to order
+    kappa      [[kappa]] tables: maps of the condition number
+    readings   [readings]: where readings come from
+    identify   [identify]: how parameters are fitted
+    posterior  [posterior]: how long to sample
+    prediction [prediction]: accuracy over the workspace
+    gap        [gap]: effects that a diagnosis tries
+    report     [report]: what the report holds
+    expect     [expect]: claims that the result must meet
+    """
 
     schema: Literal[1]
     name: Name

@@ -1,4 +1,4 @@
-"""Tables for readings, identification, posterior and prediction."""
+"""Tables of readings, identification, posterior and prediction."""
 
 from __future__ import annotations
 
@@ -15,7 +15,18 @@ from pkm_studies.study.tables.grids import Axis
 
 
 class ReadingsTable(StudyTable, frozen=True, kw_only=True):
-    """[readings]: from files, from a named source of data, or from a virtual machine."""
+    """[readings]: from files, from a named collection of data, or simulated.
+
+    files     readings files, relative to the study
+    source    name of a collection: delta_v400 or hangprinter_hp4
+    path      folder of the collection, relative to the study
+    simulate  whether a virtual machine gives the readings
+    draw      whether its parameters are drawn from the tolerances
+    truth     parameters of the virtual machine, as in `dq1_mm = 1.5`; a set-up's
+              unknowns in a table with the set-up's name
+    fit       set-ups whose readings are fitted; by default all but those of `predict`
+    predict   set-ups whose readings are predicted, not fitted
+    """
 
     files: list[str] = []
     source: str | None = None
@@ -28,7 +39,11 @@ class ReadingsTable(StudyTable, frozen=True, kw_only=True):
 
 
 class IdentifyTable(StudyTable, frozen=True, kw_only=True):
-    """[identify]: parameters freed in turn, by name or pattern."""
+    """[identify]: how the parameters are fitted.
+
+    stages          patterns of the parameters freed in turn; by default all at once
+    max_iterations  of each stage
+    """
 
     stages: Annotated[list[list[str]], msgspec.Meta(min_length=1)] = msgspec.field(
         default_factory=lambda: [["*"]]
@@ -37,8 +52,13 @@ class IdentifyTable(StudyTable, frozen=True, kw_only=True):
 
 
 class PosteriorTable(StudyTable, frozen=True, kw_only=True):
-    """[posterior]: how long to sample. `steps` is the most; sampling stops at `ess` a
-    parameter.
+    """[posterior]: how long to sample.
+
+    enabled  whether to sample
+    walkers  number of chains
+    steps    most steps of each chain
+    ess      effective sample size of each parameter at which sampling stops
+    thin     has no effect
     """
 
     enabled: bool = True
@@ -49,11 +69,15 @@ class PosteriorTable(StudyTable, frozen=True, kw_only=True):
 
 
 class PredictionTable(StudyTable, frozen=True, kw_only=True):
-    """[prediction]: residual accuracy over a grid of the workspace, against a
-    reference.
+    """[prediction]: residual accuracy over a grid of the workspace.
+
+    reference         what errors refer to: home, the base frame ("absolute"), or the best
+                      alignment ("best_fit")
+    virtual_machines  number of machines that check the prediction
+    further           coordinates of the grid, as in [[design.candidates]]
     """
 
-    rest = "coordinates"
+    free_keys = "coordinates"
     reference: Literal["home", "absolute", "best_fit"] = "home"
     virtual_machines: Whole = 0
     coordinates: dict[str, Axis] = {}

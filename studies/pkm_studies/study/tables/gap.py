@@ -1,6 +1,4 @@
-"""[gap]: the unmodelled effects that a diagnosis tries, and those that a virtual
-machine has.
-"""
+"""Tables of [gap]: effects that a diagnosis tries, and those of a virtual machine."""
 
 from __future__ import annotations
 
@@ -13,27 +11,25 @@ from pkm_studies.study.tables.gap_design import GapDesignTable
 
 
 class WarmingTable(StudyTable, frozen=True, kw_only=True):
-    """A body that warms by `rise_C` above its state at time 0, with time constant
-    `after_min`.
-    """
+    """A body that warms by `rise_C` above time 0, with time constant `after_min`."""
 
     rise: float = msgspec.field(name="rise_C")
     after_min: Positive
 
 
 class ConditionsTable(StudyTable, frozen=True, kw_only=True):
-    """[gap.conditions]: how a virtual machine is read. Repeats and directions are those
-    of each [[setup]].
+    """[gap.conditions]: how a virtual machine is read.
 
-    start_min              when reading begins; machine, screws and bar warm up from
-                           time 0
-    reading_s, setup_min   time of one reading, and to mount a set-up; by default the
-                           instrument's
-    pause_s                between two runs
-    feed_mm_min, payload_N one value, or several that the runs (each pass by itself)
-    take in turn
-    temperature            recorded temperatures by body: `{ leg = { rise_C = 2,
-                           after_min = 60 } }`
+    start_min    when reading begins; machine, screws and bar warm up from time 0
+    reading_s    time of one reading; by default the instrument's
+    setup_min    time to mount a set-up; by default the instrument's
+    pause_s      between two runs
+    feed_mm_min  one value, or several that the runs take in turn
+    payload_N    likewise; each pass of a run counts as a run
+    temperature  recorded temperatures by body, as in
+                 `{ leg = { rise_C = 2, after_min = 60 } }`
+
+    Repeats and directions are those of each [[setup]].
     """
 
     start_min: NotNegative = 0.0
@@ -52,14 +48,14 @@ class ConditionsTable(StudyTable, frozen=True, kw_only=True):
 class ActingTable(StudyTable, frozen=True, kw_only=True):
     """[[gap.acting]]: an effect that the virtual machine has.
 
-    size          of its coefficients, in their prior standard deviations; drawn with
-                  that spread where `draw` is true
-    coefficients  by name (`"leg 1" = 2`), in prior standard deviations times `size`;
-                  those not named are 0. By default every coefficient of the textbook's
-                  form is 1
+    effect        a name of `oed list effects`, or a file of your own
+    size          factor of its coefficients, in their prior standard deviations
+    draw          whether the coefficients are drawn with that spread
+    coefficients  by name (`"leg 1" = 2`), times `size`; those not named are 0. By
+                  default every coefficient of the textbook's form is 1
     constants     its nonlinear constants, SI; by default, of the values that the
-                  diagnosis tries, the middle one of the first constant and the first
-                  one of others
+                  diagnosis tries, the middle one of the first constant and the first of
+                  the others
     """
 
     effect: str
@@ -70,12 +66,15 @@ class ActingTable(StudyTable, frozen=True, kw_only=True):
 
 
 class GapTable(StudyTable, frozen=True, kw_only=True):
-    """[gap]: which effects the diagnosis of readings tries.
+    """[gap]: which unmodelled effects the diagnosis tries.
 
-    effects  names of `oed list effects` or files of your own (`my.py:effect`); "all"
-             for all known ones, the default
-    without  names left out
-    gravity  its direction in the base frame, any length
+    effects     names of `oed list effects` or files of your own (`my.py:effect`); "all"
+                for all known ones, the default
+    without     names to leave out
+    gravity     its direction in the base frame, any length
+    conditions  [gap.conditions]: how a virtual machine is read
+    acting      [[gap.acting]] tables: effects that the virtual machine has
+    design      [gap.design]: runs that separate effects
     """
 
     effects: list[str] = msgspec.field(default_factory=lambda: ["all"])

@@ -1,6 +1,4 @@
-"""[gap.design]: which runs to take, under which conditions, so that effects can be told
-apart.
-"""
+"""Tables of [gap.design]: runs that separate effects, and their conditions."""
 
 from __future__ import annotations
 
@@ -15,12 +13,14 @@ PLAN = "plan"
 
 
 class RunCondition(StudyTable, frozen=True, kw_only=True):
-    """How a run can be taken; what is not given is not known, and effects that need it
-    cannot be looked for.
+    """A condition under which a run can be taken.
 
-    direction     +1: poses in the order of the plan, -1: in reverse
-    start_min     when the run begins, min: with it no two chosen runs may overlap in
-                  time
+    direction    +1: poses in the order of the plan; -1: in reverse
+    feed_mm_min  feed of the run
+    payload_N    load of the run
+    start_min    when the run begins: with it, no two chosen runs may overlap in time
+
+    What is not given is unknown, and effects that need it cannot be looked for.
     """
 
     direction: Literal[1, -1] = 1
@@ -30,25 +30,22 @@ class RunCondition(StudyTable, frozen=True, kw_only=True):
 
 
 class GapDesignTable(StudyTable, frozen=True, kw_only=True):
-    """[gap.design]: runs chosen so that the wanted effects can be told from one
-    another.
+    """[gap.design]: which runs to take, under which conditions, to separate effects.
 
-    find        effects wanted, by name or file; each is told from every other one and
-                from the `rivals`
+    find        effects to separate from each other and from the `rivals`
+    rivals      further effects
     candidates  names of [[design.reference]] plans whose runs (circles, lines) can be
-                taken; by default of all
+                taken; by default all
     keep        name of a plan whose runs are taken in any case, under the first
-                condition: one made for accuracy, to which runs are added that find the
-                cause of what it leaves. Number and budget are of the added runs.
-                "plan": what [plan] chooses; `budget_min` is then taken from the time
-                that [plan] has, and without it and `runs` there is what the plan leaves
-                of its time
+                condition; runs that find the cause are added to it. "plan": what [plan]
+                chooses. `budget_min` is then taken from the time of [plan]; without it
+                and `runs`, it is the time that [plan] does not use
     conditions  each run can be taken under each of them
-    runs        how many to choose;  budget_min: time there is, mounting included; one
-                of the two, or both
-    share       share of D in what is maximised: 0 only tells effects apart, 1 only sees
-                the parameters
-    starts      rounds of the search
+    runs        number of runs to choose, retained ones not counted
+    budget_min  time there is for them, mounting included; instead of `runs` or with it
+    share       share of D in what is maximised: 0 only separates effects, 1 only
+                determines the parameters
+    starts      number of search rounds
     """
 
     find: Annotated[list[str], msgspec.Meta(min_length=1)]

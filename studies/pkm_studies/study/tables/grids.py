@@ -1,4 +1,4 @@
-"""Tables for grids of poses: ranges, spaced values, and a set-up's poses."""
+"""Tables of grids: ranges and spaced values of coordinates, and a set-up's poses."""
 
 from __future__ import annotations
 
@@ -6,16 +6,13 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from pkm_studies.study.tables.base import (
-    Count,
-    StudyTable,
-    Triple,
-)
+from pkm_studies.study.tables.base import Count, StudyTable, Triple
 
 
 class Span(StudyTable, frozen=True, kw_only=True):
-    """Evenly spaced values, in the unit of the field: `{ from = 0, to = 360, count =
-    12, endpoint = false }`.
+    """Evenly spaced values in the unit of the field.
+
+    As in `{ from = 0, to = 360, count = 12, endpoint = false }`.
     """
 
     from_: float = msgspec.field(name="from")
@@ -31,17 +28,22 @@ class Range(StudyTable, frozen=True, kw_only=True):
     to: float
 
 
-#: values of one command coordinate: a number, a list, evenly spaced, or held by the
+#: values of one command coordinate: a number, a list, evenly spaced, or led by the
 #: instrument
 Axis = float | list[float] | Span | Literal["hold"]
 
 
 class GridTable(StudyTable, frozen=True, kw_only=True):
-    """[[design.candidates]]: poses of one set-up, all values of each coordinate
-    combined.
+    """[[design.candidates]]: poses of one set-up, all combinations of coordinate values.
+
+    setup      the set-up that reads
+    runs_by    coordinate of which each value makes one run
+    pairs_mm   instead of coordinates: pairs of points, the second read against the first
+    further    coordinates with their unit, as in `z_mm = [1086, 1246]`; `theta = "hold"`
+               for the one that the instrument leads
     """
 
-    rest = "coordinates"
+    free_keys = "coordinates"
     setup: str
     runs_by: str | None = None
     pairs_mm: list[tuple[Triple, Triple]] | None = None
@@ -49,20 +51,27 @@ class GridTable(StudyTable, frozen=True, kw_only=True):
 
 
 class ReferenceTable(GridTable, frozen=True, kw_only=True):
-    """[[design.reference]]: as candidates, but a given plan; tables of one name make
-    one plan.
+    """[[design.reference]]: a plan to compare with, in the fields of candidates.
+
+    Tables of one name make one plan.
     """
 
-    rest = "coordinates"
+    free_keys = "coordinates"
     name: str
 
 
 class KappaTable(StudyTable, frozen=True, kw_only=True):
-    """[[kappa]]: condition number over m circles of n points. The range, `z_mm = {
-    from, to }`, spaces the circles.
+    """[[kappa]]: map of the condition number over m circles of n points.
+
+    title       above the map
+    setup       the set-up that reads
+    circles     numbers of circles to try
+    points      numbers of points on a circle to try
+    coordinate  the coordinate that the instrument leads, if any
+    further     the range that spaces the circles, as in `z_mm = { from = 0, to = 10 }`
     """
 
-    rest = "coordinates"
+    free_keys = "coordinates"
     title: str = ""
     setup: str
     circles: Annotated[list[Count], msgspec.Meta(min_length=1)]

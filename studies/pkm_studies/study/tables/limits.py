@@ -1,18 +1,13 @@
-"""Tables for [design.limits]: joint travel, cones and obstacles."""
+"""Tables of [design.limits]: joint travel, singularity, cones and obstacles."""
 
 from __future__ import annotations
 
-from pkm_studies.study.tables.base import (
-    NotNegative,
-    Positive,
-    StudyTable,
-    Triple,
-)
+from pkm_studies.study.tables.base import NotNegative, Positive, StudyTable, Triple
 from pkm_studies.study.tables.grids import Range
 
 
 class ConeTable(StudyTable, frozen=True, kw_only=True):
-    """Directions within `half_angle_deg` of `axis` (any length)."""
+    """Directions within `half_angle_deg` of `axis`, which may have any length."""
 
     axis: Triple
     half_angle_deg: Positive
@@ -26,7 +21,7 @@ class SphereTable(StudyTable, frozen=True, kw_only=True):
 
 
 class RodTable(StudyTable, frozen=True, kw_only=True):
-    """An obstacle: all points within `radius_mm` of a straight line, in the base frame."""
+    """An obstacle: all points within `radius_mm` of a line segment in the base frame."""
 
     from_mm: Triple
     to_mm: Triple
@@ -34,28 +29,26 @@ class RodTable(StudyTable, frozen=True, kw_only=True):
 
 
 class LimitsTable(StudyTable, frozen=True, kw_only=True):
-    """[design.limits]: candidates that break one are left out, and counted. What is not
-    given is not asked.
+    """[design.limits]: candidates outside a limit are left out, and counted.
 
-    joints         travel of joints by name and unit, `{ q1_mm = { from = 350, to = 800
-                   } }`, within the machine's own
+    joints         travel of joints, `{ q1_mm = { from = 350, to = 800 } }`, within that
+                   of the machine
     singularity    least reciprocal condition number of the closure's slopes over the
                    pose, between 0 and 1
-    travel_mm      by how much a held reading may differ from what the instrument holds
-                   (a ball bar's travel)
+    travel_mm      largest difference of a held reading from what the instrument holds,
+                   such as a ball bar's travel
     travel_chance  least probability that it stays within the travel on a machine with
                    errors of the size of its tolerances; needs `travel_mm`
-    cup_cone       where the line from the cup to the tool point may point, in the base
-                   frame
-    tool_cone      where the line from the tool point to the cup may point, in the
-                   platform's frame
-    spheres, rods  obstacles; they need `links_mm` or `bar_mm`
-    links_mm       radius of the machine's links;  bar_mm of the bar from cup to tool
-                   point
-    margin_mm      clearance to keep;  ignore: numbers, from 0, of the skeleton's lines
-                   that are not looked at
+    cup_cone       directions from the cup to the tool point, in the base frame
+    tool_cone      directions from the tool point to the cup, in the platform's frame
+    spheres        obstacles; they need `links_mm` or `bar_mm`
+    rods           obstacles likewise
+    links_mm       radius of the machine's links
+    bar_mm         radius of the bar from cup to tool point
+    margin_mm      clearance to keep
+    ignore         numbers, from 0, of lines of the machine's skeleton that may touch
 
-    travel goes for instruments that hold a reading, cones and bar for those whose other
+    Travel applies to instruments that hold a reading; cones and bar to those whose other
     end has a place.
     """
 

@@ -1,18 +1,16 @@
-"""Tables for the machine, its set-ups, the noise and the prior."""
+"""Tables of the machine, its set-ups, the noise and the prior tolerances."""
 
 from __future__ import annotations
 
-from pkm_studies.study.tables.base import (
-    Count,
-    Name,
-    StudyTable,
-    Triple,
-)
+from pkm_studies.study.tables.base import Count, Name, StudyTable, Triple
 
 
 class MachineTable(StudyTable, frozen=True, kw_only=True):
-    """[machine]: which model, with which numbers. `fixed` replaces the model's list of
-    parameters held.
+    """[machine]: the model and its numbers.
+
+    model     a name of `oed list machines`, or a file of your own (`my.py:machine`)
+    nominal   numbers of your machine in place of the model's, as in `l1_mm = 350`
+    fixed     parameters that are not identified, in place of the model's list
     """
 
     model: str
@@ -21,14 +19,20 @@ class MachineTable(StudyTable, frozen=True, kw_only=True):
 
 
 class SetupTable(StudyTable, frozen=True, kw_only=True):
-    """[[setup]]: an instrument as mounted. `tolerance` are the standard deviations of
-    its unknowns.
+    """[[setup]]: an instrument as mounted.
 
-    Each planned reading is taken `repeats` times, in one direction or both; `average`
-    keeps their mean.
+    name             of the set-up
+    instrument       a name of `oed list instruments`, or a file of your own
+    tool_mm          tool point in the platform's frame
+    repeats          how often each planned reading is taken
+    both_directions  whether it is taken forward and backward
+    average          whether the mean of these passes is the reading
+    teach            command at which the instrument was taught
+    tolerance        standard deviations of the set-up's unknowns, as in `cup_x_mm = 0.1`
+    further          settings of the instrument with their unit, as in `length_mm = 300`
     """
 
-    rest = "settings"
+    free_keys = "settings"
     name: Name
     instrument: str
     tool_mm: Triple = (0.0, 0.0, 0.0)
@@ -41,26 +45,34 @@ class SetupTable(StudyTable, frozen=True, kw_only=True):
 
 
 class NoiseTable(StudyTable, frozen=True, kw_only=True):
-    """[noise]: standard deviation of each channel, for all set-ups or in a table named
-    as the set-up.
+    """[noise]: standard deviation of one reading.
+
+    estimate   whether the fit scales it by what the residuals show
+    further    channels with their unit, as in `length_um = 0.5`, for all set-ups, or in
+               a table with the set-up's name for that one
     """
 
-    rest = "sigma"
+    free_keys = "sigma"
     estimate: bool = False
     sigma: dict[str, float | dict[str, float]] = {}
 
 
 class ToleranceTable(StudyTable, frozen=True, kw_only=True):
-    """[[prior.tolerance]]: a standard deviation for the parameters whose names match;
-    later tables win.
+    """[[prior.tolerance]]: a standard deviation for some parameters; later tables win.
+
+    parameters   names or patterns, as in `["dq*"]`
+    further      `sigma` with its unit, as in `sigma_mm = 0.1`
     """
 
-    rest = "sigma"
+    free_keys = "sigma"
     parameters: list[str]
     sigma: dict[str, float] = {}
 
 
 class PriorTable(StudyTable, frozen=True, kw_only=True):
-    """[prior]."""
+    """[prior]: tolerances in place of the model's.
+
+    tolerance   [[prior.tolerance]] tables
+    """
 
     tolerance: list[ToleranceTable] = []

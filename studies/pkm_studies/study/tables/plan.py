@@ -1,4 +1,4 @@
-"""Tables for [plan]: measurements to choose from, and the time for them."""
+"""Tables of [plan]: measurements to choose from, and the time for them."""
 
 from __future__ import annotations
 
@@ -18,21 +18,26 @@ from pkm_studies.study.tables.grids import Axis
 
 
 class MeasuredTable(StudyTable, frozen=True, kw_only=True):
-    """[[plan.measurement]]: a measurement as it can be ordered; the grid's fields are
-    those of [[design.candidates]].
+    """[[plan.measurement]]: a measurement that can be ordered.
 
-    setup, setups  set-ups to mount, each of one measurement; the grid goes for each of
-                   them
-    counts         numbers of readings (or whole runs) worth trying; no plan takes more
-                   than the highest
-    setup_min      time to mount, all its set-ups together, by default the instruments';
-                   reading_s: of one pass
-    travel_mm      a reading farther from the expected one is lost (a ball bar's
-                   travel); by default none is
-    price          of doing it, besides the time;  operator: who can do it
+    name       of the measurement
+    setup      set-up to mount
+    setups     further set-ups of the same measurement, with the same grid
+    counts     numbers of readings (or whole runs) worth trying; no plan takes more than
+               the highest
+    setup_min  time to mount all its set-ups; by default the instruments'
+    reading_s  time of one pass
+    travel_mm  a reading that differs more from the expected one is lost (a ball bar's
+               travel); by default none is lost
+    whole_runs whether to choose whole runs
+    price      of the measurement, besides its time
+    operator   who can do it
+    runs_by    as in [[design.candidates]]
+    pairs_mm   likewise
+    further    coordinates of the grid, as in [[design.candidates]]
     """
 
-    rest = "coordinates"
+    free_keys = "coordinates"
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=80)]
     setup: str | None = None
     setups: list[str] = []
@@ -50,22 +55,25 @@ class MeasuredTable(StudyTable, frozen=True, kw_only=True):
     @property
     def mounted(self) -> list[str]:
         """Names of its set-ups."""
-        return [*([self.setup] if self.setup is not None else []), *self.setups]
+        if self.setup is None:
+            return self.setups
+        return [self.setup, *self.setups]
 
 
 class PlanTable(StudyTable, frozen=True, kw_only=True):
-    """[plan]: which measurements to do, in which order, over the workspace of
-    [prediction].
+    """[plan]: which measurements to do, in which order.
 
-    budget_min        time there is;  stages: the most there may be
-    wanted            `{ z_um = 30 }`: least time to reach these; without, most accurate
-                      within the budget
-    worth             a last stage that makes the machine more accurate by less than
-                      this share is not done
-    compare           sequences of measurements, with all readings of each (or the best
-                      ones that the budget pays for), shown beside the best plan of
-                      their time
-    virtual_machines  carried through all stages of the plan
+    budget_min        time there is
+    stages            most stages of the plan
+    wanted            accuracy, as in `{ z_um = 30 }`: the plan reaches it in the least
+                      time; without it, the plan is the most accurate within the budget
+    worth             least share by which a last stage has to improve the accuracy
+    compare           sequences of measurements to show with the best plan of their time;
+                      each takes all its readings, or the best that the budget pays for
+    virtual_machines  number carried through all stages of the plan
+    measurement       [[plan.measurement]] tables: what can be ordered
+
+    Accuracy is that over the workspace of [prediction].
     """
 
     budget_min: Annotated[float, msgspec.Meta(gt=0)] | None = None
