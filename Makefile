@@ -81,7 +81,7 @@ lock: $(BIN)/uv
 	UV_PYTHON_DOWNLOADS=never $(BIN)/uv lock --python $(BIN)/python
 
 clean:
-	rm -rf out dist build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf out dist build docs/reference/api docs/reference/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 distclean: clean

@@ -137,11 +137,14 @@ def test_the_lock_is_of_these_dependencies(project: dict) -> None:
     lock = tomllib.loads((ROOT / "uv.lock").read_text(encoding="utf-8"))
     (package,) = (p for p in lock["package"] if p["name"] == "pkm-oed")
     metadata_table = package["metadata"]
-    entries = metadata_table["requires-dist"] + metadata_table["requires-dev"]["dev"]
-    locked = {entry["name"] + entry["specifier"] for entry in entries}
-    stated = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
-    without_extras = {re.sub(r"\[.*\]", "", item) for item in stated}
-    assert locked == without_extras, "run `make lock`"
+    locked = {"run": metadata_table["requires-dist"], **metadata_table["requires-dev"]}
+    groups = project["dependency-groups"]
+    stated = {"run": project["project"]["dependencies"], **groups}
+    assert locked.keys() == stated.keys()
+    for group, entries in locked.items():
+        pins = {entry["name"] + entry["specifier"] for entry in entries}
+        without_extras = {re.sub(r"\[.*\]", "", item) for item in stated[group]}
+        assert pins == without_extras, "run `make lock`"
 
 
 def test_the_command_of_the_package_is_there(project: dict) -> None:
