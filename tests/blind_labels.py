@@ -17,7 +17,7 @@ def case(
     law: str = "white",
     blocks: tuple[str, ...] = (),
 ) -> dict:
-    told = [
+    effects_stated = [
         {
             "name": n,
             "unknown": n not in LIBRARY,
@@ -33,7 +33,7 @@ def case(
         "machine": machine,
         "kind": kind,
         "noise": {"name": law},
-        "effects": told,
+        "effects": effects_stated,
         "class": exact,
     }
 
@@ -43,11 +43,11 @@ def known(
     *,
     apart: float = 10.0,
     beyond: float = 10.0,
-    own: float = 2.0,
+    by_library: float = 2.0,
     testable: tuple[str, ...] = LIBRARY,
 ) -> dict:
-    told = [
-        {"name": e["name"], "apart": apart, "beyond": beyond, "own": own}
+    figures = [
+        {"name": e["name"], "apart": apart, "beyond": beyond, "own": by_library}
         for e in label["effects"]
     ]
     square = {"value": 0.9, "s0": 3.0, "s1": 1.0, "n": 100}
@@ -55,7 +55,7 @@ def known(
         {"split": s, "expected_gain": 50.0, "same_law": square}
         for s in ("within", "whole")
     ]
-    return {"testable": list(testable), "effects": told, "closure": closure}
+    return {"testable": list(testable), "effects": figures, "closure": closure}
 
 
 def answer(
@@ -70,15 +70,15 @@ def answer(
 
 
 def result(*answers: dict, baseline: list[str] | None = None, **more: object) -> dict:
-    told: dict = {
+    record: dict = {
         "answers": list(answers),
         "set95": list(answers[:1]),
         "where": [],
         "closure": [],
     }
     if baseline is not None:
-        told["baselines"] = {"harmonic": baseline, "stepwise": baseline}
-    return told | more
+        record["baselines"] = {"harmonic": baseline, "stepwise": baseline}
+    return record | more
 
 
 def entries_of(blind: SimpleNamespace, *cases: tuple[dict, dict]) -> list:

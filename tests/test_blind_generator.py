@@ -55,17 +55,17 @@ def stage_of(
 ) -> SimpleNamespace:
     """A scene with its stage, metric under white noise, and law."""
     rng = np.random.default_rng(seed)
-    made = blind.plans.draw(rng, machine, plan)
-    scene = blind.scene.draw(rng, made)
+    plan_drawn = blind.plans.draw(rng, machine, plan)
+    scene = blind.scene.draw(rng, plan_drawn)
     stage = blind.base.Stage(
-        made, scene.motion, scene.layout, blind.thermal.climate(rng, made)
+        plan_drawn, scene.motion, scene.layout, blind.thermal.climate(rng, plan_drawn)
     )
     sigma = blind.noise.covariance(
-        blind.noise.Law(name="white"), blind.noise.grouping(made, scene.layout)
+        blind.noise.Law(name="white"), blind.noise.grouping(plan_drawn, scene.layout)
     )
     metric = blind.severity.Metric(sigma, scene.J, scene.prior)
     return SimpleNamespace(
-        plan=made, scene=scene, stage=stage, metric=metric, sigma=sigma
+        plan=plan_drawn, scene=scene, stage=stage, metric=metric, sigma=sigma
     )
 
 
@@ -99,17 +99,19 @@ def test_files_load_with_their_study_and_mean_the_same_machine(
     blind, tmp_path, machine, plan
 ):
     rng = np.random.default_rng(7)
-    made = blind.plans.draw(rng, machine, plan)
-    scene = blind.scene.draw(rng, made)
+    plan_drawn = blind.plans.draw(rng, machine, plan)
+    scene = blind.scene.draw(rng, plan_drawn)
     case = SimpleNamespace(
         stage=SimpleNamespace(
-            plan=made, layout=scene.layout, climate=blind.thermal.climate(rng, made)
+            plan=plan_drawn,
+            layout=scene.layout,
+            climate=blind.thermal.climate(rng, plan_drawn),
         ),
         y=scene.y,
     )
     path = tmp_path / "x.readings.csv"
     blind.write.table(case).to_csv(path, index=False)
-    measurement = measurement_of(made.study)
+    measurement = measurement_of(plan_drawn.study)
     read = dataset.load(path, measurement)
     assert read.dropped == 0
     assert 250 <= len(read) <= 750
@@ -129,13 +131,13 @@ def test_files_load_with_their_study_and_mean_the_same_machine(
         "payload_N": "payload",
     }
     for column, stem in shown.items():
-        assert (stem in read.covariates) == (column in made.columns)
+        assert (stem in read.covariates) == (column in plan_drawn.columns)
 
 
 def test_joint_forces_follow_from_virtual_work(blind):
-    made = blind.plans.draw(np.random.default_rng(3), "hexapod", "full")
+    plan = blind.plans.draw(np.random.default_rng(3), "hexapod", "full")
     scene = blind.scene.Scene(
-        made, np.zeros(42), np.zeros((2, 6))
+        plan, np.zeros(42), np.zeros((2, 6))
     )  # the nominal machine, that forces are told for
     rise = []
     for leg in (0, 4):
@@ -143,9 +145,9 @@ def test_joint_forces_follow_from_virtual_work(blind):
             dq = np.zeros_like(scene.motion.q)
             dq[:, leg] = sign * 1e-5
             args = (scene.inverse, scene.motion.pose.R0, scene.motion.q + dq, scene.p)
-            x = blind.scene.nearby(made.machine, scene.x, *args)
+            x = blind.scene.nearby(plan.machine, scene.x, *args)
             rise.append(
-                blind.scene.tip(made.machine, x, scene.motion.pose.R0, made.tool)[:, 2]
+                blind.scene.tip(plan.machine, x, scene.motion.pose.R0, plan.tool)[:, 2]
             )
         lift = (rise[-2] - rise[-1]) / 2e-5
         assert np.abs(lift - scene.motion.lift[:, leg]).max() < 1e-6
@@ -155,14 +157,17 @@ def test_joint_forces_follow_from_virtual_work(blind):
 
 
 def test_play_remembers_its_side_of_the_gap(blind):
-    made = stage_of(blind, "planar", "full")
+    bench = stage_of(blind, "planar", "full")
     width = 4e-6
-    q = made.stage.motion.q
+    q = bench.stage.motion.q
     error = blind.motion.play(
-        made.stage, blind.motion.passes(made.stage), np.full((1, 2), width), np.ones(1)
+        bench.stage,
+        blind.motion.passes(bench.stage),
+        np.full((1, 2), width),
+        np.ones(1),
     )
     assert np.abs(error).max() <= width / 2 + 1e-15
-    for here in made.plan.runs:
+    for here in bench.plan.runs:
         for leg in range(2):
             travel = np.diff(q[here, leg])
             after = np.flatnonzero(np.abs(travel) > 2 * width) + 1
@@ -179,11 +184,11 @@ def test_play_remembers_its_side_of_the_gap(blind):
 def test_every_form_does_something_and_departs_from_its_textbook(blind):
     departs: dict[str, list[float]] = {}
     for machine in ("a3", "planar", "delta", "hexaglide"):
-        made = stage_of(blind, machine, "full")
+        bench = stage_of(blind, machine, "full")
         for name in blind.effects.known_on(machine):
-            effect = blind.effects.KNOWN[name](np.random.default_rng(11), made.stage)
-            change = made.scene.response(effect.push(1e-6))
-            assert made.metric.size(change) > 0
+            effect = blind.effects.KNOWN[name](np.random.default_rng(11), bench.stage)
+            change = bench.scene.response(effect.push(1e-6))
+            assert bench.metric.size(change) > 0
             if name in (
                 "backlash",
                 "gravity",
@@ -192,10 +197,12 @@ def test_every_form_does_something_and_departs_from_its_textbook(blind):
                 "friction",
                 "servo_lag",
             ):
-                left = blind.textbook.distances(
-                    made.scene, made.stage, made.metric, (name,), [change]
+                distances = blind.textbook.distances(
+                    bench.scene, bench.stage, bench.metric, (name,), [change]
                 )[0][name]
-                departs.setdefault(name, []).append(left / made.metric.size(change))
+                departs.setdefault(name, []).append(
+                    distances / bench.metric.size(change)
+                )
     for name, shares in departs.items():
         assert 0.02 < max(shares) < 0.95, name
     assert set(blind.effects.UNKNOWN).isdisjoint(blind.effects.KNOWN)
@@ -203,43 +210,44 @@ def test_every_form_does_something_and_departs_from_its_textbook(blind):
 
 
 def test_one_tool_cannot_tell_a_common_scale_from_the_bar_and_two_can(blind):
-    left = {}
+    distances = {}
     for plan in ("single", "full"):
-        made = stage_of(blind, "a3", plan)
+        bench = stage_of(blind, "a3", plan)
         scale = blind.effects.EXACT["encoder_scale"](
-            np.random.default_rng(0), made.stage
+            np.random.default_rng(0), bench.stage
         ).push(30e-6)
         bar = blind.effects.EXACT["bar_length"](
-            np.random.default_rng(0), made.stage
+            np.random.default_rng(0), bench.stage
         ).push(10e-6)
-        seen = [
-            made.metric.embed(made.scene.read(p) - made.scene.y) for p in (scale, bar)
+        vectors = [
+            bench.metric.embed(bench.scene.read(p) - bench.scene.y)
+            for p in (scale, bar)
         ]
-        left[plan] = blind.severity.distance(
-            seen[0], seen[1][:, None]
-        ) / np.linalg.norm(seen[0])
-    assert left["single"] < 0.01
-    assert left["full"] > 0.05
+        distances[plan] = blind.severity.distance(
+            vectors[0], vectors[1][:, None]
+        ) / np.linalg.norm(vectors[0])
+    assert distances["single"] < 0.01
+    assert distances["full"] > 0.05
 
 
 @pytest.mark.parametrize("part", ["dq", "dp", "dtip", "ds", "dy"])
 def test_exact_readings_follow_first_order_for_small_additions(blind, part):
-    made = stage_of(blind, "planar", "poor")
-    rows, rng = len(made.plan.command), np.random.default_rng(4)
+    bench = stage_of(blind, "planar", "poor")
+    rows, rng = len(bench.plan.command), np.random.default_rng(4)
     width = {"dq": 2, "dp": 9, "dtip": 3, "ds": 6}
-    shape = (made.scene.layout.size,) if part == "dy" else (rows, width[part])
+    shape = (bench.scene.layout.size,) if part == "dy" else (rows, width[part])
     push = blind.scene.Push(**{part: 1e-8 * rng.normal(size=shape)})
-    change, first = made.scene.read(push) - made.scene.y, made.scene.response(push)
+    change, first = bench.scene.read(push) - bench.scene.y, bench.scene.response(push)
     assert np.abs(change - first).max() < 1e-5 * np.abs(first).max()
 
 
 # -- sizes and noise -------------------------------------------------------------------
 
 
-def dense_lambda(kept, dy):
+def dense_lambda(truth, dy):
     """lambda as it is written down: (Sigma + J Lambda J^T) inverted whole."""
-    J, prior = kept["J"].astype(float), kept["prior"]
-    return float(dy @ np.linalg.solve(kept["sigma"] + (J * prior**2) @ J.T, dy))
+    J, prior = truth["J"].astype(float), truth["prior"]
+    return float(dy @ np.linalg.solve(truth["sigma"] + (J * prior**2) @ J.T, dy))
 
 
 @pytest.mark.parametrize(
@@ -253,26 +261,26 @@ def test_sizes_are_as_labelled(blind, tmp_path, kind):
     ]
     assert len(labels) == 3
     for label in labels:
-        kept = dict(np.load(tmp_path / "truth" / f"{label['id']}.npz"))
-        kept["sigma"] = blind.write.covariance(kept)
-        changes = [kept[f"dy_{i}"] for i in range(len(label["effects"]))]
-        lambdas = [dense_lambda(kept, dy) for dy in changes]
-        for told, value in zip(label["effects"], lambdas, strict=True):
-            assert np.sqrt(value) == pytest.approx(told["sqrt_lambda"], rel=2e-3)
+        truth = dict(np.load(tmp_path / "truth" / f"{label['id']}.npz"))
+        truth["sigma"] = blind.write.covariance(truth)
+        changes = [truth[f"dy_{i}"] for i in range(len(label["effects"]))]
+        lambdas = [dense_lambda(truth, dy) for dy in changes]
+        for effect, value in zip(label["effects"], lambdas, strict=True):
+            assert np.sqrt(value) == pytest.approx(effect["sqrt_lambda"], rel=2e-3)
         if len(changes) == 1:
             assert label["effects"][0]["sqrt_lambda"] == pytest.approx(
                 label["effects"][0]["target"], rel=1e-3
             )
         else:
-            both = dense_lambda(kept, changes[0] + changes[1])
+            both = dense_lambda(truth, changes[0] + changes[1])
             cross = (both - sum(lambdas)) / 2
-            for i, told in enumerate(
+            for i, effect in enumerate(
                 label["effects"]
             ):  # beyond the direction of the other
                 alone = lambdas[i] - cross**2 / lambdas[1 - i]
-                assert np.sqrt(alone) == pytest.approx(told["target"], rel=0.02)
-        apart = kept["clean"] - kept["y0"] - sum(changes)
-        assert np.abs(apart).max() < 0.02 * np.abs(kept["clean"] - kept["y0"]).max()
+                assert np.sqrt(alone) == pytest.approx(effect["target"], rel=0.02)
+        apart = truth["clean"] - truth["y0"] - sum(changes)
+        assert np.abs(apart).max() < 0.02 * np.abs(truth["clean"] - truth["y0"]).max()
 
 
 @pytest.mark.parametrize("law", ["white", "correlated", "run", "heavy", "combined"])
@@ -289,9 +297,9 @@ def test_noise_has_the_covariance_it_tells(blind, law):
     # off for this
     drawn = dataclasses.replace(blind.noise.draw(rng, law), dof=0.0, outliers=0.0)
     sample = np.array([blind.noise.sample(rng, drawn, group) for _ in range(6000)])
-    told = blind.noise.covariance(drawn, group)
-    assert np.abs(np.cov(sample.T) - told).max() < 0.09 * told.max()
-    assert np.abs(told[:6, 6:]).max() == 0.0  # runs share nothing
+    covariance = blind.noise.covariance(drawn, group)
+    assert np.abs(np.cov(sample.T) - covariance).max() < 0.09 * covariance.max()
+    assert np.abs(covariance[:6, 6:]).max() == 0.0  # runs share nothing
     far = 4e-12 * np.array(
         [
             [
@@ -305,7 +313,7 @@ def test_noise_has_the_covariance_it_tells(blind, law):
             for i in range(6)
         ]
     )
-    assert np.abs(told[6:, 6:] - far).max() < 1e-12 * far.max()
+    assert np.abs(covariance[6:, 6:] - far).max() < 1e-12 * far.max()
 
 
 def test_heavy_tails_are_heavy_and_told_by_their_information(blind):
@@ -355,25 +363,25 @@ def test_set_six_has_the_hexaglide_alone_and_leaves_the_others_as_they_were(blin
         "unknown": 20,
         "known_unknown": 15,
     }  # of the exact class none
-    for name, told in (("dev", "444e20a361a0"), ("blind", "459754dcb789")):
+    for name, digest in (("dev", "444e20a361a0"), ("blind", "459754dcb789")):
         text = repr(
             [dataclasses.astuple(blind.cases.role(1, name, k)) for k in range(400)]
         )
-        assert hashlib.sha256(text.encode()).hexdigest().startswith(told)
+        assert hashlib.sha256(text.encode()).hexdigest().startswith(digest)
 
 
 def test_what_a_bar_does_is_in_its_readings_alone(blind):
-    made = stage_of(blind, "hexaglide", "full")
+    bench = stage_of(blind, "hexaglide", "full")
     bar = np.array(
         [
-            made.plan.setups[k].name == "cup"
-            for k in made.plan.setup[made.scene.layout.row]
+            bench.plan.setups[k].name == "cup"
+            for k in bench.plan.setup[bench.scene.layout.row]
         ]
     )
     assert 0 < bar.sum() < len(bar)
     for name in ("bar_length", "bar_thermal"):
         dy = (
-            blind.effects.KNOWN[name](np.random.default_rng(1), made.stage)
+            blind.effects.KNOWN[name](np.random.default_rng(1), bench.stage)
             .push(1e-6)
             .dy
         )
@@ -431,8 +439,8 @@ def test_a_case_depends_on_its_number_alone_and_files_are_taken_up_again(
         assert labels["a"][key] == labels["b"][key]
     for key, label in labels["b"].items():
         assert label["effects"] == []
-        kept = np.load(tmp_path / "b" / "truth" / f"{key}.npz")
-        assert np.array_equal(kept["clean"], kept["y0"])
+        truth = np.load(tmp_path / "b" / "truth" / f"{key}.npz")
+        assert np.array_equal(truth["clean"], truth["y0"])
 
 
 def test_manifest_gives_no_hint(blind, tmp_path):

@@ -28,9 +28,9 @@ def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
     ("hits", "count"), [(0, 73), (1, 75), (37, 40), (40, 40), (3, 4)]
 )
 def test_wilson_is_that_of_scipy(blind, hits, count):
-    told = stats.binomtest(hits, count).proportion_ci(method="wilson")
+    interval = stats.binomtest(hits, count).proportion_ci(method="wilson")
     assert blind.intervals.wilson(hits, count) == pytest.approx(
-        (told.low, told.high), abs=1e-12
+        (interval.low, interval.high), abs=1e-12
     )
 
 
@@ -64,14 +64,14 @@ def test_median_interval_covers_as_told(blind):
 
 def test_mean_interval_is_students(blind):
     values = [0.2, 0.9, 1.0, 0.4]
-    told = stats.t.interval(0.95, 3, np.mean(values), stats.sem(values))
-    assert blind.intervals.mean(values)[1:] == pytest.approx(told)
+    interval = stats.t.interval(0.95, 3, np.mean(values), stats.sem(values))
+    assert blind.intervals.mean(values)[1:] == pytest.approx(interval)
     assert math.isnan(blind.intervals.mean([])[0])
 
 
 def test_proved_is_what_the_worse_end_of_the_interval_reaches(blind):
     def row(hits: int, count: int) -> tuple[str, bool]:
-        told = blind.row.share(
+        share = blind.row.share(
             "",
             "",
             [True] * hits + [False] * (count - hits),
@@ -79,7 +79,7 @@ def test_proved_is_what_the_worse_end_of_the_interval_reaches(blind):
             must=0.05,
             aim=0.02,
         )
-        return told.status, told.proved
+        return share.status, share.proved
 
     assert row(0, 73) == ("aim", True)
     assert row(0, 72) == ("aim", False)
@@ -91,7 +91,7 @@ def test_proved_is_what_the_worse_end_of_the_interval_reaches(blind):
 
 
 @pytest.mark.parametrize(
-    ("effects", "classes", "truth", "found", "exact"),
+    ("effects", "classes", "truth", "count", "exact"),
     [
         (["a"], [], ["a"], 1, True),
         (["a"], [["a", "b"]], ["b"], 1, True),
@@ -117,13 +117,13 @@ def test_proved_is_what_the_worse_end_of_the_interval_reaches(blind):
         (["a", "b", "c"], [], ["c", "a"], 2, False),
     ],
 )
-def test_effects_found_by_an_answer(blind, effects, classes, truth, found, exact):
-    said = blind.judge.parse_answer(
+def test_effects_found_by_an_answer(blind, effects, classes, truth, count, exact):
+    stated = blind.judge.parse_answer(
         {"effects": effects, "classes": classes, "probability": 1.0}
     )
-    assert blind.judge.count_true(said, truth) == found
-    assert blind.judge.names_exactly(said, truth) is exact
-    assert blind.judge.count_false(said, truth) == len(said.classes) - found
+    assert blind.judge.count_true(stated, truth) == count
+    assert blind.judge.names_exactly(stated, truth) is exact
+    assert blind.judge.count_false(stated, truth) == len(stated.classes) - count
 
 
 def test_right_as_a_whole(blind):
@@ -187,11 +187,11 @@ def test_a_leg_that_nothing_tells_from_the_true_one_is_right(blind):
         ([["leg 1", "leg 3"]], False),
         ([], False),
     ):
-        told = {
+        figures = {
             **entry.oracle,
             "effects": [{**entry.oracle["effects"][0], "tied": ties}],
         }
-        tied = dataclasses.replace(entry, oracle=told)
+        tied = dataclasses.replace(entry, oracle=figures)
         assert blind.judge.located(place, tied.blocks, "leg") == right
         assert "time 0-9" in tied.blocks
 
@@ -203,11 +203,11 @@ def test_a_time_that_the_readings_do_not_tell_is_no_place(blind):
     label = case(
         "single", {"backlash": 6.0}, blocks=("leg 2", "time 0-9", "direction +1")
     )
-    for columns, kept in (
+    for columns, blocks in (
         (["time_s", "direction"], {"leg 2", "time 0-9", "direction +1"}), (["direction"], {"leg 2", "direction +1"}),
         ([], {"leg 2"}),
     ):  # fmt: skip
         (entry,) = entries_of(
             blind, (label | {"columns": columns}, result(answer("backlash")))
         )
-        assert set(entry.blocks) == kept
+        assert set(entry.blocks) == blocks

@@ -42,7 +42,7 @@ def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
 
 
 @pytest.fixture(scope="module")
-def made(blind: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def case_set(blind: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small set: cases of one effect or two on the A3."""
     folder = tmp_path_factory.mktemp("set")
     blind.write.generate(
@@ -121,12 +121,12 @@ def diagnosed(blind, problem):
 
 
 def test_runs_without_labels_and_takes_up_where_it_stopped(
-    blind, made, tmp_path, monkeypatch
+    blind, case_set, tmp_path, monkeypatch
 ):
     folder, out = tmp_path / "set", tmp_path / "results"
     folder.mkdir()
-    shutil.copy(made / "manifest.jsonl", folder)
-    shutil.copytree(made / "cases", folder / "cases")
+    shutil.copy(case_set / "manifest.jsonl", folder)
+    shutil.copytree(case_set / "cases", folder / "cases")
     calls = []
 
     def diagnose(problem, effects, rng):
@@ -147,14 +147,14 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(
     assert len(calls) == 3
     assert calls[0] == calls[2]  # the same draws
     names = [c.id for c in blind.loading.manifest(folder)[:2]]
-    told = json.loads((out / f"{names[0]}.json").read_text(encoding="utf-8"))
-    assert told["answers"][1] == {
+    record = json.loads((out / f"{names[0]}.json").read_text(encoding="utf-8"))
+    assert record["answers"][1] == {
         "effects": ["step"],
         "probability": 0.1,
         "classes": [["step", "mount_drift"]],
     }
-    assert told["closure"][0]["value"] is None
-    law = blind.run.law_of(told["law"], len(told["law"]["variance"]))
+    assert record["closure"][0]["value"] is None
+    law = blind.run.law_of(record["law"], len(record["law"]["variance"]))
     assert law.variance[-1] == 2.0
     assert math.isinf(law.student_dof)
     assert (
@@ -165,7 +165,7 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(
 
 
 def test_who_knows_the_noise_is_given_its_covariance(
-    blind, made, tmp_path, monkeypatch
+    blind, case_set, tmp_path, monkeypatch
 ):
     covariances, rows = [], np.array([0, 2, 3])
 
@@ -188,7 +188,7 @@ def test_who_knows_the_noise_is_given_its_covariance(
             [
                 "known-noise",
                 "--cases",
-                str(made),
+                str(case_set),
                 "--results",
                 str(tmp_path),
                 "--limit",
@@ -199,56 +199,59 @@ def test_who_knows_the_noise_is_given_its_covariance(
         )
         == 0
     )
-    jobs = sorted(blind.run.select_jobs(made, limit=2), key=lambda j: j.case.study)
+    jobs = sorted(blind.run.select_jobs(case_set, limit=2), key=lambda j: j.case.study)
     for job, (whole, parts) in zip(jobs, covariances, strict=True):
-        told = json.loads(
+        record = json.loads(
             (tmp_path / "known_noise" / f"{job.case.id}.json").read_text(
                 encoding="utf-8"
             )
         )
-        assert told["answers"][0]["effects"] == []
-        problem = blind.loading.prepare(made, job.case)
-        with np.load(made / "truth" / f"{job.case.id}.npz") as kept:
-            wanted = blind.write.covariance(kept) / np.outer(
+        assert record["answers"][0]["effects"] == []
+        problem = blind.loading.prepare(case_set, job.case)
+        with np.load(case_set / "truth" / f"{job.case.id}.npz") as truth:
+            wanted = blind.write.covariance(truth) / np.outer(
                 problem.sigma, problem.sigma
             )
         np.testing.assert_allclose(whole, wanted, atol=1e-9 * wanted.max())
         for members, part in zip(problem.members, parts, strict=False):
             assert np.array_equal(part, wanted[np.ix_(members[rows], members[rows])])
     assert (
-        blind.known_noise.run_all(made, tmp_path, limit=2, workers=1, report=str) == 0
+        blind.known_noise.run_all(case_set, tmp_path, limit=2, workers=1, report=str)
+        == 0
     )
     assert len(covariances) == 2  # what is there is not made again
 
 
-def test_every_effect_is_withheld_in_turn(blind, made):
-    jobs = blind.run.select_jobs(made, limit=1, without="each")
+def test_every_effect_is_withheld_in_turn(blind, case_set):
+    jobs = blind.run.select_jobs(case_set, limit=1, without="each")
     assert [j.without for j in jobs] == [
         e.name for e in blind.loading.bench(jobs[0].case.study).effects
     ]
 
 
-def test_lists_name_cases_and_what_is_withheld(blind, made, tmp_path):
+def test_lists_name_cases_and_what_is_withheld(blind, case_set, tmp_path):
     listed = tmp_path / "list.jsonl"
     count = blind.listing.write(
-        made, listed, kinds=["single"], least=4.0, withhold=True
+        case_set, listed, kinds=["single"], least=4.0, withhold=True
     )
-    jobs = blind.run.select_jobs(made, listed=listed)
-    labels = {label["id"]: label for label in blind.entries.labels(made)}
+    jobs = blind.run.select_jobs(case_set, listed=listed)
+    labels = {label["id"]: label for label in blind.entries.labels(case_set)}
     assert len(jobs) == count > 0
     assert all(
         [e["name"] for e in labels[j.case.id]["effects"]] == [j.without] for j in jobs
     )
     assert all(labels[j.case.id]["effects"][0]["target"] >= 4.0 for j in jobs)
     with pytest.raises(ValueError, match="there are exact, null"):
-        blind.listing.write(made, listed, kinds=["sngle"])
+        blind.listing.write(case_set, listed, kinds=["sngle"])
 
 
-def test_lists_keep_effects_that_can_be_told_from_every_rival(blind, made, tmp_path):
+def test_lists_keep_effects_that_can_be_told_from_every_rival(
+    blind, case_set, tmp_path
+):
     """By the oracle's own figures, those that the scorer goes by."""
     listed = tmp_path / "list.jsonl"
     count = blind.listing.write(
-        made, listed, kinds=["single", "pair"], least=6.0, apart=6.0, workers=1
+        case_set, listed, kinds=["single", "pair"], least=6.0, apart=6.0, workers=1
     )
     names = {
         json.loads(line)["id"]
@@ -256,33 +259,33 @@ def test_lists_keep_effects_that_can_be_told_from_every_rival(blind, made, tmp_p
     }
     labels = {
         v["id"]: v
-        for v in blind.entries.labels(made)
+        for v in blind.entries.labels(case_set)
         if v["kind"] in ("single", "pair")
     }
     labels = {
         n: v for n, v in labels.items() if min(e["target"] for e in v["effects"]) >= 6.0
     }
-    cases = [c for c in blind.loading.manifest(made) if c.id in labels]
+    cases = [c for c in blind.loading.manifest(case_set) if c.id in labels]
     acting = {n: [e["name"] for e in v["effects"]] for n, v in labels.items()}
     figures = blind.oracle.run(
-        made, tmp_path / "results", cases, acting, workers=1, report=str
+        case_set, tmp_path / "results", cases, acting, workers=1, report=str
     )
-    told = [blind.entries.entry(v, figures[n], {}) for n, v in labels.items()]
+    entries = [blind.entries.entry(v, figures[n], {}) for n, v in labels.items()]
     apart = {
         e.label["id"]
-        for e in told
+        for e in entries
         if e.testable and e.severity >= 6.0 and e.separation >= 6.0
     }
     assert names == apart
     assert 0 < count == len(apart) < len(labels)
     with pytest.raises(ValueError, match="a lower --least or --apart"):
         blind.listing.write(
-            made, listed, kinds=["single"], least=20.0, apart=1e6, workers=1
+            case_set, listed, kinds=["single"], least=20.0, apart=1e6, workers=1
         )
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--only", "a4"], "there are a3, a3_"),
         (["--without", "back_lash"], "no such effect; there are backlash"),
@@ -290,7 +293,7 @@ def test_lists_keep_effects_that_can_be_told_from_every_rival(blind, made, tmp_p
     ],
 )
 def test_bad_options_are_told_with_what_there_is(
-    blind, made, tmp_path, capsys, monkeypatch, options, said
+    blind, case_set, tmp_path, capsys, monkeypatch, options, message
 ):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert (
@@ -298,7 +301,7 @@ def test_bad_options_are_told_with_what_there_is(
             [
                 "run",
                 "--cases",
-                str(made),
+                str(case_set),
                 "--out",
                 str(tmp_path),
                 "--workers",
@@ -308,7 +311,7 @@ def test_bad_options_are_told_with_what_there_is(
         )
         == 2
     )
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_jobs_go_to_a_cluster_and_come_back_with_their_results(blind, monkeypatch):
@@ -356,10 +359,10 @@ def test_what_a_rival_leaves_is_that_of_a_wider_covariance(blind):
     )
     library = Library(columns, atoms, tuple("abcde"), ("",) * 5, np.ones(5), {})
     metric = blind.severity.Metric(sigma, J, prior)
-    left = blind.oracle.effect_distances(
+    distances = blind.oracle.effect_distances(
         metric.embed(dy), metric.embed(columns), library
     )
-    for name, expected in left.items():
+    for name, expected in distances.items():
         dense = []
         for label, c in forms.items():
             wide = (
@@ -414,79 +417,79 @@ def test_what_forms_in_one_leg_leave(blind):
     )
     labels = ("leg 1", "leg 2", "leg 2", "leg 1", "bar")
     library = Library(columns, atoms, tuple("vwxyz"), labels, np.ones(5), {})
-    seen = np.array(
+    change = np.array(
         [4.0, 2.0, 1.0, 3.0, 6.0]
     )  # |seen|^2 = 66; one column takes its own entry
-    left = blind.oracle.leg_distances(seen, columns, library)
-    assert left == pytest.approx(
+    distances = blind.oracle.leg_distances(change, columns, library)
+    assert distances == pytest.approx(
         {"leg 1": math.sqrt(66 - 16), "leg 2": math.sqrt(66 - 4)}
     )
-    left = blind.oracle.leg_distances(seen, columns, library, "b")
-    assert left == pytest.approx({"leg 1": math.sqrt(66 - 9)})
+    distances = blind.oracle.leg_distances(change, columns, library, "b")
+    assert distances == pytest.approx({"leg 1": math.sqrt(66 - 9)})
 
 
-def test_oracle_of_generated_cases(blind, made, tmp_path):
-    labels = {label["id"]: label for label in blind.entries.labels(made)}
-    cases = {c.id: c for c in blind.loading.manifest(made)}
+def test_oracle_of_generated_cases(blind, case_set, tmp_path):
+    labels = {label["id"]: label for label in blind.entries.labels(case_set)}
+    cases = {c.id: c for c in blind.loading.manifest(case_set)}
     for kind in ("single", "pair", "exact"):
         name = next(n for n, label in labels.items() if label["kind"] == kind)
         names = tuple(e["name"] for e in labels[name]["effects"])
-        told = json.loads(
+        figures = json.loads(
             blind.oracle.work(
-                blind.oracle.OracleJob(made, tmp_path, cases[name], names)
+                blind.oracle.OracleJob(case_set, tmp_path, cases[name], names)
             )
         )
-        for e, label in zip(told["effects"], labels[name]["effects"], strict=True):
+        for e, label in zip(figures["effects"], labels[name]["effects"], strict=True):
             assert e["sqrt_lambda"] == pytest.approx(label["sqrt_lambda"], rel=1e-3)
             assert e["given_others"] == pytest.approx(label["target"], rel=0.02)
             assert 0.0 <= e["beyond"] <= e["apart"] <= e["given_others"] + 1e-9
             if kind == "exact":
                 assert e["apart"] < 1.0  # the other member takes it over
-        whole = next(c for c in told["closure"] if c["split"] == "whole")
+        whole = next(c for c in figures["closure"] if c["split"] == "whole")
         assert whole["expected_gain"] > 0.0
         assert whole["same_law"] is None  # there is no result yet
 
 
-def test_oracle_of_two_effects_is_that_of_the_dense_metric(blind, made, tmp_path):
+def test_oracle_of_two_effects_is_that_of_the_dense_metric(blind, case_set, tmp_path):
     """What else acts is absorbed first, with no bound on its size, then a rival; which
     never is what acts.
     """
     from oed.gap.forms import library as library_of
 
-    label = next(e for e in blind.entries.labels(made) if e["kind"] == "pair")
-    chosen = next(c for c in blind.loading.manifest(made) if c.id == label["id"])
+    label = next(e for e in blind.entries.labels(case_set) if e["kind"] == "pair")
+    chosen = next(c for c in blind.loading.manifest(case_set) if c.id == label["id"])
     names = tuple(e["name"] for e in label["effects"])
-    told = json.loads(
-        blind.oracle.work(blind.oracle.OracleJob(made, tmp_path, chosen, names))
+    figures = json.loads(
+        blind.oracle.work(blind.oracle.OracleJob(case_set, tmp_path, chosen, names))
     )["effects"]
-    problem = blind.loading.prepare(made, chosen)
+    problem = blind.loading.prepare(case_set, chosen)
     library = library_of.build(problem, blind.loading.bench(chosen.study).effects)
-    with np.load(made / "truth" / f"{chosen.id}.npz") as kept:
-        truth = {n: kept[n] for n in kept.files}
+    with np.load(case_set / "truth" / f"{chosen.id}.npz") as arrays:
+        truth = {n: arrays[n] for n in arrays.files}
     J = truth["J"].astype(float) * truth["prior"]
     geometry = blind.write.covariance(truth) + J @ J.T
-    for k, e in enumerate(told):
+    for k, e in enumerate(figures):
         dy, other = truth[f"dy_{k}"], truth[f"dy_{1 - k}"]
-        beside = geometry + 1e6 * np.outer(other, other)
+        covariance = geometry + 1e6 * np.outer(other, other)
         assert e["given_others"] == pytest.approx(
-            math.sqrt(dy @ np.linalg.solve(beside, dy)), rel=1e-4
+            math.sqrt(dy @ np.linalg.solve(covariance, dy)), rel=1e-4
         )
         assert e["sqrt_lambda"] > e["given_others"]
         assert not {e["nearest"]} & set(names)
-        left = []
+        energies = []
         for number in library.atoms_of(e["nearest"]):
             columns = (
                 3.0
                 * library.columns[:, library.atoms[number].columns]
                 * problem.sigma[:, None]
             )
-            left.append(dy @ np.linalg.solve(beside + columns @ columns.T, dy))
-        assert e["apart"] == pytest.approx(math.sqrt(min(left)), rel=1e-3)
+            energies.append(dy @ np.linalg.solve(covariance + columns @ columns.T, dy))
+        assert e["apart"] == pytest.approx(math.sqrt(min(energies)), rel=1e-3)
 
 
-def test_oracle_refuses_readings_of_another_case(blind, made, tmp_path):
+def test_oracle_refuses_readings_of_another_case(blind, case_set, tmp_path):
     folder = tmp_path / "set"
-    shutil.copytree(made, folder)
+    shutil.copytree(case_set, folder)
     one, two = [c for c in blind.loading.manifest(folder) if c.plan == "a3_full"][:2]
     shutil.copy(folder / two.readings, folder / one.readings)
     with pytest.raises(ValueError, match="make the set again"):
@@ -497,10 +500,10 @@ def test_oracle_refuses_readings_of_another_case(blind, made, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def problem(blind, made):
+def problem(blind, case_set):
     """A null case of the A3's full plan."""
-    wanted = next(c for c in blind.loading.manifest(made) if c.plan == "a3_full")
-    return blind.loading.prepare(made, wanted)
+    wanted = next(c for c in blind.loading.manifest(case_set) if c.plan == "a3_full")
+    return blind.loading.prepare(case_set, wanted)
 
 
 def clean(problem, seed: int):
@@ -540,18 +543,18 @@ def test_stepwise_takes_the_form_of_least_bic(blind, problem):
         )
         target = np.concatenate([acting.residual, np.zeros(m)])
         scale = np.linalg.norm(design, axis=0)
-        left = (
+        residual = (
             target
             - (design / scale) @ np.linalg.lstsq(design / scale, target, rcond=1e-12)[0]
         )
-        return n * math.log(left @ left) + len(columns) * math.log(n)
+        return n * math.log(residual @ residual) + len(columns) * math.log(n)
 
-    told = {
+    bics = {
         k: bic(a.columns) + len(a.constants) * math.log(len(problem))
         for k, a in enumerate(library.atoms)
     }
-    best = min(told, key=lambda k: told[k])
-    assert told[best] < bic([])
+    best = min(bics, key=lambda k: bics[k])
+    assert bics[best] < bic([])
     assert (
         blind.baselines.stepwise(acting, library)[0]
         == library.atoms[best].effect
@@ -579,10 +582,10 @@ def test_harmonic_rules_name_what_stands_out(blind, problem, symptom):
         "payload": rows["payload"] / rows["payload"].max() * np.cos(3 * phase),
         "jump": (rows["time"] > 0.3 * last) * 1.0,
     }[symptom]
-    told = blind.baselines.harmonic(
+    named = blind.baselines.harmonic(
         quiet.with_residual(quiet.residual + 5.0 * np.asarray(change, dtype=float)),
         [e.name for e in blind.loading.bench("a3_full.study.toml").effects],
     )
     assert (
-        told[0] == {"lag": "servo_lag", "payload": "gravity", "jump": "step"}[symptom]
+        named[0] == {"lag": "servo_lag", "payload": "gravity", "jump": "step"}[symptom]
     )

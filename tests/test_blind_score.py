@@ -58,14 +58,16 @@ def good(blind) -> list:
 
 
 def test_right_answers_reach_every_aim(blind):
-    found = good(blind)
-    rows = by_key([*blind.measures.rows(found), *blind.measures.diagnosis_rows(found)])
+    entries = good(blind)
+    rows = by_key(
+        [*blind.measures.rows(entries), *blind.measures.diagnosis_rows(entries)]
+    )
     wanted = {k: r for k, r in rows.items() if r.sense}
     assert {k: r.status for k, r in wanted.items() if k != "set95"} == dict.fromkeys(
         set(wanted) - {"set95"}, "aim"
     )
     assert rows["set95"].value == 1.0
-    assert rows["set95"].count == len(found)
+    assert rows["set95"].count == len(entries)
     assert rows["set95"].status == "above"
     assert rows["closure whole"].value == pytest.approx(1.0)
     assert rows["closure whole"].count == 5  # neither null nor unknown cases
@@ -97,8 +99,8 @@ def test_an_idle_diagnosis_raises_no_alarm_and_finds_nothing(blind):
 
 def test_place_is_told_apart_where_a_gap_is_seen(blind):
     lost, wrong = (
-        blind.entries.entry(e.label, e.oracle, told)
-        for e, told in zip(
+        blind.entries.entry(e.label, e.oracle, outcome)
+        for e, outcome in zip(
             [e for e in good(blind) if e.blocks],
             (
                 result(answer()),
@@ -133,7 +135,7 @@ def test_what_is_counted_where(blind):
         case("exact", {"bar_length": 6.0}),
     )
     unseen = case("unknown", {"pump": 20.0})
-    found = [
+    entries = [
         blind.entries.entry(far, known(far, apart=3.0), result(answer("friction"))),
         blind.entries.entry(near, known(near), result(answer("unknown"))),
         blind.entries.entry(
@@ -144,7 +146,7 @@ def test_what_is_counted_where(blind):
             unseen, known(unseen, beyond=2.0), result(answer("step", "gravity"))
         ),
     ]
-    rows = by_key(blind.measures.rows(found))
+    rows = by_key(blind.measures.rows(entries))
     assert rows["right class"].count == 1  # `near` alone: apart, and testable
     assert rows["right class 6"].count == 1  # `far` alone: neither small nor untestable
     assert (rows["detection 10"].hits, rows["detection 10"].count) == (2, 2)
@@ -158,21 +160,23 @@ def test_what_is_counted_where(blind):
     assert rows["untestable named"].hits == 0
 
 
-@pytest.mark.parametrize(("own", "counted"), [(2.0, 1), (7.9, 1), (8.1, 0), (12.0, 0)])
+@pytest.mark.parametrize(
+    ("by_library", "counted"), [(2.0, 1), (7.9, 1), (8.1, 0), (12.0, 0)]
+)
 def test_the_librarys_form_shows_an_effect_where_it_explains_more_than_any_rivals(
-    blind, own, counted
+    blind, by_library, counted
 ):
     """Of 10 a rival leaves all: the own form must leave less than 8 for 6 more to be
     explained.
     """
     label = case("single", {"backlash": 20.0})
     entry = blind.entries.entry(
-        label, known(label, own=own), result(answer("backlash"))
+        label, known(label, by_library=by_library), result(answer("backlash"))
     )
     rows = by_key(blind.measures.rows([entry]))
     assert (rows["right class"].count, rows["right class shown"].count) == (1, counted)
     assert rows["right class shown"].sense == ""
-    assert entry.shown == pytest.approx(math.sqrt(max(100.0 - own**2, 0.0)))
+    assert entry.shown == pytest.approx(math.sqrt(max(100.0 - by_library**2, 0.0)))
 
 
 @pytest.mark.parametrize(
@@ -186,12 +190,12 @@ def test_a_leg_is_shown_where_a_form_in_it_explains_more_than_any_in_another(
     of 10 is left there.
     """
     label = case("single", {"backlash": 10.0}, blocks=("leg 1",))
-    told = known(label)
-    told["effects"][0]["legs"] = {"leg 1": math.sqrt(17.0)} | (
+    figures = known(label)
+    figures["effects"][0]["legs"] = {"leg 1": math.sqrt(17.0)} | (
         {} if other is None else {"leg 2": other, "leg 3": 9.9}
     )
     where = [{"block": "leg 2", "p_value": 0.001, "strength": 1.0}]
-    entry = blind.entries.entry(label, told, result(answer("backlash"), where=where))
+    entry = blind.entries.entry(label, figures, result(answer("backlash"), where=where))
     rows = by_key(blind.measures.diagnosis_rows([entry]))
     counts = [
         (rows[key].hits, rows[key].count) for key in ("leg shown", "leg not shown")
@@ -205,11 +209,11 @@ def test_a_pair_counts_where_both_can_be_told_apart(blind):
     label = case("pair", {"backlash": 6.0, "gravity": 10.0})
     near = known(label)
     near["effects"][1]["apart"] = 2.0
-    found = [
+    entries = [
         blind.entries.entry(label, o, result(answer("backlash", "gravity")))
         for o in (known(label), near)
     ]
-    rows = by_key(blind.measures.rows(found))
+    rows = by_key(blind.measures.rows(entries))
     assert rows["pairs"].count == 1
     assert rows["pairs 6"].count == 2
 
@@ -227,13 +231,13 @@ def test_padded_classes_show(blind):
 
 def test_probability_sums_over_answers_that_name_the_effect(blind):
     label = case("single", {"backlash": 10.0})
-    told = [
+    answers = [
         answer("backlash", p=0.5),
         answer("backlash", "unknown", p=0.2),
         answer("backlash", "step", p=0.2),
     ]
     rows = by_key(
-        blind.measures.diagnosis_rows(entries_of(blind, (label, result(*told))))
+        blind.measures.diagnosis_rows(entries_of(blind, (label, result(*answers))))
     )
     assert rows["probability"].value == pytest.approx(0.7)
 
@@ -262,11 +266,11 @@ def test_paired_comparison_with_a_baseline(blind):
     wrong = [
         (case("single", {"backlash": 6.0}), result(answer(), baseline=["backlash"]))
     ]
-    told = {
+    by_measure = {
         p.measure: p
         for p in blind.paired.compare(entries_of(blind, *right, *wrong), "harmonic")
     }
-    same = told["detection at sqrt(lambda) >= 6"]
+    same = by_measure["detection at sqrt(lambda) >= 6"]
     assert (same.diagnosis, same.other, same.only_diagnosis, same.only_other) == (
         9,
         10,
@@ -274,7 +278,7 @@ def test_paired_comparison_with_a_baseline(blind):
         1,
     )
     assert same.verdict == "no difference"
-    classes = told["right class at sqrt(lambda) >= 6"]
+    classes = by_measure["right class at sqrt(lambda) >= 6"]
     assert (classes.only_diagnosis, classes.only_other) == (9, 1)
     assert classes.p_value == pytest.approx(22 / 1024)
     more = entries_of(blind, *right, *right, *wrong)
@@ -284,13 +288,13 @@ def test_paired_comparison_with_a_baseline(blind):
 
 def test_withheld_effects_are_to_be_unknown(blind):
     label = case("single", {"backlash": 10.0})
-    told = [
+    outcomes = [
         result(answer("unknown")),
         result(answer("friction", "unknown")),
         result(answer("friction")),
     ]
     rows = by_key(
-        blind.measures.withheld_rows(entries_of(blind, *[(label, r) for r in told]))
+        blind.measures.withheld_rows(entries_of(blind, *[(label, r) for r in outcomes]))
     )
     assert rows["withheld alone"].hits == 1
     assert rows["withheld flagged"].hits == 2
@@ -301,20 +305,20 @@ def test_withheld_effects_are_to_be_unknown(blind):
 
 
 def test_confusion_matrix(blind):
-    found = [
+    entries = [
         *good(blind),
         *entries_of(
             blind, (case("single", {"backlash": 6.0}), result(answer("friction")))
         ),
     ]
-    found += entries_of(
+    entries += entries_of(
         blind,
         (case("single", {"backlash": 6.0}), result(answer("friction", "gravity"))),
     )
-    found += entries_of(
+    entries += entries_of(
         blind, (case("single", {"backlash": 4.0}), result(answer("gravity")))
     )  # too small to count
-    counts = blind.confusion.confusion(found).counts
+    counts = blind.confusion.confusion(entries).counts
     assert (
         counts.loc["backlash"].to_dict() | {"backlash": 2, "friction": 1, "several": 1}
         == counts.loc["backlash"].to_dict()
@@ -325,7 +329,7 @@ def test_confusion_matrix(blind):
     )  # its class was named by the other member
     assert counts.loc["(pump)", "unknown"] == 1
     assert counts.loc["none", "none"] == 5
-    printed = blind.confusion.text(blind.confusion.confusion(found))
+    printed = blind.confusion.text(blind.confusion.confusion(entries))
     assert "(pump)" in printed
     assert "several" in printed
 
@@ -333,7 +337,7 @@ def test_confusion_matrix(blind):
 def test_more_pairs_count_where_they_can_be_told_from_every_rival_and_nowhere_else(
     blind,
 ):
-    found = good(blind)
+    entries = good(blind)
     label = case("pair", {"gravity": 10.0, "friction": 6.0})
     wrong = result(answer("gravity", "backlash"))
     more = [
@@ -341,18 +345,18 @@ def test_more_pairs_count_where_they_can_be_told_from_every_rival_and_nowhere_el
         for apart in (6.0, 6.0, 5.0)
     ]
     before, after = (
-        by_key(blind.score.score(found, more=some).rows) for some in ((), more)
+        by_key(blind.score.score(entries, more=some).rows) for some in ((), more)
     )
     changed = {key for key in before if before[key] != after[key]}
     assert changed == {"pairs", "false effects pairs"}
     assert (before["pairs"].hits, before["pairs"].count) == (1, 1)
     assert (after["pairs"].hits, after["pairs"].count) == (1, 3)
     assert after["false effects pairs"].value == pytest.approx(2.0 / 3.0)
-    assert blind.score.score(found, more=more).about["more"] == 2
+    assert blind.score.score(entries, more=more).about["more"] == 2
 
 
 def test_score_is_written_whole(blind, tmp_path):
-    found = [
+    entries = [
         blind.entries.entry(
             e.label,
             e.oracle,
@@ -360,10 +364,10 @@ def test_score_is_written_whole(blind, tmp_path):
         )
         for e in good(blind)
     ]
-    made = blind.score.score(found, [("backlash", found[5])])
-    blind.score._write(made, tmp_path)
-    told = json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))
-    assert told["about"]["cases"] == len(found)
+    scored = blind.score.score(entries, [("backlash", entries[5])])
+    blind.score._write(scored, tmp_path)
+    score_file = json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))
+    assert score_file["about"]["cases"] == len(entries)
     assert {
         "confusion.png",
         "confusion.csv",
@@ -372,7 +376,7 @@ def test_score_is_written_whole(blind, tmp_path):
         "paired.csv",
     } <= {p.name for p in tmp_path.iterdir()}
     text = blind.table.markdown(
-        made.rows, made.methods, made.paired, made.machines, made.about
+        scored.rows, scored.methods, scored.paired, scored.machines, scored.about
     )
     line = next(
         t for t in text.splitlines() if t.startswith("| false alarm, white noise")
@@ -401,12 +405,12 @@ def test_score_is_written_whole(blind, tmp_path):
 
 
 def test_what_would_be_were_the_noise_known_stands_beside_the_same_cases(blind):
-    found = good(blind)
-    idle = [blind.entries.entry(e.label, e.oracle, result(answer())) for e in found]
+    entries = good(blind)
+    idle = [blind.entries.entry(e.label, e.oracle, result(answer())) for e in entries]
     for informed, last in ((idle, "0.00"), (idle[:-1], ""), ((), None)):
-        made = blind.score.score(found, informed=informed)
+        scored = blind.score.score(entries, informed=informed)
         text = blind.table.markdown(
-            made.rows, made.methods, made.paired, made.machines, made.about
+            scored.rows, scored.methods, scored.paired, scored.machines, scored.about
         )
         head = next(t for t in text.splitlines() if t.startswith("| measure"))
         line = next(
@@ -417,7 +421,7 @@ def test_what_would_be_were_the_noise_known_stands_beside_the_same_cases(blind):
         assert head.endswith("| noise known |") == (last is not None)
         if last is not None:
             assert line.split("|")[-2].strip() == last
-        assert not any(p.baseline == "noise known" for p in made.paired)
+        assert not any(p.baseline == "noise known" for p in scored.paired)
 
 
 def test_no_results_is_told_with_a_remedy(blind, tmp_path, capsys):

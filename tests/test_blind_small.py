@@ -84,25 +84,25 @@ def clear(label: Mapping[str, Any]) -> bool:
 
 
 def shortfalls(
-    judge: Any, found: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]
+    judge: Any, results: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]
 ) -> list[str]:
     """Bars that the answers miss: (label, result) of each case. With so few cases one
     slip is granted where noise can make one: a false alarm of 5 % twice in four cases
     is a matter of 1 %.
     """
     missed = []
-    said = [
+    stated = [
         (label, judge.parse_answer(result["answers"][0]), result)
-        for label, result in found
+        for label, result in results
     ]
     alarms = [
         label["id"]
-        for label, answer, _ in said
+        for label, answer, _ in stated
         if label["kind"] == "null" and answer.gap
     ]
     if len(alarms) > 1:
         missed.append(f"false alarms: {alarms}")
-    acting = [(label, answer) for label, answer, _ in said if clear(label)]
+    acting = [(label, answer) for label, answer, _ in stated if clear(label)]
     unseen = [label["id"] for label, answer in acting if not answer.gap]
     if len(unseen) > 1:
         missed.append(f"not detected: {unseen}")
@@ -145,11 +145,11 @@ def small(
 ) -> list[tuple[Any, Any]]:
     """The small set, diagnosed: (label, result) of each case."""
     folder = tmp_path_factory.mktemp("small")
-    found: list[tuple[Any, Any]] = []
+    results: list[tuple[Any, Any]] = []
     for kind, machine, count in SHARES:
         some = itertools.islice(drawn(blind, kind, machine), count)
-        found += [(label, diagnosed(blind, folder, case)) for case, label in some]
-    return found
+        results += [(label, diagnosed(blind, folder, case)) for case, label in some]
+    return results
 
 
 def plain(label: Mapping[str, Any]) -> bool:
@@ -179,9 +179,9 @@ def test_the_set_is_mixed(small: list[tuple[Any, Any]]) -> None:
 def test_the_small_benchmark_is_passed(
     blind: SimpleNamespace, small: list[tuple[Any, Any]]
 ) -> None:
-    told = [(label["id"], label["machine"], label["kind"], [e["name"] for e in label["effects"]],
+    summary = [(label["id"], label["machine"], label["kind"], [e["name"] for e in label["effects"]],
              result["answers"][0]) for label, result in small]  # fmt: skip
-    assert not shortfalls(blind.judge, small), "\n".join(str(t) for t in told)
+    assert not shortfalls(blind.judge, small), "\n".join(str(t) for t in summary)
 
 
 @pytest.mark.parametrize(
@@ -201,9 +201,9 @@ def test_who_always_says_the_same_fails(
 ) -> None:
     classes = [[n] for n in answer if n != "unknown"]
     always = {"answers": [{"effects": answer, "probability": 1.0, "classes": classes}]}
-    told = shortfalls(blind.judge, [(label, always) for label, _ in small])
+    missing = shortfalls(blind.judge, [(label, always) for label, _ in small])
     for words in missed:
-        assert any(t.startswith(words) for t in told), (words, told)
+        assert any(t.startswith(words) for t in missing), (words, missing)
 
 
 @pytest.mark.slow

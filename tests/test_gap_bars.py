@@ -76,7 +76,7 @@ def virtual(
     size: float,
     *,
     law: str = "white",
-    beside: Callable[..., Any] | None = None,
+    second_form: Callable[..., Any] | None = None,
     columns: Sequence[str] = COLUMNS,
     rows: str = "",
 ) -> Virtual:
@@ -97,9 +97,9 @@ def virtual(
         blind.noise.covariance(noise, group), base.J, base.prior
     )
     effect, wanted = form(rng, stage), metric.size
-    if beside is not None:
+    if second_form is not None:
         wanted = metric.size_without(
-            metric.embed(base.response(beside(rng, stage).push(1e-6)))
+            metric.embed(base.response(second_form(rng, stage).push(1e-6)))
         )
     start = size / wanted(base.response(effect.push(1e-7))) * 1e-7
     amplitude = blind.severity.amplitude(
@@ -141,11 +141,11 @@ def together(answers: Sequence[Answer], names: set[str]) -> list[bool]:
     return [names <= set(c) for a in likely for c in a.classes if names & set(c)]
 
 
-def held(found: Diagnosis, names: set[str]) -> list[bool]:
+def held(diagnosis: Diagnosis, names: set[str]) -> list[bool]:
     """For each answer of the 95 % set that has one of these names, whether it has them
     all: beside the one a class of a second effect may leave it out.
     """
-    every = [{name for c in a.classes for name in c} for a in found.set95]
+    every = [{name for c in a.classes for name in c} for a in diagnosis.set95]
     return [names <= each for each in every if names & each]
 
 
@@ -166,15 +166,15 @@ def test_one_tool_never_tells_scale_from_bar(
 ) -> None:
     """The answer holds both, whichever acts, and names the reading that would tell."""
     form = blind.effects.EXACT[truth]
-    found = virtual(
+    diagnosis = virtual(
         blind, tmp_path, seed, ("a3", "single"), form, 14.0, law=law
     ).diagnosed()
-    assert together(found.answers, TWO), found.answers[0]
-    assert all(together(found.answers, TWO)), found.answers
-    assert held(found, TWO), found.set95
-    assert all(held(found, TWO)), found.set95
-    assert found.verdict == "class"
-    said = " ".join(found.next)
+    assert together(diagnosis.answers, TWO), diagnosis.answers[0]
+    assert all(together(diagnosis.answers, TWO)), diagnosis.answers
+    assert held(diagnosis, TWO), diagnosis.set95
+    assert all(held(diagnosis, TWO)), diagnosis.set95
+    assert diagnosis.verdict == "class"
+    said = " ".join(diagnosis.next)
     assert "laser" in said
     assert "tool length" in said
 
@@ -187,13 +187,19 @@ def test_two_known_tools_tell_scale_from_bar(
     """At sqrt(lambda_k|j) = 8 the one that acts is named, and not the other."""
     forms = blind.effects.EXACT
     (rival,) = TWO - {truth}
-    made = virtual(
-        blind, tmp_path, seed, ("a3", "full"), forms[truth], 8.0, beside=forms[rival]
+    machine = virtual(
+        blind,
+        tmp_path,
+        seed,
+        ("a3", "full"),
+        forms[truth],
+        8.0,
+        second_form=forms[rival],
     )
-    found = made.diagnosed()
-    assert found.answers[0].effects == (truth,)
-    assert found.marginal[rival] < 0.1
-    assert rival not in found.answers[0].classes[0]
+    diagnosis = machine.diagnosed()
+    assert diagnosis.answers[0].effects == (truth,)
+    assert diagnosis.marginal[rival] < 0.1
+    assert rival not in diagnosis.answers[0].classes[0]
 
 
 @pytest.mark.parametrize(
@@ -212,11 +218,17 @@ def test_two_tools_do_not_misname_what_is_small(
     """
     forms = blind.effects.EXACT
     (rival,) = TWO - {truth}
-    made = virtual(
-        blind, tmp_path, seed, ("a3", "full"), forms[truth], 2.0, beside=forms[rival]
+    machine = virtual(
+        blind,
+        tmp_path,
+        seed,
+        ("a3", "full"),
+        forms[truth],
+        2.0,
+        second_form=forms[rival],
     )
-    found = made.diagnosed()
-    assert any(truth in c for c in found.answers[0].classes), found.answers[0]
+    diagnosis = machine.diagnosed()
+    assert any(truth in c for c in diagnosis.answers[0].classes), diagnosis.answers[0]
 
 
 # -- what the readings cannot test -----------------------------------------------------
@@ -228,18 +240,18 @@ def test_without_time_nothing_thermal_is_absent(
     """Legs grow; the file does not tell when. Thermal effects, drift and steps are not
     tested, and get no odds.
     """
-    form, left = (
+    form, columns = (
         blind.effects.KNOWN["leg_thermal"],
         [c for c in COLUMNS if c != "time_s"],
     )
-    found = virtual(
-        blind, tmp_path, 3, ("planar", "full"), form, 10.0, columns=left
+    diagnosis = virtual(
+        blind, tmp_path, 3, ("planar", "full"), form, 10.0, columns=columns
     ).diagnosed()
     wanted = set(TIMED) - {"bar_thermal"}  # no bar here
-    assert wanted <= set(found.not_testable)
-    assert all("time" in found.not_testable[n] for n in wanted)
-    assert not wanted & set(found.marginal)
-    assert not wanted & {n for a in found.answers for c in a.classes for n in c}
+    assert wanted <= set(diagnosis.not_testable)
+    assert all("time" in diagnosis.not_testable[n] for n in wanted)
+    assert not wanted & set(diagnosis.marginal)
+    assert not wanted & {n for a in diagnosis.answers for c in a.classes for n in c}
 
 
 @pytest.mark.parametrize(
@@ -248,27 +260,29 @@ def test_without_time_nothing_thermal_is_absent(
 def test_without_both_directions_backlash_is_not_absent(
     blind: SimpleNamespace, tmp_path: Path, rows: str
 ) -> None:
-    form, left = (
+    form, columns = (
         blind.effects.KNOWN["backlash"],
         [c for c in COLUMNS if rows or c != "direction"],
     )
-    made = virtual(
-        blind, tmp_path, 3, ("planar", "full"), form, 10.0, columns=left, rows=rows
+    machine = virtual(
+        blind, tmp_path, 3, ("planar", "full"), form, 10.0, columns=columns, rows=rows
     )
-    found = made.diagnosed()
-    assert set(TURNING) <= set(found.not_testable)
-    assert all("direction" in found.not_testable[n] for n in TURNING)
-    assert not set(TURNING) & set(found.marginal)
-    assert not set(TURNING) & {n for a in found.answers for c in a.classes for n in c}
-    assert not set(TIMED) & set(found.not_testable) - {"bar_thermal"}
+    diagnosis = machine.diagnosed()
+    assert set(TURNING) <= set(diagnosis.not_testable)
+    assert all("direction" in diagnosis.not_testable[n] for n in TURNING)
+    assert not set(TURNING) & set(diagnosis.marginal)
+    assert not set(TURNING) & {
+        n for a in diagnosis.answers for c in a.classes for n in c
+    }
+    assert not set(TIMED) & set(diagnosis.not_testable) - {"bar_thermal"}
 
 
 def test_with_all_columns_all_is_tested(blind: SimpleNamespace, tmp_path: Path) -> None:
-    made = virtual(
+    machine = virtual(
         blind, tmp_path, 3, ("a3", "full"), blind.effects.KNOWN["backlash"], 10.0
     )
     assert not {*TIMED, *TURNING} & set(
-        library.build(made.problem, made.effects).not_testable
+        library.build(machine.problem, machine.effects).not_testable
     )
 
 
@@ -295,16 +309,16 @@ def test_a_withheld_effect_is_unknown(
     Where one leg has four fifths of the trace, that leg is named, by itself or with one
     that the readings cannot tell from it.
     """
-    made = virtual(
+    machine = virtual(
         blind, tmp_path, seed, ("planar", "full"), blind.effects.KNOWN[name], 20.0
     )
-    found = made.diagnosed(without=name)
-    assert UNKNOWN in found.answers[0].effects, found.answers[:3]
-    assert found.marginal[UNKNOWN] > 0.8
-    shares = np.array(blind.cases.label(made.case)["effects"][0]["legs"])
+    diagnosis = machine.diagnosed(without=name)
+    assert UNKNOWN in diagnosis.answers[0].effects, diagnosis.answers[:3]
+    assert diagnosis.marginal[UNKNOWN] > 0.8
+    shares = np.array(blind.cases.label(machine.case)["effects"][0]["legs"])
     if shares.max() > 0.8:
         legs = [
-            b for b in found.where if b.block.startswith("leg") and b.p_value < 0.05
+            b for b in diagnosis.where if b.block.startswith("leg") and b.p_value < 0.05
         ]
         # a lost zero of either leg of this machine makes nearly the same readings: then
         # both are told, alike
@@ -384,7 +398,7 @@ class Planar:
     kept out.
     """
 
-    found: Diagnosis
+    diagnosis: Diagnosis
     whole: GapProblem
     held: np.ndarray
 
@@ -406,8 +420,10 @@ def planar(seed: int) -> Planar:
     held = np.repeat(rows["run"].str.startswith("unseen").to_numpy(), count)
     fitted, known = lines(m, ("fitted", FITTED))
     problem = prepare(m, fitted, y[~held], known)
-    found = diagnose(problem, [effect_of(n) for n in NAMES], np.random.default_rng(1))
-    return Planar(found, assemble(m, series, rows, problem.theta, y), held)
+    diagnosis = diagnose(
+        problem, [effect_of(n) for n in NAMES], np.random.default_rng(1)
+    )
+    return Planar(diagnosis, assemble(m, series, rows, problem.theta, y), held)
 
 
 def predicted(case: Planar) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -423,7 +439,8 @@ def predicted(case: Planar) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
         noise[np.ix_(members, members)] = np.eye(len(members)) if base is None else base
     plain = noise + whole.slopes @ whole.slopes.T
     named = [
-        effect_of(n) for n in dict.fromkeys(c.effect for c in case.found.coefficients)
+        effect_of(n)
+        for n in dict.fromkeys(c.effect for c in case.diagnosis.coefficients)
     ]
     choices = itertools.product(
         *([(e, point) for point in e.constant_grid()] for e in named)
@@ -444,15 +461,15 @@ def corrected(
     """Covariance (N, N) with the coefficients that the diagnosis names, wide
     beforehand.
     """
-    w, named = case.whole, {(c.effect, c.name) for c in case.found.coefficients}
+    w, named = case.whole, {(c.effect, c.name) for c in case.diagnosis.coefficients}
     for effect, point in forms:
-        made = signature(
+        effect_signature = signature(
             effect, point, w.states, w.responses, w.measurement, w.series, w.sigma
         )
         columns = (
             3.0
-            * w.in_noise_units(made.columns)[
-                :, [(effect.name, n) in named for n in made.names]
+            * w.in_noise_units(effect_signature.columns)[
+                :, [(effect.name, n) in named for n in effect_signature.names]
             ]
         )
         plain = plain + columns @ columns.T
@@ -488,9 +505,11 @@ def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines() -> 
     inside, alone, draws = [], [], np.random.default_rng(7)
     for seed in range(6):
         case = planar(seed)
-        assert min(case.found.marginal[n] for n, _, _ in ACTING) > 0.95
-        alone.append(set(case.found.answers[0].effects) == {n for n, _, _ in ACTING})
-        assert case.found.where[0].block == "all legs"
+        assert min(case.diagnosis.marginal[n] for n, _, _ in ACTING) > 0.95
+        alone.append(
+            set(case.diagnosis.answers[0].effects) == {n for n, _, _ in ACTING}
+        )
+        assert case.diagnosis.where[0].block == "all legs"
         before, after, without, with_them = predicted(case)
         assert 40.0 < np.abs(before).max() < 90.0
         assert np.abs(after).max() < 20.0
@@ -499,11 +518,11 @@ def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines() -> 
             np.linalg.solve(np.linalg.cholesky(without), e) for e in (before, after)
         )
         s0, s1 = np.mean(white0**2), np.mean(white1**2)
-        told = next(c for c in case.found.closure if c.split == "whole")
-        assert told.low > 0.9
-        assert (s0 - s1) / (s0 - 1.0) > told.low - 3.0 * np.sqrt(2.0 / len(after)) / (
-            s0 - 1.0
-        )
+        closure = next(c for c in case.diagnosis.closure if c.split == "whole")
+        assert closure.low > 0.9
+        assert (s0 - s1) / (s0 - 1.0) > closure.low - 3.0 * np.sqrt(
+            2.0 / len(after)
+        ) / (s0 - 1.0)
         root = np.linalg.cholesky(with_them)
         likely = root @ draws.standard_normal((len(root), 2000))
         channel = case.whole.rows["channel"].to_numpy()[case.held]

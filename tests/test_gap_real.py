@@ -51,10 +51,10 @@ def gap(
     )
     assert done.exit_code == 0, done.output
     assert "gap" in (out / "report.html").read_text(encoding="utf-8")
-    found: dict[str, Any] = json.loads(
+    result: dict[str, Any] = json.loads(
         (out / "result.json").read_text(encoding="utf-8")
     )["gap"]
-    return found | {"study": name}
+    return result | {"study": name}
 
 
 def test_nothing_is_named_that_the_covariates_cannot_support(
@@ -92,9 +92,9 @@ def test_closure_is_reported_even_if_nil(gap: dict[str, Any]) -> None:
     """Of both splits; where no gap is claimed it is that of the likeliest effect, if
     any, and is not proved.
     """
-    told = {c["split"]: c for c in gap["closure"]}
-    assert set(told) == {"within", "whole"}
-    for c in told.values():
+    closures = {c["split"]: c for c in gap["closure"]}
+    assert set(closures) == {"within", "whole"}
+    for c in closures.values():
         assert c["n"] >= 0
         if c["n"] and c["value"] is not None and not gap["selected"]:
             assert c["low"] is None or c["low"] < 0.5

@@ -73,8 +73,8 @@ def test_no_gap_in_words() -> None:
 
 
 def test_an_effect_in_words() -> None:
-    found = _gap("effect", ["gravity"], [["gravity"]])
-    assert found.words == [
+    section = _gap("effect", ["gravity"], [["gravity"]])
+    assert section.words == [
         "The gap comes from gravity (probability 90 %): 12.3 um rms of length.",
         "It shows most in the time from 10 min to 20 min (p < 0.001).",
         (
@@ -86,16 +86,16 @@ def test_an_effect_in_words() -> None:
             " feed_mm_min)."
         ),
     ]
-    assert found.next == ["Look again.", "Remedy for gravity: stiffen the legs."]
+    assert section.next == ["Look again.", "Remedy for gravity: stiffen the legs."]
 
 
 def test_a_class_in_words() -> None:
-    found = _gap("class", ["gravity"], [["gravity", "encoder_scale"]])
-    assert found.words[0].startswith(
+    section = _gap("class", ["gravity"], [["gravity", "encoder_scale"]])
+    assert section.words[0].startswith(
         "The gap comes from gravity or encoder scale; these readings cannot tell which"
     )
-    assert "To tell encoder scale from the others: two bars." in found.next
-    assert "If it is gravity: stiffen the legs." in found.next
+    assert "To tell encoder scale from the others: two bars." in section.next
+    assert "If it is gravity: stiffen the legs." in section.next
 
 
 def test_mixtures_and_unknowns_in_words() -> None:
@@ -118,9 +118,9 @@ def test_what_the_unknown_is_like_is_told() -> None:
         "the tool about the place 1, 2, 3 mm": 0.3,
         "drift": 0.04,
     }
-    told = _gap("unknown", ["unknown"], [], unknown=forms).words[1]
+    sentence = _gap("unknown", ["unknown"], [], unknown=forms).words[1]
     assert (
-        told
+        sentence
         == "What no known effect explains most resembles: leg 2 in a wave of 12 min"
         " (probability 62 %); or the tool about the place 1, 2, 3 mm (probability"
         " 30 %)."
@@ -130,19 +130,19 @@ def test_what_the_unknown_is_like_is_told() -> None:
     assert not any("resembles" in w for w in _gap("unknown", ["unknown"], []).words)
 
 
-@pytest.mark.parametrize(("low", "high", "told"), [
+@pytest.mark.parametrize(("low", "high", "interval"), [
     (0.35, 49.55, "35 to over 100 %"), (-7.0, 0.4, "under -100 to 40 %"), (-0.2, 1.2, "-20 to 120 %"),
 ])  # fmt: skip
 def test_an_interval_that_tells_nothing_is_not_told_in_figures(
-    low: float, high: float, told: str
+    low: float, high: float, interval: str
 ) -> None:
-    words = _gap(
+    section = _gap(
         "effect",
         ["gravity"],
         [["gravity"]],
         closure=[ClosureRecord("whole", 0.3, low, high, 0.1, 2.0, 1.2, 1.0, 9)],
     )
-    assert f"({told}) on whole held-out runs" in words.words[2]
+    assert f"({interval}) on whole held-out runs" in section.words[2]
 
 
 def test_places_that_hold_much_of_the_gap_are_told() -> None:
@@ -152,8 +152,10 @@ def test_places_that_hold_much_of_the_gap_are_told() -> None:
         PlaceRecord("run 2", 0.0, 0.7),
         PlaceRecord("time 0-60", 0.0, 0.2),
     ]
-    told = _gap("effect", ["gravity"], [["gravity"]], where=places).words[1]
-    assert told == "It shows most in all legs alike (p < 0.001) and run 2 (p < 0.001)."
+    sentence = _gap("effect", ["gravity"], [["gravity"]], where=places).words[1]
+    assert (
+        sentence == "It shows most in all legs alike (p < 0.001) and run 2 (p < 0.001)."
+    )
     nowhere = _gap(
         "effect", ["gravity"], [["gravity"]], where=[PlaceRecord("leg 1", 0.2, 0.5)]
     ).words[1]
@@ -162,26 +164,27 @@ def test_places_that_hold_much_of_the_gap_are_told() -> None:
 
 def test_a_gap_is_never_told_to_be_closed_whole() -> None:
     near = [ClosureRecord("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
-    told = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[2]
-    assert "shrinks by 99.9 % (99.8 to 100.0 %) on held-out" in told
+    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[2]
+    assert "shrinks by 99.9 % (99.8 to 100.0 %) on held-out" in sentence
 
 
 def test_more_than_the_whole_is_told_as_what_can_be_seen() -> None:
     more = [ClosureRecord("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
-    told = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[2]
+    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[2]
     assert (
-        "shrinks by all that exceeds the noise (80 to over 100 %) on held-out" in told
+        "shrinks by all that exceeds the noise (80 to over 100 %) on held-out"
+        in sentence
     )
 
 
 def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
-    found = _gap(
+    section = _gap(
         "effect",
         ["encoder_scale"],
         [["encoder_scale"]],
         next=["encoder_scale: measure the scale."],
     )
-    assert found.next == ["Encoder scale: measure the scale."]
+    assert section.next == ["Encoder scale: measure the scale."]
 
 
 @pytest.mark.parametrize(

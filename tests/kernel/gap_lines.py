@@ -56,16 +56,16 @@ def readings(
             "feed": np.repeat([1 / 60.0, 3 / 60.0], LINES * n // 2),
         }
     )
-    made = problems.assemble(
+    problem = problems.assemble(
         measurement, (series,), covariates if timed else covariates.drop(columns="time")
     )
     rng = np.random.default_rng(seed)
-    noise = made.slopes @ rng.standard_normal(made.slopes.shape[1])
-    for k, members in enumerate(made.members):
+    noise = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
+    for k, members in enumerate(problem.members):
         noise[members] += np.linalg.cholesky(
-            stated_law(made).block(made, k)
+            stated_law(problem).block(problem, k)
         ) @ rng.standard_normal(len(members))
-    return made.with_residual(noise)
+    return problem.with_residual(noise)
 
 
 def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> GapProblem:
@@ -90,8 +90,10 @@ def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> GapProblem:
             "time": 40.0 * np.arange(len(series)),
         }
     )
-    made = problems.assemble(measurement, (series,), covariates)
-    return made.with_residual(np.random.default_rng(seed).standard_normal(len(made)))
+    problem = problems.assemble(measurement, (series,), covariates)
+    return problem.with_residual(
+        np.random.default_rng(seed).standard_normal(len(problem))
+    )
 
 
 def _bow(state: State, turns: float) -> list[Column]:
@@ -145,7 +147,7 @@ def planted(
     """The readings with an effect at these constants, its coefficients at factors of
     their scales.
     """
-    made = library.build(
+    effect_library = library.build(
         problem,
         [
             dataclasses.replace(
@@ -154,8 +156,8 @@ def planted(
         ],
     )
     change = sum(
-        factors[n] * made.columns[:, k]
-        for k, n in enumerate(made.names)
+        factors[n] * effect_library.columns[:, k]
+        for k, n in enumerate(effect_library.names)
         if n in factors
     )
     return problem.with_residual(problem.residual + np.asarray(change))

@@ -20,26 +20,29 @@ def test_a_sure_cause_is_answered_with_its_remedy() -> None:
 
 
 def test_an_unsure_cause_is_answered_with_the_reading_that_tells_its_rival() -> None:
-    told = advise([_answer(0.6, "bow"), _answer(0.4, "slip")], EFFECTS, {})
-    assert told == ("bow: straighten.", "To make sure that it is not slip: both ways.")
+    advice = advise([_answer(0.6, "bow"), _answer(0.4, "slip")], EFFECTS, {})
+    assert advice == (
+        "bow: straighten.",
+        "To make sure that it is not slip: both ways.",
+    )
 
 
 def test_a_gap_that_noise_may_be_is_to_be_read_again() -> None:
-    told = advise([_answer(0.3, "slip"), _answer(0.66)], EFFECTS, {})
-    assert "Noise alone has a probability of 66 %" in told[-1]
-    assert "both ways" in told[-1]
+    advice = advise([_answer(0.3, "slip"), _answer(0.66)], EFFECTS, {})
+    assert "Noise alone has a probability of 66 %" in advice[-1]
+    assert "both ways" in advice[-1]
     assert (
         "Noise alone" in advise([_answer(0.5, UNKNOWN), _answer(0.5)], EFFECTS, {})[-1]
     )
 
 
 def test_no_gap_asks_for_what_was_not_recorded() -> None:
-    told = advise(
+    advice = advise(
         [_answer(0.9), _answer(0.1, "bow")],
         EFFECTS,
         {"drift": "the readings do not have time"},
     )
-    assert told[-1] == "Record more with the readings, and more can be tested: time."
+    assert advice[-1] == "Record more with the readings, and more can be tested: time."
 
 
 def test_what_is_unknown_may_be_what_could_not_be_tested() -> None:
@@ -49,9 +52,9 @@ def test_what_is_unknown_may_be_what_could_not_be_tested() -> None:
         "slack": "the readings do not have direction: both",
         "slip": "it changes none of these readings",
     }
-    told = advise([_answer(0.95, UNKNOWN), _answer(0.05)], EFFECTS, lost)
+    advice = advise([_answer(0.95, UNKNOWN), _answer(0.05)], EFFECTS, lost)
     assert (
-        told[-1]
+        advice[-1]
         == "What acts may be what these readings cannot test: record direction and time"
         " with them."
     )

@@ -20,14 +20,14 @@ TWINS = dataclasses.replace(LOOSE, name="twins", common_to_limbs=True)
 
 
 def _more(state: State, turns: float) -> list[Column]:
-    made = list(BOW.columns(state, turns=turns))
+    columns = list(BOW.columns(state, turns=turns))
     return [
-        *made,
+        *columns,
         *(
             dataclasses.replace(
                 c, name=f"{c.name} more", shape=True, joints=_along(state, c)
             )
-            for c in made
+            for c in columns
         ),
     ]
 
@@ -39,8 +39,8 @@ def _along(state: State, column: Column) -> dict[int, np.ndarray]:
 ADAPTING = dataclasses.replace(TWINS, columns=_more)
 
 
-def _covariance(made: Library, atom: library.Atom) -> np.ndarray:
-    return np.asarray(made.columns[:, atom.columns] @ made.columns[:, atom.columns].T)
+def _covariance(forms: Library, atom: library.Atom) -> np.ndarray:
+    return np.asarray(forms.columns[:, atom.columns] @ forms.columns[:, atom.columns].T)
 
 
 def test_prior_of_limbs_that_are_alike() -> None:
@@ -48,38 +48,38 @@ def test_prior_of_limbs_that_are_alike() -> None:
     in.
     """
     problem = readings(1)
-    free, made = library.build(problem, [LOOSE]), library.build(problem, [TWINS])
+    free, twins = library.build(problem, [LOOSE]), library.build(problem, [TWINS])
     (joined,) = [
-        a for a in made.atoms if any("all legs" in made.names[c] for c in a.columns)
+        a for a in twins.atoms if any("all legs" in twins.names[c] for c in a.columns)
     ]
     prior = np.ones((2, 2)) + DIFFER**2 * np.eye(2)
     np.testing.assert_allclose(
-        _covariance(made, joined), free.columns @ prior @ free.columns.T, atol=1e-9
+        _covariance(twins, joined), free.columns @ prior @ free.columns.T, atol=1e-9
     )
-    assert [made.labels[c] for c in joined.columns] == ["", "leg 1", "leg 2"]
+    assert [twins.labels[c] for c in joined.columns] == ["", "leg 1", "leg 2"]
 
 
 @pytest.mark.parametrize("effect", [TWINS, ADAPTING], ids=["textbook", "adapting"])
 def test_shares_of_forms_add_up(effect: Effect) -> None:
-    made = library.build(readings(1), [effect])
-    assert np.exp([a.log_weight for a in made.atoms]).sum() == pytest.approx(1.0)
+    forms = library.build(readings(1), [effect])
+    assert np.exp([a.log_weight for a in forms.atoms]).sum() == pytest.approx(1.0)
 
 
 def test_what_adapts_is_alike_too() -> None:
-    made = library.build(readings(1), [ADAPTING])
-    joined = [tuple(made.names[c] for c in a.columns) for a in made.atoms]
-    own = ("leg 1 apart", "leg 2 apart")
-    assert ("all legs", *own) in joined
-    assert ("all legs", "all legs more", *own) in joined
+    forms = library.build(readings(1), [ADAPTING])
+    joined = [tuple(forms.names[c] for c in a.columns) for a in forms.atoms]
+    differences = ("leg 1 apart", "leg 2 apart")
+    assert ("all legs", *differences) in joined
+    assert ("all legs", "all legs more", *differences) in joined
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5])
 def test_an_effect_says_how_likely_its_textbook_form_is(share: float) -> None:
-    made = library.build(
+    forms = library.build(
         readings(1), [dataclasses.replace(ADAPTING, textbook_share=share)]
     )
     plain_forms = [
-        a for a in made.atoms if not any("more" in made.names[c] for c in a.columns)
+        a for a in forms.atoms if not any("more" in forms.names[c] for c in a.columns)
     ]
     assert np.exp([a.log_weight for a in plain_forms]).sum() == pytest.approx(share)
 
@@ -88,8 +88,8 @@ def test_limbs_of_unequal_kinds_are_not_alike() -> None:
     lame = dataclasses.replace(
         TWINS, columns=lambda state, turns: list(_more(state, turns))[:3]
     )
-    made = library.build(readings(1), [lame])
-    assert not [n for n in made.names if "all legs" in n]
+    forms = library.build(readings(1), [lame])
+    assert not [n for n in forms.names if "all legs" in n]
 
 
 @pytest.mark.parametrize(

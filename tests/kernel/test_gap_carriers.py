@@ -44,8 +44,10 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
     effect = Effect(
         name="hum", source="test", about="hum", columns=_hum, needs=("time",)
     )
-    made = problem.signature(effect, {})
-    wanted = dict(zip(made.names, problem.in_noise_units(made.columns).T, strict=True))
+    signature = problem.signature(effect, {})
+    wanted = dict(
+        zip(signature.names, problem.in_noise_units(signature.columns).T, strict=True)
+    )
     form = carriers.at_poses(
         problem, [np.sin(2.0 * np.pi * s.time / PERIOD) for s in problem.states]
     )[..., None]
@@ -55,8 +57,8 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
             wanted[f"leg {i + 1}"], abs=1e-9
         )
     for k in range(3):
-        told = carriers.apply_carrier(tool, form)[:, k, 0]
-        assert told == pytest.approx(
+        change = carriers.apply_carrier(tool, form)[:, k, 0]
+        assert change == pytest.approx(
             wanted.get(f"tool {k}", np.zeros(len(problem))), abs=1e-5
         )
 
@@ -107,10 +109,10 @@ def test_a_fault_at_a_place_is_found_there() -> None:
     problem, place = _planted(10.0)
     law = case.law(problem)
     empty = library.build(problem, ())
-    made = spots.add(empty, problem, law)
-    assert len(made.atoms) == spots.BEST
-    assert {a.effect for a in made.atoms} == {spots.NAME}
-    best = made.atoms[0]
+    processes = spots.add(empty, problem, law)
+    assert len(processes.atoms) == spots.BEST
+    assert {a.effect for a in processes.atoms} == {spots.NAME}
+    best = processes.atoms[0]
     assert (
         np.linalg.norm(
             [best.constants[k] - c for k, c in zip("xyz", place, strict=True)]
@@ -123,7 +125,7 @@ def test_a_fault_at_a_place_is_found_there() -> None:
     )  # one of so many: places, widths, a channel, three legs and the tool
     assert 100.0 < looked <= spots.PLACES * len(spots.WIDTHS) * 5
     r = problem.residual
-    G = made.columns[:, best.columns]
+    G = processes.columns[:, best.columns]
     inverse = np.linalg.inv(case.dense(problem, law))
     explained = r @ inverse @ G @ np.linalg.solve(G.T @ inverse @ G, G.T @ inverse @ r)
     assert explained > 70.0

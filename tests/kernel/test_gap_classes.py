@@ -73,10 +73,10 @@ def readings(bars: tuple[Bar, ...]) -> GapProblem:
 
 
 def columns(p: GapProblem, effect) -> np.ndarray:
-    made = signature(
+    effect_signature = signature(
         effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma
     )
-    return p.in_noise_units(made.columns)
+    return p.in_noise_units(effect_signature.columns)
 
 
 def metric(p: GapProblem) -> np.ndarray:
@@ -84,17 +84,17 @@ def metric(p: GapProblem) -> np.ndarray:
     return np.linalg.inv(np.eye(len(p)) + p.slopes @ p.slopes.T)
 
 
-def left(p: GapProblem, known: Collection[str] = ()) -> tuple[float, float]:
+def visible_sizes(p: GapProblem, known: Collection[str] = ()) -> tuple[float, float]:
     """sqrt(lambda) of a common scale of 50 ppm, and what of it the bars' lengths leave,
     however wrong they may be.
 
     `known`: bars whose length is certain.
     """
     change = columns(p, encoder_scale.effect).sum(axis=1)
-    made = signature(
+    bar = signature(
         bar_length.effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma
     )
-    wrong = p.in_noise_units(made.columns)[:, [n not in known for n in made.names]]
+    wrong = p.in_noise_units(bar.columns)[:, [n not in known for n in bar.names]]
     m = metric(p)
     inner, cross = wrong.T @ m @ wrong, wrong.T @ m @ change
     whole = float(change @ m @ change)
@@ -108,15 +108,15 @@ def test_what_tells_a_common_scale_from_the_bars_length() -> None:
     as doubtful as the first's: a head that is too large in proportion reads each bar
     wrong in proportion. A bar whose length is certain does.
     """
-    one = left(readings(ONE))
+    one = visible_sizes(readings(ONE))
     assert one[0] > 5.0
     assert one[1] < 0.02 * one[0]
-    tools = left(readings(TOOLS))
+    tools = visible_sizes(readings(TOOLS))
     assert 5.0 < np.degrees(np.arcsin(tools[1] / tools[0])) < 20.0
     two = readings(BARS)
-    bars = left(two)
+    bars = visible_sizes(two)
     assert bars[1] < 0.02 * bars[0]
-    certain = left(two, {"bar 150 mm"})
+    certain = visible_sizes(two, {"bar 150 mm"})
     assert certain[1] > 0.2 * certain[0]
 
 
@@ -139,8 +139,8 @@ def searched(
     search = Search(
         acting, library.build(acting, EFFECTS), nothing, stated_law(acting), 0.0
     )
-    found = search.fit((effect,), (search.library.atoms_of(effect)[0],), (1.0,))
-    return search, found
+    hypothesis = search.fit((effect,), (search.library.atoms_of(effect)[0],), (1.0,))
+    return search, hypothesis
 
 
 def dense(
@@ -155,13 +155,13 @@ def dense(
     )
     inner = mine.T @ m @ mine + np.eye(mine.shape[1]) / h.sizes[0] ** 2
     y = mine @ np.linalg.solve(inner, mine.T @ m @ search.problem.residual)
-    kept = [y @ m @ y]
+    energies = [y @ m @ y]
     for atom in search.library.atoms_of(rival):
         g = search.library.columns[:, search.library.atoms[atom].columns]
         cross = g.T @ m @ y
         ridge = g.T @ m @ g + np.eye(g.shape[1]) / equivalence.RIVAL**2
-        kept.append(y @ m @ y - cross @ np.linalg.solve(ridge, cross))
-    return min(kept), kept[0]
+        energies.append(y @ m @ y - cross @ np.linalg.solve(ridge, cross))
+    return min(energies), energies[0]
 
 
 @pytest.mark.parametrize("size", [4.0, 12.0, 25.0, 60.0])
@@ -174,7 +174,7 @@ def test_a_class_is_what_the_dense_formula_says(
     p = readings(TOOLS if tools == 2 else ONE)
     search, h = searched(p, effect, size)
     rivals = [e.name for e in EFFECTS if e.name != effect]
-    kept = {r: dense(p, search, h, r) for r in rivals}
+    energies = {r: dense(p, search, h, r) for r in rivals}
     for near in (True, False):
         scores = {
             (frozenset({r}), False): h.score - (1.0 if near else 100.0) for r in rivals
@@ -182,7 +182,7 @@ def test_a_class_is_what_the_dense_formula_says(
         ((first, *others),) = equivalence.equivalent_effects(search, h, scores, 3.0)
         assert first == effect
         for r in rivals:
-            lam, whole = kept[r]
+            lam, whole = energies[r]
             same = lam < equivalence.EXACT * whole or (
                 near and lam < equivalence.DISTINCT**2
             )
@@ -196,15 +196,15 @@ def test_one_tool_keeps_both_whichever_is_likelier(truth: str, size: float) -> N
     one of the two.
     """
     search, _ = searched(readings(ONE), truth, size)
-    found = {
+    hypotheses = {
         n: search.fit((n,), (search.library.atoms_of(n)[0],), (1.0,))
         for n in (e.name for e in EFFECTS)
     }
     best = max(
-        (found[n] for n in ("encoder_scale", "bar_length")), key=lambda h: h.score
+        (hypotheses[n] for n in ("encoder_scale", "bar_length")), key=lambda h: h.score
     )
     (members,) = equivalence.equivalent_effects(
-        search, best, {h.key: h.score for h in found.values()}, 3.0
+        search, best, {h.key: h.score for h in hypotheses.values()}, 3.0
     )
     assert {"encoder_scale", "bar_length"} <= set(members)
 

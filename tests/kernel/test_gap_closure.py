@@ -43,25 +43,26 @@ def textbook(
     """
     sums = np.zeros(2)
     for held in folds:
-        kept = ~held
+        training = ~held
         errors = []
         for alternatives in models:
             means, evidence = [], []
             for cov, shift in zip(alternatives, weigh, strict=False):
-                a, d = cov[np.ix_(kept, kept)], r - shift
+                a, d = cov[np.ix_(training, training)], r - shift
                 means.append(
-                    shift[held] + cov[np.ix_(held, kept)] @ np.linalg.solve(a, d[kept])
+                    shift[held]
+                    + cov[np.ix_(held, training)] @ np.linalg.solve(a, d[training])
                 )
                 evidence.append(
                     -0.5 * np.linalg.slogdet(a)[1]
-                    - 0.5 * d[kept] @ np.linalg.solve(a, d[kept])
+                    - 0.5 * d[training] @ np.linalg.solve(a, d[training])
                 )
             w = np.exp(np.array(evidence) - max(evidence))
             errors.append(r[held] - (w / w.sum()) @ np.array(means))
         (first,) = models[0]
-        cross = first[np.ix_(held, kept)]
+        cross = first[np.ix_(held, training)]
         spread = first[np.ix_(held, held)] - cross @ np.linalg.solve(
-            first[np.ix_(kept, kept)], cross.T
+            first[np.ix_(training, training)], cross.T
         )
         sums += [e @ np.linalg.solve(spread, e) for e in errors]
     return tuple(sums / len(r))
@@ -92,13 +93,13 @@ def test_scores_are_those_of_dense_conditioning(
         [zero],
         held_out(r, split),
     )
-    found = closure(r, law, G, rng, split=split, scale=scale)
-    assert_allclose((found.s0, found.s1), expected, rtol=1e-5)
+    scores = closure(r, law, G, rng, split=split, scale=scale)
+    assert_allclose((scores.s0, scores.s1), expected, rtol=1e-5)
     assert_allclose(
-        found.value, (expected[0] - expected[1]) / (expected[0] - 1.0), rtol=1e-5
+        scores.value, (expected[0] - expected[1]) / (expected[0] - 1.0), rtol=1e-5
     )
-    assert (found.n, found.split, found.s_noise) == (len(r), split, 1.0)
-    assert found.low < found.value < found.high
+    assert (scores.n, scores.split, scores.s_noise) == (len(r), split, 1.0)
+    assert scores.low < scores.value < scores.high
 
 
 @pytest.mark.parametrize("split", SPLITS)
@@ -117,11 +118,11 @@ def test_constants_are_weighed_by_training_readings_alone(
         [zero] * 3,
         held_out(r, split),
     )
-    found = closure(r, law, several, rng, split=split)
-    assert_allclose((found.s0, found.s1), expected, rtol=1e-5)
+    scores = closure(r, law, several, rng, split=split)
+    assert_allclose((scores.s0, scores.s1), expected, rtol=1e-5)
     alone = [closure(r, law, g, rng, split=split).s1 for g in several]
     assert (
-        np.abs(np.array(alone) - found.s1).min() > 1e-3
+        np.abs(np.array(alone) - scores.s1).min() > 1e-3
     )  # no single constant gives that
 
 
@@ -133,14 +134,14 @@ def test_oracle_takes_the_true_change_out(
     r = readings.with_residual(readings.residual + change)
     without = case.dense(readings, law)
     folds = held_out(r, split)
-    found = oracle_closure(r, law, change, rng, split=split)
+    scores = oracle_closure(r, law, change, rng, split=split)
     assert_allclose(
-        found.s0,
+        scores.s0,
         textbook(r.residual, [[without]] * 2, [0 * change], folds)[0],
         rtol=1e-5,
     )
     assert_allclose(
-        found.s1,
+        scores.s1,
         textbook(readings.residual, [[without]] * 2, [0 * change], folds)[0],
         rtol=1e-5,
     )
@@ -155,7 +156,7 @@ def test_without_a_gap_the_scores_are_those_of_noise_though_circles_are_far_off(
     covariance = case.dense(problem, law)
     root = np.linalg.cholesky(covariance)
     none = np.zeros((len(problem), 0))
-    found = [
+    scores = [
         closure(
             problem.with_residual(root @ rng.standard_normal(len(problem))),
             law,
@@ -166,14 +167,14 @@ def test_without_a_gap_the_scores_are_those_of_noise_though_circles_are_far_off(
         )
         for _ in range(60)
     ]
-    s0 = np.array([f.s0 for f in found])
-    assert abs(s0.mean() - 1.0) < 4.0 * np.sqrt(2.0 / (len(problem) * len(found)))
-    assert all(f.s1 == pytest.approx(f.s0) and f.p_worse < 1.0 for f in found)
+    s0 = np.array([f.s0 for f in scores])
+    assert abs(s0.mean() - 1.0) < 4.0 * np.sqrt(2.0 / (len(problem) * len(scores)))
+    assert all(f.s1 == pytest.approx(f.s0) and f.p_worse < 1.0 for f in scores)
     # raw, an unseen circle is many times the noise off: the whitening is what lets an
     # effect show
     held = held_out(problem, "whole")[0]
-    cross, kept = covariance[np.ix_(held, ~held)], covariance[np.ix_(~held, ~held)]
-    spread = covariance[np.ix_(held, held)] - cross @ np.linalg.solve(kept, cross.T)
+    cross, training = covariance[np.ix_(held, ~held)], covariance[np.ix_(~held, ~held)]
+    spread = covariance[np.ix_(held, held)] - cross @ np.linalg.solve(training, cross.T)
     assert np.sqrt(np.diag(spread).mean()) > 10.0 * law.level
 
 
@@ -196,13 +197,13 @@ def test_right_effect_closes_what_the_oracle_closes_and_a_wrong_one_harms(
     gains, oracle, worse, harmed = [], [], [], []
     for _ in range(30):
         r = problem.with_residual(change + root @ rng.standard_normal(len(problem)))
-        own, true = (
+        estimated, true = (
             closure(r, law, G, rng, split=split),
             oracle_closure(r, law, change, rng, split=split),
         )
-        gains.append(own.n * (own.s0 - own.s1))
+        gains.append(estimated.n * (estimated.s0 - estimated.s1))
         oracle.append(true.n * (true.s0 - true.s1))
-        worse.append(own.p_worse)
+        worse.append(estimated.p_worse)
         assert true.low < 1.3
         assert true.high > 0.7
         harmed.append(closure(r, law, wrong, rng, split=split).p_worse)
@@ -228,8 +229,8 @@ def test_interval_covers_the_oracles_closure(rng: np.random.Generator) -> None:
     inside = 0
     for _ in range(60):
         r = problem.with_residual(change + root @ rng.standard_normal(len(problem)))
-        found = oracle_closure(r, law, change, rng, split="within", draws=500)
-        inside += found.low <= 1.0 <= found.high
+        scores = oracle_closure(r, law, change, rng, split="within", draws=500)
+        inside += scores.low <= 1.0 <= scores.high
     assert inside >= 50  # 95 % aimed at; 83 % has a probability of 1e-3 then
 
 
@@ -265,8 +266,8 @@ def test_where_all_runs_repeat_one_path_each_is_held_out(
     problem = case.circles(12, (1.16,), 2)
     way = problem.rows["direction"].to_numpy(dtype=float)
     r = problem.with_residual(10.0 * way + rng.standard_normal(len(way)))
-    found = closure(r, stated_law(r), way[:, None], rng, split="whole", scale=10.0)
-    assert (found.n, found.value > 0.9) == (len(way), True)
+    scores = closure(r, stated_law(r), way[:, None], rng, split="whole", scale=10.0)
+    assert (scores.n, scores.value > 0.9) == (len(way), True)
 
 
 def test_one_run_cannot_be_held_out_whole(rng: np.random.Generator) -> None:
@@ -277,9 +278,9 @@ def test_one_run_cannot_be_held_out_whole(rng: np.random.Generator) -> None:
         [series.take(np.arange(12))],
         full.rows.iloc[:12][["setup", "run", "order"]],
     )
-    found = closure(problem, stated_law(problem), np.ones((12, 1)), rng, split="whole")
-    assert found.n == 0
-    assert np.isnan(found.value)
+    scores = closure(problem, stated_law(problem), np.ones((12, 1)), rng, split="whole")
+    assert scores.n == 0
+    assert np.isnan(scores.value)
     assert (
         closure(problem, stated_law(problem), np.ones((12, 1)), rng, split="within").n
         == 12
@@ -299,27 +300,27 @@ def test_short_runs_make_five_folds(rng: np.random.Generator) -> None:
     problem = assemble(measurement, [series], table)
     r = problem.with_residual(rng.standard_normal(len(problem)))
     for split in SPLITS:
-        found = closure(
+        scores = closure(
             r, stated_law(r), rng.standard_normal((len(r), 2)), rng, split=split
         )
-        assert found.n == 20
-        assert found.s0 < 4.0
+        assert scores.n == 20
+        assert scores.s0 < 4.0
 
 
 def test_no_gap_left_to_close_is_nan_with_a_wide_interval(
     readings: GapProblem, rng: np.random.Generator
 ) -> None:
     quiet = readings.with_residual(0.3 * readings.residual)
-    found = closure(
+    scores = closure(
         quiet,
         case.law(quiet),
         rng.standard_normal((len(quiet), 2)),
         rng,
         split="within",
     )
-    assert found.s0 < 1.0
-    assert np.isnan(found.value)
-    assert np.isinf([found.low, found.high]).any()
+    assert scores.s0 < 1.0
+    assert np.isnan(scores.value)
+    assert np.isinf([scores.low, scores.high]).any()
 
 
 def test_same_seed_same_closure_and_folds_do_not_depend_on_it(

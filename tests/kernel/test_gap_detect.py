@@ -36,8 +36,10 @@ def dense(p, law):
 
 
 def columns(p, effect, **constants):
-    made = signature(effect, constants, p.states, p.responses, p.measurement, p.series)
-    return p.in_noise_units(made.columns), made
+    effect_signature = signature(
+        effect, constants, p.states, p.responses, p.measurement, p.series
+    )
+    return p.in_noise_units(effect_signature.columns), effect_signature
 
 
 def test_size_needed_for_90_percent_at_1_percent():
@@ -48,8 +50,8 @@ def test_size_needed_is_that_of_simulated_tests():
     rng, lam, k = np.random.default_rng(1), needed_lambda(6), 6
     draws = rng.standard_normal((40_000, k))
     draws[:, 0] += np.sqrt(lam)
-    found = np.mean(np.sum(draws**2, axis=1) > stats.chi2.ppf(0.99, k))
-    assert found == pytest.approx(0.90, abs=0.006)
+    power = np.mean(np.sum(draws**2, axis=1) > stats.chi2.ppf(0.99, k))
+    assert power == pytest.approx(0.90, abs=0.006)
 
 
 def test_ideal_power_at_six_drops_when_the_best_of_a_hundred_is_taken():
@@ -66,25 +68,25 @@ def test_lambdas_are_those_of_the_dense_covariance(tools):
     law = NoiseLaw(
         0.4, 0.7, 3.0, np.random.default_rng(3).uniform(0.5, 2.0, len(p)), level=1.3
     )
-    told = detect.detect(p, law, [*ALL, gap_a3.warming], np.random.default_rng(0))
+    detection = detect.detect(p, law, [*ALL, gap_a3.warming], np.random.default_rng(0))
     c = dense(p, law)
     for name, effect, constants in (
         ("gravity", gap_a3.gravity, {}),
         ("encoder_scale", gap_a3.encoder_scale, {}),
     ):
         g, _ = columns(p, effect, **constants)
-        assert told.row(name).detectability == pytest.approx(
+        assert detection.row(name).detectability == pytest.approx(
             np.sqrt(np.trace(g.T @ np.linalg.solve(c, g))), rel=1e-6
         )
         # a rival that is as good as free has a very wide covariance of its own; a shape
         # column keeps its prior
         for tau in (900.0, 3600.0):
-            r, made = columns(p, gap_a3.warming, tau=tau)
-            wide = c + (r * np.where(made.shape, 1.0, ROOM**2)) @ r.T
-            left = np.sqrt(np.trace(g.T @ np.linalg.solve(wide, g)))
-            assert told.separation[
-                told.names.index(name), told.names.index("warming")
-            ] <= left * (1 + 1e-6)
+            r, rival = columns(p, gap_a3.warming, tau=tau)
+            wide = c + (r * np.where(rival.shape, 1.0, ROOM**2)) @ r.T
+            root = np.sqrt(np.trace(g.T @ np.linalg.solve(wide, g)))
+            assert detection.separation[
+                detection.names.index(name), detection.names.index("warming")
+            ] <= root * (1 + 1e-6)
         worst = min(
             np.trace(
                 g.T
@@ -92,31 +94,33 @@ def test_lambdas_are_those_of_the_dense_covariance(tools):
             )
             for r, s in (columns(p, gap_a3.warming, tau=t) for t in (900.0, 3600.0))
         )
-        assert told.separation[
-            told.names.index(name), told.names.index("warming")
+        assert detection.separation[
+            detection.names.index(name), detection.names.index("warming")
         ] == pytest.approx(worst**0.5, rel=1e-5)
 
 
 def test_least_size_is_found_nine_times_in_ten():
     p, rng = problem(strokes=(0.0, 0.1, 0.2)), np.random.default_rng(5)
     row = detect.detect(p, stated_law(p), [gap_a3.encoder_scale], rng).effects[0]
-    g, made = columns(p, gap_a3.encoder_scale)
+    g, scale = columns(p, gap_a3.encoder_scale)
     c = dense(p, stated_law(p))
     root = np.linalg.cholesky(c)
     inner = np.linalg.solve(root, g)
     change = (
-        inner[:, 1] * row.sizes["leg 2"] / made.scales[1]
+        inner[:, 1] * row.sizes["leg 2"] / scale.scales[1]
     )  # leg 2 alone at its least size
     noise = rng.standard_normal((4000, len(p)))
     basis = np.linalg.qr(inner)[0]
-    found = np.mean(
+    power = np.mean(
         np.sum(((noise + change) @ basis) ** 2, axis=1) > stats.chi2.ppf(0.99, 3)
     )
-    assert found == pytest.approx(0.90, abs=0.02)
+    assert power == pytest.approx(0.90, abs=0.02)
     assert row.least["length"] <= row.median["length"]
     # the most visible combination needs no more than leg 2 alone does
     alone = (
-        row.sizes["leg 2"] / made.scales[1] * np.sqrt(np.mean((p.sigma * g[:, 1]) ** 2))
+        row.sizes["leg 2"]
+        / scale.scales[1]
+        * np.sqrt(np.mean((p.sigma * g[:, 1]) ** 2))
     )
     assert row.least["length"] <= alone * (1 + 1e-9)
 
@@ -128,9 +132,9 @@ def free(p):
 
 def test_common_scale_and_bar_length_are_one_class_with_one_tool():
     p = free(problem(points=36))
-    told = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
-    assert told.exact == (("encoder_scale", "bar_length"),)
-    scale = told.row("encoder_scale")
+    detection = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
+    assert detection.exact == (("encoder_scale", "bar_length"),)
+    scale = detection.row("encoder_scale")
     bar = next(r for r in scale.rivals if r.name == "bar_length")
     assert bar.angle == pytest.approx(0.0, abs=0.01)
     # it is the common scale that the bar imitates, and nothing else of the three legs
@@ -140,16 +144,18 @@ def test_common_scale_and_bar_length_are_one_class_with_one_tool():
     assert shared.separation < 0.1
     assert bar.separation > 10.0
     # the other way round the bar is absorbed whole
-    back = next(r for r in told.row("bar_length").rivals if r.name == "encoder_scale")
+    back = next(
+        r for r in detection.row("bar_length").rivals if r.name == "encoder_scale"
+    )
     assert back.separation < 0.1
 
 
 def test_two_tool_lengths_tell_scale_from_bar():
     p = free(problem((0.0, 0.1)))
-    told = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
-    assert not told.exact
-    angle = told.angles[
-        told.names.index("encoder_scale"), told.names.index("bar_length")
+    detection = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
+    assert not detection.exact
+    angle = detection.angles[
+        detection.names.index("encoder_scale"), detection.names.index("bar_length")
     ]
     assert 3.5 <= angle <= 13.6
 
@@ -159,22 +165,22 @@ def test_classes_name_who_is_absorbed_by_whom():
     # scale, not the other way
     p = problem()
     p = dataclasses.replace(p, slopes=p.slopes * 0.02)
-    told = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
-    assert told.row("bar_length").visible
-    assert told.row("encoder_scale").visible
-    assert told.classes == (("encoder_scale", "bar_length"),)
-    assert told.absorbed == (("bar_length", "encoder_scale"),)
+    detection = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
+    assert detection.row("bar_length").visible
+    assert detection.row("encoder_scale").visible
+    assert detection.classes == (("encoder_scale", "bar_length"),)
+    assert detection.absorbed == (("bar_length", "encoder_scale"),)
 
 
 def test_calibration_absorbs_most_of_static_gravity():
     p = problem(strokes=FIVE, points=24)
     row = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0)).row("gravity")
     g, _ = columns(p, gap_a3.gravity)
-    kept = np.sqrt(
+    share = np.sqrt(
         np.trace(g.T @ np.linalg.solve(dense(p, stated_law(p)), g)) / np.sum(g**2)
     )
-    assert 1.0 - row.absorbed == pytest.approx(kept, rel=1e-6)
-    assert kept < 0.12
+    assert 1.0 - row.absorbed == pytest.approx(share, rel=1e-6)
+    assert share < 0.12
 
 
 def test_what_is_missing_is_told_and_nothing_is_claimed():
@@ -182,18 +188,18 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
     both = dataclasses.replace(
         gap_a3.gravity, name="both_ways", needs=("direction: both",)
     )
-    told = detect.detect(
+    detection = detect.detect(
         p, stated_law(p), [both, gap_a3.encoder_scale], np.random.default_rng(0)
     )
-    assert told.not_testable == {
+    assert detection.not_testable == {
         "both_ways": "the readings do not have direction: both"
     }
-    assert told.names == ("encoder_scale",)
-    assert not told.row("both_ways").visible
+    assert detection.names == ("encoder_scale",)
+    assert not detection.row("both_ways").visible
     unseen = dataclasses.replace(gap_a3.bar_length, columns=lambda s: [])
-    told = detect.detect(p, stated_law(p), [unseen], np.random.default_rng(0))
-    assert "changes none" in told.not_testable["bar_length"]
-    assert told.classes == ()
+    detection = detect.detect(p, stated_law(p), [unseen], np.random.default_rng(0))
+    assert "changes none" in detection.not_testable["bar_length"]
+    assert detection.classes == ()
 
 
 def test_combinations_in_words():

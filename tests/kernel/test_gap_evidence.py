@@ -110,25 +110,27 @@ def test_columns_one_after_the_other(problem: GapProblem) -> None:
         _law(problem),
         np.random.default_rng(4).standard_normal((len(problem), 6)),
     )
-    found = evidence.grams(problem, Metric(problem, law), columns)
+    grams = evidence.grams(problem, Metric(problem, law), columns)
     first, second, third = np.array([0, 3]), np.array([1]), np.array([2, 4, 5])
-    left = found.select(first, 0.3).select(second, 1.0)
-    told = left.base + left.log_evidences([third], np.array([3.0]))[0, 0]
+    selected = grams.select(first, 0.3).select(second, 1.0)
+    log_evidence = (
+        selected.base + selected.log_evidences([third], np.array([3.0]))[0, 0]
+    )
     scaled = np.hstack(
         [0.3 * columns[:, first], columns[:, second], 3.0 * columns[:, third]]
     )
-    assert told == pytest.approx(_student(problem, law, scaled))
+    assert log_evidence == pytest.approx(_student(problem, law, scaled))
 
 
 def test_what_is_taken_out_stays_out(problem: GapProblem) -> None:
     law = _law(problem)
     columns = np.random.default_rng(5).standard_normal((len(problem), 4))
     columns[:, 3] = columns[:, 0] - 2.0 * columns[:, 1]
-    left = evidence.grams(problem, Metric(problem, law), columns).project_out(
+    projected = evidence.grams(problem, Metric(problem, law), columns).project_out(
         np.array([0, 1])
     )
-    assert np.abs(left.gram[3]).max() < 1e-8
-    assert left.gram[2, 2] > 1.0
+    assert np.abs(projected.gram[3]).max() < 1e-8
+    assert projected.gram[2, 2] > 1.0
 
 
 def test_residual_does_not_depend_on_where_the_fit_ended(problem: GapProblem) -> None:
@@ -163,13 +165,13 @@ def test_noise_law_is_found(repeat: float, wander: float, sway: float) -> None:
         y[members] += linalg.cholesky(
             true.block(problem, k), lower=True
         ) @ rng.standard_normal(len(members))
-    found, _ = noise.fit_law(problem.with_residual(y), np.zeros((len(problem), 0)))
+    fitted, _ = noise.fit_law(problem.with_residual(y), np.zeros((len(problem), 0)))
     # the reference reading of RM 5 is shared already: repeat comes on top
-    assert found.run_sd == pytest.approx(repeat, abs=0.4 + 0.4 * repeat)
-    assert found.ar1_sd == pytest.approx(wander, abs=0.4 + 0.2 * wander)
-    assert found.run_harmonic_sd == pytest.approx(sway, abs=0.35 + 0.3 * sway)
+    assert fitted.run_sd == pytest.approx(repeat, abs=0.4 + 0.4 * repeat)
+    assert fitted.ar1_sd == pytest.approx(wander, abs=0.4 + 0.2 * wander)
+    assert fitted.run_harmonic_sd == pytest.approx(sway, abs=0.35 + 0.3 * sway)
     if wander:
-        assert 2.5 < found.ar1_length < 15.0
+        assert 2.5 < fitted.ar1_length < 15.0
 
 
 def test_prior_about_a_law_is_its_volume() -> None:
@@ -181,15 +183,15 @@ def test_prior_about_a_law_is_its_volume() -> None:
     def cost(v: np.ndarray) -> float:
         return float(0.5 * (((v[:2] - [0.3, -1.0]) / spread) ** 2).sum())
 
-    told = estimate._about(cost, np.array([0.3, -1.0, 2.0, -3.0]), 0.0)
+    log_volume = estimate._about(cost, np.array([0.3, -1.0, 2.0, -3.0]), 0.0)
     volume = np.prod(spread * np.sqrt(2.0 * np.pi)) * wide * 13.0
-    assert told == pytest.approx(np.log(volume), abs=0.25)
+    assert log_volume == pytest.approx(np.log(volume), abs=0.25)
     half = estimate._about(
         lambda v: cost(v) + (1e9 if v[0] < 0.3 else 0.0),
         np.array([0.3, -1.0, 2.0, -3.0]),
         0.0,
     )
-    assert half == pytest.approx(told - np.log(2.0), abs=0.1)
+    assert half == pytest.approx(log_volume - np.log(2.0), abs=0.1)
 
 
 @pytest.mark.parametrize("shift", [0.0, 3.0])
@@ -213,11 +215,11 @@ def test_a_law_that_has_to_be_tuned_is_less_likely_than_one_that_holds_anyhow(
 
 def test_a_law_in_words_tells_the_first_harmonic(problem: GapProblem) -> None:
     law = NoiseLaw(0.0, 0.0, 1.0, np.ones(len(problem)), level=2.0, run_harmonic_sd=0.8)
-    told = estimate.describe(problem, law)
-    assert [w for w in told if "first harmonic" in w] == [
+    sentences = estimate.describe(problem, law)
+    assert [w for w in sentences if "first harmonic" in w] == [
         "a run's first harmonic repeats to 1.6 times the stated noise"
     ]
-    assert len(told) == 2
+    assert len(sentences) == 2
     assert (
         len(estimate.describe(problem, dataclasses.replace(law, run_harmonic_sd=0.1)))
         == 1

@@ -79,13 +79,13 @@ def test_the_least_p_value_is_that_of_the_places_told(machines: Machines) -> Non
     problem = problem.with_residual(
         machines.root @ rng.standard_normal(len(problem)) + shifted
     )
-    told = locate.locate(problem, machines.law, np.random.default_rng(1), draws=100)
+    blocks = locate.locate(problem, machines.law, np.random.default_rng(1), draws=100)
     least = locate.least_p_value(
         problem, machines.law, np.random.default_rng(1), draws=100
     )
-    assert told[0].block == "leg 2"
+    assert blocks[0].block == "leg 2"
     assert 0.0 < least < 0.05
-    assert least == pytest.approx(told[0].p_value)
+    assert least == pytest.approx(blocks[0].p_value)
 
 
 def _along(problem: GapProblem) -> np.ndarray:
@@ -96,7 +96,7 @@ def _along(problem: GapProblem) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("none", "p", "asked", "told"),
+    ("none", "p", "asked", "gap_first"),
     [
         (0.8, 0.01, True, True),
         (0.8, 0.2, True, False),
@@ -105,7 +105,7 @@ def _along(problem: GapProblem) -> np.ndarray:
     ],
 )
 def test_only_where_none_would_be_told_its_odds_are_divided(
-    monkeypatch: pytest.MonkeyPatch, none: float, p: float, asked: bool, told: bool
+    monkeypatch: pytest.MonkeyPatch, none: float, p: float, asked: bool, gap_first: bool
 ) -> None:
     problem, calls = readings(1), []
 
@@ -116,11 +116,13 @@ def test_only_where_none_would_be_told_its_odds_are_divided(
     monkeypatch.setattr(locate, "least_p_value", least)
     monkeypatch.setattr(Search, "noise_level", lambda search, h: 1.7)
     before = np.array([none, 0.75 * (1.0 - none), 0.25 * (1.0 - none)])
-    made = [
+    hypotheses = [
         Hypothesis(effects=(), unknown=k > 0, log_evidence=float(np.log(s)), **BLANK)
         for k, s in enumerate(before)
     ]
-    made[2] = dataclasses.replace(made[2], effects=("slip",), atoms=(0,), sizes=(1.0,))
+    hypotheses[2] = dataclasses.replace(
+        hypotheses[2], effects=("slip",), atoms=(0,), sizes=(1.0,)
+    )
     search = Search(
         problem,
         library.build(problem, EFFECTS),
@@ -128,17 +130,17 @@ def test_only_where_none_would_be_told_its_odds_are_divided(
         stated_law(problem),
         0.0,
     )
-    after = gate.reweigh([search], made, before, np.random.default_rng(1))
+    after = gate.reweigh([search], hypotheses, before, np.random.default_rng(1))
     factor = gate.bayes_factor(p) if asked else 1.0
     assert len(calls) == asked
     assert all(call[1].level == 1.7 for call in calls)
     assert after.sum() == pytest.approx(1.0)
     assert after[0] / (1.0 - after[0]) == pytest.approx(none / (1.0 - none) / factor)
     assert after[1] / after[2] == pytest.approx(before[1] / before[2])
-    first = diagnosing.conclude(problem, [search], made, EFFECTS, shares=after)[
+    first = diagnosing.conclude(problem, [search], hypotheses, EFFECTS, shares=after)[
         0
     ].answers[0]
-    assert (first.effects == (UNKNOWN,)) == told
+    assert (first.effects == (UNKNOWN,)) == gap_first
 
 
 def test_the_gate_leaves_the_draws_of_what_comes_after_alone(
@@ -151,16 +153,16 @@ def test_the_gate_leaves_the_draws_of_what_comes_after_alone(
     monkeypatch.setattr(
         searching, "_add_located", lambda processes, problem, law: processes
     )
-    found = {}
+    diagnoses = {}
     for p in (0.9, 1e-12):
         monkeypatch.setattr(locate, "least_p_value", lambda *given, p=p: p)
-        found[p] = diagnosing.diagnose(
+        diagnoses[p] = diagnosing.diagnose(
             problem, EFFECTS, np.random.default_rng(0), law=stated_law(problem)
         )
-    assert found[0.9].verdict == "none"
-    assert found[0.9].where == ()
-    assert found[1e-12].verdict != "none"
-    assert found[1e-12].marginal.keys() == found[0.9].marginal.keys()
-    assert sum(a.probability for a in found[1e-12].answers) == pytest.approx(
+    assert diagnoses[0.9].verdict == "none"
+    assert diagnoses[0.9].where == ()
+    assert diagnoses[1e-12].verdict != "none"
+    assert diagnoses[1e-12].marginal.keys() == diagnoses[0.9].marginal.keys()
+    assert sum(a.probability for a in diagnoses[1e-12].answers) == pytest.approx(
         1.0, abs=0.02
     )

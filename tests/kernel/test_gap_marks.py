@@ -51,14 +51,16 @@ def _marked(problem: GapProblem, periods: dict[int, float], size: float) -> GapP
     )
 
 
-def _found(problem: GapProblem) -> tuple[Library, Hypothesis]:
+def _scan_marks(problem: GapProblem) -> tuple[Library, Hypothesis]:
     none = library.build(problem, ())
-    made = marks.add(none, problem, stated_law(problem))
-    return made, compare([Search(problem, none, made, stated_law(problem), 0.0)])[0]
+    processes = marks.add(none, problem, stated_law(problem))
+    return processes, compare(
+        [Search(problem, none, processes, stated_law(problem), 0.0)]
+    )[0]
 
 
 @pytest.mark.parametrize(
-    ("periods", "told"),
+    ("periods", "about"),
     [
         ({1: 20e-6}, "leg 2 in a wave every 0.02 mm of travel"),
         ({2: 173e-6}, "leg 3 in a wave every 0.173 mm of travel"),
@@ -68,31 +70,31 @@ def _found(problem: GapProblem) -> tuple[Library, Hypothesis]:
         ),
     ],
 )
-def test_marks_are_found_at_their_period(periods: dict[int, float], told: str) -> None:
-    made, best = _found(_marked(_noisy(1), periods, 10.0))
+def test_marks_are_found_at_their_period(periods: dict[int, float], about: str) -> None:
+    processes, best = _scan_marks(_marked(_noisy(1), periods, 10.0))
     assert best.key == (frozenset(), True)
     assert best.process is not None
-    assert made.atoms[best.process].about == told
+    assert processes.atoms[best.process].about == about
 
 
 def test_marks_are_told_and_placed() -> None:
     """In the whole diagnosis, noise told and all: the leg is that of the marks, whose
     looks know no fine wave.
     """
-    found = diagnose.diagnose(
+    diagnosis = diagnose.diagnose(
         _marked(_noisy(1), {1: 20e-6}, 10.0), (), np.random.default_rng(0)
     )
-    assert found.verdict == "unknown"
-    assert next(iter(found.likeness)) == "leg 2 in a wave every 0.02 mm of travel"
-    assert gap_problem.first(found.where, "leg") == "leg 2"
-    assert found.where[0].p_value < 0.01
+    assert diagnosis.verdict == "unknown"
+    assert next(iter(diagnosis.likeness)) == "leg 2 in a wave every 0.02 mm of travel"
+    assert gap_problem.first(diagnosis.where, "leg") == "leg 2"
+    assert diagnosis.where[0].p_value < 0.01
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_there_are_none_in_noise(seed: int) -> None:
-    made, best = _found(_noisy(seed))
+    processes, best = _scan_marks(_noisy(seed))
     assert best.key == (frozenset(), False)
-    assert len({a.about for a in made.atoms}) == waves.PEAKS
+    assert len({a.about for a in processes.atoms}) == waves.PEAKS
 
 
 def test_what_a_fine_wave_explains_is_what_the_metric_says() -> None:
@@ -123,8 +125,8 @@ def test_what_a_fine_wave_explains_is_what_the_metric_says() -> None:
     ):
         angle = 2.0 * np.pi * k / (size * bin_size) * place[:, 0, 0]
         both = legs[:, 0, :1] * np.column_stack([np.cos(angle), np.sin(angle)])
-        told = both.T @ inverse @ problem.residual
-        exact.append(told @ np.linalg.solve(both.T @ inverse @ both, told))
+        projected = both.T @ inverse @ problem.residual
+        exact.append(projected @ np.linalg.solve(both.T @ inverse @ both, projected))
         quick.append(energy[0, k])
     assert len(exact) > 15
     assert max(exact) > 50.0

@@ -40,17 +40,17 @@ def test_a_closed_circle_is_entered_rolling(
     the first pose as at any.
     """
     at = begin + way * 2.0 * np.pi * np.arange(count) / count
-    found = _moved(*_circle(at))
+    motion = _moved(*_circle(at))
     angle, turn = at[:, None] - LATE, FEED / RADIUS
-    assert found.rate == pytest.approx(
+    assert motion.rate == pytest.approx(
         -way * SWING * np.sin(angle) * turn, abs=4e-3 * SWING.max() * turn
     )
-    assert found.acceleration == pytest.approx(
+    assert motion.acceleration == pytest.approx(
         -SWING * np.cos(angle) * turn**2, abs=2e-2 * SWING.max() * turn**2
     )
-    assert (found.sense == -way * np.sign(np.sin(angle))).all()
+    assert (motion.sense == -way * np.sign(np.sin(angle))).all()
     since = np.mod(way * angle, np.pi)
-    assert found.reversal == pytest.approx(
+    assert motion.reversal == pytest.approx(
         SWING * (1.0 - np.cos(since)), abs=2e-3 * SWING.max()
     )
 
@@ -62,16 +62,16 @@ def test_an_open_run_has_no_turn_before_its_first() -> None:
     along = np.linspace(0.0, 1.0, 12)
     tip = np.column_stack([0.3 * along, np.zeros(12), np.zeros(12)])
     q = np.column_stack([-((along - 0.43) ** 2), along])
-    found = _moved(q, tip)
+    motion = _moved(q, tip)
     before = along < 0.43
-    assert np.isinf(found.reversal[before, 0]).all()
-    assert found.reversal[~before, 0] == pytest.approx(
+    assert np.isinf(motion.reversal[before, 0]).all()
+    assert motion.reversal[~before, 0] == pytest.approx(
         (along[~before] - 0.43) ** 2, abs=1e-6
     )
-    assert np.isinf(found.reversal[:, 1]).all()
-    assert (found.sense[:, 1] == 1.0).all()
-    assert found.rate[:, 1] == pytest.approx(np.full(12, FEED / 0.3))
-    assert found.acceleration[:, 0] == pytest.approx(
+    assert np.isinf(motion.reversal[:, 1]).all()
+    assert (motion.sense[:, 1] == 1.0).all()
+    assert motion.rate[:, 1] == pytest.approx(np.full(12, FEED / 0.3))
+    assert motion.acceleration[:, 0] == pytest.approx(
         np.full(12, -2.0 * (FEED / 0.3) ** 2), rel=1e-6
     )
 
@@ -82,14 +82,14 @@ def test_points_in_any_order_are_no_path(rng: np.random.Generator) -> None:
     """
     tip = rng.uniform(-0.1, 0.1, (30, 3))
     q = tip[:, :2].copy()
-    found = _moved(q, tip)
+    motion = _moved(q, tip)
     for k in range(1, 30):
         step = np.abs(q[k] - q[k - 1])
-        same = found.sense[k] == found.sense[k - 1]
-        assert found.reversal[k] == pytest.approx(
-            np.where(same, found.reversal[k - 1] + step, step)
+        same = motion.sense[k] == motion.sense[k - 1]
+        assert motion.reversal[k] == pytest.approx(
+            np.where(same, motion.reversal[k - 1] + step, step)
         )
-    assert np.isinf(found.reversal[0]).all()
+    assert np.isinf(motion.reversal[0]).all()
 
 
 def test_what_stands_still_does_not_move() -> None:
@@ -97,11 +97,11 @@ def test_what_stands_still_does_not_move() -> None:
     pose is no motion.
     """
     q, tip = _circle(2.0 * np.pi * np.arange(24) / 24)
-    found = _moved(q, tip, feed=np.nan, still=3)
-    assert not found.sense[:3].any()
-    assert not found.rate[:3].any()
-    assert np.isnan(found.rate[3:]).all()
-    assert np.isnan(found.acceleration[3:]).all()
+    motion = _moved(q, tip, feed=np.nan, still=3)
+    assert not motion.sense[:3].any()
+    assert not motion.rate[:3].any()
+    assert np.isnan(motion.rate[3:]).all()
+    assert np.isnan(motion.acceleration[3:]).all()
     alone = _moved(q[:1], tip[:1])
     assert not alone.rate.any()
     assert not alone.acceleration.any()

@@ -63,20 +63,22 @@ def dense(p, law, rows, target, rival):
 def test_lambdas_of_a_plan_are_those_of_its_readings_covariance():
     _, p, rows = laid_out()
     law = NoiseLaw(0.4, 0.7, 3.0, np.random.default_rng(2).uniform(0.5, 2.0, len(p)))
-    made = Pool(p, law, rows, WANTED)
+    candidates = Pool(p, law, rows, WANTED)
     plan = np.array([1, 6, 12, 17])
     at = np.concatenate([rows[k] for k in plan])
     g, s = columns(p, gap_a3.gravity), columns(p, gap_a3.encoder_scale)
-    told = {(t.effect, t.words): t.separation for t in made.pair_separations(plan)}
-    assert told["gravity", "legs"] ** 2 == pytest.approx(
+    separations = {
+        (t.effect, t.words): t.separation for t in candidates.pair_separations(plan)
+    }
+    assert separations["gravity", "legs"] ** 2 == pytest.approx(
         dense(p, law, at, g[:, 0], s), rel=1e-5
     )
-    assert told["encoder_scale", "leg 2"] ** 2 == pytest.approx(
+    assert separations["encoder_scale", "leg 2"] ** 2 == pytest.approx(
         dense(p, law, at, s[:, 1], g), rel=1e-5
     )
     alike = next(
         v
-        for (e, w), v in told.items()
+        for (e, w), v in separations.items()
         if e == "encoder_scale" and w.startswith("common")
     )
     assert alike**2 == pytest.approx(dense(p, law, at, s.sum(axis=1), g), rel=1e-5)
@@ -92,16 +94,16 @@ def test_volume_is_the_log_determinant_of_the_parameters_information():
 
 
 def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above():
-    made = pool().separation(
+    objective = pool().separation(
         range(len(pool().targets)), 0.3, np.empty(0, dtype=np.intp)
     )
     rng = np.random.default_rng(0)
-    active = np.arange(made.count)
-    w = rng.uniform(0.2, 1.0, made.count)
-    smooth = dataclasses.replace(made, sharp=3.0)
+    active = np.arange(objective.count)
+    w = rng.uniform(0.2, 1.0, objective.count)
+    smooth = dataclasses.replace(objective, sharp=3.0)
     slopes, curvature = smooth.slopes_and_curvature(active, w)
     for k in (0, 7, 15):
-        step = 1e-5 * np.eye(made.count)[k]
+        step = 1e-5 * np.eye(objective.count)[k]
         up, down = smooth.value(active, w + step), smooth.value(active, w - step)
         assert slopes[k] == pytest.approx((up - down) / 2e-5, rel=1e-5)
         bent = (
@@ -111,11 +113,11 @@ def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above()
         np.testing.assert_allclose(
             -bent, curvature[k], rtol=1e-4, atol=1e-6 * np.abs(curvature).max()
         )
-    line = made.tangent(active, w)
+    line = objective.tangent(active, w)
     for _ in range(50):
-        other = rng.uniform(0.0, 1.0, made.count)
+        other = rng.uniform(0.0, 1.0, objective.count)
         assert (
-            float(made.worth(made.at(active, other)))
+            float(objective.worth(objective.at(active, other)))
             <= line.bound(float(other @ line.slopes)) + 1e-9
         )
 
@@ -125,10 +127,12 @@ def test_bounds_hold_for_every_plan_and_the_search_ends_near_the_best(
     share, monkeypatch
 ):
     monkeypatch.setattr(choose, "ENUMERATED", 0)
-    made, size = pool(), 4
-    found = choose.choose(made, Rules(size=size), np.random.default_rng(0), share=share)
-    everything = made.separation(
-        range(len(made.targets)), share, np.empty(0, dtype=np.intp)
+    candidates, size = pool(), 4
+    choice = choose.choose(
+        candidates, Rules(size=size), np.random.default_rng(0), share=share
+    )
+    everything = candidates.separation(
+        range(len(candidates.targets)), share, np.empty(0, dtype=np.intp)
     )
     plans = np.array(list(itertools.combinations(range(everything.count), size)))
     m = [
@@ -137,26 +141,26 @@ def test_bounds_hold_for_every_plan_and_the_search_ends_near_the_best(
     ]
     values = (
         np.concatenate([everything.worth(x) for x in m])
-        + share * made.log_scale / everything.size
+        + share * candidates.log_scale / everything.size
     )
     least = np.concatenate([everything.lambdas(x).min(axis=0) for x in m]) ** 0.5
-    assert found.above >= values.max() - 1e-9
-    assert found.bound >= least.max() * (1 - 1e-9)
-    assert found.value >= values.max() - 0.05
-    assert found.bound <= 2.0 * least.max()
+    assert choice.above >= values.max() - 1e-9
+    assert choice.bound >= least.max() * (1 - 1e-9)
+    assert choice.value >= values.max() - 0.05
+    assert choice.bound <= 2.0 * least.max()
 
 
 def test_few_plans_are_all_tried():
-    found = choose.choose(pool(), Rules(size=3), np.random.default_rng(0), share=0.0)
+    choice = choose.choose(pool(), Rules(size=3), np.random.default_rng(0), share=0.0)
     every = [
         pool().lambdas(np.array(c)).min() for c in itertools.combinations(range(20), 3)
     ]
     assert (
-        found.separation
+        choice.separation
         == pytest.approx(max(every) ** 0.5)
-        == pytest.approx(found.bound)
+        == pytest.approx(choice.bound)
     )
-    assert found.efficiency == pytest.approx(1.0)
+    assert choice.efficiency == pytest.approx(1.0)
 
 
 def test_payload_and_second_tool_tell_gravity_from_scale():
@@ -166,15 +170,17 @@ def test_payload_and_second_tool_tell_gravity_from_scale():
     candidates, p, rows = laid_out(
         strokes=(0.0, 0.08, 0.14, 0.2), payloads=(0.0, 100.0), points=15
     )
-    made = Pool(p, stated_law(p), rows, WANTED, pairs=[("gravity", "encoder_scale")])
+    loaded_pool = Pool(
+        p, stated_law(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
+    )
     names = [(r.setup, r.name) for r in candidates]
     paper = np.array(
         [names.index(("cup", "80 mm, 0 N")), names.index(("cup", "200 mm, 0 N"))]
     )
-    assert made.pair_separations(paper)[0].separation < 2.0
-    found = choose.choose(made, Rules(size=4), np.random.default_rng(0))
-    assert found.pairs[0].separation > 29.0
-    assert len({candidates[k].condition["payload"] for k in found.runs}) == 2
+    assert loaded_pool.pair_separations(paper)[0].separation < 2.0
+    choice = choose.choose(loaded_pool, Rules(size=4), np.random.default_rng(0))
+    assert choice.pairs[0].separation > 29.0
+    assert len({candidates[k].condition["payload"] for k in choice.runs}) == 2
     # without the load as a factor four circles and a second tool do not
     plain_pool = Pool(
         p, stated_law(p), rows, WANTED, pairs=[("gravity", "encoder_scale")]
@@ -196,8 +202,8 @@ def test_share_one_is_the_d_optimal_choice_of_runs():
     d = exchange.choose(
         blocks, 4, np.random.default_rng(0), "D", prior=np.eye(blocks.shape[2])
     )
-    found = choose.choose(pool(), Rules(size=4), np.random.default_rng(0), share=1.0)
-    assert found.volume == pytest.approx(d.value, abs=1e-6)
+    choice = choose.choose(pool(), Rules(size=4), np.random.default_rng(0), share=1.0)
+    assert choice.volume == pytest.approx(d.value, abs=1e-6)
     # and telling effects apart costs volume
     assert (
         choose.choose(pool(), Rules(size=4), np.random.default_rng(0), share=0.0).volume
@@ -212,37 +218,39 @@ def test_budget_pays_runs_and_mounting():
     rules = Rules(
         budget=1900.0, cost=cost, setup=tool, setup_cost=np.array([900.0, 900.0])
     )
-    found = choose.choose(pool(), rules, np.random.default_rng(0), rounds=3)
+    choice = choose.choose(pool(), rules, np.random.default_rng(0), rounds=3)
     # 1900 s do not pay for two set-ups and a run, but for one and eight runs
-    assert len({candidates[k].setup for k in found.runs}) == 1
-    assert len(found.runs) == 8
-    assert found.seconds == pytest.approx(1860.0)
-    assert found.above >= found.value - 1e-9
+    assert len({candidates[k].setup for k in choice.runs}) == 1
+    assert len(choice.runs) == 8
+    assert choice.seconds == pytest.approx(1860.0)
+    assert choice.above >= choice.value - 1e-9
 
 
 def test_runs_kept_are_part_of_every_plan():
-    kept = np.array([0, 10])
-    found = choose.choose(pool(), Rules(size=2), np.random.default_rng(0), fixed=kept)
-    assert set(kept) <= set(found.runs)
-    assert len(found.runs) == 4
+    fixed = np.array([0, 10])
+    choice = choose.choose(pool(), Rules(size=2), np.random.default_rng(0), fixed=fixed)
+    assert set(fixed) <= set(choice.runs)
+    assert len(choice.runs) == 4
     every = [
-        pool().lambdas(np.append(kept, c)).min()
+        pool().lambdas(np.append(fixed, c)).min()
         for c in itertools.combinations(sorted(set(range(20)) - {0, 10}), 2)
     ]
-    assert found.bound == pytest.approx(max(every) ** 0.5)
+    assert choice.bound == pytest.approx(max(every) ** 0.5)
 
 
 def test_the_told_plan_agrees_with_the_table_before_measuring():
     """Detectability of the chosen runs, laid out anew as a plan of their own."""
     candidates, p, _ = laid_out()
-    found = choose.choose(pool(), Rules(size=4), np.random.default_rng(0))
-    own, _ = runs.prepare(p.measurement, [candidates[k] for k in found.runs])
-    told = detect.detect(own, stated_law(own), WANTED, np.random.default_rng(0))
-    legs = next(t for t in found.pairs if t.effect == "gravity")
-    assert told.row("gravity").detectability == pytest.approx(
+    choice = choose.choose(pool(), Rules(size=4), np.random.default_rng(0))
+    problem, _ = runs.prepare(p.measurement, [candidates[k] for k in choice.runs])
+    detection = detect.detect(
+        problem, stated_law(problem), WANTED, np.random.default_rng(0)
+    )
+    legs = next(t for t in choice.pairs if t.effect == "gravity")
+    assert detection.row("gravity").detectability == pytest.approx(
         legs.detectability, rel=1e-5
     )
-    assert told.separation[0, 1] == pytest.approx(legs.separation, rel=1e-5)
+    assert detection.separation[0, 1] == pytest.approx(legs.separation, rel=1e-5)
 
 
 def test_runs_are_laid_out_in_order_and_direction():

@@ -55,9 +55,11 @@ def test_few_strays_cost_next_to_no_information() -> None:
     as its variance says.
     """
     for share, wild in itertools.product(outliers.SHARES, outliers.WILD):
-        kept = outliers.fisher_information(outliers.ContaminatedNormal(share, wild))
-        assert 1.0 / (1.0 - share + share * wild**2) < kept < 1.0
-        assert kept > 1.0 - 4.0 * share
+        information = outliers.fisher_information(
+            outliers.ContaminatedNormal(share, wild)
+        )
+        assert 1.0 / (1.0 - share + share * wild**2) < information < 1.0
+        assert information > 1.0 - 4.0 * share
 
 
 @pytest.mark.parametrize(
@@ -82,11 +84,11 @@ def test_a_pseudo_error_tells_of_a_small_change_what_the_error_does(
         e = rng.standard_normal(10_000) * np.where(
             rng.random(10_000) < shape.outlier_share, shape.outlier_scale, 1.0
         )
-    told = outliers.fisher_information(shape)
-    normal = shape.weight(e) * e / told
+    information = outliers.fisher_information(shape)
+    normal = shape.weight(e) * e / information
     for shift in (-0.06, 0.03, 0.06):
         exact = (shape.log_density(e - shift) - shape.log_density(e)).sum()
-        pseudo = 0.5 * told * (normal**2 - (normal - shift) ** 2).sum()
+        pseudo = 0.5 * information * (normal**2 - (normal - shift) ** 2).sum()
         assert pseudo == pytest.approx(exact, abs=1.5)
 
 
@@ -94,11 +96,11 @@ def test_normal_readings_have_no_strays() -> None:
     """In at most one set of twelve: the likeliest shape must be worth a factor of
     twenty.
     """
-    found = [
+    detected = [
         noise.detect_outliers(p, stated_law(p), np.zeros((len(p), 0)))
         for p in (white_lines(k, 5, 31) for k in range(12))
     ]
-    assert sum(f is not None for f in found) <= 1
+    assert sum(f is not None for f in detected) <= 1
 
 
 def test_strays_are_told_and_no_others() -> None:
@@ -107,13 +109,13 @@ def test_strays_are_told_and_no_others() -> None:
     far = rng.choice(len(problem), 12, replace=False)
     y = problem.residual.copy()
     y[far] += 12.0 * rng.choice([-1.0, 1.0], 12)
-    found = noise.detect_outliers(
+    detected = noise.detect_outliers(
         problem.with_residual(y), stated_law(problem), np.zeros((len(problem), 0))
     )
-    assert found is not None
+    assert detected is not None
     ordinary = np.delete(np.arange(len(problem)), far)
-    assert np.abs(found.pseudo_residual - y)[far].min() > 5.0
-    assert np.sqrt(np.mean((found.pseudo_residual - y)[ordinary] ** 2)) < 0.3
+    assert np.abs(detected.pseudo_residual - y)[far].min() > 5.0
+    assert np.sqrt(np.mean((detected.pseudo_residual - y)[ordinary] ** 2)) < 0.3
 
 
 @pytest.mark.parametrize(("degrees", "seed"), [(3.0, 1), (4.0, 2)])
@@ -127,10 +129,10 @@ def test_what_is_left_tells_as_much_as_heavy_tails_allow(
     rng, means, plain_means = np.random.default_rng(seed), [], []
     for _ in range(150):
         y = rng.standard_t(degrees, len(problem))
-        found = noise.detect_outliers(
+        detected = noise.detect_outliers(
             problem.with_residual(y), stated_law(problem), np.zeros((len(problem), 0))
         )
-        means.append(np.mean(y if found is None else found.pseudo_residual))
+        means.append(np.mean(y if detected is None else detected.pseudo_residual))
         plain_means.append(np.mean(y))
     least = (degrees + 3.0) / (degrees + 1.0)
     assert np.var(means) * len(problem) == pytest.approx(least, rel=0.3)
@@ -151,11 +153,11 @@ def test_strays_are_told_beside_a_model_of_many_columns() -> None:
     )
     far = rng.choice(len(problem), 9, replace=False)
     y[far] += 15.0 * rng.choice([-1.0, 1.0], len(far))
-    found = noise.detect_outliers(
+    detected = noise.detect_outliers(
         problem.with_residual(y), stated_law(problem), columns
     )
-    assert found is not None
-    moved = np.abs(found.pseudo_residual - y)
+    assert detected is not None
+    moved = np.abs(detected.pseudo_residual - y)
     assert moved[far].min() > 5.0
     assert np.quantile(np.delete(moved, far), 0.95) < 1.0
 
@@ -175,13 +177,13 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     far = np.arange(20, len(problem), 60)
     spoilt = y.copy()
     spoilt[far] += 20.0
-    found = noise.detect_outliers(
+    detected = noise.detect_outliers(
         problem.with_residual(spoilt), law, np.zeros((len(problem), 0))
     )
-    assert found is not None
-    beside = np.concatenate([far - 2, far + 2])  # two channels are read by turns
-    assert np.abs(found.pseudo_residual - y)[beside].max() < 1.0
-    assert np.abs(found.pseudo_residual - y)[far].max() < 5.0
+    assert detected is not None
+    neighbours = np.concatenate([far - 2, far + 2])  # two channels are read by turns
+    assert np.abs(detected.pseudo_residual - y)[neighbours].max() < 1.0
+    assert np.abs(detected.pseudo_residual - y)[far].max() < 5.0
 
 
 def test_an_effect_is_found_in_heavy_tails_and_none_without_it() -> None:
@@ -192,15 +194,17 @@ def test_an_effect_is_found_in_heavy_tails_and_none_without_it() -> None:
         rng.random(len(calm)) < 0.02, 10.0 * rng.standard_normal(len(calm)), 0.0
     )
     healthy = calm.with_residual(calm.residual + wild)
-    found = diagnosing.diagnose(healthy, EFFECTS, np.random.default_rng(0))
-    assert found.verdict == "none"
-    assert found.law.outlier_share > 0.0 or np.isfinite(found.law.student_dof)
-    assert any("far off" in words for words in found.noise_words)
-    assert found.law.level == pytest.approx(1.0, abs=0.2)
+    without = diagnosing.diagnose(healthy, EFFECTS, np.random.default_rng(0))
+    assert without.verdict == "none"
+    assert without.law.outlier_share > 0.0 or np.isfinite(without.law.student_dof)
+    assert any("far off" in words for words in without.noise_words)
+    assert without.law.level == pytest.approx(1.0, abs=0.2)
     ill = planted(healthy, SLIP, {"leg 1": 1.0})
-    told = diagnosing.diagnose(ill, EFFECTS, np.random.default_rng(0))
-    assert told.answers[0].effects == ("slip",)
-    assert np.allclose(told.problem.residual, ill.residual)  # shown as they were read
+    with_effect = diagnosing.diagnose(ill, EFFECTS, np.random.default_rng(0))
+    assert with_effect.answers[0].effects == ("slip",)
+    assert np.allclose(
+        with_effect.problem.residual, ill.residual
+    )  # shown as they were read
 
 
 def test_a_law_in_words_tells_how_many_are_far_off() -> None:
@@ -219,12 +223,12 @@ def _bumpy(problem: GapProblem, count: int) -> np.ndarray:
     """Columns (N, runs * channels * count), each `count` cosines of falling size in one
     channel of one run.
     """
-    made = []
+    bumps = []
     for members in problem.members:
         for group in np.unique(problem.channel):
             mine = members[problem.channel[members] == group]
             at = (np.arange(len(mine)) + 0.5) / len(mine)
             for k in range(count):
-                made.append(np.zeros(len(problem)))
-                made[-1][mine] = np.cos(np.pi * k * at) / (1.0 + k / 4.0)
-    return np.column_stack(made)
+                bumps.append(np.zeros(len(problem)))
+                bumps[-1][mine] = np.cos(np.pi * k * at) / (1.0 + k / 4.0)
+    return np.column_stack(bumps)

@@ -34,9 +34,9 @@ SMOOTH = [
 SIZE = 40.0
 
 
-def _some(made: Library, name: str, rng: np.random.Generator) -> np.ndarray:
+def _some(processes: Library, name: str, rng: np.random.Generator) -> np.ndarray:
     """A draw (N,) of a process."""
-    chosen = made.columns[:, made.atoms[made.atoms_of(name)[0]].columns]
+    chosen = processes.columns[:, processes.atoms[processes.atoms_of(name)[0]].columns]
     return np.asarray(chosen @ rng.standard_normal(chosen.shape[1]))
 
 
@@ -49,12 +49,12 @@ def _apart(
     noise = problem.slopes @ problem.slopes.T
     for k, members in enumerate(problem.members):
         noise[np.ix_(members, members)] += stated_law(problem).block(problem, k)
-    inverse, kept = np.linalg.inv(noise), []
+    inverse, orthogonal = np.linalg.inv(noise), []
     for part, energy in zip(parts, energies, strict=True):
-        for other in kept:
+        for other in orthogonal:
             part = part - other * (other @ inverse @ part) / (other @ inverse @ other)
-        kept.append(part * np.sqrt(energy / (part @ inverse @ part)))
-    return np.asarray(sum(kept))
+        orthogonal.append(part * np.sqrt(energy / (part @ inverse @ part)))
+    return np.asarray(sum(orthogonal))
 
 
 @pytest.mark.parametrize("seed", [20, 21, 24])
@@ -62,11 +62,11 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
     problem, rng = readings(seed), np.random.default_rng(seed)
     known, processes = library.build(problem, EFFECTS), library.build(problem, SMOOTH)
     whole = max((known.atoms[k].columns for k in known.atoms_of("bow")), key=len)
-    book, own = (
+    book, departure = (
         known.columns[:, whole] @ np.array([1.0, -0.6]),
         _some(processes, "over the travel", rng),
     )
-    change = _apart(problem, [book, own], [0.75 * SIZE**2, 0.25 * SIZE**2])
+    change = _apart(problem, [book, departure], [0.75 * SIZE**2, 0.25 * SIZE**2])
     acting = problem.with_residual(problem.residual + change)
     best = compare([Search(acting, known, processes, stated_law(problem), 0.0)])[0]
     assert best.key == (frozenset({"bow"}), True)
@@ -89,17 +89,17 @@ def test_a_process_that_is_like_no_effect_is_unknown_alone(seed: int) -> None:
 
 
 def test_odds_of_an_effect_rise_with_its_share() -> None:
-    told = [comparing._log_odds(float(s)) for s in np.linspace(-3.0, 4.0, 141)]
-    assert (np.diff(told) >= 0.0).all()
-    assert (min(told), max(told)) == (-comparing.STEEPEST, comparing.STEEPEST)
+    log_odds = [comparing._log_odds(float(s)) for s in np.linspace(-3.0, 4.0, 141)]
+    assert (np.diff(log_odds) >= 0.0).all()
+    assert (min(log_odds), max(log_odds)) == (-comparing.STEEPEST, comparing.STEEPEST)
     assert comparing._log_odds(comparing.EVEN) == 0.0
     assert comparing._log_odds(comparing.EVEN + 0.1) == pytest.approx(
         0.1 * comparing.SLOPE
     )
 
 
-class _Told:
-    """A search that says what it is told to."""
+class _FixedSearch:
+    """A search with given hypotheses."""
 
     def __init__(self, *hypotheses: Hypothesis) -> None:
         self._hypotheses = hypotheses
@@ -127,16 +127,19 @@ def test_an_unknown_alone_is_held_against_the_best_effect_by_its_share(
     )
     first += [_says(("a",), True, 0.0, share), _says(("b",), True, -30.0, 0.9)]
     second = [_says(("a",), False, -0.5), _says((), True, -2.0)]
-    told = {h.key: h for h in compare([_Told(*first), _Told(*second)])}  # type: ignore[list-item]
-    assert told[frozenset(), True].score == pytest.approx(-max(odds, 0.0))
-    assert told[frozenset({"a"}), True].score == pytest.approx(min(odds, 0.0))
-    assert told[frozenset({"b"}), True].score == -30.0
-    assert (told[frozenset({"a"}), False].score, told[frozenset({"a"}), False].law) == (
+    by_key = {h.key: h for h in compare([_FixedSearch(*first), _FixedSearch(*second)])}  # type: ignore[list-item]
+    assert by_key[frozenset(), True].score == pytest.approx(-max(odds, 0.0))
+    assert by_key[frozenset({"a"}), True].score == pytest.approx(min(odds, 0.0))
+    assert by_key[frozenset({"b"}), True].score == -30.0
+    assert (
+        by_key[frozenset({"a"}), False].score,
+        by_key[frozenset({"a"}), False].law,
+    ) == (
         -0.5,
         1,
     )
-    assert told[frozenset(), False].score == -9.0
-    assert len(told) == 5
+    assert by_key[frozenset(), False].score == -9.0
+    assert len(by_key) == 5
 
 
 @pytest.mark.parametrize(
@@ -146,14 +149,14 @@ def test_an_effect_that_explains_next_to_nothing_is_less_likely(
     least: float, worth: float
 ) -> None:
     pair = dataclasses.replace(_says(("a", "b"), False, 0.0), least_share=least)
-    told = {
+    by_key = {
         h.key: h
         for h in compare(
-            [_Told(_says((), False, -9.0), _says(("a",), False, -1.0), pair)]
+            [_FixedSearch(_says((), False, -9.0), _says(("a",), False, -1.0), pair)]
         )
     }  # type: ignore[list-item]
-    assert told[frozenset({"a", "b"}), False].score == pytest.approx(worth)
-    assert told[frozenset({"a"}), False].score == -1.0
+    assert by_key[frozenset({"a", "b"}), False].score == pytest.approx(worth)
+    assert by_key[frozenset({"a"}), False].score == -1.0
 
 
 @pytest.mark.parametrize(("small", "wanted"), [(0.2, 0.04 / 1.04), (1.0, 0.5)])
@@ -172,10 +175,8 @@ def test_the_least_share_is_what_is_lost_without_it(
         _apart(problem, parts, [SIZE**2, (small * SIZE) ** 2])
     )
     search = Search(whole, known, library.build(problem, SMOOTH), law, 0.0)
-    found = next(
-        h for h in search.run() if h.key == (frozenset({"bow", "slip"}), False)
-    )
-    assert found.least_share == pytest.approx(wanted, rel=0.1)
+    pair = next(h for h in search.run() if h.key == (frozenset({"bow", "slip"}), False))
+    assert pair.least_share == pytest.approx(wanted, rel=0.1)
     assert all(h.least_share == 1.0 for h in search.run() if len(h.effects) < 2)
 
 
@@ -188,14 +189,14 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     dy = (problem.rows["channel"] == "dy").to_numpy()
     hum = np.where(dy, 2.0 * np.sin(2.0 * np.pi * time / 173.0 + 1.0), 0.0)
     none = library.build(problem, ())
-    made = waves.add(
+    processes = waves.add(
         none, problem.with_residual(problem.residual + hum), stated_law(problem)
     )
-    assert made.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
+    assert processes.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
     search = Search(
         problem.with_residual(problem.residual + hum),
         none,
-        made,
+        processes,
         stated_law(problem),
         0.0,
     )
@@ -211,13 +212,13 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     assert compare([quiet])[0].key == (frozenset(), False)
 
 
-@pytest.mark.parametrize(("unit", "period", "told"), [
+@pytest.mark.parametrize(("unit", "period", "words"), [
     ("s", 41.0, "leg 2 in a wave of 41 s"), ("s", 733.0, "leg 2 in a wave of 12.2 min"),
     ("s", 10440.0, "leg 2 in a wave of 2.9 h"), ("readings", 5.04, "leg 2 in a wave of 5.04 readings"),
     ("m", 0.35, "leg 2 in a wave every 350 mm of path"), ("travel_m", 0.005, "leg 2 in a wave every 5 mm of travel"),
 ])  # fmt: skip
-def test_a_wave_in_words(unit: str, period: float, told: str) -> None:
-    assert waves._in_words(unit, period, "leg 2") == told
+def test_a_wave_in_words(unit: str, period: float, words: str) -> None:
+    assert waves._in_words(unit, period, "leg 2") == words
 
 
 def test_what_is_unknown_is_told_by_its_likeliest_form() -> None:
@@ -237,8 +238,8 @@ def test_what_is_unknown_is_told_by_its_likeliest_form() -> None:
 
 
 def _concluded(problem: GapProblem) -> tuple[Diagnosis, Hypothesis]:
-    made = searching.searches(problem, EFFECTS)
-    return diagnose.conclude(problem, made, compare(made), EFFECTS)
+    searches = searching.searches(problem, EFFECTS)
+    return diagnose.conclude(problem, searches, compare(searches), EFFECTS)
 
 
 def _waved(problem: GapProblem, wave: np.ndarray) -> tuple[Library, Hypothesis]:
@@ -249,14 +250,16 @@ def _waved(problem: GapProblem, wave: np.ndarray) -> tuple[Library, Hypothesis]:
         problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0)
     )
     none = library.build(problem, ())
-    made = waves.add(none, acting, stated_law(problem))
-    return made, compare([Search(acting, none, made, stated_law(problem), 0.0)])[0]
+    processes = waves.add(none, acting, stated_law(problem))
+    return processes, compare(
+        [Search(acting, none, processes, stated_law(problem), 0.0)]
+    )[0]
 
 
-def _periods(made: Library, unit: str) -> list[float]:
+def _periods(processes: Library, unit: str) -> list[float]:
     return [
         a.constants[f"period_{unit}"]
-        for a in made.atoms
+        for a in processes.atoms
         if f"period_{unit}" in a.constants
     ]
 
@@ -282,18 +285,18 @@ def test_a_wave_along_the_path_is_found_at_its_period(
     """
     problem = readings(31, uneven)
     way = _on_the_way(problem)
-    made, best = _waved(
+    processes, best = _waved(
         problem, np.nan_to_num(2.5 * np.sin(2.0 * np.pi * way / period + 0.5))
     )
-    found = _periods(made, "m")[0]
+    estimate = _periods(processes, "m")[0]
     if uneven:
-        assert found == pytest.approx(period, rel=0.01)
+        assert estimate == pytest.approx(period, rel=0.01)
     else:
-        turns = (2.8 / 30) / np.array([found, period])
+        turns = (2.8 / 30) / np.array([estimate, period])
         off = np.abs(turns - np.round(turns))
         assert off[0] == pytest.approx(off[1], abs=0.02)
     assert best.key == (frozenset(), True)
-    assert "period_m" in made.atoms[best.process].constants
+    assert "period_m" in processes.atoms[best.process].constants
     quiet, none = _waved(problem, np.zeros(len(problem)))
     assert none.key == (frozenset(), False)
     assert len(set(_periods(quiet, "m"))) == waves.PEAKS
@@ -310,9 +313,9 @@ def test_irregular_times_tell_a_wave_faster_than_the_readings(
     """
     problem = readings(32, late=late)
     clock = problem.rows["time"].to_numpy(dtype=float)
-    made, best = _waved(problem, 2.5 * np.sin(2.0 * np.pi * clock / 27.0 + 0.5))
+    processes, best = _waved(problem, 2.5 * np.sin(2.0 * np.pi * clock / 27.0 + 0.5))
     assert best.key == (frozenset(), True)
-    assert made.atoms[best.process].constants["period_s"] == pytest.approx(
+    assert processes.atoms[best.process].constants["period_s"] == pytest.approx(
         wanted, rel=0.01
     )
 
@@ -332,32 +335,32 @@ def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
         library.build(problem, ()),
         problem.with_residual(problem.residual + change),
     )
-    made = waves.add(none, acting, stated_law(problem))
-    assert _periods(made, "travel_m")[0] == pytest.approx(0.037, rel=0.002)
-    best = compare([Search(acting, none, made, stated_law(problem), 0.0)])[0]
+    processes = waves.add(none, acting, stated_law(problem))
+    assert _periods(processes, "travel_m")[0] == pytest.approx(0.037, rel=0.002)
+    best = compare([Search(acting, none, processes, stated_law(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
-    assert made.atoms[best.process].constants["period_travel_m"] == pytest.approx(
+    assert processes.atoms[best.process].constants["period_travel_m"] == pytest.approx(
         0.037, rel=0.002
     )
 
 
-@pytest.mark.parametrize("found", ["wave", "overtone"])
-def test_a_wave_with_an_overtone_is_one_form(found: str) -> None:
+@pytest.mark.parametrize("larger", ["wave", "overtone"])
+def test_a_wave_with_an_overtone_is_one_form(larger: str) -> None:
     """Whichever of the two is found first, both are held together, at the weight of one
     wave among all.
     """
-    problem, size = readings(5), {"wave": (2.0, 1.2), "overtone": (1.2, 2.0)}[found]
+    problem, size = readings(5), {"wave": (2.0, 1.2), "overtone": (1.2, 2.0)}[larger]
     angle = 2.0 * np.pi * problem.rows["time"].to_numpy(dtype=float) / 391.0
-    made, best = _waved(
+    processes, best = _waved(
         problem, size[0] * np.sin(angle + 1.0) + size[1] * np.sin(2.0 * angle)
     )
     assert best.key == (frozenset(), True)
     assert best.process is not None
-    chosen = made.atoms[best.process]
+    chosen = processes.atoms[best.process]
     assert len(chosen.columns) == 4
     assert chosen.constants["period_s"] == pytest.approx(
-        {"wave": 391.0, "overtone": 195.5}[found], rel=0.01
+        {"wave": 391.0, "overtone": 195.5}[larger], rel=0.01
     )
 
 
@@ -370,10 +373,10 @@ def test_a_wave_of_all_joints_along_their_travels_is_one_form() -> None:
     waves_of = np.sin(2.0 * np.pi * place / 0.037 + np.array([0.4, 2.1]))
     change = np.einsum("nqj,njq->n", carriers.joint_carriers(problem), waves_of)
     change *= 1.0 / np.sqrt(np.mean(change**2))
-    made, best = _waved(problem, change)
+    processes, best = _waved(problem, change)
     assert best.key == (frozenset(), True)
     assert best.process is not None
-    chosen = made.atoms[best.process]
+    chosen = processes.atoms[best.process]
     assert chosen.constants["period_travel_m"] == pytest.approx(0.037, rel=0.002)
     assert chosen.about.startswith("all legs, each")
     assert len(chosen.columns) == 2 * 2
@@ -393,13 +396,13 @@ def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_tol
         problem.with_residual(problem.residual + fade),
         library.build(problem, ()),
     )
-    made = library.build(problem, PROCESSES)
-    best = compare([Search(acting, none, made, stated_law(problem), 0.0)])[0]
+    processes = library.build(problem, PROCESSES)
+    best = compare([Search(acting, none, processes, stated_law(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
-    chosen = made.atoms[best.process]
+    chosen = processes.atoms[best.process]
     assert (chosen.effect, dict(chosen.constants)) == ("settling", {"within": 0.15})
-    still = compare([Search(problem, none, made, stated_law(problem), 0.0)])[0]
+    still = compare([Search(problem, none, processes, stated_law(problem), 0.0)])[0]
     assert still.key == (frozenset(), False)
 
 
@@ -415,9 +418,9 @@ def test_all_parameters_swing_by_the_order_of_the_readings_where_no_time_is_told
     change = _apart(
         problem, [(slopes @ rng.standard_normal(slopes.shape[1])) * wave], [14.0**2]
     )
-    made, best = _waved(problem, change)
+    processes, best = _waved(problem, change)
     assert best.process is not None
-    chosen = made.atoms[best.process]
+    chosen = processes.atoms[best.process]
     assert len(chosen.columns) == 2 * slopes.shape[1]
     assert chosen.constants["period_readings"] == pytest.approx(
         0.55 * len(problem.series[0]), rel=0.25
@@ -445,16 +448,16 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
         change[members] = place[members] @ sizes[(number % 6) // 2 if back else number]
     acting = one.with_residual(rng.standard_normal(len(one)) + 3.0 * change)
     none = library.build(acting, ())
-    made = library.build(acting, [p for p in PROCESSES if p.name == "coming back"])
+    processes = library.build(acting, [p for p in PROCESSES if p.name == "coming back"])
     carried, prior = noise.fit_law(acting, np.zeros((len(acting), 0)))
-    told = compare(
+    ranked = compare(
         [
-            Search(acting, none, made, *pair)
+            Search(acting, none, processes, *pair)
             for pair in ((carried, prior), estimate.without_run_noise(carried))
         ]
     )
     assert carried.ar1_sd + carried.run_harmonic_sd > 0.5
-    assert told[0].unknown == back
+    assert ranked[0].unknown == back
 
 
 def test_what_comes_back_with_nothing_that_is_known_is_no_process() -> None:
@@ -467,12 +470,12 @@ def test_what_comes_back_with_nothing_that_is_known_is_no_process() -> None:
     (process,) = (p for p in PROCESSES if p.name == "coming back with")
     assert not list(process.columns(state, reach=0.3, what=1))
     for what, sign in ((0, state.direction), (2, state.feed - 1 / 60.0)):
-        made = list(process.columns(state, reach=0.3, what=what))
-        assert made
+        columns = list(process.columns(state, reach=0.3, what=what))
+        assert columns
         still = np.isclose(np.nan_to_num(sign), 0.0)
         assert all(
             np.abs(v[still]).max(initial=0.0) < 1e-12
-            for c in made
+            for c in columns
             for v in c.reading.values()
         )
 
@@ -490,14 +493,14 @@ def test_noise_told_beside_a_wave_does_not_hold_it() -> None:
     acting = problem.with_residual(problem.residual + wave)
     alone, prior = noise.fit_law(acting, np.zeros((len(acting), 0)))
     none = waves.add(library.build(acting, ()), acting, alone)
-    made, (beside,) = pursuit.pursue(none, acting, [alone])
+    processes, (with_wave,) = pursuit.pursue(none, acting, [alone])
     assert alone.ar1_sd > 0.5
-    assert beside[0].ar1_sd < 0.5 * alone.ar1_sd
-    first = Search(acting, library.build(acting, ()), made, alone, prior).run()
-    anew = Search(acting, library.build(acting, ()), made, *beside).run()
+    assert with_wave[0].ar1_sd < 0.5 * alone.ar1_sd
+    first = Search(acting, library.build(acting, ()), processes, alone, prior).run()
+    anew = Search(acting, library.build(acting, ()), processes, *with_wave).run()
 
-    def odds(told: list[Hypothesis]) -> float:
-        by = {h.key: h.log_evidence for h in told}
+    def odds(hypotheses: list[Hypothesis]) -> float:
+        by = {h.key: h.log_evidence for h in hypotheses}
         return by[frozenset(), True] - by[frozenset(), False]
 
     assert odds(anew) > odds(first) + 5.0
@@ -516,8 +519,8 @@ def test_what_shifts_whole_runs_is_looked_for_where_runs_repeat() -> None:
     )
     acting = problem.with_residual(problem.residual + shift)
     loose, _ = noise.fit_law(acting, np.zeros((len(acting), 0)))
-    made = library.build(acting, SMOOTH)
-    _, (noisy, calm) = pursuit.pursue(made, acting, [loose, stated_law(problem)])
+    processes = library.build(acting, SMOOTH)
+    _, (noisy, calm) = pursuit.pursue(processes, acting, [loose, stated_law(problem)])
     assert loose.run_sd > 1.0
     assert calm[0].run_sd < 0.5 * min(noisy[0].run_sd, loose.run_sd)
 
@@ -533,17 +536,17 @@ def test_no_gap_is_given_a_law_of_its_own(suits: bool) -> None:
         dataclasses.replace(stated_law(problem), ar1_sd=3.0, ar1_length=8.0),
     )
     best = noise.fit_law(problem, np.zeros((len(problem), 0)))
-    made = [Search(problem, none, none, *(best if suits else (law, 0.0)))]
-    searching._add_without_gap(made, law)
+    searches = [Search(problem, none, none, *(best if suits else (law, 0.0)))]
+    searching._add_without_gap(searches, law)
 
     def worth(search: Search) -> float:
         return next(
             h.log_evidence for h in search.run() if not h.effects and not h.unknown
         )
 
-    assert len(made) == (1 if suits else 2)
-    assert suits or worth(made[1]) > worth(made[0]) + 20.0
-    assert made[-1].law.ar1_sd < 0.3
+    assert len(searches) == (1 if suits else 2)
+    assert suits or worth(searches[1]) > worth(searches[0]) + 20.0
+    assert searches[-1].law.ar1_sd < 0.3
 
 
 def test_two_waves_are_told_together() -> None:
@@ -554,18 +557,18 @@ def test_two_waves_are_told_together() -> None:
     both += np.where(dz, 2.0 * np.sin(2.0 * np.pi * time / 611.0), 0.0)
     acting = problem.with_residual(problem.residual + both)
     none = library.build(acting, ())
-    made, _ = pursuit.pursue(
+    processes, _ = pursuit.pursue(
         waves.add(none, acting, stated_law(acting)), acting, [stated_law(acting)]
     )
-    best = compare([Search(acting, none, made, stated_law(acting), 0.0)])[0]
+    best = compare([Search(acting, none, processes, stated_law(acting), 0.0)])[0]
     assert best.process is not None
-    assert made.atoms[best.process].effect == pursuit.NAME
-    assert made.atoms[best.process].constants["processes"] >= 2.0
-    kept = waves.add(none, problem, stated_law(problem))
+    assert processes.atoms[best.process].effect == pursuit.NAME
+    assert processes.atoms[best.process].constants["processes"] >= 2.0
+    in_noise = waves.add(none, problem, stated_law(problem))
     quiet = Search(
         problem,
         none,
-        pursuit.pursue(kept, problem, [stated_law(problem)])[0],
+        pursuit.pursue(in_noise, problem, [stated_law(problem)])[0],
         stated_law(problem),
         0.0,
     )
@@ -585,10 +588,10 @@ def test_all_parameters_swing_together() -> None:
     )
     acting = problem.with_residual(problem.residual + change)
     none = library.build(problem, ())
-    made = waves.add(none, acting, stated_law(problem))
-    best = compare([Search(acting, none, made, stated_law(problem), 0.0)])[0]
+    processes = waves.add(none, acting, stated_law(problem))
+    best = compare([Search(acting, none, processes, stated_law(problem), 0.0)])[0]
     assert best.process is not None
-    chosen = made.atoms[best.process]
+    chosen = processes.atoms[best.process]
     assert len(chosen.columns) == 2 * slopes.shape[1]
     assert chosen.constants["period_s"] == pytest.approx(0.55 * np.ptp(time), rel=0.2)
 
@@ -604,11 +607,11 @@ def test_a_wave_is_found_in_runs_without_a_clock() -> None:
     phase = np.zeros(len(problem))
     for members in problem.members:
         phase[members] = rng.uniform(0.0, 2.0 * np.pi)
-    made, best = _waved(
+    processes, best = _waved(
         timeless, np.nan_to_num(2.5 * np.sin(2.0 * np.pi * way / 0.61 + phase))
     )
     assert best.key == (frozenset(), True)
     assert best.process is not None
-    chosen = made.atoms[best.process]
+    chosen = processes.atoms[best.process]
     assert len(chosen.columns) == 2 * len(problem.members)
     assert chosen.constants["period_m"] == pytest.approx(0.61, rel=0.1)

@@ -33,14 +33,22 @@ def _with(problem: GapProblem, **changes: object) -> GapProblem:
 def _best(
     problem: GapProblem, change: np.ndarray
 ) -> tuple[library.Library, Hypothesis]:
-    acting, made = (
+    acting, processes = (
         problem.with_residual(problem.residual + change),
         library.build(problem, PROCESSES),
     )
     return (
-        made,
+        processes,
         compare(
-            [Search(acting, library.build(problem, ()), made, stated_law(problem), 0.0)]
+            [
+                Search(
+                    acting,
+                    library.build(problem, ()),
+                    processes,
+                    stated_law(problem),
+                    0.0,
+                )
+            ]
         )[0],
     )
 
@@ -68,18 +76,21 @@ def test_what_goes_with_a_temperature_is_told_by_it(recorded: bool) -> None:
             temperature={"arm": warm, "shop": np.full(poses, 293.15)},
             start={"arm": 293.15, "shop": 293.15},
         )
-    made, best = _best(problem, _read(problem, "dz", 1.5 * (warm - 293.15)))
-    told = (
+    processes, best = _best(problem, _read(problem, "dz", 1.5 * (warm - 293.15)))
+    named = (
         None
         if best.process is None
-        else (made.atoms[best.process].effect, dict(made.atoms[best.process].constants))
+        else (
+            processes.atoms[best.process].effect,
+            dict(processes.atoms[best.process].constants),
+        )
     )
-    assert (told == ("with a temperature", {"body": 0.0})) is recorded
+    assert (named == ("with a temperature", {"body": 0.0})) is recorded
 
 
 def test_no_temperature_recorded_is_no_process() -> None:
-    made = library.build(readings(14), PROCESSES)
-    assert not {e for e in made.effects if "temperature" in e}
+    processes = library.build(readings(14), PROCESSES)
+    assert not {e for e in processes.effects if "temperature" in e}
 
 
 @pytest.mark.parametrize("within", MOUNTED)
@@ -88,10 +99,10 @@ def test_what_fades_after_a_set_ups_start_is_found_in_the_middle_of_a_session(
 ) -> None:
     problem = _later(readings(12))
     gone = problem.states[0].session_progress - 0.5
-    made, best = _best(problem, _read(problem, "dz", 6.0 * np.exp(-gone / within)))
+    processes, best = _best(problem, _read(problem, "dz", 6.0 * np.exp(-gone / within)))
     assert best.key == (frozenset(), True)
     assert best.process is not None
-    assert made.atoms[best.process].effect == "settling in set-ups"
+    assert processes.atoms[best.process].effect == "settling in set-ups"
 
 
 def test_a_single_set_up_settles_as_the_session_does() -> None:
@@ -115,12 +126,12 @@ def test_a_growing_tool_moves_along_its_axis() -> None:
     """Joints that displace the tool point along the platform's z and do not turn it, by
     a curve over the session.
     """
-    made = session("hexapod")
-    for s in made.states:
+    sample = session("hexapod")
+    for s in sample.states:
         none, tool = np.zeros(3), np.array([0.0, 0.0, 0.1])
         longer = (
-            made.measurement.kinematics.frames(s.pose, tool)[1]
-            - made.measurement.kinematics.frames(s.pose, none)[1]
+            sample.measurement.kinematics.frames(s.pose, tool)[1]
+            - sample.measurement.kinematics.frames(s.pose, none)[1]
         )
         assert s.axis == pytest.approx(longer / 0.1)
         for k, column in enumerate(tool_growing(s, 0.1)):

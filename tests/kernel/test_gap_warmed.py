@@ -43,7 +43,7 @@ def length(
     """Length of a tool that is warmed in some stretches, from its heat balance tau
     dL/dt = q - L, step by step.
     """
-    found, ends = (
+    lengths, ends = (
         np.zeros(len(time)),
         sorted({0.0, float(time.max()) + 1.0, *np.ravel(stretches)}),
     )
@@ -52,7 +52,7 @@ def length(
         on = float(any(p <= a < q for p, q in stretches))
         inside = (time >= a) & (time < b)
         at, places = np.unique(np.append(time[inside], b), return_inverse=True)
-        made = integrate.solve_ivp(
+        solution = integrate.solve_ivp(
             lambda _, x, q=on: (q - x) / tau,
             (a, b),
             [last],
@@ -60,8 +60,8 @@ def length(
             rtol=1e-8,
             atol=1e-10,
         )
-        found[inside], last = made.y[0][places[:-1]], float(made.y[0][-1])
-    return found
+        lengths[inside], last = solution.y[0][places[:-1]], float(solution.y[0][-1])
+    return lengths
 
 
 def grown(problem: GapProblem, share: np.ndarray) -> np.ndarray:
@@ -78,13 +78,13 @@ def grown(problem: GapProblem, share: np.ndarray) -> np.ndarray:
     )
 
 
-def told(
+def located_times(
     problem: GapProblem, law, seed: int, *, known: bool = False
 ) -> list[tuple[float, float]]:
-    found = locate(problem, law, np.random.default_rng(seed), draws=100, known=known)
+    blocks = locate(problem, law, np.random.default_rng(seed), draws=100, known=known)
     return [
         tuple(float(v) for v in b.block.removeprefix("time ").split("-"))
-        for b in found
+        for b in blocks
         if b.block.startswith("time")
     ]
 
@@ -97,8 +97,8 @@ def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
 def test_length_is_that_of_the_heat_balance(rng: np.random.Generator) -> None:
     time = np.sort(rng.uniform(0.0, 20e3, 60))
     stretches = [(2e3, 5e3), (11e3, 11.5e3), (11e3, 25e3)]
-    made = warm_up.response(time, *np.array(stretches).T, TAU)
-    for column, stretch in zip(made.T, stretches, strict=True):
+    lengths = warm_up.response(time, *np.array(stretches).T, TAU)
+    for column, stretch in zip(lengths.T, stretches, strict=True):
         np.testing.assert_allclose(column, length(time, [stretch]), atol=1e-6)
     assert np.all(
         warm_up.response(np.array([np.nan]), np.zeros(1), np.ones(1), TAU) == 0.0
@@ -110,9 +110,9 @@ def test_readings_of_a_longer_tool_are_those_of_its_joints(
 ) -> None:
     problem = machines.problem
     share = rng.uniform(size=(len(problem.states[0]), 2))
-    made = session.tool_growth(problem, [share])
+    change = session.tool_growth(problem, [share])
     for k in range(2):
-        np.testing.assert_allclose(made[:, k], grown(problem, share[:, k]), atol=1e-9)
+        np.testing.assert_allclose(change[:, k], grown(problem, share[:, k]), atol=1e-9)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -132,12 +132,15 @@ def test_stretches_of_heat_are_found_where_the_tool_is_long_for_longer(
             noise + case.sized(change, machines.covariance, 15.0)
         )
         right += (
-            max(overlap(told(problem, machines.law, seed)[0], s) for s in stretches)
+            max(
+                overlap(located_times(problem, machines.law, seed)[0], s)
+                for s in stretches
+            )
             > 0.4
         )
         plainly += (
             max(
-                overlap(told(problem, machines.law, seed, known=True)[0], s)
+                overlap(located_times(problem, machines.law, seed, known=True)[0], s)
                 for s in stretches
             )
             > 0.4
@@ -160,7 +163,7 @@ def test_what_shifts_at_once_is_no_heat(machines: Machines) -> None:
         problem = machines.problem.with_residual(
             noise + case.sized(change, machines.covariance, 15.0)
         )
-        ends.append(told(problem, machines.law, seed)[0])
+        ends.append(located_times(problem, machines.law, seed)[0])
     assert np.median([overlap(e, (8e3, 16e3)) for e in ends]) > 0.9
 
 

@@ -49,14 +49,16 @@ def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(
     ]
     looks = [Region("x", "", basis) for basis in bases]
     root = Embedding(problem, law)
-    found = Scan(root, looks)
-    energy = found.energy(root.scores(r)[:, None])[:, 0]
-    own = log_tail(energy, found.rank)
+    region_scan = Scan(root, looks)
+    energy = region_scan.energy(root.scores(r)[:, None])[:, 0]
+    log_p = log_tail(energy, region_scan.rank)
     assert_allclose(
-        found.log_least(found.energy(root.scores(r)[:, None]), np.ones(3, dtype=bool)),
-        own.min(),
+        region_scan.log_least(
+            region_scan.energy(root.scores(r)[:, None]), np.ones(3, dtype=bool)
+        ),
+        log_p.min(),
     )
-    for look, e, p in zip(looks, energy, own, strict=True):
+    for look, e, p in zip(looks, energy, log_p, strict=True):
         B, MB = look.basis, np.linalg.solve(covariance, look.basis)
         expected = r @ MB @ np.linalg.solve(B.T @ MB, MB.T @ r)
         assert_allclose(e, expected, rtol=1e-6)
@@ -107,7 +109,7 @@ def test_corrected_p_values_are_those_of_a_bootstrap_that_fits_again() -> None:
         covariance,
         4.5,
     )
-    found = {
+    by_block = {
         b.block: b.p_value
         for b in locate(problem.with_residual(r), law, rng, draws=2000)
     }
@@ -117,23 +119,27 @@ def test_corrected_p_values_are_those_of_a_bootstrap_that_fits_again() -> None:
         np.zeros(len(problem)), covariance, size=400, method="eigh"
     )
     values = np.vstack([r, drawn])
-    own = np.empty((len(looks), len(values)))
+    p_values = np.empty((len(looks), len(values)))
     quiet = np.linalg.inv(covariance - problem.slopes @ problem.slopes.T)
     for k, look in enumerate(looks):
         size = np.sqrt(np.einsum("nk,nm,mk->k", look.basis, quiet, look.basis))
         B = look.basis / np.where(size > 0.0, size, 1.0)
         inner, vectors = np.linalg.eigh(B.T @ inverse @ B)
-        kept = vectors[:, inner > scan.SURVIVES] / np.sqrt(inner[inner > scan.SURVIVES])
-        explained = np.square(kept.T @ (B.T @ (inverse @ values.T))).sum(axis=0)
-        own[k] = stats.chi2.sf(explained, kept.shape[1]) if kept.size else 1.0
-    least = own[:, 1:].min(axis=0)
+        regular = vectors[:, inner > scan.SURVIVES] / np.sqrt(
+            inner[inner > scan.SURVIVES]
+        )
+        explained = np.square(regular.T @ (B.T @ (inverse @ values.T))).sum(axis=0)
+        p_values[k] = (
+            stats.chi2.sf(explained, regular.shape[1]) if regular.size else 1.0
+        )
+    least = p_values[:, 1:].min(axis=0)
     place = {
-        name: min(own[k, 0] for k, look in enumerate(looks) if look.place == name)
+        name: min(p_values[k, 0] for k, look in enumerate(looks) if look.place == name)
         for name in ("leg 1", "leg 2")
     }
     for name, p in place.items():
         expected = np.mean(least <= p)
-        assert abs(found[name] - expected) < 4.0 * np.sqrt(
+        assert abs(by_block[name] - expected) < 4.0 * np.sqrt(
             max(expected * (1 - expected), 0.01) / 400
         )
 
@@ -150,11 +156,13 @@ def test_false_alarms_are_as_stated(machines: Machines) -> None:
     quiet = family.energy(
         root.scores(machines.root @ rng.standard_normal((len(problem), 400)))
     )
-    told = [scan._against_least(log_tail(e, family.rank), least).min() for e in quiet.T]
+    least_p = [
+        scan._against_least(log_tail(e, family.rank), least).min() for e in quiet.T
+    ]
     assert (
-        6 <= np.sum(np.array(told) <= 0.05) <= 36
+        6 <= np.sum(np.array(least_p) <= 0.05) <= 36
     )  # 20 expected, both samplings' spread three times over
-    assert stats.kstest(told, "uniform").pvalue > 0.002
+    assert stats.kstest(least_p, "uniform").pvalue > 0.002
 
 
 def test_false_alarms_of_the_whole_call(machines: Machines) -> None:
@@ -187,11 +195,11 @@ def test_effect_in_one_leg_is_found_there(machines: Machines, form: str) -> None
             "bend": np.sign(u - 0.5) * np.abs(u - 0.5) ** 1.5,
             "warm": np.exp(-state.time / 300.0),
         }[form]
-        found = machines.located(
+        blocks = machines.located(
             case.in_joint(machines.problem, limb, 1e-6 * change), 8.0, rng
         )
-        right.append(first(found, "leg") == f"leg {limb + 1}")
-        assert found[0].p_value < 0.05
+        right.append(first(blocks, "leg") == f"leg {limb + 1}")
+        assert blocks[0].p_value < 0.05
     assert np.mean(right) >= 11 / 12
 
 
@@ -203,9 +211,9 @@ def test_the_same_change_in_all_legs_is_told_as_that(
         case.in_joint(machines.problem, k, 1e-6 * state.motion_sign[:, k])
         for k in range(3)
     )
-    found = machines.located(change, 12.0, rng)
-    assert found[0].block == ALL
-    assert {b.block for b in found} >= {"leg 1", "leg 2", "leg 3"}
+    blocks = machines.located(change, 12.0, rng)
+    assert blocks[0].block == ALL
+    assert {b.block for b in blocks} >= {"leg 1", "leg 2", "leg 3"}
     one = machines.located(
         case.in_joint(machines.problem, 1, 1e-6 * state.motion_sign[:, 1]), 12.0, rng
     )
@@ -221,8 +229,8 @@ def test_fault_in_one_run_is_found_there(machines: Machines) -> None:
         change[members] = np.cos(
             problem.rows["phase"].to_numpy()[members] + rng.uniform(0.0, 6.0)
         )
-        found = machines.located(change, 8.0, rng)
-        right += first(found, "run") == f"run {problem.rows['run'][members[0]]}"
+        blocks = machines.located(change, 8.0, rng)
+        right += first(blocks, "run") == f"run {problem.rows['run'][members[0]]}"
     assert right >= 11
 
 
@@ -235,9 +243,9 @@ def test_step_is_found_at_its_time(machines: Machines, limb: int | None) -> None
         change = (problem.rows["time"].to_numpy() >= start).astype(float)
         if limb is not None:
             change = case.in_joint(problem, limb, 1e-6 * (state.time >= start))
-        found = machines.located(change, 14.0, rng)
+        blocks = machines.located(change, 14.0, rng)
         begin, end = (
-            float(v) for v in first(found, "time").removeprefix("time ").split("-")
+            float(v) for v in first(blocks, "time").removeprefix("time ").split("-")
         )
         missed.append(abs(begin - start))
         assert end == problem.rows["time"].max()
@@ -249,11 +257,11 @@ def test_shift_for_a_while_is_told_with_both_ends(
     machines: Machines, rng: np.random.Generator
 ) -> None:
     time = machines.problem.rows["time"].to_numpy()
-    found = machines.located(
+    blocks = machines.located(
         ((time >= 348.0) & (time <= 510.0)).astype(float), 14.0, rng
     )
     begin, end = (
-        float(v) for v in first(found, "time").removeprefix("time ").split("-")
+        float(v) for v in first(blocks, "time").removeprefix("time ").split("-")
     )
     assert abs(begin - 348.0) <= 18.0
     assert abs(end - 510.0) <= 18.0
@@ -267,7 +275,7 @@ def test_a_stretch_ends_halfway_to_the_readings_beside_it(machines: Machines) ->
     late = rows["time"] + 600.0 * rows["run"].ne(rows["run"].shift()).cumsum()
     problem = dataclasses.replace(machines.problem, rows=rows.assign(time=late))
     inside, time = problem.members[3], late.to_numpy(dtype=float)
-    told = {
+    places = {
         w.place
         for w in session.window(
             problem, time[inside].min(), time[inside].max(), frozenset({1})
@@ -276,7 +284,7 @@ def test_a_stretch_ends_halfway_to_the_readings_beside_it(machines: Machines) ->
     before, after = time[problem.members[2]].max(), time[problem.members[4]].min()
     begin, end = 0.5 * (before + time[inside].min()), 0.5 * (time[inside].max() + after)
     assert after - end > 290.0
-    assert told == {f"time {begin:.0f}-{end:.0f}"}
+    assert places == {f"time {begin:.0f}-{end:.0f}"}
     whole = {
         w.place for w in session.window(problem, time.min(), time.max(), frozenset({1}))
     }
@@ -298,8 +306,8 @@ def test_a_leg_disturbed_by_anothers_motion_is_that_leg(
     change = case.in_joint(
         machines.problem, limb, 1e-6 * machines.problem.states[0].motion_sign[:, other]
     )
-    found = [first(machines.located(change, 10.0, rng), "leg") for _ in range(5)]
-    assert found.count(f"leg {limb + 1}") >= 4
+    legs = [first(machines.located(change, 10.0, rng), "leg") for _ in range(5)]
+    assert legs.count(f"leg {limb + 1}") >= 4
 
 
 def test_fault_in_one_direction_is_found(
@@ -307,8 +315,10 @@ def test_fault_in_one_direction_is_found(
 ) -> None:
     rows = machines.problem.rows
     change = (rows["direction"] == -1) * np.cos(2.0 * rows["phase"] + 1.0)
-    found = {b.block: b.p_value for b in machines.located(change.to_numpy(), 14.0, rng)}
-    assert min(found["direction +1"], found["direction -1"]) < 1e-6
+    p_values = {
+        b.block: b.p_value for b in machines.located(change.to_numpy(), 14.0, rng)
+    }
+    assert min(p_values["direction +1"], p_values["direction -1"]) < 1e-6
 
 
 def test_what_the_calibration_absorbs_is_nowhere(
@@ -354,11 +364,11 @@ def test_readings_without_covariates_and_with_several_channels(
     table = pd.DataFrame({"setup": setup, "run": series.run, "order": order})
     problem = assemble(measurement, [series], table)
     r = problem.residual + rng.standard_normal(len(problem))
-    found = locate(problem.with_residual(r), stated_law(problem), rng, draws=100)
-    names = {b.block for b in found}
+    blocks = locate(problem.with_residual(r), stated_law(problem), rng, draws=100)
+    names = {b.block for b in blocks}
     assert {f"leg {k + 1}" for k in problem.states[0].limbs} <= names
     assert not any(n.startswith(("time", "direction")) for n in names)
     hit = r.copy()
     hit[problem.members[1]] += 30.0 * rng.standard_normal(len(problem.members[1]))
-    found = locate(problem.with_residual(hit), stated_law(problem), rng, draws=100)
-    assert first(found, "run") == f"run {problem.rows['run'][problem.members[1][0]]}"
+    blocks = locate(problem.with_residual(hit), stated_law(problem), rng, draws=100)
+    assert first(blocks, "run") == f"run {problem.rows['run'][problem.members[1][0]]}"

@@ -34,7 +34,7 @@ def test_where_a_known_effect_acts_is_a_question_of_its_own(machines: Machines) 
     r = machines.root @ rng.standard_normal(len(problem)) + case.sized(
         columns[:, 1], machines.covariance, 3.5
     )
-    here, told = problem.with_residual(r), {}
+    here, p_values = problem.with_residual(r), {}
     for known in (True, False):
         blocks = locate(
             here,
@@ -44,9 +44,9 @@ def test_where_a_known_effect_acts_is_a_question_of_its_own(machines: Machines) 
             labels=LEGS,
             known=known,
         )
-        told[known] = next(b.p_value for b in blocks if b.block == "leg 2")
-    assert told[True] < 0.01
-    assert told[False] > 5.0 * told[True]
+        p_values[known] = next(b.p_value for b in blocks if b.block == "leg 2")
+    assert p_values[True] < 0.01
+    assert p_values[False] > 5.0 * p_values[True]
 
 
 def test_legs_of_a_known_effect_that_does_not_act_are_rarely_told(
@@ -63,22 +63,22 @@ def test_legs_of_a_known_effect_that_does_not_act_are_rarely_told(
     )
     root = Embedding(problem, machines.law)
     looks = list(all_regions(problem, columns, LEGS, known=True))
-    family, own = Scan(root, looks), np.array([look.known for look in looks])
+    family, by_effect = Scan(root, looks), np.array([look.known for look in looks])
     assert {look.place for look in looks if look.known and look.kind == "leg"} == set(
         LEGS
     )
     least = family.log_least(
-        family.energy(rng.standard_normal((len(problem), 500))), own
+        family.energy(rng.standard_normal((len(problem), 500))), by_effect
     )
     quiet = family.energy(
         root.scores(machines.root @ rng.standard_normal((len(problem), 400)))
     )
-    told = [
-        scan._against_least(log_tail(e[own], family.rank[own]), least).min()
+    least_p = [
+        scan._against_least(log_tail(e[by_effect], family.rank[by_effect]), least).min()
         for e in quiet.T
     ]
     assert (
-        6 <= np.sum(np.array(told) <= 0.05) <= 36
+        6 <= np.sum(np.array(least_p) <= 0.05) <= 36
     )  # 20 expected, both samplings' spread three times over
 
 
@@ -94,12 +94,12 @@ def test_selected_effects_own_columns_are_one_more_look(
         columns[:, 1], machines.covariance, 7.0
     )
     labels = ["leg 1", "leg 2", "leg 3"]
-    told = locate(
+    blocks = locate(
         problem.with_residual(r), machines.law, rng, columns=columns, labels=labels
     )
-    assert (told[0].block, told[0].p_value < 1e-3) == ("leg 2", True)
+    assert (blocks[0].block, blocks[0].p_value < 1e-3) == ("leg 2", True)
     blind = locate(problem.with_residual(r), machines.law, rng)
-    assert min(b.p_value for b in blind) > told[0].p_value
+    assert min(b.p_value for b in blind) > blocks[0].p_value
     with pytest.raises(ValueError, match=r"\(144, 2\) fits the labels"):
         locate(problem, machines.law, rng, columns=columns, labels=labels[:2])
 
@@ -119,7 +119,7 @@ def test_legs_of_a_known_effect_are_told_by_its_own_columns_alone(
     here = problem.with_residual(r)
 
     def legs(labels: list[str], known: bool) -> list[str]:
-        told = locate(
+        blocks = locate(
             here,
             machines.law,
             np.random.default_rng(22),
@@ -127,7 +127,7 @@ def test_legs_of_a_known_effect_are_told_by_its_own_columns_alone(
             labels=labels,
             known=known,
         )
-        return [b.block for b in told if "leg" in b.block]
+        return [b.block for b in blocks if "leg" in b.block]
 
     assert legs(["leg 2", "leg 3"], True) == ["leg 2", "leg 3"]
     assert set(legs(["leg 2", "leg 3"], False)) >= {"leg 1", "leg 2", "leg 3"}
@@ -155,7 +155,7 @@ def test_an_effects_own_columns_tell_its_leg_where_general_looks_mistake_it(
             + machines.root @ rng.standard_normal(len(problem))
         )
         for known in right:
-            told = locate(
+            blocks = locate(
                 problem.with_residual(r),
                 machines.law,
                 rng,
@@ -164,7 +164,7 @@ def test_an_effects_own_columns_tell_its_leg_where_general_looks_mistake_it(
                 known=known,
                 draws=50,
             )
-            right[known] += first(told, "leg") == LEGS[k % 3]
+            right[known] += first(blocks, "leg") == LEGS[k % 3]
     assert right[True] >= 8
     assert right[False] <= 4
 
@@ -187,7 +187,7 @@ def test_a_selected_wave_is_told_in_a_run_that_has_it(machines: Machines) -> Non
             change, machines.covariance, 9.0
         ) + machines.root @ rng.standard_normal(len(problem))
         here = problem.with_residual(r)
-        told = locate(
+        blocks = locate(
             here,
             machines.law,
             rng,
@@ -196,7 +196,7 @@ def test_a_selected_wave_is_told_in_a_run_that_has_it(machines: Machines) -> Non
             known=True,
             draws=100,
         )
-        best = next(b for b in told if b.block.startswith("run"))
+        best = next(b for b in blocks if b.block.startswith("run"))
         right += best.block in [names[run] for run in acting] and best.p_value < 0.02
         without = locate(here, machines.law, rng, draws=100)
         blind += next(b for b in without if b.block.startswith("run")).p_value < 0.02
@@ -222,8 +222,8 @@ def test_what_acts_in_some_runs_is_told_in_each_by_all_of_them(
     ) + machines.root @ rng.standard_normal(len(problem))
     here = problem.with_residual(r)
 
-    def told(columns: np.ndarray) -> dict[str, float]:
-        found = locate(
+    def run_p_values(columns: np.ndarray) -> dict[str, float]:
+        blocks = locate(
             here,
             machines.law,
             np.random.default_rng(1),
@@ -233,23 +233,28 @@ def test_what_acts_in_some_runs_is_told_in_each_by_all_of_them(
         )
         return {
             b.block: b.p_value
-            for b in found
+            for b in blocks
             if b.block.startswith("run") and b.p_value < 0.02
         }
 
-    some = told(change[:, None])
+    some = run_p_values(change[:, None])
     assert set(some) == {names[k] for k in (1, 3, 4)}
     assert len(set(some.values())) == 1
     assert (
-        len(told(np.where(acting, odd, rng.standard_normal(len(problem)))[:, None])) < 3
+        len(
+            run_p_values(
+                np.where(acting, odd, rng.standard_normal(len(problem)))[:, None]
+            )
+        )
+        < 3
     )
 
 
-@pytest.mark.parametrize(("low", "high", "told"), [
+@pytest.mark.parametrize(("low", "high", "reported"), [
     (0.30, 0.55, (0.30, 0.55)), (0.62, 1.0, (0.62, 1.0)), (0.0, 0.62, (0.62, 1.0)),
 ])  # fmt: skip
 def test_a_selected_step_tells_its_own_time(
-    machines: Machines, low: float, high: float, told: tuple
+    machines: Machines, low: float, high: float, reported: tuple
 ) -> None:
     """To the reading, where cells of the session tell it to a sixteenth; what ends is
     told from its end on.
@@ -264,7 +269,7 @@ def test_a_selected_step_tells_its_own_time(
     r = machines.root @ rng.standard_normal(len(p)) + case.sized(
         change, machines.covariance, 12.0
     )
-    found = locate(
+    blocks = locate(
         p.with_residual(r),
         machines.law,
         rng,
@@ -272,12 +277,12 @@ def test_a_selected_step_tells_its_own_time(
         labels=["leg 2"],
         known=True,
     )
-    inside = time[(share >= told[0]) & (share <= told[1])]
+    inside = time[(share >= reported[0]) & (share <= reported[1])]
     begin = 0.5 * (inside.min() + time[time < inside.min()].max())
     after = time[time > inside.max()]
     end = 0.5 * (inside.max() + after.min()) if after.size else inside.max()
-    assert first(found, "time") == f"time {begin:.0f}-{end:.0f}"
-    assert first(found, "leg") == "leg 2"
+    assert first(blocks, "time") == f"time {begin:.0f}-{end:.0f}"
+    assert first(blocks, "leg") == "leg 2"
 
 
 # -- legs by their coefficients --------------------------------------------------------
@@ -302,27 +307,27 @@ def test_legs_of_is_the_test_of_a_block_beside_the_others(
     )
     G = rng.standard_normal((len(machines.problem), 5))
     r = machines.root @ rng.standard_normal(len(G)) + G @ [0.1, 0.2, -0.6, 1.0, 0.0]
-    found = {
+    by_block = {
         b.block: b
         for b in effect_legs(
             labels, *posterior(G, machines.covariance, r, scale), scale=scale
         )
     }
-    own = {}
+    p_values = {}
     for name in ("leg 1", "leg 2", "leg 3"):
         mine = np.array([label == name for label in labels])
         rest = machines.covariance + (G[:, ~mine] * scale[~mine] ** 2) @ G[:, ~mine].T
         B, MB = G[:, mine], np.linalg.solve(rest, G[:, mine])
-        own[name] = stats.chi2.sf(
+        p_values[name] = stats.chi2.sf(
             r @ MB @ np.linalg.solve(B.T @ MB, MB.T @ r), mine.sum()
         )
-    ranked = sorted(own, key=own.__getitem__)
+    ranked = sorted(p_values, key=p_values.__getitem__)
     holm = np.maximum.accumulate(
-        [min(own[n] * (3 - k), 1.0) for k, n in enumerate(ranked)]
+        [min(p_values[n] * (3 - k), 1.0) for k, n in enumerate(ranked)]
     )
-    assert_allclose([found[n].p_value for n in ranked], holm, rtol=1e-5)
-    assert sum(b.strength for b in found.values()) == pytest.approx(1.0)
-    assert list(found) == ranked
+    assert_allclose([by_block[n].p_value for n in ranked], holm, rtol=1e-5)
+    assert sum(b.strength for b in by_block.values()) == pytest.approx(1.0)
+    assert list(by_block) == ranked
 
 
 def test_legs_of_tells_the_leg_and_is_quiet_without_one(machines: Machines) -> None:

@@ -34,25 +34,27 @@ def _search(
     effects: tuple[Effect, ...] = EFFECTS,
     law: NoiseLaw | None = None,
 ) -> Search:
-    made = library.build(problem, effects)
+    effect_library = library.build(problem, effects)
     none = library.build(problem, ())
-    return Search(problem, made, none, stated_law(problem) if law is None else law, 0.0)
+    return Search(
+        problem, effect_library, none, stated_law(problem) if law is None else law, 0.0
+    )
 
 
 def _brute(search: Search, effects: tuple[str, ...]) -> float:
     """Log evidence of a set of effects, summed over every form and size of each."""
-    told = []
+    terms = []
     for atoms in itertools.product(*[search.library.atoms_of(e) for e in effects]):
         for sizes in itertools.product(range(len(SIZES)), repeat=len(effects)):
             weight = sum(
                 search._log_prior[a, s] for a, s in zip(atoms, sizes, strict=True)
             )
             if np.isfinite(weight):
-                told.append(
+                terms.append(
                     weight
                     + search.grams_with(atoms, [float(SIZES[s]) for s in sizes]).base
                 )
-    return float(special.logsumexp(told))
+    return float(special.logsumexp(terms))
 
 
 @pytest.mark.parametrize("strength", [0.0, 1.0])
@@ -63,14 +65,14 @@ def test_evidence_is_the_sum_over_all_forms(strength: float) -> None:
         {"leg 2": strength},
     )
     search = _search(problem)
-    found = {h.key: h for h in search.run()}
+    by_key = {h.key: h for h in search.run()}
     for names in ((), ("bow",), ("slip",)):
-        assert found[frozenset(names), False].log_evidence == pytest.approx(
+        assert by_key[frozenset(names), False].log_evidence == pytest.approx(
             _brute(search, names), abs=1e-6
         )
     # of pairs the sum is taken about the best forms: exact where they are clear, near
     # where nothing acts
-    pair = found[frozenset({"bow", "slip"}), False]
+    pair = by_key[frozenset({"bow", "slip"}), False]
     assert pair.log_evidence == pytest.approx(
         _brute(search, ("bow", "slip")), abs=0.02 if strength else 0.6
     )
@@ -90,8 +92,10 @@ def test_constants_that_make_no_difference_are_one_form() -> None:
     problem = planted(readings(1), BOW, {"leg 1": 1.0}, turns=3.0)
     plainly, twice = _search(problem, (BOW,)), _search(problem, (idle,))
     assert len(twice.library.atoms) == len(plainly.library.atoms)
-    told = [s.fit(("bow",), (0,), (1.0,)).log_evidence for s in (plainly, twice)]
-    assert told[0] == pytest.approx(told[1])
+    log_evidences = [
+        s.fit(("bow",), (0,), (1.0,)).log_evidence for s in (plainly, twice)
+    ]
+    assert log_evidences[0] == pytest.approx(log_evidences[1])
 
 
 def test_prior_shares_add_up() -> None:
@@ -141,10 +145,10 @@ def test_untestable_without_its_covariates() -> None:
         dataclasses.replace(s, time=np.full(len(s), np.nan), direction=np.ones(len(s)))
         for s in problem.states
     )
-    made = library.build(dataclasses.replace(problem, states=states), EFFECTS)
-    assert made.effects == ("bow",)
-    assert "time" in made.not_testable["drift"]
-    assert "direction" in made.not_testable["slip"]
+    testable = library.build(dataclasses.replace(problem, states=states), EFFECTS)
+    assert testable.effects == ("bow",)
+    assert "time" in testable.not_testable["drift"]
+    assert "direction" in testable.not_testable["slip"]
 
 
 def test_many_constants_keep_the_few_that_explain() -> None:
@@ -153,11 +157,11 @@ def test_many_constants_keep_the_few_that_explain() -> None:
     )
     problem = planted(readings(7), BOW, {"leg 1": 2.0}, turns=5.0)
     law = stated_law(problem)
-    made = library.build(problem, [dense], Metric(problem, law))
-    kept = {a.constants["turns"] for a in made.atoms}
-    assert len(kept) == library.BEST
-    assert min(abs(k - 5.0) for k in kept) < 0.07
-    assert max(a.log_weight for a in made.atoms) < -np.log(57.0)
+    forms = library.build(problem, [dense], Metric(problem, law))
+    turns = {a.constants["turns"] for a in forms.atoms}
+    assert len(turns) == library.BEST
+    assert min(abs(k - 5.0) for k in turns) < 0.07
+    assert max(a.log_weight for a in forms.atoms) < -np.log(57.0)
 
 
 def _curl(state: State, turns: float, bend: float) -> list[Column]:
@@ -189,14 +193,14 @@ def test_a_large_grid_is_looked_through_whole() -> None:
         readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1
     )
     metric = Metric(problem, stated_law(problem))
-    made = library.build(problem, [CURL], metric)
-    kept = {(a.constants["turns"], a.constants["bend"]) for a in made.atoms}
-    assert (TURNS[31], -0.1) in kept
-    assert len(kept) == library.BEST
+    forms = library.build(problem, [CURL], metric)
+    constants = {(a.constants["turns"], a.constants["bend"]) for a in forms.atoms}
+    assert (TURNS[31], -0.1) in constants
+    assert len(constants) == library.BEST
     best = compare(
-        [Search(problem, made, library.build(problem, ()), stated_law(problem), 0.0)]
+        [Search(problem, forms, library.build(problem, ()), stated_law(problem), 0.0)]
     )[0]
-    assert made.atoms[best.atoms[0]].constants == {"turns": TURNS[31], "bend": -0.1}
+    assert forms.atoms[best.atoms[0]].constants == {"turns": TURNS[31], "bend": -0.1}
     blind = library.build(problem, [CURL])
     assert {a.constants["bend"] for a in blind.atoms} == {0.0}
     assert {a.constants["turns"] for a in blind.atoms} == set(TURNS)
@@ -210,9 +214,9 @@ def test_forms_have_the_prior_of_one_effect_before_any_is_dropped(
     problem, chosen = planted(readings(10), BOW, {"leg 1": 2.0}, turns=5.0), []
     dropping = library._best
 
-    def best(problem, metric, forms, *kept):  # type: ignore[no-untyped-def]
+    def best(problem, metric, forms, *count):  # type: ignore[no-untyped-def]
         chosen.append([(dict(f.constants), w) for f, w in forms])
-        return dropping(problem, metric, forms, *kept)
+        return dropping(problem, metric, forms, *count)
 
     monkeypatch.setattr(library, "_best", best)
     effect = dataclasses.replace(CURL, constants={"turns": TURNS, "bend": bends})
@@ -236,34 +240,36 @@ def test_a_form_of_a_large_grid_adapts_once_it_is_chosen() -> None:
     """
 
     def bent(state: State, turns: float, bend: float) -> list[Column]:
-        made = _curl(state, turns, bend)
+        forms = _curl(state, turns, bend)
         return [
-            *made,
+            *forms,
             *(
                 dataclasses.replace(
                     c, name=f"{c.name} more", shape=True, joints=_cubed(c)
                 )
-                for c in made
+                for c in forms
             ),
         ]
 
     problem = planted(
         readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1
     )
-    made = library.build(
+    forms = library.build(
         problem,
         [dataclasses.replace(CURL, columns=bent)],
         Metric(problem, stated_law(problem)),
     )
-    kept = {(a.constants["turns"], a.constants["bend"]): [] for a in made.atoms}
-    for a in made.atoms:
-        kept[a.constants["turns"], a.constants["bend"]] += [
-            made.names[k] for k in a.columns
+    names_by_constants = {
+        (a.constants["turns"], a.constants["bend"]): [] for a in forms.atoms
+    }
+    for a in forms.atoms:
+        names_by_constants[a.constants["turns"], a.constants["bend"]] += [
+            forms.names[k] for k in a.columns
         ]
-    assert (TURNS[31], -0.1) in kept
+    assert (TURNS[31], -0.1) in names_by_constants
     assert all(
         set(names) == {"leg 1", "leg 2", "leg 1 more", "leg 2 more"}
-        for names in kept.values()
+        for names in names_by_constants.values()
     )
 
 
@@ -278,10 +284,12 @@ def test_a_step_within_a_run_is_neither_missed_nor_taken_for_outliers() -> None:
         problem = planted(
             readings(1), step.effect, {"leg 2": size}, when=0.5, lasts=0.04
         )
-        made = searching.searches(problem, effects)
-        found, best = diagnosing.conclude(problem, made, compare(made), effects)
-        assert found.answers[0].effects == ("step",)
-        assert made[best.law].library.atoms[best.atoms[0]].constants == {
+        searches = searching.searches(problem, effects)
+        diagnosis, best = diagnosing.conclude(
+            problem, searches, compare(searches), effects
+        )
+        assert diagnosis.answers[0].effects == ("step",)
+        assert searches[best.law].library.atoms[best.atoms[0]].constants == {
             "when": 0.5,
             "lasts": 0.04,
         }
@@ -289,21 +297,23 @@ def test_a_step_within_a_run_is_neither_missed_nor_taken_for_outliers() -> None:
 
 def test_diagnosis_from_end_to_end() -> None:
     problem = planted(readings(8), SLIP, {"leg 1": 2.0})
-    found = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0))
-    assert found.verdict == "effect"
-    assert found.answers[0].effects == ("slip",)
-    assert found.answers[0].probability > 0.8
-    assert sum(a.probability for a in found.answers) == pytest.approx(1.0, abs=0.02)
-    assert found.where[0].block.endswith(
+    diagnosis = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0))
+    assert diagnosis.verdict == "effect"
+    assert diagnosis.answers[0].effects == ("slip",)
+    assert diagnosis.answers[0].probability > 0.8
+    assert sum(a.probability for a in diagnosis.answers) == pytest.approx(1.0, abs=0.02)
+    assert diagnosis.where[0].block.endswith(
         ("leg 1", "leg 2")
     )  # on lines both legs turn back at once
-    told = {c.label: c for c in found.coefficients}["leg 1"]
-    assert told.mean == pytest.approx(10e-6, abs=4.0 * told.sd)
-    assert np.sqrt(np.mean(found.after**2)) < 0.6 * np.sqrt(np.mean(found.before**2))
-    assert all(c.value == pytest.approx(1.0, abs=0.1) for c in found.closure)
+    coefficient = {c.label: c for c in diagnosis.coefficients}["leg 1"]
+    assert coefficient.mean == pytest.approx(10e-6, abs=4.0 * coefficient.sd)
+    assert np.sqrt(np.mean(diagnosis.after**2)) < 0.6 * np.sqrt(
+        np.mean(diagnosis.before**2)
+    )
+    assert all(c.value == pytest.approx(1.0, abs=0.1) for c in diagnosis.closure)
     again = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0))
-    assert again.answers == found.answers
-    assert again.where == found.where
+    assert again.answers == diagnosis.answers
+    assert again.where == diagnosis.where
 
 
 def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
@@ -311,9 +321,9 @@ def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
     law = dataclasses.replace(
         stated_law(problem), run_sd=0.7, ar1_sd=0.3, ar1_length=5.0
     )
-    found = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0), law=law)
-    assert found.answers[0].effects == ("slip",)
-    assert dataclasses.replace(found.law, level=1.0) == law
+    diagnosis = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0), law=law)
+    assert diagnosis.answers[0].effects == ("slip",)
+    assert dataclasses.replace(diagnosis.law, level=1.0) == law
     (alone,) = searching.searches_under(problem, EFFECTS, law)
     nothing = evidence.compress(problem, np.zeros((len(problem), 0)))
     assert alone.grams.base == pytest.approx(
@@ -407,21 +417,21 @@ def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
         _group([], True, 0.06),
         _group([("c",)], False, 0.04),
     ]
-    found = answering.credible_set(groups)
-    assert [(a.effects, a.classes) for a in found] == [
+    answers = answering.credible_set(groups)
+    assert [(a.effects, a.classes) for a in answers] == [
         (("a",), (("a", "b"),)),
         (("a", MANY[0]), (("a",), MANY)),
         ((), ()),
         ((UNKNOWN,), ()),
     ]
-    assert [a.probability for a in found] == pytest.approx([0.45, 0.36, 0.09, 0.06])
+    assert [a.probability for a in answers] == pytest.approx([0.45, 0.36, 0.09, 0.06])
 
 
 def test_a_remainder_is_told_in_the_set_where_it_is_likelier_than_not() -> None:
-    (found,) = answering.credible_set(
+    (answer,) = answering.credible_set(
         [_group([("a",)], False, 0.4), _group([("a",)], True, 0.6)]
     )
-    assert found == Answer(("a", UNKNOWN), 1.0, (("a",),))
+    assert answer == Answer(("a", UNKNOWN), 1.0, (("a",),))
 
 
 def test_level_is_that_of_what_is_left() -> None:
@@ -440,7 +450,7 @@ def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(
     blank = {"sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0}
     vague = tuple("cdefgh")
     sets = [(("a",), False, 0.4), (("b", "c"), False, 0.3), (("b",), True, 0.3)]
-    made = [
+    hypotheses = [
         Hypothesis(
             effects=e,
             unknown=u,
@@ -458,7 +468,7 @@ def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(
         ],
     )
     answers, best = answering.rank(
-        answering.group([None], made, np.array([0.4, 0.3, 0.3]))
+        answering.group([None], hypotheses, np.array([0.4, 0.3, 0.3]))
     )
     assert answers[0].effects == ("b", UNKNOWN)
     assert answers[0].probability == pytest.approx(0.6)
@@ -483,7 +493,7 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(answering, "equivalent_effects", of)
 
         shares = {(): none, ("a",): 0.6 * (1.0 - none), ("b",): 0.4 * (1.0 - none)}
-        made = [
+        hypotheses = [
             Hypothesis(
                 effects=e,
                 atoms=tuple(0 for _ in e),
@@ -493,7 +503,7 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
             for e, p in shares.items()
         ]
         answers, best = answering.rank(
-            answering.group([None], made, np.array(list(shares.values())))
+            answering.group([None], hypotheses, np.array(list(shares.values())))
         )
         assert best.effects == answers[0].effects
         assert sum(a.probability for a in answers) == pytest.approx(1.0)
@@ -520,18 +530,18 @@ def test_explanations_are_weighed_a_little_flatter_than_their_evidence() -> None
         "process_size": 0.0,
         "log_prior": 0.0,
     }
-    told = [
+    stated = [
         ((), False, 1.0),
         (("a",), False, 3.0),
         (("b",), False, -2.0),
         ((), True, 0.5),
     ]
-    made = [
-        Hypothesis(effects=e, unknown=u, log_evidence=s, **blank) for e, u, s in told
+    hypotheses = [
+        Hypothesis(effects=e, unknown=u, log_evidence=s, **blank) for e, u, s in stated
     ]
-    found = probabilities(made)
-    evidences = np.exp([s for _, _, s in told])
-    assert found[0] == pytest.approx(evidences[0] / evidences.sum())
-    assert found[1] / found[2] == pytest.approx(np.exp(0.9 * 5.0))
-    assert found.sum() == pytest.approx(1.0)
-    assert probabilities(made[:1]) == pytest.approx([1.0])
+    shares = probabilities(hypotheses)
+    evidences = np.exp([s for _, _, s in stated])
+    assert shares[0] == pytest.approx(evidences[0] / evidences.sum())
+    assert shares[1] / shares[2] == pytest.approx(np.exp(0.9 * 5.0))
+    assert shares.sum() == pytest.approx(1.0)
+    assert probabilities(hypotheses[:1]) == pytest.approx([1.0])
