@@ -50,7 +50,7 @@ def blocks(lines: Iterable[str]) -> Iterator[list[str]]:
 def parts(block: list[str]) -> Iterator[tuple[str, list[str]]]:
     """Neighbouring lines of one kind: "text", "fields", "bullets" or "literal"."""
     current, members = "", list[str]()
-    for line in block:
+    for line in aligned(block):
         kind = kind_of(line, current)
         if kind != current and members:
             yield current, members
@@ -60,6 +60,17 @@ def parts(block: list[str]) -> Iterator[tuple[str, list[str]]]:
     yield current, members
 
 
+def aligned(block: list[str]) -> list[str]:
+    """Lines of a block; a field whose name fills its column gets its second space."""
+    matches = [FIELD.match(line) for line in block if not line.startswith(" ")]
+    columns = {match.start(2) for match in matches if match}
+    if len(columns) != 1:
+        return block
+    (column,) = columns
+    full = re.compile(rf"^\S{{{column - 1}}} \S")
+    return [line.replace(" ", "  ", 1) if full.match(line) else line for line in block]
+
+
 def kind_of(line: str, before: str) -> str:
     """Kind of a line after one of kind `before`."""
     if line.startswith(" "):
@@ -67,6 +78,17 @@ def kind_of(line: str, before: str) -> str:
     if BULLET.match(line):
         return "bullets"
     return "fields" if FIELD.match(line) else "text"
+
+
+def fields(lines: Iterable[str]) -> dict[str, str]:
+    """Texts of a docstring's fields by their names; `a, b    text` is of both."""
+    texts: dict[str, str] = {}
+    for block in blocks(lines):
+        for kind, members in parts(block):
+            if kind == "fields":
+                for names, text in joined(members, FIELD):
+                    texts |= {name.strip(): text for name in names.split(",")}
+    return texts
 
 
 def render(kind: str, lines: list[str]) -> list[str]:

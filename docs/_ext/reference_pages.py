@@ -69,25 +69,40 @@ def default_of(name: str, field: dict[str, Any], required: list[str]) -> str:
     return f"``{json.dumps(value)}``"
 
 
+def section(name: str, entry: dict[str, Any]) -> list[str]:
+    """One table of a file: its text, and its fields with type, default and meaning."""
+    first, *others = entry.get("description", "").splitlines() or [""]
+    text = [first, *[line.removeprefix("    ") for line in others]]
+    table = TABLE.match(first)
+    lines = [f".. _{name}:", "", *heading(table.group(1) if table else name, "-")]
+    meanings = plain_docstrings.fields(text)
+    properties = entry.get("properties", {})
+    lines += plain_docstrings.restructured(without_fields(text))
+    rows = []
+    for field, about in properties.items():
+        default = default_of(field, about, entry.get("required", []))
+        meaning = plain_docstrings.inline(meanings.get(field, ""))
+        rows.append([f"``{field}``", kind_of(about), default, meaning])
+    for field in sorted(meanings.keys() - properties.keys()):
+        rows.append([field, "", "", plain_docstrings.inline(meanings[field])])
+    return [*lines, *cell_table(["field", "type", "default", "meaning"], rows)]
+
+
+def without_fields(text: list[str]) -> list[str]:
+    """A description without its list of fields."""
+    lines: list[str] = []
+    for block in plain_docstrings.blocks(text):
+        for kind, members in plain_docstrings.parts(block):
+            if kind != "fields":
+                lines += [*members, ""]
+    return lines
+
+
 def schema_page(kind: str, title: str, first: str) -> str:
     """Fields of a file, one section a table."""
     lines = [*heading(title, "="), first, ""]
     for name, entry in answer("schema", kind)["$defs"].items():
-        description = entry.get("description", "").splitlines()
-        text = [
-            description[0],
-            *[line.removeprefix("    ") for line in description[1:]],
-        ]
-        table = TABLE.match(description[0]) if description else None
-        lines += [f".. _{name}:", ""]
-        lines += heading(table.group(1) if table else name, "-")
-        lines += plain_docstrings.restructured(text)
-        required = entry.get("required", [])
-        rows = [
-            [f"``{field}``", kind_of(about), default_of(field, about, required)]
-            for field, about in entry.get("properties", {}).items()
-        ]
-        lines += cell_table(["field", "type", "default"], rows)
+        lines += section(name, entry)
     return "\n".join(lines)
 
 
