@@ -36,6 +36,10 @@ def test_units_and_shares() -> None:
     assert text.split_unit("psi_arcsec") == ("psi", "arcsec")
     assert text.split_unit("no_unit") == ("no unit", "")
     assert text.percent(0.9767) == "98\N{NO-BREAK SPACE}%"
+    assert text.percent(0.99999) == "over 99.9\N{NO-BREAK SPACE}%"
+    assert text.percent(-0.12) == "−12\N{NO-BREAK SPACE}%"
+    assert text.percent(-0.004) == "0\N{NO-BREAK SPACE}%"
+    assert text.percent(None) == "–"
     assert text.percent_at_least(0.99999) == "99.9\N{NO-BREAK SPACE}%"
     assert text.percent_at_least(0.973) == "97.3\N{NO-BREAK SPACE}%"
     assert text.times(3.046) == "3.05×"

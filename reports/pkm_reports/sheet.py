@@ -11,6 +11,7 @@ from typing import Final
 import msgspec
 
 from oed.result import PlannedReading, SetupInfo, StageRecord, StudyResult
+from oed.text import shorten
 from pkm_reports import missing, pdf, text
 from pkm_reports.document import clean, footer
 
@@ -155,7 +156,7 @@ def _table(
     runs = [pose.run for pose in poses]
     if len(set(runs)) > 1:
         titles.append("Run")
-        cells.append([text.shorten(run, LONGEST_RUN) for run in runs])
+        cells.append([shorten(run, LONGEST_RUN) for run in runs])
     for key in commands:
         titles.append(text.heading(key))
         cells.append(

@@ -24,6 +24,7 @@ from matplotlib.ticker import (
     NullLocator,
 )
 
+from oed.text import shorten
 from pkm_reports import text
 
 #: inches; the text width of an A4 page, so that figures keep their letter size in print
@@ -163,7 +164,7 @@ def _glyphs() -> frozenset[int]:
 
 def label(words: str, longest: int = 30) -> str:
     """Text that can be drawn: one short line, `?` for characters that the font lacks."""
-    line = text.shorten(" ".join(words.split()), longest)
+    line = shorten(words, longest)
     return "".join(sign if ord(sign) in _glyphs() else "?" for sign in line)
 
 

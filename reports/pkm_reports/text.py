@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Final
 
+from oed import text as toolkit_text
 from oed import units
 from oed.result.record import Number
 from pkm_reports.missing import finite, or_nan
@@ -103,12 +104,14 @@ def _minus_sign(written: str) -> str:
 
 
 def percent(share: Number) -> str:
-    """A share as percent: whole ones, with one decimal below 1 and above 99."""
-    x = 100.0 * or_nan(share)
-    if math.isnan(x):
-        return MISSING
-    near_an_end = 0.0 < x < 1.0 or 99.0 < x < 100.0
-    return f"{fixed(x, 1 if near_an_end else 0)}{NO_BREAK}%"
+    """A share as percent, with its missing value and signs as in all numbers."""
+    x = or_nan(share)
+    if not math.isfinite(x):
+        return number(x)
+    written = toolkit_text.percent(x)
+    if written == "-0 %":
+        written = "0 %"
+    return _minus_sign(written).replace(" %", f"{NO_BREAK}%")
 
 
 def percent_at_least(share: Number) -> str:
@@ -116,8 +119,7 @@ def percent_at_least(share: Number) -> str:
     x = or_nan(share)
     if not math.isfinite(x):
         return MISSING
-    tenths = math.floor(1000.0 * x * (1.0 + 1e-12))
-    return f"{fixed(tenths / 10.0, 1)}{NO_BREAK}%"
+    return f"{fixed(toolkit_text.guaranteed_percent(x), 1)}{NO_BREAK}%"
 
 
 def percent_at_most(share: float) -> str:
@@ -240,13 +242,6 @@ def with_full_stop(words: str) -> str:
 def sentences(texts: Iterable[str]) -> list[str]:
     """Each text as a sentence."""
     return [sentence(words) for words in texts]
-
-
-def shorten(words: str, longest: int = 70) -> str:
-    """Text of at most so many characters."""
-    if len(words) <= longest:
-        return words
-    return f"{words[: longest - 1].rstrip()}…"
 
 
 def linear_combination(terms: Mapping[str, float], most: int = 10) -> str:

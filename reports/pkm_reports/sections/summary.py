@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from oed.result import Claim, StudyResult
+from oed.text import shorten
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -15,6 +17,9 @@ from pkm_reports.blocks import (
     TableColumn,
     wide_column,
 )
+
+#: characters of a measured value
+LONGEST: Final = 70
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -66,5 +71,5 @@ def _claims(claims: Sequence[Claim]) -> list[Block]:
 
 def _measured(value: float | str) -> str:
     if isinstance(value, str):
-        return text.shorten(value)
+        return shorten(value, LONGEST)
     return text.trimmed(value, 5)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from oed.result import MachineInfo, PlanSection, Sd, StageRecord
+from oed.text import shorten
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Table,
@@ -173,9 +174,9 @@ def shorten_combination(combination: str) -> str:
         return combination
     opening = combination[: LONGEST + 1]
     if " " not in opening:
-        return text.shorten(opening, LONGEST)
+        return shorten(opening, LONGEST)
     last_term = max(opening.rfind(" + "), opening.rfind(" - "))
-    return f"{opening[:last_term]} …"
+    return f"{opening[:last_term]} ..."
 
 
 # -- accuracy --------------------------------------------------------------------------
