@@ -19,7 +19,7 @@ import numpy as np
 from scipy import optimize
 
 from oed.instrument import mount
-from oed.kinematics import symbols
+from oed.expressions import symbols
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import ball_bar
 from pkm_models.machines.a3_head import machine

@@ -1,4 +1,4 @@
-"""The array types of the toolkit: real numbers, indices, masks."""
+"""Array types of the toolkit: real numbers, indices and masks."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""Many evaluations of one CasADi function at once, without copies and without a Python
-loop over points.
+"""One CasADi function over many points at once, without copies or a Python loop.
 
-`casadi.Function.map` runs the same instruction tape over many columns; its buffer
-interface works in place on NumPy memory. Calling a function with DM matrices instead
-costs three to ten times as much in conversions.
+`casadi.Function.map` runs one instruction tape over many columns, and its buffer
+interface works in place on NumPy memory. Calls with DM matrices would spend three to
+ten times as long on conversions.
 """
 
 from __future__ import annotations
@@ -16,105 +15,93 @@ import numpy as np
 
 from oed.arrays import Array
 
-#: columns of the mapped tapes: large batches are cut into the first, the rest is padded
-#: into the smallest that fits, by a third at the most from 4 on; a tape is made where
-#: it is wanted first, in half a millisecond
+#: Numbers of points for which a mapped function is compiled, each on first use, in half
+#: a millisecond. Batches are cut into the largest; what remains is padded to the next
+#: larger number, by a third at most from 4 points on.
 CHUNK_SIZES = (
-    1024,
-    768,
-    512,
-    384,
-    256,
-    192,
-    128,
-    96,
-    64,
-    48,
-    32,
-    24,
-    16,
-    12,
-    8,
-    6,
-    4,
-    2,
-    1,
+    *(1024, 768, 512, 384, 256, 192, 128, 96, 64),
+    *(48, 32, 24, 16, 12, 8, 6, 4, 2, 1),
 )
 
 
 class BatchedFunction:
-    """Vectorised form of `inputs -> outputs`, SX matrices.
+    """Vectorised function from SX inputs to SX outputs.
 
-    Calling it with arrays (n, size_in) or (size_in,), one for each input, returns a
-    list of arrays (n, rows, columns), or (n, rows) where an output is a column. A
-    single input row is used for all n.
+    inputs   vectors of the expression graph
+    outputs  matrices or columns that depend on them
     """
 
     def __init__(
         self, name: str, inputs: Sequence[Any], outputs: Sequence[Any]
     ) -> None:
-        dense = [ca.densify(ca.SX(o)) for o in outputs]
+        dense = [ca.densify(ca.SX(output)) for output in outputs]
         self._function = ca.Function(name, list(inputs), dense, {"cse": True})
-        self._shapes = [
-            self._function.size_out(i) for i in range(self._function.n_out())
-        ]
-        self._tapes: dict[int, _Tape] = {}
+        count = self._function.n_out()
+        self._shapes = [self._function.size_out(i) for i in range(count)]
+        self._mapped: dict[int, _MappedFunction] = {}
 
     def __call__(self, *arrays: Array) -> list[Array]:
+        """Evaluate at n points: arrays (n, size) or (size,), one for each input.
+
+        A single point of one input goes with all n of the others. Returns one array
+        for each output: (n, rows) for a column, (n, rows, columns) for a matrix.
+        """
         n = max([a.shape[0] for a in arrays if a.ndim == 2], default=1)
-        flat = [
-            (
-                a
-                if a.ndim == 2 and a.shape[0] == n
-                else np.broadcast_to(a, (n, a.shape[-1]))
-            )
-            for a in arrays
-        ]
-        results = [np.empty((n, rows * columns)) for rows, columns in self._shapes]
+        inputs = [_repeated(a, n) for a in arrays]
+        outputs = [np.empty((n, rows * columns)) for rows, columns in self._shapes]
         start = 0
         while start < n:
-            size = min(
-                (c for c in CHUNK_SIZES if c >= n - start), default=CHUNK_SIZES[0]
-            )
-            part = slice(start, min(start + size, n))
-            self._tape(size).run([a[part] for a in flat], [r[part] for r in results])
+            large_enough = [c for c in CHUNK_SIZES if c >= n - start]
+            size = min(large_enough, default=CHUNK_SIZES[0])
+            chunk = slice(start, min(start + size, n))
+            function = self._mapped_to(size)
+            function.run([a[chunk] for a in inputs], [a[chunk] for a in outputs])
             start += size
-        return [
-            r if columns == 1 else r.reshape(n, columns, rows).transpose(0, 2, 1)
-            for r, (rows, columns) in zip(results, self._shapes, strict=True)
-        ]
+        return [_shaped(a, *s) for a, s in zip(outputs, self._shapes, strict=True)]
 
-    def _tape(self, size: int) -> _Tape:
-        if size not in self._tapes:
-            self._tapes[size] = _Tape(self._function, size)
-        return self._tapes[size]
+    def _mapped_to(self, size: int) -> _MappedFunction:
+        if size not in self._mapped:
+            self._mapped[size] = _MappedFunction(self._function, size)
+        return self._mapped[size]
 
 
-class _Tape:
-    """One mapped function on memory of its own, which CasADi keeps pointers to."""
+def _repeated(values: Array, n: int) -> Array:
+    """Values (n, size), from as many or from one point for all."""
+    if values.ndim == 2 and values.shape[0] == n:
+        return values
+    return np.broadcast_to(values, (n, values.shape[-1]))
+
+
+def _shaped(values: Array, rows: int, columns: int) -> Array:
+    """Values (n, rows * columns), stored column by column, as (n, rows, columns)."""
+    if columns == 1:
+        return values
+    return values.reshape(len(values), columns, rows).transpose(0, 2, 1)
+
+
+class _MappedFunction:
+    """A function mapped to `size` points, on memory that CasADi keeps pointers to."""
 
     def __init__(self, function: Any, size: int) -> None:
+        inputs, outputs = range(function.n_in()), range(function.n_out())
         self._buffer, self._evaluate = function.map(size).buffer()
-        # ones, not zeros: columns that a short batch leaves unused must stay clear of
-        # singular values
-        self._inputs = [
-            np.ones((size, function.numel_in(i))) for i in range(function.n_in())
-        ]
-        self._outputs = [
-            np.zeros((size, function.numel_out(i))) for i in range(function.n_out())
-        ]
-        for setter, memory in (
-            (self._buffer.set_arg, self._inputs),
-            (self._buffer.set_res, self._outputs),
-        ):
-            for i, array in enumerate(memory):
-                if array.size:
-                    setter(i, memoryview(array.reshape(-1).data))
+        # Ones, not zeros: unused points of a short batch must stay clear of singular
+        # values.
+        self._inputs = [np.ones((size, function.numel_in(i))) for i in inputs]
+        self._outputs = [np.zeros((size, function.numel_out(i))) for i in outputs]
+        _attach(self._buffer.set_arg, self._inputs)
+        _attach(self._buffer.set_res, self._outputs)
 
     def run(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
-        """Evaluate up to `size` rows; `outputs` are written in place."""
-        for memory, array in zip(self._inputs, inputs, strict=True):
-            memory[: len(array)] = array
+        """Evaluate up to `size` points; writes `outputs` in place."""
+        for memory, values in zip(self._inputs, inputs, strict=True):
+            memory[: len(values)] = values
         self._evaluate()
-        for array, memory in zip(outputs, self._outputs, strict=True):
-            array[:] = memory[: len(array)]
+        for values, memory in zip(outputs, self._outputs, strict=True):
+            values[:] = memory[: len(values)]
+
+
+def _attach(setter: Any, arrays: Sequence[Array]) -> None:
+    for i, array in enumerate(arrays):
+        if array.size:
+            setter(i, memoryview(array.reshape(-1).data))

@@ -1,6 +1,4 @@
-"""What an instrument is: what it reads from one or two poses, what of its set-up is
-unknown, its noise and cost.
-"""
+"""What an instrument is: what it reads, its set-up's unknowns, its noise and cost."""
 
 from __future__ import annotations
 
@@ -13,12 +11,13 @@ from oed.machine import Expr, Machine, Parameter, Values
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Channel:
-    """One number of a reading: its column stem (`length`), SI unit and default noise
-    sigma (SI).
+    """One number of a reading.
 
-    `shared` is the standard deviation of an error common to all readings of a run, in
-    units of sigma: 1 where each is told against one reference reading of the same
-    instrument.
+    name    stem of its column, such as `length`
+    unit    SI unit
+    sigma   default standard deviation of its noise, SI
+    shared  standard deviation, over sigma, of an error common to all readings of a run;
+            1 where all are differences from one reference reading
     """
 
     name: str
@@ -29,8 +28,11 @@ class Channel:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Setting:
-    """A known number of the set-up (bar length, cup position), SI, with its default
-    (None: must be given).
+    """A known number of the set-up, such as bar length or cup position.
+
+    name, unit  SI unit
+    default     SI; None where a set-up must state it
+    about       what it is, for tables
     """
 
     name: str
@@ -41,7 +43,7 @@ class Setting:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Cost:
-    """Time in seconds to mount the set-up and to take one reading."""
+    """Time to mount the set-up, and to take one reading; s."""
 
     setup: float
     reading: float
@@ -49,11 +51,12 @@ class Cost:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Frame:
-    """What an instrument can see of the machine: the tool's orientation (3 x 3) and
-    tool point (3,), base frame.
+    """What an instrument sees of the machine at one pose, in the base frame.
 
-    misfit  root mean square, with a sign, by which the closure's equations miss each
-            other; None where the machine is not redundant by one equation
+    rotation        orientation (3 x 3) of the tool
+    point           tool point (3,), m
+    closure_misfit  signed root mean square of the closure's equations; None unless the
+                    machine is redundant by one equation
     """
 
     rotation: Expr
@@ -65,22 +68,24 @@ class Frame:
 class Instrument:
     """A measuring instrument.
 
-    observe(frames, s, k)  the reading's channels from the frames it needs, set-up
-                           nuisances s and settings k (both by name). `frames[0]` is the
-                           pose read; where `reference` is set, `frames[1]` is the
-                           set-up's teach pose ("teach") or the first pose of the run
-                           ("run").
-    nuisances              unknowns of a set-up with their tolerances: they are
-                           identified with the machine
-    sources(frames, s, k)  slopes (channels x sources) from independent errors inside
-                           the instrument, each in units of its own standard deviation;
-                           None: the channels' noise is independent. With sources, a
-                           set-up's sigma scales them: channel c's sigma over the
-                           default is the factor of row c
-    unfit(machine)         why it cannot read a machine, in words; None, as by default,
-                           where it can
-    holds(k)               value (SI) that the first channel has by design, if the poses
-                           are chosen to keep it (a ball bar's length); None otherwise
+    name, source, about    for the catalogue; `source` is data sheet or standard
+    channels               numbers of one reading
+    settings               known numbers of a set-up
+    nuisances              unknowns of a set-up with their tolerances, identified
+                           together with the machine
+    cost                   time for set-up and reading
+    observe(frames, s, k)  channels of a reading, from frames, nuisances s and settings
+                           k, both by name. `frames[0]` is the pose read, `frames[1]`
+                           the reference pose, if any
+    reference              reference pose: "teach" (the set-up's teach pose), "run" (the
+                           first pose of the run), or None
+    sources(frames, s, k)  slopes (channels x sources) over independent errors inside
+                           the instrument, each in its standard deviation. None: the
+                           channels' noise is independent. A set-up's sigma scales row
+                           c by sigma over the default of channel c
+    fixed_reading(k)       value (SI) of the first channel that the poses are chosen to
+                           keep, such as a ball bar's length; None where there is none
+    unfit(machine)         why it cannot read a machine, in words; None where it can
     """
 
     name: str
@@ -98,17 +103,18 @@ class Instrument:
 
     @property
     def arity(self) -> int:
-        """Poses that one reading depends on."""
+        """Number of poses that one reading depends on."""
         return 1 if self.reference is None else 2
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Protocol:
-    """How often each planned reading is taken: `repeats` times one way, and as often
-    back if `both_directions`.
+    """How often each planned reading is taken.
 
-    With `average` their mean is the reading, and its noise is that of independent
-    passes; without, all are kept.
+    repeats          passes of a run in one direction
+    both_directions  as many passes again in the opposite direction
+    average          the mean of all passes is the reading, with the noise of
+                     independent passes; otherwise every pass gives readings
     """
 
     repeats: int = 1
@@ -117,22 +123,26 @@ class Protocol:
 
     @property
     def pass_names(self) -> list[str]:
-        """Names of the passes of a run, in order."""
-        ways = ("forward", "backward") if self.both_directions else ("forward",)
-        return [f"{way} {k + 1}" for way in ways for k in range(self.repeats)]
+        """Names of the passes of a run, in order: `forward 1`, `backward 1`, ..."""
+        names = [f"forward {k + 1}" for k in range(self.repeats)]
+        if self.both_directions:
+            names += [f"backward {k + 1}" for k in range(self.repeats)]
+        return names
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setup:
-    """An instrument as mounted: its settings (SI), the tool in use, the teach pose,
-    tolerances of its unknowns.
+    """An instrument as mounted. Raises ValueError where its numbers do not fit.
 
-    tool       tool point (3,) in the platform frame relative to the reference tool's, m
-    teach      command (n_dof,) of the pose at which the set-up was taught, SI; only for
-               reference "teach"
-    nuisances  the instrument's nuisances with this set-up's tolerances
-    sigma      noise (SI) of each channel, of the mean where the protocol averages
-    protocol   how often each planned reading is taken
+    name        unique in a study
+    instrument  the instrument
+    settings    value of each setting, SI
+    nuisances   the instrument's nuisances with this set-up's tolerances
+    sigma       noise of each channel, SI; of the mean where the protocol averages
+    tool        tool point (3,) in the platform frame, relative to the reference tool's,
+                m
+    teach       command (n_dof,) of the teach pose, SI; for reference "teach" only
+    protocol    how often each planned reading is taken
     """
 
     name: str
@@ -145,11 +155,11 @@ class Setup:
     protocol: Protocol = Protocol()
 
     def __post_init__(self) -> None:
-        known = {s.name for s in self.instrument.settings}
-        if set(self.settings) != known:
+        expected = {s.name for s in self.instrument.settings}
+        if set(self.settings) != expected:
             raise ValueError(
                 f"set-up {self.name}: settings {sorted(self.settings)} are not"
-                f" {sorted(known)}"
+                f" {sorted(expected)}"
             )
         if (self.teach is None) == (self.instrument.reference == "teach"):
             raise ValueError(
@@ -157,10 +167,8 @@ class Setup:
                 " taught, and only with them"
             )
         if len(self.sigma) != len(self.instrument.channels):
-            raise ValueError(
-                f"set-up {self.name}: one sigma for each of"
-                f" {[c.name for c in self.instrument.channels]}"
-            )
+            channels = [c.name for c in self.instrument.channels]
+            raise ValueError(f"set-up {self.name}: one sigma for each of {channels}")
 
 
 def mount(
@@ -173,42 +181,57 @@ def mount(
     tolerances: Mapping[str, float] | None = None,
     **settings: float,
 ) -> Setup:
-    """A set-up with the instrument's defaults where nothing is said; raises ValueError
-    for unknown names (SI).
+    """Mount an instrument, with its defaults for all that is not given; SI.
+
+    tolerances  prior standard deviations of nuisances, by name
+    settings    values of settings, by name
+
+    Raises ValueError for unknown names and missing settings.
     """
-    given = dict(settings)
-    values: dict[str, float] = {}
-    for s in instrument.settings:
-        value = given.pop(s.name, s.default)
-        if value is None:
-            raise ValueError(
-                f"set-up {name}: {instrument.name} needs {s.name} ({s.unit}): {s.about}"
-            )
-        values[s.name] = float(value)
-    if given:
-        raise ValueError(
-            f"set-up {name}: {instrument.name} has no setting {sorted(given)}; it has"
-            f" {sorted(values)}"
-        )
-    wanted = dict(tolerances or {})
-    nuisances = tuple(
-        dataclasses.replace(n, tolerance=float(wanted.pop(n.name, n.tolerance)))
-        for n in instrument.nuisances
-    )
-    if wanted:
-        raise ValueError(
-            f"set-up {name}: {instrument.name} has no unknown {sorted(wanted)}"
-        )
+    if sigma is None:
+        sigma = [c.sigma for c in instrument.channels]
     return Setup(
         name=name,
         instrument=instrument,
-        settings=values,
-        nuisances=nuisances,
-        sigma=(
-            tuple(sigma)
-            if sigma is not None
-            else tuple(c.sigma for c in instrument.channels)
-        ),
+        settings=_settings(instrument, name, settings),
+        nuisances=_nuisances(instrument, name, tolerances or {}),
+        sigma=tuple(sigma),
         tool=tool,
         teach=None if teach is None else tuple(float(v) for v in teach),
     )
+
+
+def _settings(
+    instrument: Instrument, setup: str, given: Mapping[str, float]
+) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for setting in instrument.settings:
+        value = given.get(setting.name, setting.default)
+        if value is None:
+            raise ValueError(
+                f"set-up {setup}: {instrument.name} needs {setting.name}"
+                f" ({setting.unit}): {setting.about}"
+            )
+        values[setting.name] = float(value)
+    unknown = set(given) - set(values)
+    if unknown:
+        raise ValueError(
+            f"set-up {setup}: {instrument.name} has no setting {sorted(unknown)}; it"
+            f" has {sorted(values)}"
+        )
+    return values
+
+
+def _nuisances(
+    instrument: Instrument, setup: str, tolerances: Mapping[str, float]
+) -> tuple[Parameter, ...]:
+    unknown = set(tolerances) - {n.name for n in instrument.nuisances}
+    if unknown:
+        raise ValueError(
+            f"set-up {setup}: {instrument.name} has no unknown {sorted(unknown)}"
+        )
+    nuisances = []
+    for nuisance in instrument.nuisances:
+        tolerance = float(tolerances.get(nuisance.name, nuisance.tolerance))
+        nuisances.append(dataclasses.replace(nuisance, tolerance=tolerance))
+    return tuple(nuisances)

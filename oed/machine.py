@@ -1,5 +1,4 @@
-"""What a machine is: a closure and a parameter table. Everything else is derived from
-it.
+"""What a machine is: a closure and a parameter table, from which all else is derived.
 
 A machine is assembled when `closure(x, q, p) = 0` for its pose coordinates x, joint
 coordinates q and geometric parameters p. A new machine is one module that builds one
@@ -15,17 +14,30 @@ from typing import Any
 import numpy as np
 
 from oed import units
-from oed.arrays import Array
+from oed.arrays import Array, Mask
 
 #: A CasADi SX expression (CasADi ships no type stubs).
 Expr = Any
+#: Expressions or numbers by the name of their coordinate or parameter.
 Values = Mapping[str, Expr]
+#: Ends of a strut, at the base and at the platform.
+Strut = tuple[Expr, Expr]
+#: Tool point (3,), m, relative to the reference tool's.
+Tool = Sequence[float]
+
+#: a coordinate may exceed its range by this share of the range's upper end
+RANGE_SLACK = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Parameter:
-    """A calibration parameter. `nominal` and `tolerance` (prior standard deviation) are
-    in SI `unit`.
+    """A calibration parameter.
+
+    name       unique within a machine or an instrument
+    nominal    value from the drawing, SI
+    tolerance  prior standard deviation, SI
+    unit       SI unit: m, rad, s, N, K or 1
+    about      what it is, for tables
     """
 
     name: str
@@ -40,11 +52,8 @@ class Parameter:
                 f"parameter {self.name}: unit {self.unit!r} is not SI (m, rad, s, N, K"
                 " or 1)"
             )
-        if not (
-            np.isfinite(self.nominal)
-            and np.isfinite(self.tolerance)
-            and self.tolerance >= 0.0
-        ):
+        finite = np.isfinite(self.nominal) and np.isfinite(self.tolerance)
+        if not finite or self.tolerance < 0.0:
             raise ValueError(
                 f"parameter {self.name}: nominal and tolerance must be finite,"
                 " tolerance >= 0"
@@ -53,7 +62,7 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Coordinate:
-    """A pose, joint or command coordinate with its range (SI `unit`)."""
+    """A pose, joint or command coordinate with its range, in the SI `unit`."""
 
     name: str
     unit: str
@@ -63,8 +72,11 @@ class Coordinate:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Component:
-    """A pose error component as a user reads it. The controller can null it if
-    `compensatable`.
+    """A pose error component as a user reads it.
+
+    name           such as `x` or `theta`
+    unit           SI unit
+    compensatable  whether the controller can null it
     """
 
     name: str
@@ -74,12 +86,12 @@ class Component:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class PointGroup:
-    """Joint centres that belong to one body.
+    """Joint centres of one body, whose rigid motions name null directions.
 
-    `points` holds for each centre the names of its x, y, z error parameters and its
-    nominal place (m) in the body's frame, whose origin is `origin` in words. The
-    group's rigid motions are the directions in parameter space that a distance cannot
-    tell from a motion of the body: lost directions are named by them.
+    name    such as `platform joints`
+    origin  of the body's frame, in words
+    points  for each centre the names of its x, y, z error parameters, and its nominal
+            place (3,) in the body's frame, m
     """
 
     name: str
@@ -87,34 +99,41 @@ class PointGroup:
     points: tuple[tuple[tuple[str, str, str], tuple[float, float, float]], ...]
 
 
-def _no_error(command: Values, twist: Sequence[Expr]) -> Sequence[Expr]:
+def _translation_error(command: Values, twist: Sequence[Expr]) -> Sequence[Expr]:
     return list(twist[:3])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Machine:
-    """A parallel machine, told by its closure.
+    """A parallel machine, defined by its closure.
 
-    Functions get their coordinates by name (CasADi SX scalars in a mapping).
+    Functions get coordinates by name, as CasADi SX scalars in a mapping.
 
-    closure(x, q, p)       list of scalars, zero when assembled; as many as pose plus
-                           joint coordinates less the degrees of freedom (more where the
-                           machine is redundant)
-    platform(x)            rotation matrix (3 x 3) and origin (3,) of the platform
-                           frame, at the tool point of the reference tool, in the base
-                           frame
-    commanded(x, tip)      what the controller holds (one scalar a degree of freedom) at
-                           a pose; `tip` is the tool point (3,) of the set-up's tool
-    target(c)              the same quantities as functions of the user's command
-                           coordinates
-    guess(c)               start for Newton at a command: (pose values, joint values)
-    read_error(c, twist)   components of a small pose error [translation, rotation
-                           vector] of the tool point
-    skeleton(x, q, p)      for drawings: polylines of points (3,)
-    struts(x, q, p)        ends (base, platform), points (3,) in the base frame, of the
-                           strut that each joint drives: what gravity, heat and bending
-                           act on. The first row of the closure that holds joint k is
-                           the distance of its ends less what it should be, m
+    name, source, about  for the catalogue; `source` is the publication
+    pose, joints         coordinates x and q
+    command              coordinates in which a user commands the machine
+    parameters           geometric parameters p, calibrated
+    components           pose error components, as `read_error` gives them
+    home                 command of the home pose, by coordinate
+    lever                m; turns angles into lengths in the publications' scalings
+    frame                parameters held at nominal: they only choose the base frame
+    groups               joint centres that belong to one body
+    closure(x, q, p)     scalars that are zero when assembled; as many as pose plus
+                         joint coordinates less the degrees of freedom, more where the
+                         machine is redundant
+    platform(x)          rotation (3 x 3) and origin (3,) of the platform frame in the
+                         base frame, at the tool point of the reference tool
+    commanded(x, tip)    quantities that the controller holds, one a degree of freedom;
+                         `tip` is the tool point (3,) of the set-up's tool
+    target(c)            the same quantities as functions of the user's command
+    guess(c)             start of Newton's method at a command: pose and joint values
+    read_error(c, twist) components of a small pose error [translation, rotation
+                         vector] of the tool point
+    skeleton(x, q, p)    polylines of points (3,), for drawings
+    struts(x, q, p)      ends (base, platform) of the strut that each joint drives,
+                         points (3,) in the base frame. Gravity, heat and bending act on
+                         struts. The first row of the closure that holds joint k is the
+                         distance of its ends less the strut's length, m
     """
 
     name: str
@@ -125,29 +144,25 @@ class Machine:
     parameters: tuple[Parameter, ...]
     components: tuple[Component, ...]
     home: Mapping[str, float]
-    lever: float  # m; turns angle parameters into lengths in the paper's scalings
+    lever: float
     closure: Callable[[Values, Values, Values], Sequence[Expr]]
     platform: Callable[[Values], tuple[Expr, Expr]]
     commanded: Callable[[Values, Expr], Sequence[Expr]]
     target: Callable[[Values], Sequence[Expr]]
     guess: Callable[[Values], tuple[Sequence[Expr], Sequence[Expr]]]
-    read_error: Callable[[Values, Sequence[Expr]], Sequence[Expr]] = _no_error
+    read_error: Callable[[Values, Sequence[Expr]], Sequence[Expr]] = _translation_error
     skeleton: Callable[[Values, Values, Values], Sequence[Sequence[Expr]]] | None = None
-    struts: Callable[[Values, Values, Values], Sequence[tuple[Expr, Expr]]] | None = (
-        None
-    )
-    frame: tuple[
-        str, ...
-    ] = ()  # parameters held at nominal because they only choose the base frame
+    struts: Callable[[Values, Values, Values], Sequence[Strut]] | None = None
+    frame: tuple[str, ...] = ()
     groups: tuple[PointGroup, ...] = ()
     about: str = ""
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
-        twice = {n for n in names if names.count(n) > 1}
-        if twice:
+        repeated = {n for n in names if names.count(n) > 1}
+        if repeated:
             raise ValueError(
-                f"machine {self.name}: parameter names used twice: {sorted(twice)}"
+                f"machine {self.name}: parameter names used twice: {sorted(repeated)}"
             )
         unknown = set(self.frame) - set(names)
         if unknown:
@@ -170,19 +185,19 @@ class Machine:
         return np.array([self.home[c.name] for c in self.command])
 
     def index(self, name: str) -> int:
-        """Position of a parameter in the parameter vector; raises KeyError naming the
-        known ones.
-        """
-        for i, p in enumerate(self.parameters):
-            if p.name == name:
-                return i
-        raise KeyError(
-            f"machine {self.name} has no parameter {name!r}; it has"
-            f" {[p.name for p in self.parameters]}"
-        )
+        """Position of a parameter in the parameter vector. Raises KeyError."""
+        names = [p.name for p in self.parameters]
+        if name not in names:
+            raise KeyError(
+                f"machine {self.name} has no parameter {name!r}; it has {names}"
+            )
+        return names.index(name)
 
     def with_parameters(self, parameters: Sequence[Parameter]) -> Machine:
-        """The same machine with another parameter table (same names, same order)."""
+        """The same machine with another parameter table: same names, same order.
+
+        Raises ValueError for other names.
+        """
         if [p.name for p in parameters] != [p.name for p in self.parameters]:
             raise ValueError(
                 f"machine {self.name}: a new parameter table must keep names and order"
@@ -190,34 +205,36 @@ class Machine:
         return dataclasses.replace(self, parameters=tuple(parameters))
 
     def out_of_range(
-        self, command: Array, tool: Sequence[float] = (0.0, 0.0, 0.0)
+        self, command: Array, tool: Tool = (0.0, 0.0, 0.0)
     ) -> list[tuple[int, str, float, float, float]]:
-        """Rows (index, coordinate, value, lower, upper) of `command` (n, n_dof) outside
-        the workspace of a tool.
-        """
-        found = []
-        for k, c in enumerate(self.workspace(tool)):
-            slack = 1e-9 * max(1.0, abs(c.upper) if np.isfinite(c.upper) else 1.0)
-            bad = np.flatnonzero(
-                (command[:, k] < c.lower - slack) | (command[:, k] > c.upper + slack)
-            )
-            found += [
-                (int(i), c.name, float(command[i, k]), c.lower, c.upper) for i in bad
-            ]
-        return found
+        """Commands (n, n_dof) outside the workspace of a tool.
 
-    def workspace(
-        self, tool: Sequence[float] = (0.0, 0.0, 0.0)
-    ) -> tuple[Coordinate, ...]:
-        """Command coordinates with their ranges; another tool (3,) than the reference
-        moves x, y and z along.
+        Each is (row, coordinate, value, lower, upper), coordinate by coordinate.
         """
+        outside = []
+        for k, coordinate in enumerate(self.workspace(tool)):
+            values = command[:, k]
+            for row in np.flatnonzero(_exceeds(values, coordinate)):
+                value = float(values[row])
+                limits = (coordinate.lower, coordinate.upper)
+                outside.append((int(row), coordinate.name, value, *limits))
+        return outside
+
+    def workspace(self, tool: Tool = (0.0, 0.0, 0.0)) -> tuple[Coordinate, ...]:
+        """Command coordinates with the ranges for a tool, which moves x, y and z."""
         shift = dict(zip("xyz", tool, strict=True))
-        return tuple(
-            dataclasses.replace(
-                c,
-                lower=c.lower + shift.get(c.name, 0.0),
-                upper=c.upper + shift.get(c.name, 0.0),
-            )
-            for c in self.command
-        )
+        return tuple(_shifted(c, shift.get(c.name, 0.0)) for c in self.command)
+
+
+def _exceeds(values: Array, coordinate: Coordinate) -> Mask:
+    """Mask (n,) of values outside a coordinate's range, rounding aside."""
+    upper = coordinate.upper if np.isfinite(coordinate.upper) else 1.0
+    slack = RANGE_SLACK * max(1.0, abs(upper))
+    below = values < coordinate.lower - slack
+    above = values > coordinate.upper + slack
+    return np.asarray(below | above)
+
+
+def _shifted(coordinate: Coordinate, shift: float) -> Coordinate:
+    lower, upper = coordinate.lower + shift, coordinate.upper + shift
+    return dataclasses.replace(coordinate, lower=lower, upper=upper)

@@ -1,13 +1,9 @@
-"""Readings of a machine by an instrument, and their derivatives: machine x instrument
--> y, dy/dp.
+"""Readings of a machine by its instruments, and their derivatives.
 
 A reading y = g(x_1, x_2, s) sees one pose, or two (a taught cup, a reference); each
 pose obeys the closure at the joints that the controller sent. Its identification row is
 
     dy/d(p, s) = [ sum_j g_xj dx_j/dp,  g_s ],        dx/dp = -phi_x^-1 phi_p   (joints fixed).
-
-The parameter vector theta of a measurement is [machine parameters, unknowns of set-up
-1, of set-up 2, ...].
 """
 
 from __future__ import annotations
@@ -16,169 +12,43 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import linalg
 from scipy.optimize import elementwise
 
-from oed.arrays import Array, Index, Mask
-from oed.instrument import Protocol, Setup
-from oed.kinematics import STEP_TOLERANCE, AssemblyError, Kinematics
-from oed.machine import Machine, Parameter
-from oed.noise import covariance as noise
-from oed.noise.covariance import Noise
+from oed import reading_noise
+from oed.arrays import Array, Mask
+from oed.instrument import Setup
+from oed.kinematics import AssemblyError, Kinematics
+from oed.machine import Machine
+from oed.newton import STEP_TOLERANCE
+from oed.noise.covariance import Noise, concatenate_noise
 from oed.observation import ObservationModel
+from oed.parameter_vector import ParameterVector
+from oed.pose_cache import PoseCache
+from oed.series import Series, index_poses
 
-#: Newton's last step (m, rad) where many parameter vectors near a known one are
-#: evaluated: leaves 1e-11 m
+__all__ = ["Measurement", "Response", "Series"]
+
+#: last Newton step (m, rad) for parameters near known ones: leaves an error of 1e-11 m
 NEAR_STEP_TOLERANCE = 2e-6
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Series:
-    """Readings taken, or to be taken, in one set-up.
+class Measurement(ParameterVector):
+    """A machine with its set-ups: predicts readings and their slopes.
 
-    setup    name of the set-up
-    q        (m, nq) joints sent to the machine at the m poses involved, SI
-    start    (m, nx) nominal poses, or (draws, m, nx): Newton's start
-    command  (m, n_dof) what was commanded; NaN where joints were recorded instead
-    index    (n, arity) which poses each of the n readings sees
-    run      (n,) label of the run (circle, line) of each reading
-    """
+    setups      set-ups by name
+    kinematics  of the machine
 
-    setup: str
-    q: Array
-    start: Array
-    command: Array
-    index: Index
-    run: NDArray[np.str_]
-
-    def __len__(self) -> int:
-        return int(self.index.shape[0])
-
-    def take(self, rows: Index) -> Series:
-        """The same series with some of its readings, in the given order, and only the
-        poses they need.
-        """
-        kept, index = np.unique(self.index[rows], return_inverse=True)
-        return Series(
-            setup=self.setup,
-            q=self.q[kept],
-            start=self.start[kept],
-            command=self.command[kept],
-            index=index.reshape(self.index[rows].shape).astype(np.intp),
-            run=self.run[rows],
-        )
-
-    def expand_passes(self, protocol: Protocol) -> Series:
-        """The readings of all passes, each pass of a run a run of its own, backward
-        ones in reverse; as they are if the protocol averages.
-        """
-        if protocol.average or len(protocol.pass_names) == 1:
-            return self
-        rows, labels = [], []
-        for run in dict.fromkeys(self.run):
-            members = np.flatnonzero(self.run == run)
-            for name in protocol.pass_names:
-                rows.append(members[::-1] if name.startswith("backward") else members)
-                labels += [f"{run}, {name}"] * len(members)
-        taken = self.take(np.concatenate(rows))
-        return dataclasses.replace(taken, run=np.array(labels, dtype=np.str_))
-
-    def separate_poses(self) -> Series:
-        """The same readings with a pose of its own for each: the passes of a run share
-        poses, but not their state.
-
-        References stay shared: the taught pose by all readings, the first pose of a run
-        by the run.
-        """
-        own, rest = self.index[:, 0], self.index[:, 1:]
-        referred, place = np.unique(rest, return_inverse=True)
-        kept = np.concatenate([own, referred])
-        index = np.column_stack(
-            [np.arange(len(own)), len(own) + place.reshape(rest.shape)]
-        ).astype(np.intp)
-        return dataclasses.replace(
-            self,
-            q=self.q[kept],
-            start=self.start[kept],
-            command=self.command[kept],
-            index=index,
-        )
-
-    def reading_commands(self) -> Array:
-        """Command (n, n_dof) of the pose that each reading reads."""
-        return self.command[self.index[:, 0]]
-
-
-class Measurement:
-    """A machine with its set-ups: predicts readings for many parameter vectors at once,
-    and their slopes.
+    Raises ValueError where an instrument cannot read the machine, or names repeat.
     """
 
     def __init__(self, machine: Machine, setups: Sequence[Setup]) -> None:
-        names = [s.name for s in setups]
-        if len(set(names)) != len(names):
-            raise ValueError(f"set-up names are not unique: {names}")
-        for s in setups:
-            reason = s.instrument.unfit(machine)
-            if reason is not None:
-                raise ValueError(
-                    f"set-up {s.name}: {s.instrument.name} cannot read {machine.name}:"
-                    f" {reason}"
-                )
-        self.machine = machine
+        super().__init__(machine, setups)
+        for setup in setups:
+            _check_fit(machine, setup)
         self.kinematics = Kinematics(machine)
-        self.setups = {s.name: s for s in setups}
-        self.parameters: tuple[Parameter, ...] = machine.parameters + tuple(
-            dataclasses.replace(n, name=f"{s.name}.{n.name}")
-            for s in setups
-            for n in s.nuisances
-        )
-        self._views = {s.name: ObservationModel(machine, s) for s in setups}
-        self._nuisance: dict[str, slice] = {}
-        start = len(machine.parameters)
-        for s in setups:
-            self._nuisance[s.name] = slice(start, start + len(s.nuisances))
-            start += len(s.nuisances)
-        self._last: dict[str, tuple[Series, Array, Array]] = {}
-
-    # -- the parameter vector ----------------------------------------------------------
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of theta's entries."""
-        return tuple(p.name for p in self.parameters)
-
-    @property
-    def nominal(self) -> Array:
-        """Nominal theta (n,), SI."""
-        return np.array([p.nominal for p in self.parameters])
-
-    @property
-    def tolerance(self) -> Array:
-        """Prior standard deviations (n,), SI; 0 for the parameters that only choose the
-        base frame.
-        """
-        return np.array(
-            [
-                0.0 if p.name in self.machine.frame else p.tolerance
-                for p in self.parameters
-            ]
-        )
-
-    @property
-    def free(self) -> Mask:
-        """Which entries of theta (n,) are unknown."""
-        return np.asarray(self.tolerance > 0.0)
-
-    @property
-    def length_factors(self) -> Array:
-        """Factor (n,) that turns each entry into a length (m): the machine's lever for
-        angles and ratios.
-        """
-        return np.array(
-            [1.0 if p.unit == "m" else self.machine.lever for p in self.parameters]
-        )
+        self.setups = {setup.name: setup for setup in setups}
+        self._models = {s.name: ObservationModel(machine, s) for s in setups}
+        self._poses_at = PoseCache()
 
     # -- series ------------------------------------------------------------------------
 
@@ -189,110 +59,87 @@ class Measurement:
         run: Sequence[str] | None = None,
         controller: Array | None = None,
     ) -> Series:
-        """Readings at commanded poses (n, n_dof), SI; `controller` (np,) are the
-        parameters it believes in.
+        """Readings at commanded poses (n, n_dof), SI.
+
+        run         label of each pose's run; one run by default
+        controller  (np,) parameters that the controller believes in; nominal by default
 
         For instruments with a run reference the first pose of each run is the
-        reference, and is not a reading. Raises AssemblyError for poses out of reach.
+        reference, and no reading. Raises AssemblyError for poses out of reach.
         """
+        mounted = self.setups[setup]
         command = np.atleast_2d(np.asarray(command, dtype=float))
-        chosen = self.setups[setup]
-        labels = np.array(
-            ["1"] * len(command) if run is None else list(run), dtype=np.str_
-        )
-        poses = command
-        if chosen.teach is not None:
-            poses = np.vstack([command, np.array(chosen.teach)[None]])
-        x, q = self.kinematics.inverse(poses, controller, np.array(chosen.tool))
-        return self._indexed(setup, q, x, poses, labels)
+        labels = _labels(run, len(command))
+        if mounted.teach is not None:
+            command = np.vstack([command, np.array(mounted.teach)[None]])
+        x, q = self.kinematics.inverse(command, controller, np.array(mounted.tool))
+        index, labels = index_poses(mounted.instrument, labels)
+        return Series(setup, q, x, command, index, labels)
 
     def series_from_joints(
         self, setup: str, q: Array, run: Sequence[str] | None = None
     ) -> Series:
-        """As `series`, from recorded joints (n, nq), SI."""
+        """As `series`, from recorded joints (n, nq), SI; their commands are NaN."""
+        mounted = self.setups[setup]
         q = np.atleast_2d(np.asarray(q, dtype=float))
-        chosen = self.setups[setup]
-        labels = np.array(["1"] * len(q) if run is None else list(run), dtype=np.str_)
+        labels = _labels(run, len(q))
         x = self.kinematics.start_poses(q)
         command = np.full((len(q), len(self.machine.command)), np.nan)
-        if chosen.teach is not None:
-            teach = np.array(chosen.teach)[None]
-            teach_x, teach_q = self.kinematics.inverse(
-                teach, None, np.array(chosen.tool)
-            )
-            q, x, command = (
-                np.vstack([q, teach_q]),
-                np.vstack([x, teach_x]),
-                np.vstack([command, teach]),
-            )
-        return self._indexed(setup, q, x, command, labels)
-
-    def _indexed(
-        self, setup: str, q: Array, x: Array, command: Array, run: NDArray[np.str_]
-    ) -> Series:
-        n = len(run)
-        reference = self.setups[setup].instrument.reference
-        if reference == "teach":
-            index = np.column_stack([np.arange(n), np.full(n, n)])
-        elif reference == "run":
-            first = {
-                label: int(np.flatnonzero(run == label)[0]) for label in np.unique(run)
-            }
-            firsts = np.array([first[label] for label in run])
-            keep = firsts != np.arange(n)
-            index, run = np.column_stack([np.arange(n), firsts])[keep], run[keep]
-        else:
-            index = np.arange(n)[:, None]
-        return Series(setup, q, x, command, index.astype(np.intp), run)
+        if mounted.teach is not None:
+            teach = np.array(mounted.teach)[None]
+            tool = np.array(mounted.tool)
+            teach_x, teach_q = self.kinematics.inverse(teach, None, tool)
+            q, x = np.vstack([q, teach_q]), np.vstack([x, teach_x])
+            command = np.vstack([command, teach])
+        index, labels = index_poses(mounted.instrument, labels)
+        return Series(setup, q, x, command, index, labels)
 
     def commands_at_fixed_reading(
         self, setup: str, command: Array, coordinate: str
     ) -> tuple[Array, Mask]:
-        """Solve one command coordinate so that the nominal reading is what the
-        instrument holds by design.
+        """Solve one command coordinate for the reading that the instrument keeps.
 
-        Returns the commands (n, n_dof) and the mask of poses where that is possible
-        within the coordinate's range: a ball bar of fixed length leads the tool on a
-        sphere about its cup.
+        A ball bar of fixed length leads the tool on a sphere about its cup. Returns
+        the commands (n, n_dof), and the mask (n,) of those that have a solution within
+        the coordinate's range. Raises ValueError where the instrument keeps no reading.
         """
-        chosen = self.setups[setup]
-        if chosen.instrument.fixed_reading is None:
+        mounted = self.setups[setup]
+        if mounted.instrument.fixed_reading is None:
             raise ValueError(
-                f"{chosen.instrument.name} holds no reading: give {coordinate} itself"
+                f"{mounted.instrument.name} holds no reading by design: give"
+                f" {coordinate} itself"
             )
-        wanted = chosen.instrument.fixed_reading(chosen.settings)
+        wanted = mounted.instrument.fixed_reading(mounted.settings)
         column = [c.name for c in self.machine.command].index(coordinate)
-        limits = self.machine.workspace(chosen.tool)[column]
-        command = np.array(command, dtype=float)
+        limits = self.machine.workspace(mounted.tool)[column]
+        solved = np.array(command, dtype=float)
 
-        def miss(value: Array, row: Array) -> Array:
-            poses = command[row.astype(int)]
+        def excess(value: Array, row: Array) -> Array:
+            poses = solved[row.astype(int)]
             poses[:, column] = value
-            series = self.series(setup, poses)
-            return self.readings([series], self.nominal) - wanted
+            return self.readings([self.series(setup, poses)], self.nominal) - wanted
 
-        rows = np.arange(len(command), dtype=float)
-        bracket = (
-            np.full(len(command), limits.lower),
-            np.full(len(command), limits.upper),
+        n = len(solved)
+        root = elementwise.find_root(
+            excess,
+            (np.full(n, limits.lower), np.full(n, limits.upper)),
+            args=(np.arange(n, dtype=float),),
+            tolerances={"xatol": 1e-12, "fatol": 1e-13},
         )
-        found = elementwise.find_root(
-            miss, bracket, args=(rows,), tolerances={"xatol": 1e-12, "fatol": 1e-13}
-        )
-        command[:, column] = found.x
-        return command, np.asarray(found.success)
+        solved[:, column] = root.x
+        return solved, np.asarray(root.success)
 
     # -- readings ----------------------------------------------------------------------
 
     def readings(self, series: Sequence[Series], theta: Array) -> Array:
-        """Exact nonlinear readings y (N,) for theta (n,), or (m, N) for theta (m, n);
-        SI, channels innermost.
+        """Exact nonlinear readings y (N,) at theta (n,), or (m, N) at theta (m, n); SI.
 
-        Raises AssemblyError where a pose cannot be assembled at some theta.
+        Series after series, channels innermost. Raises AssemblyError where a pose
+        cannot be assembled.
         """
         y = self.try_readings(series, theta)
         if np.isnan(y).any():
-            # repeat the failing solve, which raises with the poses by number
+            # Solve again, for the error that states the failing poses.
             for s in series:
                 self._poses(s, np.atleast_2d(theta), strict=True)
             raise AssemblyError(
@@ -303,34 +150,35 @@ class Measurement:
 
     def try_readings(self, series: Sequence[Series], theta: Array) -> Array:
         """As `readings`, with NaN where a pose cannot be assembled."""
-        wide = np.atleast_2d(theta)
-        y = np.hstack([self._read(s, wide) for s in series])
+        vectors = np.atleast_2d(theta)
+        y = np.hstack([self._read(s, vectors) for s in series])
         return y[0] if theta.ndim == 1 else y
 
-    def jacobian(self, series: Sequence[Series], theta: Array) -> Array:
-        """dy/dtheta (N, n) at theta (n,), SI."""
-        return np.vstack([self._slope(s, theta) for s in series])
+    def readings_near(
+        self, series: Sequence[Series], theta: Array
+    ) -> Callable[[Array], Array]:
+        """A faster `try_readings` for vectors (m, n) near theta (n,).
 
-    def response(self, series: Series, theta: Array) -> Response:
-        """Slopes of a series' readings over joints, parameters and set-up, pose by
-        pose, at theta (n,).
+        Newton starts from the pose predicted to first order, x(theta) + dx/dp (p -
+        p(theta)), and needs fewer iterations.
         """
-        p, s = (
-            theta[: len(self.machine.parameters)],
-            theta[self._nuisance[series.setup]],
-        )
-        x = self._poses(series, theta[None], strict=True)[0]
-        by_pose, by_setup, by_machine = self._slopes(series, x, p, s)
-        dq, dp = (
-            self.kinematics.joint_sensitivity(x, series.q, p),
-            self.kinematics.parameter_sensitivity(x, series.q, p),
-        )
-        places = [series.index[:, j] for j in range(series.index.shape[1])]
-        joints = tuple(slope @ dq[k] for slope, k in zip(by_pose, places, strict=True))
-        parameters = [slope @ dp[k] for slope, k in zip(by_pose, places, strict=True)]
-        if by_machine is not None:
-            parameters[0] = parameters[0] + by_machine
-        return Response(joints, tuple(parameters), by_setup)
+        size = len(self.machine.parameters)
+        expansions = []
+        for s in series:
+            x = self.poses(s, theta)
+            slope = self.kinematics.parameter_sensitivity(x, s.q, theta[:size])
+            expansions.append((s, x, slope))
+
+        def readings(vectors: Array) -> Array:
+            change = vectors[:, :size] - theta[:size]
+            y = []
+            for s, x, slope in expansions:
+                start = x + np.einsum("mkp,dp->dmk", slope, change)
+                predicted = dataclasses.replace(s, start=start)
+                y.append(self._read(predicted, vectors, NEAR_STEP_TOLERANCE))
+            return np.hstack(y)
+
+        return readings
 
     def perturbed_readings(
         self,
@@ -340,96 +188,96 @@ class Measurement:
         parameters: Array,
         nuisances: Array,
     ) -> Array:
-        """Exact readings (N,) of a series at theta (n,) where each pose has changes of
-        its own.
+        """Exact readings (N,), SI, where each of m poses has changes of its own.
 
-        joints (m, nq) are added to what the joints do, parameters (m, np) to the
-        machine's, nuisances (n, ns) to the set-up's unknowns at each reading. Raises
-        AssemblyError.
+        joints      (m, nq) added to the joints sent
+        parameters  (m, np) added to the machine's parameters
+        nuisances   (n, ns) added to the set-up's unknowns at each of n readings
+
+        Raises AssemblyError.
         """
-        p, s = (
-            theta[: len(self.machine.parameters)] + parameters,
-            theta[self._nuisance[series.setup]] + nuisances,
-        )
-        q = series.q + joints
+        p, s = self._split(theta, series.setup)
+        p, s, q = p + parameters, s + nuisances, series.q + joints
         x = self.kinematics.forward_per_pose(q, p, series.start)
-        places = [series.index[:, j] for j in range(series.index.shape[1])]
-        view = self._views[series.setup]
-        inner = [*(q[k] for k in places), p[places[0]]] if view.uses_closure else []
-        return view.read([*(x[k] for k in places), s, *inner]).ravel()
+        model, indices = self._models[series.setup], series.pose_indices()
+        inputs = [*(x[k] for k in indices), s]
+        if model.uses_closure:
+            inputs += [*(q[k] for k in indices), p[indices[0]]]
+        return model.read(inputs).ravel()
 
-    def nuisance_slice(self, setup: str) -> slice:
-        """Where the unknowns of a set-up are in theta."""
-        return self._nuisance[setup]
+    def jacobian(self, series: Sequence[Series], theta: Array) -> Array:
+        """dy/dtheta (N, n) at theta (n,), SI. Raises AssemblyError."""
+        return np.vstack([self._jacobian(s, theta) for s in series])
 
-    def setup_of_readings(self, series: Sequence[Series]) -> list[str]:
-        """Set-up of each reading (N,), in the order of `readings`."""
-        return [
-            s.setup
-            for s in series
-            for _ in range(len(s) * len(self.setups[s.setup].sigma))
-        ]
+    def response(self, series: Series, theta: Array) -> Response:
+        """Slopes of a series' readings over joints, parameters and nuisances, by pose.
 
-    def sigma(self, series: Sequence[Series]) -> Array:
-        """Noise standard deviation (N,) of each reading, SI."""
-        return self.noise(series).sigma
+        At theta (n,). Raises AssemblyError.
+        """
+        p, s = self._split(theta, series.setup)
+        x = self.poses(series, theta)
+        by_pose, by_setup, by_parameter = self._slopes(series, x, p, s)
+        by_joint = self.kinematics.joint_sensitivity(x, series.q, p)
+        sensitivity = self.kinematics.parameter_sensitivity(x, series.q, p)
+        pairs = list(zip(by_pose, series.pose_indices(), strict=True))
+        joints = [slope @ by_joint[k] for slope, k in pairs]
+        parameters = [slope @ sensitivity[k] for slope, k in pairs]
+        if by_parameter is not None:
+            parameters[0] = parameters[0] + by_parameter
+        return Response(tuple(joints), tuple(parameters), by_setup)
+
+    def poses(self, series: Series, theta: Array) -> Array:
+        """True poses (m, nx) of a series at theta (n,). Raises AssemblyError."""
+        return np.asarray(self._poses(series, theta[None], strict=True)[0])
+
+    # -- noise, and what belongs to each reading ---------------------------------------
 
     def noise(self, series: Sequence[Series]) -> Noise:
-        """Noise of the readings, at their nominal poses, SI."""
-        return noise.concatenate_noise([self._noise(s) for s in series])
-
-    def reading_length_factors(self, series: Sequence[Series]) -> Array:
-        """Factor (N,) that turns each reading into a length (m): the machine's lever
-        for angles and ratios.
-        """
-        lever = self.machine.lever
-        return np.concatenate(
+        """Stated noise of the readings (N,) at their nominal poses, SI."""
+        return concatenate_noise(
             [
-                np.tile(
-                    [
-                        1.0 if c.unit == "m" else lever
-                        for c in self.setups[s.setup].instrument.channels
-                    ],
-                    len(s),
+                reading_noise.stated_noise(
+                    self.setups[s.setup], self._models[s.setup], s
                 )
                 for s in series
             ]
         )
 
-    def readings_near(
-        self, series: Sequence[Series], theta: Array
-    ) -> Callable[[Array], Array]:
-        """`try_readings` of the series for many thetas (m, n) near `theta` (n,): fewer
-        Newton iterations.
+    def sigma(self, series: Sequence[Series]) -> Array:
+        """Standard deviation (N,) of each reading's stated noise, SI."""
+        return self.noise(series).sigma
 
-        Each solve starts from the pose predicted to first order, x(theta) + dx/dp (p -
-        p(theta)).
-        """
-        np_ = len(self.machine.parameters)
-        known = []
+    def reading_covariances(self, series: Series) -> Array:
+        """Covariance (n, channels, channels), SI, of each reading without its run's."""
+        setup, model = self.setups[series.setup], self._models[series.setup]
+        return reading_noise.reading_covariances(setup, model, series)
+
+    def setup_of_readings(self, series: Sequence[Series]) -> list[str]:
+        """Set-up of each reading (N,), in the order of `readings`."""
+        setups: list[str] = []
         for s in series:
-            x = self._poses(s, theta[None], strict=True)[0]
-            known.append(
-                (s, x, self.kinematics.parameter_sensitivity(x, s.q, theta[:np_]))
-            )
+            setups += [s.setup] * (len(s) * len(self.setups[s.setup].sigma))
+        return setups
 
-        def readings(many: Array) -> Array:
-            move = many[:, :np_] - theta[:np_]
-            moved = [(s, x + np.einsum("mkp,dp->dmk", dx, move)) for s, x, dx in known]
-            return np.hstack(
-                [
-                    self._read(
-                        dataclasses.replace(s, start=start), many, NEAR_STEP_TOLERANCE
-                    )
-                    for s, start in moved
-                ]
-            )
+    def reading_length_factors(self, series: Sequence[Series]) -> Array:
+        """Factor (N,) that turns each reading into a length, m.
 
-        return readings
+        It is the machine's lever for angles and ratios.
+        """
+        lever = self.machine.lever
+        factors = []
+        for s in series:
+            channels = self.setups[s.setup].instrument.channels
+            of_reading = [1.0 if c.unit == "m" else lever for c in channels]
+            factors.append(np.tile(of_reading, len(s)))
+        return np.concatenate(factors)
 
-    def poses(self, series: Series, theta: Array) -> Array:
-        """True poses (m, nx) of a series at theta (n,)."""
-        return np.asarray(self._poses(series, theta[None], strict=True)[0])
+    # -- one series --------------------------------------------------------------------
+
+    def _split(self, theta: Array, setup: str) -> tuple[Array, Array]:
+        """The machine's parameters and a set-up's nuisances in theta (..., n)."""
+        p = theta[..., : len(self.machine.parameters)]
+        return p, theta[..., self.nuisance_slice(setup)]
 
     def _poses(
         self,
@@ -437,136 +285,98 @@ class Measurement:
         theta: Array,
         *,
         strict: bool,
-        step: float = STEP_TOLERANCE,
+        step_tolerance: float = STEP_TOLERANCE,
     ) -> Array:
+        """Poses (m, poses, nx) at theta (m, n); NaN for failures unless `strict`."""
         p = theta[:, : len(self.machine.parameters)]
-        if len(p) == 1 and step == STEP_TOLERANCE:
-            return self._poses_again(series, p, strict=strict)
+        if len(p) == 1 and step_tolerance == STEP_TOLERANCE:
+            return self._poses_at_one(series, p, strict=strict)
         if strict:
             return self.kinematics.forward(series.q, p, series.start)
-        x, bad = self.kinematics.try_forward(series.q, p, series.start, step)
-        return np.where(bad[..., None], np.nan, x)
+        x, failed = self.kinematics.try_forward(
+            series.q, p, series.start, step_tolerance
+        )
+        return np.where(failed[..., None], np.nan, x)
 
-    def _poses_again(self, series: Series, p: Array, *, strict: bool) -> Array:
-        """Poses (1, n, nx) at one parameter vector (1, np), kept for each set-up: a fit
-        asks for the slopes where it has just asked for the readings.
-        """
-        if series.setup in self._last:
-            of, at, x = self._last[series.setup]
-            if of is series and np.array_equal(at, p):
-                return x
+    def _poses_at_one(self, series: Series, p: Array, *, strict: bool) -> Array:
+        """Poses (1, poses, nx) at one parameter vector (1, np), solved once."""
+        arguments = (series.q, p, series.start)
+        x = self._poses_at.recall(series.setup, *arguments)
+        if x is not None:
+            return x
         if strict:
-            x = self.kinematics.forward(series.q, p, series.start)
+            x = self.kinematics.forward(*arguments)
         else:
-            x, bad = self.kinematics.try_forward(series.q, p, series.start)
-            if bad.any():
-                return np.where(bad[..., None], np.nan, x)
-        x.flags.writeable = False
-        self._last[series.setup] = series, p.copy(), x
+            x, failed = self.kinematics.try_forward(*arguments)
+            if failed.any():
+                return np.where(failed[..., None], np.nan, x)
+        self._poses_at.store(series.setup, x, *arguments)
         return x
 
     def _read(
-        self, series: Series, theta: Array, step: float = STEP_TOLERANCE
+        self, series: Series, theta: Array, step_tolerance: float = STEP_TOLERANCE
     ) -> Array:
-        x = self._poses(series, theta, strict=False, step=step)
-        s = theta[:, self._nuisance[series.setup]]
+        """Readings (m, N of the series) at theta (m, n), NaN where not assembled."""
+        x = self._poses(series, theta, strict=False, step_tolerance=step_tolerance)
+        p, s = self._split(theta, series.setup)
         m, n = theta.shape[0], len(series)
-        frames = [
-            x[:, series.index[:, j]].reshape(m * n, -1)
-            for j in range(series.index.shape[1])
-        ]
-        view = self._views[series.setup]
-        inner: list[Array] = []
-        if view.uses_closure:
-            inner = [
-                np.tile(series.q[series.index[:, j]], (m, 1))
-                for j in range(series.index.shape[1])
-            ]
-            inner.append(np.repeat(theta[:, : len(self.machine.parameters)], n, axis=0))
-        return view.read([*frames, np.repeat(s, n, axis=0), *inner]).reshape(m, -1)
+        model, indices = self._models[series.setup], series.pose_indices()
+        inputs = [x[:, k].reshape(m * n, -1) for k in indices]
+        inputs.append(np.repeat(s, n, axis=0))
+        if model.uses_closure:
+            inputs += [np.tile(series.q[k], (m, 1)) for k in indices]
+            inputs.append(np.repeat(p, n, axis=0))
+        return model.read(inputs).reshape(m, -1)
 
-    def _noise(self, series: Series) -> Noise:
-        setup = self.setups[series.setup]
-        channels = setup.instrument.channels
-        sigma = np.tile(setup.sigma, len(series))
-        shared = np.array([c.shared for c in channels]) * setup.sigma
-        if setup.instrument.sources is None and not shared.any():
-            return Noise(sigma)
-        own = self.reading_covariances(series)
-        places, covariances = [], []
-        for run in dict.fromkeys(series.run):
-            members = np.flatnonzero(series.run == run)
-            place = (
-                members[:, None] * len(channels) + np.arange(len(channels))
-            ).ravel()
-            common = np.kron(np.ones((len(members), len(members))), np.diag(shared**2))
-            covariances.append(linalg.block_diag(*own[members]) + common)
-            places.append(place)
-        return noise.block_noise(covariances, places)
-
-    def reading_covariances(self, series: Series) -> Array:
-        """Covariance (n, channels, channels), SI, of each reading by itself, without
-        what its run shares.
-        """
-        setup = self.setups[series.setup]
-        if setup.instrument.sources is None:
-            return np.tile(np.diag(np.square(setup.sigma)), (len(series), 1, 1))
-        frames = [
-            series.start[series.index[:, j]] for j in range(series.index.shape[1])
-        ]
-        unknown = np.array([n.nominal for n in setup.nuisances])
-        slopes = self._views[series.setup].sources(frames, unknown)
-        factor = np.array(
-            [
-                s / c.sigma
-                for s, c in zip(setup.sigma, setup.instrument.channels, strict=True)
-            ]
-        )
-        root = slopes * factor[:, None]
-        return np.asarray(root @ np.swapaxes(root, 1, 2))
-
-    def _slope(self, series: Series, theta: Array) -> Array:
-        p, s = (
-            theta[: len(self.machine.parameters)],
-            theta[self._nuisance[series.setup]],
-        )
-        x = self._poses(series, theta[None], strict=True)[0]
+    def _jacobian(self, series: Series, theta: Array) -> Array:
+        p, s = self._split(theta, series.setup)
+        x = self.poses(series, theta)
         self.kinematics.check_regular(x, series.q, p)
-        dx = self.kinematics.parameter_sensitivity(x, series.q, p)
-        by_pose, by_setup, by_machine = self._slopes(series, x, p, s)
+        sensitivity = self.kinematics.parameter_sensitivity(x, series.q, p)
+        by_pose, by_setup, by_parameter = self._slopes(series, x, p, s)
         rows = np.zeros((len(series), by_setup.shape[1], len(theta)))
-        for j, slope in enumerate(by_pose):
-            rows[:, :, : len(p)] += slope @ dx[series.index[:, j]]
-        if by_machine is not None:
-            rows[:, :, : len(p)] += by_machine
-        rows[:, :, self._nuisance[series.setup]] = by_setup
+        of_machine = rows[:, :, : len(p)]
+        for slope, k in zip(by_pose, series.pose_indices(), strict=True):
+            of_machine += slope @ sensitivity[k]
+        if by_parameter is not None:
+            of_machine += by_parameter
+        rows[:, :, self.nuisance_slice(series.setup)] = by_setup
         return rows.reshape(-1, len(theta))
 
     def _slopes(
         self, series: Series, x: Array, p: Array, s: Array
     ) -> tuple[list[Array], Array, Array | None]:
-        """Slopes (n, channels, .) of a series' readings over each pose, over s, and
-        over p beside the poses.
-        """
-        frames = [x[series.index[:, j]] for j in range(series.index.shape[1])]
-        view = self._views[series.setup]
-        inner = (
-            [*(series.q[series.index[:, j]] for j in range(series.index.shape[1])), p]
-            if view.uses_closure
-            else []
-        )
-        return view.slopes([*frames, s, *inner])
+        """Slopes of a series' readings, as `ObservationModel.slopes`."""
+        model, indices = self._models[series.setup], series.pose_indices()
+        inputs = [*(x[k] for k in indices), s]
+        if model.uses_closure:
+            inputs += [*(series.q[k] for k in indices), p]
+        return model.slopes(inputs)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Response:
-    """How n readings of a set-up answer to changes at the poses they see, SI.
+    """Slopes of n readings of a set-up over changes at the poses they see, SI.
 
-    joints      for each pose of a reading, (n, channels, nq);  parameters likewise, (n,
-                channels, np)
-    nuisances   (n, channels, ns) to the set-up's unknowns at the time of the reading
+    joints      for each pose of a reading, (n, channels, nq)
+    parameters  for each pose of a reading, (n, channels, np)
+    nuisances   (n, channels, ns), over the set-up's unknowns at the time of the reading
     """
 
     joints: tuple[Array, ...]
     parameters: tuple[Array, ...]
     nuisances: Array
+
+
+def _check_fit(machine: Machine, setup: Setup) -> None:
+    reason = setup.instrument.unfit(machine)
+    if reason is not None:
+        raise ValueError(
+            f"set-up {setup.name}: {setup.instrument.name} cannot read {machine.name}:"
+            f" {reason}"
+        )
+
+
+def _labels(run: Sequence[str] | None, count: int) -> np.ndarray:
+    """Run (count,) of each pose; `1` for all by default."""
+    return np.array(["1"] * count if run is None else list(run), dtype=np.str_)

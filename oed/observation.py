@@ -1,6 +1,4 @@
-"""One set-up's reading and its slopes, compiled: what an instrument sees of a machine's
-poses.
-"""
+"""Observation model of one set-up: its readings and their slopes, compiled by CasADi."""
 
 from __future__ import annotations
 
@@ -10,75 +8,76 @@ import casadi as ca
 
 from oed.arrays import Array
 from oed.batch import BatchedFunction
+from oed.expressions import closure_misfit, symbols
 from oed.instrument import Frame, Setup
-from oed.kinematics import closure_misfit, symbols
 from oed.machine import Machine
 
 
 class ObservationModel:
-    """One set-up's observation g(x_1, x_2, s) and its slopes, compiled.
+    """Reading y = g(x_1, x_2, s) of one set-up, and its slopes.
 
-    Where the instrument reads what the poses alone do not tell (a redundant machine's
-    misfit), `inner` is true and g depends on the joints of each pose and the machine's
-    parameters as well: inputs x_1, x_2, s, q_1, q_2, p.
+    A reading sees one pose or two; s are the set-up's nuisances. Where the instrument
+    reads the misfit of a redundant machine, `uses_closure` is true. Then g depends on
+    the joints of each pose and on the machine's parameters as well: its inputs are
+    x_1, x_2, s, q_1, q_2, p.
     """
 
     def __init__(self, machine: Machine, setup: Setup) -> None:
-        p, ps = symbols("p", machine.parameters)
+        instrument = setup.instrument
+        p, p_by_name = symbols("p", machine.parameters)
+        s, s_by_name = symbols("s", setup.nuisances)
         poses, joints, frames = [], [], []
-        for j in range(setup.instrument.arity):
-            x, xs = symbols(f"x{j}", machine.pose)
-            q, qs = symbols(f"q{j}", machine.joints)
-            rotation, point = machine.platform(xs)
-            gap = closure_misfit(ca.vertcat(*machine.closure(xs, qs, ps)), x)
+        for j in range(instrument.arity):
+            x, x_by_name = symbols(f"x{j}", machine.pose)
+            q, q_by_name = symbols(f"q{j}", machine.joints)
+            rotation, origin = machine.platform(x_by_name)
+            phi = ca.vertcat(*machine.closure(x_by_name, q_by_name, p_by_name))
+            tip = origin + rotation @ ca.DM(setup.tool)
             poses.append(x)
             joints.append(q)
-            frames.append(Frame(rotation, point + rotation @ ca.DM(setup.tool), gap))
-        s, ss = symbols("s", setup.nuisances)
-        y = ca.vertcat(*setup.instrument.observe(frames, ss, setup.settings))
+            frames.append(Frame(rotation, tip, closure_misfit(phi, x)))
+        y = ca.vertcat(*instrument.observe(frames, s_by_name, setup.settings))
         self.uses_closure = bool(ca.depends_on(y, ca.vertcat(*joints, p)))
-        known = [*poses, s, *joints, p] if self.uses_closure else [*poses, s]
-        slopes = [
-            ca.jacobian(y, v)
-            for v in ([*poses, s, p] if self.uses_closure else [*poses, s])
-        ]
-        self._arity, self._channels = (
-            setup.instrument.arity,
-            len(setup.instrument.channels),
-        )
-        self._sizes = [len(machine.pose)] * self._arity + [
-            len(setup.nuisances),
-            len(machine.parameters),
-        ]
-        sources = setup.instrument.sources
-        spread = ca.SX(1, 1) if sources is None else sources(frames, ss, setup.settings)
-        self._sources = BatchedFunction("sources", [*poses, s], [ca.vec(spread)])
-        self._spread = spread.shape
-        self._value = BatchedFunction("read", known, [y])
-        self._slope = BatchedFunction("slope", known, slopes)
+        inputs, over = [*poses, s], [*poses, s]
+        if self.uses_closure:
+            inputs, over = [*poses, s, *joints, p], [*poses, s, p]
+        slopes = [ca.jacobian(y, v) for v in over]
+        sources = ca.SX(1, 1)
+        if instrument.sources is not None:
+            sources = instrument.sources(frames, s_by_name, setup.settings)
 
-    def read(self, known: Sequence[Array]) -> Array:
-        """Channels (n, channels) at the poses (n, nx), s, and what else it depends on."""
-        return self._value(*known)[0]
+        self._arity = instrument.arity
+        self._channels = len(instrument.channels)
+        self._sizes = [v.numel() for v in over]
+        self._sources_shape = sources.shape
+        self._value = BatchedFunction("read", inputs, [y])
+        self._slopes = BatchedFunction("slope", inputs, slopes)
+        self._sources = BatchedFunction("sources", [*poses, s], [ca.vec(sources)])
 
-    def sources(self, frames: Sequence[Array], s: Array) -> Array:
-        """Slopes (n, channels, sources) from the instrument's independent errors."""
-        rows, columns = self._spread
-        return (
-            self._sources(*frames, s)[0].reshape(-1, columns, rows).transpose(0, 2, 1)
-        )
+    def read(self, inputs: Sequence[Array]) -> Array:
+        """Readings (n, channels), SI, at the inputs of g: each (n, size) or (size,)."""
+        return self._value(*inputs)[0]
 
-    def slopes(self, known: Sequence[Array]) -> tuple[list[Array], Array, Array | None]:
-        """Slopes (n, channels, .) over each pose, over s, and over p beside what the
-        poses carry.
+    def sources(self, poses: Sequence[Array], s: Array) -> Array:
+        """Slopes (n, channels, sources) over the instrument's independent errors.
+
+        Poses (n, nx), s (ns,). Only for instruments that state their sources.
         """
-        n = known[0].shape[0]
-        shaped = [
-            b.reshape(n, self._channels, size)
-            for b, size in zip(self._slope(*known), self._sizes, strict=False)
+        rows, columns = self._sources_shape
+        flat = self._sources(*poses, s)[0]  # column by column, as CasADi stores
+        return flat.reshape(-1, columns, rows).transpose(0, 2, 1)
+
+    def slopes(
+        self, inputs: Sequence[Array]
+    ) -> tuple[list[Array], Array, Array | None]:
+        """Slopes (n, channels, size) over each pose, over s, and over p at fixed poses.
+
+        The last is None unless g uses the closure.
+        """
+        n = inputs[0].shape[0]
+        slopes = [
+            slope.reshape(n, self._channels, size)
+            for slope, size in zip(self._slopes(*inputs), self._sizes, strict=True)
         ]
-        return (
-            shaped[: self._arity],
-            shaped[self._arity],
-            shaped[-1] if self.uses_closure else None,
-        )
+        by_pose, by_setup = slopes[: self._arity], slopes[self._arity]
+        return by_pose, by_setup, slopes[-1] if self.uses_closure else None

@@ -1,8 +1,8 @@
-"""Virtual machines: readings of a machine whose true parameters are known.
+"""Virtual machines: true parameters drawn from the tolerances, and their readings.
 
-The virtual machine obeys the exact closure at parameters the identification does not
-know; its controller believes in the nominal ones. (Tests of the model itself use
-machines written independently of this code.)
+A virtual machine obeys the exact closure at its true parameters, which the
+identification does not know; its controller uses the nominal ones. Tests of the model
+itself use machines that are written independently of this code.
 """
 
 from __future__ import annotations
@@ -18,15 +18,11 @@ from oed.measurement import Measurement, Series
 def draw_parameters(
     measurement: Measurement, rng: np.random.Generator, machines: int | None = None
 ) -> Array:
-    """True parameters theta (n,) or (machines, n), drawn from the tolerances about
-    nominal.
-    """
-    shape = (
-        (len(measurement.parameters),)
-        if machines is None
-        else (machines, len(measurement.parameters))
-    )
-    return measurement.nominal + measurement.tolerance * rng.standard_normal(shape)
+    """Draw true parameters theta (n,) or (machines, n), SI, about nominal."""
+    n = len(measurement.parameters)
+    shape = (n,) if machines is None else (machines, n)
+    deviation = measurement.tolerance * rng.standard_normal(shape)
+    return np.asarray(measurement.nominal + deviation)
 
 
 def draw_readings(
@@ -35,8 +31,9 @@ def draw_readings(
     truth: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Noisy readings y (N,) or (m, N) of machines with parameters `truth` (n,) or (m,
-    n), SI.
+    """Draw noisy readings y (N,) or (m, N), SI, of machines at `truth` (n,) or (m, n).
+
+    Raises AssemblyError where a pose cannot be assembled.
     """
     exact = measurement.readings(series, truth)
     return exact + measurement.noise(series).draw(rng, exact.shape)

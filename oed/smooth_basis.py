@@ -1,15 +1,13 @@
-"""Random smooth curves over a span, and fields over several coordinates, told by a few
-modes.
+"""Bases of random smooth curves and fields: their leading Karhunen-Loeve modes.
 
-A curve of standard deviation 1 whose values hang together over a reach r has, at a
-distance d, Matern's correlation
+A curve of standard deviation 1 and correlation length r has, at a distance d, Matern's
+correlation for 3/2,
 
     (1 + a d) exp(-a d),    a = sqrt(3) / r,
 
 that of curves with a slope everywhere (Rasmussen and Williams 2006, Gaussian Processes
-for Machine Learning, eq. 4.17). Its Karhunen-Loeve modes are the orthogonal curves
-whose sum with independent N(0, 1) coefficients is such a curve; the first few hold
-nearly all of it.
+for Machine Learning, eq. 4.17). The modes are orthogonal curves whose sum with
+independent N(0, 1) coefficients is such a curve; the first few hold nearly all of it.
 """
 
 from __future__ import annotations
@@ -20,52 +18,59 @@ import numpy as np
 
 from oed.arrays import Array
 
+#: places in the span at which a curve's modes are computed
 POINTS = 200
 
 
 def curve_mode(
     at: Array, number: int, *, correlation_length: float, count: int, detrend: int = 0
 ) -> Array:
-    """Mode `number` of the `count` largest at places (...) in a span from -1 to 1; held
-    at its end beyond.
+    """One of the `count` largest modes of a smooth curve over the span from -1 to 1.
 
-    reach     r, where the span is 2 long;  straight: 1 for curves without their mean, 2
-              without their slope either
+    at                  (...) places; beyond the span the mode keeps its end value
+    number              of the mode, 0 for the largest
+    correlation_length  where the span is 2 long
+    detrend             1 for curves without their mean, 2 without their slope either
     """
-    grid, made = _modes(correlation_length, count, detrend)
-    return np.asarray(np.interp(at, grid, made[number]))
+    grid, modes = _curve_modes(correlation_length, count, detrend)
+    return np.asarray(np.interp(at, grid, modes[number]))
 
 
 @functools.cache
-def _modes(reach: float, count: int, straight: int) -> tuple[Array, Array]:
-    """Places (k,) in the span, and the modes there (count, k), the largest first."""
+def _curve_modes(
+    correlation_length: float, count: int, detrend: int
+) -> tuple[Array, Array]:
+    """Places (POINTS,) in the span, and the modes (count, POINTS), largest first."""
     grid: Array = (np.arange(POINTS, dtype=float) + 0.5) * (2.0 / POINTS) - 1.0
-    way = np.sqrt(3.0) / reach * np.abs(grid[:, None] - grid)
-    lines = np.linalg.qr(np.vander(grid, straight))[0]
-    left = np.eye(POINTS) - lines @ lines.T
-    values, vectors = np.linalg.eigh(left @ ((1.0 + way) * np.exp(-way)) @ left)
-    return np.asarray(grid), np.asarray(
-        (np.sqrt(values[-count:]) * vectors[:, -count:]).T[::-1]
-    )
+    distance = np.abs(grid[:, None] - grid)
+    trend = np.linalg.qr(np.vander(grid, detrend))[0]
+    projection = np.eye(POINTS) - trend @ trend.T
+    correlation = _matern(distance, correlation_length)
+    values, vectors = np.linalg.eigh(projection @ correlation @ projection)
+    modes = np.sqrt(values[-count:]) * vectors[:, -count:]
+    return np.asarray(grid), np.asarray(modes.T[::-1])
 
 
 def field_modes(
     places: Array, *, correlation_length: float, energy_share: float, count: int
 ) -> Array:
-    """Modes (m, k) of a field of standard deviation 1 with the same correlation of
-    places (m, n), the largest first.
+    """Largest modes (m, k) of a smooth field at places (m, n), largest first.
 
-    share   of the field's energy in these places that the modes hold, of at most
-            `count` modes
+    As many modes as hold `energy_share` of the field's energy at these places, `count`
+    at most.
     """
-    there, back = np.unique(np.round(places, 9), axis=0, return_inverse=True)
-    way = (
-        np.sqrt(3.0)
-        / correlation_length
-        * np.linalg.norm(there[:, None] - there, axis=-1)
-    )
-    values, vectors = np.linalg.eigh((1.0 + way) * np.exp(-way))
+    distinct, place = np.unique(np.round(places, 9), axis=0, return_inverse=True)
+    distance = np.linalg.norm(distinct[:, None] - distinct, axis=-1)
+    values, vectors = np.linalg.eigh(_matern(distance, correlation_length))
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-    enough = int(np.searchsorted(np.cumsum(values), energy_share * values.sum())) + 1
-    kept = min(enough, count)
-    return np.asarray((vectors[:, :kept] * np.sqrt(values[:kept]))[back.ravel()])
+    wanted = energy_share * values.sum()
+    needed = int(np.searchsorted(np.cumsum(values), wanted)) + 1
+    size = min(needed, count)
+    modes = vectors[:, :size] * np.sqrt(values[:size])
+    return np.asarray(modes[place.ravel()])
+
+
+def _matern(distance: Array, correlation_length: float) -> Array:
+    """Matern's correlation of order 3/2 at distances, of the same shape."""
+    scaled = np.sqrt(3.0) / correlation_length * distance
+    return np.asarray((1.0 + scaled) * np.exp(-scaled))

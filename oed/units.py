@@ -1,7 +1,7 @@
-"""Units at the edge: the only file that holds a unit factor.
+"""Unit factors and conversions; no other file holds a unit factor.
 
-Inside, every number is SI (metre, radian, second, newton, kelvin). A unit lives in the
-name of a field or a column (`sigma_um`, `theta_deg`) and is split off here.
+Inside, every number is SI (metre, radian, second, newton, kelvin). Files and tables
+carry the unit in the name of a field or column (`sigma_um`, `theta_deg`).
 """
 
 from __future__ import annotations
@@ -14,27 +14,42 @@ from numpy.typing import ArrayLike
 
 from oed.arrays import Array
 
+#: factors to SI: `3.0 * MM` is three millimetres in metres
+MM: Final = 1e-3
+UM: Final = 1e-6
+NM: Final = 1e-9
+MRAD: Final = 1e-3
+URAD: Final = 1e-6
+DEG: Final = math.pi / 180.0
+ARCSEC: Final = math.pi / 648000.0
+MINUTE: Final = 60.0
+HOUR: Final = 3600.0
+MM_PER_MIN: Final = MM / MINUTE
+PPM: Final = 1e-6
+PERCENT: Final = 1e-2
+MEGABYTE: Final = 1e6
+
 #: unit suffix -> (SI unit, factor to SI)
 UNITS: Final[dict[str, tuple[str, float]]] = {
     "m": ("m", 1.0),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "nm": ("m", 1e-9),
+    "mm": ("m", MM),
+    "um": ("m", UM),
+    "nm": ("m", NM),
     "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "urad": ("rad", 1e-6),
-    "deg": ("rad", math.pi / 180.0),
-    "arcsec": ("rad", math.pi / 648000.0),
+    "mrad": ("rad", MRAD),
+    "urad": ("rad", URAD),
+    "deg": ("rad", DEG),
+    "arcsec": ("rad", ARCSEC),
     "s": ("s", 1.0),
-    "min": ("s", 60.0),
-    "h": ("s", 3600.0),
+    "min": ("s", MINUTE),
+    "h": ("s", HOUR),
     "N": ("N", 1.0),
     "C": ("K", 1.0),  # a temperature difference to the reference state
-    "ppm": ("1", 1e-6),
+    "ppm": ("1", PPM),
     "1": ("1", 1.0),
 }
 
-#: what a person wants to read a quantity in, by its SI unit
+#: unit in which a person reads a quantity, by its SI unit
 DISPLAY: Final[dict[str, str]] = {
     "m": "mm",
     "rad": "mrad",
@@ -44,7 +59,7 @@ DISPLAY: Final[dict[str, str]] = {
     "1": "1",
 }
 
-#: the finer unit in which residual errors are told
+#: finer unit for residuals and predicted errors, by SI unit
 FINE: Final[dict[str, str]] = {
     "m": "um",
     "rad": "arcsec",
@@ -56,40 +71,36 @@ FINE: Final[dict[str, str]] = {
 
 
 class UnitError(ValueError):
-    """A unit that is not known, or not of the wanted kind."""
+    """A unit that is unknown, or that measures another kind of quantity."""
 
 
 def factor(unit: str) -> float:
-    """Factor that turns a value in `unit` into SI; raises UnitError for an unknown
-    unit.
-    """
+    """Factor that turns a value in `unit` into SI. Raises UnitError."""
     return _entry(unit)[1]
 
 
 def si_unit(unit: str) -> str:
-    """SI unit ("m", "rad", "s", "N", "K" or "1") that `unit` measures."""
+    """SI unit (m, rad, s, N, K or 1) of the quantity `unit` measures. Raises UnitError."""
     return _entry(unit)[0]
 
 
 def to_si(value: ArrayLike, unit: str) -> Array:
-    """Values given in `unit` as SI floats."""
+    """Convert values in `unit` to SI. Raises UnitError."""
     return np.asarray(value, dtype=float) * factor(unit)
 
 
 def from_si(value: ArrayLike, unit: str) -> Array:
-    """SI values as floats in `unit`."""
+    """Convert SI values to `unit`. Raises UnitError."""
     return np.asarray(value, dtype=float) / factor(unit)
 
 
 def number(value: float, unit: str) -> float:
-    """One SI value as a plain float in `unit`."""
+    """Convert one SI value to a plain float in `unit`. Raises UnitError."""
     return float(from_si(value, unit))
 
 
 def split(name: str) -> tuple[str, str]:
-    """`sigma_um` -> ("sigma", "um"). Raises UnitError where the name ends in no known
-    unit.
-    """
+    """Split a name from its unit: `sigma_um` gives ("sigma", "um"). Raises UnitError."""
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in UNITS:
         raise UnitError(
@@ -99,15 +110,12 @@ def split(name: str) -> tuple[str, str]:
     return stem, unit
 
 
-def display(unit: str) -> str:
-    """Unit in which a person reads a quantity whose SI unit is `unit`."""
-    return DISPLAY[unit]
+def display(si: str) -> str:
+    """Unit in which a person reads a quantity with SI unit `si`."""
+    return DISPLAY[si]
 
 
 def _entry(unit: str) -> tuple[str, float]:
-    try:
-        return UNITS[unit]
-    except KeyError:
-        raise UnitError(
-            f"unknown unit {unit!r}; known are {', '.join(sorted(UNITS))}"
-        ) from None
+    if unit not in UNITS:
+        raise UnitError(f"unknown unit {unit!r}; known are {', '.join(sorted(UNITS))}")
+    return UNITS[unit]

@@ -15,8 +15,8 @@ import sample
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from oed import dataset, readings_table, units
-from oed.dataset import Dataset, ReadingsError
+from oed import dataset, units
+from oed.dataset import Dataset, ReadingsError, columns, table
 from oed.measurement import Measurement
 
 
@@ -227,12 +227,12 @@ def test_a_plan_to_fill_in_has_empty_readings(
     unit=st.sampled_from(sorted(units.UNITS)),
 )
 def test_a_column_says_its_unit(stem: str, unit: str) -> None:
-    if stem in (*readings_table.UNITLESS, *readings_table.LABELS) or (stem, unit) == (
+    if stem in (*columns.UNITLESS, *columns.LABELS) or (stem, unit) == (
         "feed",
         "mm_min",
     ):
         return
-    column = readings_table.parse_column(f"{stem}_{unit}")
+    column = columns.parse_column(f"{stem}_{unit}")
     assert (column.stem, column.unit, column.factor) == (
         stem,
         units.si_unit(unit),
@@ -241,7 +241,7 @@ def test_a_column_says_its_unit(stem: str, unit: str) -> None:
 
 
 def test_feed_is_a_length_in_a_minute() -> None:
-    column = readings_table.parse_column("feed_mm_min")
+    column = columns.parse_column("feed_mm_min")
     assert (column.stem, column.unit, column.factor) == (
         "feed",
         "m/s",
@@ -343,7 +343,7 @@ def test_refused_as_text(
 def test_a_huge_file_is_refused_unread(head: Measurement, tmp_path: Path) -> None:
     path = tmp_path / "huge.csv"
     with path.open("wb") as file:
-        file.truncate(readings_table.MAX_BYTES + 1)
+        file.truncate(table.MAX_BYTES + 1)
     with pytest.raises(ReadingsError, match="too large"):
         dataset.load(path, head)
 

@@ -25,7 +25,8 @@ import numpy as np
 from oed.arrays import Array, Index, Mask
 from oed.batch import BatchedFunction
 from oed.design.segments import Capsule, segment_distance
-from oed.kinematics import AssemblyError, Kinematics, symbols
+from oed.expressions import symbols
+from oed.kinematics import AssemblyError, Kinematics
 from oed.measurement import Measurement, Series
 
 #: moves commands (n, n_dof) to where an instrument guides the tool, and says where (n,)

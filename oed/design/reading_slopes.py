@@ -19,9 +19,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from oed.expressions import closure_misfit, symbols
 from oed.information import Scaling, column_scale
 from oed.instrument import Frame, Setup
-from oed.kinematics import closure_misfit, symbols
 from oed.machine import Machine
 from oed.measurement import Measurement
 

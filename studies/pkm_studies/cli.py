@@ -20,7 +20,7 @@ INTERRUPTED = 130
 KERNEL_ERRORS = {
     "oed.units": "UnitError",
     "oed.kinematics": "AssemblyError",
-    "oed.readings_table": "ReadingsError",
+    "oed.dataset.table": "ReadingsError",
     "oed.identify": "IdentificationError",
 }
 

@@ -9,7 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.kinematics import AssemblyError, Kinematics, symbols
+from oed.expressions import symbols
+from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Machine
 from pkm_studies.errors import Place, shorten
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from oed import dataset, readings_table
+from oed import dataset
 from oed.dataset import Dataset, ReadingsError
+from oed.dataset import table as readings_table
 from oed.measurement import Measurement
 from pkm_studies.data_sources import SOURCES
 from pkm_studies.data_sources.tables import Row

@@ -175,7 +175,7 @@ def test_a_bar_leads_the_tool_on_a_sphere() -> None:
 def test_only_a_bar_holds_a_reading() -> None:
     m = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe")])
     with pytest.raises(
-        ValueError, match="height_probe holds no reading: give theta itself"
+        ValueError, match="height_probe holds no reading by design: give theta itself"
     ):
         m.commands_at_fixed_reading(
             "probe", a3_head.machine.home_command[None], "theta"

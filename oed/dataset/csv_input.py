@@ -1,0 +1,175 @@
+"""Readings from CSV files: tables merged, checked and turned into series."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from oed.arrays import Array, Index, Mask
+from oed.dataset import checks, table
+from oed.dataset.columns import ReadingsColumn, column_name, is_covariate
+from oed.dataset.data import Dataset, column_layouts
+from oed.dataset.table import ORDER_REMEDY, ROW, ReadingsError, ReadingsFile
+from oed.kinematics import AssemblyError
+from oed.measurement import Measurement, Series
+
+
+def load(path: Path | Sequence[Path], measurement: Measurement) -> Dataset:
+    """Load the readings of one file, or of several together.
+
+    Raises ReadingsError for readings that do not fit, OSError for files.
+    """
+    paths = [path] if isinstance(path, Path) else list(path)
+    expected = checks.expected_columns(measurement)
+    return from_tables([table.read(p, expected) for p in paths], measurement)
+
+
+def from_tables(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dataset:
+    """Make a dataset of checked tables, for a machine and its set-ups.
+
+    Raises ReadingsError.
+    """
+    for one in tables:
+        checks.check_columns(one, measurement)
+    merged = _merge(tables)
+    checks.check_setups(merged, measurement)
+    names = merged.frame["setup"].to_numpy()
+    used = [name for name in measurement.setups if (names == name).any()]
+    parts = [_setup_readings(merged, measurement, name) for name in used]
+    series = tuple(part.series for part in parts if part.series is not None)
+    if not series:
+        raise ReadingsError(
+            "no reading was taken",
+            "every reading's cell is empty: fill some",
+            file=merged.file,
+        )
+    covariates = [part.covariates for part in parts]
+    return Dataset(
+        series=series,
+        y=np.concatenate([part.y for part in parts]),
+        covariates=pd.concat(covariates, ignore_index=True),
+        layouts=column_layouts(measurement, series),
+        dropped=sum(part.dropped for part in parts),
+    )
+
+
+def _merge(tables: Sequence[ReadingsFile]) -> ReadingsFile:
+    """All rows, by order within each run; set-ups and runs as they first appear."""
+    frame = pd.concat([one.frame for one in tables], ignore_index=True)
+    columns: dict[str, ReadingsColumn] = {}
+    for one in reversed(tables):
+        columns |= one.columns
+    merged = ReadingsFile(tables[0].file, frame, columns)
+    repeated = frame.duplicated(["setup", "run", "order"]).to_numpy()
+    for k in np.flatnonzero(repeated)[:1]:
+        row = frame.iloc[k]
+        problem = (
+            f"order {row['order']} is used twice in run {row['run']} of {row['setup']}"
+        )
+        raise merged.error(problem, ORDER_REMEDY, int(k), "order")
+    run = frame.groupby(["setup", "run"], sort=False).ngroup().to_numpy()
+    rank = np.lexsort([frame["order"].to_numpy(), run])
+    sorted_frame = frame.iloc[rank].reset_index(drop=True)
+    return dataclasses.replace(merged, frame=sorted_frame)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _SetupReadings:
+    """Readings of one set-up; no series where none was taken."""
+
+    series: Series | None
+    y: Array
+    covariates: pd.DataFrame
+    dropped: int
+
+
+def _setup_readings(
+    merged: ReadingsFile, measurement: Measurement, name: str
+) -> _SetupReadings:
+    instrument = measurement.setups[name].instrument
+    rows = np.flatnonzero((merged.frame["setup"] == name).to_numpy())
+    frame = merged.frame.iloc[rows]
+    reference = np.zeros(len(rows), dtype=bool)
+    if instrument.reference == "run":
+        reference = ~frame.duplicated("run").to_numpy()
+        _check_runs_have_readings(merged, frame, rows, reference)
+    values = frame[[c.name for c in instrument.channels]].to_numpy(dtype=float)
+    taken = np.isfinite(values).all(axis=1) & ~reference
+    series = None
+    if taken.any():
+        used = _with_references(list(frame["run"]), taken, reference)
+        series = _series(merged, measurement, name, rows[used])
+    return _SetupReadings(
+        series=series,
+        y=values[taken].ravel(),
+        covariates=_covariates(frame[taken]),
+        dropped=int((~taken & ~reference).sum()),
+    )
+
+
+def _check_runs_have_readings(
+    merged: ReadingsFile, frame: pd.DataFrame, rows: Index, reference: Mask
+) -> None:
+    """Refuse runs of one row: it is the reference."""
+    size = frame.groupby("run")["run"].transform("size").to_numpy()
+    for k in np.flatnonzero(reference & (size == 1))[:1]:
+        problem = "this run has a reference and no reading"
+        remedy = "add rows measured against it"
+        raise merged.error(problem, remedy, int(rows[k]), "run")
+
+
+def _with_references(run: Sequence[str], taken: Mask, reference: Mask) -> Index:
+    """Rows with a reading, and the references of runs that have readings."""
+    read = {label for label, is_taken in zip(run, taken, strict=True) if is_taken}
+    in_use = np.array([label in read for label in run])
+    return np.flatnonzero(taken | (reference & in_use))
+
+
+def _covariates(rows: pd.DataFrame) -> pd.DataFrame:
+    columns = ["setup", "run", "order"]
+    columns += [c for c in rows.columns if is_covariate(str(c))]
+    selected = rows[[*columns, ROW]].rename(columns={ROW: "row"})
+    return selected.reset_index(drop=True)
+
+
+def _series(
+    merged: ReadingsFile, measurement: Measurement, name: str, rows: Index
+) -> Series:
+    """Poses of rows of the table, from recorded joints, else from commands."""
+    machine = measurement.machine
+    run = [str(label) for label in merged.frame["run"].iloc[rows]]
+    stems = [c.name for c in machine.joints]
+    joints = checks.filled_columns(merged, stems, rows)
+    try:
+        if joints is None:
+            command = _commands(merged, measurement, name, rows)
+            return measurement.series(name, command, run)
+        checks.check_range(merged, machine.joints, joints, rows, "joint range")
+        return measurement.series_from_joints(name, joints, run)
+    except AssemblyError as error:
+        first = int(np.min(error.indices)) if len(error.indices) else 0
+        row = int(rows[min(first, len(rows) - 1)])
+        stem = (machine.command if joints is None else machine.joints)[0].name
+        problem = f"{machine.name} cannot reach this pose"
+        remedy = "check the values and their unit"
+        raise merged.error(problem, remedy, row, stem) from error
+
+
+def _commands(
+    merged: ReadingsFile, measurement: Measurement, name: str, rows: Index
+) -> Array:
+    """Commands (n, n_dof) of rows of the table, within the workspace."""
+    machine = measurement.machine
+    command = checks.filled_columns(merged, [c.name for c in machine.command], rows)
+    if command is None:
+        columns = [column_name(c.name, c.unit) for c in machine.command]
+        remedy = f"fill {', '.join(columns)}, or the joints"
+        raise merged.error("no pose is given", remedy, int(rows[0]), columns[0])
+    workspace = machine.workspace(measurement.setups[name].tool)
+    place = f"workspace of {machine.name}"
+    checks.check_range(merged, workspace, command, rows, place)
+    return command

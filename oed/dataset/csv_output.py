@@ -1,0 +1,111 @@
+"""Readings to a CSV file that `load` reads back; lengths in mm, angles in deg."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oed.arrays import Array
+from oed.dataset.columns import (
+    REQUIRED,
+    cell,
+    column_name,
+    covariate_unit,
+    is_covariate,
+)
+from oed.dataset.data import ColumnLayout, Dataset, consecutive
+from oed.measurement import Series
+
+
+def save(path: Path, dataset: Dataset) -> None:
+    """Write a readings file, whole or not at all. Raises OSError."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.write_text(to_csv(dataset), encoding="utf-8", newline="")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def to_csv(dataset: Dataset) -> str:
+    """The text of a readings file.
+
+    References of runs are rows of their own. Readings that are NaN give empty cells, to
+    be filled in.
+    """
+    rows: list[dict[str, str]] = []
+    lines = consecutive([len(s) for s in dataset.series])
+    for s, span, line in zip(dataset.series, dataset.spans, lines, strict=True):
+        values = dataset.y[span].reshape(len(s), -1)
+        covariates = dataset.covariates.iloc[line].to_dict("records")
+        layout = dataset.layouts[s.setup]
+        rows += _rows(s, values, covariates, layout)
+    header = dict.fromkeys(name for row in rows for name in row)
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(
+        text,
+        sorted(header, key=lambda name: _rank(name, dataset)),
+        restval="",
+        lineterminator="\n",
+    )
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _rows(
+    series: Series,
+    values: Array,
+    covariates: list[dict[Any, Any]],
+    layout: ColumnLayout,
+) -> Iterator[dict[str, str]]:
+    """Rows of a series with values (n, channels), by column name."""
+    referenced: set[str] = set()
+    for i, covariate in enumerate(covariates):
+        run, order = str(covariate["run"]), int(covariate["order"])
+        if layout.reference and run not in referenced:
+            referenced.add(run)
+            labels = _labels(series.setup, run, order - 1)
+            yield labels | _pose(series, series.index[i, 1], layout)
+        row = _labels(series.setup, run, order)
+        row |= _pose(series, series.index[i, 0], layout)
+        for stem, value in covariate.items():
+            if is_covariate(stem):
+                unit = covariate_unit(stem)
+                row[column_name(stem, unit)] = cell(value, unit)
+        for channel, value in zip(layout.channels, values[i], strict=True):
+            row[column_name(channel.name, channel.unit)] = cell(value, channel.unit)
+        yield row
+
+
+def _labels(setup: str, run: str, order: int) -> dict[str, str]:
+    return {"setup": setup, "run": run, "order": str(order)}
+
+
+def _pose(series: Series, k: int, layout: ColumnLayout) -> dict[str, str]:
+    """Command of pose k of a series, or its joints where these were recorded."""
+    coordinates, values = layout.command, series.command[k]
+    if np.isnan(values).any():
+        coordinates, values = layout.joints, series.q[k]
+    return {
+        column_name(c.name, c.unit): cell(value, c.unit)
+        for c, value in zip(coordinates, values, strict=True)
+    }
+
+
+def _rank(name: str, dataset: Dataset) -> tuple[int, int]:
+    """Place of a column in the contract's order: labels, pose, covariates, readings."""
+    pose, channels = [], []
+    for layout in dataset.layouts.values():
+        pose += [column_name(c.name, c.unit) for c in (*layout.command, *layout.joints)]
+        channels += [column_name(c.name, c.unit) for c in layout.channels]
+    stems = [stem for stem in dataset.covariates.columns if is_covariate(stem)]
+    covariates = [column_name(stem, covariate_unit(stem)) for stem in stems]
+    groups = [list(REQUIRED), pose, covariates, channels]
+    return next((i, g.index(name)) for i, g in enumerate(groups) if name in g)

@@ -1,0 +1,316 @@
+"""A readings file (`*.readings.csv`) as a table of checked cells, without a machine.
+
+One row a reading, UTF-8, commas, a header with the unit in each column's name. Rows are
+counted as a spreadsheet shows them: the header is row 1.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import difflib
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from oed import units
+from oed.arrays import Array, Mask
+from oed.dataset.columns import (
+    LABELS,
+    REQUIRED,
+    UNITLESS,
+    ReadingsColumn,
+    column_names,
+    parse_column,
+)
+from oed.text import shorten
+
+MAX_BYTES: Final = 64_000_000
+MAX_COLUMNS: Final = 200
+#: columns of a frame that no column of a file can have: the row's file and number
+FILE, ROW = "#file", "#row"
+HEADER_REMEDY: Final = (
+    "the first line names the columns: setup,run,order, then a pose and a reading such"
+    " as z_mm,length_mm"
+)
+ORDER_REMEDY: Final = "count the readings of a run in time: 1, 2, 3"
+ENCODING_REMEDY: Final = "save it as CSV in UTF-8"
+#: characters of a name or value in an error
+SHOWN: Final = 40
+
+#: number of a row in its file, and its cells
+Row = tuple[int, Sequence[str]]
+
+
+class ReadingsError(ValueError):
+    """Readings that cannot be used; `str()` is file, row, column, value and remedy."""
+
+    def __init__(
+        self,
+        problem: str,
+        remedy: str,
+        *,
+        file: str,
+        row: int | None = None,
+        column: str = "",
+        value: str = "",
+    ) -> None:
+        self.problem, self.remedy, self.file, self.value = problem, remedy, file, value
+        self.row, self.column = row, column
+        where = []
+        if row:
+            where.append(f"row {row}")
+        if column:
+            where.append(f"column {shorten(column, SHOWN)}")
+        self.where = ", ".join(where)
+        subject = self.where
+        if value and subject:
+            subject = f"{subject} = {shorten(value, SHOWN)}"
+        message = ": ".join(part for part in (file, subject, problem) if part)
+        super().__init__(f"{message}; {remedy}.")
+
+
+@dataclasses.dataclass(frozen=True)
+class ReadingsFile:
+    """Checked cells of a readings file.
+
+    file     path, for errors
+    frame    one row a row of the file: `setup` and `run` (text), `order` (int), and
+             each further column by its stem, SI, NaN where the cell is empty; FILE and
+             ROW state where it is in which file
+    columns  columns of the file, by stem
+    """
+
+    file: str
+    frame: pd.DataFrame
+    columns: dict[str, ReadingsColumn]
+
+    def error(self, problem: str, remedy: str, at: int, stem: str) -> ReadingsError:
+        """The error to raise for row `at` of the frame (from 0) and a column."""
+        row = self.frame.iloc[at]
+        name, value = stem, ""
+        if stem in self.columns:
+            column = self.columns[stem]
+            name, value = column.name, _as_written(row[stem], column)
+        return ReadingsError(
+            problem,
+            remedy,
+            file=str(row[FILE]),
+            row=int(row[ROW]),
+            column=name,
+            value=value,
+        )
+
+
+def _as_written(cell: object, column: ReadingsColumn) -> str:
+    """A cell of the frame as it stands in the file; empty where it is not finite."""
+    if not isinstance(cell, float):
+        return str(cell)
+    value = cell / column.factor
+    return f"{value:.6g}" if math.isfinite(value) else ""
+
+
+def read(path: Path, expected: Mapping[str, str] | None = None) -> ReadingsFile:
+    """Read and check one file.
+
+    `expected` are stems with SI units that the caller knows: they make the remedy for
+    a wrong unit exact. Raises ReadingsError for the first problem, OSError where the
+    file is not there.
+    """
+    rows = _rows(_text(path), str(path), expected or {})
+    return from_rows(rows, str(path), expected)
+
+
+def from_rows(
+    rows: Sequence[Row], file: str, expected: Mapping[str, str] | None = None
+) -> ReadingsFile:
+    """Make a table from numbered rows of cells, the header first; else as `read`."""
+    columns = _header(rows[0][1], file, expected or {})
+    body = rows[1:]
+    if not body:
+        raise ReadingsError(
+            "there are no readings below the header", "add one row a reading", file=file
+        )
+    numbers = np.array([number for number, _ in body])
+    frame = pd.DataFrame({FILE: file, ROW: numbers})
+    for k, (stem, column) in enumerate(columns.items()):
+        text = [cells[k].strip() for _, cells in body]
+        is_label = stem in LABELS
+        frame[stem] = text if is_label else _numbers(column, text, numbers, file)
+    table = ReadingsFile(file, frame, columns)
+    _check_labels(table)
+    _check_order(table)
+    _check_direction(table)
+    frame["order"] = frame["order"].astype(np.int64)
+    return table
+
+
+def _text(path: Path) -> str:
+    size = path.stat().st_size
+    file = str(path)
+    if not path.is_file():
+        raise ReadingsError("this is no file", "name a readings file", file=file)
+    if size > MAX_BYTES:
+        largest = f"{MAX_BYTES / units.MEGABYTE:.0f} MB"
+        problem = f"{size / units.MEGABYTE:.0f} MB is too large for readings"
+        raise ReadingsError(problem, f"split it: at most {largest}", file=file)
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        problem = f"the file is no UTF-8 text (byte {error.start + 1})"
+        raise ReadingsError(problem, ENCODING_REMEDY, file=file) from None
+    if not text.strip():
+        raise ReadingsError("the file is empty", HEADER_REMEDY, file=file)
+    if "\0" in text:
+        problem = "the file holds NUL characters"
+        raise ReadingsError(problem, ENCODING_REMEDY, file=file)
+    return text
+
+
+def _rows(text: str, file: str, expected: Mapping[str, str]) -> list[Row]:
+    """Numbered rows of cells, blank ones left out. Raises ReadingsError if ragged."""
+    rows: list[Row] = []
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        for number, cells in enumerate(reader, start=1):
+            if not any(cell.strip() for cell in cells):
+                continue
+            if rows:
+                _check_length(cells, rows[0][1], number, file)
+            else:
+                _header(cells, file, expected)
+            rows.append((number, cells))
+    except csv.Error:
+        raise ReadingsError(
+            "the lines are no CSV", HEADER_REMEDY, file=file, row=len(rows) + 1
+        ) from None
+    return rows
+
+
+def _check_length(
+    cells: Sequence[str], header: Sequence[str], number: int, file: str
+) -> None:
+    if len(cells) != len(header):
+        raise ReadingsError(
+            f"{len(cells)} cells, but the header has {len(header)}",
+            "give one cell a column, empty where there is none",
+            file=file,
+            row=number,
+        )
+
+
+def _header(
+    cells: Sequence[str], file: str, expected: Mapping[str, str]
+) -> dict[str, ReadingsColumn]:
+    """Columns by stem, in order. Raises ReadingsError."""
+    names = [cell.strip() for cell in cells]
+    missing = [name for name in REQUIRED if name not in names]
+    if missing and len(names) == 1 and ";" in names[0]:
+        problem = "cells are separated by semicolons"
+        remedy = "use commas, and points in numbers"
+        raise ReadingsError(problem, remedy, file=file, row=1)
+    if missing:
+        raise ReadingsError(
+            f"the column {missing[0]} is missing",
+            HEADER_REMEDY,
+            file=file,
+            row=1,
+            column=missing[0],
+        )
+    if len(names) > MAX_COLUMNS:
+        problem = f"{len(names)} columns are too many"
+        raise ReadingsError(problem, HEADER_REMEDY, file=file, row=1)
+    columns: dict[str, ReadingsColumn] = {}
+    for name in names:
+        column = _column(name, file, expected)
+        if column.stem in columns:
+            problem = f"{column.stem} is given twice"
+            remedy = f"keep {columns[column.stem].name} or {name}"
+            raise ReadingsError(problem, remedy, file=file, row=1, column=name)
+        columns[column.stem] = column
+    return columns
+
+
+def _column(name: str, file: str, expected: Mapping[str, str]) -> ReadingsColumn:
+    try:
+        return parse_column(name)
+    except units.UnitError:
+        raise ReadingsError(
+            "no known unit in the name",
+            _unit_remedy(name, expected),
+            file=file,
+            row=1,
+            column=name or "?",
+        ) from None
+
+
+def _unit_remedy(name: str, expected: Mapping[str, str]) -> str:
+    """Remedy for a column without a known unit."""
+    for stem in (name, name.rpartition("_")[0]):
+        if stem in expected:
+            return f"write {', '.join(column_names(stem, expected[stem]))}"
+    near = difflib.get_close_matches(name, (*UNITLESS, *LABELS), n=1, cutoff=0.7)
+    if near:
+        return f"did you mean {near[0]}?"
+    return f"end it in a known unit: {', '.join(units.UNITS)}"
+
+
+def _numbers(
+    column: ReadingsColumn, text: Sequence[str], rows: np.ndarray, file: str
+) -> Array:
+    """SI values (n,) of a column, NaN where the cell is empty. Raises ReadingsError."""
+    cells = pd.Series(text, dtype=object)
+    parsed = pd.to_numeric(cells, errors="coerce")
+    values = parsed.to_numpy(dtype=float, na_value=np.nan)
+    filled = (cells != "").to_numpy()
+    bad = np.flatnonzero(filled & ~np.isfinite(values))
+    if bad.size:
+        k = int(bad[0])
+        remedy = "leave the cell empty where no reading was taken"
+        if "," in text[k]:
+            remedy = "write decimals with a point"
+        raise ReadingsError(
+            "not a finite number",
+            remedy,
+            file=file,
+            row=int(rows[k]),
+            column=column.name,
+            value=text[k],
+        )
+    return np.asarray(values * column.factor)
+
+
+def _check_labels(table: ReadingsFile) -> None:
+    for stem in LABELS:
+        empty = (table.frame[stem] == "").to_numpy()
+        remedy = f"name the {stem} of every row"
+        _refuse_first(table, empty, "the cell is empty", remedy, stem)
+
+
+def _check_order(table: ReadingsFile) -> None:
+    order = table.frame["order"].to_numpy()
+    whole = np.isfinite(order) & (order == np.round(order))
+    _refuse_first(table, ~whole, "order is a whole number", ORDER_REMEDY, "order")
+
+
+def _check_direction(table: ReadingsFile) -> None:
+    if "direction" not in table.frame:
+        return
+    direction = table.frame["direction"].to_numpy()
+    known = np.isnan(direction) | (np.abs(direction) == 1.0)
+    remedy = "write 1 or -1, or leave it empty"
+    _refuse_first(table, ~known, "direction is +1 or -1", remedy, "direction")
+
+
+def _refuse_first(
+    table: ReadingsFile, bad: Mask, problem: str, remedy: str, stem: str
+) -> None:
+    """Raise ReadingsError for the first bad row, if there is one."""
+    rows = np.flatnonzero(bad)
+    if rows.size:
+        raise table.error(problem, remedy, int(rows[0]), stem)

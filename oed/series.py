@@ -1,0 +1,108 @@
+"""Series of readings in one set-up: joints sent, poses each reading sees, runs."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.arrays import Array, Index
+from oed.instrument import Instrument, Protocol
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Series:
+    """n readings taken, or to be taken, in one set-up, at m poses; SI.
+
+    setup    name of the set-up
+    q        (m, nq) joints sent to the machine
+    start    (m, nx) nominal poses, or (draws, m, nx): Newton's start
+    command  (m, n_dof) commands; NaN where joints were recorded instead
+    index    (n, arity) poses that each reading sees: its own, then its reference
+    run      (n,) label of the run (circle, line) of each reading
+    """
+
+    setup: str
+    q: Array
+    start: Array
+    command: Array
+    index: Index
+    run: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return int(self.index.shape[0])
+
+    def take(self, rows: Index) -> Series:
+        """The readings `rows`, in that order, with only the poses they see."""
+        poses, index = np.unique(self.index[rows], return_inverse=True)
+        index = index.reshape(self.index[rows].shape).astype(np.intp)
+        return dataclasses.replace(self._at(poses), index=index, run=self.run[rows])
+
+    def expand_passes(self, protocol: Protocol) -> Series:
+        """The readings of all passes: each pass of a run becomes a run of its own.
+
+        Backward passes are in reverse. A protocol that averages changes nothing.
+        """
+        if protocol.average or len(protocol.pass_names) == 1:
+            return self
+        rows, labels = [], []
+        for run in dict.fromkeys(self.run):
+            members = np.flatnonzero(self.run == run)
+            for name in protocol.pass_names:
+                backward = name.startswith("backward")
+                rows.append(members[::-1] if backward else members)
+                labels += [f"{run}, {name}"] * len(members)
+        expanded = self.take(np.concatenate(rows))
+        return dataclasses.replace(expanded, run=np.array(labels, dtype=np.str_))
+
+    def separate_poses(self) -> Series:
+        """The same readings with a pose of its own for each.
+
+        The passes of a run share poses, but not the machine's state. References stay
+        shared: the teach pose by all readings, the first pose of a run by the run.
+        """
+        read, reference = self.index[:, 0], self.index[:, 1:]
+        n = len(read)
+        distinct, place = np.unique(reference, return_inverse=True)
+        places = n + place.reshape(reference.shape)
+        index = np.column_stack([np.arange(n), places]).astype(np.intp)
+        separate = self._at(np.concatenate([read, distinct]))
+        return dataclasses.replace(separate, index=index)
+
+    def reading_commands(self) -> Array:
+        """Command (n, n_dof) of the pose that each reading reads."""
+        return self.command[self.index[:, 0]]
+
+    def pose_indices(self) -> list[Index]:
+        """For each pose of a reading (its own, its reference) the indices (n,)."""
+        return [self.index[:, j] for j in range(self.index.shape[1])]
+
+    def _at(self, poses: Index) -> Series:
+        """The series with `poses` in place of its poses; the index is left as it is."""
+        return dataclasses.replace(
+            self, q=self.q[poses], start=self.start[poses], command=self.command[poses]
+        )
+
+
+def index_poses(
+    instrument: Instrument, run: NDArray[np.str_]
+) -> tuple[Index, NDArray[np.str_]]:
+    """Poses (n, arity) that each reading sees, and its run (n,), from the poses' runs.
+
+    run  label of each commanded pose; a teach pose follows them
+
+    For instruments with a run reference the first pose of each run is the reference,
+    and no reading.
+    """
+    count = len(run)
+    own = np.arange(count)
+    if instrument.reference == "teach":
+        return np.column_stack([own, np.full(count, count)]).astype(np.intp), run
+    if instrument.reference is None:
+        return own[:, None].astype(np.intp), run
+    first = {label: np.flatnonzero(run == label)[0] for label in np.unique(run)}
+    reference = np.array([first[label] for label in run])
+    read = reference != own
+    index = np.column_stack([own, reference])[read]
+    return index.astype(np.intp), run[read]
