@@ -18,8 +18,8 @@ import casadi as ca
 import numpy as np
 from scipy import optimize
 
-from oed.instrument import mount
 from oed.expressions import symbols
+from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import ball_bar
 from pkm_models.machines.a3_head import machine
