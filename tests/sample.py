@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+from pkm_studies.errors import InputError
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
 from pkm_studies.study import parse
 
@@ -87,3 +90,12 @@ def changed(text: str, *changes: tuple[str, str]) -> str:
 def resolved(text: str = STUDY, folder: Path = Path()) -> ResolvedStudy:
     """The objects of a study given as text."""
     return resolve(parse(text, folder / "small.study.toml"))
+
+
+def refused(text: str, *changes: tuple[str, str], folder: Path = Path()) -> InputError:
+    """The error of a study that is changed: one line of limited length."""
+    with pytest.raises(InputError) as error:
+        resolved(changed(text, *changes), folder)
+    assert len(str(error.value)) <= 600
+    assert "\n" not in str(error.value)
+    return error.value

@@ -1,0 +1,99 @@
+"""Machines of one's own, the catalogue, and studies that `oed new` writes."""
+
+from __future__ import annotations
+
+import fnmatch
+from pathlib import Path
+
+import pytest
+import sample
+
+from pkm_studies import catalogue, schemas, study, template
+from pkm_studies.errors import InputError
+from pkm_studies.resolve.resolved import resolve
+
+
+def test_a_machine_from_a_file(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import dataclasses\n"
+        "from pkm_models.machines.a3_head import machine as base\n"
+        'machine = dataclasses.replace(base, name="mine")\n'
+        "head = machine\n",
+        encoding="utf-8",
+    )
+    for reference in ("mine.py", "mine.py:head", "./mine.py:machine"):
+        text = sample.changed(sample.STUDY, ('"a3_head"', f'"{reference}"'))
+        assert sample.resolved(text, tmp_path).machine.name == "mine"
+    error = sample.refused(
+        sample.STUDY, ('"a3_head"', '"mine.py:other"'), folder=tmp_path
+    )
+    assert "there is: base, machine, head" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [("1/0", "ZeroDivisionError"), ("(", "SyntaxError"), ("exit()", "SystemExit")],
+)
+def test_a_file_that_fails_is_refused(source: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "bad.py").write_text(source)
+    assert words in str(
+        sample.refused(sample.STUDY, ('"a3_head"', '"bad.py"'), folder=tmp_path)
+    )
+
+
+def test_an_instrument_that_cannot_read_the_machine_is_refused(tmp_path: Path) -> None:
+    error = sample.refused(
+        sample.STUDY,
+        ('instrument = "ball_bar"', 'instrument = "redundancy"'),
+        folder=tmp_path,
+    )
+    assert (
+        "it cannot read a3_head: it takes one joint more than degrees of freedom, here"
+        " are 0 more" in str(error)
+    )
+
+
+@pytest.mark.parametrize("kind", catalogue.KINDS)
+def test_the_catalogue_gives_its_sources(kind: str) -> None:
+    entries = catalogue.listing(kind)
+    assert all(e.name and e.about and e.source for e in entries)
+    assert len({e.name for e in entries}) == len(entries)
+    assert entries
+
+
+def uncommented(text: str) -> str:
+    """The text with the tables and fields that are commented out."""
+    lines = []
+    for line in text.splitlines():
+        is_toml = fnmatch.fnmatch(line, "# [[a-z]*[]=]*")
+        lines.append(line.removeprefix("# ") if is_toml else line)
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    "instrument", [e.name for e in catalogue.listing("instruments")]
+)
+@pytest.mark.parametrize("machine", [e.name for e in catalogue.listing("machines")])
+def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> None:
+    if (instrument, machine == "cable_robot") == ("redundancy", False):
+        with pytest.raises(InputError, match=f"it cannot read {machine}"):
+            template.write("fresh", machine, instrument, tmp_path)
+        assert not list(tmp_path.iterdir())
+        return
+    path = template.write("fresh", machine, instrument, tmp_path)
+    resolved = resolve(study.load(path))
+    assert 20 <= len(resolved.candidates[0]) <= 1000
+    assert resolved.prediction_commands is not None
+    assert len(resolved.prediction_commands) <= 1000
+    text = path.read_text(encoding="utf-8")
+    sample.resolved(uncommented(text), tmp_path)
+    with pytest.raises(InputError, match="of this name"):
+        template.write("fresh", machine, instrument, tmp_path)
+
+
+def test_the_schema_knows_tables_with_fields_of_free_name() -> None:
+    schema = schemas.study()
+    table = schema["$defs"]["SetupTable"]
+    assert table["additionalProperties"] == {"type": "number"}
+    assert "settings" not in table["properties"]
+    assert schema["$defs"]["DesignTable"]["additionalProperties"] is False
