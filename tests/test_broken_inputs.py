@@ -1,10 +1,9 @@
-"""Broken inputs: exit 2 and one clear paragraph that names the file, the field and what
-to do. No traceback.
-"""
+"""Broken inputs: exit 2 and one paragraph with file, field and remedy."""
 
 from __future__ import annotations
 
 import random
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -27,10 +26,8 @@ def noise(kind: str) -> bytes:
     return (line + (b"\n" if kind == "lines" else b"")) * (TEN_MB // len(line) + 1)
 
 
-def told(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The paragraph on stderr of a call that must exit 2, before any work beyond
-    reading its input.
-    """
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The paragraph on stderr of a call that must exit 2 before any work."""
     code = cli.main([str(a) for a in arguments])
     out, err = capsys.readouterr()
     assert code == 2
@@ -39,6 +36,7 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 def one_paragraph(err: str) -> str:
+    """The text, if it is one printable paragraph of limited length."""
     assert err.startswith("oed: ")
     assert err.endswith(".\n")
     assert err.count("\n") == 1
@@ -103,7 +101,7 @@ def test_study(
     path = tmp_path / "s.study.toml"
     path.write_text(sample.changed(sample.STUDY, change), encoding="utf-8")
     out = ["--out", tmp_path / "out"] if command == "run" else []
-    err = told(capsys, command, path, *out)
+    err = refusal(capsys, command, path, *out)
     assert f"{path}: {field}" in err
     assert remedy in err
     assert not (tmp_path / "out").exists()
@@ -117,7 +115,7 @@ def test_study_without_any_set_up(
         'schema = 1\nname = "s"\nsetup = []\n[machine]\nmodel = "a3_head"\n',
         encoding="utf-8",
     )
-    assert "setup: missing; add a [[setup]]" in told(capsys, "run", path)
+    assert "setup: missing; add a [[setup]]" in refusal(capsys, "run", path)
 
 
 READINGS = {
@@ -164,7 +162,9 @@ def test_readings(
     study, path = tmp_path / "s.study.toml", tmp_path / "r.readings.csv"
     study.write_text(sample.STUDY, encoding="utf-8")
     path.write_text(sample.changed(sample.READINGS, change), encoding="utf-8")
-    err = told(capsys, "identify", study, "--readings", path, "--out", tmp_path / "out")
+    err = refusal(
+        capsys, "identify", study, "--readings", path, "--out", tmp_path / "out"
+    )
     assert f"{path}: {where}" in err
     assert remedy in err
     assert not (tmp_path / "out").exists()
@@ -180,7 +180,7 @@ def test_ten_megabytes_of_noise(
 ) -> None:
     path = tmp_path / name
     path.write_bytes(noise(kind))
-    assert str(path) in told(capsys, "check", path)
+    assert str(path) in refusal(capsys, "check", path)
 
 
 @pytest.mark.parametrize("size", [1_000, 100_000])
@@ -190,7 +190,7 @@ def test_noise_that_is_not_too_large(
 ) -> None:
     path = tmp_path / "x.study.toml"
     path.write_bytes(noise(kind)[:size])
-    assert str(path) in told(capsys, "run", path)
+    assert str(path) in refusal(capsys, "run", path)
 
 
 @pytest.mark.parametrize("content", [b"", b"\n \n", b"\xef\xbb\xbf"])
@@ -200,7 +200,7 @@ def test_empty(
 ) -> None:
     path = tmp_path / name
     path.write_bytes(content)
-    err = told(capsys, "check", path)
+    err = refusal(capsys, "check", path)
     assert str(path) in err
     assert "empty" in err
 
@@ -208,12 +208,12 @@ def test_empty(
 def test_no_file_a_folder_and_nesting(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    assert "no such study file" in told(capsys, "run", tmp_path / "gone.study.toml")
-    assert "no file" in told(capsys, "run", tmp_path)
-    assert "gone.csv" in told(capsys, "check", tmp_path / "gone.csv")
+    assert "no such study file" in refusal(capsys, "run", tmp_path / "gone.study.toml")
+    assert "no file" in refusal(capsys, "run", tmp_path)
+    assert "gone.csv" in refusal(capsys, "check", tmp_path / "gone.csv")
     path = tmp_path / "deep.study.toml"
     path.write_text("x = " + "[" * 5_000, encoding="utf-8")
-    assert "nested too deeply" in told(capsys, "run", path)
+    assert "nested too deeply" in refusal(capsys, "run", path)
 
 
 # -- the real command ------------------------------------------------------------------
@@ -228,12 +228,12 @@ def test_in_a_process_of_its_own(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "x.study.toml"
     path.write_bytes(content)
     command = [
-        str(Path(sys.executable).with_name("oed")),
+        shutil.which("oed", path=str(Path(sys.executable).parent)) or "oed",
         "run",
         str(path),
         "--out",
         str(tmp_path / "out"),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert str(path) in one_paragraph(done.stderr)
+    finished = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (finished.returncode, finished.stdout) == (2, "")
+    assert str(path) in one_paragraph(finished.stderr)

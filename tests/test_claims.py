@@ -1,6 +1,4 @@
-"""Claims of a study: paths into its results, and whether what they lead to is as
-claimed.
-"""
+"""Claims of a study: paths into its result, and whether the values there meet them."""
 
 from __future__ import annotations
 
@@ -64,12 +62,12 @@ def test_paths_lead_to_results(path: str, value: object) -> None:
     ],
 )
 def test_claims_are_measured(claim: str, met: bool) -> None:
-    said = study.parse(
+    parsed = study.parse(
         sample.STUDY.split("[expect]")[0] + f"[expect]\nit = {{ {claim} }}\n", Path("x")
     )
-    (found,) = claims.check_claims(said, RESULT)
-    assert found.met is met
-    assert found.claim == "it"
+    (checked,) = claims.check_claims(parsed, RESULT)
+    assert checked.met is met
+    assert checked.claim == "it"
 
 
 def test_an_unknown_path_says_what_there_is() -> None:

@@ -1,4 +1,4 @@
-"""The command: what it prints, how it exits, and that it leaves whole files only."""
+"""The command: what it prints, its exit codes, and that it leaves whole files only."""
 
 from __future__ import annotations
 
@@ -49,9 +49,7 @@ def write(path: Path, text: str) -> Path:
 
 
 def test_help_is_there_at_once() -> None:
-    """0.5 s for the whole process: the best of three, since other work may share the
-    machine.
-    """
+    """0.5 s for the process: the best of three, as other work may share the machine."""
     times = []
     for _ in range(3):
         start = time.perf_counter()
@@ -85,8 +83,8 @@ def test_every_command_has_help(command: str, oed: Run) -> None:
 def test_list(kind: str, oed: Run) -> None:
     code, out, _ = oed("list", kind)
     assert code == 0
-    code, told, _ = oed("list", kind, "--json")
-    entries = json.loads(told)
+    code, as_json, _ = oed("list", kind, "--json")
+    entries = json.loads(as_json)
     assert all(e["name"] in out and e["source"] in out for e in entries)
     assert entries or "no effects yet" in out
 
@@ -140,7 +138,7 @@ def test_check_says_where_data_is_missing(oed: Run, tmp_path: Path) -> None:
     assert "looked in" in out
 
 
-def test_run_tells_headline_claims_and_where(oed: Run, tmp_path: Path) -> None:
+def test_run_prints_headline_claims_and_files(oed: Run, tmp_path: Path) -> None:
     study = write(tmp_path / "p.study.toml", PLAN)
     code, out, err = oed("run", study)
     assert (code, err) == (0, "")
@@ -188,13 +186,13 @@ def test_simulated_readings_can_be_identified(oed: Run, tmp_path: Path) -> None:
         "--readings",
         "new/r.readings.csv",
         "--out",
-        "found",
+        "out",
         "--quiet",
     )
     assert code == 0
-    found = json.loads((tmp_path / "found/result.json").read_text())["estimate"]
-    assert found["readings"] == 30
-    assert found["rms_after"]["length"] < 0.01 * found["rms_before"]["length"]
+    estimate = json.loads((tmp_path / "out/result.json").read_text())["estimate"]
+    assert estimate["readings"] == 30
+    assert estimate["rms_after"]["length"] < 0.01 * estimate["rms_before"]["length"]
     code, _, err = oed("identify", study, "--readings", "gone.csv", "--out", "other")
     assert code == 2
     assert "gone.csv" in err
@@ -236,7 +234,7 @@ def test_one_seed_gives_the_same_bytes(oed: Run, tmp_path: Path) -> None:
         ["list", "x"],
     ],
 )
-def test_a_wrong_call_is_told_in_one_line(arguments: list[str], oed: Run) -> None:
+def test_a_wrong_call_gets_one_line(arguments: list[str], oed: Run) -> None:
     code, out, err = oed(*arguments)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert err.endswith("see `oed --help`.\n")
@@ -256,14 +254,13 @@ def test_interrupted(oed: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.skipif(os.name == "nt", reason="one process cannot be sent Ctrl-C")
 def test_interrupted_in_earnest(tmp_path: Path) -> None:
-    """SIGINT to the process in the middle of its work: one line, and whole files only."""
+    """SIGINT in the middle of work: one line, and whole files only."""
     text = (
         sample.STUDY
         + "[readings]\nsimulate = true\n[posterior]\nsteps = 1000000\ness = 1000000\n"
     )
     study = write(tmp_path / "p.study.toml", text)
-    # as from a terminal: who runs the tests in the background has the signal ignored,
-    # and passes that on
+    # as from a terminal: a shell in the background has tests ignore the signal
     code = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
         " import sys; "
@@ -283,14 +280,16 @@ def test_interrupted_in_earnest(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     try:
         _, err = process.communicate(timeout=30)
-    except subprocess.TimeoutExpired:  # its pipes are no later test's matter
+    except subprocess.TimeoutExpired:  # close its pipes before the next test
         process.kill()
         process.communicate()
         raise
     assert process.returncode == 130
     assert err == "oed: interrupted: files written so far are whole\n"
-    left = list((tmp_path / "out").rglob("*")) if (tmp_path / "out").exists() else []
-    assert not [p for p in left if p.suffix == ".part" or p.name == "result.json"]
+    remaining = (
+        list((tmp_path / "out").rglob("*")) if (tmp_path / "out").exists() else []
+    )
+    assert not [p for p in remaining if p.suffix == ".part" or p.name == "result.json"]
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:

@@ -1,6 +1,4 @@
-"""Criteria of a study's [design] against all subsets, with any instruments; what is
-refused.
-"""
+"""Criteria of a study's [design] against all subsets, with any instruments."""
 
 from __future__ import annotations
 
@@ -24,23 +22,23 @@ from pkm_studies.errors import InputError
     "name", ["D", "Ds", "A", "c", "I", "G", "O1", "O5", "kappa", "O2"]
 )
 def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
-    resolved, found = chosen(text(f'criterion = "{name}"\n' + KNOWN + EXTRA))
+    resolved, design = chosen(text(f'criterion = "{name}"\n' + KNOWN + EXTRA))
     h = rows(resolved)
     best = max(
-        value(name, h[list(some)], resolved)
-        for some in itertools.combinations(range(8), 3)
+        value(name, h[list(subset)], resolved)
+        for subset in itertools.combinations(range(8), 3)
     )
     sign = -1.0 if name == "kappa" else 1.0
-    made = section(resolved, found)
+    report = section(resolved, design)
     size = abs(best)
-    assert sign * found.choice.value == pytest.approx(
-        value(name, h[found.choice.indices], resolved), rel=1e-5
+    assert sign * design.choice.value == pytest.approx(
+        value(name, h[design.choice.indices], resolved), rel=1e-5
     )
-    assert sign * found.choice.value == pytest.approx(best, abs=2e-5 * size)
-    assert made.bound is not None
-    assert sign * made.bound >= best - 1e-5 * size
-    assert made.plans[0].value == pytest.approx(made.value, rel=1e-7)
-    assert made.words.startswith(("Proven optimal", "Certified to"))
+    assert sign * design.choice.value == pytest.approx(best, abs=2e-5 * size)
+    assert report.bound is not None
+    assert sign * report.bound >= best - 1e-5 * size
+    assert report.plans[0].value == pytest.approx(report.value, rel=1e-7)
+    assert report.words.startswith(("Proven optimal", "Certified to"))
 
 
 @pytest.mark.parametrize("name", ["E", "O3", "O4"])
@@ -51,51 +49,51 @@ def test_eigenvalues_without_tolerances(name: str) -> None:
         .replace("[1086, 1246]", "[1086, 1146, 1206, 1266]")
         .replace("230", "200, 230")
     )
-    resolved, found = chosen(
+    resolved, design = chosen(
         text(f'criterion = "{name}"\nreadings = 18\n', tables=tables)
     )
     m = resolved.measurement
     h = (m.jacobian(resolved.candidates, m.nominal) / m.length_factors)[:, m.free]
     assert len(h) == 20
-    basis = np.linalg.svd(h, full_matrices=False)[2][: found.choice.directions].T
-    told = []
+    basis = np.linalg.svd(h, full_matrices=False)[2][: design.choice.directions].T
+    values = []
     for out in itertools.combinations(range(20), 2):
         w = np.linalg.eigvalsh(
             (np.delete(h, out, axis=0) @ basis).T @ (np.delete(h, out, axis=0) @ basis)
         )
-        told.append(
+        values.append(
             {"E": w[0], "O3": np.sqrt(max(w[0], 0.0)), "O4": w[0] / np.sqrt(w[-1])}[
                 name
             ]
         )
-    assert found.choice.value == pytest.approx(max(told), rel=1e-5)
-    assert "directions that the candidates see" in section(resolved, found).words
+    assert design.choice.value == pytest.approx(max(values), rel=1e-5)
+    assert "directions that the candidates see" in section(resolved, design).words
 
 
 def test_compound_is_the_mean_of_logarithms() -> None:
-    resolved, found = chosen(text("compound = { D = 3.0, A = 1.0 }\n" + KNOWN))
+    resolved, design = chosen(text("compound = { D = 3.0, A = 1.0 }\n" + KNOWN))
     h = rows(resolved)
 
-    def mean(some: tuple[int, ...]) -> float:
-        one = value("D", h[list(some)], resolved) / h.shape[1]
-        return 0.75 * one - 0.25 * float(np.log(-value("A", h[list(some)], resolved)))
+    def mean(subset: tuple[int, ...]) -> float:
+        one = value("D", h[list(subset)], resolved) / h.shape[1]
+        return 0.75 * one - 0.25 * float(np.log(-value("A", h[list(subset)], resolved)))
 
-    best = max(mean(some) for some in itertools.combinations(range(8), 3))
-    assert found.choice.value == pytest.approx(best, rel=1e-6)
-    assert section(resolved, found).compound == {"D": 3.0, "A": 1.0}
+    best = max(mean(subset) for subset in itertools.combinations(range(8), 3))
+    assert design.choice.value == pytest.approx(best, rel=1e-6)
+    assert section(resolved, design).compound == {"D": 3.0, "A": 1.0}
 
 
 def test_compared_designs_score_each_other() -> None:
-    resolved, found = chosen(
+    resolved, design = chosen(
         text('criterion = "D"\ncompare = ["A", "c"]\n' + KNOWN + EXTRA)
     )
-    h, table = rows(resolved), {c.name: c for c in found.compared}
+    h, table = rows(resolved), {c.name: c for c in design.compared}
     assert list(table) == ["D", "A", "c"]
     assert table["D"].gain == 1.0
     for name in ("A", "c"):
         assert table[name].gain >= 1.0
         assert table[name].values["D"] == pytest.approx(
-            value(name, h[found.choice.indices], resolved), rel=1e-5
+            value(name, h[design.choice.indices], resolved), rel=1e-5
         )
         assert table[name].gain == pytest.approx(
             table[name].values["D"] / table[name].values[name], rel=1e-6
@@ -103,21 +101,21 @@ def test_compared_designs_score_each_other() -> None:
 
 
 def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
-    more = (
+    reference = (
         GRID.format(name="cup")
         .replace("candidates", "reference")
         .replace('"cup"', '"cup"\nname = "given"')
     )
-    made = study.parse(
-        text("criterion = 'I'\n" + KNOWN, tables=GRID.format(name="cup") + more),
+    parsed = study.parse(
+        text("criterion = 'I'\n" + KNOWN, tables=GRID.format(name="cup") + reference),
         Path("x.study.toml"),
     )
-    found = pipeline.run(made, tmp_path, report=False)
-    assert found.design is not None
-    assert found.prediction is not None
-    plan, given = found.design.plans
-    for name, component in found.prediction.components.items():
-        key = f"{name}_{found.prediction.unit[name]}"
+    result = pipeline.run(parsed, tmp_path, report=False)
+    assert result.design is not None
+    assert result.prediction is not None
+    plan, given = result.design.plans
+    for name, component in result.prediction.components.items():
+        key = f"{name}_{result.prediction.unit[name]}"
         assert plan.predicted[key] == pytest.approx(component.known.rms, rel=1e-9)
         assert plan.gain[key] == pytest.approx(
             given.predicted[key] / plan.predicted[key]
@@ -130,58 +128,56 @@ def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
 
 
 def test_readings_that_share_a_reference() -> None:
-    """Lines told against one reference: the plan's information is that of its
-    correlated readings.
-    """
+    """Readings against one reference are correlated, and so is their information."""
     planar = (
         'schema = 1\nname = "small"\nmachine = { model = "planar_2dof"'
         ' }\n[[setup]]\nname = "rm5"\ninstrument = "rm5"\n'
     )
-    design = (
+    fields = (
         '[design]\nreadings = 4\nscaling = "tolerance"\nprior ='
         ' true\n[[design.candidates]]\nsetup = "rm5"\n'
     )
     grid = 'y_mm = [0, -1200, -600, 600, 1200]\nz_mm = [0, 750, 1500]\nruns_by = "z"\n'
-    resolved, found = chosen(planar + design + grid)
+    resolved, design = chosen(planar + fields + grid)
     m, (whole,) = resolved.measurement, resolved.candidates
     assert len(whole) == 12
 
-    def told(series: list[Series]) -> float:
+    def log_det(series: list[Series]) -> float:
         h = information.scaled(m, series, m.nominal, "tolerance")[:, m.free]
         return float(np.linalg.slogdet(h.T @ h + np.eye(h.shape[1]))[1])
 
-    every = itertools.combinations(range(12), 4)
-    best = max(told([whole.take(np.array(some))]) for some in every)
-    assert found.choice.value == pytest.approx(best, rel=1e-8)
-    assert told(list(found.series)) == pytest.approx(best, rel=1e-8)
+    subsets = itertools.combinations(range(12), 4)
+    best = max(log_det([whole.take(np.array(subset))]) for subset in subsets)
+    assert design.choice.value == pytest.approx(best, rel=1e-8)
+    assert log_det(list(design.series)) == pytest.approx(best, rel=1e-8)
     with pytest.raises(InputError, match="does not profile out"):
         chosen(
             planar
-            + design.replace("readings = 4", 'readings = 4\ncriterion = "E"')
+            + fields.replace("readings = 4", 'readings = 4\ncriterion = "E"')
             + grid
         )
 
 
 def test_instruments_with_different_channels() -> None:
     tracker = '[[setup]]\nname = "tracker"\ninstrument = "pose_tracker"\n'
-    resolved, found = chosen(
+    resolved, design = chosen(
         text(KNOWN, tables=GRID.format(name="cup") + TRACKED, setups=CUP + tracker)
     )
     m = resolved.measurement
-    bar, seen = resolved.candidates
+    bar, tracked = resolved.candidates
     assert len(m.setups["cup"].sigma) != len(m.setups["tracker"].sigma)
 
-    def told(series: list[Series]) -> float:
+    def log_det(series: list[Series]) -> float:
         h = information.scaled(m, series, m.nominal, "tolerance")[:, m.free]
         return float(np.linalg.slogdet(h.T @ h + np.eye(h.shape[1]))[1])
 
-    every = (np.array(some) for some in itertools.combinations(range(12), 3))
-    split = ([(bar, s[s < 8]), (seen, s[s >= 8] - 8)] for s in every)
+    subsets = (np.array(subset) for subset in itertools.combinations(range(12), 3))
+    by_setup = ([(bar, s[s < 8]), (tracked, s[s >= 8] - 8)] for s in subsets)
     best = max(
-        told([series.take(k) for series, k in parts if k.size]) for parts in split
+        log_det([series.take(k) for series, k in parts if k.size]) for parts in by_setup
     )
-    assert found.choice.value == pytest.approx(best, rel=1e-8)
-    assert told(list(found.series)) == pytest.approx(best, rel=1e-8)
+    assert design.choice.value == pytest.approx(best, rel=1e-8)
+    assert log_det(list(design.series)) == pytest.approx(best, rel=1e-8)
 
 
 TRACKED = """
@@ -225,15 +221,15 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_refused_with_field_and_remedy(name: str) -> None:
-    said, field, words = REFUSED[name]
+    fields, field, words = REFUSED[name]
     with pytest.raises(InputError) as error:
-        sample.resolved(text(said + "\n"))
+        sample.resolved(text(fields + "\n"))
     assert error.value.field == field, str(error.value)
     assert words in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("said", "field", "words"),
+    ("fields", "field", "words"),
     [
         ("readings = 4", "design.criterion", "cannot determine"),
         ("readings = 9", "design.criterion", "cannot choose 9"),
@@ -245,8 +241,10 @@ def test_refused_with_field_and_remedy(name: str) -> None:
         ),
     ],
 )
-def test_what_cannot_be_chosen(said: str, field: str, words: str) -> None:
+def test_a_plan_that_does_not_exist_is_refused(
+    fields: str, field: str, words: str
+) -> None:
     with pytest.raises(InputError) as error:
-        chosen(text(said + "\n"))
+        chosen(text(fields + "\n"))
     assert error.value.field == field, str(error.value)
     assert words in str(error.value)

@@ -1,6 +1,4 @@
-"""What planned readings could find, in studies and reports: figures against the
-kernel's, files, what is refused.
-"""
+"""What planned readings could find: the section, its files, its chapter, refusals."""
 
 from __future__ import annotations
 
@@ -86,7 +84,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]
     return json.loads((out / "result.json").read_text()), out
 
 
-def test_chosen_runs_tell_what_the_published_ones_do_not(
+def test_chosen_runs_separate_what_the_published_ones_cannot(
     ran: tuple[dict[str, Any], Path],
 ) -> None:
     chosen = ran[0]["gap_before"]["chosen"]
@@ -104,9 +102,9 @@ def test_chosen_runs_tell_what_the_published_ones_do_not(
 
 def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
     table = ran[0]["gap_before"]["table"]
-    asked = resolve(study.parse(STUDY, HERE))
-    published = asked.reference_plans[0].series[0]
-    made = [
+    resolved = resolve(study.parse(STUDY, HERE))
+    published = resolved.reference_plans[0].series[0]
+    candidates = [
         runs.Run(
             name=str(r),
             setup="cup",
@@ -115,18 +113,20 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
         )
         for r in dict.fromkeys(published.run)
     ]
-    problem, _ = runs.prepare(asked.measurement, made)
+    problem, _ = runs.prepare(resolved.measurement, candidates)
     effects = [gravity.effect, encoder_scale.effect]
-    told = detect.detect(
+    detection = detect.detect(
         problem, stated_law(problem), effects, np.random.default_rng(0)
     )
-    np.testing.assert_allclose(table["apart"], told.separation, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(
+        table["apart"], detection.separation, rtol=1e-6, atol=1e-8
+    )
     rows = {e["name"]: e for e in table["effects"]}
     assert rows["gravity"]["detectability"] == pytest.approx(
-        told.row("gravity").detectability
+        detection.row("gravity").detectability
     )
     assert rows["gravity"]["signature"]["length"] == pytest.approx(
-        1e6 * told.row("gravity").signature["length"]
+        1e6 * detection.row("gravity").signature["length"]
     )
     assert "direction" in rows["backlash"]["not_testable"]
 
@@ -141,25 +141,25 @@ def test_poses_of_the_chosen_runs_can_be_filled_in_and_read(
     path = tmp_path / "filled.readings.csv"
     path.write_text("\n".join([",".join(header), *filled]) + "\n")
     measurement = resolve(study.parse(STUDY, HERE)).measurement
-    read = dataset.load([path], measurement)
-    assert len(read) == 48
-    assert set(read.covariates["payload"]) == {0.0, 200.0}
+    data = dataset.load([path], measurement)
+    assert len(data) == 48
+    assert set(data.covariates["payload"]) == {0.0, 200.0}
     # direction -1 is the same circle in reverse
-    back = read.covariates["direction"].to_numpy() == -1.0
-    psi = read.series[0].reading_commands()[back][:12, 1]
+    backward = data.covariates["direction"].to_numpy() == -1.0
+    psi = data.series[0].reading_commands()[backward][:12, 1]
     assert (np.diff(psi) < 0).sum() >= 10
 
 
-def test_a_plan_that_is_kept_is_part_of_the_choice() -> None:
-    both = (
+def test_a_retained_plan_is_part_of_the_choice() -> None:
+    changes = (
         ('candidates = ["circles"]', 'candidates = ["circles"]\nkeep = "published"'),
         ("runs = 4", "runs = 2"),
     )
-    asked = resolve(study.parse(changed(STUDY, *both), HERE)).gap_design
-    assert asked is not None
-    assert asked.retained == (0, 1)
-    assert len(asked.runs) == 10
-    assert asked.rules.mounted == (0,)
+    request = resolve(study.parse(changed(STUDY, *changes), HERE)).gap_design
+    assert request is not None
+    assert request.retained == (0, 1)
+    assert len(request.runs) == 10
+    assert request.rules.mounted == (0,)
 
 
 def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:
@@ -168,15 +168,15 @@ def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:
         " 0.5 }, { start_min = 9 }]"
     )
     text = re.sub(r"conditions = .*", times, STUDY).replace("runs = 4", "runs = 2")
-    made = pipeline.run(study.parse(text, HERE), tmp_path, report=False)
-    assert made.gap_before is not None
-    assert made.gap_before.chosen is not None
-    begin = sorted(r.condition["time"] for r in made.gap_before.chosen.runs)
+    result = pipeline.run(study.parse(text, HERE), tmp_path, report=False)
+    assert result.gap_before is not None
+    assert result.gap_before.chosen is not None
+    begin = sorted(r.condition["time"] for r in result.gap_before.chosen.runs)
     assert begin[1] - begin[0] >= 72.0  # a circle of 12 readings takes 6 s each
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "words"),
     [
         (
             'find = ["gravity", "encoder_scale"]',
@@ -208,13 +208,13 @@ def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_done_is_refused_before_anything_runs(
-    old: str, new: str, told: str
+    old: str, new: str, words: str
 ) -> None:
-    with pytest.raises(InputError, match=re.escape(told)):
+    with pytest.raises(InputError, match=re.escape(words)):
         resolve(study.parse(changed(STUDY, (old, new)), HERE))
 
 
-def test_effects_that_no_candidate_can_test_are_told(tmp_path: Path) -> None:
+def test_effects_that_no_candidate_can_test_are_refused(tmp_path: Path) -> None:
     text = STUDY.replace(
         'find = ["gravity", "encoder_scale"]', 'find = ["gravity", "servo_lag"]'
     )
@@ -226,7 +226,7 @@ def test_effects_that_no_candidate_can_test_are_told(tmp_path: Path) -> None:
         pipeline.run(study.load(path), tmp_path / "out", report=False)
 
 
-def test_the_chapter_tells_runs_pairs_and_sizes(
+def test_the_chapter_states_runs_pairs_and_sizes(
     ran: tuple[dict[str, Any], Path],
 ) -> None:
     raw = report_fixture.bare() | {"gap_before": ran[0]["gap_before"]}

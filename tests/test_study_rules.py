@@ -1,6 +1,4 @@
-"""Rules, limits, polish and order of a study's [design]: each against what the plan
-then is.
-"""
+"""Rules, limits, polish and order of a study's [design], each checked on the plan."""
 
 from __future__ import annotations
 
@@ -32,7 +30,7 @@ from pkm_studies.errors import InputError
 
 
 def test_the_best_two_of_three_setups() -> None:
-    resolved, found = chosen(
+    resolved, design = chosen(
         text(
             KNOWN.replace("3", "4") + "setups_max = 2\n",
             tables=GRIDS.replace(", 230]", "]"),
@@ -43,36 +41,36 @@ def test_the_best_two_of_three_setups() -> None:
         [s.setup for s in resolved.candidates], [len(s) for s in resolved.candidates]
     )
     h = rows(resolved)
-    every = (list(s) for s in itertools.combinations(range(len(h)), 4))
-    best = max(value("D", h[s], resolved) for s in every if len(set(owner[s])) <= 2)
-    assert len(set(owner[found.choice.indices])) <= 2
-    assert found.choice.value == pytest.approx(best, rel=1e-9)
-    assert found.choice.bound is not None
-    assert found.choice.bound >= best
-    assert set(found.measurement.setups) == set(owner[found.choice.indices])
-    assert section(resolved, found).setups == found.order.setups
+    subsets = (list(s) for s in itertools.combinations(range(len(h)), 4))
+    best = max(value("D", h[s], resolved) for s in subsets if len(set(owner[s])) <= 2)
+    assert len(set(owner[design.choice.indices])) <= 2
+    assert design.choice.value == pytest.approx(best, rel=1e-9)
+    assert design.choice.bound is not None
+    assert design.choice.bound >= best
+    assert set(design.measurement.setups) == set(owner[design.choice.indices])
+    assert section(resolved, design).setups == design.order.setups
 
 
-def test_a_budget_is_kept_and_used() -> None:
-    resolved, found = chosen(
+def test_a_budget_is_respected_and_used() -> None:
+    resolved, design = chosen(
         text(
             'scaling = "tolerance"\nprior = true\nbudget_min = 31\n',
             tables=GRIDS,
             setups=THREE,
         )
     )
-    made = section(resolved, found)
-    assert made.cost_min is not None
+    report = section(resolved, design)
+    assert report.cost_min is not None
     # two set-ups of 15 min, and 10 readings of 6 s
-    assert made.cost_min <= 31.0 + 1e-9
-    assert (len(made.setups), made.n) == (2, 10)
-    _, few = chosen(text(KNOWN + "budget_min = 31\n", tables=GRIDS, setups=THREE))
-    assert sum(map(len, few.series)) == 3
+    assert report.cost_min <= 31.0 + 1e-9
+    assert (len(report.setups), report.n) == (2, 10)
+    _, fewer = chosen(text(KNOWN + "budget_min = 31\n", tables=GRIDS, setups=THREE))
+    assert sum(map(len, fewer.series)) == 3
 
 
 def test_readings_keep_their_distance() -> None:
-    _, found = chosen(text(KNOWN + "apart = { z_mm = 320, psi_deg = 110 }\n"))
-    command = np.vstack([s.reading_commands() for s in found.series])[:, :2] / [
+    _, design = chosen(text(KNOWN + "apart = { z_mm = 320, psi_deg = 110 }\n"))
+    command = np.vstack([s.reading_commands() for s in design.series])[:, :2] / [
         0.32,
         np.radians(110),
     ]
@@ -80,8 +78,8 @@ def test_readings_keep_their_distance() -> None:
         np.triu_indices(3, 1)
     ]
     assert gap.min() >= 1.0 - 1e-9
-    _, near = chosen(text(KNOWN))
-    command = np.vstack([s.reading_commands() for s in near.series])[:, :2] / [
+    _, crowded = chosen(text(KNOWN))
+    command = np.vstack([s.reading_commands() for s in crowded.series])[:, :2] / [
         0.32,
         np.radians(110),
     ]
@@ -91,10 +89,10 @@ def test_readings_keep_their_distance() -> None:
         ].min()
         < 1.0
     )
-    resolved, few = chosen(text(KNOWN + "apart = { z_mm = 200, psi_deg = 200 }\n"))
+    resolved, fewer = chosen(text(KNOWN + "apart = { z_mm = 200, psi_deg = 200 }\n"))
     assert (
         "the study asks for 3, but the rules leave no room for more"
-        in section(resolved, few).words
+        in section(resolved, fewer).words
     )
 
 
@@ -103,24 +101,24 @@ def test_whole_circles() -> None:
         GRID.format(name="cup").replace("[1086, 1246]", "[1086, 1146, 1206, 1246]")
         + 'runs_by = "z"\n'
     )
-    resolved, found = chosen(
+    resolved, design = chosen(
         text(KNOWN.replace("3", "2") + "whole_runs = true\n", tables=tables)
     )
-    made = section(resolved, found)
-    assert (made.n, made.candidates) == (8, 4)
-    assert made.words.endswith(("of 4 runs.", "of 4 runs is better by D."))
+    report = section(resolved, design)
+    assert (report.n, report.candidates) == (8, 4)
+    assert report.words.endswith(("of 4 runs.", "of 4 runs is better by D."))
     h = rows(resolved).reshape(4, 4, -1)
     best = max(
         itertools.combinations(range(4), 2),
         key=lambda s: value("D", np.vstack(h[list(s)]), resolved),
     )
-    assert tuple(found.choice.indices) == best
-    assert [p.run for p in made.poses] == [
-        r for r in dict.fromkeys(p.run for p in made.poses) for _ in range(4)
+    assert tuple(design.choice.indices) == best
+    assert [p.run for p in report.poses] == [
+        r for r in dict.fromkeys(p.run for p in report.poses) for _ in range(4)
     ]
 
 
-KEPT = (
+RETAINED = (
     GRID.format(name="cup")
     .replace("candidates", "reference")
     .replace('"cup"', '"cup"\nname = "before"')
@@ -128,47 +126,47 @@ KEPT = (
 
 
 def test_a_plan_is_added_to() -> None:
-    """The best three beside eight kept ones."""
-    tables = GRID.format(name="cup").replace("1086", "1106") + KEPT
-    resolved, found = chosen(text(KNOWN + 'keep = "before"\n', tables=tables))
-    made = section(resolved, found)
-    assert (made.n, made.retained) == (11, 8)
-    assert [p.run for p in made.poses] == ["1"] * 8 + ["added"] * 3
+    """The best three, added to eight retained ones."""
+    tables = GRID.format(name="cup").replace("1086", "1106") + RETAINED
+    resolved, design = chosen(text(KNOWN + 'keep = "before"\n', tables=tables))
+    report = section(resolved, design)
+    assert (report.n, report.retained) == (11, 8)
+    assert [p.run for p in report.poses] == ["1"] * 8 + ["added"] * 3
     m, old = resolved.measurement, resolved.reference_plans[0].series
-    held = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
+    retained = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
     h = rows(resolved)
-    every = itertools.combinations(range(8), 3)
-    best = max(value("D", np.vstack([held, h[list(s)]]), resolved) for s in every)
-    assert found.choice.value == pytest.approx(best, rel=1e-9)
-    assert made.value == pytest.approx(best, rel=1e-9)
-    assert "added to 8 retained readings" in made.words
+    subsets = itertools.combinations(range(8), 3)
+    best = max(value("D", np.vstack([retained, h[list(s)]]), resolved) for s in subsets)
+    assert design.choice.value == pytest.approx(best, rel=1e-9)
+    assert report.value == pytest.approx(best, rel=1e-9)
+    assert "added to 8 retained readings" in report.words
 
 
-def test_a_set_up_of_kept_readings_is_mounted_already() -> None:
-    """One more of two set-ups, beside the one with kept readings."""
+def test_a_set_up_of_retained_readings_is_mounted_already() -> None:
+    """One of two further set-ups, besides the one with retained readings."""
     tables = GRIDS + GRID.format(name="low").replace("candidates", "reference").replace(
         '"low"', '"low"\nname = "before"'
     )
-    resolved, found = chosen(
+    resolved, design = chosen(
         text(KNOWN + 'setups_max = 1\nkeep = "before"\n', tables=tables, setups=THREE)
     )
     m, old = resolved.measurement, resolved.reference_plans[0].series
-    held = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
+    retained = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
     h, owner = (
         rows(resolved),
         np.repeat(["low", "high", "side"], [len(s) for s in resolved.candidates]),
     )
-    every = (list(s) for s in itertools.combinations(range(len(h)), 3))
+    subsets = (list(s) for s in itertools.combinations(range(len(h)), 3))
     best = max(
-        value("D", np.vstack([held, h[s]]), resolved)
-        for s in every
+        value("D", np.vstack([retained, h[s]]), resolved)
+        for s in subsets
         if not {"high", "side"} <= set(owner[s])
     )
-    assert found.choice.value == pytest.approx(best, rel=1e-9)
-    assert set(found.order.setups) == {"low"} | set(owner[found.choice.indices])
+    assert design.choice.value == pytest.approx(best, rel=1e-9)
+    assert set(design.order.setups) == {"low"} | set(owner[design.choice.indices])
 
 
-def test_readings_of_a_file_are_kept(tmp_path: Path) -> None:
+def test_readings_of_a_file_are_retained(tmp_path: Path) -> None:
     resolved, first = chosen(text(KNOWN))
     y = resolved.measurement.readings(first.series, resolved.measurement.nominal)
     dataset.save(
@@ -188,12 +186,12 @@ joints = { q1_mm = { from = 380, to = 800 } }
 travel_mm = 1.0
 cup_cone = { axis = [0, 0, -1], half_angle_deg = 60 }
 """
-    resolved, found = chosen(text(KNOWN, tables=GRID.format(name="cup") + limits))
-    free = sample.resolved(text(KNOWN)).candidates[0]
+    resolved, design = chosen(text(KNOWN, tables=GRID.format(name="cup") + limits))
+    unlimited = sample.resolved(text(KNOWN)).candidates[0]
     m = resolved.measurement
-    _, tip, _ = m.kinematics.frames(free.start[:8], np.zeros(3))
+    _, tip, _ = m.kinematics.frames(unlimited.start[:8], np.zeros(3))
     down = np.degrees(np.arccos((np.array([0, 0, 1.286]) - tip)[:, 2] / 0.3))
-    joints, cone = (free.q[:8, 0] < 0.38) | (free.q[:8, 0] > 0.8), down > 60
+    joints, cone = (unlimited.q[:8, 0] < 0.38) | (unlimited.q[:8, 0] > 0.8), down > 60
     assert resolved.refusals == {
         "leave the travel of joint q1": int(joints.sum()),
         "leave the cone at the cup": int(cone.sum()),
@@ -201,26 +199,26 @@ cup_cone = { axis = [0, 0, -1], half_angle_deg = 60 }
     assert 0 < joints.sum() < 8
     assert 0 < cone.sum() < 8
     assert len(resolved.candidates[0]) == int((~joints & ~cone).sum())
-    assert section(resolved, found).refused == resolved.refusals
+    assert section(resolved, design).refused == resolved.refusals
     assert any("leave the cone at the cup" in w for w in resolved.warnings)
 
 
 def test_a_sphere_in_the_way_and_an_unlikely_travel() -> None:
-    way = (
+    obstacle = (
         "\n[design.limits]\nspheres = [{ at_mm = [90, 80, 1180], radius_mm = 20"
         " }]\nbar_mm = 5\nmargin_mm = 15\n"
     )
-    resolved, _ = chosen(text(KNOWN, tables=GRID.format(name="cup") + way))
+    resolved, _ = chosen(text(KNOWN, tables=GRID.format(name="cup") + obstacle))
     free = sample.resolved(text(KNOWN)).candidates[0]
     _, tip, _ = resolved.measurement.kinematics.frames(free.start[:8], np.zeros(3))
-    along = np.linspace(0, 1, 2001)[:, None, None]
-    bar = np.array([0, 0, 1.286]) + along * (tip - np.array([0, 0, 1.286]))
-    near = (
+    positions = np.linspace(0, 1, 2001)[:, None, None]
+    bar = np.array([0, 0, 1.286]) + positions * (tip - np.array([0, 0, 1.286]))
+    crowded = (
         np.linalg.norm(bar - np.array([0.090, 0.080, 1.180]), axis=2).min(axis=0)
         < 0.040
     )
-    assert 0 < near.sum() < 8
-    assert resolved.refusals == {"come too near an obstacle": int(near.sum())}
+    assert 0 < crowded.sum() < 8
+    assert resolved.refusals == {"come too near an obstacle": int(crowded.sum())}
     unlikely = "\n[design.limits]\ntravel_mm = 0.001\ntravel_chance = 0.9\n"
     with pytest.raises(
         InputError, match=r"8 leave the travel of the instrument on too many machines"
@@ -237,29 +235,31 @@ def test_polished_poses_are_better_and_on_hold(criterion: str, tmp_path: Path) -
         "\n[design.polish]\nfree = { low = { at_x_mm = [-20, 20] } }\niterations = 60\n"
     )
     table = GRID.format(name="low").replace("[1086, 1246]", "[1126, 1226]")
-    said = f'criterion = "{criterion}"\n' + EXTRA + KNOWN.replace("3", "6")
-    said = text(
-        said, tables=table + polish, setups=FREE.format(name="low", x=0, z=1126)
+    fields = f'criterion = "{criterion}"\n' + EXTRA + KNOWN.replace("3", "6")
+    fields = text(
+        fields, tables=table + polish, setups=FREE.format(name="low", x=0, z=1126)
     )
-    found = pipeline.run(
-        study.parse(said, Path("x.study.toml")), tmp_path, report=False
+    result = pipeline.run(
+        study.parse(fields, Path("x.study.toml")), tmp_path, report=False
     )
-    made = found.design
-    assert made is not None
-    assert made.polished is not None
-    assert made.polished.after > made.polished.before
-    assert made.value == pytest.approx(made.polished.after, rel=1e-9)
-    assert made.plans[0].value == pytest.approx(
-        made.value, rel=1e-8
+    design = result.design
+    assert design is not None
+    assert design.polished is not None
+    assert design.polished.after > design.polished.before
+    assert design.value == pytest.approx(design.polished.after, rel=1e-9)
+    assert design.plans[0].value == pytest.approx(
+        design.value, rel=1e-8
     )  # in working order: rounded otherwise
-    assert (made.bound, made.efficiency) == (None, None)
-    assert "polishing gained" in made.words
+    assert (design.bound, design.efficiency) == (None, None)
+    assert "polishing gained" in design.words
     assert all(
-        p.reading["length_mm"] == pytest.approx(300.0, abs=1e-6) for p in made.poses
+        p.reading["length_mm"] == pytest.approx(300.0, abs=1e-6) for p in design.poses
     )
-    assert -20 <= made.polished.setups["low"]["at_x_mm"] <= 20
-    assert any("write at_x_mm" in w for w in found.warnings)
-    assert found.setups[0].numbers["at_x_mm"] == made.polished.setups["low"]["at_x_mm"]
+    assert -20 <= design.polished.setups["low"]["at_x_mm"] <= 20
+    assert any("write at_x_mm" in w for w in result.warnings)
+    assert (
+        result.setups[0].numbers["at_x_mm"] == design.polished.setups["low"]["at_x_mm"]
+    )
 
 
 def test_the_order_is_short_and_the_reference_comes_often_enough(
@@ -271,17 +271,17 @@ speed_mm_s = 2.0
 reference_every_min = 6.0
 reference = { z_mm = 1166, psi_deg = 90, theta = "hold" }
 """
-    said = study.parse(
+    parsed = study.parse(
         text(KNOWN.replace("3", "8"), tables=GRID.format(name="cup") + order),
         Path("x.study.toml"),
     )
-    found = pipeline.run(said, tmp_path, report=False).design
-    assert found is not None
-    assert found.order is not None
-    assert found.order.exact
-    assert found.order.after_s < found.order.before_s
-    resolved, plain = chosen(text(KNOWN.replace("3", "8")))
-    (series,), m = plain.series, resolved.measurement
+    design = pipeline.run(parsed, tmp_path, report=False).design
+    assert design is not None
+    assert design.order is not None
+    assert design.order.exact
+    assert design.order.after_s < design.order.before_s
+    resolved, unordered = chosen(text(KNOWN.replace("3", "8")))
+    (series,), m = unordered.series, resolved.measurement
     q = np.vstack(
         [m.kinematics.inverse(m.machine.home_command)[1], series.q[series.index[:, 0]]]
     )
@@ -289,22 +289,22 @@ reference = { z_mm = 1166, psi_deg = 90, theta = "hold" }
         np.abs(np.diff(q[[0, *p]], axis=0)).max(axis=1).sum() / 2e-3
         for p in itertools.permutations(range(1, 9))
     ]
-    assert found.order.after_s == pytest.approx(min(times), rel=1e-9)
-    runs = [p.run for p in found.poses]
+    assert design.order.after_s == pytest.approx(min(times), rel=1e-9)
+    runs = [p.run for p in design.poses]
     assert runs[0] == runs[-1] == "reference"
-    assert runs.count("reference") == found.order.references == len(runs) - 8
+    assert runs.count("reference") == design.order.references == len(runs) - 8
     # time from the end of a reference reading to the begin of the next
     poses = np.array([[p.command["z_mm"] / 1e3, *np.radians([p.command["psi_deg"], p.command["theta_deg"]])]
-                      for p in found.poses])  # fmt: skip
+                      for p in design.poses])  # fmt: skip
     joints = m.kinematics.inverse(poses)[1]
     steps = np.abs(np.diff(joints, axis=0)).max(axis=1) / 2e-3
-    clock, at = 0.0, []
+    clock, times_of_reference = 0.0, []
     for k, run in enumerate(runs):
         clock += float(steps[k - 1]) if k else 0.0
         if run == "reference":
-            at.append(clock)
+            times_of_reference.append(clock)
         clock += 6.0
-    assert max(np.diff(at)) - 6.0 <= 360.0 + 1e-6
+    assert max(np.diff(times_of_reference)) - 6.0 <= 360.0 + 1e-6
     filled = tmp_path / "filled.readings.csv"
     lines = (tmp_path / "poses.csv").read_text().splitlines()
     filled.write_text(
@@ -313,5 +313,5 @@ reference = { z_mm = 1166, psi_deg = 90, theta = "hold" }
     assert len(dataset.load([filled], m)) == len(runs)
     assert [line.split(",")[1] for line in lines[1:]] == runs
     assert [line.split(",")[2] for line in lines[1:] if ",reference," in line] == [
-        str(k + 1) for k in range(found.order.references)
+        str(k + 1) for k in range(design.order.references)
     ]

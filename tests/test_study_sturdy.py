@@ -1,6 +1,4 @@
-"""Robust plans and the number of readings, from a study file to its result, against
-values computed anew.
-"""
+"""Robust plans and the number of readings, against values computed in the test."""
 
 from __future__ import annotations
 
@@ -23,90 +21,88 @@ MANY = (
 
 
 def accuracy(
-    resolved: small.Resolved, found: small.Chosen, rows: np.ndarray
+    resolved: small.Resolved, design: small.Chosen, rows: np.ndarray
 ) -> dict[str, float]:
     """Predicted rms of each component, SI, from whitened rows, by plain linear algebra."""
-    m, maps = resolved.measurement, found.criteria.error_maps
+    m, maps = resolved.measurement, design.criteria.error_maps
     assert maps is not None
     free = m.free
     covariance = np.linalg.inv(np.eye(int(free.sum())) + rows.T @ rows)
-    wide = np.zeros((*maps.raw.shape[:2], len(m.names)))
-    wide[:, :, : maps.raw.shape[2]] = maps.raw
-    slopes = (wide * m.tolerance)[:, :, free]
-    told = np.einsum("nkp,pq,nkq->k", slopes, covariance, slopes) / len(slopes)
-    return dict(zip(maps.names, np.sqrt(told), strict=True))
+    every_slope = np.zeros((*maps.raw.shape[:2], len(m.names)))
+    every_slope[:, :, : maps.raw.shape[2]] = maps.raw
+    slopes = (every_slope * m.tolerance)[:, :, free]
+    variance = np.einsum("nkp,pq,nkq->k", slopes, covariance, slopes) / len(slopes)
+    return dict(zip(maps.names, np.sqrt(variance), strict=True))
 
 
 def test_a_robust_plan_is_never_worse_than_the_nominal_one_and_below_its_bound() -> (
     None
 ):
-    resolved, found = small.chosen(small.text(ROBUST))
-    told = found.robust
-    assert told is not None
-    assert len(told.values) == 6
-    assert told.value == pytest.approx(min(told.values))
-    assert told.nominal == pytest.approx(min(told.nominal_values))
-    assert told.nominal - 1e-8 <= told.value <= told.bound
+    resolved, design = small.chosen(small.text(ROBUST))
+    robust = design.robust
+    assert robust is not None
+    assert len(robust.values) == 6
+    assert robust.value == pytest.approx(min(robust.values))
+    assert robust.nominal == pytest.approx(min(robust.nominal_values))
+    assert robust.nominal - 1e-8 <= robust.value <= robust.bound
     # the first scenario is the nominal machine: log phi = -log of the summed variance
     # there
-    rows = small.rows(resolved)[found.choice.indices]
-    wanted = found.criteria.ingredients("I", resolved.measurement)["factor"]
+    rows = small.rows(resolved)[design.choice.indices]
+    wanted = design.criteria.ingredients("I", resolved.measurement)["factor"]
     covariance = np.linalg.inv(np.eye(rows.shape[1]) + rows.T @ rows)
-    assert told.values[0] == pytest.approx(
+    assert robust.values[0] == pytest.approx(
         -np.log(np.trace(wanted @ covariance @ wanted.T)), abs=1e-9
     )
     assert (
-        "6 machines drawn from the tolerances" in small.section(resolved, found).words
+        "6 machines drawn from the tolerances" in small.section(resolved, design).words
     )
 
 
 def test_accuracy_against_the_number_of_readings() -> None:
-    """No two readings of all pairs are more accurate than the bound, and the curve
-    falls.
-    """
-    resolved, found = small.chosen(small.text(MANY))
-    told = found.how_many
-    assert told is not None
-    assert told.sizes == [2, 4, 6]
+    """No pair of readings is more accurate than the bound, and the curve falls."""
+    resolved, design = small.chosen(small.text(MANY))
+    curve = design.how_many
+    assert curve is not None
+    assert curve.sizes == [2, 4, 6]
     rows = small.rows(resolved)
     pairs = [
-        accuracy(resolved, found, rows[list(p)])
+        accuracy(resolved, design, rows[list(p)])
         for p in itertools.combinations(range(len(rows)), 2)
     ]
     for name, unit, key in (("x", 1e-6, "x_um"), ("z", 1e-6, "z_um")):
         best = min(p[name] for p in pairs) / unit
-        assert told.bound[key][0] <= best * (1 + 1e-9)
-        assert told.accuracy[key][0] >= best * (1 - 1e-9)
-        assert (np.diff(told.bound[key]) < 0).all()
-        assert told.accuracy[key][2] < told.accuracy[key][0]
+        assert curve.bound[key][0] <= best * (1 + 1e-9)
+        assert curve.accuracy[key][0] >= best * (1 - 1e-9)
+        assert (np.diff(curve.bound[key]) < 0).all()
+        assert curve.accuracy[key][2] < curve.accuracy[key][0]
 
 
 def test_the_fewest_readings_for_a_wanted_accuracy() -> None:
-    resolved, found = small.chosen(small.text(MANY))
+    resolved, design = small.chosen(small.text(MANY))
     rows = small.rows(resolved)
     best = {
         n: min(
-            accuracy(resolved, found, rows[list(p)])["z"]
+            accuracy(resolved, design, rows[list(p)])["z"]
             for p in itertools.combinations(range(len(rows)), n)
         )
         for n in (3, 4)
     }
     wanted = 1e6 * 0.5 * (best[3] + best[4])  # four can, three cannot
-    asked = MANY.replace("most = 8", f"most = 8, wanted = {{ z_um = {wanted:.6f} }}")
-    _, found = small.chosen(small.text(asked))
-    assert found.how_many is not None
-    assert found.how_many.fewest == 4
-    assert found.how_many.at_least <= 4
-    _, never = small.chosen(
+    changed = MANY.replace("most = 8", f"most = 8, wanted = {{ z_um = {wanted:.6f} }}")
+    _, design = small.chosen(small.text(changed))
+    assert design.how_many is not None
+    assert design.how_many.fewest == 4
+    assert design.how_many.at_least <= 4
+    _, unreachable = small.chosen(
         small.text(MANY.replace("most = 8", "most = 8, wanted = { z_um = 0.001 }"))
     )
-    assert never.how_many is not None
-    assert never.how_many.fewest is None
-    assert "no plan of that size can" in never.how_many.words
+    assert unreachable.how_many is not None
+    assert unreachable.how_many.fewest is None
+    assert "no plan of that size can" in unreachable.how_many.words
 
 
 @pytest.mark.parametrize(
-    ("design", "told"),
+    ("design", "words"),
     [
         ("robust = {}\n", "not all drawn machines see"),
         ("how_many = {}\n", "accuracy depends on the tolerances"),
@@ -118,6 +114,6 @@ def test_the_fewest_readings_for_a_wanted_accuracy() -> None:
         (small.KNOWN + 'robust = { risk = "hope" }\n', "risk"),
     ],
 )
-def test_what_cannot_be_asked_is_said(design: str, told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_what_cannot_be_computed_is_refused(design: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
         small.chosen(small.text(design))

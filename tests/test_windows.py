@@ -116,7 +116,7 @@ def test_no_module_needs_posix() -> None:
     paths = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")]
     assert len(paths) > 100
     names = {str(path.relative_to(ROOT)): list(_posix_names(path)) for path in paths}
-    assert not {path: found for path, found in names.items() if found}
+    assert not {path: used for path, used in names.items() if used}
 
 
 # -- files and pipes -------------------------------------------------------------------
