@@ -142,6 +142,6 @@ def headed_list(heading: str, items: Sequence[str]) -> list[Block]:
     return [Paragraph(heading), Items(items)] if items else []
 
 
-def absent(what: str) -> list[Block]:
+def absent(stage: str) -> list[Block]:
     """The one sentence for a stage that did not run."""
-    return [Paragraph(f"{what} was not part of this study.")]
+    return [Paragraph(f"{stage} was not part of this study.")]

@@ -32,12 +32,12 @@ def draw(plan: PlanSection) -> Figure:
     compared = [s for s in plan.compared if len(points([s.sequence]))]
     rejected = points(alternatives(plan))
     sequences = points([s.sequence for s in compared])
-    every = np.vstack([front, chosen, rejected, sequences])
-    if not len(every):
+    plans = np.vstack([front, chosen, rejected, sequences])
+    if not len(plans):
         return style.empty("No plans of other times are stored in this result.")
     figure = style.figure(3.3)
     axes = figure.subplots()
-    _set_limits(axes, every, plan)
+    _set_limits(axes, plans, plan)
     _draw_limits(axes, plan)
     if len(rejected):
         axes.plot(
@@ -88,12 +88,12 @@ def _points(pairs: Sequence[tuple[float, float]]) -> Array:
     return np.asarray(table[finite & positive])
 
 
-def _set_limits(axes: Axes, every: Array, plan: PlanSection) -> None:
+def _set_limits(axes: Axes, plans: Array, plan: PlanSection) -> None:
     """Limits that hold all plans, the budget and the bounds."""
-    minutes = np.append(every[:, 0], missing.finite([plan.budget_min]))
+    minutes = np.append(plans[:, 0], missing.finite([plan.budget_min]))
     bounds = missing.finite([plan.bound, *[s.bound for s in plan.compared]])
     bounds += [1.0] if plan.goal else []
-    values = np.append(every[:, 1], [bound for bound in bounds if bound > 0.0])
+    values = np.append(plans[:, 1], [bound for bound in bounds if bound > 0.0])
     axes.set_yscale("log")
     axes.set_ylim(values.min() / 1.35, 1.35 * values.max())
     positive = minutes[minutes > 0.0]

@@ -117,16 +117,16 @@ def _readings(poses: Sequence[PlannedReading]) -> list[Block]:
 
 def _readings_caption(poses: Sequence[PlannedReading]) -> str:
     """What to do, set-up by set-up."""
-    parts = []
+    entries = []
     for setup in dict.fromkeys(pose.setup for pose in poses):
         of_setup = [pose for pose in poses if pose.setup == setup]
-        part = f"{text.count(len(of_setup), 'reading')} in {setup}"
+        entry = f"{text.count(len(of_setup), 'reading')} in {setup}"
         runs = list(dict.fromkeys(pose.run for pose in of_setup))
         if runs != ["1"]:
-            part += f" ({text.listing(runs, 4)})"
-        parts.append(part)
+            entry += f" ({text.listing(runs, 4)})"
+        entries.append(entry)
     return (
-        f"The readings to take, from top to bottom: {text.listing(parts, 5)}. Each row"
+        f"The readings to take, from top to bottom: {text.listing(entries, 5)}. Each row"
         " holds the command to the machine."
     )
 

@@ -108,11 +108,11 @@ def _caption(posterior: PosteriorSection) -> str:
     sizes = [
         f"{label} {text.number(sd, 2)}" for label, sd in zip(labels, sds, strict=True)
     ]
-    wide = int(np.sum(sds > WIDE))
+    uncertain = int(np.sum(sds > WIDE))
     verdict = (
-        f"{wide} of {len(names)} stay nearly as wide as the prior: the readings say"
+        f"{uncertain} of {len(names)} stay nearly as wide as the prior: the readings say"
         " little about them."
-        if wide
+        if uncertain
         else "The readings clearly tighten all of them."
     )
     return f"{caption} Standard deviations: {text.listing(sizes)}. {verdict}"

@@ -13,17 +13,20 @@ from pkm_reports.figures import path
 def blocks(design: DesignSection) -> list[Block]:
     """Travel, set-ups in order, path through the poses."""
     poses, order = design.poses, design.order
-    part: list[Block] = []
+    content: list[Block] = []
     setups = design.setups
     if order is not None:
-        part.append(Paragraph(_travel(order)))
+        content.append(Paragraph(_travel(order)))
         setups = order.setups or setups
     if len(setups) > 1:
         items = [_setup(name, poses) for name in setups]
-        part += [Paragraph("Set-ups, in working order:"), Items(items, numbered=True)]
+        content += [
+            Paragraph("Set-ups, in working order:"),
+            Items(items, numbered=True),
+        ]
     if any(pose.command for pose in poses):
-        part.append(Picture("path", lambda: path.draw(poses), _caption(poses)))
-    return part
+        content.append(Picture("path", lambda: path.draw(poses), _caption(poses)))
+    return content
 
 
 def _travel(order: WorkingOrder) -> str:

@@ -64,12 +64,12 @@ def circles(traces: Sequence[Trace]) -> dict[CircleKey, list[Trace]]:
 
     Circles with the largest residuals are taken first.
     """
-    every: dict[CircleKey, list[Trace]] = {}
+    passes: dict[CircleKey, list[Trace]] = {}
     for trace in traces:
         if trace.kind == "circle":
-            every.setdefault(circle_key(trace), []).append(trace)
-    ranked = sorted(every, key=lambda key: -_rms(every[key], "before"))[:MOST]
-    return {key: runs for key, runs in every.items() if key in ranked}
+            passes.setdefault(circle_key(trace), []).append(trace)
+    ranked = sorted(passes, key=lambda key: -_rms(passes[key], "before"))[:MOST]
+    return {key: runs for key, runs in passes.items() if key in ranked}
 
 
 def circle_key(trace: Trace) -> CircleKey:

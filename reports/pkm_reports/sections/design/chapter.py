@@ -32,7 +32,7 @@ def blocks(result: StudyResult) -> list[Block]:
     design = result.design
     if design is None:
         return absent("Choosing readings")
-    return [block for part in PARTS for block in part(design)]
+    return [block for blocks_of in PARTS for block in blocks_of(design)]
 
 
 CHAPTER: Final = Chapter("design", "How good the plan is", blocks)

@@ -30,13 +30,13 @@ def blocks(design: DesignSection) -> list[Block]:
     if not compared:
         return []
     names = [entry.name for entry in compared]
-    part: list[Block] = [
+    content: list[Block] = [
         Paragraph(_about(names)),
         Picture("compared", lambda: criteria.draw(design), _caption(design)),
     ]
     if len(names) <= MANY:
-        return [*part, _one_table(compared, names)]
-    return [*part, _certificates(compared, names), _values(compared, names)]
+        return [*content, _one_table(compared, names)]
+    return [*content, _certificates(compared, names), _values(compared, names)]
 
 
 def _about(names: Sequence[str]) -> str:

@@ -24,12 +24,12 @@ def blocks(design: DesignSection) -> list[Block]:
     plans = design.plans
     if not plans:
         return []
-    part: list[Block] = [_scores(design)]
+    content: list[Block] = [_scores(design)]
     if any(plan.predicted for plan in plans):
         caption = _figure_caption(plans)
-        part.append(Picture("predicted", lambda: predicted.draw(plans), caption))
-        part.append(_accuracies(design))
-    return part
+        content.append(Picture("predicted", lambda: predicted.draw(plans), caption))
+        content.append(_accuracies(design))
+    return content
 
 
 def is_chosen(plan: PlanScore, design: DesignSection) -> bool:

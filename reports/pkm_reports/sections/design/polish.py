@@ -22,7 +22,7 @@ def blocks(design: DesignSection) -> list[Block]:
         sentence = f"Polishing off the grid leaves criterion {criterion} at {after}"
     if polish.words and polish.words not in design.words:
         sentence += f": {polish.words}"
-    part: list[Block] = [Paragraph(text.sentence(sentence))]
+    content: list[Block] = [Paragraph(text.sentence(sentence))]
     if polish.setups:
         columns = [TableColumn("Set-up"), wide_column("Set it to")]
         rows = [
@@ -31,5 +31,5 @@ def blocks(design: DesignSection) -> list[Block]:
         ]
         count = text.count(len(rows), "set-up")
         caption = f"New settings of the set-ups that polishing moved: {count}."
-        part.append(Table(columns, rows, caption))
-    return part
+        content.append(Table(columns, rows, caption))
+    return content

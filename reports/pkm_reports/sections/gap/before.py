@@ -178,7 +178,7 @@ def _detectability(
     """Sizes, confusability and what is imitated, of readings named by `of`."""
     testable = [record for record in table.effects if not record.not_testable]
     testable.sort(key=lambda record: -record.detectability)
-    part: list[Block] = []
+    content: list[Block] = []
     if testable:
         caption = (
             f"How well {of} tell effects from one another, in units of the noise:"
@@ -186,9 +186,9 @@ def _detectability(
             " effect of any size may explain it too. Framed: detectability where nothing"
             " else acts."
         )
-        part.append(_sizes(testable, table, channel_units, of))
-        part.append(Picture(name, lambda: confusable.draw(table), caption))
-    return part + _imitated(testable, of) + _untestable(table)
+        content.append(_sizes(testable, table, channel_units, of))
+        content.append(Picture(name, lambda: confusable.draw(table), caption))
+    return content + _imitated(testable, of) + _untestable(table)
 
 
 def _sizes(

@@ -26,14 +26,14 @@ VISIBLE: Final = 1e-9
 
 def blocks(gap: GapSection) -> list[Block]:
     """Explanations, the credible set, sizes of the effects."""
-    part: list[Block] = []
+    content: list[Block] = []
     if gap.answers:
-        part.append(_answers(gap))
+        content.append(_answers(gap))
     if gap.answers and len(gap.set95) > 1:
-        part.append(_credible_set(gap))
+        content.append(_credible_set(gap))
     if gap.sizes:
-        part.append(_sizes(gap))
-    return part
+        content.append(_sizes(gap))
+    return content
 
 
 def probabilities_caption(gap: GapSection) -> str:

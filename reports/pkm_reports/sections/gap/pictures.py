@@ -18,15 +18,17 @@ def blocks(gap: GapSection) -> list[Block]:
     if not traces:
         return []
     caption = _trace_caption(traces)
-    part: list[Block] = [Picture("gap_trace", lambda: gap_trace.draw(traces), caption)]
+    content: list[Block] = [
+        Picture("gap_trace", lambda: gap_trace.draw(traces), caption)
+    ]
     if gap_polar.circles(traces):
         caption = _polar_caption(traces)
-        part.append(Picture("gap_polar", lambda: gap_polar.draw(traces), caption))
+        content.append(Picture("gap_polar", lambda: gap_polar.draw(traces), caption))
     if spots:
         caption = _map_caption(gap)
         unit = gap.spots_unit
-        part.append(Picture("gap_map", lambda: gap_map.draw(spots, unit), caption))
-    return part
+        content.append(Picture("gap_map", lambda: gap_map.draw(spots, unit), caption))
+    return content
 
 
 def _trace_caption(traces: Sequence[Trace]) -> str:
@@ -40,10 +42,10 @@ def _trace_caption(traces: Sequence[Trace]) -> str:
         colours.append("pink a part of a form that no known effect has")
     single_channel = len({trace.channel for trace in traces}) == 1
     noun = "run" if single_channel else "trace"
-    shown, every = len(gap_trace.choose(traces)), text.count(len(traces), noun)
-    extent = f"{every}."
+    shown, runs = len(gap_trace.choose(traces)), text.count(len(traces), noun)
+    extent = f"{runs}."
     if shown < len(traces):
-        extent = f"Shown are the {shown} of {every} with the largest residuals before."
+        extent = f"Shown are the {shown} of {runs} with the largest residuals before."
     return f"Residual of each run: {', '.join(colours)}. {extent}"
 
 

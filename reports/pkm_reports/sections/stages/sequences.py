@@ -23,11 +23,11 @@ def blocks(plan: PlanSection) -> list[Block]:
     compared = plan.compared
     if not compared:
         return []
-    part: list[Block] = [_ranks(compared), _comparison(compared)]
+    content: list[Block] = [_ranks(compared), _comparison(compared)]
     sentences = [f"{s.name}: {text.sentence(s.words)}" for s in compared if s.words]
     if sentences:
-        part.append(Items(sentences))
-    return part
+        content.append(Items(sentences))
+    return content
 
 
 def _ranks(compared: Sequence[SequenceRecord]) -> Table:

@@ -10,21 +10,21 @@ from pkm_reports.sections.stages import wording
 
 def blocks(plan: PlanSection) -> list[Block]:
     """What is known before, the verdict, what would improve it, the bound, the stop."""
-    part: list[Block] = []
+    content: list[Block] = []
     if plan.after:
-        part.append(Paragraph(f"Known before: {text.with_full_stop(plan.after)}"))
+        content.append(Paragraph(f"Known before: {text.with_full_stop(plan.after)}"))
     needs = text.sentences(plan.needs)
     if is_missed(plan):
-        part.append(Notice(_missed(plan)))
-        part += headed_list("What would have to change:", needs)
+        content.append(Notice(_missed(plan)))
+        content += headed_list("What would have to change:", needs)
     else:
-        part.append(Paragraph(_reached(plan)))
-        part += headed_list("What would make it more accurate:", needs)
+        content.append(Paragraph(_reached(plan)))
+        content += headed_list("What would make it more accurate:", needs)
     if plan.bound is not None:
-        part.append(Paragraph(_bound(plan, plan.bound)))
+        content.append(Paragraph(_bound(plan, plan.bound)))
     if plan.stop:
-        part.append(Paragraph(f"When to stop: {text.with_full_stop(plan.stop)}"))
-    return part
+        content.append(Paragraph(f"When to stop: {text.with_full_stop(plan.stop)}"))
+    return content
 
 
 def is_missed(plan: PlanSection) -> bool:
