@@ -1,8 +1,65 @@
-"""Optimal experiment design and uncertainty for calibrating parallel kinematic
-machines.
+"""Optimal experiment design and uncertainty for calibrating parallel kinematic machines.
 
-Mathematics on a model: arrays in, frozen results out. Machines and instruments live in
-`pkm_models`, studies and the command in `pkm_studies`, reports in `pkm_reports`.
+`import oed` offers what a notebook needs, from a study to its results:
+
+    study = oed.load_study("a3_ball_bar")
+    design = oed.choose_design(study)
+    readings = oed.simulation(design)
+    estimate = oed.identification(readings)
+    accuracy = oed.prediction(estimate)
+
+The mathematics lies in the submodules, machines and instruments in `pkm_models`, study
+files and the command in `pkm_studies`, reports in `pkm_reports`.
 """
 
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
 __version__ = "0.1.0"
+
+#: public names and where they live. They are imported when first used: the command
+#: starts quickly, and this package stays below the others.
+_HOMES = {
+    "load_study": "pkm_studies.notebook",
+    "build_study": "pkm_studies.notebook",
+    "choose_design": "pkm_studies.notebook",
+    "plan": "pkm_studies.notebook",
+    "read_readings": "pkm_studies.notebook",
+    "simulate": "pkm_studies.notebook",
+    "identify": "pkm_studies.notebook",
+    "sample": "pkm_studies.notebook",
+    "predict": "pkm_studies.notebook",
+    "diagnose": "pkm_studies.notebook",
+    "run": "pkm_studies.notebook",
+    "write_report": "pkm_studies.notebook",
+    "Study": "pkm_studies.study",
+    "InputError": "pkm_studies.errors",
+    "StudyResult": "oed.result",
+    "Machine": "oed.machine",
+    "Parameter": "oed.machine",
+    "Coordinate": "oed.machine",
+    "Component": "oed.machine",
+    "Instrument": "oed.instrument",
+    "Channel": "oed.instrument",
+    "Setting": "oed.instrument",
+    "mount": "oed.instrument",
+    "Effect": "oed.effect",
+    "Column": "oed.effect",
+    "Measurement": "oed.measurement",
+}
+
+__all__ = ["__version__", *_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'oed' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -4,7 +4,7 @@ evaluated at once.
     log p(z, t | y) = -|z|^2 / 2 - sum_g [ N_g t_g + exp(-2 t_g) |(y - f(theta(z))) /
     sigma|_g^2 / 2 + t_g^2 / (2 s^2) ]
 
-z are the coordinates of `oed.identify`; t_g = log of the noise factor of set-up g,
+z are the coordinates of `oed.identification`; t_g = log of the noise factor of set-up g,
 sampled where the noise is to be estimated, so that few readings give wide tails.
 Directions that no reading sees are drawn from their prior. Two kinds of moves share the
 work: independent proposals from the Laplace approximation with Student tails, which
@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from oed.arrays import Array
-from oed.identify import Estimate, IdentifiableCoordinates
+from oed.identification import Estimate, IdentifiableCoordinates
 from oed.measurement import Measurement, Series
 
 #: prior standard deviation of a log noise factor

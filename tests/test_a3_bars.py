@@ -10,11 +10,11 @@ from kernel import a3_plans
 from kernel.a3_machines import Realised, against_home, measured, realise
 from reference import tian_2016 as paper
 
-from oed import predict
+from oed import prediction
 from oed.design import exchange
-from oed.identify import Estimate, identify
+from oed.identification import Estimate, identify
 from oed.measurement import Measurement, Series
-from oed.predict import Prediction
+from oed.prediction import Prediction
 
 MACHINES = 200
 TILT = "rotation of the platform joints about the TCP, {} axis"
@@ -190,8 +190,8 @@ def planned(m: Measurement, series: Series) -> Prediction:
     covariance[np.ix_(m.free, m.free)] = np.linalg.inv(
         np.eye(len(scale)) + h.T @ h
     ) * np.outer(scale, scale)
-    maps = predict.error_maps(m.kinematics, a3_plans.workspace(), "home")
-    return predict.predict(
+    maps = prediction.error_maps(m.kinematics, a3_plans.workspace(), "home")
+    return prediction.predict(
         maps,
         np.diag(m.tolerance[:24] ** 2),
         covariance[:24, :24],
@@ -201,9 +201,9 @@ def planned(m: Measurement, series: Series) -> Prediction:
 
 def from_estimate(m: Measurement, estimate: Estimate) -> Prediction:
     """Prediction once a machine is identified."""
-    maps = predict.error_maps(m.kinematics, a3_plans.workspace(), "home")
+    maps = prediction.error_maps(m.kinematics, a3_plans.workspace(), "home")
     prior = np.diag(m.tolerance[:24] ** 2)
-    return predict.predict(
+    return prediction.predict(
         maps,
         prior,
         estimate.covariance[:24, :24],

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from oracles import cable_geometry as oracle
 
-from oed import identify
+from oed import identification
 from oed.arrays import Array
-from oed.identify import Estimate
+from oed.identification import Estimate
 from oed.instrument import mount
 from oed.kinematics import Kinematics
 from oed.measurement import Measurement, Series
@@ -164,7 +164,7 @@ def fit(data: tuple[Array, Array], anchors: float = 0.050, line: float = 1e-3) -
         m.series_from_joints("lines", q),
     ]
     y = np.concatenate([known.ravel() * MM, np.zeros(KNOWN)])
-    estimate = identify.identify(m, series, y)
+    estimate = identification.identify(m, series, y)
     p = in_mm(estimate.theta)
     start = np.tile([0.0, 0.0, 300.0], (len(motor) - KNOWN, 1))
     return Fit(

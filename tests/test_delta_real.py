@@ -13,7 +13,7 @@ from oracles import delta_trilateration as delta
 from reference import delta_v400 as published
 
 from oed import identifiability, posterior
-from oed.identify import Estimate, identify
+from oed.identification import Estimate, identify
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import calliper, height_probe

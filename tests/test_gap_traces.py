@@ -20,7 +20,7 @@ from pkm_studies.study import load
 
 def _diagnosed(tmp_path: Path) -> Diagnosis:
     path = gap_fixture.written(tmp_path)
-    state = start(load(path), tmp_path, 3, Silent(), None)
+    state = start(load(path), 3, Silent(), None)
     readings = simulate_readings(state, planned_series(state)).readings
     residuals = problem.assemble(
         state.measurement,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oracles import micro_cmm_geometry as oracle
 
-from oed import identify, predict, simulate
+from oed import identification, prediction, simulation
 from oed.arrays import Array
 from oed.assessment import assess
 from oed.instrument import Setup, mount
@@ -215,9 +215,9 @@ def test_a_ball_plate_by_hand() -> None:
 def test_planted_errors_come_back_in_what_is_seen(rng: np.random.Generator) -> None:
     m = measurement(mount(camera.known_frame, "position", sigma=[0.2e-6] * 3))
     series = [m.series("position", grid(4, 3))]
-    truth = simulate.draw_parameters(m, rng)
-    y = simulate.draw_readings(m, series, truth, rng)
-    found = identify.identify(m, series, y)
+    truth = simulation.draw_parameters(m, rng)
+    y = simulation.draw_readings(m, series, truth, rng)
+    found = identification.identify(m, series, y)
     verdict = assess(m, series).identifiability
     off = verdict.combinations @ (found.theta - truth)
     sd = np.sqrt(
@@ -231,9 +231,9 @@ def test_a_machine_turned_as_a_whole_is_accurate_after_the_best_fit() -> None:
     """It never turns its platform, so that its points alone are aligned: frame and
     platform turned together.
     """
-    maps = predict.error_maps(KINEMATICS, grid(3, 2), "best_fit")
+    maps = prediction.error_maps(KINEMATICS, grid(3, 2), "best_fit")
     turned = np.zeros(15)
     turned[6:12] = 1e-3
-    home = predict.error_maps(KINEMATICS, grid(3, 2), "home")
+    home = prediction.error_maps(KINEMATICS, grid(3, 2), "home")
     assert np.abs(home.raw @ turned).max() > 30e-6
     assert np.abs(maps.raw @ turned).max() < 1e-15

@@ -9,8 +9,8 @@ import pytest
 from kernel.plan_catalogues import searched, stage_after
 from oracles import planar_geometry as oracle
 
-from oed import predict, simulate
-from oed.identify import identify
+from oed import prediction, simulation
+from oed.identification import identify
 from oed.instrument import mount
 from oed.machine import Machine
 from oed.measurement import Measurement
@@ -121,7 +121,7 @@ def tracker(machine: Machine, name: str, sigma: float, mounting: float) -> Optio
 def relative_accuracy(machine: Machine, command: np.ndarray) -> Goal:
     """All components, relative to their accuracy before."""
     measurement = Measurement(machine, [])
-    maps = predict.error_maps(measurement.kinematics, command, "home")
+    maps = prediction.error_maps(measurement.kinematics, command, "home")
     return workspace_goal(measurement, maps, {})
 
 
@@ -345,8 +345,8 @@ def test_refits_are_the_fits_of_identify() -> None:
     option = planar(660.0).best.stages[0].option
     m, rng = option.measurement, np.random.default_rng(4)
     for _ in range(3):
-        y = simulate.draw_readings(
-            m, option.series, simulate.draw_parameters(m, rng), rng
+        y = simulation.draw_readings(
+            m, option.series, simulation.draw_parameters(m, rng), rng
         )
         fast = refit(m, option.series, y, m.nominal)
         slow = identify(m, option.series, y)

@@ -21,7 +21,7 @@ from prs_sample import (
     random_commands,
 )
 
-from oed import explain, identify
+from oed import explain, identification
 from oed.assessment import Assessment, assess
 from oed.instrument import Instrument, mount
 from oed.kinematics import Kinematics
@@ -315,7 +315,7 @@ def test_table_4_comes_back_in_every_identifiable_combination(
         m, series, y = planted(seed, tolerances)
         combinations = assess(m, [series]).identifiability.combinations
         free = np.flatnonzero(m.free)
-        estimate = identify.identify(m, [series], y)
+        estimate = identification.identify(m, [series], y)
         truth = np.r_[PAPER.ravel(), np.zeros(6)]
         errors = combinations @ (estimate.theta - truth)[free]
         covariance = estimate.covariance[np.ix_(free, free)]

@@ -37,7 +37,7 @@ NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </scrip
 def gap(tmp_path_factory: pytest.TempPathFactory) -> GapSection:
     """The gap of the diagnosis by hand, as it comes back from result.json."""
     path = gap_fixture.written(tmp_path_factory.mktemp("gap"))
-    state = start(load(path), path.parent, 3, Silent(), None)
+    state = start(load(path), 3, Silent(), None)
     readings = simulate_readings(state, planned_series(state)).readings
     residuals = problem.assemble(
         state.measurement,

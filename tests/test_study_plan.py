@@ -15,7 +15,7 @@ import xarray
 from plan_sample import HERE, STUDY, plan_of, planned
 from sample import changed
 
-from oed import information, predict
+from oed import information, prediction
 from oed.kinematics import Kinematics
 from oed.measurement import Measurement
 from oed.planning.option import Option
@@ -67,7 +67,7 @@ def every_choice(budget: float) -> list[tuple[float, dict[str, float]]]:
     assert resolved.plan is not None
     assert resolved.prediction_commands is not None
     m = resolved.measurement_with(["rm4", "rm5"])
-    maps = predict.error_maps(m.kinematics, resolved.prediction_commands, "home")
+    maps = prediction.error_maps(m.kinematics, resolved.prediction_commands, "home")
     slopes = maps.raw[:, :2] * m.tolerance[:7]
     before = np.sqrt(np.mean(np.sum(slopes**2, axis=2), axis=0))
     options = resolved.plan.options
@@ -269,7 +269,7 @@ def test_a_plan_starts_from_the_draws_of_a_posterior(tmp_path: Path) -> None:
     identified = machine_only.machine.with_parameters(parameters)
     assert resolved.prediction_commands is not None
     command = resolved.prediction_commands
-    maps = predict.error_maps(Kinematics(identified), command, "home")
+    maps = prediction.error_maps(Kinematics(identified), command, "home")
     slopes = np.moveaxis(maps.raw, 2, 1)[:, :, :2].reshape(len(command), 7, 2)
     spread = (draws - mean) @ slopes
     rms = np.sqrt(np.mean(spread**2, axis=(0, 1)))

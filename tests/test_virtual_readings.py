@@ -96,7 +96,7 @@ def test_temperatures_rise_with_their_time_constant(tmp_path: Path) -> None:
 
 
 def _planned(path: Path) -> tuple[Any, tuple[Series, ...]]:
-    state = start(load(path), path.parent, 3, Silent(), None)
+    state = start(load(path), 3, Silent(), None)
     return state.measurement, planned_series(state)
 
 
@@ -117,7 +117,7 @@ def test_simulated_readings_have_the_effect(oed: Run, tmp_path: Path) -> None:
         ]
     )
 
-    state = start(load(plain), tmp_path, 3, Silent(), [tmp_path / "b.readings.csv"])
+    state = start(load(plain), 3, Silent(), [tmp_path / "b.readings.csv"])
     truth_table = json.loads((tmp_path / "b.truth.json").read_text())
     truth = np.array([truth_table[n]["value"] for n in state.measurement.names])
     (series,) = state.resolved.dataset.series

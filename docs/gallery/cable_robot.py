@@ -12,8 +12,8 @@ real readings.
 import _draw
 import numpy as np
 
-from oed import compensate, simulate
-from oed.identify import identify
+from oed import compensate, simulation
+from oed.identification import identify
 from oed.instrument import mount
 from oed.measurement import Measurement
 from pkm_models.instruments import camera, redundancy
@@ -26,7 +26,7 @@ robot = Measurement(
     machine,
     [mount(camera.known_frame, "camera"), mount(redundancy.instrument, "lines")],
 )
-truth = simulate.draw_parameters(robot, rng)
+truth = simulation.draw_parameters(robot, rng)
 LOW, HIGH = (-0.35, -0.35, 0.0), (0.35, 0.35, 1.2)  # m
 places = rng.uniform(LOW, HIGH, (OBSERVED + UNOBSERVED, 3))
 motors = compensate.compensated_joints(

@@ -16,7 +16,7 @@ import numpy as np
 from oed.arrays import Array
 from oed.design.criterion import Criterion, LargestVariance, Variance
 from oed.measurement import Measurement
-from oed.predict import ErrorMaps
+from oed.prediction import ErrorMaps
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ KERNEL_ERRORS = {
     "oed.units": "UnitError",
     "oed.kinematics": "AssemblyError",
     "oed.dataset.table": "ReadingsError",
-    "oed.identify": "IdentificationError",
+    "oed.identification": "IdentificationError",
 }
 
 

@@ -82,10 +82,10 @@ def run(
     `readings` replace those that the study names. Raises InputError for what cannot be
     done, IdentificationError where a fit fails.
     """
-    state = start(study, out, seed, progress or Silent(), readings)
+    state = start(study, seed, progress or Silent(), readings)
     files.out_folder(out)
     steps = READINGS_GIVEN if state.readings_given else STUDY
-    return _finish(_follow(steps, state), report=report)
+    return _finish(_follow(steps, state), out, report=report)
 
 
 def diagnose(
@@ -100,7 +100,7 @@ def diagnose(
 
     Raises InputError where there are no readings.
     """
-    state = start(study, out, seed, progress or Silent(), readings)
+    state = start(study, seed, progress or Silent(), readings)
     recorded = state.resolved.dataset is not None
     if not recorded and study.readings is None:
         raise study.place.key("readings").error(
@@ -108,7 +108,7 @@ def diagnose(
         )
     files.out_folder(out)
     steps = DIAGNOSIS if recorded else (select_design, plan_stages, *DIAGNOSIS)
-    return _finish(_follow(steps, state), report=True, sections=DIAGNOSIS_SECTIONS)
+    return _finish(_follow(steps, state), out, report=True, sections=DIAGNOSIS_SECTIONS)
 
 
 def plan(
@@ -124,7 +124,16 @@ def plan(
     `after` is the folder of a result: what it identified is known, and its stages are
     done. Raises InputError where the study lists no measurement, or none fits the time.
     """
-    state = start(study, out, seed, progress or Silent(), [])
+    files.out_folder(out)
+    state = planned_state(study, after, seed, progress or Silent())
+    return _finish(state, out, report=False, sections=PLAN_SECTIONS)
+
+
+def planned_state(
+    study: Study, after: Path | None, seed: int | None, progress: Progress
+) -> RunState:
+    """The state of a run with the plan of stages. Raises InputError as `plan` does."""
+    state = start(study, seed, progress, [])
     if state.resolved.plan is None:
         raise (
             study.place.key("plan")
@@ -134,7 +143,6 @@ def plan(
                 "add [[plan.measurement]] tables",
             )
         )
-    files.out_folder(out)
     earlier = None
     if after is not None:
         earlier_result = result_folder.load_result(after)
@@ -150,7 +158,7 @@ def plan(
     cause = state.resolved.gap_design
     if cause is not None and cause.follows_plan:
         state = preview_gap(state)
-    return _finish(state, report=False, sections=PLAN_SECTIONS)
+    return state
 
 
 def simulate(study: Study, out: Path, *, seed: int | None = None) -> tuple[Path, Path]:
@@ -158,7 +166,7 @@ def simulate(study: Study, out: Path, *, seed: int | None = None) -> tuple[Path,
 
     The truth has the same name with the suffix .truth.json; both paths are returned.
     """
-    state = start(study, out.parent, seed, Silent(), [])
+    state = start(study, seed, Silent(), [])
     state = plan_stages(select_design(state))
     virtual = simulate_readings(state, planned_series(state))
     readings, measurement = virtual.readings, state.measurement
@@ -192,12 +200,33 @@ def _follow(steps: Sequence[Step], state: RunState) -> RunState:
 
 
 def _finish(
-    state: RunState, *, report: bool, sections: tuple[str, ...] | None = None
+    state: RunState,
+    out: Path,
+    *,
+    report: bool,
+    sections: tuple[str, ...] | None = None,
 ) -> StudyResult:
     """Check claims, and write result and report. `sections` limits the claims."""
+    study_result = assemble_result(state)
+    study = state.study
+    checked = claims.check_claims(study, msgspec.to_builtins(study_result), sections)
+    seconds = round(time.perf_counter() - state.started, 3)
+    study_result = msgspec.structs.replace(
+        study_result, claims=checked, seconds=seconds
+    )
+    options = study.report
+    result_folder.write(out, study_result, state, sheet=options.pdf)
+    if report and (options.html or options.pdf):
+        state.progress.stage("report")
+        result_folder.write_report(out, html=options.html, pdf=options.pdf)
+    return study_result
+
+
+def assemble_result(state: RunState) -> StudyResult:
+    """The result of the steps so far; without claims."""
     study, machine = state.study, state.resolved.machine
     setups = state.measurement.setups.values()
-    study_result = StudyResult(
+    return StudyResult(
         schema=result.SCHEMA,
         version=oed.__version__,
         study=study.name,
@@ -213,14 +242,3 @@ def _finish(
         warnings=list(dict.fromkeys(state.warnings)),
         **state.sections,
     )
-    checked = claims.check_claims(study, msgspec.to_builtins(study_result), sections)
-    seconds = round(time.perf_counter() - state.started, 3)
-    study_result = msgspec.structs.replace(
-        study_result, claims=checked, seconds=seconds
-    )
-    options = study.report
-    result_folder.write(state.out, study_result, state, sheet=options.pdf)
-    if report and (options.html or options.pdf):
-        state.progress.stage("report")
-        result_folder.write_report(state.out, html=options.html, pdf=options.pdf)
-    return study_result

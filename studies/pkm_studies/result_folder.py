@@ -8,8 +8,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from oed import dataset
+from oed import dataset, posterior
 from oed.measurement import Measurement, Series
+from oed.posterior import Posterior
 from oed.result import StudyResult
 from pkm_studies import files
 from pkm_studies.errors import Place
@@ -23,12 +24,16 @@ LIMIT = 1 << 28
 
 
 def write(folder: Path, result: StudyResult, state: RunState, *, sheet: bool) -> None:
-    """Write result.json, poses.csv, plan.csv and plan_poses.json, as far as made.
+    """Write result.json and, as far as made, posterior, poses and plan.
 
     `sheet` adds the page to print and fill in at the machine.
     """
     text = msgspec.json.format(msgspec.json.encode(result), indent=1)
     files.write_whole(folder / "result.json", text)
+    if state.posterior is not None:
+        _save_posterior(folder, result, state.posterior)
+    if state.gap_poses is not None:
+        files.write_whole(folder / "gap_poses.csv", state.gap_poses)
     if result.design is not None or state.planned:
         poses = _poses_csv(state.planned, state.measurement)
         files.write_whole(folder / "poses.csv", poses)
@@ -39,6 +44,12 @@ def write(folder: Path, result: StudyResult, state: RunState, *, sheet: bool) ->
         files.write_whole(folder / "plan_poses.json", poses_json)
         if sheet:
             _write_sheet(folder, result, state.plan)
+
+
+def _save_posterior(folder: Path, result: StudyResult, draws: Posterior) -> None:
+    """Write the draws as NetCDF, for xarray and ArviZ."""
+    attributes = {"study": result.study, "units": "SI", "seed": str(result.seed)}
+    posterior.save(draws, folder / "posterior.nc", attributes)
 
 
 def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.assessment import Assessment
-from oed.identify import Estimate
+from oed.identification import Estimate
 from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
 from pkm_studies.progress import Progress
@@ -72,12 +72,13 @@ class Readings:
 class RunState:
     """What a run knows after some of its steps.
 
-    study, out, seed, progress, started    what was asked for, and when
+    study, seed, progress, started    what was asked for, and when
     resolved         the study's objects
     readings_given   whether readings came with the command
     measurement      machine with the set-ups that are used, as planned
     design           the chosen design
     plan             the plan of stages
+    gap_poses        readings of the runs of [gap.design], as CSV
     planned          readings to write down as poses, in working order
     readings         what is fitted, held out or only planned
     identifiability  verdict on the readings
@@ -88,7 +89,6 @@ class RunState:
     """
 
     study: Study
-    out: Path
     seed: int
     progress: Progress
     started: float
@@ -97,6 +97,7 @@ class RunState:
     measurement: Measurement
     design: ChosenDesign | None = None
     plan: PlanOutcome | None = None
+    gap_poses: str | None = None
     planned: tuple[Series, ...] = ()
     readings: Readings | None = None
     identifiability: Assessment | None = None
@@ -124,7 +125,6 @@ class RunState:
 
 def start(
     study: Study,
-    out: Path,
     seed: int | None,
     progress: Progress,
     readings: Sequence[Path] | None,
@@ -138,7 +138,6 @@ def start(
     resolved = resolve(study, readings=readings)
     return RunState(
         study=study,
-        out=out,
         seed=study.seed if seed is None else seed,
         progress=progress,
         started=started,

@@ -7,8 +7,8 @@ import numpy as np
 from oracles import a3_geometry as a3
 
 from kernel.a3_plans import workspace
-from oed import compensate, predict
-from oed.identify import Estimate, identify
+from oed import compensate, prediction
+from oed.identification import Estimate, identify
 from oed.measurement import Measurement, Series
 
 NOISE = 0.5e-6
@@ -63,7 +63,7 @@ def realise(
     m: Measurement, series: Series, truths: Iterable[np.ndarray], seed: int
 ) -> Realised:
     rng, command = np.random.default_rng(seed), workspace()
-    maps = predict.error_maps(m.kinematics, command, "home")
+    maps = prediction.error_maps(m.kinematics, command, "home")
     before, after, known, estimates = [], [], [], []
     for truth in truths:
         estimate = identify(m, [series], measured(series, truth, rng))

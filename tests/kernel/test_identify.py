@@ -10,8 +10,8 @@ from oracles import a3_geometry as a3
 
 from kernel import a3_plans
 from kernel.cases import CASES
-from oed import simulate
-from oed.identify import IdentificationError, identifiable_coordinates, identify
+from oed import simulation
+from oed.identification import IdentificationError, identifiable_coordinates, identify
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import ball_bar, calliper, height_probe
@@ -188,8 +188,8 @@ def test_estimates_scatter_as_their_covariance_says(printer: tuple) -> None:
     m, series = printer
     rng = np.random.default_rng(6)
     misses = []
-    for truth in simulate.draw_parameters(m, rng, 200):
-        found = identify(m, series, simulate.draw_readings(m, series, truth, rng))
+    for truth in simulation.draw_parameters(m, rng, 200):
+        found = identify(m, series, simulation.draw_readings(m, series, truth, rng))
         misses.append(((found.theta - truth) / np.where(m.free, found.sd, 1.0))[m.free])
     assert np.std(misses, axis=0) == pytest.approx(1.0, abs=0.21)
     assert np.mean(misses, axis=0) == pytest.approx(0.0, abs=0.3)
@@ -242,7 +242,7 @@ def test_understated_noise_is_found(printer: tuple) -> None:
     factors = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        truth = simulate.draw_parameters(m, rng)
+        truth = simulation.draw_parameters(m, rng)
         exact, sigma = m.readings(series, truth), m.sigma(series)
         actual = np.where(np.arange(len(sigma)) < 20, 3.0, 1.0) * sigma
         found = identify(
@@ -362,8 +362,8 @@ def test_a_bar_on_the_delta_sees_the_arms(rng: np.random.Generator) -> None:
         [mount(ball_bar.instrument, "bar", teach=(0.0, 0.0, 0.02))],
     )
     series = [m.series("bar", CASES["linear_delta"].commands(rng, 60))]
-    truth = simulate.draw_parameters(m, rng)
-    found = identify(m, series, simulate.draw_readings(m, series, truth, rng))
+    truth = simulation.draw_parameters(m, rng)
+    found = identify(m, series, simulation.draw_readings(m, series, truth, rng))
     assert found.chi2 / found.dof < 2.0
     assert np.abs((found.theta - truth)[m.free] / found.sd[m.free]).max() < 4.0
     assert found.shrinkage[m.free].min() < 0.05

@@ -7,7 +7,7 @@ from oracles import delta_trilateration as delta
 
 from kernel import a3_plans
 from kernel.cases import CASES
-from oed import information, simulate
+from oed import information, simulation
 from oed.instrument import Channel, Cost, Instrument, mount
 from oed.kinematics import AssemblyError
 from oed.machine import Parameter
@@ -344,13 +344,13 @@ def test_virtual_machines_scatter_as_stated(rng: np.random.Generator) -> None:
     spread is known to 1.6 %.
     """
     m = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
-    truth = simulate.draw_parameters(m, rng, 2000)
+    truth = simulation.draw_parameters(m, rng, 2000)
     spread = truth.std(axis=0) / np.where(m.free, m.tolerance, 1.0)
     assert spread[m.free] == pytest.approx(1.0, abs=0.08)
     assert (truth[:, ~m.free] == m.nominal[~m.free]).all()
     assert truth.mean(axis=0) == pytest.approx(m.nominal, abs=0.1 * m.tolerance.max())
     series = m.series("probe", CASES["linear_delta"].commands(rng, 3))
-    y = simulate.draw_readings(m, [series], np.tile(truth[0], (2000, 1)), rng)
+    y = simulation.draw_readings(m, [series], np.tile(truth[0], (2000, 1)), rng)
     assert y.std(axis=0) == pytest.approx(20e-6, rel=0.08)
     assert y.mean(axis=0) == pytest.approx(m.readings([series], truth[0]), abs=3e-6)
-    assert simulate.draw_parameters(m, rng).shape == m.nominal.shape
+    assert simulation.draw_parameters(m, rng).shape == m.nominal.shape

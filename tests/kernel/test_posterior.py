@@ -10,8 +10,8 @@ import xarray as xr
 
 from kernel import a3_plans
 from kernel.cases import CASES
-from oed import posterior, simulate
-from oed.identify import Estimate, identify
+from oed import posterior, simulation
+from oed.identification import Estimate, identify
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import calliper, height_probe
@@ -38,7 +38,7 @@ def problem(
     series = [m.series("probe", flat[:readings])]
     if distances:
         series.append(m.series("calliper", flat[readings:]))
-    truth = simulate.draw_parameters(m, rng)
+    truth = simulation.draw_parameters(m, rng)
     y = m.readings(series, truth) + noise * m.sigma(series) * rng.standard_normal(
         len(m.sigma(series))
     )
@@ -125,7 +125,7 @@ def test_draws_of_a_machine_with_lost_directions_still_read_as_observed() -> Non
     m = a3_plans.measurement()
     series = [a3_plans.circles(m, 15)]
     rng = np.random.default_rng(3)
-    y = simulate.draw_readings(m, series, a3_plans.table_3(m), rng)
+    y = simulation.draw_readings(m, series, a3_plans.table_3(m), rng)
     estimate = identify(m, series, y)
     drawn = posterior.sample(m, series, y, estimate, rng, ess=300)
     white = estimate.noise.whiten_last(m.readings(series, drawn.pooled[::97]) - y)

@@ -9,7 +9,7 @@ from reference import tian_2016 as paper
 from scipy.spatial.transform import Rotation
 
 from kernel import a3_plans
-from oed import compensate, information, predict
+from oed import compensate, information, prediction
 from oed.kinematics import Kinematics
 from pkm_models.machines import a3_head, linear_delta
 
@@ -36,11 +36,11 @@ def passage() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def predicted(
-    maps: predict.ErrorMaps, passage: tuple, **options: object
-) -> predict.Prediction:
+    maps: prediction.ErrorMaps, passage: tuple, **options: object
+) -> prediction.Prediction:
     _, tolerance, covariance = passage
     prior = np.diag(tolerance[:24] ** 2)
-    return predict.predict(
+    return prediction.predict(
         maps, prior, covariance[:24, :24], np.random.default_rng(1), **options
     )
 
@@ -50,7 +50,9 @@ def test_the_published_passage(passage: tuple) -> None:
     axis and 33.4 arcsec of spin.
     """
     command = a3_plans.workspace()
-    told = predicted(predict.error_maps(A3, command, "home"), passage).fully_corrected
+    told = predicted(
+        prediction.error_maps(A3, command, "home"), passage
+    ).fully_corrected
     for name, um in paper.HOME_REFERENCED_UM.items():
         assert 1e6 * told[name].rms == pytest.approx(um, rel=0.01)
     home = compensate.error_model(A3, A3.machine.home_command[None])
@@ -58,7 +60,7 @@ def test_the_published_passage(passage: tuple) -> None:
     turns = np.stack(
         [
             1e6
-            * predict.relative_to_reference(
+            * prediction.relative_to_reference(
                 1e-6 * model.raw[..., k],
                 1e-6 * home.raw[..., k],
                 model,
@@ -88,7 +90,7 @@ def test_home_referenced_slopes_are_the_oracles() -> None:
     exact Euler angles.
     """
     command = a3_plans.workspace()[::7]
-    maps = predict.error_maps(A3, command, "home")
+    maps = prediction.error_maps(A3, command, "home")
     q, home_q = (
         a3.inverse_nominal(*command.T),
         a3.inverse_nominal(*A3.machine.home_command),
@@ -115,7 +117,7 @@ def test_home_referenced_slopes_are_the_oracles() -> None:
 
 @pytest.mark.parametrize("reference", ["home", "absolute"])
 def test_compensated_components_are_nulled(reference: str) -> None:
-    maps = predict.error_maps(A3, a3_plans.workspace(), reference)
+    maps = prediction.error_maps(A3, a3_plans.workspace(), reference)
     assert maps.names == ("x", "y", "z", "psi", "theta", "phi")
     assert np.abs(maps.remaining[:, 2:5]).max() < 1e-12 * np.abs(maps.raw).max()
     assert np.abs(maps.remaining[:, [0, 1, 5]]).max() > 0.1
@@ -126,8 +128,8 @@ def test_the_absolute_error_is_the_papers_and_the_home_referenced_one_vanishes_a
 ):
     """Beside home, as z-x-z angles have no slopes at theta = 0."""
     near_home = A3.machine.home_command[None] + [0.0, 0.4, 1e-3]
-    home = predict.error_maps(A3, near_home, "home")
-    absolute = predict.error_maps(A3, near_home, "absolute")
+    home = prediction.error_maps(A3, near_home, "home")
+    absolute = prediction.error_maps(A3, near_home, "absolute")
     assert np.abs(home.raw[:, :3]).max() < 3e-3 * np.abs(absolute.raw[:, :3]).max()
     assert absolute.raw == pytest.approx(
         A3.error_components_jacobian(near_home) @ a3.linear_model(*near_home.T),
@@ -147,7 +149,7 @@ def test_best_fit_removes_any_rigid_motion() -> None:
     other = rng.standard_normal((len(command), 6))
 
     def fitted(twist: np.ndarray) -> np.ndarray:
-        return predict.relative_to_reference(
+        return prediction.relative_to_reference(
             twist, other[:1], model, home, "best_fit", A3.machine.lever
         )
 
@@ -158,7 +160,7 @@ def test_best_fit_removes_any_rigid_motion() -> None:
     assert np.linalg.norm(fitted(other) * weight) <= np.linalg.norm(
         (fitted(other) + 1e-3 * rigid) * weight
     )
-    absolute = predict.relative_to_reference(
+    absolute = prediction.relative_to_reference(
         other, other[:1], model, home, "absolute", A3.machine.lever
     )
     assert (absolute == other).all()
@@ -168,7 +170,7 @@ def test_zeroing_at_home_removes_a_wrong_place_and_a_wrong_mount() -> None:
     """A shift of the base frame and a turn of the platform's joints about the TCP
     cannot be told from a wrong zero.
     """
-    maps = predict.error_maps(A3, a3_plans.workspace(), "home")
+    maps = prediction.error_maps(A3, a3_plans.workspace(), "home")
     names = [p.name for p in A3.machine.parameters]
     centres = np.array([a3_head._platform(i) for i in a3_head.LIMBS])
     for axis in np.eye(3):
@@ -184,7 +186,7 @@ def test_zeroing_at_home_removes_a_wrong_place_and_a_wrong_mount() -> None:
 def test_the_budget_adds_up(passage: tuple) -> None:
     h, tolerance, covariance = passage
     names = a3_plans.measurement(taught=False).names
-    sources = predict.budget_sources(h, tolerance, names, 24)
+    sources = prediction.budget_sources(h, tolerance, names, 24)
     kinds = ("dq", "db", "da", "beta", "cup")
     assert [n for n, _ in sources] == [
         "readings' noise",
@@ -199,7 +201,7 @@ def test_the_budget_adds_up(passage: tuple) -> None:
         for _, part in sources
     )
     told = predicted(
-        predict.error_maps(A3, a3_plans.workspace()), passage, sources=sources
+        prediction.error_maps(A3, a3_plans.workspace()), passage, sources=sources
     )
     for shares in told.budget.values():
         assert sum(shares.values()) == pytest.approx(1.0)
@@ -216,13 +218,13 @@ def test_each_source_is_what_its_spread_alone_would_leave(passage: tuple) -> Non
         np.linalg.solve(np.eye(n) + h.T @ h, np.hstack([h.T, -np.eye(n)]))
         * tolerance[:, None]
     )
-    for label, part in predict.budget_sources(h, tolerance, names, 24):
+    for label, part in prediction.budget_sources(h, tolerance, names, 24):
         mine = np.zeros(gain.shape[1], dtype=bool)
         if label == "readings' noise":
             mine[: len(h)] = True
         else:
             mine[len(h) :] = [
-                f"tolerance of {predict.parameter_kind(name)}" == label
+                f"tolerance of {prediction.parameter_kind(name)}" == label
                 for name in names
             ]
         assert part == pytest.approx(
@@ -242,7 +244,7 @@ def test_each_source_is_what_its_spread_alone_would_leave(passage: tuple) -> Non
     ],
 )
 def test_kinds_of_parameters(name: str, told: str) -> None:
-    assert predict.parameter_kind(name) == told
+    assert prediction.parameter_kind(name) == told
 
 
 def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
@@ -250,7 +252,7 @@ def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
     own 400 draws to 12 %.
     """
     _, tolerance, covariance = passage
-    maps = predict.error_maps(A3, a3_plans.workspace()[::5])
+    maps = prediction.error_maps(A3, a3_plans.workspace()[::5])
     told = predicted(maps, passage)
     rng, posterior = np.random.default_rng(4), covariance[:24, :24]
     prior = np.diag(tolerance[:24] ** 2)
@@ -267,7 +269,10 @@ def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
             "nkp,dp->dnk", moved, found
         )
         for k, name in enumerate(maps.names):
-            want, got = predict.error_spread(errors[..., k]), getattr(told, key)[name]
+            want, got = (
+                prediction.error_spread(errors[..., k]),
+                getattr(told, key)[name],
+            )
             assert got.rms == pytest.approx(want.rms, rel=0.04)
             assert (got.p95, got.largest) == pytest.approx(
                 (want.p95, want.largest), rel=0.12
@@ -279,9 +284,9 @@ def test_after_identification_known_errors_stay_where_they_are(passage: tuple) -
     """With an estimate: before = its error and the posterior's, after = what cannot be
     compensated of it.
     """
-    maps = predict.error_maps(A3, a3_plans.workspace())
+    maps = prediction.error_maps(A3, a3_plans.workspace())
     mean = 1e-3 * np.random.default_rng(2).standard_normal(24)
-    sure = predict.predict(
+    sure = prediction.predict(
         maps, np.eye(24), np.zeros((24, 24)), np.random.default_rng(1), mean=mean
     )
     for k, name in enumerate(maps.names):
@@ -304,13 +309,13 @@ def test_after_identification_known_errors_stay_where_they_are(passage: tuple) -
 
 
 def test_same_seed_same_prediction(passage: tuple) -> None:
-    maps = predict.error_maps(A3, a3_plans.workspace()[::20])
+    maps = prediction.error_maps(A3, a3_plans.workspace()[::20])
     assert predicted(maps, passage).after == predicted(maps, passage).after
 
 
 def test_spread_by_hand() -> None:
     errors = np.array([[3.0, -4.0], [0.0, 0.0]])
-    spread = predict.error_spread(errors)
+    spread = prediction.error_spread(errors)
     assert spread.rms == pytest.approx(2.5)
     assert spread.largest == pytest.approx(0.95 * 4.0)
 
@@ -325,7 +330,7 @@ def test_the_delta_is_compensated_completely() -> None:
             for z in (0.02, 0.2)
         ]
     )
-    maps = predict.error_maps(kinematics, command, "absolute")
+    maps = prediction.error_maps(kinematics, command, "absolute")
     assert maps.names == ("x", "y", "z")
     assert np.abs(maps.remaining).max() < 1e-12
     assert np.abs(maps.raw).max() > 0.5
@@ -333,7 +338,7 @@ def test_the_delta_is_compensated_completely() -> None:
 
 def test_an_unknown_reference_is_refused() -> None:
     with pytest.raises(ValueError, match=r"reference 'bed' is none of .*home"):
-        predict.error_maps(A3, a3_plans.workspace()[:1], "bed")
+        prediction.error_maps(A3, a3_plans.workspace()[:1], "bed")
 
 
 def test_home_is_zeroed_in_the_platforms_own_axes(rng: np.random.Generator) -> None:
@@ -350,14 +355,14 @@ def test_home_is_zeroed_in_the_platforms_own_axes(rng: np.random.Generator) -> N
     at_home = np.r_[np.zeros(3), turn][None]
     assert (
         np.abs(
-            predict.relative_to_reference(carried, at_home, model, home, "home", 1.0)
+            prediction.relative_to_reference(carried, at_home, model, home, "home", 1.0)
         ).max()
         < 1e-12
     )
     fixed = np.tile(at_home, (len(command), 1))
     assert (
         np.abs(
-            predict.relative_to_reference(fixed, at_home, model, home, "home", 1.0)
+            prediction.relative_to_reference(fixed, at_home, model, home, "home", 1.0)
         ).max()
         > 0.1
     )

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed import identify
+from oed import identification
 from oed.arrays import Array, Index
 from oed.effect import Effect, State
 from oed.gap.data import state as states_of
@@ -103,7 +103,7 @@ def prepare(
     IdentificationError.
     """
     series = tuple(series)
-    estimate = identify.identify(
+    estimate = identification.identify(
         measurement, series, y, stages=stages, estimate_noise=False
     )
     theta = estimate.theta

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed import predict, simulate
+from oed import prediction, simulation
 from oed.arrays import Array
 from oed.measurement import Measurement, Series
 from oed.planning.stage.knowledge import square_roots
@@ -75,7 +75,7 @@ def propagate(
     machines: int,
     rng: np.random.Generator,
     *,
-    reference: predict.Reference = "home",
+    reference: prediction.Reference = "home",
     compensated: bool = True,
     start: Array | None = None,
     progress: Callable[[float], None] | None = None,
@@ -203,7 +203,7 @@ class _Propagation:
 
     def _draw(self, measurement: Measurement, rng: np.random.Generator) -> Array:
         """True parameters (n,) of a machine and of all set-ups."""
-        truth = simulate.draw_parameters(measurement, rng)
+        truth = simulation.draw_parameters(measurement, rng)
         root = self._prior_root(measurement)
         if root is not None:
             free = measurement.free

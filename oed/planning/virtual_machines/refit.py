@@ -1,6 +1,6 @@
 """Fast maximum a posteriori fit after a stage, for virtual machines by the hundred.
 
-It minimises what `oed.identify` minimises, |W (y - f(theta))|^2 + |z|^2, W whitening
+It minimises what `oed.identification` minimises, |W (y - f(theta))|^2 + |z|^2, W whitening
 the noise, over all free parameters at once,
 
     theta = nominal + T R z,
@@ -9,7 +9,7 @@ T the tolerances, R R^T the prior covariance in units of them. Gauss-Newton star
 what was believed before the stage, mostly near the end. A step that does not help is
 halved. The fit stops where a further step promises to lower the sum by less than
 `ENOUGH`: that moves the parameters by a small share of their standard deviation, and no
-interval. Where it fails with the tolerances as prior, `oed.identify` takes over: it is
+interval. Where it fails with the tolerances as prior, `oed.identification` takes over: it is
 slower, and says what is wrong.
 """
 
@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.identify import IdentificationError, identify
+from oed.identification import IdentificationError, identify
 from oed.information import posterior_covariance
 from oed.kinematics import AssemblyError
 from oed.measurement import Measurement, Series

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed import compensate, predict
+from oed import compensate, prediction
 from oed.arrays import Array
 from oed.compensate import NO_TOOL, ErrorModel
 from oed.kinematics import Kinematics
@@ -45,14 +45,14 @@ class WorkspaceErrors:
 
     kinematics: Kinematics
     tolerance: Array
-    maps: predict.ErrorMaps
+    maps: prediction.ErrorMaps
     model: ErrorModel
     home: ErrorModel
-    reference: predict.Reference
+    reference: prediction.Reference
 
     @classmethod
     def of(
-        cls, measurement: Measurement, command: Array, reference: predict.Reference
+        cls, measurement: Measurement, command: Array, reference: prediction.Reference
     ) -> WorkspaceErrors:
         """Errors of a measurement's machine at commands (n, n_dof), SI."""
         kinematics = measurement.kinematics
@@ -60,7 +60,7 @@ class WorkspaceErrors:
         return cls(
             kinematics=kinematics,
             tolerance=measurement.tolerance[: len(machine.parameters)],
-            maps=predict.error_maps(kinematics, command, reference),
+            maps=prediction.error_maps(kinematics, command, reference),
             model=compensate.error_model(kinematics, command),
             home=compensate.error_model(kinematics, machine.home_command[None]),
             reference=reference,
@@ -121,7 +121,7 @@ class WorkspaceErrors:
         twist, model = self._twist(self.model, controller, believed, truth)
         home_twist, home = self._twist(self.home, controller, believed, truth)
         lever = self.kinematics.machine.lever
-        referenced = predict.relative_to_reference(
+        referenced = prediction.relative_to_reference(
             twist, home_twist, model, home, self.reference, lever
         )
         return self.kinematics.error_components(self.maps.command, referenced)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed import identify, posterior
+from oed import identification, posterior
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import posterior_section
@@ -17,7 +17,7 @@ def fit_parameters(state: RunState) -> RunState:
     if y is None:
         return state
     state.progress.stage("identification")
-    estimate = identify.identify(
+    estimate = identification.identify(
         state.measurement,
         series,
         y,
@@ -33,7 +33,7 @@ def fit_parameters(state: RunState) -> RunState:
 
 
 def sample_posterior(state: RunState) -> RunState:
-    """Sample the posterior about the estimate, and store its draws."""
+    """Sample the posterior about the estimate."""
     table = state.study.posterior
     if state.estimate is None or not table.enabled:
         return state
@@ -52,8 +52,6 @@ def sample_posterior(state: RunState) -> RunState:
         max_steps=table.steps,
         progress=state.progress.share,
     )
-    attributes = {"study": state.study.name, "units": "SI", "seed": str(state.seed)}
-    posterior.save(draws, state.out / "posterior.nc", attributes)
     corner = state.study.report.corner
     section = posterior_section(state.measurement, state.estimate, draws, corner)
     state = state.replace(posterior=draws).with_sections(posterior=section)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from oed import units
 from oed.measurement import Measurement
-from pkm_studies import files
 from pkm_studies.resolve.gap import GapRequest, gap_request
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
 from pkm_studies.run_state import RunState, Stream
@@ -31,8 +30,7 @@ def preview_gap(state: RunState) -> RunState:
         state.rng(Stream.BEFORE),
         _gap_design(state),
     )
-    if preview.poses_csv is not None:
-        files.write_whole(state.out / "gap_poses.csv", preview.poses_csv)
+    state = state.replace(gap_poses=preview.poses_csv)
     return state.with_sections(gap_before=preview.section)
 
 

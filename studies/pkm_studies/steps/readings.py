@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from oed import simulate
+from oed import simulation
 from oed.arrays import Array
 from oed.dataset import Dataset
 from oed.measurement import Series
@@ -73,7 +73,9 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> VirtualReadi
     measurement, request = state.measurement, state.resolved.gap
     truth = _true_parameters(state)
     if request is None:
-        y = simulate.draw_readings(measurement, series, truth, state.rng(Stream.NOISE))
+        y = simulation.draw_readings(
+            measurement, series, truth, state.rng(Stream.NOISE)
+        )
         return VirtualReadings(Readings(series=tuple(series), y=y, truth=truth), [])
     planned = virtual_readings.empty_readings(measurement, series, request)
     exact, effects = virtual_readings.exact_readings(
@@ -97,7 +99,7 @@ def _true_parameters(state: RunState) -> Array:
     table, stated = state.study.readings, state.resolved.true_parameters
     measurement = state.measurement
     if table is None or table.draw or not stated:
-        truth = simulate.draw_parameters(measurement, state.rng(Stream.TRUTH))
+        truth = simulation.draw_parameters(measurement, state.rng(Stream.TRUTH))
     else:
         truth = measurement.nominal
     for k, name in enumerate(measurement.names):

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from pkm_studies import files
 from pkm_studies.errors import Place, shorten
@@ -59,6 +62,23 @@ def parse(text: str, path: Path) -> Study:
     _check_tables(tables, place)
     fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
     return Study(**fields, path=path, text=text)
+
+
+def from_tables(tables: Mapping[str, Any], folder: Path) -> Study:
+    """A study from nested tables as in a study file. Raises InputError.
+
+    `schema` may be left out. Paths in the study are relative to `folder`.
+    """
+    name = str(tables.get("name", "study"))
+    path = folder / f"{name}{SUFFIX}"
+    complete = {"schema": SCHEMA, **tables}
+    try:
+        text = msgspec.toml.encode(complete).decode()
+    except TypeError as error:
+        raise Place(str(path)).error(
+            f"a value has no TOML form: {error}", "use numbers, texts, lists and tables"
+        ) from error
+    return parse(text, path)
 
 
 def _toml(text: str, place: Place) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from oed import information, predict, units
+from oed import information, prediction, units
 from oed.arrays import Array
 from oed.design.blocks import project_on_estimable
 from oed.design.candidates import Candidates
@@ -49,14 +49,14 @@ class StudyCriteria:
         self.resolved, self.table, self.request = resolved, table, request
 
     @functools.cached_property
-    def error_maps(self) -> predict.ErrorMaps | None:
+    def error_maps(self) -> prediction.ErrorMaps | None:
         """Pose error over the workspace of [prediction]; None without one."""
         table = self.resolved.study.prediction
         command = self.resolved.prediction_commands
         if table is None or command is None:
             return None
         kinematics = self.resolved.measurement.kinematics
-        return predict.error_maps(kinematics, command, table.reference)
+        return prediction.error_maps(kinematics, command, table.reference)
 
     # -- criteria ----------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed import units
-from oed.identify import Estimate
+from oed.identification import Estimate
 from oed.measurement import Measurement
 from oed.posterior import Posterior
 from oed.result import Marginal, PosteriorSection

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed import predict, result, units
+from oed import prediction, result, units
 from oed.arrays import Array
 from oed.planning.goal import Goal, workspace_goal
 from oed.planning.option import Option
@@ -124,7 +124,7 @@ def build_task(
     assert study.prediction is not None
     assert command is not None
     measurement = resolved.measurement_with(())
-    maps = predict.error_maps(
+    maps = prediction.error_maps(
         measurement.kinematics, command, study.prediction.reference
     )
     all_components = workspace_goal(measurement, maps, {})

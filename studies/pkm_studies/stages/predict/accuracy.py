@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
-from oed import information, predict, units
+from oed import information, prediction, units
 from oed.arrays import Array
-from oed.identify import Estimate
+from oed.identification import Estimate
 from oed.measurement import Measurement, Series
-from oed.predict import Prediction, Reference, Spread
+from oed.prediction import Prediction, Reference, Spread
 from oed.result import ComponentAccuracy, MapPoint, PredictionSection, SpreadRecord
 from pkm_studies.stages import describe
 
@@ -58,14 +58,14 @@ def _predict(
     h = noise.whiten(measurement.jacobian(series, theta)) * tolerance
     scale = np.outer(tolerance[:count], tolerance[:count])
     covariance = information.posterior_covariance(h)[:count, :count] * scale
-    return predict.predict(
-        predict.error_maps(measurement.kinematics, command, reference),
+    return prediction.predict(
+        prediction.error_maps(measurement.kinematics, command, reference),
         np.diag(tolerance[:count] ** 2),
         covariance,
         rng,
         mean=mean,
         reference=reference,
-        sources=predict.budget_sources(h, tolerance, measurement.names, count),
+        sources=prediction.budget_sources(h, tolerance, measurement.names, count),
     )
 
 

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed import compensate, identify, predict, simulate
+from oed import compensate, identification, prediction, simulation
 from oed.arrays import Array
 from oed.measurement import Measurement, Series
-from oed.predict import Reference, Spread
+from oed.prediction import Reference, Spread
 
 
 def realised_accuracy(
@@ -39,20 +39,20 @@ def realised_accuracy(
     home_model = compensate.error_model(kinematics, home)
     errors = []
     for k in range(count):
-        truth = simulate.draw_parameters(measurement, rng)
-        y = simulate.draw_readings(measurement, series, truth, rng)
-        estimate = identify.identify(measurement, series, y, stages=stages)
+        truth = simulation.draw_parameters(measurement, rng)
+        y = simulation.draw_readings(measurement, series, truth, rng)
+        estimate = identification.identify(measurement, series, y, stages=stages)
         identified, true = estimate.theta[:keep], truth[:keep]
         twist = _remaining_twist(measurement, command, identified, true)
         home_twist = _remaining_twist(measurement, home, identified, true)
-        referenced = predict.relative_to_reference(
+        referenced = prediction.relative_to_reference(
             twist, home_twist, model, home_model, reference, measurement.machine.lever
         )
         errors.append(kinematics.error_components(command, referenced))
         progress((k + 1) / count)
     table = np.array(errors)
     return {
-        c.name: predict.error_spread(table[:, :, k])
+        c.name: prediction.error_spread(table[:, :, k])
         for k, c in enumerate(measurement.machine.components)
     }
 

@@ -1,0 +1,136 @@
+"""The public face: what `import oed` offers, and results that show themselves."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import oed
+
+README = Path(__file__).resolve().parents[1] / "README.md"
+
+
+@pytest.fixture(scope="module")
+def readings():
+    """Readings of a virtual machine at the poses of a shipped study."""
+    return oed.simulate(oed.load_study("planar_step_calibration"))
+
+
+@pytest.fixture(scope="module")
+def estimate(readings):
+    return oed.identify(readings)
+
+
+def test_every_public_name_is_there() -> None:
+    assert 20 <= len(oed.__all__) <= 30
+    for name in oed.__all__:
+        assert getattr(oed, name) is not None
+        assert name in dir(oed)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'fit_everything'"):
+        oed.fit_everything  # noqa: B018
+
+
+def test_importing_the_face_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, oed; print(sorted({'casadi', 'pandas', 'scipy'} & {*sys.modules}))"
+    )
+    printed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert printed.stdout.strip() == "[]"
+
+
+def test_the_stub_names_the_same(tmp_path: Path) -> None:
+    stub = Path(oed.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+    assert {*re.findall(r"import \w+ as (\w+)", stub), "__version__"} == {*oed.__all__}
+
+
+def test_the_ten_lines_of_the_readme_run(tmp_path, monkeypatch) -> None:
+    text = README.read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(import oed\n.*?)```", text, re.DOTALL)
+    lines = [line for line in code.splitlines() if line.strip()]
+    assert len(lines) <= 10
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec(compile(code, "README.md", "exec"), names)
+    assert names["design"].section.efficiency > 0.95
+    assert names["accuracy"].to_pandas().loc["z", "after_rms"] > 0.0
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_a_view_shows_itself_as_html(estimate) -> None:
+    page = estimate._repr_html_()
+    assert "<table" in page
+    assert "rms residual" in page
+    assert estimate.title in repr(estimate)
+
+
+def test_warnings_are_shown_and_escaped(estimate) -> None:
+    warned = type(estimate)(estimate.state.with_warnings("sd < 1 mm"))
+    assert "sd &lt; 1 mm" in warned._repr_html_()
+
+
+def test_tables_hold_what_the_section_says(readings, estimate) -> None:
+    table = estimate.to_pandas()
+    for name, parameter in estimate.section.parameters.items():
+        assert table.loc[name, "value"] == parameter.value
+        assert table.loc[name, "sd"] == parameter.sd
+    assert len(readings.to_pandas()) >= estimate.section.readings / 2
+    assert estimate.to_xarray().sizes["index"] == len(table)
+
+
+def test_a_study_is_built_from_tables() -> None:
+    study = oed.build_study(
+        {
+            "name": "gauge",
+            "machine": {"model": "planar_2dof"},
+            "setup": [{"name": "rm4", "instrument": "rm4"}],
+            "readings": {"simulate": True},
+            "design": {
+                "reference": [
+                    {
+                        "name": "lines",
+                        "setup": "rm4",
+                        "runs_by": "y",
+                        "y_mm": [-1500.0, 0.0, 1500.0],
+                        "z_mm": [0.0, 300.0, 600.0],
+                    }
+                ]
+            },
+        }
+    )
+    estimate = oed.identify(oed.simulate(study))
+    assert estimate.section.readings == 6
+    assert 'model = "planar_2dof"' in study.text
+
+
+def test_a_wrong_table_names_field_value_and_remedy() -> None:
+    with pytest.raises(oed.InputError, match="machine"):
+        oed.build_study({"name": "gauge", "machine": {"modell": "planar_2dof"}})
+    with pytest.raises(oed.InputError, match="no TOML form"):
+        oed.build_study({"name": "gauge", "machine": None})
+
+
+def test_what_a_study_lacks_is_said() -> None:
+    study = oed.load_study("planar_step_calibration")
+    with pytest.raises(oed.InputError, match="no candidates"):
+        oed.choose_design(study)
+    with pytest.raises(oed.InputError, match="lists no measurement"):
+        oed.plan(study)
+
+
+def test_readings_of_a_file_are_those_of_the_command(readings, tmp_path) -> None:
+    path = tmp_path / "mine.readings.csv"
+    readings.to_pandas().to_csv(path, index=False)
+    again = oed.read_readings(readings.state.study, path).to_pandas()
+    place = ["setup", "run", "order"]
+    written, read = (
+        table.set_index(place).sort_index() for table in (readings.to_pandas(), again)
+    )
+    pd.testing.assert_frame_equal(read[written.columns], written, check_dtype=False)
