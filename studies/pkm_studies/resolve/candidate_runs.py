@@ -29,6 +29,7 @@ def candidate_runs(
     _check_plans(table, plans, place)
 
     def runs_of_plan(name: str, conditions: Sequence[RunCondition]) -> list[Run]:
+        """Runs of a reference plan under each condition."""
         prefix = name if len(plans) > 1 else ""
         runs: list[Run] = []
         for series in plans[name].series:

@@ -13,7 +13,7 @@ from pkm_studies.run_state import HeldOut, Readings, RunState, Stream
 from pkm_studies.stages.gap import virtual_readings
 
 
-class VirtualReadings(NamedTuple):
+class SimulatedReadings(NamedTuple):
     """Readings of a virtual machine, and its acting effects for the truth file."""
 
     readings: Readings
@@ -68,7 +68,7 @@ def planned_series(state: RunState) -> tuple[Series, ...]:
     )
 
 
-def simulate_readings(state: RunState, series: Sequence[Series]) -> VirtualReadings:
+def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedReadings:
     """Readings of the study's virtual machine, with the effects of [gap] if any."""
     measurement, request = state.measurement, state.resolved.gap
     truth = _true_parameters(state)
@@ -76,7 +76,7 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> VirtualReadi
         y = simulation.draw_readings(
             measurement, series, truth, state.rng(Stream.NOISE)
         )
-        return VirtualReadings(Readings(series=tuple(series), y=y, truth=truth), [])
+        return SimulatedReadings(Readings(series=tuple(series), y=y, truth=truth), [])
     planned = virtual_readings.empty_readings(measurement, series, request)
     exact, effects = virtual_readings.exact_readings(
         measurement, planned, truth, request, state.rng(Stream.EFFECTS)
@@ -88,7 +88,7 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> VirtualReadi
         truth=truth,
         covariates=planned.covariates,
     )
-    return VirtualReadings(readings, effects)
+    return SimulatedReadings(readings, effects)
 
 
 def _true_parameters(state: RunState) -> Array:

@@ -20,7 +20,10 @@ from oed.measurement import Measurement, Series
 from oed.result import WorkingOrder
 from pkm_studies.errors import Place
 from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages.design.thermal_reference import Timing, with_reference_readings
+from pkm_studies.stages.design.thermal_reference import (
+    RouteTiming,
+    with_reference_readings,
+)
 from pkm_studies.study.tables import DesignTable, OrderTable
 
 #: most random changes tried of a way; together with its readings, the most moves
@@ -161,7 +164,7 @@ def _order_setup(
     before += 0.0 if start is None else float(start[0])
     scheduled, seconds = ordered, route.length + reading * len(whole)
     if table.order.reference_every_min is not None:
-        timing = Timing(route, speeds, reading)
+        timing = RouteTiming(route, speeds, reading)
         scheduled, seconds = with_reference_readings(
             measurement, whole, timing, table.order, place
         )

@@ -141,8 +141,8 @@ def _problem(
         apart=request.least_distance,
     )
     mounted = {s.setup for s in request.retained}
-    taken = tuple(k for k, name in enumerate(pool.setups) if name in mounted)
-    rules = dataclasses.replace(rules, mounted=taken)
+    positions = tuple(k for k, name in enumerate(pool.setups) if name in mounted)
+    rules = dataclasses.replace(rules, mounted=positions)
     return DesignProblem(pool, rules, table.starts)
 
 

@@ -19,7 +19,7 @@ REFERENCE_RUN = "reference"
 
 
 @dataclasses.dataclass(frozen=True)
-class Timing:
+class RouteTiming:
     """A route through the readings, joint speeds (SI) and time of one reading, s."""
 
     route: order.Route
@@ -30,7 +30,7 @@ class Timing:
 def with_reference_readings(
     measurement: Measurement,
     series: Series,
-    timing: Timing,
+    timing: RouteTiming,
     table: OrderTable,
     place: Place,
 ) -> tuple[Series, float]:

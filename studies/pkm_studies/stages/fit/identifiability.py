@@ -10,11 +10,13 @@ from oed.information import Scaling
 from oed.measurement import Measurement, Series
 from oed.result import IdentifiabilityFinding, IdentifiabilitySection
 
-Readings = tuple[Measurement, Sequence[Series]]
+SeriesWithMeasurement = tuple[Measurement, Sequence[Series]]
 
 
 def identifiability_section(
-    identifiability: Assessment, scaling: Scaling, others: Mapping[str, Readings]
+    identifiability: Assessment,
+    scaling: Scaling,
+    others: Mapping[str, SeriesWithMeasurement],
 ) -> IdentifiabilitySection:
     """Rank, singular values, null directions and sentences.
 
@@ -41,7 +43,7 @@ def identifiability_section(
 def variants(
     measurement: Measurement,
     series: Sequence[Series],
-    references: Mapping[str, Readings],
+    references: Mapping[str, SeriesWithMeasurement],
     scaling: Scaling,
 ) -> dict[str, IdentifiabilitySection]:
     """Sections for each reference plan, and for each set-up of the plan alone."""

@@ -38,7 +38,7 @@ class ChosenPlan:
 
     request    what [gap.design] requests
     choice     positions of the chosen runs, and their certificate
-    taken      the chosen runs
+    selected   the chosen runs
     before     sqrt(lambda) of each pair in the readings planned without [gap.design]
     problem    the chosen runs as planned readings
     poses_csv  the chosen runs as a readings file to fill in
@@ -46,7 +46,7 @@ class ChosenPlan:
 
     request: GapDesignRequest
     choice: RunChoice
-    taken: tuple[Run, ...]
+    selected: tuple[Run, ...]
     before: Mapping[Pair, float]
     problem: GapProblem
     poses_csv: str
@@ -65,14 +65,14 @@ class ChosenPlan:
             )
             for pair in choice.pairs
         ]
-        chosen = [
+        records = [
             ChosenRun(run.setup, run.name, dict(run.condition), run.seconds)
-            for run in self.taken
+            for run in self.selected
         ]
         return ChosenRuns(
             candidates=len(request.runs) - len(request.retained),
             retained=len(request.retained),
-            runs=chosen,
+            runs=records,
             separation=choice.separation,
             bound=choice.bound,
             before=_least_before(separations),
@@ -114,15 +114,15 @@ def choose_runs(
     except ValueError as error:
         remedy = "give conditions that show it, or other effects or rules"
         raise request.place.error(str(error), remedy) from error
-    taken = tuple(request.runs[k] for k in choice.runs)
-    series, covariates = runs.lay_out(measurement, taken)
+    selected = tuple(request.runs[k] for k in choice.runs)
+    series, covariates = runs.lay_out(measurement, selected)
     timed = covariates
     if "time" not in covariates:
         timed = covariates.assign(time=_times(covariates, request))
     return ChosenPlan(
         request=request,
         choice=choice,
-        taken=taken,
+        selected=selected,
         before=_separation_before(planned, request),
         problem=problem.assemble(measurement, series, timed, gravity=gravity),
         poses_csv=_poses_csv(measurement, series, covariates),

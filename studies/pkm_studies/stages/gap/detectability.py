@@ -105,6 +105,7 @@ def _effect(
     entry: Detectability, about: Mapping[str, str], fine: Mapping[str, str]
 ) -> DetectabilityRecord:
     def in_fine_units(rms: Mapping[str, float]) -> dict[str, float]:
+        """Rms values, SI, by channel in its fine unit."""
         return {name: v / units.factor(fine[name]) for name, v in rms.items()}
 
     return DetectabilityRecord(

@@ -94,6 +94,7 @@ def _trace(
     unit = units.FINE[_channel_unit(diagnosis, setup, channel)]
 
     def displayed(part: Array) -> list[float]:
+        """The members' values in order along the run, in the fine unit."""
         return _rounded(units.from_si(part[members][order], unit), DIGITS)
 
     return Trace(
