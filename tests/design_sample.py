@@ -1,6 +1,4 @@
-"""Small [design] studies that tests build, and criteria written anew with NumPy to
-judge their plans by.
-"""
+"""Small [design] studies, and criteria in plain NumPy to judge their plans by."""
 
 from __future__ import annotations
 
@@ -56,24 +54,24 @@ def text(
     *,
     tables: str = GRID.format(name="cup"),
     setups: str = CUP,
-    rest: str = WORKSPACE,
+    workspace: str = WORKSPACE,
 ) -> str:
-    return HEAD + setups + "[design]\n" + design + tables + rest
+    return HEAD + setups + "[design]\n" + design + tables + workspace
 
 
 def chosen(text: str, folder: Path = Path()) -> tuple[ResolvedStudy, ChosenDesign]:
     resolved = sample.resolved(text, folder)
-    found = select_design(resolved, np.random.default_rng(0))
-    assert found is not None
-    return resolved, found
+    design = select_design(resolved, np.random.default_rng(0))
+    assert design is not None
+    return resolved, design
 
 
-def section(resolved: ResolvedStudy, found: ChosenDesign) -> DesignSection:
+def section(resolved: ResolvedStudy, design: ChosenDesign) -> DesignSection:
     assert resolved.study.design is not None
     return design_section(
         resolved,
-        found,
-        assess(found.measurement, found.series, resolved.study.design.scaling),
+        design,
+        assess(design.measurement, design.series, resolved.study.design.scaling),
     )
 
 
@@ -93,14 +91,14 @@ def slopes(resolved: ResolvedStudy) -> np.ndarray:
     command = np.vstack([m.machine.home_command, resolved.prediction_commands])
     x, q = kinematics.inverse(command)
     p, step = m.machine.nominal, 1e-6
-    made = []
+    differences = []
     for k in range(len(p)):
         e = step * np.eye(len(p))[k]
         ends = [
             kinematics.forward(q, (p + s * e)[None], x)[0][:, [0, 2]] for s in (1, -1)
         ]
-        made.append((ends[0] - ends[1]) / (2 * step))
-    table = np.moveaxis(np.array(made), 0, 2)
+        differences.append((ends[0] - ends[1]) / (2 * step))
+    table = np.moveaxis(np.array(differences), 0, 2)
     wide = np.zeros((len(command) - 1, 2, len(m.names)))
     wide[:, :, : len(p)] = (table[1:] - table[0]) * m.tolerance[: len(p)]
     return wide[:, :, m.free] / np.array([30e-6, 20e-6])[:, None]
@@ -118,8 +116,8 @@ def value(name: str, h: np.ndarray, resolved: ResolvedStudy) -> float:
         if f
     ]
     if name == "Ds":
-        mine = [k for k, n in enumerate(names) if n.startswith("dq")]
-        return -float(np.linalg.slogdet(inverse[np.ix_(mine, mine)])[1])
+        columns = [k for k, n in enumerate(names) if n.startswith("dq")]
+        return -float(np.linalg.slogdet(inverse[np.ix_(columns, columns)])[1])
     if name == "c":
         c = np.zeros(len(names))
         c[names.index("dq1")], c[names.index("beta2")] = (
@@ -132,7 +130,7 @@ def value(name: str, h: np.ndarray, resolved: ResolvedStudy) -> float:
             "jkn,nm,jkm->j", slopes(resolved), inverse, slopes(resolved)
         )
         return -float(variance.mean() if name == "I" else variance.max())
-    told = {
+    values = {
         "D": np.log(w).sum(),
         "O1": np.exp(np.log(w).mean() / 2) / np.sqrt(len(h)),
         "A": -np.sum(1 / w),
@@ -143,7 +141,7 @@ def value(name: str, h: np.ndarray, resolved: ResolvedStudy) -> float:
         "O4": w[0] / np.sqrt(w[-1]),
         "O5": 1 / np.sum(w**-0.5),
     }
-    return float(told[name])
+    return float(values[name])
 
 
 EXTRA = (

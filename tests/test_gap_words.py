@@ -1,6 +1,4 @@
-"""A diagnosis in words: what is found, where, how far it shrinks, and what is never
-said.
-"""
+"""Sentences of a diagnosis: cause, place, closure, next steps."""
 
 from __future__ import annotations
 
@@ -69,7 +67,7 @@ def test_no_gap_in_words() -> None:
         words[0] == "No gap is found: noise alone explains what calibration leaves"
         " (probability 90 %)."
     )
-    assert len(words) == 2  # beside it only what could not be tested
+    assert len(words) == 2  # the other one is about what could not be tested
 
 
 def test_an_effect_in_words() -> None:
@@ -103,15 +101,15 @@ def test_mixtures_and_unknowns_in_words() -> None:
         "mixture", ["gravity", "encoder_scale"], [["gravity"], ["encoder_scale"]]
     ).words[0]
     assert both.startswith("The gap comes from gravity and encoder scale together")
-    rest = _gap("mixture", ["gravity", "unknown"], [["gravity"]]).words[0]
-    assert rest.startswith("Part of the gap comes from gravity")
-    assert rest.endswith("a remainder has a form that no known effect has.")
+    with_unknown = _gap("mixture", ["gravity", "unknown"], [["gravity"]]).words[0]
+    assert with_unknown.startswith("Part of the gap comes from gravity")
+    assert with_unknown.endswith("a remainder has a form that no known effect has.")
     unknown = _gap("unknown", ["unknown"], []).words[0]
     assert "no known effect explains" in unknown
     assert "2 effects" in unknown
 
 
-def test_what_the_unknown_is_like_is_told() -> None:
+def test_what_an_unknown_effect_resembles() -> None:
     """The likeliest form, and others that matter; nothing where there is none."""
     forms = {
         "leg 2 in a wave of 12 min": 0.62,
@@ -125,15 +123,15 @@ def test_what_the_unknown_is_like_is_told() -> None:
         " (probability 62 %); or the tool about the place 1, 2, 3 mm (probability"
         " 30 %)."
     )
-    one = _gap("unknown", ["unknown"], [], unknown={"drift": 0.06}).words[1]
-    assert one.endswith("drift (probability 6 %).")
+    single = _gap("unknown", ["unknown"], [], unknown={"drift": 0.06}).words[1]
+    assert single.endswith("drift (probability 6 %).")
     assert not any("resembles" in w for w in _gap("unknown", ["unknown"], []).words)
 
 
 @pytest.mark.parametrize(("low", "high", "interval"), [
     (0.35, 49.55, "35 to over 100 %"), (-7.0, 0.4, "under -100 to 40 %"), (-0.2, 1.2, "-20 to 120 %"),
 ])  # fmt: skip
-def test_an_interval_that_tells_nothing_is_not_told_in_figures(
+def test_an_interval_far_beyond_shares_has_no_figures(
     low: float, high: float, interval: str
 ) -> None:
     section = _gap(
@@ -145,7 +143,7 @@ def test_an_interval_that_tells_nothing_is_not_told_in_figures(
     assert f"({interval}) on whole held-out runs" in section.words[2]
 
 
-def test_places_that_hold_much_of_the_gap_are_told() -> None:
+def test_places_that_hold_much_of_the_gap_are_named() -> None:
     places = [
         PlaceRecord("all legs", 0.0, 0.9),
         PlaceRecord("leg 1", 0.0, 0.8),
@@ -162,13 +160,13 @@ def test_places_that_hold_much_of_the_gap_are_told() -> None:
     assert nowhere.startswith("No leg, run, time")
 
 
-def test_a_gap_is_never_told_to_be_closed_whole() -> None:
+def test_a_gap_is_never_reported_as_closed_whole() -> None:
     near = [ClosureRecord("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[2]
     assert "shrinks by 99.9 % (99.8 to 100.0 %) on held-out" in sentence
 
 
-def test_more_than_the_whole_is_told_as_what_can_be_seen() -> None:
+def test_more_than_the_whole_is_all_that_exceeds_the_noise() -> None:
     more = [ClosureRecord("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[2]
     assert (

@@ -1,4 +1,4 @@
-"""Repeat protocols: passes averaged into one reading, or all kept."""
+"""Repeat protocols: passes averaged into one reading, or each a reading."""
 
 from __future__ import annotations
 
@@ -57,24 +57,22 @@ def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long() -> 
     assert (seconds[1] - mounting) == pytest.approx(6 * (seconds[0] - mounting))
 
 
-def test_kept_passes_hold_what_their_mean_holds() -> None:
-    """Same information, to the last digit, from 180 readings as from 30 means of six;
-    runs tell the passes apart.
-    """
-    kept, mean = (
+def test_separate_passes_hold_what_their_mean_holds() -> None:
+    """180 readings have the same information as 30 means of six, in runs by pass."""
+    separate, mean = (
         resolved("repeats = 3\nboth_directions = true\naverage = false"),
         resolved("repeats = 3\nboth_directions = true"),
     )
-    seen = [
+    verdicts = [
         assess(r.measurement, r.reference_plans[0].series, "tolerance")
-        for r in (kept, mean)
+        for r in (separate, mean)
     ]
-    assert len(seen[0].series[0]) == 180
-    assert seen[0].shrinkage == pytest.approx(seen[1].shrinkage, rel=1e-9)
-    runs = list(dict.fromkeys(seen[0].series[0].run))
+    assert len(verdicts[0].series[0]) == 180
+    assert verdicts[0].shrinkage == pytest.approx(verdicts[1].shrinkage, rel=1e-9)
+    runs = list(dict.fromkeys(verdicts[0].series[0].run))
     assert runs[:2] == ["z=1146mm, forward 1", "z=1146mm, forward 2"]
     assert len(runs) == 12
-    series = seen[0].series[0]
+    series = verdicts[0].series[0]
     forth, back = (
         series.reading_commands()[series.run == f"z=1266mm, {way} 2", 1]
         for way in ("forward", "backward")
