@@ -1,6 +1,6 @@
 """Upper bounds of the criterion over all plans under given rules.
 
-Concave criteria are bounded by their relaxation. Rules about set-ups are met by one
+Concave criteria are bounded by their relaxation; under quotas, by a conic solver's. Rules about set-ups are met by one
 relaxation for each combination of set-ups, where these are few. Where they are many,
 and for rules about distances, the rule is left out, which only raises the bound. E and
 the condition number have relaxations of their own.
@@ -15,6 +15,7 @@ import numpy as np
 from oed.arrays import Array
 from oed.design import condition, relaxation
 from oed.design.criterion import Criterion, ExtremeEigenvalues
+from oed.design.quotas import QuotaSet
 from oed.design.relaxation import Relaxation
 from oed.design.rules import RelaxedRules, Rules
 
@@ -42,7 +43,13 @@ def bound(
     prior: Array,
     tolerance: float = 1e-8,
 ) -> Bound:
-    """Bound over all plans under the rules, for a concave criterion."""
+    """Bound over all plans under the rules, for a concave criterion.
+
+    Under quotas also for the condition number. Raises ValueError there for a criterion
+    without a conic form.
+    """
+    if rules.quotas is not None:
+        return _bound_under_quotas(blocks, criterion, rules.quotas, prior)
     by_candidates: dict[bytes, Bound] = {}
     for problem in rules.relaxations(len(blocks)):
         optimum = _relax(blocks, criterion, problem, prior, tolerance)
@@ -54,6 +61,23 @@ def bound(
     if not by_candidates:
         raise ValueError("the budget does not pay for mounting any set-up")
     return max(by_candidates.values(), key=lambda b: b.value)
+
+
+def has_conic_bound(criterion: Criterion) -> bool:
+    """Whether `bound` knows the criterion under quotas."""
+    if isinstance(criterion, ExtremeEigenvalues):
+        return criterion.concave or criterion.least == criterion.largest
+    return criterion.concave
+
+
+def _bound_under_quotas(
+    blocks: Array, criterion: Criterion, quotas: QuotaSet, prior: Array
+) -> Bound:
+    from oed.design import conic  # cvxpy takes a second to import
+
+    limits = quotas.linear_limits()
+    optimum = conic.relax(blocks, float(quotas.size), criterion, prior, 1.0, limits)
+    return Bound(optimum.bound, optimum.duality_gap, optimum.weights, optimum.slopes)
 
 
 def _relax(
@@ -97,8 +121,10 @@ def condition_bound(
     More readings can make the condition number worse, so a plan within a budget need
     not use it up.
     """
-    if rules.size is None or rules.budget is not None:
+    plain_size = rules.size is not None and rules.budget is None
+    if not plain_size or rules.quotas is not None:
         return None
+    assert rules.size is not None
     if not isinstance(criterion, ExtremeEigenvalues):
         return None
     size = float(rules.size)

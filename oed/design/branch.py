@@ -19,6 +19,7 @@ from oed.design import exchange, relaxation
 from oed.design.blocks import as_blocks, information, project_on_estimable
 from oed.design.certificate import ROUNDING
 from oed.design.criterion import Criterion, named
+from oed.design.exchange import Choice
 from oed.design.objective import CriterionObjective
 
 #: nodes visited, at the most
@@ -84,6 +85,31 @@ def solve(
         base = basis.T @ prior @ basis
     tree = _Tree(blocks, goal.restrict(basis), base, size)
     return tree.search(np.sort(start), nodes)
+
+
+def tighten(
+    choice: Choice,
+    rows: Array,
+    rng: np.random.Generator,
+    criterion: Criterion,
+    prior: Array | None,
+    nodes: int,
+) -> Choice:
+    """A choice with the bound, and perhaps the better plan, of `nodes` nodes.
+
+    Only for a choice whose number of readings was the only rule. Raises as `solve`.
+    """
+    size = len(choice.indices)
+    result = solve(rows, size, rng, criterion, prior, nodes, choice.indices)
+    _, basis = project_on_estimable(as_blocks(rows), prior)
+    goal = criterion.restrict(basis)
+    better = dataclasses.replace(
+        choice,
+        indices=result.indices,
+        value=goal.conventional_value(result.value, size),
+    )
+    assert choice.duality_gap is not None
+    return better.with_bound(goal, result.value, result.bound, choice.duality_gap)
 
 
 @dataclasses.dataclass(eq=False)

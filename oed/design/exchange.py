@@ -15,7 +15,7 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.design.blocks import as_blocks, project_on_estimable
-from oed.design.bounds import Bound, bound, condition_bound
+from oed.design.bounds import Bound, bound, condition_bound, has_conic_bound
 from oed.design.criterion import Criterion, Determinant, Variance, named
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.rules import Rules
@@ -105,11 +105,17 @@ def choose(
         _check_size(blocks, rules)
     else:
         base = basis.T @ prior @ basis
-    guide = bound(blocks, _guiding_criterion(goal, directions), rules, base)
+    guiding = _guiding_criterion(goal, directions, rules)
+    guide = bound(blocks, guiding, rules, base)
     evaluator = CriterionEvaluator(blocks, goal, base)
-    starts = _greedy_plans(evaluator, rules)
+    starts = _greedy_plans(evaluator, rules, guide.weights)
     best = search(evaluator, rules, guide.weights, guide.slopes, starts, rng, rounds)
     value = evaluator.value(best)
+    if not rules.satisfied(best):
+        raise ValueError(
+            "no plan was found that keeps the quotas with the other rules: relax one of"
+            " them"
+        )
     if not np.isfinite(value):
         raise ValueError(
             f"no plan under these rules determines the {directions} directions that the"
@@ -123,8 +129,10 @@ def choose(
         columns=columns,
     )
     upper = None
-    if goal.smooth or certify:
-        upper = _bound_of(blocks, goal, rules, base, guide)
+    if guiding is goal:
+        upper = guide
+    elif certify:
+        upper = _bound_of(blocks, goal, rules, base)
     if upper is None:
         return choice
     return choice.with_bound(goal, value, upper.value, upper.duality_gap)
@@ -136,7 +144,9 @@ def greedy_d(blocks: Array, size: int, base: Array) -> Index:
     return select_greedily(evaluator, Rules(size=size), evaluator.ridge())
 
 
-def _greedy_plans(evaluator: CriterionEvaluator, rules: Rules) -> list[Index]:
+def _greedy_plans(
+    evaluator: CriterionEvaluator, rules: Rules, weights: Array
+) -> list[Index]:
     """Greedy plans by D and by the criterion itself.
 
     The criterion may be -inf for every candidate while directions are undetermined.
@@ -146,7 +156,8 @@ def _greedy_plans(evaluator: CriterionEvaluator, rules: Rules) -> list[Index]:
     criterion = evaluator.criterion
     if criterion.smooth and not isinstance(criterion, Determinant):
         guides.append(evaluator)
-    return [select_greedily(guide, rules, evaluator.ridge()) for guide in guides]
+    ridge = evaluator.ridge()
+    return [select_greedily(g, rules, ridge, weights=weights) for g in guides]
 
 
 # -- bounds ----------------------------------------------------------------------------
@@ -161,6 +172,13 @@ def _check(blocks: Array, rules: Rules) -> None:
     nothing = np.zeros(0, dtype=np.intp)
     if not rules.additions(nothing, len(blocks)).any():
         raise ValueError("the rules allow no reading at all: raise the budget")
+    conflict = None if rules.quotas is None else rules.quotas.conflict()
+    if rules.quotas is not None and conflict is not None:
+        names = ", ".join(rules.quotas.quotas[k].name for k in conflict)
+        raise ValueError(
+            f"no {rules.size} readings keep the quotas {names} together: relax one of"
+            " them"
+        )
 
 
 def _check_size(blocks: Array, rules: Rules) -> None:
@@ -172,9 +190,15 @@ def _check_size(blocks: Array, rules: Rules) -> None:
         )
 
 
-def _guiding_criterion(criterion: Criterion, directions: int) -> Criterion:
-    """The smooth criterion whose relaxation guides the search."""
-    if criterion.smooth:
+def _guiding_criterion(
+    criterion: Criterion, directions: int, rules: Rules
+) -> Criterion:
+    """The criterion whose relaxation guides the search.
+
+    It is smooth, or, under quotas, has a conic form.
+    """
+    under_quotas = rules.quotas is not None
+    if criterion.smooth or (under_quotas and has_conic_bound(criterion)):
         return criterion
     approach = [c for c in criterion.continuation() if c.smooth and c.concave]
     if criterion.concave and approach:
@@ -183,11 +207,9 @@ def _guiding_criterion(criterion: Criterion, directions: int) -> Criterion:
 
 
 def _bound_of(
-    blocks: Array, criterion: Criterion, rules: Rules, base: Array, guide: Bound
+    blocks: Array, criterion: Criterion, rules: Rules, base: Array
 ) -> Bound | None:
-    """The bound of the criterion itself; None where none is known."""
-    if criterion.smooth:
-        return guide
+    """The bound of a criterion that is not smooth; None where none is known."""
     if criterion.concave:
         return bound(blocks, criterion, rules, base)
     return condition_bound(blocks, criterion, rules, base)

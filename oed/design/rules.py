@@ -16,9 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.arrays import Array, Index, Mask
+from oed.design.quotas import QuotaSet
 
 #: combinations of set-ups that are bounded one by one, at the most
 MAX_COMBINATIONS = 64
+#: standard deviation of the logarithm of the classes' numbers, where they are varied
+VARIATION = 0.5
 
 
 class RelaxedRules(NamedTuple):
@@ -45,6 +48,8 @@ class Rules:
     position      (C, d) of each candidate, in units of its own
     min_distance  least distance of two chosen candidates of one set-up
     mounted       set-ups that are mounted already: they cost nothing and do not count
+    quotas        numbers to take from selections of the candidates; they need `size`,
+                  and go neither with a budget nor with `most_setups`
     """
 
     size: int | None = None
@@ -56,6 +61,7 @@ class Rules:
     position: Array | None = None
     min_distance: float = 0.0
     mounted: tuple[int, ...] = ()
+    quotas: QuotaSet | None = None
 
     def __post_init__(self) -> None:
         if self.size is None and self.budget is None:
@@ -68,12 +74,16 @@ class Rules:
             raise ValueError("rules about set-ups need the set-up of every candidate")
         if self.min_distance > 0.0 and self.position is None:
             raise ValueError("a least distance needs the position of every candidate")
+        if self.quotas is not None:
+            free_number = self.budget is not None or self.most_setups is not None
+            if free_number or self.size != self.quotas.size:
+                raise ValueError("quotas need the number of readings, and no budget")
 
     @property
     def only_size(self) -> bool:
         """Whether the number of candidates is the only rule."""
         unlimited = self.budget is None and self.most_setups is None
-        return unlimited and self.min_distance <= 0.0
+        return unlimited and self.min_distance <= 0.0 and self.quotas is None
 
     @property
     def mountable(self) -> Index:
@@ -121,7 +131,49 @@ class Rules:
         if self.min_distance > 0.0:
             for member in chosen:
                 free &= ~self._too_near(int(member))
+        if self.quotas is not None:
+            free &= self.quotas.additions(chosen)
         return free
+
+    def replacements(self, chosen: Index, place: int, count: int) -> Mask:
+        """Which of the candidates (C,) may take a place in a plan."""
+        remaining = np.delete(chosen, place)
+        free = self.additions(remaining, count)
+        if self.quotas is not None:
+            free &= self.quotas.replacements(remaining, int(chosen[place]))
+        return free
+
+    def allocation(
+        self,
+        chosen: Index,
+        weights: Array | None,
+        rng: np.random.Generator | None = None,
+    ) -> Array | None:
+        """Numbers (G,) in the quotas' classes for completing a plan.
+
+        The numbers are nearest to the sums of weights (C,), even ones by default; a
+        generator varies the sums. None without quotas, or where the plan cannot be
+        completed.
+        """
+        if self.quotas is None:
+            return None
+        if weights is None:
+            weights = np.ones(self.quotas.members.shape[1])
+        sums = self.quotas.class_sums(weights)
+        if rng is not None:
+            sums = sums * np.exp(VARIATION * rng.standard_normal(len(sums)))
+        return self.quotas.allocate(sums * (self.quotas.size / sums.sum()), chosen)
+
+    def completions(self, chosen: Index, count: int, allocation: Array | None) -> Mask:
+        """Which of the candidates (C,) may join a plan on the way to an allocation."""
+        free = self.additions(chosen, count)
+        if self.quotas is not None and allocation is not None:
+            free &= self.quotas.open_classes(chosen, allocation)
+        return free
+
+    def satisfied(self, chosen: Index) -> bool:
+        """Whether a plan keeps its quotas; the other rules hold by construction."""
+        return self.quotas is None or self.quotas.satisfied(chosen)
 
     def _setups_used_up(self, chosen: Index) -> bool:
         """Whether no further set-up may be mounted."""
@@ -162,6 +214,7 @@ class Rules:
             cost=None if self.cost is None else self.cost[pool],
             setup=None if self.setup is None else self.setup[pool],
             position=None if self.position is None else self.position[pool],
+            quotas=None if self.quotas is None else self.quotas.subset(pool),
         )
 
     # -- convex problems that hold every plan ------------------------------------------

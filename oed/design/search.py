@@ -14,10 +14,11 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.design.evaluator import PlanEvaluator
+from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
 
-#: candidates in the pool: at the least, and a chosen one
-POOL, POOL_PER_READING = 200, 8
+#: candidates in the pool: at the least, a chosen one, and in each class of the quotas
+POOL, POOL_PER_READING, POOL_PER_CLASS = 200, 8, 50
 #: gain in log phi below which an exchange counts as none
 GAIN = 1e-10
 #: sweeps at the most: rounding near a singular plan could let two exchanges undo each
@@ -50,19 +51,25 @@ def search(
     in_pool = restarts.run(weights[pool], rounds, pool_starts)
     last_level = evaluator.levels - 1
     best = improve(evaluator, rules, pool[in_pool], last_level)
-    return max([best, *starts], key=evaluator.value)
+    return max([best, *starts], key=lambda plan: _value(evaluator, rules, plan))
 
 
 def select_greedily(
-    evaluator: PlanEvaluator, rules: Rules, ridge: float, level: int = -1
+    evaluator: PlanEvaluator,
+    rules: Rules,
+    ridge: float,
+    level: int = -1,
+    weights: Array | None = None,
 ) -> Index:
     """Candidates added one by one, each the one that raises the criterion most.
 
-    The ridge stands in for directions that the plan does not determine yet.
+    The ridge stands in for directions that the plan does not determine yet. Weights
+    (C,) of a relaxation divide the plan among the classes of quotas.
     """
     chosen = np.zeros(0, dtype=np.intp)
     level %= evaluator.levels
-    while (allowed := rules.additions(chosen, evaluator.count)).any():
+    count, allocation = evaluator.count, rules.allocation(chosen, weights)
+    while (allowed := rules.completions(chosen, count, allocation)).any():
         values = evaluator.values_after_adding(chosen, level, ridge)
         values = np.where(allowed, values, -np.inf)
         best = int(np.argmax(values))
@@ -93,7 +100,25 @@ def _promising(weights: Array, slopes: Array, rules: Rules, count: int) -> Index
     steepest = np.argsort(-slopes_per_cost, kind="stable")[: min(count, places)]
     heaviest = np.argsort(-weights, kind="stable")[:places]
     heaviest = heaviest[weights[heaviest] > LIGHT]
-    return np.union1d(steepest, heaviest).astype(np.intp)
+    promising = np.union1d(steepest, heaviest)
+    if rules.quotas is not None:
+        promising = np.union1d(promising, _steepest_by_class(slopes, rules.quotas))
+    return promising.astype(np.intp)
+
+
+def _steepest_by_class(slopes: Array, quotas: QuotaSet) -> Index:
+    """The candidates with the largest slopes in each class of the quotas."""
+    steepest = []
+    for label in np.unique(quotas.label):
+        members = np.flatnonzero(quotas.label == label)
+        order = np.argsort(-slopes[members], kind="stable")
+        steepest.append(members[order[:POOL_PER_CLASS]])
+    return np.concatenate(steepest)
+
+
+def _value(evaluator: PlanEvaluator, rules: Rules, plan: Index) -> float:
+    """Value of a plan; -inf where it does not keep its quotas."""
+    return evaluator.value(plan) if rules.satisfied(plan) else -np.inf
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -133,7 +158,7 @@ class _Exchange:
         current = self.evaluator.regularised_value(chosen, level)
         for place in range(len(chosen)):
             remaining = np.delete(chosen, place)
-            allowed = self.rules.additions(remaining, self.evaluator.count)
+            allowed = self.rules.replacements(chosen, place, self.evaluator.count)
             values = self.evaluator.values_after_adding(remaining, level)
             values = np.where(allowed, values, -np.inf)
             best = int(np.argmax(values))
@@ -146,7 +171,11 @@ class _Exchange:
 
     def fill(self, chosen: Index, level: int) -> Index:
         """Adds the best candidate while the rules allow one."""
-        while (allowed := self.rules.additions(chosen, self.evaluator.count)).any():
+        count = self.evaluator.count
+        if not self.rules.additions(chosen, count).any():
+            return chosen
+        allocation = self.rules.allocation(chosen, None)
+        while (allowed := self.rules.completions(chosen, count, allocation)).any():
             values = self.evaluator.values_after_adding(chosen, level)
             values = np.where(allowed, values, -np.inf)
             best = int(np.argmax(values))
@@ -187,7 +216,7 @@ class _Restarts:
             else:
                 start = self._change(best)
             chosen = self.exchange.improve_by_levels(start)
-            value = self.exchange.evaluator.value(chosen)
+            value = _value(self.exchange.evaluator, self.rules, chosen)
             if value > best_value or not best.size:
                 best, best_value = chosen, value
         return best
@@ -196,7 +225,8 @@ class _Restarts:
         """A plan drawn with chances that follow the weights (Gumbel's trick)."""
         keys = np.log(weights) + self.rng.gumbel(size=len(weights))
         nothing = np.zeros(0, dtype=np.intp)
-        return self._fill_in_order(nothing, np.argsort(-keys, kind="stable"))
+        order = np.argsort(-keys, kind="stable")
+        return self._fill_in_order(nothing, order, weights)
 
     def _change(self, chosen: Index) -> Index:
         """The plan with up to six candidates, or one set-up, replaced at random."""
@@ -213,17 +243,25 @@ class _Restarts:
         outside = np.setdiff1d(np.arange(self.count), chosen)
         others = self.rng.permutation(outside)
         removed = self.rng.permutation(chosen[places])
-        return self._fill_in_order(remaining, np.append(others, removed))
+        before = np.zeros(self.count)
+        before[chosen] = 1.0
+        return self._fill_in_order(remaining, np.append(others, removed), before)
 
-    def _fill_in_order(self, chosen: Index, order: Index) -> Index:
-        """A plan filled with candidates in the given order while the rules allow."""
+    def _fill_in_order(self, chosen: Index, order: Index, weights: Array) -> Index:
+        """A plan filled with candidates in the given order while the rules allow.
+
+        Weights (C,), varied at random, divide it among the classes of quotas.
+        """
         if self.rules.only_size:
             assert self.rules.size is not None
             missing = self.rules.size - len(chosen)
             return np.append(chosen, order[:missing]).astype(np.intp)
         rank = np.full(self.count, np.inf)
         rank[order] = np.arange(len(order))
-        while (free := self.rules.additions(chosen, self.count)).any():
+        allocation = None
+        if self.rules.quotas is not None:
+            allocation = self.rules.allocation(chosen, weights, self.rng)
+        while (free := self.rules.completions(chosen, self.count, allocation)).any():
             first = int(np.argmin(np.where(free, rank, np.inf)))
             if not np.isfinite(rank[first]):
                 break

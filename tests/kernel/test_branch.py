@@ -62,3 +62,21 @@ def test_a_bound_holds_when_the_nodes_run_out() -> None:
 def test_criteria_that_are_not_smooth_are_refused() -> None:
     with pytest.raises(ValueError, match="smooth, concave"):
         branch.solve(np.eye(3), 3, np.random.default_rng(0), "E")
+
+
+@pytest.mark.parametrize("rank", [3, 4])
+def test_a_choice_takes_over_the_bound_of_the_tree(rank: int) -> None:
+    """Conventional values, over the directions that the candidates determine."""
+    rng = np.random.default_rng(7)
+    rows = rng.standard_normal((14, rank)) @ rng.standard_normal((rank, 4))
+    choice = exchange.choose(rows, 5, rng)
+    bounded = branch.tighten(choice, rows, rng, named("D", 4), None, 2000)
+    assert bounded.proven
+    assert bounded.efficiency == pytest.approx(1.0, abs=1e-7)
+    assert bounded.value >= choice.value - 1e-9
+    assert bounded.value <= bounded.bound + 1e-9
+    assert bounded.bound < choice.bound
+    s = np.linalg.svd(rows[bounded.indices], compute_uv=False)[:rank]
+    assert bounded.value == pytest.approx(2 * np.log(s).sum())
+    one_node = branch.tighten(choice, rows, rng, named("D", 4), None, 1)
+    assert bounded.bound <= one_node.bound <= choice.bound + 1e-6
