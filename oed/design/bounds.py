@@ -15,9 +15,11 @@ import numpy as np
 from oed.arrays import Array
 from oed.design import condition, relaxation
 from oed.design.criterion import Criterion, ExtremeEigenvalues
-from oed.design.quotas import QuotaSet
 from oed.design.relaxation import Relaxation
 from oed.design.rules import RelaxedRules, Rules
+
+#: duality gap from which a conic solver's answer counts as inexact, in log phi
+INEXACT = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,11 +47,10 @@ def bound(
 ) -> Bound:
     """Bound over all plans under the rules, for a concave criterion.
 
-    Under quotas also for the condition number. Raises ValueError there for a criterion
-    without a conic form.
+    Raises ValueError under quotas for a criterion without a conic form.
     """
     if rules.quotas is not None:
-        return _bound_under_quotas(blocks, criterion, rules.quotas, prior)
+        return _bound_under_quotas(blocks, criterion, rules, prior)
     by_candidates: dict[bytes, Bound] = {}
     for problem in rules.relaxations(len(blocks)):
         optimum = _relax(blocks, criterion, problem, prior, tolerance)
@@ -63,21 +64,27 @@ def bound(
     return max(by_candidates.values(), key=lambda b: b.value)
 
 
-def has_conic_bound(criterion: Criterion) -> bool:
-    """Whether `bound` knows the criterion under quotas."""
-    if isinstance(criterion, ExtremeEigenvalues):
-        return criterion.concave or criterion.least == criterion.largest
-    return criterion.concave
-
-
 def _bound_under_quotas(
-    blocks: Array, criterion: Criterion, quotas: QuotaSet, prior: Array
+    blocks: Array, criterion: Criterion, rules: Rules, prior: Array
 ) -> Bound:
+    """The conic solver's bound, or the one without quotas where that is lower.
+
+    The latter can only be lower where the solver's answer is inexact.
+    """
     from oed.design import conic  # cvxpy takes a second to import
 
-    limits = quotas.linear_limits()
-    optimum = conic.relax(blocks, float(quotas.size), criterion, prior, 1.0, limits)
-    return Bound(optimum.bound, optimum.duality_gap, optimum.weights, optimum.slopes)
+    assert rules.quotas is not None
+    size, limits = float(rules.quotas.size), rules.quotas.linear_limits()
+    optimum = conic.relax(blocks, size, criterion, prior, 1.0, limits)
+    best = Bound(optimum.bound, optimum.duality_gap, optimum.weights, optimum.slopes)
+    if best.duality_gap <= INEXACT:
+        return best
+    without = bound(blocks, criterion, dataclasses.replace(rules, quotas=None), prior)
+    if without.value >= best.value:
+        return best
+    return dataclasses.replace(
+        best, value=without.value, duality_gap=without.duality_gap
+    )
 
 
 def _relax(
@@ -119,19 +126,30 @@ def condition_bound(
     """Bound of kappa, O2 and O4 for plans of a given size; None with a budget.
 
     More readings can make the condition number worse, so a plan within a budget need
-    not use it up.
+    not use it up. Quotas are left out where the conic solver fails, and for O4: that
+    only raises the bound.
     """
-    plain_size = rules.size is not None and rules.budget is None
-    if not plain_size or rules.quotas is not None:
+    if rules.size is None or rules.budget is not None:
         return None
-    assert rules.size is not None
     if not isinstance(criterion, ExtremeEigenvalues):
         return None
     size = float(rules.size)
     if criterion.name == "O4":
         best = condition.o4(blocks, size, prior)
         upper = float(np.log(best.bound))
-    else:
-        best = condition.relax(blocks, size, prior)
-        upper = -float(np.log(best.bound))
+        return Bound(upper, best.duality_gap, best.weights, best.slopes)
+    if rules.quotas is not None:
+        from oed.design import conic  # cvxpy takes a second to import
+
+        limits = rules.quotas.linear_limits()
+        try:
+            optimum = conic.relax(blocks, size, criterion, prior, 1.0, limits)
+        except conic.NoConicAnswerError:
+            pass
+        else:
+            return Bound(
+                optimum.bound, optimum.duality_gap, optimum.weights, optimum.slopes
+            )
+    best = condition.relax(blocks, size, prior)
+    upper = -float(np.log(best.bound))
     return Bound(upper, best.duality_gap, best.weights, best.slopes)

@@ -32,6 +32,11 @@ from oed.design.relaxation import Relaxation
 
 Solver = Literal["CLARABEL", "SCS"]
 
+
+class NoConicAnswerError(ValueError):
+    """The conic solver ended without an answer; the text says what to use instead."""
+
+
 #: duality gap of the relaxation whose information scales the problem
 SCALING_TOLERANCE = 1e-2
 #: relative accuracy of the least ratio of kappa, and steps towards it
@@ -195,8 +200,8 @@ def _relax_condition(
     upper = plain / eigenvalues[-1] << s * identity
     _solve(cp.Minimize(s), [*problem.limits(u, tau), lower, upper], solver)
     if u.value is None or lower.dual_value is None or not tau.value > 0:
-        raise ValueError(
-            "the conic solver did not find a condition number: see oed.design.condition"
+        raise NoConicAnswerError(
+            "the conic solver did not find a condition number: use oed.design.condition"
         )
     weights = problem.feasible.nearest(np.asarray(u.value) / float(tau.value))
     y = dual_root(turn.T @ lower.dual_value @ turn)

@@ -15,7 +15,7 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.design.blocks import as_blocks, project_on_estimable
-from oed.design.bounds import Bound, bound, condition_bound, has_conic_bound
+from oed.design.bounds import Bound, bound, condition_bound
 from oed.design.criterion import Criterion, Determinant, Variance, named
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.rules import Rules
@@ -197,8 +197,7 @@ def _guiding_criterion(
 
     It is smooth, or, under quotas, has a conic form.
     """
-    under_quotas = rules.quotas is not None
-    if criterion.smooth or (under_quotas and has_conic_bound(criterion)):
+    if criterion.smooth or (rules.quotas is not None and criterion.concave):
         return criterion
     approach = [c for c in criterion.continuation() if c.smooth and c.concave]
     if criterion.concave and approach:

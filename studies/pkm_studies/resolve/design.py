@@ -10,9 +10,10 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
+from oed.design.quotas import QuotaSet
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place
-from pkm_studies.resolve import grids, lookup, quantities
+from pkm_studies.resolve import grids, lookup, quantities, quotas
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
 from pkm_studies.study.tables import DesignTable
@@ -22,6 +23,8 @@ from pkm_studies.study.tables.base import CriterionName
 CRITERIA: tuple[str, ...] = get_args(CriterionName)
 #: criteria that polishing can improve
 POLISHED = ("D", "O1", "Ds", "A", "c", "I", "E", "O3")
+#: criteria that branch and bound knows
+SMOOTH = ("D", "Ds", "A", "c", "I", "O1", "O5")
 #: remedy for what needs prior tolerances
 USE_PRIOR = 'write scaling = "tolerance" and prior = true'
 
@@ -41,6 +44,7 @@ class DesignRequest:
     retained         readings that are part of the plan already
     free_ranges      what polishing may move: set-up -> setting or tool coordinate ->
                      lowest and highest value
+    quotas           numbers of readings from selections of the candidates
     """
 
     interest: tuple[str, ...]
@@ -49,10 +53,14 @@ class DesignRequest:
     least_distance: Array | None
     retained: tuple[Series, ...]
     free_ranges: Ranges
+    quotas: QuotaSet | None
 
 
 def design_request(
-    study: Study, measurement: Measurement, references: Sequence[ReferencePlan]
+    study: Study,
+    measurement: Measurement,
+    references: Sequence[ReferencePlan],
+    candidates: Sequence[Series],
 ) -> DesignRequest | None:
     """What [design] requests; None without it. `measurement` holds all set-ups.
 
@@ -70,6 +78,7 @@ def design_request(
         least_distance=_least_distance(table, measurement, place.key("apart")),
         retained=_retained(study, table, measurement, references, place),
         free_ranges=_free_ranges(table, measurement, place.key("polish").key("free")),
+        quotas=quotas.quota_set(table, measurement, candidates, place),
     )
 
 
@@ -79,6 +88,8 @@ def design_request(
 def _check_fields(study: Study, table: DesignTable, place: Place) -> None:
     _check_criteria(study, table, place)
     _check_prior(table, place)
+    if table.branch_nodes:
+        _check_branching(table, place)
     if table.how_many is not None:
         _check_needs(study, table, "I", place.key("how_many"))
     polish = table.polish
@@ -129,6 +140,28 @@ def _check_prior(table: DesignTable, place: Place) -> None:
             " always leave fewer"
         )
         raise place.key("setups_max").error(problem, USE_PRIOR, table.setups_max)
+
+
+def _check_branching(table: DesignTable, place: Place) -> None:
+    """Raises InputError for fields that a tree's bound does not hold under."""
+    nodes, place = table.branch_nodes, place.key("branch_nodes")
+    rough = [name for name in table.criteria if name not in SMOOTH]
+    if rough:
+        problem = f"branch and bound needs a smooth criterion, not {', '.join(rough)}"
+        remedy = f"take one of {', '.join(SMOOTH)}, or leave branch_nodes out"
+        raise place.error(problem, remedy, nodes)
+    rules: Mapping[str, bool] = {
+        "budget_min": table.budget_min is not None,
+        "setups_max": table.setups_max is not None,
+        "apart": bool(table.apart),
+        "quota": bool(table.quota),
+        "equal": table.equal is not None,
+        "robust": table.robust is not None,
+    }
+    for name, given in rules.items():
+        if given:
+            problem = f"branch and bound does not know the rule {name}"
+            raise place.error(problem, f"leave branch_nodes or {name} out", nodes)
 
 
 def _check_needs(study: Study, table: DesignTable, name: str, place: Place) -> None:

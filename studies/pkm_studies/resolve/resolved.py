@@ -85,7 +85,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     everything = measurement_with(mounted)
     pool, refusals, warnings = candidates.candidates(study, everything)
     references = candidates.references(study, everything)
-    design = design_request(study, everything, references)
+    design = design_request(study, everything, references, pool)
     circles = [
         candidates.circles(study, table, i, measurement_with)
         for i, table in enumerate(study.kappa)

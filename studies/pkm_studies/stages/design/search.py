@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.design import bounds, exchange, setups
+from oed.design import bounds, branch, exchange, setups
 from oed.design.blocks import information, project_on_estimable
 from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, ExtremeEigenvalues, PowerMean
@@ -111,6 +111,18 @@ def best_plan(
         raise refusals[0]
     best = max(plans, key=lambda indices: problem.score(criterion, indices)[0])
     return _certified(problem, criterion, best)
+
+
+def branch_and_bound(
+    problem: DesignProblem,
+    criterion: Criterion,
+    choice: Choice,
+    nodes: int,
+    rng: np.random.Generator,
+) -> Choice:
+    """A choice with the bound, and perhaps the better plan, of a tree of `nodes`."""
+    c = problem.candidates
+    return branch.tighten(choice, c.blocks, rng, criterion, c.prior, nodes)
 
 
 def _combinations(

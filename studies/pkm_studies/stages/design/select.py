@@ -78,6 +78,11 @@ def select_design(
     problem = _problem(resolved, study_criteria, place)
     field = "compound" if table.compound else "criterion"
     choice = _best(problem, study_criteria, table.judged_by, rng, place.key(field))
+    if table.branch_nodes:
+        criterion = study_criteria.over_candidates(table.judged_by, problem.candidates)
+        choice = search.branch_and_bound(
+            problem, criterion, choice, table.branch_nodes, rng
+        )
     compared = _compared(problem, study_criteria, choice, rng, place.key("compare"))
     robust_summary, size_summary = None, None
     if table.robust is not None:
@@ -142,7 +147,7 @@ def _problem(
     )
     mounted = {s.setup for s in request.retained}
     positions = tuple(k for k, name in enumerate(pool.setups) if name in mounted)
-    rules = dataclasses.replace(rules, mounted=positions)
+    rules = dataclasses.replace(rules, mounted=positions, quotas=request.quotas)
     return DesignProblem(pool, rules, table.starts)
 
 

@@ -5,6 +5,7 @@ from pkm_studies.study.tables.design import DesignTable as DesignTable
 from pkm_studies.study.tables.design import HowManyTable as HowManyTable
 from pkm_studies.study.tables.design import OrderTable as OrderTable
 from pkm_studies.study.tables.design import PolishTable as PolishTable
+from pkm_studies.study.tables.design import QuotaTable as QuotaTable
 from pkm_studies.study.tables.design import RobustTable as RobustTable
 from pkm_studies.study.tables.file import ClaimTable as ClaimTable
 from pkm_studies.study.tables.file import ReportTable as ReportTable
@@ -21,6 +22,7 @@ from pkm_studies.study.tables.gap_design import RunCondition as RunCondition
 from pkm_studies.study.tables.grids import Axis as Axis
 from pkm_studies.study.tables.grids import GridTable as GridTable
 from pkm_studies.study.tables.grids import KappaTable as KappaTable
+from pkm_studies.study.tables.grids import OpenRange as OpenRange
 from pkm_studies.study.tables.grids import Range as Range
 from pkm_studies.study.tables.grids import ReferenceTable as ReferenceTable
 from pkm_studies.study.tables.grids import Span as Span

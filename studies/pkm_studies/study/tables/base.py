@@ -12,6 +12,7 @@ RunCount = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 Whole = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Triple = tuple[float, float, float]
 CriterionName = Literal[
     "D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5"

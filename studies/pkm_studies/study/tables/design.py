@@ -12,9 +12,16 @@ from pkm_studies.study.tables.base import (
     CriterionName,
     NotNegative,
     Positive,
+    Share,
     StudyTable,
+    Whole,
 )
-from pkm_studies.study.tables.grids import Axis, GridTable, ReferenceTable
+from pkm_studies.study.tables.grids import (
+    Axis,
+    GridTable,
+    OpenRange,
+    ReferenceTable,
+)
 from pkm_studies.study.tables.limits import LimitsTable
 
 
@@ -95,6 +102,34 @@ class HowManyTable(StudyTable, frozen=True, kw_only=True):
     most: Count = 100
 
 
+class QuotaTable(StudyTable, frozen=True, kw_only=True):
+    """[[design.quota]]: how many readings a plan takes from a selection of candidates.
+
+    The selection holds the candidates that meet all of `setups`, `runs` and the ranges.
+    With `whole_runs`, numbers count runs, and a run is selected where all its readings
+    are. Retained readings do not count. Every plan keeps the numbers exactly.
+
+    name         in messages
+    setups       names of set-ups; by default all
+    runs         names or patterns of runs; by default all
+    min          least number of readings from the selection
+    max          largest number of readings from the selection
+    min_share    least number, as a share of the readings to choose
+    max_share    largest number, as a share of the readings to choose
+    coordinates  ranges of command coordinates, as in `z_mm = { from = 1200 }`
+    """
+
+    rest = "coordinates"
+    name: str = ""
+    setups: list[str] = []
+    runs: list[str] = []
+    min: Whole | None = None
+    max: Whole | None = None
+    min_share: Share | None = None
+    max_share: Share | None = None
+    coordinates: dict[str, OpenRange] = {}
+
+
 class DesignTable(StudyTable, frozen=True, kw_only=True):
     """[design]: which readings to choose, by which criterion, under which rules.
 
@@ -124,6 +159,11 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
                    units of tolerances and noise
     prior          whether the tolerances count as knowledge; needs
                    scaling = "tolerance"
+    quota          [[design.quota]] tables: numbers of readings from selections
+    equal          equal numbers of readings a set-up, or a run
+    branch_nodes   nodes of a branch-and-bound tree that lowers the bound and may prove
+                   the plan optimal; 0: none. For smooth criteria (D, Ds, A, c, I, O1,
+                   O5) and a plain number of readings
     starts         number of search rounds
     candidates     [[design.candidates]] tables: what can be read
     reference      [[design.reference]] tables: plans to compare with
@@ -149,6 +189,9 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
     keep_readings: str | None = None
     scaling: Literal["length", "tolerance"] = "length"
     prior: bool = False
+    quota: list[QuotaTable] = []
+    equal: Literal["setup", "run"] | None = None
+    branch_nodes: Whole = 0
     starts: Count = 20
     candidates: list[GridTable] = []
     reference: list[ReferenceTable] = []

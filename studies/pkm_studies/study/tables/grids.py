@@ -28,6 +28,17 @@ class Range(StudyTable, frozen=True, kw_only=True):
     to: float
 
 
+class OpenRange(StudyTable, frozen=True, kw_only=True):
+    """Lowest value, highest value, or both, as in `{ from = 1200 }`.
+
+    from   lowest value, in the unit of the field
+    to     highest value
+    """
+
+    from_: float | None = msgspec.field(name="from", default=None)
+    to: float | None = None
+
+
 #: values of one command coordinate: a number, a list, evenly spaced, or led by the
 #: instrument
 Axis = float | list[float] | Span | Literal["hold"]
