@@ -119,7 +119,7 @@ class QuotaTable(StudyTable, frozen=True, kw_only=True):
     coordinates  ranges of command coordinates, as in `z_mm = { from = 1200 }`
     """
 
-    rest = "coordinates"
+    free_keys = "coordinates"
     name: str = ""
     setups: list[str] = []
     runs: list[str] = []
