@@ -115,7 +115,11 @@ def test_friction_winds_up_more_where_the_leg_is_long() -> None:
     state = session("hexapod").states[0]
     strut = np.tile([[0.5], [0.75]], (1, 6))
     two = small(
-        state, 2, strut=strut, sense=np.ones((2, 6)), reversal=np.full((2, 6), np.inf)
+        state,
+        2,
+        strut_length=strut,
+        motion_sign=np.ones((2, 6)),
+        travel_since_reversal=np.full((2, 6), np.inf),
     )
     behind = columns("friction", two)["leg 5"].joints[4]
     assert behind[1] / behind[0] == pytest.approx(1.5)
@@ -136,9 +140,9 @@ def test_friction_winds_up_anew_after_a_reversal() -> None:
     made = small(
         state,
         4,
-        strut=np.ones((4, 6)),
-        sense=np.ones((4, 6)),
-        reversal=np.tile(gone[:, None], (1, 6)),
+        strut_length=np.ones((4, 6)),
+        motion_sign=np.ones((4, 6)),
+        travel_since_reversal=np.tile(gone[:, None], (1, 6)),
     )
     known = terms.travel(state.machine).strut_length
     behind = columns("friction", made, distance=distance)["leg 2"].joints[1]
@@ -347,8 +351,8 @@ def test_joint_clearance_changes_sides_with_the_load() -> None:
     two = small(
         state,
         2,
-        force=even,
-        weight=even,
+        tool_force=even,
+        platform_force=even,
         payload=np.array([0.0, -400.0]),
         max_payload=400.0,
     )
@@ -390,8 +394,8 @@ def test_joint_clearance_that_differs_along_the_travel_is_play() -> None:
     two = small(
         state,
         2,
-        force=even,
-        weight=even,
+        tool_force=even,
+        platform_force=even,
         payload=np.array([0.0, -400.0]),
         max_payload=400.0,
     )

@@ -19,7 +19,7 @@ def test_leg_thermal_by_hand() -> None:
     time constant.
     """
     state = session("hexapod").states[0]
-    known = {"strut": np.full((2, 6), 0.6), "per_length": np.ones((2, 6))}
+    known = {"strut_length": np.full((2, 6), 0.6), "joint_per_length": np.ones((2, 6))}
     warm = columns(
         "leg_thermal",
         small(state, 2, temperature={"leg": np.array([21.0, 23.0])}, **known),
@@ -29,7 +29,7 @@ def test_leg_thermal_by_hand() -> None:
         state,
         2,
         time=np.array([0.0, 3600.0]),
-        session=np.linspace(0.0, 3600.0, 61),
+        session_times=np.linspace(0.0, 3600.0, 61),
         **known,
     )
     rise = columns("leg_thermal", timed, tau=3600.0)["leg 3 rise"]
@@ -92,7 +92,7 @@ def test_what_warms_at_work_cools_in_breaks() -> None:
     first = np.concatenate([600.0 * k + np.arange(0.0, 301.0, 10.0) for k in range(10)])
     both = np.concatenate([first, first + first[-1] + 7200.0])
     before, after = float(first[-1]), float(first[-1] + 7200.0)
-    timed = small(state, 2, time=np.array([before, after]), session=both)
+    timed = small(state, 2, time=np.array([before, after]), session_times=both)
     share = terms.warm_up(timed, "leg", 5400.0)[1]
     assert share[0] == pytest.approx(1.0 - np.exp(-before / 5400.0))
     assert share[1] == pytest.approx(share[0] * np.exp(-7200.0 / 5400.0))

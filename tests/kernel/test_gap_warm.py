@@ -74,7 +74,7 @@ def test_what_goes_with_a_temperature_is_told_by_it(recorded: bool) -> None:
         problem = _with(
             problem,
             temperature={"arm": warm, "shop": np.full(poses, 293.15)},
-            start={"arm": 293.15, "shop": 293.15},
+            start_temperature={"arm": 293.15, "shop": 293.15},
         )
     processes, best = _best(problem, _read(problem, "dz", 1.5 * (warm - 293.15)))
     named = (

@@ -11,7 +11,8 @@ from oracles import a3_geometry as a3
 from kernel import a3_plans
 from kernel.cases import CASES
 from oed import simulation
-from oed.identification import IdentificationError, identifiable_coordinates, identify
+from oed.coordinates import identifiable_coordinates
+from oed.identification import IdentificationError, identify
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import ball_bar, calliper, height_probe

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import identification, units
+from oed import units
 from oed.arrays import Array
-from oed.identification import Estimate
+from oed.estimate import AT_PRIOR, WEAK, Estimate
 from oed.measurement import Measurement, Series
 from oed.result import EstimateSection, ParameterEstimate
 
@@ -80,9 +80,9 @@ def _parameters(
 
 def _how_well(shrinkage: float) -> str:
     """How much the readings narrow a tolerance; `shrinkage` is posterior over prior."""
-    if shrinkage <= identification.WEAK:
+    if shrinkage <= WEAK:
         return "seen"
-    return "weak" if shrinkage <= identification.AT_PRIOR else "prior"
+    return "weak" if shrinkage <= AT_PRIOR else "prior"
 
 
 def _noise_warning(estimate: Estimate) -> list[str]:

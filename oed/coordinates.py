@@ -1,0 +1,117 @@
+"""Identifiable coordinates: the directions that some reading determines, and the others.
+
+With T = diag(tolerances) and the whitened, tolerance-scaled H = U S V^T,
+
+    theta = origin + T V_r z,        z ~ N(0, I) a priori,
+
+where V_r spans the directions that some reading determines. The others keep their
+prior: to first order no reading says anything about them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed import identifiability, information
+from oed.arrays import Array, Index
+from oed.linear_algebra import right_singular
+from oed.measurement import Measurement, Series
+from oed.noise.covariance import Noise
+
+
+@dataclasses.dataclass(frozen=True)
+class IdentifiableCoordinates:
+    """Coordinates about an origin: theta = origin + basis @ z + null_basis @ w; SI.
+
+    z (r,) and w are N(0, I) a priori; n parameters, k of them free.
+
+    origin      (n,)
+    basis       (n, r) orthonormal directions times tolerances
+    null_basis  (n, k - r) the directions that no reading determines, likewise
+    dual        (r, n) the directions of `basis` over tolerances, so that
+                z = dual @ (theta - origin)
+    """
+
+    origin: Array
+    basis: Array
+    null_basis: Array
+    dual: Array
+
+    def from_theta(self, theta: Array) -> Array:
+        """Coordinates z (r,) of parameters (n,); null directions are dropped."""
+        return np.asarray(self.dual @ (theta - self.origin))
+
+    def to_theta(self, z: Array) -> Array:
+        """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""
+        return self.origin + z @ self.basis.T
+
+
+def identifiable_coordinates(
+    measurement: Measurement,
+    series: Sequence[Series],
+    theta: Array,
+    noise: Noise | Array,
+    tolerance: Array | None = None,
+) -> IdentifiableCoordinates:
+    """Identifiable coordinates of readings, with H taken at theta (n,), SI.
+
+    noise      of the readings, or its standard deviations (N,)
+    tolerance  (n,) prior standard deviations, 0 for parameters that are held; the
+               measurement's by default
+
+    The origin is nominal, where the tolerances hold, wherever H is taken; held
+    parameters stay at theta. Raises AssemblyError.
+    """
+    scale = measurement.tolerance if tolerance is None else tolerance
+    free = np.flatnonzero(scale > 0)
+    jacobian = measurement.jacobian(series, theta)
+    whitened = information.whiten(jacobian, noise)[:, free] * scale[free]
+    null_space = _null_space(measurement, series, jacobian, free)
+    lost, determined = _split_directions(null_space / scale[free])
+    # The right singular vectors of H, strongest first, decouple the sampler's
+    # coordinates.
+    _, vectors = right_singular(whitened @ determined)
+    directions = determined @ vectors.T
+    return IdentifiableCoordinates(
+        origin=np.where(scale > 0, measurement.nominal, theta),
+        basis=_at_rows(free, scale[free, None] * directions, len(scale)),
+        null_basis=_at_rows(free, scale[free, None] * lost, len(scale)),
+        dual=_at_rows(free, directions / scale[free, None], len(scale)).T,
+    )
+
+
+def _null_space(
+    measurement: Measurement, series: Sequence[Series], jacobian: Array, free: Index
+) -> Array:
+    """Changes (rows, k) of the free parameters that change no reading, SI.
+
+    The rank is judged with lengths, so that a generous tolerance or a quiet instrument
+    does not change it.
+    """
+    lengths = measurement.length_factors
+    reading_lengths = measurement.reading_length_factors(series)
+    h = (jacobian * reading_lengths[:, None] / lengths)[:, free]
+    names = [measurement.names[k] for k in free]
+    scale = 1.0 / lengths[free]
+    identified = identifiability.analyse(h, names, scale)
+    return np.asarray(identified.null_space / lengths[free])
+
+
+def _split_directions(null_space: Array) -> tuple[Array, Array]:
+    """Orthonormal columns (k, .) of the null space, given as rows, and of the rest."""
+    count, size = null_space.shape
+    if not count:
+        return np.zeros((size, 0)), np.eye(size)
+    basis = np.linalg.qr(null_space.T)[0]
+    complete = np.linalg.qr(basis, mode="complete")[0]
+    return complete[:, :count], complete[:, count:]
+
+
+def _at_rows(rows: Index, values: Array, count: int) -> Array:
+    """A matrix (count, k) with values (len(rows), k) at rows, and 0 elsewhere."""
+    matrix = np.zeros((count, values.shape[1]))
+    matrix[rows] = values
+    return matrix

@@ -1,0 +1,76 @@
+"""Warnings on a fit, in sentences: weak parameters, far estimates, large residuals."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed import text, units
+from oed.estimate import AT_PRIOR, WEAK, Estimate
+from oed.measurement import Measurement
+
+#: tolerances from nominal from which on an estimate is far off
+FAR = 4.0
+#: chi2 is too large beyond its expectation by so many of its standard deviations, where
+#: there are enough degrees of freedom
+EXCESS, LEAST_DOF = 5.0, 3
+
+
+def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
+    """Sentences that a user must read; none where the fit is sound."""
+    sentences = []
+    unchanged = _wide_parameters(measurement, estimate, AT_PRIOR, np.inf)
+    if unchanged:
+        sentences.append(
+            "these stay near their tolerance, the readings hardly determine them: "
+            + ", ".join(unchanged)
+        )
+    weak = _wide_parameters(measurement, estimate, WEAK, AT_PRIOR)
+    if weak:
+        sentences.append(
+            "these are weakly identified, their posterior stays wide: "
+            + ", ".join(weak)
+        )
+    far = _far_parameters(measurement, estimate)
+    if far:
+        sentences.append(
+            f"these ended more than {FAR:.0f} tolerances from where they began; widen"
+            f" [prior] or doubt the model: {', '.join(far)}"
+        )
+    if _residuals_are_large(estimate):
+        ratio = np.sqrt(estimate.chi2 / estimate.dof)
+        sentences.append(
+            f"the residuals are {ratio:.1f} times the stated noise: noise is"
+            " understated, or an effect is not in the model; [noise] estimate = true"
+            " widens the intervals"
+        )
+    return sentences
+
+
+def _wide_parameters(
+    measurement: Measurement, estimate: Estimate, above: float, below: float
+) -> list[str]:
+    """Parameters whose shrinkage lies between the two, with their posterior."""
+    phrases = []
+    rows = zip(measurement.parameters, estimate.sd, estimate.shrinkage, strict=True)
+    for parameter, sd, shrinkage in rows:
+        if above < shrinkage <= below:
+            unit = units.display(parameter.unit)
+            suffix = "" if unit == "1" else f" {unit}"
+            value = f"{units.number(sd, unit):.2g}{suffix}"
+            share = text.percent(shrinkage)
+            phrases.append(f"{parameter.name} (sd {value}, {share} of its tolerance)")
+    return phrases
+
+
+def _far_parameters(measurement: Measurement, estimate: Estimate) -> list[str]:
+    deviation = np.abs(estimate.theta - estimate.coordinates.origin)
+    free = estimate.prior_sd > 0
+    far = np.flatnonzero(free & (deviation > FAR * estimate.prior_sd))
+    return [measurement.names[k] for k in far]
+
+
+def _residuals_are_large(estimate: Estimate) -> bool:
+    dof = estimate.dof
+    if dof < LEAST_DOF:
+        return False
+    return bool(estimate.chi2 > dof + EXCESS * np.sqrt(2.0 * dof))
