@@ -33,7 +33,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.blind import baselines, loading
+from benchmarks.blind import loading
 from benchmarks.blind.generator import (
     cases,
     effects,
@@ -44,6 +44,7 @@ from benchmarks.blind.generator import (
     write,
 )
 from benchmarks.blind.generator.effects.thermal import climate
+from benchmarks.blind.stepwise import stepwise
 from oed.effect import Effect
 from oed.gap import diagnose
 from oed.gap.cause.compare import compare
@@ -168,7 +169,7 @@ def main() -> int:
         return f"{effects_named}, of {len(others) + 1} sets of effects"
 
     def greedy() -> str:
-        names = baselines.stepwise(problem, library.build(problem, known))
+        names = stepwise(problem, library.build(problem, known))
         return " + ".join(names) or "none"
 
     def sampling() -> str:

@@ -22,14 +22,15 @@ from oed.noise.law import Whitener
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
 NAMES = (
-    "baselines",
     "entries",
+    "harmonic",
     "known_noise",
     "listing",
     "loading",
     "oracle",
     "pool",
     "run",
+    "stepwise",
     "generator.severity",
     "generator.write",
 )
@@ -61,7 +62,7 @@ def case_set(blind: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -
 
 def test_the_runner_cannot_know_labels():
     """Neither imports nor names what only the scorer may open."""
-    for name in ("run", "loading", "baselines", "pool"):
+    for name in ("run", "loading", "harmonic", "stepwise", "pool"):
         tree = ast.parse((BLIND / f"{name}.py").read_text(encoding="utf-8"))
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
@@ -78,6 +79,7 @@ def test_the_runner_cannot_know_labels():
                     "known_noise",
                     "listing",
                     "checks",
+                    "diagnosis_measures",
                     "measures",
                     "paired",
                     "places",
@@ -531,7 +533,7 @@ def test_stepwise_takes_the_form_of_least_bic(blind, problem):
         quiet.residual
         + library.columns[:, lag.columns] @ np.full(len(lag.columns), 0.5)
     )
-    assert blind.baselines.stepwise(quiet, library) == []
+    assert blind.stepwise.stepwise(quiet, library) == []
 
     def bic(columns) -> float:
         n, m = problem.slopes.shape
@@ -556,7 +558,7 @@ def test_stepwise_takes_the_form_of_least_bic(blind, problem):
     best = min(bics, key=lambda k: bics[k])
     assert bics[best] < bic([])
     assert (
-        blind.baselines.stepwise(acting, library)[0]
+        blind.stepwise.stepwise(acting, library)[0]
         == library.atoms[best].effect
         == "servo_lag"
     )
@@ -565,8 +567,7 @@ def test_stepwise_takes_the_form_of_least_bic(blind, problem):
 def test_harmonic_rules_are_silent_at_white_noise(blind, problem):
     names = [e.name for e in blind.loading.bench("a3_full.study.toml").effects]
     alarms = sum(
-        bool(blind.baselines.harmonic(clean(problem, seed), names))
-        for seed in range(20)
+        bool(blind.harmonic.harmonic(clean(problem, seed), names)) for seed in range(20)
     )
     assert alarms <= 2  # set for 1 %: three and more have a chance of 0.1 %
 
@@ -582,7 +583,7 @@ def test_harmonic_rules_name_what_stands_out(blind, problem, symptom):
         "payload": rows["payload"] / rows["payload"].max() * np.cos(3 * phase),
         "jump": (rows["time"] > 0.3 * last) * 1.0,
     }[symptom]
-    named = blind.baselines.harmonic(
+    named = blind.harmonic.harmonic(
         quiet.with_residual(quiet.residual + 5.0 * np.asarray(change, dtype=float)),
         [e.name for e in blind.loading.bench("a3_full.study.toml").effects],
     )

@@ -17,7 +17,14 @@ from blind_labels import LIBRARY, answer, by_key, case, entries_of, known, resul
 def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
     """The scorer's modules."""
     return blind_modules(
-        "confusion", "entries", "judge", "measures", "paired", "score", "table"
+        "confusion",
+        "diagnosis_measures",
+        "entries",
+        "judge",
+        "measures",
+        "paired",
+        "score",
+        "table",
     )
 
 
@@ -60,7 +67,10 @@ def good(blind) -> list:
 def test_right_answers_reach_every_aim(blind):
     entries = good(blind)
     rows = by_key(
-        [*blind.measures.rows(entries), *blind.measures.diagnosis_rows(entries)]
+        [
+            *blind.measures.rows(entries),
+            *blind.diagnosis_measures.diagnosis_rows(entries),
+        ]
     )
     wanted = {k: r for k, r in rows.items() if r.sense}
     assert {k: r.status for k, r in wanted.items() if k != "set95"} == dict.fromkeys(
@@ -79,7 +89,9 @@ def test_an_idle_diagnosis_raises_no_alarm_and_finds_nothing(blind):
     idle = [
         blind.entries.entry(e.label, e.oracle, result(answer())) for e in good(blind)
     ]
-    rows = by_key([*blind.measures.rows(idle), *blind.measures.diagnosis_rows(idle)])
+    rows = by_key(
+        [*blind.measures.rows(idle), *blind.diagnosis_measures.diagnosis_rows(idle)]
+    )
     assert rows["alarm white"].status == "aim"
     for key in (
         "detection 6",
@@ -112,7 +124,7 @@ def test_place_is_told_apart_where_a_gap_is_seen(blind):
             strict=True,
         )
     )
-    rows = by_key(blind.measures.diagnosis_rows([*good(blind), lost, wrong]))
+    rows = by_key(blind.diagnosis_measures.diagnosis_rows([*good(blind), lost, wrong]))
     assert (rows["place"].hits, rows["place"].count) == (2, 4)
     assert (rows["place seen"].hits, rows["place seen"].count) == (2, 3)
 
@@ -122,7 +134,7 @@ def test_a_failed_diagnosis_is_wrong_in_every_count(blind):
         blind.entries.entry(e.label, e.oracle, {"error": "x"}) for e in good(blind)
     ]
     rows = by_key(
-        [*blind.measures.rows(failed), *blind.measures.diagnosis_rows(failed)]
+        [*blind.measures.rows(failed), *blind.diagnosis_measures.diagnosis_rows(failed)]
     )
     bad = {k for k, r in rows.items() if r.sense and r.status != "no"}
     assert bad == {"set95 size"}  # an empty set is small
@@ -196,7 +208,7 @@ def test_a_leg_is_shown_where_a_form_in_it_explains_more_than_any_in_another(
     )
     where = [{"block": "leg 2", "p_value": 0.001, "strength": 1.0}]
     entry = blind.entries.entry(label, figures, result(answer("backlash"), where=where))
-    rows = by_key(blind.measures.diagnosis_rows([entry]))
+    rows = by_key(blind.diagnosis_measures.diagnosis_rows([entry]))
     counts = [
         (rows[key].hits, rows[key].count) for key in ("leg shown", "leg not shown")
     ]
@@ -223,7 +235,10 @@ def test_padded_classes_show(blind):
     padded = answer("friction", classes=[list(LIBRARY)])
     (entry,) = entries_of(blind, (label, result(padded)))
     rows = by_key(
-        [*blind.measures.rows([entry]), *blind.measures.diagnosis_rows([entry])]
+        [
+            *blind.measures.rows([entry]),
+            *blind.diagnosis_measures.diagnosis_rows([entry]),
+        ]
     )
     assert rows["right class"].value == 1.0
     assert rows["class size"].value == len(LIBRARY)
@@ -237,7 +252,9 @@ def test_probability_sums_over_answers_that_name_the_effect(blind):
         answer("backlash", "step", p=0.2),
     ]
     rows = by_key(
-        blind.measures.diagnosis_rows(entries_of(blind, (label, result(*answers))))
+        blind.diagnosis_measures.diagnosis_rows(
+            entries_of(blind, (label, result(*answers)))
+        )
     )
     assert rows["probability"].value == pytest.approx(0.7)
 
@@ -253,7 +270,9 @@ def test_closure_is_over_the_oracles_and_only_where_something_is_to_be_gained(bl
     little = known(label)
     little["closure"][1]["expected_gain"] = 35.0
     other = blind.entries.entry(label, little, result(answer("backlash"), closure=half))
-    assert blind.measures.closure_ratios([one, other], "whole") == pytest.approx([0.5])
+    assert blind.diagnosis_measures.closure_ratios(
+        [one, other], "whole"
+    ) == pytest.approx([0.5])
 
 
 def test_paired_comparison_with_a_baseline(blind):
@@ -294,7 +313,9 @@ def test_withheld_effects_are_to_be_unknown(blind):
         result(answer("friction")),
     ]
     rows = by_key(
-        blind.measures.withheld_rows(entries_of(blind, *[(label, r) for r in outcomes]))
+        blind.diagnosis_measures.withheld_rows(
+            entries_of(blind, *[(label, r) for r in outcomes])
+        )
     )
     assert rows["withheld alone"].hits == 1
     assert rows["withheld flagged"].hits == 2

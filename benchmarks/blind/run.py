@@ -22,8 +22,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from benchmarks.blind import baselines, loading, pool
+from benchmarks.blind import loading, pool
+from benchmarks.blind.harmonic import harmonic
 from benchmarks.blind.loading import Case
+from benchmarks.blind.stepwise import stepwise
 from oed.effect import Effect
 from oed.gap import diagnose
 from oed.gap.data.diagnosis import Answer, Closure, Diagnosis
@@ -254,8 +256,8 @@ def baseline_answers(
     """Effects that each baseline names."""
     known = library_of.build(problem, effects)
     return {
-        "harmonic": baselines.harmonic(problem, known.effects),
-        "stepwise": baselines.stepwise(problem, known),
+        "harmonic": harmonic(problem, known.effects),
+        "stepwise": stepwise(problem, known),
     }
 
 

@@ -48,6 +48,7 @@ import pandas as pd
 from benchmarks.blind import (
     checks,
     confusion,
+    diagnosis_measures,
     entries,
     loading,
     measures,
@@ -179,7 +180,7 @@ def score(
     if informed:
         methods[KNOWN_NOISE] = [
             *measures.rows(informed, more=more_informed),
-            *measures.diagnosis_rows(informed),
+            *diagnosis_measures.diagnosis_rows(informed),
         ]
     machines = {}
     for machine in sorted({e.machine for e in cases}):
@@ -190,8 +191,8 @@ def score(
         entries=cases,
         rows=[
             *measures.rows(cases, more=more),
-            *measures.diagnosis_rows(cases),
-            *measures.reliability(cases),
+            *diagnosis_measures.diagnosis_rows(cases),
+            *diagnosis_measures.reliability(cases),
         ],
         methods=methods,
         machines=machines,
@@ -218,10 +219,10 @@ def _withheld_rows(withheld: Sequence[tuple[str, Entry]]) -> dict[str, Sequence[
     if not withheld:
         return {}
     rows: dict[str, Sequence[Row]] = {}
-    rows[ALL] = measures.withheld_rows([e for _, e in withheld])
+    rows[ALL] = diagnosis_measures.withheld_rows([e for _, e in withheld])
     for effect in sorted({name for name, _ in withheld}):
         without = [e for name, e in withheld if name == effect]
-        rows[effect] = measures.withheld_rows(without)
+        rows[effect] = diagnosis_measures.withheld_rows(without)
     return rows
 
 
@@ -248,7 +249,7 @@ def _machine_rows(cases: Sequence[Entry], more: Sequence[Entry]) -> list[Row]:
         share("alarm", "false alarm, all laws", alarms),
         share("right class", measures.RIGHT_CLASS, right),
         *rows,
-        *measures.diagnosis_rows(cases),
+        *diagnosis_measures.diagnosis_rows(cases),
     ]
 
 

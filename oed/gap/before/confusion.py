@@ -13,6 +13,7 @@ from oed.gap.before.combinations import in_words
 from oed.gap.before.detection import EffectRival, SharedSignature
 from oed.gap.before.power import needed_lambda
 from oed.gap.before.table import Form, GramTable
+from oed.gap.data.root import inverse_root
 
 #: share of lambda_k that a rival must absorb to count as one
 HALF = 0.5
@@ -77,11 +78,8 @@ def _visible_root(table: GramTable, at: Index) -> Array:
     These have the energy of the noise at a prior standard deviation, or a hundredth of
     the largest.
     """
-    values, vectors = np.linalg.eigh(table.block(at, at))
-    least = 0.01 * max(float(values[-1]), 1e-300)
-    visible = values >= min(1.0, least)
-    sizes = np.sqrt(np.maximum(values[visible], 1e-300))
-    return np.asarray(vectors[:, visible] / sizes)
+    gram = table.block(at, at)
+    return inverse_root(gram, lambda largest: min(1.0, 0.01 * max(largest, 1e-300)))
 
 
 def _shared(

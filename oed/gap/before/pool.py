@@ -15,7 +15,7 @@ from oed.gap.before.separation import Separation, Target
 from oed.gap.before.table import ROOM
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
-from oed.noise.law import NoiseLaw
+from oed.noise.law import NoiseLaw, Whitener
 
 #: forms of an effect (values of its constants) that stand for its grid
 FORMS = 6
@@ -132,10 +132,9 @@ class Pool:
         parameters, and what the parameters can absorb of the effects is taken out.
         """
         n, count = self.problem.slopes.shape[1], columns.shape[1]
-        slopes = self.problem.slopes
+        values = np.hstack([self.problem.slopes, columns])
         white = [
-            _whiten(self.problem, self.law, at, np.hstack([slopes, columns]))
-            for at in self.rows
+            Whitener(self.problem, self.law, at).whiten(values) for at in self.rows
         ]
         prior = np.hstack([np.eye(n), np.zeros((n, count))])
         whole = np.vstack([*white, prior])
@@ -273,18 +272,3 @@ def _combinations(form: Signature) -> list[dict[str, float]]:
     alike = [kind for kind in kinds.values() if len(kind) > 1]
     single = [{name: 1.0} for kind in kinds.values() for name in kind]
     return alike + single
-
-
-def _whiten(
-    problem: GapProblem,
-    law: NoiseLaw,
-    rows: Index,
-    values: Array,
-) -> Array:
-    """Values (N, k) at the readings of a run, whitened by its noise."""
-    for k, members in enumerate(problem.members):
-        if members[0] == rows[0]:
-            factor = linalg.cholesky(law.block(problem, k), lower=True)
-            white = linalg.solve_triangular(factor, values[members], lower=True)
-            return np.asarray(white)
-    raise ValueError("a run's rows are not one of the problem's blocks")

@@ -99,7 +99,7 @@ class Remainders:
         and projections (a, d).
         """
         gram, b = self._grams.gram, self._grams.b
-        root = evidence.inverse_root(gram[np.ix_(selected, selected)])
+        root = evidence.visible_root(gram[np.ix_(selected, selected)])
         half, projected = root.T @ gram[selected], root.T @ b[selected]
         groups = []
         for numbers, rows in self._groups:

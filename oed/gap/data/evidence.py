@@ -23,6 +23,7 @@ from scipy import linalg, special
 from oed.arrays import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
+from oed.gap.data.root import inverse_root
 from oed.noise.law import NoiseLaw, Whitener
 
 #: sizes of effects against their physical prior scales, equally likely: the scales are
@@ -85,7 +86,7 @@ class Grams:
         """Grams without what `columns` can explain, their coefficients unbounded."""
         if not len(columns):
             return self
-        root = inverse_root(self.gram[np.ix_(columns, columns)])
+        root = visible_root(self.gram[np.ix_(columns, columns)])
         half = root.T @ self.gram[columns]
         projected = root.T @ self.b[columns]
         gram = self.gram - half.T @ half
@@ -111,15 +112,12 @@ class Grams:
         return table
 
 
-def inverse_root(gram: Array) -> Array:
+def visible_root(gram: Array) -> Array:
     """R (k, m) with R R^T the pseudo-inverse of a Gram matrix (k, k).
 
     Directions that no size makes visible are left out.
     """
-    values, vectors = np.linalg.eigh(gram)
-    largest = float(values.max(initial=0.0))
-    visible = values > max(1e-9 * largest, UNSEEN)
-    return np.asarray(vectors[:, visible] / np.sqrt(values[visible]))
+    return inverse_root(gram, lambda largest: max(1e-9 * largest, UNSEEN))
 
 
 def group_by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
