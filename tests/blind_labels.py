@@ -87,3 +87,36 @@ def entries_of(blind: SimpleNamespace, *cases: tuple[dict, dict]) -> list:
 
 def by_key(rows) -> dict:
     return {r.key: r for r in rows}
+
+
+def good(blind) -> list:
+    """Cases of every kind, all answered right."""
+    one = {"split": "whole", "s0": 3.0, "s1": 1.0}
+    place = [{"block": "leg 2", "p_value": 0.001, "strength": 1.0}]
+    pairs = [
+        (case("null", {}, law=law), result(answer())) for law in blind.measures.LAWS
+    ]
+    for machine in ("a3", "hexapod"):
+        label = case("single", {"backlash": 6.0}, machine=machine, blocks=("leg 2",))
+        closure = [one, one | {"split": "within"}]
+        pairs.append((label, result(answer("backlash"), where=place, closure=closure)))
+    pairs.append(
+        (
+            case("single", {"gravity": 20.0}),
+            result(answer("gravity", "unknown"), closure=closure),
+        )
+    )
+    two = case("pair", {"gravity": 10.0, "backlash": 6.0})
+    pairs.append((two, result(answer("backlash", "gravity"), closure=closure)))
+    exact = answer("bar_length", classes=[["bar_length", "encoder_scale"]])
+    pairs.append(
+        (case("exact", {"encoder_scale": 6.0}), result(exact, closure=closure))
+    )
+    pairs.append((case("unknown", {"pump": 10.0}), result(answer("unknown"))))
+    pairs.append(
+        (
+            case("known_unknown", {"gravity": 6.0, "pump": 10.0}),
+            result(answer("gravity", "unknown")),
+        )
+    )
+    return entries_of(blind, *pairs)

@@ -46,3 +46,21 @@ def blind_modules() -> Iterator[Callable[..., SimpleNamespace]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT)
         yield found
+
+
+@pytest.fixture(scope="session")
+def blind_case_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small set of the blind benchmark: cases of one effect or two on the A3."""
+    folder = tmp_path_factory.mktemp("set")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT)
+        write = importlib.import_module("benchmarks.blind.generator.write")
+    write.generate(
+        folder,
+        name="dev",
+        count=24,
+        seed=3,
+        machines=["a3"],
+        kinds=["null", "single", "pair", "exact"],
+    )
+    return folder

@@ -1,0 +1,221 @@
+"""Answers from hypotheses: verdicts, classes, the 95 % set, when no gap comes first."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oed.gap.cause import answers as answering
+from oed.gap.cause.compare import probabilities
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.search import Search
+from oed.gap.data.diagnosis import UNKNOWN, Answer
+
+
+def test_verdicts() -> None:
+    for effects, classes, wanted in (
+        ((), (), "none"),
+        ((UNKNOWN,), (), "unknown"),
+        (("a",), (("a",),), "effect"),
+        (("a",), (("a", "b"),), "class"),
+        (("a", UNKNOWN), (("a",),), "mixture"),
+        (("a", "b"), (("a",), ("b",)), "mixture"),
+    ):
+        assert answering.verdict(Answer(effects, 1.0, classes)) == wanted
+
+
+MANY = tuple(f"m{k}" for k in range(answering.VAGUE))
+
+
+def _said(*parts: tuple[list[tuple[str, ...]], bool, float]) -> list[Answer]:
+    answers: list[Answer] = []
+    for members, unknown, probability in parts:
+        answering._add(answers, _group(members, unknown, probability))
+    return answers
+
+
+def test_a_name_drawn_from_many_beside_a_named_effect_is_told_as_unknown() -> None:
+    assert _said(([("a", "b"), MANY], False, 0.4)) == [
+        Answer(("a", UNKNOWN), 0.4, (("a", "b"),))
+    ]
+    assert _said(([MANY, ("a",)], False, 0.4)) == [
+        Answer(("a", UNKNOWN), 0.4, (("a",),))
+    ]
+    few = MANY[:-1]
+    assert _said(([("a",), few], False, 0.4)) == [
+        Answer(("a", few[0]), 0.4, (("a",), few))
+    ]
+    assert _said(([("a",), few], True, 0.4)) == [
+        Answer(("a", few[0], UNKNOWN), 0.4, (("a",), few))
+    ]
+
+
+def test_of_two_vague_classes_the_smaller_stays_and_a_lone_one_as_it_is() -> None:
+    more = tuple(f"n{k}" for k in range(answering.VAGUE + 1))
+    for members in ([more, MANY], [MANY, more]):
+        assert _said((members, False, 0.4)) == [
+            Answer((MANY[0], UNKNOWN), 0.4, (MANY,))
+        ]
+    assert _said(([more], False, 0.4)) == [Answer((more[0],), 0.4, (more,))]
+    assert _said(([more], True, 0.4)) == [Answer((more[0], UNKNOWN), 0.4, (more,))]
+
+
+def test_probabilities_of_answers_that_say_the_same_are_added() -> None:
+    same = _said(
+        ([("a", "b")], True, 0.3),
+        ([("b",), MANY], False, 0.2),
+        ([("a",), MANY], True, 0.1),
+    )
+    assert [(a.effects, a.classes) for a in same] == [(("a", UNKNOWN), (("a", "b"),))]
+    assert same[0].probability == pytest.approx(0.6)
+    others = _said(
+        ([], False, 0.3),
+        ([], True, 0.3),
+        ([("a",)], False, 0.2),
+        ([("a",)], True, 0.1),
+        ([], True, 0.1),
+    )
+    assert [a.effects for a in others] == [(), (UNKNOWN,), ("a",), ("a", UNKNOWN)]
+    assert [a.probability for a in others] == pytest.approx([0.3, 0.4, 0.2, 0.1])
+
+
+def _group(
+    members: list[tuple[str, ...]], unknown: bool, probability: float
+) -> answering.AnswerGroup:
+    return answering.AnswerGroup(None, tuple(members), unknown, probability)
+
+
+def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
+    """A named effect with and without a remainder is one; a second that could be any of
+    many is not folded away.
+    """
+    groups = [
+        _group([("a", "b")], False, 0.35),
+        _group([("a", "b")], True, 0.1),
+        _group([("a",), MANY], False, 0.2),
+        _group([MANY, ("a", "b")], True, 0.16),
+        _group([], False, 0.09),
+        _group([], True, 0.06),
+        _group([("c",)], False, 0.04),
+    ]
+    answers = answering.credible_set(groups)
+    assert [(a.effects, a.classes) for a in answers] == [
+        (("a",), (("a", "b"),)),
+        (("a", MANY[0]), (("a",), MANY)),
+        ((), ()),
+        ((UNKNOWN,), ()),
+    ]
+    assert [a.probability for a in answers] == pytest.approx([0.45, 0.36, 0.09, 0.06])
+
+
+def test_a_remainder_is_told_in_the_set_where_it_is_likelier_than_not() -> None:
+    (answer,) = answering.credible_set(
+        [_group([("a",)], False, 0.4), _group([("a",)], True, 0.6)]
+    )
+    assert answer == Answer(("a", UNKNOWN), 1.0, (("a",),))
+
+
+def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two that say the same, b beside something unknown, are together likelier than a,
+    the likeliest single one.
+    """
+    blank = {"sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0}
+    vague = tuple("cdefgh")
+    sets = [(("a",), False, 0.4), (("b", "c"), False, 0.3), (("b",), True, 0.3)]
+    hypotheses = [
+        Hypothesis(
+            effects=e,
+            unknown=u,
+            atoms=tuple(0 for _ in e),
+            log_evidence=float(np.log(p)),
+            **blank,
+        )
+        for e, u, p in sets
+    ]
+    monkeypatch.setattr(
+        answering,
+        "equivalent_effects",
+        lambda search, h, scores, alive: [
+            vague if e == "c" else (e,) for e in h.effects
+        ],
+    )
+    answers, best = answering.rank(
+        answering.group([None], hypotheses, np.array([0.4, 0.3, 0.3]))
+    )
+    assert answers[0].effects == ("b", UNKNOWN)
+    assert answers[0].probability == pytest.approx(0.6)
+    assert best.effects == ("b", "c")
+
+
+def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    blank = {
+        "sizes": (),
+        "process": None,
+        "process_size": 0.0,
+        "log_prior": 0.0,
+        "unknown": False,
+    }
+
+    def first(none: float, members: int = 1) -> tuple[str, ...]:
+        def of(
+            search: Search, h: Hypothesis, scores: object, alive: float
+        ) -> list[tuple[str, ...]]:
+            return [(e, *(f"{e}{k}" for k in range(1, members))) for e in h.effects]
+
+        monkeypatch.setattr(answering, "equivalent_effects", of)
+
+        shares = {(): none, ("a",): 0.6 * (1.0 - none), ("b",): 0.4 * (1.0 - none)}
+        hypotheses = [
+            Hypothesis(
+                effects=e,
+                atoms=tuple(0 for _ in e),
+                log_evidence=float(np.log(p)),
+                **blank,
+            )
+            for e, p in shares.items()
+        ]
+        answers, best = answering.rank(
+            answering.group([None], hypotheses, np.array(list(shares.values())))
+        )
+        assert best.effects == answers[0].effects
+        assert sum(a.probability for a in answers) == pytest.approx(1.0)
+        return answers[0].effects
+
+    assert answering.EVEN < answering.SURE
+    assert first(answering.SURE + 0.01) == ()
+    assert first(answering.SURE - 0.01) == ("a",)
+    assert (
+        first(answering.EVEN + 0.01, answering.VAGUE) == ()
+    )  # what could be looked for is any of many
+    assert first(answering.EVEN - 0.01, answering.VAGUE) == ("a",)
+    assert first(0.45) == first(0.45, answering.VAGUE) == ("a",)
+
+
+def test_explanations_are_weighed_a_little_flatter_than_their_evidence() -> None:
+    """With evidences e^a and powers of 0.9 among gaps, as summed by hand; whether there
+    is one is left alone.
+    """
+    blank = {
+        "atoms": (),
+        "sizes": (),
+        "process": None,
+        "process_size": 0.0,
+        "log_prior": 0.0,
+    }
+    stated = [
+        ((), False, 1.0),
+        (("a",), False, 3.0),
+        (("b",), False, -2.0),
+        ((), True, 0.5),
+    ]
+    hypotheses = [
+        Hypothesis(effects=e, unknown=u, log_evidence=s, **blank) for e, u, s in stated
+    ]
+    shares = probabilities(hypotheses)
+    evidences = np.exp([s for _, _, s in stated])
+    assert shares[0] == pytest.approx(evidences[0] / evidences.sum())
+    assert shares[1] / shares[2] == pytest.approx(np.exp(0.9 * 5.0))
+    assert shares.sum() == pytest.approx(1.0)
+    assert probabilities(hypotheses[:1]) == pytest.approx([1.0])
