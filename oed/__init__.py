@@ -4,9 +4,9 @@
 
     study = oed.load_study("a3_ball_bar")
     design = oed.choose_design(study)
-    readings = oed.simulation(design)
-    estimate = oed.identification(readings)
-    accuracy = oed.prediction(estimate)
+    readings = oed.simulate(design)
+    estimate = oed.identify(readings)
+    accuracy = oed.predict(estimate)
 
 The mathematics lies in the submodules, machines and instruments in `pkm_models`, study
 files and the command in `pkm_studies`, reports in `pkm_reports`.

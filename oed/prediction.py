@@ -1,19 +1,15 @@
-"""Residual accuracy over the workspace, before and after compensation, against a stated
-reference.
+"""Residual accuracy over the workspace, before and after compensation.
 
-With parameter errors dp = dp_hat + delta, where delta ~ N(0, Sigma) is what
-identification leaves, the pose error of the compensated machine is, to first order,
+With parameter errors dp = dp_hat + delta, where delta ~ N(0, Sigma) is what the
+identification does not determine, the pose error of the compensated machine is, to
+first order,
 
-    e = R dp_hat + A delta        (R: `remaining`, A: `raw` of the error model),
+    e = R dp_hat + A delta        (R: `remaining`, A: `raw` of the error model).
 
-so compensatable components keep only A delta, and the others keep R dp_hat as well,
-which is known and can be given to a further axis (an X-Y table): then A delta is left
-there too. Before measuring, dp_hat is itself unknown, with covariance Lambda - Sigma
-(Lambda: tolerances).
-
-Errors are told against a reference: "absolute" in the base frame; "home", zeroed at the
-home pose (place and orientation, as a user zeroes the machine); "best_fit", after the
-best rigid alignment of all workspace poses.
+Compensatable components keep only A delta. The others keep R dp_hat as well, which is
+known: a further axis (an X-Y table) can correct it, and then A delta remains there too.
+Before measuring, dp_hat is itself unknown, with covariance Lambda - Sigma (Lambda:
+tolerances).
 """
 
 from __future__ import annotations
@@ -21,39 +17,39 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Sequence
-from typing import Literal, get_args
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from oed.arrays import Array
-from oed.compensate import NO_TOOL, ErrorModel, error_model
-from oed.kinematics import Kinematics
+from oed.arrays import Array, Mask
+from oed.error_maps import ErrorMaps, Reference, error_maps, relative_to_reference
+from oed.linear_algebra import covariance_root, right_singular
 
-Reference = Literal["home", "absolute", "best_fit"]
-#: virtual machines drawn to tell the 95th percentile and the largest error
+__all__ = [
+    "ErrorMaps",
+    "Prediction",
+    "Reference",
+    "Spread",
+    "budget_sources",
+    "error_maps",
+    "error_spread",
+    "parameter_kind",
+    "predict",
+    "relative_to_reference",
+]
+
+#: virtual machines drawn for the 95th percentile and the largest error
 VIRTUAL_MACHINES = 400
-
-
-@dataclasses.dataclass(frozen=True)
-class ErrorMaps:
-    """Components of the referenced pose error as slopes over the machine's parameters.
-
-    command    (n, n_dof);  names (k,) of the components
-    raw        (n, k, np) without compensation;  remaining (n, k, np) with the
-               compensatable components nulled
-    """
-
-    command: Array
-    names: tuple[str, ...]
-    raw: Array
-    remaining: Array
+#: name of the part of the budget that the readings' noise makes
+NOISE_SOURCE = "readings' noise"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Spread:
-    """Error of one component, SI: rms and 95th percentile over workspace and machines;
-    the largest error over the workspace, which 95 % of the machines keep.
+    """Error of one pose component, SI.
+
+    rms      root mean square over workspace and machines
+    p95      95th percentile of the error's size over workspace and machines
+    largest  largest error over the workspace; 95 % of the machines stay below
     """
 
     rms: float
@@ -63,12 +59,17 @@ class Spread:
 
 @dataclasses.dataclass(frozen=True)
 class Prediction:
-    """Residual accuracy.
+    """Residual accuracy over n workspace poses, for k pose components.
 
-    before, after, known   {component: Spread}; `known` is what is left once a further
-                           axis corrects it too
-    sd_before, sd_after    (n, k) root mean square error at each workspace pose, SI
-    budget                 {component: {source: share of the variance of `known`}}
+    reference        against which errors are stated
+    command          (n, n_dof), SI
+    names            (k,) of the components
+    before           {component: Spread} without compensation
+    after            {component: Spread} after compensation
+    fully_corrected  {component: Spread} once a further axis corrects all that is known
+    sd_before        (n, k) root mean square error at each pose before, SI
+    sd_after         (n, k) the same after
+    budget           {component: {source: share of the variance of `fully_corrected`}}
     """
 
     reference: Reference
@@ -82,114 +83,6 @@ class Prediction:
     budget: dict[str, dict[str, float]]
 
 
-def error_maps(
-    kinematics: Kinematics,
-    command: Array,
-    reference: Reference = "home",
-    tool: Array = NO_TOOL,
-) -> ErrorMaps:
-    """Referenced error maps at workspace commands (n, n_dof)."""
-    model = error_model(kinematics, command, tool)
-    home = error_model(kinematics, kinematics.machine.home_command[None], tool)
-    slope = kinematics.error_components_jacobian(command)
-    return ErrorMaps(
-        command=command,
-        names=tuple(c.name for c in kinematics.machine.components),
-        raw=slope
-        @ _referenced(
-            model.raw, home.raw, model, home, reference, kinematics.machine.lever
-        ),
-        remaining=slope
-        @ _referenced(
-            model.remaining,
-            home.remaining,
-            model,
-            home,
-            reference,
-            kinematics.machine.lever,
-        ),
-    )
-
-
-def relative_to_reference(
-    twist: Array,
-    home_twist: Array,
-    model: ErrorModel,
-    home: ErrorModel,
-    reference: Reference,
-    lever: float,
-) -> Array:
-    """Twist errors (n, 6) of one machine told against the reference; home_twist (1, 6).
-
-    Unlike the linear maps, zeroing at home composes finite rotations: a lost spin of
-    milliradians times an orientation error would otherwise show as an error of its own.
-    """
-    if reference == "home":
-        own = Rotation.from_rotvec(
-            np.einsum("nji,nj->ni", model.rotation, twist[:, 3:])
-        )
-        zero = Rotation.from_rotvec(home.rotation[0].T @ home_twist[0, 3:])
-        left = (own * zero.inv()).as_rotvec()
-        return np.hstack(
-            [
-                twist[:, :3] - home_twist[:, :3],
-                np.einsum("nij,nj->ni", model.rotation, left),
-            ]
-        )
-    told = _referenced(
-        twist[:, :, None], home_twist[:, :, None], model, home, reference, lever
-    )
-    return np.asarray(told[:, :, 0])
-
-
-def _referenced(
-    twist: Array,
-    at_home: Array,
-    model: ErrorModel,
-    home: ErrorModel,
-    reference: Reference,
-    lever: float,
-) -> Array:
-    if reference == "absolute":
-        return twist
-    if reference == "home":
-        # zeroing on the body: place in the base frame, orientation in the platform's
-        # own axes
-        carry = np.zeros((len(twist), 6, 6))
-        carry[:, :3, :3] = np.eye(3)
-        carry[:, 3:, 3:] = model.rotation @ home.rotation[0].T
-        return twist - carry @ at_home
-    if reference == "best_fit":
-        return _without_rigid(twist, model.point, lever)
-    raise ValueError(f"reference {reference!r} is none of {get_args(Reference)}")
-
-
-def _without_rigid(twist: Array, point: Array, lever: float) -> Array:
-    """Twists (n, 6, m) less the rigid motion that fits them best (rotations weighted by
-    the lever).
-
-    A machine that never turns has no orientation to be aligned: its points alone are
-    fitted.
-    """
-    n = len(twist)
-    rigid = np.zeros((n, 6, 6))
-    rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
-    r = point - point.mean(axis=0)
-    zero = np.zeros(n)
-    rigid[:, :3, 3:] = np.stack(
-        [zero, r[:, 2], -r[:, 1], -r[:, 2], zero, r[:, 0], r[:, 1], -r[:, 0], zero],
-        axis=1,
-    ).reshape(n, 3, 3)
-    turns = lever if twist[:, 3:].any() else 0.0
-    weight = np.array([1.0, 1.0, 1.0, turns, turns, turns])[:, None]
-    design, data = (
-        (rigid * weight).reshape(6 * n, 6),
-        (twist * weight).reshape(6 * n, -1),
-    )
-    fit = rigid.reshape(6 * n, 6) @ np.linalg.lstsq(design, data, rcond=None)[0]
-    return np.asarray(twist - fit.reshape(twist.shape))
-
-
 def predict(
     maps: ErrorMaps,
     prior: Array,
@@ -200,74 +93,74 @@ def predict(
     reference: Reference = "home",
     sources: Sequence[tuple[str, Array]] = (),
 ) -> Prediction:
-    """Residual accuracy from prior and posterior covariances (np, np), SI.
+    """Predict the residual accuracy from prior and posterior covariances (np, np), SI.
 
-    mean      (np,) identified errors p_hat - p_nominal; None before anything was
-              measured (plan mode)
-    sources   (name, covariance part (np, np)) that add up to `posterior`: the
-              uncertainty budget
+    mean     (np,) identified errors p_hat - p_nominal; None before measuring
+    sources  (name, covariance (np, np)) parts that add up to `posterior`, for the
+             uncertainty budget
     """
-    spare = np.zeros_like(prior) if mean is not None else prior - posterior
+    measured = mean is not None
     centre = np.zeros(len(prior)) if mean is None else mean
-    delta = _draws(posterior, rng)
-    estimate = centre + _draws(spare, rng)
-    known = _apply(maps.raw, delta)
-    after = _apply(maps.remaining, estimate) + known
-    before = _apply(maps.raw, estimate + delta)
-    exact = {
-        "before": _rms(maps.raw, prior if mean is None else posterior, centre),
-        "after": np.sqrt(
-            _rms(maps.remaining, spare, centre) ** 2
-            + _rms(maps.raw, posterior, 0.0 * centre) ** 2
-        ),
-        "known": _rms(maps.raw, posterior, 0.0 * centre),
+    unknown_estimate = np.zeros_like(prior) if measured else prior - posterior
+    delta = _draw(posterior, rng)
+    estimate = centre + _draw(unknown_estimate, rng)
+    undetermined = _apply(maps.raw, delta)
+    errors = {
+        "before": _apply(maps.raw, estimate + delta),
+        "after": _apply(maps.remaining, estimate) + undetermined,
+        "fully_corrected": undetermined,
     }
-    told = {
-        key: {
-            n: _spread(errors[:, :, k], exact[key][:, k])
-            for k, n in enumerate(maps.names)
-        }
-        for key, errors in (("before", before), ("after", after), ("known", known))
+    rms_undetermined = _rms(maps.raw, posterior, np.zeros(len(prior)))
+    rms_known = _rms(maps.remaining, unknown_estimate, centre)
+    rms = {
+        "before": _rms(maps.raw, posterior if measured else prior, centre),
+        "after": np.sqrt(rms_known**2 + rms_undetermined**2),
+        "fully_corrected": rms_undetermined,
     }
+    spreads = {key: _spreads(maps.names, errors[key], rms[key]) for key in errors}
     return Prediction(
         reference=reference,
         command=maps.command,
         names=maps.names,
-        before=told["before"],
-        after=told["after"],
-        fully_corrected=told["known"],
-        sd_before=exact["before"],
-        sd_after=exact["after"],
+        before=spreads["before"],
+        after=spreads["after"],
+        fully_corrected=spreads["fully_corrected"],
+        sd_before=rms["before"],
+        sd_after=rms["after"],
         budget=_budget(maps, sources),
     )
 
 
 def error_spread(errors: Array) -> Spread:
-    """Spread of realised errors (machines, n) of one component."""
+    """Spread of the errors (machines, n), SI, of one pose component."""
+    size = np.abs(errors)
     return Spread(
-        float(np.sqrt(np.mean(errors**2))),
-        float(np.quantile(np.abs(errors), 0.95)),
-        float(np.quantile(np.abs(errors).max(axis=1), 0.95)),
+        rms=float(np.sqrt(np.mean(errors**2))),
+        p95=float(np.quantile(size, 0.95)),
+        largest=float(np.quantile(size.max(axis=1), 0.95)),
     )
 
 
-def _spread(errors: Array, exact: Array) -> Spread:
-    # rms comes from the covariance itself; only the percentile and the largest need
-    # draws
-    drawn = error_spread(errors)
-    return Spread(float(np.sqrt(np.mean(exact**2))), drawn.p95, drawn.largest)
+def _spreads(names: Sequence[str], errors: Array, rms: Array) -> dict[str, Spread]:
+    """Spread by component, from drawn errors (machines, n, k) and exact rms (n, k).
+
+    Only the percentile and the largest error need the draws.
+    """
+    spreads = {}
+    for k, name in enumerate(names):
+        exact = float(np.sqrt(np.mean(rms[:, k] ** 2)))
+        spreads[name] = dataclasses.replace(error_spread(errors[:, :, k]), rms=exact)
+    return spreads
 
 
-def _draws(covariance: Array, rng: np.random.Generator) -> Array:
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(
-        rng.standard_normal((VIRTUAL_MACHINES, len(values)))
-        @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    )
+def _draw(covariance: Array, rng: np.random.Generator) -> Array:
+    """Draws (machines, np) of N(0, covariance)."""
+    noise = rng.standard_normal((VIRTUAL_MACHINES, len(covariance)))
+    return np.asarray(noise @ covariance_root(covariance).T)
 
 
 def _apply(maps: Array, parameters: Array) -> Array:
-    """Errors (draws, n, k)."""
+    """Errors (machines, n, k) of machines with parameter errors (machines, np)."""
     return np.asarray(np.einsum("nkp,dp->dnk", maps, parameters, optimize=True))
 
 
@@ -280,52 +173,51 @@ def _rms(maps: Array, covariance: Array, mean: Array) -> Array:
 def _budget(
     maps: ErrorMaps, sources: Sequence[tuple[str, Array]]
 ) -> dict[str, dict[str, float]]:
+    """Share of the variance by component and source."""
     zero = np.zeros(maps.raw.shape[2])
-    parts = {
-        name: np.mean(_rms(maps.raw, cov, zero) ** 2, axis=0) for name, cov in sources
-    }
-    total = sum(parts.values()) if parts else 0.0
-    return {
-        n: (
-            {
-                name: float(part[k] / np.asarray(total)[k])
-                for name, part in parts.items()
-            }
-            if parts
-            else {}
-        )
-        for k, n in enumerate(maps.names)
-    }
+    parts = {}
+    for source, covariance in sources:
+        parts[source] = np.mean(_rms(maps.raw, covariance, zero) ** 2, axis=0)
+    total = np.sum(list(parts.values()), axis=0)
+    budget = {}
+    for k, name in enumerate(maps.names):
+        budget[name] = {s: float(part[k] / total[k]) for s, part in parts.items()}
+    return budget
 
 
 def budget_sources(
-    h: Array, tolerance: Array, names: Sequence[str], keep: int
+    h: Array, tolerance: Array, names: Sequence[str], machine_size: int
 ) -> list[tuple[str, Array]]:
-    """Parts of the posterior covariance by source, for the first `keep` parameters (the
-    machine's), SI.
+    """Parts of the posterior covariance by source, over the machine's parameters, SI.
 
-    With S = (I + H^T H)^-1 in tolerance units: S = S H^T H S + S S. The first part is
-    the readings' noise, the second what the tolerances leave open, split by the
-    parameters' kinds (names without limb numbers and axes).
+    h             (N, n) whitened slopes in "tolerance" scaling
+    tolerance     (n,) prior standard deviations, SI; 0 for held parameters
+    names         (n,) of the parameters
+    machine_size  number of leading parameters that are the machine's
+
+    With S = (I + H^T H)^-1 in tolerance units, S = S H^T H S + S S. The first part
+    comes from the readings' noise, the second from the tolerances, split by the
+    parameters' kinds.
     """
-    _, s, vt = np.linalg.svd(h, full_matrices=True)
-    gain = np.zeros(h.shape[1])
-    gain[: s.size] = s**2
-    covariance = (vt.T / (1.0 + gain)) @ vt
-    noise = (vt.T * (gain / (1.0 + gain) ** 2)) @ vt
-    scale = np.outer(tolerance[:keep], tolerance[:keep])
-    parts = [("readings' noise", noise[:keep, :keep] * scale)]
-    kinds = [parameter_kind(n) for n in names]
-    for label in dict.fromkeys(kinds):
-        mine = np.array([k == label for k in kinds]) & (tolerance > 0)
-        if mine.any():
-            part = covariance[:keep, mine] @ covariance[mine, :keep]
-            parts.append((f"tolerance of {label}", part * scale))
+    values, vectors = right_singular(h)
+    gain = values**2
+    covariance = (vectors.T / (1.0 + gain)) @ vectors
+    noise = (vectors.T * (gain / (1.0 + gain) ** 2)) @ vectors
+    machine = slice(machine_size)
+    scale = np.outer(tolerance[machine], tolerance[machine])
+    parts = [(NOISE_SOURCE, noise[machine, machine] * scale)]
+    kinds = np.array([parameter_kind(name) for name in names])
+    for kind in dict.fromkeys(kinds.tolist()):
+        members: Mask = (kinds == kind) & (tolerance > 0)
+        if members.any():
+            part = covariance[machine, members] @ covariance[members, machine]
+            parts.append((f"tolerance of {kind}", part * scale))
     return parts
 
 
 def parameter_kind(name: str) -> str:
-    """`da1x` -> "da", `cup_220.cup_x` -> "cup": parameters of one kind share a source
-    in the budget.
+    """Kind of a parameter, a source of the budget: `da1x` is `da`, `cup_x` is `cup`.
+
+    The kind is the name without set-up, limb number and axis.
     """
     return re.sub(r"(_[xyz]|\d+[xyz]?)$", "", name.rpartition(".")[2])
