@@ -7,6 +7,7 @@ packages' files. So a module that moves is found where it is.
 from __future__ import annotations
 
 import ast
+import importlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -53,14 +54,9 @@ def below(package: Module) -> Iterator[Module]:
 
 
 def exported(package: Module) -> list[str]:
-    """Names that a package lists in `__all__`."""
-    tree = ast.parse(package.path.read_text(encoding="utf-8"))
-    for statement in tree.body:
-        if isinstance(statement, ast.Assign):
-            (target,) = statement.targets
-            if isinstance(target, ast.Name) and target.id == "__all__":
-                return list(ast.literal_eval(statement.value))
-    return []
+    """Names that a package offers in `__all__`."""
+    names = getattr(importlib.import_module(package.name), "__all__", [])
+    return [name for name in names if not name.startswith("_")]
 
 
 def table(modules: list[Module]) -> list[str]:
