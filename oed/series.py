@@ -96,13 +96,13 @@ def index_poses(
     and no reading.
     """
     count = len(run)
-    own = np.arange(count)
+    numbers = np.arange(count)
     if instrument.reference == "teach":
-        return np.column_stack([own, np.full(count, count)]).astype(np.intp), run
+        return np.column_stack([numbers, np.full(count, count)]).astype(np.intp), run
     if instrument.reference is None:
-        return own[:, None].astype(np.intp), run
+        return numbers[:, None].astype(np.intp), run
     first = {label: np.flatnonzero(run == label)[0] for label in np.unique(run)}
     reference = np.array([first[label] for label in run])
-    read = reference != own
-    index = np.column_stack([own, reference])[read]
+    read = reference != numbers
+    index = np.column_stack([numbers, reference])[read]
     return index.astype(np.intp), run[read]

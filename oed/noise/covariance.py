@@ -91,12 +91,12 @@ def block_noise(covariances: Sequence[Array], places: Sequence[Index]) -> Noise:
         root.append(np.asarray(factor, dtype=float).ravel())
     at = (np.concatenate(rows), np.concatenate(columns))
 
-    def made(values: list[Array]) -> sparse.csr_array:
+    def as_matrix(values: list[Array]) -> sparse.csr_array:
         return sparse.csr_array(
             sparse.coo_array((np.concatenate(values), at), shape=(n, n))
         )
 
-    return Noise(sigma, made(white), made(root))
+    return Noise(sigma, as_matrix(white), as_matrix(root))
 
 
 def concatenate_noise(parts: Sequence[Noise]) -> Noise:

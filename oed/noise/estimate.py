@@ -155,8 +155,8 @@ def _descend(cost: Callable[[Array], float], start: Array) -> tuple[Array, float
         "fatol": 0.1,
         "maxfev": 20 * len(start),
     }
-    found = optimize.minimize(cost, start, method="Nelder-Mead", options=options)
-    return found.x, float(found.fun)
+    minimum = optimize.minimize(cost, start, method="Nelder-Mead", options=options)
+    return minimum.x, float(minimum.fun)
 
 
 def _size(v: float) -> float:
@@ -171,9 +171,9 @@ def _inverse(size: float) -> float:
 def _prior(v: Array) -> float:
     """Log prior: each share about half the noise; small ones are all alike."""
     shares = np.maximum(v[_SHARES], _LEAST)
-    told = ((shares + 1.0) / 1.5) ** 2
+    penalty = ((shares + 1.0) / 1.5) ** 2
     return float(
-        -0.5 * told.sum()
+        -0.5 * penalty.sum()
         - 0.5 * ((v[2] - REACH) / SPREAD) ** 2
         - 0.5 * (v[4:] ** 2).sum()
     )
@@ -190,28 +190,28 @@ def without_run_noise(law: NoiseLaw) -> tuple[NoiseLaw, float]:
 
 def describe(runs: Runs, law: NoiseLaw) -> tuple[str, ...]:
     """A law as a person reads it."""
-    told = [f"single readings scatter by {law.level:.2g} times the stated noise"]
+    sentences = [f"single readings scatter by {law.level:.2g} times the stated noise"]
     if law.run_sd > 0.2:
-        told.append(
+        sentences.append(
             f"a run repeats to {law.level * law.run_sd:.2g} times the stated noise"
         )
     if law.run_harmonic_sd > 0.2:
-        told.append(
+        sentences.append(
             f"a run's first harmonic repeats to {law.level * law.run_harmonic_sd:.2g} times the"
             " stated noise"
         )
     if law.ar1_sd > 0.2:
-        told.append(
+        sentences.append(
             f"an error of {law.level * law.ar1_sd:.2g} times the stated noise is"
             f" carried along over about {law.ar1_length:.0f} readings"
         )
     if np.isfinite(law.student_dof):
-        told.append(
+        sentences.append(
             f"readings far off are frequent (Student t with {law.student_dof:.2g} degrees of"
             " freedom)"
         )
     if law.outlier_share > 0.0:
-        told.append(
+        sentences.append(
             f"about {100.0 * law.outlier_share:.2g} % of the readings are far off"
         )
-    return tuple(told)
+    return tuple(sentences)

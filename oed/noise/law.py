@@ -118,11 +118,13 @@ def _blocks(runs: Runs, law: NoiseLaw, rows: Index | None) -> list[tuple[Index, 
         return [(batch.members, law.covariances(batch)) for batch in runs.batches]
     counted = np.zeros(len(runs), dtype=bool)
     counted[rows] = True
-    found: dict[int, tuple[list[Index], list[Array]]] = {}
+    batches: dict[int, tuple[list[Index], list[Array]]] = {}
     for k, members in enumerate(runs.members):
         mine = np.flatnonzero(counted[members])
         if mine.size:
-            batch = found.setdefault(mine.size, ([], []))
+            batch = batches.setdefault(mine.size, ([], []))
             batch[0].append(members[mine])
             batch[1].append(law.block(runs, k, mine))
-    return [(np.array(members), np.array(blocks)) for members, blocks in found.values()]
+    return [
+        (np.array(members), np.array(blocks)) for members, blocks in batches.values()
+    ]

@@ -165,7 +165,7 @@ def _fitted(shape: ErrorDensity, errors: Array) -> tuple[float, float]:
         )
 
     middle = np.log(np.median(np.abs(errors)) + 1e-12)
-    found = optimize.minimize_scalar(
+    minimum = optimize.minimize_scalar(
         cost, bounds=(middle - 2.0, middle + 2.0), method="bounded"
     )
-    return float(np.exp(found.x)), -float(found.fun)
+    return float(np.exp(minimum.x)), -float(minimum.fun)

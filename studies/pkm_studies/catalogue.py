@@ -2,7 +2,8 @@
 
 A model is named by its short name (`a3_head`), by `package.module:attribute`, or by
 `path/to/file.py:attribute` relative to the study; in the last two the attribute may be
-left out where it is `machine`, `instrument` or `effect`.
+left out where it is `machine`, `instrument` or `effect`. An installed package adds its
+own under the entry points `pkm_oed.machines`, `pkm_oed.instruments`, `pkm_oed.effects`.
 """
 
 from __future__ import annotations
@@ -14,12 +15,17 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from pkm_studies.errors import InputError, Place, shorten, suggest
+
+#: characters of an error that are shown
+LONGEST_REASON = 120
 
 KINDS = ("machines", "instruments", "effects", "criteria")
 
@@ -41,10 +47,10 @@ def listing(kind: str) -> list[CatalogueEntry]:
             CatalogueEntry(c.name, c.about, c.source, f"oed.criteria:{c.name}")
             for c in _criteria().values()
         ]
-    found = _found(kind)
+    items = _items(kind)
     return [
         CatalogueEntry(name, item.about, item.source, where)
-        for name, (where, item) in sorted(found.items())
+        for name, (where, item) in sorted(items.items())
     ]
 
 
@@ -53,10 +59,10 @@ def machine(reference: str, folder: Path, place: Place) -> Any:
     from oed.machine import Machine
     from pkm_studies import machine_check as soundness
 
-    found = _lookup(reference, "machines", Machine, folder, place)
+    machine = _lookup(reference, "machines", Machine, folder, place)
     if ":" in reference or reference.endswith(".py"):
-        soundness.check_machine(found, place)
-    return found
+        soundness.check_machine(machine, place)
+    return machine
 
 
 def instrument(reference: str, folder: Path, place: Place) -> Any:
@@ -87,10 +93,8 @@ def _criteria() -> Mapping[str, Any]:
 
 
 @functools.cache
-def _found(kind: str) -> dict[str, tuple[str, Any]]:
-    """Every machine, instrument or effect of `pkm_models` by its name, with its long
-    name.
-    """
+def _items(kind: str) -> dict[str, tuple[str, Any]]:
+    """Machines, instruments or effects by name, each with its long name."""
     from oed.effect import Effect
     from oed.instrument import Instrument
     from oed.machine import Machine
@@ -102,12 +106,35 @@ def _found(kind: str) -> dict[str, tuple[str, Any]]:
     }
     wanted = kinds[kind]
     package = importlib.import_module(f"pkm_models.{kind}")
-    found: dict[str, tuple[str, Any]] = {}
+    items: dict[str, tuple[str, Any]] = {}
     for info in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
         for attribute, item in vars(importlib.import_module(info.name)).items():
             if isinstance(item, wanted):
-                found.setdefault(item.name, (f"{info.name}:{attribute}", item))
-    return found
+                items.setdefault(item.name, (f"{info.name}:{attribute}", item))
+    for point, item in _installed(kind):
+        if isinstance(item, wanted):
+            items.setdefault(item.name, (point.value, item))
+    return items
+
+
+def _installed(kind: str) -> Iterator[tuple[EntryPoint, Any]]:
+    """Objects that installed packages offer under the entry points `pkm_oed.KIND`.
+
+    One that cannot be loaded is named in a warning and passed over: a broken package
+    must not take the catalogue along.
+    """
+    for point in sorted(entry_points(group=f"pkm_oed.{kind}")):
+        try:
+            item = point.load()
+        except Exception as error:  # a user's module may raise anything
+            text = shorten(str(error), LONGEST_REASON)
+            warnings.warn(
+                f"{point.group} of an installed package: {point.value} cannot be"
+                f" loaded: {type(error).__name__}: {text}",
+                stacklevel=2,
+            )
+            continue
+        yield point, item
 
 
 def _lookup(reference: str, kind: str, wanted: type, folder: Path, place: Place) -> Any:
@@ -131,14 +158,14 @@ def _lookup(reference: str, kind: str, wanted: type, folder: Path, place: Place)
 
 
 def _by_short_name(name: str, kind: str, place: Place) -> Any:
-    found = _found(kind)
-    if name not in found:
+    items = _items(kind)
+    if name not in items:
         remedy = (
-            suggest(name, sorted(found), "known")
+            suggest(name, sorted(items), "known")
             + ", or a file of your own: path/to/file.py:attribute"
         )
         raise place.error(f"no such {kind.removesuffix('s')}", remedy, name)
-    return found[name][1]
+    return items[name][1]
 
 
 def _module(name: str, folder: Path, place: Place) -> ModuleType:

@@ -9,8 +9,8 @@ NOMINAL = 0.3  # m, where a set-up does not tell
 
 def length(state: State) -> float | None:
     """Nominal length of the set-up's bar, m; None where it does not tell."""
-    told = state.settings.get("length")
-    return None if told is None else float(told)
+    length = state.settings.get("length")
+    return None if length is None else float(length)
 
 
 def label(state: State) -> str:

@@ -37,9 +37,9 @@ def columns(state: State, sag: float) -> Iterable[Column]:
         for name, field in _products(offset, degree):
             bent = field * (load if degree < 2 else 1.0 + load)
             for k, axis in enumerate("xyz"):
-                told = f"{axis} by {name}" if name else axis
+                label = f"{axis} by {name}" if name else axis
                 yield Column(
-                    told,
+                    label,
                     part * FIELD,
                     "",
                     state.displacing_joints(k, bent),

@@ -27,16 +27,13 @@ def columns(state: State) -> Iterable[Column]:
     out = out - np.einsum("mjk,jk->mj", out, guide)[..., None] * guide
     out /= np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-9)
     for name, direction in (("radial", out), ("across", np.cross(guide, out))):
-        seen = terms.joint_change(state, direction)
+        change = terms.joint_change(state, direction)
         for i in state.limbs:
             for k in range(terms.CURVES):
-                change, leg = (
-                    {i: seen[:, i] * terms.travel_curve(at[:, i], k)},
-                    f"leg {i + 1}",
-                )
-                yield Column(
-                    f"{leg} {name} curve {k + 1}", CURVE, leg, change, shape=k > 1
-                )
+                leg = f"leg {i + 1}"
+                label = f"{leg} {name} curve {k + 1}"
+                curve = {i: change[:, i] * terms.travel_curve(at[:, i], k)}
+                yield Column(label, CURVE, leg, curve, shape=k > 1)
 
 
 def unfit(machine: Machine) -> str | None:

@@ -37,8 +37,8 @@ def columns(state: State, platform: float, across: float) -> Iterable[Column]:
     if frame is None:
         return
     away, up = frame
-    beside = np.cross(up, away)
-    way, aside = (beside, away) if across else (away, beside)
+    sideways = np.cross(up, away)
+    way, aside = (sideways, away) if across else (away, sideways)
     angle = np.arctan2(
         *(np.einsum("mjk,mjk->mj", state.strut_direction, axis) for axis in (way, up))
     )
@@ -46,14 +46,14 @@ def columns(state: State, platform: float, across: float) -> Iterable[Column]:
         "": (state.joint_per_length, ALONG),
         "sideways ": (terms.joint_change(state, aside), SIDEWAYS),
     }
-    for i, (kind, (seen, shares)) in itertools.product(state.limbs, ways.items()):
+    for i, (kind, (amount, shares)) in itertools.product(state.limbs, ways.items()):
         leg = f"leg {i + 1}"
         for order, part_of in shares.items():
             for part, value in (
                 ("sin", np.sin(order * angle[:, i])),
                 ("cos", np.cos(order * angle[:, i])),
             ):
-                change = {i: seen[:, i] * value}
+                change = {i: amount[:, i] * value}
                 name, scale = f"{leg} {kind}{order} {part}", part_of * RUNOUT
                 yield Column(name, scale, leg, change, shape=bool(kind) or order != 2)
 

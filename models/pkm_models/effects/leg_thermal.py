@@ -19,10 +19,10 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     """
     known = terms.travel(state.machine)
     for i in state.limbs:
-        leg, own = f"leg {i + 1}", f"leg{i + 1}"
+        leg, sensor = f"leg {i + 1}", f"leg{i + 1}"
         carried = bool(known.guide[i].any()) and state.machine.joints[i].unit == "m"
         measured, warm, second = terms.warm_up(
-            state, own if own in state.temperature else "leg", tau
+            state, sensor if sensor in state.temperature else "leg", tau
         )
         unit, scale, strain = (
             ("per kelvin", terms.STEEL, 1.0)

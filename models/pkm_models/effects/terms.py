@@ -5,6 +5,7 @@ metre is worth in a joint.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 
 import numpy as np
@@ -50,17 +51,28 @@ class Travel:
     guide: Array
 
 
-_known: dict[int, tuple[Machine, Travel]] = {}
+@dataclasses.dataclass(frozen=True)
+class _Key:
+    """What the travel of a machine depends on; two machines that agree in it share it."""
+
+    machine: Machine = dataclasses.field(compare=False, hash=False)
+    definition: tuple[object, ...]
+    numbers: bytes
 
 
 def travel(machine: Machine) -> Travel:
     """The machine's travel, remembered."""
-    found = _known.get(id(machine))
-    if found is None or found[0] is not machine:
-        found = _known[id(machine)] = (machine, _travel(machine))
-        while len(_known) > REMEMBERED:
-            del _known[next(iter(_known))]
-    return found[1]
+    definition = (machine.closure, machine.target, machine.guess, machine.struts)
+    workspace = [(c.lower, c.upper) for c in machine.workspace()]
+    numbers = (machine.nominal, machine.home_command, np.array(workspace))
+    return _remembered(
+        _Key(machine, definition, b"".join(n.tobytes() for n in numbers))
+    )
+
+
+@functools.lru_cache(maxsize=REMEMBERED)
+def _remembered(key: _Key) -> Travel:
+    return _travel(key.machine)
 
 
 def _travel(machine: Machine) -> Travel:
@@ -240,9 +252,9 @@ def _worked(state: State, tau: float) -> Array:
     idle = gaps > max(
         BREAK * float(np.median(between)) if between.size else np.inf, PAUSE
     )
-    kept = np.exp(-gaps / tau)
+    decay = np.exp(-gaps / tau)
     share = np.zeros(len(session))
-    for k, (still, factor) in enumerate(zip(idle, kept, strict=True)):
+    for k, (still, factor) in enumerate(zip(idle, decay, strict=True)):
         share[k + 1] = share[k] * factor + (0.0 if still else 1.0 - factor)
     return np.interp(
         np.where(np.isfinite(state.time), state.time, session[0]), session, share

@@ -67,7 +67,7 @@ def _ends(frame: Frame, s: Values, k: Values) -> tuple[Expr, Expr]:
     return a, b
 
 
-def _told(a: Expr, b: Expr) -> list[Expr]:
+def _offset(a: Expr, b: Expr) -> list[Expr]:
     return [a[0], a[1], a[2], *registration.axis_angles(a - b)]
 
 
@@ -87,14 +87,14 @@ def _spread(point: Expr, k: Values) -> Expr:
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    return _told(*_ends(frames[0], s, k))
+    return _offset(*_ends(frames[0], s, k))
 
 
 def _sources(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
     """Slopes (5 x 6): R, theta, phi at A, then at B."""
     a, b = _ends(frames[0], s, k)
     e = ca.SX.sym("e", 6)
-    read = ca.vertcat(*_told(a + _spread(a, k) @ e[:3], b + _spread(b, k) @ e[3:]))
+    read = ca.vertcat(*_offset(a + _spread(a, k) @ e[:3], b + _spread(b, k) @ e[3:]))
     return ca.substitute(ca.jacobian(read, e), e, ca.DM.zeros(6))
 
 

@@ -40,9 +40,9 @@ def _position(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 
 
 def _pose(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    seen = registration.rotation_in_frame(s, frames[0].rotation)
-    gamma = ca.atan2(-seen[0, 1], seen[0, 0])
-    return [*_position(frames, s, k), *registration.axis_angles(seen[:, 2]), gamma]
+    relative = registration.rotation_in_frame(s, frames[0].rotation)
+    gamma = ca.atan2(-relative[0, 1], relative[0, 0])
+    return [*_position(frames, s, k), *registration.axis_angles(relative[:, 2]), gamma]
 
 
 instrument = Instrument(

@@ -69,7 +69,7 @@ class RunChoice:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Plan:
+class _BoundedPlan:
     """A plan and its bounds.
 
     runs         numbers of the candidates
@@ -124,7 +124,7 @@ def choose(
 
 def _choice(
     pool: Pool,
-    plan: _Plan,
+    plan: _BoundedPlan,
     fixed: Index,
     share: float,
     rules: Rules,
@@ -150,7 +150,7 @@ def _choice(
     )
 
 
-def _enumerate(pool: Pool, size: int, share: float, fixed: Index) -> _Plan:
+def _enumerate(pool: Pool, size: int, share: float, fixed: Index) -> _BoundedPlan:
     """The best of all plans."""
     free = np.setdiff1d(np.arange(len(pool.rows)), fixed)
     places = list(itertools.combinations(range(len(free)), size))
@@ -164,7 +164,7 @@ def _enumerate(pool: Pool, size: int, share: float, fixed: Index) -> _Plan:
     value = np.concatenate(values)
     best = int(np.argmax(value))
     largest = float(np.concatenate(log_least).max())
-    return _Plan(plans[best], float(value[best]), largest)
+    return _BoundedPlan(plans[best], float(value[best]), largest)
 
 
 def _search(
@@ -174,7 +174,7 @@ def _search(
     share: float,
     fixed: Index,
     rounds: int,
-) -> _Plan:
+) -> _BoundedPlan:
     """The best plan that the search reaches, with bounds of every plan.
 
     The targets whose constants absorb most lead it; others join while a plan shows them
@@ -197,7 +197,7 @@ def _search(
             break
         targets = joined
     alone = pool.separation(targets, 0.0, fixed).subset(free)
-    return _Plan(runs, relaxed.bound, _relax(alone, inner).bound)
+    return _BoundedPlan(runs, relaxed.bound, _relax(alone, inner).bound)
 
 
 def _relax(separation: Separation, rules: Rules) -> Relaxation:

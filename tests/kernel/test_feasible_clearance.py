@@ -1,0 +1,275 @@
+"""Clearance of struts, bar and surroundings, and moves between poses."""
+
+import dataclasses
+from functools import partial
+
+import numpy as np
+import pytest
+from oracles import a3_geometry as a3
+from oracles import planar_geometry as planar
+from scipy.optimize import minimize
+
+from kernel import a3_plans
+from kernel.cases import CASES
+from oed.design import feasible
+from oed.design.clearance import Clearance, Surroundings
+from oed.design.feasible import ReadingLimits
+from oed.design.segments import Capsule, point_distance, segment_distance, sphere
+from oed.instrument import mount
+from oed.measurement import Measurement, Series
+from pkm_models.instruments import ball_bar
+from pkm_models.machines import planar_2dof
+
+CUP = np.array([0.1, 0.2, -0.4])
+
+
+LENGTH = 0.9
+
+
+def bar(length: float = LENGTH) -> Measurement:
+    """A bar from a cup set by hand to the platform of the planar machine."""
+    at = dict(zip(("at_x", "at_y", "at_z"), CUP, strict=True))
+    return Measurement(
+        planar_2dof.machine, [mount(ball_bar.free_cup, "bar", length=length, **at)]
+    )
+
+
+def places(rng: np.random.Generator, n: int = 200) -> np.ndarray:
+    return rng.uniform([-1.5, 0.0], [1.5, 1.5], (n, 2))
+
+
+def tips(command: np.ndarray) -> np.ndarray:
+    """Tool points (n, 3) of the planar machine."""
+    return np.column_stack([np.zeros(len(command)), command])
+
+
+def planar_series(
+    rng: np.random.Generator, n: int = 200
+) -> tuple[Measurement, np.ndarray, Series]:
+    m, command = bar(), places(rng, n)
+    return m, command, m.series("bar", command)
+
+
+def test_distances_of_segments_are_the_least_found_by_search(
+    rng: np.random.Generator,
+) -> None:
+    """Random, touching, parallel, collinear and shrunken segments, against bounded
+    minimisation of the square.
+    """
+    a0, a1, b0, b1 = rng.standard_normal((4, 60, 3))
+    a1[0], b1[1] = a0[0], b0[1]  # one is a point
+    a1[2], b1[2] = a0[2], b0[2]  # both are
+    b1[3] = b0[3] + 2.5 * (a1[3] - a0[3])  # parallel
+    b0[4], b1[4] = a1[4] + (a1[4] - a0[4]), a1[4] + 3 * (a1[4] - a0[4])  # in one line
+    b0[5] = 0.3 * a0[5] + 0.7 * a1[5]  # touching
+    distance = segment_distance(a0, a1, b0, b1)
+
+    def searched(i: int) -> float:
+        def square(st: np.ndarray) -> float:
+            return float(
+                (
+                    (a0[i] + st[0] * (a1[i] - a0[i]) - b0[i] - st[1] * (b1[i] - b0[i]))
+                    ** 2
+                ).sum()
+            )
+
+        starts = [(0.1, 0.1), (0.9, 0.1), (0.1, 0.9), (0.9, 0.9)]
+        return float(
+            np.sqrt(
+                min(
+                    minimize(square, s, bounds=[(0, 1), (0, 1)], tol=1e-14).fun
+                    for s in starts
+                )
+            )
+        )
+
+    assert distance == pytest.approx([searched(i) for i in range(60)], abs=2e-6)
+    assert distance == pytest.approx(segment_distance(b1, b0, a1, a0), abs=1e-14)
+    assert distance[2] == pytest.approx(np.linalg.norm(a0[2] - b0[2]))
+    assert distance[5] == pytest.approx(0.0, abs=1e-14)
+
+
+def test_distances_of_a_crossing_and_of_a_point() -> None:
+    x, y, z = np.eye(3)
+    assert segment_distance(-x, x, -y + 2 * z, y + 2 * z) == pytest.approx(2.0)
+    assert segment_distance(-x, x, 2 * x - y, 2 * x + y) == pytest.approx(1.0)
+    assert segment_distance(-x, x, 4 * x + 4 * y, 4 * x + 9 * y) == pytest.approx(5.0)
+    assert point_distance(4 * x + 4 * y, -x, x) == pytest.approx(5.0)
+    assert point_distance(0.5 * x + 3 * z, -x, x) == pytest.approx(3.0)
+
+
+def struts(command: np.ndarray) -> np.ndarray:
+    """Slider and platform of both struts (n, 2, 2, 3), by the oracle."""
+    slider = planar.sliders(planar.inverse(command), planar.NOMINAL)
+    ends = np.stack([slider, np.broadcast_to(command[:, None], slider.shape)], axis=2)
+    return np.concatenate([np.zeros((*ends.shape[:3], 1)), ends], axis=-1)
+
+
+def sampled(ends: np.ndarray, centre: np.ndarray, n: int = 2001) -> np.ndarray:
+    """Least distance (...) of points along segments (..., 2, 3) to a centre."""
+    t = np.linspace(0, 1, n)[:, None]
+    points = (
+        ends[..., None, 0, :] + t * (ends[..., 1, :] - ends[..., 0, :])[..., None, :]
+    )
+    return np.asarray(np.linalg.norm(points - centre, axis=-1).min(axis=-1))
+
+
+def test_clearance_of_struts_and_bar_is_that_of_sampled_points(
+    rng: np.random.Generator,
+) -> None:
+    """Lines 0 and 2 of the skeleton are the guides, which are left out; of the A3 all
+    lines, with a longer tool.
+    """
+    m, command, series = planar_series(rng)
+    centre = np.array([0.05, 0.3, 1.0])
+    at_guide = sphere((0.0, -2.2, 0.2), 0.45)
+    around = (sphere(tuple(centre), 0.2), at_guide)
+    about = Surroundings(
+        obstacles=around, links=0.03, bar=0.01, margin=0.05, ignore=(0, 2)
+    )
+    feasibility = feasible.check_readings(m, series, ReadingLimits(surroundings=about))
+    link = sampled(struts(command), centre).min(axis=1) - 0.2 - 0.03
+    rod = (
+        sampled(
+            np.stack([np.broadcast_to(CUP, (200, 3)), tips(command)], axis=1), centre
+        )
+        - 0.2
+        - 0.01
+    )
+    assert feasibility.details["clearance"] == pytest.approx(
+        np.minimum(link, rod), abs=1e-4
+    )
+    assert (rod < link).any()
+    assert (link < rod).any()
+    assert (feasibility.allowed == (np.minimum(link, rod) >= 0.05)).all()
+    assert 0 < feasibility.refusal_counts["come too near an obstacle"] < 200
+    with_guides = Clearance(m, "bar", dataclasses.replace(about, ignore=()))
+    assert (
+        with_guides.at_readings(series, series.start)
+        <= 2.2 - 1.792 - 0.45 - 0.03 + 1e-12
+    ).all()
+
+
+def test_clearance_of_a_whole_skeleton_with_a_longer_tool(
+    rng: np.random.Generator,
+) -> None:
+    m = a3_plans.measurement(tools=[0.25])
+    series = m.series(
+        "cup250", CASES["a3_head"].commands(rng, 20) + np.array([0.25, 0, 0])
+    )
+    wall = Capsule((0.4, -0.5, 1.3), (0.4, 0.5, 1.5), 0.02)
+    clearance = Clearance(
+        m, "cup250", Surroundings(obstacles=(wall,), links=0.03)
+    ).at_poses(series.start, series.q)
+    points = np.linspace(wall.start, wall.end, 401)
+    for k in (0, 5, 19):
+        tip = m.kinematics.frames(series.start[k : k + 1], np.array([0, 0, 0.25]))[1][0]
+        lines = [
+            np.array(v)
+            for v in m.kinematics.skeleton(
+                series.start[k], series.q[k], m.machine.nominal
+            )
+        ]
+        lines.append(np.stack([lines[-1][-1], tip]))
+        ends = np.concatenate([np.stack([v[:-1], v[1:]], axis=1) for v in lines])
+        expected = min(sampled(ends, point, 801).min() for point in points) - 0.05
+        assert clearance[k] == pytest.approx(expected, abs=1e-4)
+
+
+def test_incomplete_surroundings_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least one obstacle"):
+        Surroundings(obstacles=(), bar=0.01)
+    with pytest.raises(ValueError, match="nothing that moves is checked"):
+        Surroundings(obstacles=(sphere((0.0, 0.0, 0.0), 0.1),))
+    bare = Measurement(
+        dataclasses.replace(planar_2dof.machine, skeleton=None),
+        list(bar().setups.values()),
+    )
+    with pytest.raises(ValueError, match="has no skeleton"):
+        Clearance(
+            bare,
+            "bar",
+            Surroundings(obstacles=(sphere((0.0, 0.0, 0.0), 0.1),), links=0.01),
+        )
+    with pytest.raises(ValueError, match="lines 0 to 3"):
+        Clearance(
+            bar(),
+            "bar",
+            Surroundings(
+                obstacles=(sphere((0.0, 0.0, 0.0), 0.1),), links=0.01, ignore=(4,)
+            ),
+        )
+
+
+def test_free_moves_are_those_of_dense_sampling(rng: np.random.Generator) -> None:
+    """Straight moves of the planar platform past a sphere, struts by the oracle at 1001
+    places of each.
+    """
+    m = bar()
+    centre, margin = np.array([0.05, 0.3, 0.7]), 0.01
+    about = Surroundings(
+        obstacles=(sphere(tuple(centre), 0.15),),
+        links=0.02,
+        margin=margin,
+        ignore=(0, 2),
+    )
+    before, after = places(rng, 60), places(rng, 60)
+    t = np.linspace(0, 1, 1001)[:, None]
+    way = before[:, None] + t * (after - before)[:, None]
+    ends = struts(way.reshape(-1, 2))
+    along = (
+        point_distance(centre, ends[..., 0, :], ends[..., 1, :])
+        .min(axis=1)
+        .reshape(60, -1)
+        .min(axis=1)
+    )
+    least = along - 0.15 - 0.02
+    assert (np.abs(least - margin) > 5e-4).all()
+    free = Clearance(m, "bar", about).free_moves(before, after)
+    assert (free == (least >= margin)).all()
+    assert 5 < free.sum() < 55
+    assert (free == Clearance(m, "bar", about).free_moves(after, before)).all()
+
+
+def test_a_guided_move_follows_its_instrument() -> None:
+    """From stroke 0 to 200 mm the bar bends the way outwards: its ball is halfway where
+    a straight move is not.
+    """
+    m = a3_plans.measurement()
+    ends = a3_plans.bar_commands(m, np.array([0.0, 0.2]), np.zeros(2))
+    middle = ends.mean(axis=0, keepdims=True)
+    guide = partial(m.commands_at_fixed_reading, "cup", coordinate="theta")
+    cup = np.array([0.0, 0.0, a3.Z_TEACH])
+    straight, guided = (
+        a3.forward(np.zeros(24), a3.inverse_nominal(*c[0])).tip
+        for c in (middle, guide(middle)[0])
+    )
+    assert np.linalg.norm(straight - cup) < 0.299
+    assert np.linalg.norm(guided - cup) == pytest.approx(0.3)
+    for where, expected in (
+        (guided, [True, False]),
+        (straight, [False, False]),
+        (cup * 0.9, [True, True]),
+    ):
+        clearance = Clearance(
+            m, "cup", Surroundings(obstacles=(sphere(tuple(where), 2e-4),), bar=1e-6)
+        )
+        assert [
+            bool(clearance.free_moves(ends[:1], ends[1:], guide=way)[0])
+            for way in (None, guide)
+        ] == expected
+    short = Measurement(
+        m.machine, [mount(ball_bar.instrument, "cup", teach=(1.286, 0, 0), length=0.05)]
+    )
+    assert not clearance.free_moves(
+        ends[:1],
+        ends[1:],
+        guide=partial(short.commands_at_fixed_reading, "cup", coordinate="theta"),
+    ).any()
+
+
+def test_moves_out_of_reach_are_blocked() -> None:
+    m = Measurement(planar_2dof.machine, list(bar().setups.values()))
+    about = Surroundings(obstacles=(sphere((9.0, 9.0, 9.0), 0.1),), links=0.01)
+    moves = np.array([[0.0, 0.1], [0.0, 0.1]]), np.array([[1.0, 0.5], [1.7, 0.5]])
+    assert Clearance(m, "bar", about).free_moves(*moves).tolist() == [True, False]

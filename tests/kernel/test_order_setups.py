@@ -1,0 +1,213 @@
+"""Orders with retract poses, reference readings and set-ups."""
+
+from collections.abc import Callable
+from itertools import combinations, pairwise, permutations, product
+
+import numpy as np
+import pytest
+
+from oed.design import move_times, order, schedule
+from oed.design.clearance import Clearance, Surroundings
+from oed.design.segments import sphere
+from oed.instrument import mount
+from oed.measurement import Measurement
+from pkm_models.instruments import ball_bar, calliper
+from pkm_models.machines import planar_2dof
+
+
+def problem(
+    seed: int, n: int, forbidden: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lengths (n, n) that differ there and back, some of them forbidden, from the start
+    (n,) and to the finish (n,).
+    """
+    rng = np.random.default_rng(seed)
+    distance = rng.uniform(size=(n, n))
+    distance[rng.uniform(size=(n, n)) < forbidden] = np.inf
+    return distance, rng.uniform(size=n), rng.uniform(size=n)
+
+
+def along(
+    path: list[int] | tuple[int, ...] | np.ndarray, distance: np.ndarray
+) -> float:
+    return float(sum(distance[a, b] for a, b in pairwise(path)))
+
+
+def shortest(distance: np.ndarray, start: np.ndarray, finish: np.ndarray) -> float:
+    """Of all permutations."""
+    return min(
+        start[p[0]] + along(p, distance) + finish[p[-1]]
+        for p in permutations(range(len(distance)))
+    )
+
+
+def plane(seed: int, n: int) -> np.ndarray:
+    x = np.random.default_rng(seed).uniform(size=(n, 2))
+    return np.linalg.norm(x[:, None] - x, axis=-1)
+
+
+def test_a_wall_between_two_groups_is_gone_round_by_the_retract_pose(
+    rng: np.random.Generator,
+) -> None:
+    """A sphere between the groups blocks every straight move across; high above it
+    there is room.
+    """
+    at = {"at_x": 0.0, "at_y": 0.0, "at_z": -1.0}
+    m = Measurement(planar_2dof.machine, [mount(ball_bar.free_cup, "bar", **at)])
+    groups = np.vstack(
+        [rng.uniform([s - 0.1, 0.45], [s + 0.1, 0.55], (8, 2)) for s in (-0.7, 0.7)]
+    )
+    command = groups[rng.permutation(16)]
+    on_left = command[:, 0] < 0
+    about = Surroundings(
+        obstacles=(sphere((0.0, 0.0, 0.5), 0.15),), links=0.02, ignore=(0, 2)
+    )
+    clear = Clearance(m, "bar", about).free_moves
+    free = move_times.free_moves(command, clear)
+    assert (free == (on_left[:, None] == on_left)).all()
+    direct = move_times.travel_between(m, m.series("bar", command), 0.1)
+    with pytest.raises(ValueError, match="give a retract pose"):
+        order.order_poses(np.where(free, direct, np.inf), rng)
+    retract = np.array([0.0, 1.4])
+    reached = clear(command, np.broadcast_to(retract, command.shape))
+    assert reached.all()
+    legs = np.where(
+        reached,
+        move_times.travel_from(m, m.series("bar", command), 0.1, retract),
+        np.inf,
+    )
+    distance, via = move_times.via_retract(direct, free, legs, legs)
+    path = order.order_poses(distance, rng)
+    i, j = path.indices[:-1], path.indices[1:]
+    assert via[i, j].sum() == 1
+    k = int(np.flatnonzero(via[i, j])[0])
+    assert on_left[i[k]] != on_left[j[k]]
+    assert path.steps[1:][k] == pytest.approx(legs[i[k]] + legs[j[k]])
+    assert (path.steps[1:][~via[i, j]] == direct[i, j][~via[i, j]]).all()
+
+
+def test_a_retract_pose_that_can_not_be_reached_does_not_help() -> None:
+    free = np.array([[True, False], [False, True]])
+    length, via = move_times.via_retract(
+        np.ones((2, 2)), free, np.array([1.0, np.inf]), np.array([2.0, 3.0])
+    )
+    assert length.tolist() == [[1.0, 4.0], [np.inf, 1.0]]
+    assert via.tolist() == [[False, True], [False, False]]
+
+
+def replay(
+    pose: np.ndarray, move: Callable[[int, int], float], reading: Callable[[int], float]
+) -> list[float]:
+    """When each reading begins, for a machine that stands at its first pose at 0."""
+    clock = [0.0]
+    for a, b in pairwise(pose):
+        clock.append(clock[-1] + reading(a) + move(a, b))
+    return clock
+
+
+@pytest.mark.parametrize("with_runs", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_reference_readings_cost_the_least_of_all_ways_to_place_them(
+    seed: int, with_runs: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    distance, to_reference, from_reference = problem(seed, 8)
+    reading, stay = rng.uniform(0.5, 1.5, 8), 2.0
+    runs = [[0, 1, 2], [3], [4, 5], [6], [7]] if with_runs else None
+    path = order.order_poses(distance, rng, start=from_reference, runs=runs)
+    every = 6.5
+
+    def move(a: int, b: int) -> float:
+        if a < 0 or b < 0:
+            return float(from_reference[b] if a < 0 else to_reference[a])
+        return float(distance[a, b])
+
+    def takes(a: int) -> float:
+        return stay if a < 0 else float(reading[a])
+
+    best = np.inf
+    for count in range(8):
+        for cuts in combinations(range(1, 8), count):
+            if any(path.run[c] == path.run[c - 1] for c in cuts):
+                continue
+            pose = np.concatenate([[-1], np.insert(path.indices, cuts, -1), [-1]])
+            begins = np.array(replay(pose, move, takes))
+            marks = begins[pose < 0]
+            if (marks[1:] - (marks[:-1] + stay) <= every).all():
+                best = min(best, begins[-1] + stay)
+    timed = schedule.interleave(
+        path, reading, every, to_reference, from_reference, stay
+    )
+    assert timed.seconds == pytest.approx(best)
+    assert timed.begins == pytest.approx(replay(timed.pose, move, takes))
+    assert timed.pose[timed.pose >= 0].tolist() == path.indices.tolist()
+    assert timed.reference[[0, -1]].all()
+    assert 3 <= timed.reference.sum() < 9
+    with pytest.raises(
+        ValueError, match="longer than 1 s: read the reference less often"
+    ):
+        schedule.interleave(path, reading, 1.0, to_reference, from_reference, stay)
+
+
+def test_without_need_the_reference_is_read_first_and_last_alone() -> None:
+    path = order.order_poses(plane(1, 20), np.random.default_rng(0))
+    timed = schedule.interleave(
+        path, 6.0, 1e6, np.full(20, 3.0), np.full(20, 2.0), 10.0, begin=100.0
+    )
+    assert timed.pose.tolist() == [-1, *path.indices, -1]
+    assert timed.seconds == pytest.approx(100 + 10 + 2 + path.length + 20 * 6 + 3 + 10)
+
+
+def test_set_ups_are_ordered_with_least_remounting() -> None:
+    """Two tools, two cup places, two bars and a calliper: each difference is paid once,
+    in Gray's order.
+    """
+    places = {
+        0: {"at_x": 0.0, "at_y": 0.0, "at_z": 0.0},
+        1: {"at_x": 0.0, "at_y": 0.3, "at_z": 0.0},
+    }
+    setups = [
+        mount(
+            ball_bar.free_cup,
+            f"{tool}{place}{length}",
+            tool=(0.0, 0.0, tool),
+            length=length,
+            **places[place],
+        )
+        for tool, place, length in product((0.0, 0.05), (0, 1), (0.15, 0.3))
+    ]
+    setups.append(mount(calliper.instrument, "calliper"))
+    changes = move_times.ChangeTimes(tool=600.0, place=100.0, settings=10.0)
+    costs, first = move_times.remounting(setups, changes)
+    assert costs[0, 1] == 10.0
+    assert costs[0, 2] == 100.0
+    assert costs[0, 7] == 710.0
+    assert costs[7, 0] == 710.0
+    assert costs[0, 8] == calliper.instrument.cost.setup
+    assert costs[7, 8] == calliper.instrument.cost.setup + 600.0
+    assert (np.diag(costs) == 0.0).all()
+    path = order.order_setups(costs, np.random.default_rng(0), first)
+    bars = ball_bar.free_cup.cost.setup
+    # tool once, cup once with each tool, bar once at each cup and tool
+    assert path.length == pytest.approx(
+        bars + calliper.instrument.cost.setup + 600 + 2 * 100 + 4 * 10
+    )
+    assert path.exact
+
+
+def test_taught_set_ups_move_with_their_teach_pose() -> None:
+    setups = [
+        mount(ball_bar.instrument, n, teach=t)
+        for n, t in (("a", (0.0, 0.2)), ("b", (0.3, 0.2)))
+    ]
+    costs, _ = move_times.remounting(
+        setups, move_times.ChangeTimes(tool=600.0, place=100.0, settings=10.0)
+    )
+    assert costs.tolist() == [[0.0, 100.0], [100.0, 0.0]]
+
+
+def test_orders_of_set_ups_are_the_cheapest_of_all_permutations() -> None:
+    for seed in range(6):
+        costs, first, _ = problem(seed, 6)
+        path = order.order_setups(costs, np.random.default_rng(0), first)
+        assert path.length == pytest.approx(shortest(costs, first, np.zeros(6)))
