@@ -141,7 +141,7 @@ def test_friction_winds_up_anew_after_a_reversal() -> None:
         motion_sign=np.ones((4, 6)),
         travel_since_reversal=np.tile(gone[:, None], (1, 6)),
     )
-    known = terms.travel(state.machine).strut_length
+    known = terms.travel(state.machine).strut
     behind = columns("friction", made, distance=distance)["leg 2"].joints[1]
     assert behind == pytest.approx(-wound / known[1], abs=1e-3)
     assert behind[1] == pytest.approx(0.0, abs=1e-12)
