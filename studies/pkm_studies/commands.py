@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pkm_studies import console
+from pkm_studies import console, import_command
 from pkm_studies.errors import InputError
 
 if TYPE_CHECKING:
@@ -338,6 +338,9 @@ def _new_study(
     from pkm_studies import template
 
     return template.write(name, machine, instrument, Path())
+
+
+app.command(name="import")(import_command.import_files)
 
 
 # -- studies in, results out -----------------------------------------------------------

@@ -1,0 +1,83 @@
+"""What an importer is: it turns files of another program into a study with readings."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+#: cells of a row of the readings file, by column
+Row = Mapping[str, str]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ImportRequest:
+    """What `oed import` was asked for.
+
+    files    the files to read, at least one
+    name     of the study
+    machine  the model that the user names, if any
+    map      the user's column map, a TOML file, if any
+    folder   where the study goes: paths in the study are relative to it
+    """
+
+    files: tuple[Path, ...]
+    name: str
+    machine: str | None = None
+    map: Path | None = None
+    folder: Path = Path()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ImportedSession:
+    """A session as read.
+
+    study       text of NAME.study.toml
+    rows        rows of NAME.readings.csv
+    statements  what was taken for what, one sentence each
+    column_map  text of NAME.map.toml, where there is one to use again
+    """
+
+    study: str
+    rows: Sequence[Row]
+    statements: Sequence[str]
+    column_map: str | None = None
+
+
+@runtime_checkable
+class Importer(Protocol):
+    """Reads the files of one kind. An entry point of `pkm_oed.importers` adds more.
+
+    name   as in `oed import NAME`
+    about  what it reads, for the list
+    """
+
+    name: str
+    about: str
+
+    def read(self, request: ImportRequest) -> ImportedSession:
+        """The session in the files. Raises InputError with file, line and remedy."""
+        ...
+
+
+def readings_name(name: str) -> str:
+    """Name of the readings file that goes with the study `name`."""
+    return f"{name}.readings.csv"
+
+
+def readings_text(rows: Sequence[Row]) -> str:
+    """The text of a readings file; cells that a row does not have are empty."""
+    header = dict.fromkeys(column for row in rows for column in row)
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(header), restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def line_field(number: int, field: str = "") -> str:
+    """The place in a file as an error shows it: `line 12, radius`."""
+    return f"line {number}, {field}" if field else f"line {number}"

@@ -1,0 +1,62 @@
+"""Runs an importer, and writes the study with its readings into a folder."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from pkm_studies import files
+from pkm_studies.errors import InputError
+from pkm_studies.importers import base, registry
+from pkm_studies.importers.base import ImportedSession, ImportRequest
+from pkm_studies.study import SUFFIX
+
+
+def import_files(
+    kind: str,
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    name: str | None = None,
+    machine: str | None = None,
+    column_map: Path | None = None,
+) -> tuple[Path, ImportedSession]:
+    """Write study and readings into the folder `out`; the study's path and the session.
+
+    Raises InputError, also where one of the files to write exists already.
+    """
+    importer = registry.importer(kind)
+    files.check_writable(out)
+    title = study_name(name or paths[0].name.split(".")[0])
+    request = ImportRequest(
+        files=tuple(paths), name=title, machine=machine, map=column_map, folder=out
+    )
+    targets = [out / f"{title}{SUFFIX}", out / base.readings_name(title)]
+    for path in targets:
+        _check_new(path)
+    session = importer.read(request)
+    contents = [session.study, base.readings_text(session.rows)]
+    map_path = out / f"{title}.map.toml"
+    if session.column_map is not None and not map_path.exists():
+        targets.append(map_path)
+        contents.append(session.column_map)
+    # the study last: whoever finds it finds what it names
+    for path, content in reversed(list(zip(targets, contents, strict=True))):
+        files.write_whole(path, content)
+    return targets[0], session
+
+
+def study_name(text: str) -> str:
+    """A name for a study from a file's name, such as `printer` from `printer.cfg`."""
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", text).strip("_-")
+    return name or "imported"
+
+
+def _check_new(path: Path) -> None:
+    if path.exists():
+        raise InputError(
+            "this file exists, and importing overwrites nothing",
+            "take another --out or --name, or remove it",
+            file=str(path),
+        )
