@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 
 from oed.arrays import Array
+from oed.checkpoint import Checkpoint, open_chain
 from oed.estimate import Estimate
 from oed.log_density import LogDensity
 from oed.measurement import Measurement, Series
+from oed.whole_file import whole_file
 
 #: steps between checks of convergence
 CHECK_STEPS = 250
@@ -95,16 +97,21 @@ def sample(
     max_steps: int = 20_000,
     max_draws: int = 20_000,
     progress: Callable[[float], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+    resumed: Callable[[int], None] | None = None,
 ) -> Posterior:
     """Sample the posterior of readings y (N,), SI, about an estimate.
 
-    walkers    twice the dimensions and more by default
-    ess        effective sample size wanted of every parameter
-    max_steps  of every walker
-    max_draws  returned: the chains are thinned
-    progress   called with the share done
+    walkers     twice the dimensions and more by default
+    ess         effective sample size wanted of every parameter
+    max_steps   of every walker
+    max_draws   returned: the chains are thinned
+    progress    called with the share done
+    checkpoint  where the unfinished chain is saved, and resumed from
+    resumed     called with the steps of a chain that is resumed
 
-    Raises KeyboardInterrupt where Ctrl-C arrives.
+    Raises KeyboardInterrupt where Ctrl-C arrives, OSError where the checkpoint cannot
+    be written.
     """
     import emcee
 
@@ -114,11 +121,21 @@ def sample(
         (emcee.moves.MHMove(target.propose), LAPLACE_SHARE),
         (emcee.moves.DEMove(), EVOLUTION_SHARE),
     ]
-    sampler = emcee.EnsembleSampler(*shape, target, vectorize=True, moves=moves)
     start = target.centre + rng.standard_normal(shape) @ target.root.T
-    random = np.random.RandomState(rng.integers(2**31))
-    state = emcee.State(start, random_state=random.get_state())
-    autocorrelation, burn_in = _run(sampler, state, target, ess, max_steps, progress)
+    random: Any = np.random.RandomState(rng.integers(2**31)).get_state()
+    determining = (y, target.centre, target.root, start, random[1])
+    chain = open_chain(checkpoint, shape, determining)
+    sampler = emcee.EnsembleSampler(
+        *shape, target, vectorize=True, moves=moves, backend=chain.backend
+    )
+    state = emcee.State(start, random_state=random)
+    if sampler.iteration > 0:
+        state = sampler.get_last_sample()
+        if resumed is not None:
+            resumed(sampler.iteration)
+    autocorrelation, burn_in = _run(
+        sampler, state, target, ess, max_steps, progress, chain.save
+    )
     return _posterior(
         measurement.names, target, sampler, autocorrelation, burn_in, max_draws, rng
     )
@@ -131,29 +148,41 @@ def _run(
     ess: float,
     max_steps: int,
     progress: Callable[[float], None] | None,
+    save: Callable[[int], None],
 ) -> tuple[float, int]:
-    """Run until the chains have converged; autocorrelation time and burn-in, in steps."""
+    """Run until the chains have converged; autocorrelation time and burn-in, in steps.
+
+    A chain that is resumed is judged before it goes on, as the unbroken one was.
+    `save` is called after each block of steps, with its first step.
+    """
     while True:
-        steps = min(CHECK_STEPS, max_steps - sampler.iteration)
+        begin = sampler.iteration
+        if begin > 0:
+            autocorrelation, burn_in = _autocorrelation_and_burn_in(sampler)
+            reached = sampler.nwalkers * (begin - burn_in) / autocorrelation
+            if progress is not None:
+                progress(min(1.0, reached / (SPARE * ess)))
+            enough = (
+                reached > SPARE * ess
+                and begin >= LEAST_CHECKS * CHECK_STEPS
+                and begin > LEAST_TIMES * autocorrelation
+            )
+            if enough and _has_converged(target, _chain(sampler, burn_in), ess):
+                return autocorrelation, burn_in
+            if begin >= max_steps:
+                return autocorrelation, burn_in
+        steps = min(CHECK_STEPS, max_steps - begin)
         for latest in sampler.sample(state, iterations=steps):
             state = latest
             if target.interrupted:
                 raise KeyboardInterrupt
-        autocorrelation = _autocorrelation(sampler)
-        run = sampler.iteration
-        burn_in = min(int(BURN_IN_TIMES * autocorrelation), run // 2)
-        reached = sampler.nwalkers * (run - burn_in) / autocorrelation
-        if progress is not None:
-            progress(min(1.0, reached / (SPARE * ess)))
-        enough = (
-            reached > SPARE * ess
-            and run >= LEAST_CHECKS * CHECK_STEPS
-            and run > LEAST_TIMES * autocorrelation
-        )
-        if enough and _has_converged(target, _chain(sampler, burn_in), ess):
-            break
-        if run >= max_steps:
-            break
+        save(begin)
+
+
+def _autocorrelation_and_burn_in(sampler: Any) -> tuple[float, int]:
+    """Autocorrelation time, and the steps to discard."""
+    autocorrelation = _autocorrelation(sampler)
+    burn_in = min(int(BURN_IN_TIMES * autocorrelation), sampler.iteration // 2)
     return autocorrelation, burn_in
 
 
@@ -260,6 +289,5 @@ def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> None:
         },
     )
     tree.attrs.update(attributes)
-    partial = path.with_name(path.name + ".part")
-    tree.to_netcdf(partial, engine="h5netcdf")
-    partial.replace(path)
+    with whole_file(path) as part:
+        tree.to_netcdf(part, engine="h5netcdf")

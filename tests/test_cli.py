@@ -317,7 +317,7 @@ def test_files_are_written_whole(
     def broken(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.os, "fsync", broken)
+    monkeypatch.setattr(os, "fsync", broken)
     with pytest.raises(OSError, match="No space"):
         files.write_whole(path, b"new")
     assert path.read_text() == "old"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,16 +20,13 @@ from oed.dataset.columns import (
 )
 from oed.dataset.data import ColumnLayout, Dataset, consecutive
 from oed.measurement import Series
+from oed.whole_file import whole_file
 
 
 def save(path: Path, dataset: Dataset) -> None:
     """Write a readings file, whole or not at all. Raises OSError."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with whole_file(path) as part:
         part.write_text(to_csv(dataset), encoding="utf-8", newline="")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def to_csv(dataset: Dataset) -> str:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from oed.result import StudyResult
+from oed.whole_file import whole_file
 from pkm_reports import document
 from pkm_reports import html as html_writer
 from pkm_reports import pdf as pdf_writer
@@ -32,10 +32,6 @@ def write_report(
 
 def _write_whole(path: Path, page: bytes) -> Path:
     """Write a file so that it appears complete or not at all."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        unfinished.write_bytes(page)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with whole_file(path) as part:
+        part.write_bytes(page)
     return path

@@ -12,6 +12,7 @@ import msgspec
 
 from oed.result import PlannedReading, SetupInfo, StageRecord, StudyResult
 from oed.text import shorten
+from oed.whole_file import whole_file
 from pkm_reports import missing, pdf, text
 from pkm_reports.document import clean, footer
 
@@ -91,7 +92,8 @@ def write_sheet(
     page = pdf.compile_typst("sheet.typ", {"sheet.json": words})
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "measurement_sheet.pdf"
-    path.write_bytes(page)
+    with whole_file(path) as part:
+        part.write_bytes(page)
     return path
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from oed.whole_file import whole_file
 from pkm_studies.errors import InputError
 
 
@@ -20,15 +21,8 @@ def write_whole(path: Path, content: bytes | str) -> Path:
             "a folder of this name is in the way", "name a file", file=str(path)
         )
     out_folder(path.parent)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with part.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    finally:  # also where the user interrupts: nothing half-written stays
-        part.unlink(missing_ok=True)
+    with whole_file(path) as part:
+        part.write_bytes(data)
     return path
 
 

@@ -79,13 +79,19 @@ def run(
 ) -> StudyResult:
     """Run everything that the study asks for, and write its files into `out`.
 
-    `readings` replace those that the study names. Raises InputError for what cannot be
-    done, IdentificationError where a fit fails.
+    `readings` replace those that the study names. Where `out` holds the unfinished
+    posterior of an interrupted run with the same study, readings and seed, that is
+    resumed. Raises InputError for what cannot be done, IdentificationError where a fit
+    fails.
     """
     state = start(study, seed, progress or Silent(), readings)
     files.out_folder(out)
+    checkpoint = result_folder.checkpoint(out, study, state.seed)
     steps = READINGS_GIVEN if state.readings_given else STUDY
-    return _finish(_follow(steps, state), out, report=report)
+    state = _follow(steps, state.replace(checkpoint=checkpoint))
+    study_result = _finish(state, out, report=report)
+    checkpoint.clear()
+    return study_result
 
 
 def diagnose(

@@ -8,7 +8,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+import oed
 from oed import dataset, posterior
+from oed.checkpoint import Checkpoint
 from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
 from oed.result import StudyResult
@@ -18,9 +20,18 @@ from pkm_studies.run_state import RunState
 from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.stages.plan import files as plan_files
 from pkm_studies.stages.plan.section import PlanOutcome
+from pkm_studies.study import Study
 
+#: folder of an unfinished posterior
+UNFINISHED = "posterior.unfinished"
 #: bytes of the largest result that is read
 LIMIT = 1 << 28
+
+
+def checkpoint(folder: Path, study: Study, seed: int) -> Checkpoint:
+    """Where a run with this study and seed saves its unfinished posterior."""
+    key = "\n".join([oed.__version__, str(seed), study.text])
+    return Checkpoint(folder / UNFINISHED, key)
 
 
 def write(folder: Path, result: StudyResult, state: RunState, *, sheet: bool) -> None:

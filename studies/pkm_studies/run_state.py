@@ -13,6 +13,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.assessment import Assessment
+from oed.checkpoint import Checkpoint
 from oed.identification import Estimate
 from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
@@ -83,6 +84,7 @@ class RunState:
     readings         what is fitted, held out or only planned
     identifiability  verdict on the readings
     estimate         identified parameters
+    checkpoint       where an unfinished chain of draws is saved, if anywhere
     posterior        draws about the estimate
     sections         sections of the result so far
     warnings         sentences that a user must know
@@ -102,6 +104,7 @@ class RunState:
     readings: Readings | None = None
     identifiability: Assessment | None = None
     estimate: Estimate | None = None
+    checkpoint: Checkpoint | None = None
     posterior: Posterior | None = None
     sections: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     warnings: tuple[str, ...] = ()

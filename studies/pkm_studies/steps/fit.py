@@ -51,6 +51,10 @@ def sample_posterior(state: RunState) -> RunState:
         ess=float(table.ess),
         max_steps=table.steps,
         progress=state.progress.share,
+        checkpoint=state.checkpoint,
+        resumed=lambda steps: state.progress.stage(
+            f"posterior, resumed after {steps} steps"
+        ),
     )
     corner = state.study.report.corner
     section = posterior_section(state.measurement, state.estimate, draws, corner)

@@ -1,0 +1,108 @@
+"""A run that is killed and called again ends as the unbroken one."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import sample
+import xarray as xr
+
+from oed import checkpoint
+from pkm_studies import cli
+
+STUDY = (
+    sample.DELTA
+    + "[readings]\nfiles = ['r.csv']\n[posterior]\nsteps = 300\ness = 1000000\n"
+    + "[report]\nhtml = false\npdf = false\n"
+)
+
+
+class KilledError(Exception):
+    """Stands for a kill after the first block of the chain is saved."""
+
+
+def command(study: Path, out: Path) -> list[str]:
+    return ["run", str(study), "--quiet", "--out", str(out)]
+
+
+def written(folder: Path) -> tuple[bytes, dict[str, object]]:
+    """Draws and result of a run, without the time that it took."""
+    with xr.open_datatree(folder / "posterior.nc", engine="h5netcdf") as tree:
+        draws = tree["posterior"]["theta"].to_numpy().tobytes()
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    return draws, {key: value for key, value in result.items() if key != "seconds"}
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_run_resumes_by_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = tmp_path / "s.study.toml"
+    study.write_text(STUDY, encoding="utf-8")
+    (tmp_path / "r.csv").write_text(sample.DELTA_READINGS, encoding="utf-8")
+    save = checkpoint.Chain.save
+
+    def kill_after_saving(chain: checkpoint.Chain, begin: int) -> None:
+        save(chain, begin)
+        raise KilledError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint.Chain, "save", kill_after_saving)
+        with pytest.raises(KilledError):
+            cli.main(command(study, tmp_path / "killed"))
+    assert names(tmp_path / "killed") == {"posterior.unfinished"}
+    assert cli.main(command(study, tmp_path / "unbroken")) == 0
+    capsys.readouterr()
+    resumed = [a for a in command(study, tmp_path / "killed") if a != "--quiet"]
+    assert cli.main(resumed) == 0
+    assert "posterior, resumed after 250 steps" in capsys.readouterr().out
+    assert written(tmp_path / "killed") == written(tmp_path / "unbroken")
+    assert names(tmp_path / "killed") == names(tmp_path / "unbroken")
+
+
+@pytest.mark.slow
+def test_killed_ten_times_at_random_in_earnest(tmp_path: Path) -> None:
+    """SIGKILL at ten random times, wherever the run is; then to its end."""
+    study = tmp_path / "s.study.toml"
+    (tmp_path / "r.csv").write_text(sample.DELTA_READINGS, encoding="utf-8")
+    study.write_text(
+        sample.changed(STUDY, ("steps = 300", "steps = 5000")), encoding="utf-8"
+    )
+    calls = {
+        name: [
+            sys.executable,
+            "-m",
+            "pkm_studies.cli",
+            *command(study, tmp_path / name),
+        ]
+        for name in ("unbroken", "killed")
+    }
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    begin = time.monotonic()
+    subprocess.run(calls["unbroken"], check=True, env=environment)
+    duration = time.monotonic() - begin
+    rng = random.Random(11)
+    kills = 0
+    while kills < 10:
+        process = subprocess.Popen(calls["killed"], env=environment)
+        try:
+            process.wait(timeout=rng.uniform(0.2, 0.9) * duration)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        kills += 1
+        for path in (tmp_path / "killed").glob("*.json"):
+            json.loads(path.read_text(encoding="utf-8"))
+    subprocess.run(calls["killed"], check=True, env=environment)
+    assert written(tmp_path / "killed") == written(tmp_path / "unbroken")
+    assert names(tmp_path / "killed") == names(tmp_path / "unbroken")
