@@ -327,7 +327,7 @@ def test_refused_with_row_and_column(
         ("setup,run,order\ncup,\xfc,1\n".encode("latin-1"), "UTF-8"),
         (b"setup,run,order\n\0", "NUL"),
         (b'setup,run,order\n"a,b\n', "CSV"),
-        (b"setup;run;order\n1;2;3\n", "commas"),
+        (b"setup;run;order\n1;2\n", "2 cells"),
         (
             b"setup,run,order," + b",".join(b"q%d_mm" % k for k in range(300)) + b"\n",
             "too many",

@@ -1,7 +1,7 @@
 """A readings file (`*.readings.csv`) as a table of checked cells, without a machine.
 
-One row a reading, UTF-8, commas, a header with the unit in each column's name. Rows are
-counted as a spreadsheet shows them: the header is row 1.
+One row a reading, a header with the unit in each column's name. Rows are counted as a
+spreadsheet shows them: the header is row 1. Remarks are not read.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import difflib
-import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ import pandas as pd
 
 from oed import units
 from oed.arrays import Array, Mask
+from oed.dataset import dialect
 from oed.dataset.columns import (
     LABELS,
     REQUIRED,
@@ -28,6 +28,7 @@ from oed.dataset.columns import (
     column_names,
     parse_column,
 )
+from oed.dataset.dialect import Row, Table
 from oed.text import shorten
 
 MAX_BYTES: Final = 64_000_000
@@ -42,9 +43,6 @@ ORDER_REMEDY: Final = "count the readings of a run in time: 1, 2, 3"
 ENCODING_REMEDY: Final = "save it as CSV in UTF-8"
 #: characters of a name or value in an error
 SHOWN: Final = 40
-
-#: number of a row in its file, and its cells
-Row = tuple[int, Sequence[str]]
 
 
 class ReadingsError(ValueError):
@@ -122,14 +120,21 @@ def read(path: Path, expected: Mapping[str, str] | None = None) -> ReadingsFile:
     a wrong unit exact. Raises ReadingsError for the first problem, OSError where the
     file is not there.
     """
-    rows = _rows(_text(path), str(path), expected or {})
-    return from_rows(rows, str(path), expected)
+    split = dialect.split(_text(path))
+    rows = _rows(split, str(path), expected or {})
+    return from_rows(rows, str(path), expected, split.separator)
 
 
 def from_rows(
-    rows: Sequence[Row], file: str, expected: Mapping[str, str] | None = None
+    rows: Sequence[Row],
+    file: str,
+    expected: Mapping[str, str] | None = None,
+    separator: str = ",",
 ) -> ReadingsFile:
-    """Make a table from numbered rows of cells, the header first; else as `read`."""
+    """Make a table from numbered rows of cells, the header first; else as `read`.
+
+    Numbers may have decimal commas where `separator` is another sign.
+    """
     columns = _header(rows[0][1], file, expected or {})
     body = rows[1:]
     if not body:
@@ -138,10 +143,13 @@ def from_rows(
         )
     numbers = np.array([number for number, _ in body])
     frame = pd.DataFrame({FILE: file, ROW: numbers})
-    for k, (stem, column) in enumerate(columns.items()):
+    names = [cell.strip() for cell in rows[0][1]]
+    for stem, column in columns.items():
+        k = names.index(column.name)
         text = [cells[k].strip() for _, cells in body]
         is_label = stem in LABELS
-        frame[stem] = text if is_label else _numbers(column, text, numbers, file)
+        points = dialect.with_decimal_points(text, separator)
+        frame[stem] = text if is_label else _numbers(column, points, numbers, file)
     table = ReadingsFile(file, frame, columns)
     _check_labels(table)
     _check_order(table)
@@ -160,7 +168,7 @@ def _text(path: Path) -> str:
         problem = f"{size / units.MEGABYTE:.0f} MB is too large for readings"
         raise ReadingsError(problem, f"split it: at most {largest}", file=file)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = dialect.decode(path.read_bytes())
     except UnicodeDecodeError as error:
         problem = f"the file is no UTF-8 text (byte {error.start + 1})"
         raise ReadingsError(problem, ENCODING_REMEDY, file=file) from None
@@ -172,19 +180,16 @@ def _text(path: Path) -> str:
     return text
 
 
-def _rows(text: str, file: str, expected: Mapping[str, str]) -> list[Row]:
+def _rows(split: Table, file: str, expected: Mapping[str, str]) -> list[Row]:
     """Numbered rows of cells, blank ones left out. Raises ReadingsError if ragged."""
     rows: list[Row] = []
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
-        for number, cells in enumerate(reader, start=1):
-            if not any(cell.strip() for cell in cells):
-                continue
+        for number, cells in split.rows():
             if rows:
-                _check_length(cells, rows[0][1], number, file)
+                rows.append((number, _in_columns(cells, rows[0][1], number, file)))
             else:
                 _header(cells, file, expected)
-            rows.append((number, cells))
+                rows.append((number, cells))
     except csv.Error:
         raise ReadingsError(
             "the lines are no CSV", HEADER_REMEDY, file=file, row=len(rows) + 1
@@ -192,16 +197,36 @@ def _rows(text: str, file: str, expected: Mapping[str, str]) -> list[Row]:
     return rows
 
 
-def _check_length(
+def _in_columns(
     cells: Sequence[str], header: Sequence[str], number: int, file: str
-) -> None:
-    if len(cells) != len(header):
+) -> Sequence[str]:
+    """One cell a column. Only remarks may be missing at the end, or empty cells follow.
+
+    Raises ReadingsError.
+    """
+    names = [name.strip() for name in header]
+    missing, surplus = names[len(cells) :], cells[len(names) :]
+    if any(cell.strip() for cell in surplus) or not all(
+        map(dialect.is_unread, missing)
+    ):
         raise ReadingsError(
-            f"{len(cells)} cells, but the header has {len(header)}",
+            f"{len(cells)} cells, but the header has {len(names)}",
             "give one cell a column, empty where there is none",
             file=file,
             row=number,
         )
+    row = [*cells[: len(names)], *[""] * len(missing)]
+    for name, cell in zip(names, row, strict=True):
+        if not name and cell.strip():
+            raise ReadingsError(
+                "the column has no name",
+                "name it in the header: a text for yourself is a remark",
+                file=file,
+                row=number,
+                column="?",
+                value=cell.strip(),
+            )
+    return row
 
 
 def _header(
@@ -210,10 +235,6 @@ def _header(
     """Columns by stem, in order. Raises ReadingsError."""
     names = [cell.strip() for cell in cells]
     missing = [name for name in REQUIRED if name not in names]
-    if missing and len(names) == 1 and ";" in names[0]:
-        problem = "cells are separated by semicolons"
-        remedy = "use commas, and points in numbers"
-        raise ReadingsError(problem, remedy, file=file, row=1)
     if missing:
         raise ReadingsError(
             f"the column {missing[0]} is missing",
@@ -227,6 +248,8 @@ def _header(
         raise ReadingsError(problem, HEADER_REMEDY, file=file, row=1)
     columns: dict[str, ReadingsColumn] = {}
     for name in names:
+        if dialect.is_unread(name):
+            continue
         column = _column(name, file, expected)
         if column.stem in columns:
             problem = f"{column.stem} is given twice"
@@ -245,7 +268,7 @@ def _column(name: str, file: str, expected: Mapping[str, str]) -> ReadingsColumn
             _unit_remedy(name, expected),
             file=file,
             row=1,
-            column=name or "?",
+            column=name,
         ) from None
 
 
@@ -272,7 +295,9 @@ def _numbers(
     if bad.size:
         k = int(bad[0])
         remedy = "leave the cell empty where no reading was taken"
-        if "," in text[k]:
+        if "," in text[k] and "." in text[k]:
+            remedy = "write one decimal sign, and no sign between thousands"
+        elif "," in text[k]:
             remedy = "write decimals with a point"
         raise ReadingsError(
             "not a finite number",

@@ -1,0 +1,89 @@
+"""How a program wrote a table as text: separator, decimal sign, encoding, remarks.
+
+Spreadsheets set to German or French write semicolons and decimal commas, mark UTF-8 or
+UTF-16 by a byte order mark, and leave out trailing empty cells. Python's `csv.Sniffer`
+guesses the separator from letter frequencies; here the header decides, as three of its
+columns are known.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import dataclasses
+import io
+import re
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from oed.dataset.columns import REQUIRED
+
+#: separators of cells; the first is the format's own
+SEPARATORS: Final = (",", ";", "\t")
+#: Excel's line that names the separator; spreadsheets do not show it as a row
+SEPARATOR_LINE: Final = re.compile(r"\s*\"?sep=(.)\"?[ \t]*\r?\n", re.IGNORECASE)
+#: columns of text for the reader alone, also numbered: `remark`, `remark_2`
+REMARK: Final = re.compile(r"(remark|comment|note)s?(_\w+)?", re.IGNORECASE)
+#: a number with a decimal comma
+DECIMAL_COMMA: Final = re.compile(r"[+-]?\d*,\d+(e[+-]?\d+)?", re.IGNORECASE)
+
+#: number of a row in its file, and its cells
+Row = tuple[int, Sequence[str]]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Table:
+    """Text of a readings file split into cells.
+
+    separator  between cells
+    text       without a line that names the separator
+    """
+
+    separator: str
+    text: str
+
+    def rows(self) -> Iterator[Row]:
+        """Numbered rows that are not blank. Raises csv.Error."""
+        lines = io.StringIO(self.text, newline="")
+        reader = csv.reader(lines, delimiter=self.separator, strict=True)
+        for number, cells in enumerate(reader, start=1):
+            if any(cell.strip() for cell in cells):
+                yield number, cells
+
+
+def decode(content: bytes) -> str:
+    """Text of a file in UTF-8, or in UTF-16 with a byte order mark.
+
+    Raises UnicodeDecodeError.
+    """
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16")
+    return content.decode("utf-8-sig")
+
+
+def split(text: str) -> Table:
+    """The table of a text. A header without the known columns counts as commas."""
+    stated = SEPARATOR_LINE.match(text)
+    if stated is not None and stated[1] in SEPARATORS:
+        return Table(stated[1], text[stated.end() :])
+    header = text.lstrip().partition("\n")[0]
+    for separator in SEPARATORS:
+        names = {name.strip(' \t\r"') for name in header.split(separator)}
+        if names.issuperset(REQUIRED):
+            return Table(separator, text)
+    return Table(SEPARATORS[0], text)
+
+
+def is_unread(name: str) -> bool:
+    """Whether a column is a remark, or has no name at all."""
+    return not name or REMARK.fullmatch(name) is not None
+
+
+def with_decimal_points(cells: Sequence[str], separator: str) -> list[str]:
+    """Numbers with a decimal point, where commas do not separate cells.
+
+    A number with both signs stays as it is: which of them groups thousands is unknown.
+    """
+    if separator == SEPARATORS[0]:
+        return list(cells)
+    return [c.replace(",", ".") if DECIMAL_COMMA.fullmatch(c) else c for c in cells]
