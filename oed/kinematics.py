@@ -32,6 +32,7 @@ from oed.expressions import (
     strut_ends,
     twist_slope,
 )
+from oed.inverse import AssemblyError, InverseKinematics
 from oed.machine import Machine
 
 #: reciprocal condition number of phi_x (lengths over the lever) below which a pose
@@ -39,19 +40,13 @@ from oed.machine import Machine
 SINGULAR_BELOW = 1e-6
 #: steps in which joints without a command are followed from the home pose
 HOMING_STEPS = 20
+#: the same, where the first steps are too long
+FINER_HOMING_STEPS = 400
 #: pose numbers that an error lists
 LISTED = 8
 
 
-class AssemblyError(RuntimeError):
-    """The closure cannot be satisfied at some poses: out of reach, or singular.
-
-    `indices` are the indices of these poses, flat.
-    """
-
-    def __init__(self, message: str, indices: Index) -> None:
-        super().__init__(message)
-        self.indices = indices
+__all__ = ["AssemblyError", "Kinematics"]
 
 
 class Kinematics:
@@ -63,21 +58,14 @@ class Kinematics:
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         e = machine_expressions(machine)
-        x, q, p, c = e.x, e.q, e.p, e.c
-        pairs = zip(e.commanded, e.target, strict=True)
-        unmet = ca.vertcat(e.phi, *[held - wanted for held, wanted in pairs])
-        xq = ca.vertcat(x, q)
+        x, q, p = e.x, e.q, e.p
         balance = e.balance
         by_x = ca.jacobian(balance, x)
         slopes = [by_x, ca.jacobian(balance, p), ca.jacobian(balance, q)]
         commanded = ca.jacobian(ca.vertcat(*e.commanded), x)
         frame = [e.rotation, e.tip, twist_slope(e.rotation, e.tip, x)]
-        start = [ca.vertcat(*values) for values in machine.guess(e.c_by_name)]
 
-        self._start = BatchedFunction("start", [c], start)
-        self._inverse = BatchedFunction(
-            "inverse", [x, q, p, c, e.tool], [unmet, ca.jacobian(unmet, xq)]
-        )
+        self._inverse = InverseKinematics(machine, e)
         self._forward = BatchedFunction("forward", [x, q, p], [balance, by_x])
         self._slopes = BatchedFunction("slopes", [x, q, p], slopes)
         self._closure_slope = BatchedFunction(
@@ -90,7 +78,6 @@ class Kinematics:
         self._components, self._components_slope = _component_functions(machine, e)
         self._struts = _strut_function(machine, e)
         self._skeleton = _skeleton_functions(machine, e)
-        self._home_sign: float | None = None
 
     # -- the controller ----------------------------------------------------------------
 
@@ -107,56 +94,7 @@ class Kinematics:
         command = np.atleast_2d(np.asarray(command, dtype=float))
         parameters = self.machine.nominal if p is None else p
         tool = np.zeros(3) if tool is None else np.asarray(tool, dtype=float)
-        nx = len(self.machine.pose)
-
-        def equations(z: Array, rows: Index) -> list[Array]:
-            x, q = z[:, :nx], z[:, nx:]
-            used = parameters if parameters.ndim == 1 else parameters[rows]
-            return self._inverse(x, q, used, command[rows], tool)
-
-        start = np.hstack(self._start(command))
-        z, failed = newton.solve(equations, start, limited=nx)
-        if failed.any():
-            raise self._command_error(command, failed, "out of reach or singular")
-        x, q = z[:, :nx], z[:, nx:]
-        side = self._assembly_side(x, q, parameters)
-        mirrored: Mask = np.less(side * self._home_side(), 0.0)
-        if mirrored.any():
-            raise self._command_error(command, mirrored, "in another assembly mode")
-        return x, q
-
-    def _assembly_side(self, x: Array, q: Array, p: Array) -> Array:
-        """Sign (n,) of det(phi_x), which differs between assembly modes on either side
-        of a singularity; 0 for a redundant machine.
-        """
-        phi_x = self._closure_slope(x, q, p)[0]
-        if phi_x.shape[1] != phi_x.shape[2]:
-            return np.zeros(len(x))
-        return np.asarray(np.linalg.slogdet(phi_x)[0])
-
-    def _home_side(self) -> float:
-        """Sign of det(phi_x) at the home pose, in whatever mode it assembles."""
-        if self._home_sign is None:
-            self._home_sign = 0.0  # accepts any mode for the home pose itself
-            x, q = self.inverse(self.machine.home_command)
-            side = self._assembly_side(x, q, self.machine.nominal)
-            self._home_sign = float(side[0])
-        return self._home_sign
-
-    def _command_error(
-        self, command: Array, failed: Mask, reason: str
-    ) -> AssemblyError:
-        first = command[np.flatnonzero(failed)[0]]
-        values = ", ".join(
-            f"{coordinate.name} = {value:.6g} {coordinate.unit}"
-            for coordinate, value in zip(self.machine.command, first, strict=True)
-        )
-        return AssemblyError(
-            f"{self.machine.name}: {int(failed.sum())} of {failed.size} commanded poses"
-            f" cannot be assembled, the first at {values}: {reason}; move it into the"
-            " workspace, check tool and unit, or, well inside, the machine's guess",
-            np.flatnonzero(failed),
-        )
+        return self._inverse.solve(command, parameters, tool)
 
     # -- the machine -------------------------------------------------------------------
 
@@ -203,7 +141,10 @@ class Kinematics:
         def equations(x: Array, rows: Index) -> list[Array]:
             return self._forward(x, all_q[rows], all_p[rows])
 
-        x, failed = newton.solve(equations, all_x.copy(), step_tolerance)
+        longest = newton.longest_step(self.machine.lever)
+        x, failed = newton.solve(
+            equations, all_x.copy(), step_tolerance, longest=longest
+        )
         if p.ndim == 1:
             return x, failed
         return x.reshape(m, n, -1), failed.reshape(m, n)
@@ -214,7 +155,10 @@ class Kinematics:
         def equations(x: Array, rows: Index) -> list[Array]:
             return self._forward(x, q[rows], p[rows])
 
-        x, failed = newton.solve(equations, np.array(start, dtype=float))
+        longest = newton.longest_step(self.machine.lever)
+        x, failed = newton.solve(
+            equations, np.array(start, dtype=float), longest=longest
+        )
         if failed.any():
             poses = np.flatnonzero(failed)
             raise AssemblyError(
@@ -245,10 +189,39 @@ class Kinematics:
         They are followed from the home pose in small steps. Raises AssemblyError.
         """
         home_x, home_q = self.inverse(self.machine.home_command)
+        try:
+            return self._follow_joints(home_x, home_q, q, HOMING_STEPS)
+        except AssemblyError:
+            return self._follow_joints(home_x, home_q, q, FINER_HOMING_STEPS)
+
+    def _follow_joints(
+        self, home_x: Array, home_q: Array, q: Array, steps: int
+    ) -> Array:
+        """Poses (n, nx) followed from home to joints q (n, nq). Raises AssemblyError."""
+        p = self.machine.nominal
         x = np.broadcast_to(home_x, (q.shape[0], home_x.shape[1]))
-        for share in np.linspace(0.0, 1.0, HOMING_STEPS + 1)[1:]:
-            x = self.forward(home_q + share * (q - home_q), self.machine.nominal, x)
+        side = self.assembly_side(home_x, home_q, p)
+        for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+            joints = home_q + share * (q - home_q)
+            x = self.forward(joints, p, x)
+            crossed = np.flatnonzero(side * self.assembly_side(x, joints, p) < 0.0)
+            if crossed.size:
+                raise AssemblyError(
+                    f"{self.machine.name}: pose numbers {_listed(crossed)} change the"
+                    " assembly mode on the way from the home pose; check joint values"
+                    " and their unit, or give the commanded poses",
+                    crossed,
+                )
         return x
+
+    def assembly_side(self, x: Array, q: Array, p: Array) -> Array:
+        """Sign (n,) of det(phi_x), which differs between assembly modes on either side
+        of a singularity; 0 for a redundant machine.
+        """
+        phi_x = self._closure_slope(x, q, p)[0]
+        if phi_x.shape[1] != phi_x.shape[2]:
+            return np.zeros(len(x))
+        return np.asarray(np.linalg.slogdet(phi_x)[0])
 
     def parameter_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dp (n, nx, np) at fixed joints."""

@@ -8,6 +8,7 @@ coordinates q and geometric parameters p. A new machine is one module that build
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -22,6 +23,8 @@ Expr = Any
 Values = Mapping[str, Expr]
 #: Ends of a strut, at the base and at the platform.
 Strut = tuple[Expr, Expr]
+#: Pose and joints from which Newton's method starts.
+Start = tuple[Sequence[Expr], Sequence[Expr]]
 #: Tool point (3,), m, relative to the reference tool's.
 Tool = Sequence[float]
 
@@ -103,6 +106,41 @@ def _translation_error(command: Values, twist: Sequence[Expr]) -> Sequence[Expr]
     return list(twist[:3])
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class Dimension:
+    """One entry of a family's table of geometry.
+
+    name     as in the table, without its unit
+    unit     SI unit
+    shape    () for a number, (3,) or (6, 3) for a list; None for a length that the user
+             chooses, as in (None, 2)
+    default  SI value; None where the family derives it from the others
+    about    what it is
+    """
+
+    name: str
+    unit: str
+    shape: tuple[int | None, ...]
+    default: Any
+    about: str
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Family:
+    """Machines of one architecture and any geometry.
+
+    name            as the model in a study
+    dimensions      the table of geometry
+    build(geometry) the machine of these SI values by name, arrays or numbers; entries
+                    that are left out are derived. Raises ValueError, in a sentence,
+                    where they make no machine
+    """
+
+    name: str
+    dimensions: tuple[Dimension, ...]
+    build: Callable[[Mapping[str, Any]], Machine]
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Machine:
     """A parallel machine, defined by its closure.
@@ -126,7 +164,9 @@ class Machine:
     commanded(x, tip)    quantities that the controller holds, one a degree of freedom;
                          `tip` is the tool point (3,) of the set-up's tool
     target(c)            the same quantities as functions of the user's command
-    guess(c)             start of Newton's method at a command: pose and joint values
+    guess(c)             start of Newton's method at a command: pose and joint
+                         values; as guess(c, p) it follows the parameters, so that the
+                         machine assembles at any size
     read_error(c, twist) components of a small pose error [translation, rotation
                          vector] of the tool point
     skeleton(x, q, p)    polylines of points (3,), for drawings
@@ -134,6 +174,9 @@ class Machine:
                          points (3,) in the base frame. Gravity, heat and bending act on
                          struts. The first row of the closure that holds joint k is the
                          distance of its ends less the strut's length, m
+    drawn                the machine as drawn, where `nominal` or `home` are those of
+                         another; its home pose states the assembly mode that is meant
+    family               what made the machine from a table of geometry, if anything did
     """
 
     name: str
@@ -149,13 +192,15 @@ class Machine:
     platform: Callable[[Values], tuple[Expr, Expr]]
     commanded: Callable[[Values, Expr], Sequence[Expr]]
     target: Callable[[Values], Sequence[Expr]]
-    guess: Callable[[Values], tuple[Sequence[Expr], Sequence[Expr]]]
+    guess: Callable[..., Start]
     read_error: Callable[[Values, Sequence[Expr]], Sequence[Expr]] = _translation_error
     skeleton: Callable[[Values, Values, Values], Sequence[Sequence[Expr]]] | None = None
     struts: Callable[[Values, Values, Values], Sequence[Strut]] | None = None
     frame: tuple[str, ...] = ()
     groups: tuple[PointGroup, ...] = ()
     about: str = ""
+    drawn: Machine | None = None
+    family: Family | None = None
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
@@ -202,7 +247,13 @@ class Machine:
             raise ValueError(
                 f"machine {self.name}: a new parameter table must keep names and order"
             )
-        return dataclasses.replace(self, parameters=tuple(parameters))
+        drawn = self.drawn or self
+        return dataclasses.replace(self, parameters=tuple(parameters), drawn=drawn)
+
+    def start(self, c: Values, p: Values) -> Start:
+        """Start of Newton's method at a command and parameters: pose and joints."""
+        follows = len(inspect.signature(self.guess).parameters) > 1
+        return self.guess(c, p) if follows else self.guess(c)
 
     def out_of_range(
         self, command: Array, tool: Tool = (0.0, 0.0, 0.0)

@@ -15,6 +15,8 @@ MAX_ITERATIONS = 30
 #: Longest step (m, rad). Longer ones are shortened, which keeps the assembly mode of
 #: the start.
 MAX_STEP = 0.2
+#: Longest step of a large machine, over its lever
+LARGE_STEP = 0.1
 
 #: values (n, k) and slopes (n, k, k) of the rows of z, and which rows they are
 Equations = Callable[[Array, Index], list[Array]]
@@ -25,12 +27,14 @@ def solve(
     z: Array,
     step_tolerance: float = STEP_TOLERANCE,
     limited: int | None = None,
+    longest: float = MAX_STEP,
 ) -> tuple[Array, Mask]:
     """Solve for all rows of z (n, k), in place; rows are left alone once they converge.
 
     step_tolerance  size of a step (m, rad) after which a row has converged
     limited         number of leading entries whose steps are limited, all by default:
                     a pose; joints may count turns
+    longest         longest step of these entries
 
     Returns z, and the mask (n,) of the rows that failed.
     """
@@ -43,13 +47,18 @@ def solve(
         move = np.abs(step[:, :limited]).max(axis=1)
         finite = np.isfinite(size)
         failed[active[~finite]] = True
-        factor = np.minimum(1.0, MAX_STEP / np.maximum(move[finite], MAX_STEP))
+        factor = np.minimum(1.0, longest / np.maximum(move[finite], longest))
         z[active[finite]] -= step[finite] * factor[:, None]
         active = active[finite & (size > step_tolerance)]
         if not active.size:
             break
     failed[active] = True
     return z, failed
+
+
+def longest_step(lever: float) -> float:
+    """Longest step for a machine of this size (its lever, m)."""
+    return max(min(MAX_STEP, lever), LARGE_STEP * lever)
 
 
 def solve_linear(matrix: Array, right: Array) -> Array:

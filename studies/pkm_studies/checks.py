@@ -9,6 +9,7 @@ from pathlib import Path
 from oed.kinematics import AssemblyError
 from pkm_studies import shipped, sources
 from pkm_studies.errors import InputError, SourceAbsentError
+from pkm_studies.resolve.machine import has_own_numbers, unreachable
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
 from pkm_studies.study import Study, load
 
@@ -54,7 +55,11 @@ def _content(study: Study, resolved: ResolvedStudy) -> str:
         "claim": len(study.expect),
     }
     parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in counts.items() if n]
-    return "; ".join([f"sound: {', '.join(parts)}", *resolved.warnings])
+    sentences = [f"sound: {', '.join(parts)}", *resolved.warnings]
+    if has_own_numbers(study.machine):
+        sentence = unreachable(resolved.machine)
+        sentences += [sentence] if sentence else []
+    return "; ".join(sentences)
 
 
 def _check_readings(path: Path, resolved: Sequence[ResolvedStudy]) -> str:

@@ -53,7 +53,7 @@ def _check_closure(machine: Machine, place: Place) -> None:
 
 
 def _check_sizes(machine: Machine, place: Place) -> None:
-    x, q, _, c = _named_symbols(machine)
+    x, q, p, c = _named_symbols(machine)
     rotation, point = _call("platform", lambda: machine.platform(x), place)
     _check_same("platform (rotation)", ca.SX(rotation).shape, (3, 3), place)
     _check_same("platform (point)", ca.SX(point).numel(), 3, place)
@@ -63,7 +63,9 @@ def _check_sizes(machine: Machine, place: Place) -> None:
         "commanded", lambda: len(machine.commanded(x, ca.SX.zeros(3))), place
     )
     _check_same("commanded", commanded, len(c), place)
-    guess = _call("guess", lambda: tuple(len(part) for part in machine.guess(c)), place)
+    guess = _call(
+        "guess", lambda: tuple(len(part) for part in machine.start(c, p)), place
+    )
     sizes = len(x), len(q)
     _check_same("guess (values for pose and joints)", guess, sizes, place)
 
@@ -93,9 +95,11 @@ def _check_numbers(machine: Machine, place: Place) -> None:
     closure = ca.Function(
         "closure", [pose[0], joints[0], parameters[0]], [ca.vertcat(*rows)]
     )
-    parts = [ca.vertcat(*part) for part in machine.guess(command[1])]
-    guess = ca.Function("guess", [command[0]], parts)
-    value = closure(*guess(machine.home_command), machine.nominal)
+    start = machine.start(command[1], parameters[1])
+    parts = [ca.vertcat(*part) for part in start]
+    guess = ca.Function("guess", [command[0], parameters[0]], parts)
+    at_home = guess(machine.home_command, machine.nominal)
+    value = closure(*at_home, machine.nominal)
     if not np.isfinite(np.array(value)).all():
         remedy = (
             "use ca.cos, ca.sqrt and so on, not those of math, and a guess where roots"

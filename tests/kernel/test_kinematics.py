@@ -269,8 +269,8 @@ def four_legs() -> Kinematics:
             ca.norm_2(ca.vertcat(x["x"], x["y"], x["z"]) - top) - p["arm1"],
         ]
 
-    def guess(c: Values) -> tuple[list[Expr], list[Expr]]:
-        x, q = plain.guess(c)
+    def guess(c: Values, p: Values) -> tuple[list[Expr], list[Expr]]:
+        x, q = plain.guess(c, p)
         return list(x), [*q, q[0]]
 
     joints = (*plain.joints, Coordinate("q4", "m", -0.05, 0.6))

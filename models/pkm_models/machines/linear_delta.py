@@ -46,9 +46,14 @@ def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     return [ca.norm_2(_tool(x) - _carriage(i, q, p)) - p[f"arm{i}"] for i in TOWERS]
 
 
-def guess(c: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
-    """The commanded point, with all carriages at one height."""
-    return [c["x"], c["y"], c["z"]], [ENDSTOP - c["z"]] * 3
+def guess(c: Values, p: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
+    """The commanded point, and each carriage at the upper end of its arm."""
+    joints = []
+    for i in TOWERS:
+        lowered = _carriage(i, {f"q{i}": 0.0}, p)
+        across = (c["x"] - lowered[0]) ** 2 + (c["y"] - lowered[1]) ** 2
+        joints.append(lowered[2] - c["z"] - ca.sqrt(p[f"arm{i}"] ** 2 - across))
+    return [c["x"], c["y"], c["z"]], joints
 
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:

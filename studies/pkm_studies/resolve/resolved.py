@@ -15,12 +15,12 @@ from oed.arrays import Array
 from oed.instrument import Setup
 from oed.machine import Machine
 from oed.measurement import Measurement, Series
-from pkm_studies import catalogue
 from pkm_studies.resolve import candidates, grids, roles, setups, tolerances
 from pkm_studies.resolve.design import DesignRequest, design_request
 from pkm_studies.resolve.gap import GapRequest, gap_request
 from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
 from pkm_studies.resolve.grids import Circles, ReferencePlan
+from pkm_studies.resolve.machine import study_machine
 from pkm_studies.resolve.plan import PlanRequest, plan_request
 from pkm_studies.study import Study
 
@@ -135,9 +135,7 @@ def measurement_factory(
 
 
 def _machine_and_setups(study: Study) -> tuple[Machine, dict[str, Setup]]:
-    place = study.place.key("machine").key("model")
-    model = catalogue.machine(study.machine.model, study.folder, place)
-    machine = setups.nominal_machine(study, model)
+    machine = study_machine(study)
     mounted = setups.mounted_setups(study, machine)
     return tolerances.with_tolerances(study, machine, mounted)
 

@@ -19,18 +19,6 @@ from pkm_studies.study import Study
 from pkm_studies.study.tables import SetupTable
 
 
-def nominal_machine(study: Study, model: Machine) -> Machine:
-    """The model with the study's nominal numbers. Raises InputError."""
-    known = {p.name: p.unit for p in model.parameters}
-    place = study.place.key("machine").key("nominal")
-    nominal = quantities.read_values(study.machine.nominal, known, place)
-    parameters = [
-        dataclasses.replace(p, nominal=nominal.get(p.name, p.nominal))
-        for p in model.parameters
-    ]
-    return model.with_parameters(parameters)
-
-
 def mounted_setups(study: Study, machine: Machine) -> dict[str, Setup]:
     """Every [[setup]] by its name. Raises InputError."""
     place = study.place.key("setup")

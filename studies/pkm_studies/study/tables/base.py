@@ -14,6 +14,9 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Triple = tuple[float, float, float]
+Pair = tuple[float, float]
+#: a number, a list of numbers, or a list of points
+Numbers = float | list[float | list[float]]
 CriterionName = Literal[
     "D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5"
 ]

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from pkm_studies.study.tables.base import Count, Name, StudyTable, Triple
+from pkm_studies.study.tables.base import Count, Name, Numbers, Pair, StudyTable, Triple
 
 
 class MachineTable(StudyTable, frozen=True, kw_only=True):
     """[machine]: the model and its numbers.
 
-    model     a name of `oed list machines`, or a file of your own (`my.py:machine`)
-    nominal   numbers of your machine in place of the model's, as in `l1_mm = 350`
-    fixed     parameters that are not identified, in place of the model's list
+    model      a name of `oed list machines`, or a file of your own (`my.py:machine`)
+    geometry   sizes and joint places of a machine of a family, as in `arm_mm = 350`
+    nominal    numbers of your machine in place of the model's, as in `l1_mm = 350`
+    workspace  ranges of the command, as in `x_mm = [-100, 100]`
+    home       command of the home pose, as in `z_mm = 20`
+    travel     ranges of the joints, as in `q1_mm = [0, 600]`
+    fixed      parameters that are not identified, in place of the model's list
     """
 
     model: str
+    geometry: dict[str, Numbers] = {}
     nominal: dict[str, float] = {}
+    workspace: dict[str, Pair] = {}
+    home: dict[str, float] = {}
+    travel: dict[str, Pair] = {}
     fixed: list[str] | None = None
 
 

@@ -1,0 +1,100 @@
+"""What families of machines have in common: geometry by table, ranges, points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from oed.arrays import Array
+from oed.machine import Coordinate, Dimension, Expr, Parameter, Values
+
+#: a table of geometry, SI, by name
+Geometry = Mapping[str, Any]
+XYZ = "xyz"
+#: standard deviation of places and lengths over the machine's size, where none is given
+ACCURACY = 1e-3
+#: share by which joints may exceed what their nominal geometry needs
+JOINT_MARGIN = 0.5
+
+
+def completed(dimensions: Sequence[Dimension], geometry: Geometry) -> dict[str, Any]:
+    """The table with defaults in place of what is not given; None where derived."""
+    return {d.name: geometry.get(d.name, d.default) for d in dimensions}
+
+
+def tolerance_dimension() -> Dimension:
+    """The accuracy to which places and lengths are known before."""
+    about = "standard deviation of places and lengths; a thousandth of the size if none"
+    return Dimension("tolerance", "m", (), None, about)
+
+
+def tolerance(table: Geometry, size: float) -> float:
+    """Standard deviation of places and lengths, m."""
+    given = table["tolerance"]
+    return ACCURACY * size if given is None else float(given)
+
+
+def places(
+    stem: str, points: Array, sd: float, about: str, axes: str = XYZ
+) -> list[Parameter]:
+    """Coordinates of points (n, len(axes)): `b1x`, `b1y`, ..."""
+    return [
+        Parameter(f"{stem}{i}{k}", float(v), sd, "m", f"{k} of {about} {i}")
+        for i, point in enumerate(points, start=1)
+        for k, v in zip(axes, point, strict=True)
+    ]
+
+
+def numbers(
+    stem: str, values: Sequence[float], sd: float, unit: str, about: str
+) -> list[Parameter]:
+    """One parameter a limb: `l1`, `l2`, ..."""
+    return [
+        Parameter(f"{stem}{i}", float(v), sd, unit, f"{about} {i}")
+        for i, v in enumerate(values, start=1)
+    ]
+
+
+def point(p: Values, stem: str, i: int) -> Expr:
+    """Point (3,) of a limb."""
+    return ca.vertcat(*[p[f"{stem}{i}{k}"] for k in XYZ])
+
+
+def joint_ranges(lower: float, upper: float, count: int) -> tuple[Coordinate, ...]:
+    """Joints `q1`, `q2`, ... with one range, m, widened."""
+    margin = JOINT_MARGIN * (upper - lower)
+    low, high = lower - margin, upper + margin
+    return tuple(Coordinate(f"q{i + 1}", "m", low, high) for i in range(count))
+
+
+def as_rows(value: Any, count: int) -> Array:
+    """One number for each limb (count,), from one for all or one each."""
+    return np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy()
+
+
+def unit_vectors(value: Any, count: int) -> Array:
+    """Directions (count, 3) of length one. Raises ValueError for a zero direction."""
+    vectors = np.broadcast_to(np.asarray(value, dtype=float), (count, 3))
+    lengths = np.linalg.norm(vectors, axis=1)
+    if not (lengths > 0.0).all():
+        raise ValueError("a direction is zero: give three numbers that are not all 0")
+    return np.asarray(vectors / lengths[:, None])
+
+
+def ring(radius: float, degrees: Sequence[float], height: float) -> Array:
+    """Points (n, 3) on a horizontal circle."""
+    angles = [math.radians(d) for d in degrees]
+    return np.array(
+        [(radius * math.cos(a), radius * math.sin(a), height) for a in angles]
+    )
+
+
+def positive(table: Geometry, *names: str) -> None:
+    """Refuse lengths that are not above 0. Raises ValueError."""
+    for name in names:
+        if table[name] is not None and not (np.asarray(table[name]) > 0.0).all():
+            raise ValueError(f"{name} must be above 0")

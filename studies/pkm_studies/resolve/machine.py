@@ -1,0 +1,187 @@
+"""The machine of a study: its family's geometry, nominal numbers, workspace and home."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping
+
+import numpy as np
+
+from oed import units
+from oed.arrays import Array
+from oed.kinematics import AssemblyError, Kinematics
+from oed.machine import Coordinate, Dimension, Machine
+from pkm_studies import catalogue
+from pkm_studies.errors import Place
+from pkm_studies.resolve import quantities
+from pkm_studies.study import Study
+from pkm_studies.study.tables import MachineTable
+
+#: values of each coordinate at which the workspace is tried
+TRIED = 3
+#: most poses that are tried
+MOST_TRIED = 729
+REACH_REMEDY = (
+    "check the numbers and their units; give [machine] home and workspace, where they"
+    " are not the model's"
+)
+
+
+def study_machine(study: Study) -> Machine:
+    """The model with the study's numbers, assembled at home. Raises InputError."""
+    place, table = study.place.key("machine"), study.machine
+    model = catalogue.machine(table.model, study.folder, place.key("model"))
+    machine = _of_family(table, model, place)
+    machine = _with_nominal(table, machine, place)
+    machine = _with_ranges(table, machine, place)
+    if machine is not model:
+        _check_home(machine, place)
+    return machine
+
+
+def has_own_numbers(table: MachineTable) -> bool:
+    """Whether the study states another machine than the model."""
+    return bool(table.geometry or table.nominal or table.workspace or table.travel)
+
+
+def unreachable(machine: Machine) -> str | None:
+    """A sentence on poses of the workspace that cannot be assembled; None without.
+
+    Corners, middles of sides and centre are tried.
+    """
+    ends = [(c.lower, c.upper) for c in machine.command]
+    count = TRIED if TRIED ** len(ends) <= MOST_TRIED else TRIED - 1
+    axes = [np.linspace(low, high, count) for low, high in ends]
+    command = np.array(list(itertools.product(*axes)))
+    try:
+        Kinematics(machine).inverse(command)
+    except AssemblyError as error:
+        values = zip(machine.command, command[error.indices[0]], strict=True)
+        first = ", ".join(
+            f"{c.name} = {quantities.format_value(value, c.unit)}"
+            for c, value in values
+        )
+        return (
+            f"{error.indices.size} of {len(command)} poses at the ends and middles of"
+            f" the workspace cannot be reached, the first at {first}"
+        )
+    return None
+
+
+def _of_family(table: MachineTable, model: Machine, place: Place) -> Machine:
+    """The machine that [machine.geometry] describes."""
+    place = place.key("geometry")
+    if not table.geometry:
+        return model
+    if model.family is None:
+        problem = f"{model.name} has one geometry"
+        raise place.error(problem, "give its numbers as [machine.nominal]")
+    known = {d.name: d for d in model.family.dimensions}
+    geometry = {}
+    for key, value in table.geometry.items():
+        name, unit = quantities.split_key(
+            key, {n: d.unit for n, d in known.items()}, place
+        )
+        array = _array(value, place.key(key))
+        _check_shape(array, known[name], place.key(key))
+        geometry[name] = (
+            units.to_si(array, unit)
+            if array.ndim
+            else float(units.to_si(float(array), unit))
+        )
+    try:
+        return model.family.build(geometry)
+    except ValueError as error:
+        names = ", ".join(quantities.column(d.name, d.unit) for d in known.values())
+        raise place.error(str(error), f"the table may have {names}") from error
+
+
+def _array(value: object, place: Place) -> Array:
+    try:
+        return np.asarray(value, dtype=float)
+    except ValueError:
+        remedy = "give lists of the same length, one a point"
+        raise place.error("the rows differ in length", remedy) from None
+
+
+def _check_shape(array: Array, dimension: Dimension, place: Place) -> None:
+    """One number for all limbs, or the full shape. Raises InputError."""
+    wanted = dimension.shape
+    fits = len(wanted) == array.ndim and all(
+        n is None or n == m for n, m in zip(wanted, array.shape, strict=True)
+    )
+    one_for_all = array.shape == wanted[1:]
+    if not (fits or one_for_all):
+        counts = " x ".join("any" if n is None else str(n) for n in wanted) or "1"
+        given = " x ".join(map(str, array.shape)) or "1"
+        problem = f"{given} numbers, where {counts} belong"
+        raise place.error(problem, f"give {dimension.about}")
+
+
+def _with_nominal(table: MachineTable, model: Machine, place: Place) -> Machine:
+    if not table.nominal:
+        return model
+    known = {p.name: p.unit for p in model.parameters}
+    nominal = quantities.read_values(table.nominal, known, place.key("nominal"))
+    parameters = [
+        dataclasses.replace(p, nominal=nominal.get(p.name, p.nominal))
+        for p in model.parameters
+    ]
+    return model.with_parameters(parameters)
+
+
+def _with_ranges(table: MachineTable, model: Machine, place: Place) -> Machine:
+    """The machine with the study's workspace, joint ranges and home."""
+    if not (table.workspace or table.travel or table.home):
+        return model
+    command = _ranges(table.workspace, model.command, place.key("workspace"))
+    joints = _ranges(table.travel, model.joints, place.key("travel"))
+    known = {c.name: c.unit for c in model.command}
+    stated = quantities.read_values(table.home, known, place.key("home"))
+    home = dict(model.home) | stated
+    machine = dataclasses.replace(
+        model,
+        command=command,
+        joints=joints,
+        home=home,
+        drawn=model.drawn or model,
+    )
+    for _, name, *_ in machine.out_of_range(machine.home_command[None]):
+        key = quantities.column(name, known[name])
+        value = quantities.format_value(home[name], known[name])
+        problem = f"home has {name} = {value}, outside the workspace"
+        raise place.key("home").key(key).error(problem, "state a home pose inside")
+    return machine
+
+
+def _ranges(
+    table: Mapping[str, tuple[float, float]],
+    coordinates: tuple[Coordinate, ...],
+    place: Place,
+) -> tuple[Coordinate, ...]:
+    """Coordinates with the ranges of a table. Raises InputError."""
+    known = {c.name: c.unit for c in coordinates}
+    ranges = {}
+    for key, ends in table.items():
+        name, unit = quantities.split_key(key, known, place)
+        low, high = (float(v) for v in units.to_si(ends, unit))
+        if not low < high:
+            remedy = "give [lower, upper]"
+            raise place.key(key).error("the range is empty", remedy, list(ends))
+        ranges[name] = low, high
+    return tuple(
+        dataclasses.replace(c, lower=ranges[c.name][0], upper=ranges[c.name][1])
+        if c.name in ranges
+        else c
+        for c in coordinates
+    )
+
+
+def _check_home(machine: Machine, place: Place) -> None:
+    """Raises InputError where the home pose does not assemble in the model's mode."""
+    try:
+        Kinematics(machine).inverse(machine.home_command)
+    except AssemblyError as error:
+        problem = f"the home pose fails: {error}"
+        raise place.error(problem, REACH_REMEDY) from error

@@ -1,0 +1,187 @@
+"""Deltas of any size: readings against trilateration, the mode, refusals in studies."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from oracles import delta_trilateration
+from sample import refused, resolved
+
+from oed.kinematics import AssemblyError, Kinematics
+from oed.machine import Machine
+from pkm_models.machines import delta, linear_delta
+from pkm_studies.resolve.machine import unreachable
+
+STUDY = """\
+schema = 1
+name = "my_delta"
+
+[machine]
+model = "delta"
+geometry = { radius_mm = 800, arm_mm = [2000, 2001, 2002], endstop_mm = 1500 }
+
+[[setup]]
+name = "probe"
+instrument = "height_probe"
+"""
+SMALL = """\
+schema = 1
+name = "small_delta"
+
+[machine]
+model = "linear_delta"
+workspace = { x_mm = [-40, 40], y_mm = [-40, 40], z_mm = [0, 100] }
+
+[machine.nominal]
+radius_mm = 60
+arm1_mm = 130
+arm2_mm = 130
+arm3_mm = 130
+endstop1_mm = 150
+endstop2_mm = 150
+endstop3_mm = 150
+
+[[setup]]
+name = "probe"
+instrument = "height_probe"
+"""
+
+
+def _drawn(rng: np.random.Generator) -> Machine:
+    """A delta of 0.1 to 10 m with towers of their own, clockwise or not."""
+    size = 10.0 ** rng.uniform(-1.0, 1.0)
+    angles = np.deg2rad([210.0, 330.0, 90.0]) + rng.uniform(-0.2, 0.2, 3)
+    return delta.build(
+        {
+            "radius": size * rng.uniform(0.3, 0.5) * rng.uniform(0.9, 1.1, 3),
+            "arm": size * rng.uniform(0.95, 1.05, 3),
+            "angle": angles[:: rng.choice([-1, 1])],
+            "lean": rng.uniform(-0.05, 0.05, 3),
+            "tip": rng.uniform(-0.05, 0.05, 3),
+        }
+    )
+
+
+def _carriages(machine: Machine, q: np.ndarray) -> np.ndarray:
+    """Carriages (n, 3 towers, 3) by matrices of their own; nominal."""
+    value = {p.name: p.nominal for p in machine.parameters}
+    centres = []
+    for i in (1, 2, 3):
+        radius, arm, angle = (value[f"{n}{i}"] for n in ("radius", "arm", "angle"))
+        turn = np.array(
+            [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        )
+        level = turn @ [value[f"lean{i}"], value[f"tip{i}"]]
+        axis = np.array([*level, 1.0]) / np.sqrt(1.0 + level @ level)
+        travel = value[f"endstop{i}"] + np.sqrt(arm**2 - radius**2) - q[:, i - 1]
+        foot = np.array([*(turn @ [radius, 0.0]), 0.0])
+        centres.append(foot + travel[:, None] * axis)
+    return np.stack(centres, axis=1)
+
+
+def test_deltas_of_any_size_hang_where_trilateration_puts_them(
+    rng: np.random.Generator,
+) -> None:
+    for _ in range(10):
+        machine = _drawn(rng)
+        kinematics = Kinematics(machine)
+        low = [c.lower for c in machine.command]
+        high = [c.upper for c in machine.command]
+        command = rng.uniform(low, high, (50, 3))
+        x, q = kinematics.inverse(command)
+        arms = [p.nominal for p in machine.parameters if p.name.startswith("arm")]
+        size = max(arms)
+        point = delta_trilateration.lower_point(_carriages(machine, q), arms)
+        assert np.abs(point - command).max() < 1e-12 * size
+        assert np.abs(kinematics.start_poses(q) - x).max() < 1e-12 * size
+
+
+def test_an_upright_delta_is_the_one_with_a_common_radius(
+    rng: np.random.Generator,
+) -> None:
+    drawn = linear_delta.machine
+    common = delta.build({"endstop": linear_delta.ENDSTOP})
+    command = rng.uniform([-0.1, -0.1, 0.0], [0.1, 0.1, 0.3], (30, 3))
+    _, expected = Kinematics(drawn).inverse(command)
+    _, q = Kinematics(common).inverse(command)
+    assert np.abs(q - expected).max() < 1e-14
+
+
+def test_a_study_describes_a_delta_by_its_geometry() -> None:
+    machine = resolved(STUDY).machine
+    nominal = {p.name: p.nominal for p in machine.parameters}
+    assert nominal["radius3"] == 0.8
+    assert [nominal[f"arm{i}"] for i in (1, 2, 3)] == pytest.approx([2.0, 2.001, 2.002])
+    assert unreachable(machine) is None
+
+
+def test_another_size_by_nominal_hangs_below_its_carriages() -> None:
+    machine = resolved(SMALL).machine
+    x, q = Kinematics(machine).inverse(np.array([[0.0, 0.0, 0.02]]))
+    above = 0.150 - q[0] + np.sqrt(0.130**2 - 0.060**2)
+    assert above == pytest.approx(0.02 + np.sqrt(0.130**2 - 0.060**2))
+    assert x[0] == pytest.approx([0.0, 0.0, 0.02])
+
+
+def test_poses_of_the_workspace_out_of_reach_are_named() -> None:
+    text = SMALL.replace("radius_mm = 60", "radius_mm = 110")
+    sentence = unreachable(resolved(text).machine)
+    assert sentence is not None
+    assert "of 27 poses" in sentence
+    assert "x = -40 mm" in sentence
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("radius_mm = 800", "radius_mm = 2100", "an arm is shorter than its radius"),
+        ("radius_mm = 800", "radius_kg = 800", '"kg" is no unit for radius'),
+        ("radius_mm = 800", "radius_mm = [800, 800]", "2 numbers, where 3 belong"),
+        ("radius_mm = 800", "radius_mm = -800", "radius must be above 0"),
+        ('"delta"', '"a3_head"', "a3_head has one geometry"),
+    ],
+)
+def test_a_geometry_that_makes_no_delta_is_refused(
+    old: str, new: str, said: str
+) -> None:
+    assert said in str(refused(STUDY, (old, new)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("radius_mm = 60", "radius_mm = 160", "the home pose fails"),
+        ("z_mm = [0, 100]", "z_mm = [50, 100]", "outside the workspace"),
+        ("z_mm = [0, 100]", "z_mm = [50, 10]", "the range is empty"),
+    ],
+)
+def test_numbers_of_another_machine_are_refused(old: str, new: str, said: str) -> None:
+    assert said in str(refused(SMALL, (old, new)))
+
+
+def test_a_guess_that_leads_below_is_followed_to_the_mode_of_home() -> None:
+    """A start that suits one size alone: other sizes are reached through it."""
+
+    def guess(c, p):  # type: ignore[no-untyped-def]
+        return [c["x"], c["y"], c["z"]], [0.420 - c["z"]] * 3
+
+    drawn = dataclasses.replace(linear_delta.machine, guess=guess)
+    numbers = {"radius": 0.06, "arm": 0.13, "endstop": 0.15}
+    other = drawn.with_parameters(
+        [
+            dataclasses.replace(p, nominal=numbers.get(p.name.rstrip("123"), p.nominal))
+            for p in drawn.parameters
+        ]
+    )
+    command = np.array([[0.0, 0.0, 0.02], [0.03, -0.02, 0.08]])
+    _, q = Kinematics(other).inverse(command)
+    exact = dataclasses.replace(other, guess=linear_delta.guess)
+    assert q == pytest.approx(Kinematics(exact).inverse(command)[1], abs=1e-12)
+
+
+def test_joints_past_a_singular_pose_are_refused() -> None:
+    kinematics = Kinematics(delta.machine)
+    with pytest.raises(AssemblyError, match=r"cannot be assembled|assembly mode"):
+        kinematics.start_poses(np.array([[0.0, 0.9, 0.9]]))
