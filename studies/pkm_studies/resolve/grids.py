@@ -19,7 +19,7 @@ from oed.kinematics import AssemblyError
 from oed.machine import Coordinate, Machine
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place, suggest
-from pkm_studies.resolve import quantities
+from pkm_studies.resolve import poses, quantities
 from pkm_studies.resolve.quantities import format_value
 from pkm_studies.study.tables import Axis, GridTable, Span
 
@@ -284,9 +284,17 @@ def grid_series(
     """Series of a grid's table, and the number of poses dropped (see `solve_held`)."""
     machine = measurement.machine
     setup = measurement.setups[table.setup]
+    kind = poses.form(table, place)
     if table.pairs_mm is not None:
         command, run = _pairs(table, machine, setup, place)
         return planned_series(measurement, table.setup, command, run, place), 0
+    if kind is not None:
+        given = poses.given_poses(
+            table, kind, measurement.kinematics, setup.tool, place
+        )
+        keys = dict.fromkeys(command_units(machine), kind)
+        check_workspace(machine, given.command, keys, place, setup.tool)
+        return planned_series(measurement, table.setup, *given, place), 0
     command, hold, keys = grid_commands(table.coordinates, machine, place)
     if hold is not None:
         command = mid_range(command, hold, machine, setup)

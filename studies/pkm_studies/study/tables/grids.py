@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from pkm_studies.study.tables.base import Count, StudyTable, Triple
+from pkm_studies.study.tables.poses import CircleTable, CubeTable, LineTable
 
 
 class Span(StudyTable, frozen=True, kw_only=True):
@@ -47,9 +48,22 @@ Axis = float | list[float] | Span | Literal["hold"]
 class GridTable(StudyTable, frozen=True, kw_only=True):
     """[[design.candidates]]: poses of one set-up, all combinations of coordinate values.
 
+    In place of a grid, one of the other fields gives the poses. Beside a circle, a line
+    or a cube, a coordinate has one value, such as an angle of the tool. With no
+    coordinate and none of these fields, poses are sampled over the workspace.
+
     setup      the set-up that reads
     runs_by    coordinate of which each value makes one run
-    pairs_mm   instead of coordinates: pairs of points, the second read against the first
+    pairs_mm   pairs of points, the second read against the first
+    poses      a list: one value a pose for each coordinate, as in
+               `{ x_mm = [0, 50], y_mm = [0, 20], z_mm = [100, 90] }`
+    file       a CSV of poses, relative to the study: one column a coordinate, with its
+               unit, and a column `run` if there are several
+    circle     a circle of tool points
+    line       a line of tool points
+    cube       tool points that fill a cube
+    sample     number of poses spread evenly over the workspace, or over the ranges of
+               the coordinates given; those out of reach are left out
     further    coordinates with their unit, as in `z_mm = [1086, 1246]`; `theta = "hold"`
                for the one that the instrument leads
     """
@@ -58,6 +72,12 @@ class GridTable(StudyTable, frozen=True, kw_only=True):
     setup: str
     runs_by: str | None = None
     pairs_mm: list[tuple[Triple, Triple]] | None = None
+    poses: dict[str, list[float]] | None = None
+    file: str | None = None
+    circle: CircleTable | None = None
+    line: LineTable | None = None
+    cube: CubeTable | None = None
+    sample: Count | None = None
     coordinates: dict[str, Axis] = {}
 
 

@@ -1,0 +1,142 @@
+"""Commands that put the tool on given points of the base frame.
+
+Gauss-Newton on the free command coordinates, from the nearest of many sampled commands,
+so that a machine commanded in angles follows a circle as well as one in x, y, z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.stats import qmc
+
+from oed.arrays import Array
+from oed.kinematics import AssemblyError, Kinematics
+from oed.machine import Machine
+from pkm_studies.errors import Place
+from pkm_studies.resolve import quantities
+
+#: sampled commands, steps at most, slope step (m, rad), and miss that is accepted (m)
+SAMPLES, STEPS, SLOPE_STEP, MISS = 600, 30, 1e-6, 1e-8
+#: largest step, over a coordinate's range
+LARGEST_STEP = 0.2
+AXES = "xyz"
+
+
+class ToolPoints:
+    """Tool points of commands, and commands of tool points, of one set-up's tool."""
+
+    def __init__(self, kinematics: Kinematics, tool: Sequence[float]) -> None:
+        self._kinematics = kinematics
+        self._machine = kinematics.machine
+        self._tool = np.array(tool)
+        self._workspace = kinematics.machine.workspace(self._tool.tolist())
+
+    def points(self, command: Array) -> Array:
+        """Tool points (n, 3) at commands (n, n_dof), m; NaN where out of reach."""
+        points = np.full((len(command), 3), np.nan)
+        reached = np.arange(len(command))
+        while reached.size:
+            try:
+                x, _ = self._kinematics.inverse(command[reached], None, self._tool)
+            except AssemblyError as error:
+                reached = np.delete(reached, error.indices)
+                continue
+            points[reached] = self._kinematics.frames(x, self._tool)[1]
+            break
+        return points
+
+    def commands(
+        self, points: Array, fixed: Mapping[str, float], place: Place
+    ) -> Array:
+        """Commands (n, n_dof) at points (n, 3), m, with some coordinates given, SI.
+
+        Raises InputError where a point cannot be reached.
+        """
+        free = self._free(fixed, place)
+        command = self._starts(points, fixed, free)
+        for _ in range(STEPS):
+            miss = self.points(command) - points
+            if np.nanmax(np.abs(miss), initial=0.0) < MISS:
+                break
+            slope = self._slope(command, free)
+            step = -np.einsum("nij,nj->ni", np.linalg.pinv(slope), miss)
+            command[:, free] += self._shortened(np.nan_to_num(step), free)
+        missed = np.linalg.norm(self.points(command) - points, axis=1)
+        self._check(missed, points, place)
+        return command
+
+    def _free(self, fixed: Mapping[str, float], place: Place) -> list[int]:
+        """Columns of the coordinates to solve for, three at most."""
+        names = [c.name for c in self._machine.command]
+        free = [k for k, name in enumerate(names) if name not in fixed]
+        if len(free) > len(AXES):
+            free = [k for k in free if names[k] in AXES]
+        if free and len(free) <= len(AXES):
+            return free
+        angles = [
+            quantities.column(c.name, c.unit)
+            for c in self._machine.command
+            if c.name not in fixed and c.name not in AXES
+        ]
+        raise place.error(
+            "the points do not fix the pose", f"give values for some of {angles}"
+        )
+
+    def _starts(
+        self, points: Array, fixed: Mapping[str, float], free: list[int]
+    ) -> Array:
+        """Commands (n, n_dof) whose tool points are near the points."""
+        home = self._machine.home_command.copy()
+        for k, coordinate in enumerate(self._machine.command):
+            home[k] = fixed.get(coordinate.name, home[k])
+        samples = np.tile(home, (SAMPLES, 1))
+        lower, upper = ranges(self._machine, self._tool.tolist())
+        shares = qmc.Halton(len(free), scramble=False).random(SAMPLES)
+        samples[:, free] = lower[free] + shares * (upper - lower)[free]
+        tips = self.points(samples)
+        reached = np.isfinite(tips).all(axis=1)
+        if not reached.any():
+            return np.tile(home, (len(points), 1))
+        _, nearest = KDTree(tips[reached]).query(points)
+        return np.asarray(samples[reached][nearest])
+
+    def _slope(self, command: Array, free: list[int]) -> Array:
+        """d tool point / d free coordinates (n, 3, k), by central differences."""
+        columns = []
+        for k in free:
+            step = np.zeros(command.shape[1])
+            step[k] = SLOPE_STEP
+            change = self.points(command + step) - self.points(command - step)
+            columns.append(change / (2.0 * SLOPE_STEP))
+        return np.nan_to_num(np.stack(columns, axis=-1))
+
+    def _shortened(self, step: Array, free: list[int]) -> Array:
+        """Steps (n, k), none longer than a share of the coordinates' ranges."""
+        lower, upper = ranges(self._machine, self._tool.tolist())
+        share = np.abs(step) / (LARGEST_STEP * (upper - lower)[free])
+        return np.asarray(step / np.maximum(1.0, share.max(axis=1))[:, None])
+
+    def _check(self, missed: Array, points: Array, place: Place) -> None:
+        lost = np.flatnonzero(~(missed < 100.0 * MISS))
+        if lost.size:
+            at = ", ".join(quantities.format_value(v, "m") for v in points[lost[0]])
+            raise place.error(
+                f"the tool of {self._machine.name} cannot be put on {lost.size} of"
+                f" {len(points)} points, the first at {at}",
+                "move the points into the workspace, in coordinates of the base frame",
+            )
+
+
+def ranges(machine: Machine, tool: Sequence[float]) -> tuple[Array, Array]:
+    """Lower and upper ends (n_dof,) of the command; about home where there is no end."""
+    reach = {"m": machine.lever, "rad": np.pi}
+    lower, upper = [], []
+    for coordinate in machine.workspace((tool[0], tool[1], tool[2])):
+        home, half = machine.home[coordinate.name], reach.get(coordinate.unit, 1.0)
+        low, high = coordinate.lower, coordinate.upper
+        lower.append(low if np.isfinite(low) else home - half)
+        upper.append(high if np.isfinite(high) else home + half)
+    return np.array(lower), np.array(upper)
