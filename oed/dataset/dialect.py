@@ -32,7 +32,7 @@ Row = tuple[int, Sequence[str]]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Table:
+class SplitText:
     """Text of a readings file split into cells.
 
     separator  between cells
@@ -61,17 +61,17 @@ def decode(content: bytes) -> str:
     return content.decode("utf-8-sig")
 
 
-def split(text: str) -> Table:
+def split(text: str) -> SplitText:
     """The table of a text. A header without the known columns counts as commas."""
     stated = SEPARATOR_LINE.match(text)
     if stated is not None and stated[1] in SEPARATORS:
-        return Table(stated[1], text[stated.end() :])
+        return SplitText(stated[1], text[stated.end() :])
     header = text.lstrip().partition("\n")[0]
     for separator in SEPARATORS:
         names = {name.strip(' \t\r"') for name in header.split(separator)}
         if names.issuperset(REQUIRED):
-            return Table(separator, text)
-    return Table(SEPARATORS[0], text)
+            return SplitText(separator, text)
+    return SplitText(SEPARATORS[0], text)
 
 
 def is_unread(name: str) -> bool:

@@ -28,7 +28,7 @@ from oed.dataset.columns import (
     column_names,
     parse_column,
 )
-from oed.dataset.dialect import Row, Table
+from oed.dataset.dialect import Row, SplitText
 from oed.text import shorten
 
 MAX_BYTES: Final = 64_000_000
@@ -180,7 +180,7 @@ def _text(path: Path) -> str:
     return text
 
 
-def _rows(split: Table, file: str, expected: Mapping[str, str]) -> list[Row]:
+def _rows(split: SplitText, file: str, expected: Mapping[str, str]) -> list[Row]:
     """Numbered rows of cells, blank ones left out. Raises ReadingsError if ragged."""
     rows: list[Row] = []
     try:

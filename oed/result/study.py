@@ -97,4 +97,5 @@ class StudyResult(Record, frozen=True, kw_only=True):
     gap_before: GapBeforeSection | None = None
     drawing: Drawing | None = None
     warnings: list[str] = []
+    written: dict[str, str] = {}  # SHA-256 of the files to fill in or to copy from
     claims: list[Claim] = []

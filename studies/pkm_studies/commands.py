@@ -123,6 +123,7 @@ def simulate(
     """Write readings of a virtual machine, and its truth in a second file."""
     from pkm_studies import files
 
+    files.check_new(out)
     loaded = _load(study)
     files.check_writable(out.parent)
     from pkm_studies import pipeline
@@ -361,6 +362,9 @@ def _report_result(result: StudyResult, folder: Path, quiet: bool) -> int:
         names = ("report.html", "report.pdf", "result.json")
         paths = [folder / name for name in names if (folder / name).is_file()]
         print(f"Report: {', '.join(map(str, paths))}")
+        for name in result.written:
+            if name.startswith("poses"):
+                print(f"To fill in: {folder / name}")
         for claim in result.claims:
             print(f"Claim {_verdict(claim)}")
     failing = [claim for claim in result.claims if not claim.met]

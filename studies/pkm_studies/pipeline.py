@@ -85,7 +85,7 @@ def run(
     fails.
     """
     state = start(study, seed, progress or Silent(), readings)
-    files.out_folder(out)
+    result_folder.prepare(out)
     checkpoint = result_folder.checkpoint(out, study, state.seed)
     steps = READINGS_GIVEN if state.readings_given else STUDY
     state = _follow(steps, state.replace(checkpoint=checkpoint))
@@ -112,7 +112,7 @@ def diagnose(
         raise study.place.key("readings").error(
             "there are no readings to diagnose", "give --readings FILE.csv"
         )
-    files.out_folder(out)
+    result_folder.prepare(out)
     steps = DIAGNOSIS if recorded else (select_design, plan_stages, *DIAGNOSIS)
     return _finish(_follow(steps, state), out, report=True, sections=DIAGNOSIS_SECTIONS)
 
@@ -130,9 +130,9 @@ def plan(
     `after` is the folder of a result: what it identified is known, and its stages are
     done. Raises InputError where the study lists no measurement, or none fits the time.
     """
-    files.out_folder(out)
+    result_folder.prepare(out)
     state = planned_state(study, after, seed, progress or Silent())
-    return _finish(state, out, report=False, sections=PLAN_SECTIONS)
+    return _finish(state, out, report=True, sections=PLAN_SECTIONS)
 
 
 def planned_state(
@@ -171,7 +171,10 @@ def simulate(study: Study, out: Path, *, seed: int | None = None) -> tuple[Path,
     """Write readings of the study's virtual machine to `out`, and its truth.
 
     The truth has the same name with the suffix .truth.json; both paths are returned.
+    Raises InputError where one of the files exists.
     """
+    for path in (out, _truth_path(out)):
+        files.check_new(path)
     state = start(study, seed, Silent(), [])
     state = plan_stages(select_design(state))
     virtual = simulate_readings(state, planned_series(state))
@@ -221,7 +224,7 @@ def _finish(
         study_result, claims=checked, seconds=seconds
     )
     options = study.report
-    result_folder.write(out, study_result, state, sheet=options.pdf)
+    study_result = result_folder.write(out, study_result, state, sheet=options.pdf)
     if report and (options.html or options.pdf):
         state.progress.stage("report")
         result_folder.write_report(out, html=options.html, pdf=options.pdf)

@@ -15,7 +15,7 @@ from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
 from oed.result import StudyResult
 from pkm_studies import files
-from pkm_studies.errors import Place
+from pkm_studies.errors import InputError, Place
 from pkm_studies.run_state import RunState
 from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.stages.plan import files as plan_files
@@ -34,27 +34,78 @@ def checkpoint(folder: Path, study: Study, seed: int) -> Checkpoint:
     return Checkpoint(folder / UNFINISHED, key)
 
 
-def write(folder: Path, result: StudyResult, state: RunState, *, sheet: bool) -> None:
+def prepare(folder: Path) -> None:
+    """Make the folder of a result. Raises InputError where that is impossible.
+
+    Also where it has a result.json of another program.
+    """
+    files.out_folder(folder)
+    _written_before(folder)
+
+
+def write(
+    folder: Path, result: StudyResult, state: RunState, *, sheet: bool
+) -> StudyResult:
     """Write result.json and, as far as made, posterior, poses and plan.
 
-    `sheet` adds the page to print and fill in at the machine.
+    `sheet` adds the page to print and fill in at the machine. A file that the user
+    changed, as by filling readings into poses.csv, stays, and the new one gets another
+    name. Returns the result with the digests of the files.
     """
-    text = msgspec.json.format(msgspec.json.encode(result), indent=1)
-    files.write_whole(folder / "result.json", text)
+    earlier = _written_before(folder)
+    written: dict[str, str] = {}
+    warnings = list(result.warnings)
+    texts = _texts(result, state)
+    for name, text in texts.items():
+        path = files.unused_path(folder / name, text, earlier)
+        written[path.name] = files.digest(text.encode("utf-8"))
+        if path.name != name:
+            warnings.append(
+                f"{name} was changed after it was written, and stays as it is; the new"
+                f" one is {path.name}"
+            )
+    result = msgspec.structs.replace(result, written=written, warnings=warnings)
     if state.posterior is not None:
         _save_posterior(folder, result, state.posterior)
+    for name, text in zip(written, texts.values(), strict=True):
+        files.write_whole(folder / name, text)
+    if state.plan is not None and sheet:
+        _write_sheet(folder, result, state.plan)
+    encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
+    files.write_whole(folder / "result.json", encoded)
+    return result
+
+
+def _texts(result: StudyResult, state: RunState) -> dict[str, str]:
+    """Text files by name that go with the result."""
+    texts = {}
     if state.gap_poses is not None:
-        files.write_whole(folder / "gap_poses.csv", state.gap_poses)
+        texts["gap_poses.csv"] = state.gap_poses
     if result.design is not None or state.planned:
-        poses = _poses_csv(state.planned, state.measurement)
-        files.write_whole(folder / "poses.csv", poses)
+        measurement = (
+            state.measurement if state.plan is None else state.plan.measurement
+        )
+        texts["poses.csv"] = _poses_csv(state.planned, measurement)
     if result.plan is not None:
-        files.write_whole(folder / "plan.csv", plan_files.stages_csv(result.plan))
+        texts["plan.csv"] = plan_files.stages_csv(result.plan)
     if state.plan is not None:
-        poses_json = plan_files.poses_json(state.plan)
-        files.write_whole(folder / "plan_poses.json", poses_json)
-        if sheet:
-            _write_sheet(folder, result, state.plan)
+        texts["plan_poses.json"] = plan_files.poses_json(state.plan)
+    return texts
+
+
+def _written_before(folder: Path) -> list[str]:
+    """Digests of the files that an earlier run wrote into the folder."""
+    path = folder / "result.json"
+    if not path.exists():
+        return []
+    try:
+        return list(load_result(folder).written.values())
+    except InputError as error:
+        raise InputError(
+            "this file is no result, and it is not overwritten",
+            "name another folder",
+            file=str(path),
+        ) from error
 
 
 def _save_posterior(folder: Path, result: StudyResult, draws: Posterior) -> None:

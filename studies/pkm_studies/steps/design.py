@@ -12,6 +12,13 @@ from pkm_studies.stages.fit import identifiability
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.plan import compute_plan
 
+#: of a study with both tables: which file and which number belong to which
+PLAN_AND_DESIGN = (
+    "the study has [[plan.measurement]] and [[design.candidates]]: poses.csv, the"
+    " measurement sheet and plan_poses.json hold the plan; identifiability, estimate"
+    " and accuracy are those of the design, whose poses the report lists"
+)
+
 
 def select_design(state: RunState) -> RunState:
     """Choose the readings of [design], if any; from here on, only its set-ups count."""
@@ -53,9 +60,9 @@ def plan_stages(state: RunState, earlier: EarlierSession | None = None) -> RunSt
     )
     assert outcome is not None
     state = state.replace(plan=outcome).with_sections(plan=outcome.section)
-    if state.resolved.candidates and earlier is None:
-        return state
     planned = tuple(series for stage in outcome.scheduled for series in stage)
+    if state.design is not None:
+        return state.replace(planned=planned).with_warnings(PLAN_AND_DESIGN)
     if state.resolved.dataset is not None:
         return state.replace(planned=planned)
     return state.replace(planned=planned, measurement=outcome.measurement)

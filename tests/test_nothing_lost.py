@@ -1,0 +1,115 @@
+"""What a user filled in stays, and what is to be measured is the same in every file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import plan_sample
+import pytest
+import sample
+
+from pkm_studies import cli
+
+#: readings of a few poses, nothing to choose
+PLAN = (
+    sample.changed(
+        sample.STUDY,
+        ("[[design.candidates]]", '[[design.reference]]\nname = "circles"'),
+        ("count = 4 }", "count = 2 }"),
+        ("count = 12", "count = 15"),
+        ("[expect]", "[posterior]\nenabled = false\n[expect]"),
+    )
+    + "[readings]\nsimulate = true\n"
+)
+STAGES = """
+[[plan.measurement]]
+name = "low"
+setups = ["cup"]
+candidates = { setup = "cup", z_mm = { from = 1066.0, to = 1166.0, count = 2 }, \
+psi_deg = { from = 0.0, to = 360.0, count = 8, endpoint = false }, theta = "hold" }
+"""
+
+
+def run(*arguments: object) -> int:
+    return cli.main([str(a) for a in (*arguments, "--quiet")])
+
+
+def filled(text: str) -> str:
+    """The readings file with 300 mm in every row's last cell."""
+    header, *rows = text.splitlines()
+    assert header.endswith("length_mm")
+    return "\n".join([header, *[f"{row}300.0" for row in rows]]) + "\n"
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    path = tmp_path / "p.study.toml"
+    path.write_text(sample.STUDY.replace("readings = 21", "readings = 18"), "utf-8")
+    return path
+
+
+def test_filled_in_readings_stay(study: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run("run", study, "--out", out) == 0
+    poses = out / "poses.csv"
+    planned = poses.read_text(encoding="utf-8")
+    readings = filled(planned)
+    poses.write_text(readings, encoding="utf-8")
+    study.write_text(
+        study.read_text("utf-8").replace("readings = 18", "readings = 19"), "utf-8"
+    )
+    for _ in range(2):
+        assert run("run", study, "--out", out) == 0
+        assert poses.read_text(encoding="utf-8") == readings
+        assert {p.name for p in out.glob("poses*")} == {"poses.csv", "poses-2.csv"}
+    assert (out / "poses-2.csv").read_text(encoding="utf-8").count("\n") == 20
+    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert any("poses.csv was changed" in warning for warning in result["warnings"])
+
+
+def test_another_programs_result_stays(
+    study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    taken = tmp_path / "result.json"
+    taken.write_text("[1]", encoding="utf-8")
+    assert run("run", study, "--out", tmp_path) == 2
+    assert f"{taken}: this file is no result" in capsys.readouterr().err
+    assert taken.read_text(encoding="utf-8") == "[1]"
+
+
+@pytest.mark.parametrize("name", ["p.study.toml", "old.readings.csv", "x.truth.json"])
+def test_simulate_overwrites_nothing(
+    name: str, study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study.write_text(PLAN, encoding="utf-8")
+    path = tmp_path / name
+    if path != study:
+        path.write_text("kept", encoding="utf-8")
+    content = path.read_bytes()
+    out = path.with_name("x.csv") if name == "x.truth.json" else path
+    assert cli.main(["simulate", str(study), "--out", str(out)]) == 2
+    assert f"{path}: there is a file" in capsys.readouterr().err
+    assert path.read_bytes() == content
+
+
+def test_every_file_of_a_plan_has_the_same_readings(tmp_path: Path) -> None:
+    """A study with a design as well: files and headline follow the plan."""
+    design = (
+        '[[design.candidates]]\nsetup = "rm4"\ny_mm = [0.0, 500.0, 1500.0]\n'
+        'z_mm = [0.0, 1500.0]\nruns_by = "y"\n[design]\nreadings = 3\n'
+    )
+    text = plan_sample.STUDY.replace("html = false", "html = true")
+    study = tmp_path / "s.study.toml"
+    study.write_text(text + design, encoding="utf-8")
+    for command in ("plan", "run"):
+        out = tmp_path / command
+        assert run(command, study, "--out", out) == 0
+        stages = json.loads((out / "plan_poses.json").read_text("utf-8"))["stages"]
+        counted = sum(len(stage["poses"]) for stage in stages)
+        rows = (out / "poses.csv").read_text("utf-8").splitlines()[1:]
+        runs = {tuple(row.split(",")[:2]) for row in rows}
+        assert len(rows) == counted + len(runs)  # each run has a reference
+        result = json.loads((out / "result.json").read_text("utf-8"))
+        assert sum(stage["readings"] for stage in result["plan"]["stages"]) == counted
+        assert (out / "report.html").is_file()
