@@ -36,6 +36,7 @@ class EstimateSection(Record, frozen=True):
     warnings: list[str]
     residuals: list[float]  # of each reading, after
     residuals_before: list[float]
+    covariance: list[list[float]] = []  # of `parameters`, in their units
 
 
 class Marginal(Record, frozen=True):

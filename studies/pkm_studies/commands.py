@@ -41,6 +41,9 @@ OutFolder = Annotated[
     Path,
     typer.Option(metavar="DIR", help="Folder for the results.", show_default=False),
 ]
+ResultFolder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="A result.", show_default=False)
+]
 Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the study's.")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", help="Print only errors and failing claims.")
@@ -215,6 +218,16 @@ def plan(
     if not quiet and result.plan is not None:
         display.print_plan(result.plan)
     return _report_result(result, folder, quiet)
+
+
+@app.command()
+def compare(before: ResultFolder, after: ResultFolder) -> int:
+    """Compare two sessions of one machine: what changed, and by how much."""
+    from pkm_studies import comparison
+
+    for sentence in comparison.compare(before, after):
+        print(sentence)
+    return DONE
 
 
 @app.command()

@@ -54,6 +54,7 @@ def estimate_section(
         warnings=[*estimate.warnings, *_noise_warning(estimate)],
         residuals=[float(v) for v in after],
         residuals_before=[float(v) for v in before],
+        covariance=_covariance(measurement, estimate),
     )
 
 
@@ -76,6 +77,15 @@ def _parameters(
             truth=None if truth is None else units.number(truth[k], unit),
         )
     return parameters
+
+
+def _covariance(measurement: Measurement, estimate: Estimate) -> list[list[float]]:
+    """Covariance of the parameters that are not fixed, in their display units."""
+    free = np.flatnonzero(estimate.prior_sd > 0.0)
+    names = [units.display(measurement.parameters[k].unit) for k in free]
+    factor = np.array([units.factor(name) for name in names])
+    covariance = estimate.covariance[np.ix_(free, free)] / np.outer(factor, factor)
+    return [[float(value) for value in row] for row in covariance]
 
 
 def _how_well(shrinkage: float) -> str:

@@ -1,0 +1,115 @@
+"""Two sessions of one machine, against one least-squares fit of both together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sample
+from scipy import stats
+
+from oed import session_change
+from oed.session_change import Session
+from pkm_studies import cli
+
+N, SETUP = 5, 2
+NAMES = [f"p{k}" for k in range(N)]
+TOLERANCE = np.array([1.0, 0.1, 2.0, 0.5, 30.0])
+NOMINAL = np.array([10.0, 0.0, -3.0, 1.0, 500.0])
+
+
+def slopes(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Readings that see p3 and p4 only in one sum, and a set-up of their own."""
+    h = rng.standard_normal((count, N + SETUP)) * 20.0
+    h[:, :N] /= TOLERANCE
+    h[:, 4] = 0.5 * h[:, 3] * TOLERANCE[3] / TOLERANCE[4]
+    return h
+
+
+def session(h: np.ndarray, y: np.ndarray) -> Session:
+    """The posterior by the normal equations, y about the nominal machine."""
+    prior = np.diag(1.0 / np.concatenate([TOLERANCE, np.ones(SETUP)]) ** 2)
+    covariance = np.linalg.inv(h.T @ h + prior)
+    mean = covariance @ h.T @ y
+    return Session(NOMINAL + mean[:N], covariance[:N, :N])
+
+
+def readings(
+    rng: np.random.Generator, h: np.ndarray, machine: np.ndarray
+) -> np.ndarray:
+    state = np.concatenate([machine, rng.standard_normal(SETUP)])
+    return np.asarray(h @ state + rng.standard_normal(len(h)))
+
+
+def test_the_change_is_that_of_one_fit_of_both_sessions() -> None:
+    """Least squares over machine, change and both set-ups, without tolerances."""
+    rng = np.random.default_rng(3)
+    h1, h2 = slopes(rng, 30), slopes(rng, 40)
+    machine = TOLERANCE * rng.standard_normal(N)
+    y1 = readings(rng, h1, machine)
+    y2 = readings(rng, h2, machine + np.array([0.9, 0, 0, 0, 0]))
+    change = session_change.compare(
+        NAMES, NOMINAL, TOLERANCE, [session(h1, y1), session(h2, y2)]
+    )
+    assert (change.dof, change.undetermined) == (4, 1)
+    # columns: machine, change, set-up 1, set-up 2; then their prior rows
+    rows1 = np.hstack([h1[:, :N], 0 * h1[:, :N], h1[:, N:], 0 * h1[:, N:]])
+    rows2 = np.hstack([h2[:, :N], h2[:, :N], 0 * h2[:, N:], h2[:, N:]])
+    prior = np.hstack([np.zeros((2 * SETUP, 2 * N)), np.eye(2 * SETUP)])
+    scale = np.concatenate([TOLERANCE, TOLERANCE, np.ones(2 * SETUP)])
+    design = np.vstack([rows1, rows2, prior]) * scale
+    inverse = np.linalg.pinv(design, rcond=1e-9)
+    fitted = inverse @ np.concatenate([y1, y2, np.zeros(2 * SETUP)])
+    covariance = inverse @ inverse.T
+    d = slice(N, 2 * N)
+    for combination in change.combinations:
+        row = np.zeros(N)
+        for name, coefficient in combination.coefficients.items():
+            row[NAMES.index(name)] = coefficient
+        row = row * TOLERANCE
+        assert combination.change == pytest.approx(row @ fitted[d], rel=1e-5)
+        variance = row @ covariance[d, d] @ row
+        assert combination.sd == pytest.approx(np.sqrt(variance), rel=1e-5)
+    assert change.causes[0].parameter == "p0"
+    assert change.causes[0].change == pytest.approx(0.9, abs=5 * change.causes[0].sd)
+    assert change.p_value < 1e-6 < change.causes[0].p_value
+
+
+def test_no_change_gives_uniform_p_values() -> None:
+    rng = np.random.default_rng(5)
+    p_values = []
+    for _ in range(400):
+        h1, h2 = slopes(rng, 12), slopes(rng, 9)
+        machine = TOLERANCE * rng.standard_normal(N)
+        sessions = [session(h, readings(rng, h, machine)) for h in (h1, h2)]
+        change = session_change.compare(NAMES, NOMINAL, TOLERANCE, sessions)
+        p_values.append(change.p_value)
+    assert stats.kstest(p_values, "uniform").pvalue > 0.01
+
+
+def test_two_sessions_by_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = sample.changed(
+        sample.STUDY,
+        ("[[design.candidates]]", '[[design.reference]]\nname = "circles"'),
+        ("[expect]", "[posterior]\nenabled = false\n[expect]"),
+    )
+    for name, seed, dq1 in (("a", 1, 0.1), ("b", 2, 0.1), ("c", 3, 0.3)):
+        study = tmp_path / f"{name}.study.toml"
+        simulated = f"[readings]\nsimulate = true\ntruth = {{ dq1_mm = {dq1} }}\n"
+        study.write_text(f"{plan}{simulated}", encoding="utf-8")
+        call = ["run", study, "--out", tmp_path / name, "--seed", seed, "--quiet"]
+        assert cli.main([str(a) for a in call]) == 0
+    capsys.readouterr()
+    assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    assert capsys.readouterr().out.startswith("No change: chi2")
+    assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path / "c")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("The machine changed: chi2")
+    cause = out.partition("alone explains")[2].partition("dq1: ")[2].split()
+    assert (cause[1], cause[4]) == ("mm,", "mm;")
+    assert float(cause[0]) == pytest.approx(0.2, abs=4 * float(cause[3]))
+    assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path)]) == 2
+    assert "no such result" in capsys.readouterr().err
