@@ -80,7 +80,7 @@ def text(
         _prior(machine),
         _design(machine, instrument),
         _readings(machine),
-        _prediction(machine),
+        prediction_table(machine),
         _plan(machine, instrument),
         GAP,
         _claims(),
@@ -182,7 +182,7 @@ draw = true  # the virtual machine's errors come from the tolerances
 """
 
 
-def _prediction(machine: Machine) -> str:
+def prediction_table(machine: Machine) -> str:
     axes = "\n".join(_axis(c, machine) for c in machine.command)
     return f"""\
 [prediction]

@@ -10,6 +10,8 @@ MODEL = "linear_delta"
 TOWERS = (1, 2, 3)
 #: share of the probed radius that the accuracy is predicted on
 SHARE = 0.7
+#: half the workspace's width over the delta's radius, at least
+WIDTH_SHARE = 0.8
 #: standard deviations of an assembled printer's numbers about those of its firmware
 TOLERANCES = """\
 # How far the true numbers may be from those of the firmware (standard deviations).
@@ -105,6 +107,7 @@ fixed = [{listed}]  # {fixed_because}
 
 # The geometry that the firmware has now.
 {geometry.table()}
+{_workspace(geometry, probed_radius)}
 {setups}
 {noise}
 {TOLERANCES}
@@ -116,4 +119,25 @@ reference = "home"
 x_mm = [{-reach}, 0.0, {reach}]
 y_mm = [{-reach}, 0.0, {reach}]
 z_mm = {[float(h) for h in heights]}
+"""
+
+
+def _workspace(geometry: DeltaGeometry, probed_radius: float) -> str:
+    """The tables of workspace, home and travel, after the printer's size; mm."""
+    width = round(max(1.05 * probed_radius, WIDTH_SHARE * geometry.radius), 1)
+    stop = min(geometry.endstops)
+    low, high = round(-0.1 * stop, 1), round(0.9 * stop, 1)
+    travel = round(max(geometry.endstops) + max(geometry.arms), 1)
+    joints = "\n".join(f"q{i}_mm = [{-travel}, {travel}]" for i in TOWERS)
+    return f"""\
+[machine.workspace]
+x_mm = [{-width}, {width}]
+y_mm = [{-width}, {width}]
+z_mm = [{low}, {high}]
+
+[machine.home]
+z_mm = {round(0.05 * stop, 1)}
+
+[machine.travel]
+{joints}
 """

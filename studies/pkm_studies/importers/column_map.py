@@ -1,0 +1,105 @@
+"""Column maps: a small TOML file that says which column of a CSV is what.
+
+machine = "linear_delta"
+instrument = "pose_tracker_position"
+
+[columns]  # column of the readings, with the unit of the numbers = column of the CSV
+x_mm = "X set"
+read_x_mm = "X"
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import tomli_w
+
+from oed.instrument import Instrument
+from oed.machine import Machine
+from pkm_studies import catalogue, files
+from pkm_studies.errors import Place, shorten
+from pkm_studies.importers.base import ImportRequest
+from pkm_studies.study import decode
+from pkm_studies.study.tables.column_map import ColumnMap
+
+LIMIT = 200_000
+
+
+class Model(NamedTuple):
+    """A machine with the reference by which a study in the out folder names it."""
+
+    machine: Machine
+    reference: str
+
+
+def load(request: ImportRequest) -> tuple[ColumnMap, Place]:
+    """The user's map, or an empty one. Raises InputError."""
+    if request.map is None:
+        return ColumnMap(), Place("--map")
+    place = Place(str(request.map))
+    text = files.read_text(request.map, limit=LIMIT, what="column map")
+    try:
+        table = tomllib.loads(text)
+    except ValueError as error:
+        problem = f"this is no TOML: {shorten(str(error), 100)}"
+        raise place.error(problem, "mend it there") from None
+    decode.check_finite(table, place)
+    return decode.decode(ColumnMap, table, place), place
+
+
+def model(request: ImportRequest, column_map: ColumnMap, place: Place) -> Model:
+    """The machine of --machine, or of the map. Raises InputError."""
+    folder = Path()
+    reference, at = request.machine, Place("--machine")
+    if reference is None:
+        reference, at = column_map.machine, place.key("machine")
+        folder = request.map.parent if request.map is not None else folder
+    if reference is None:
+        raise at.error("missing", "give --machine, or machine in the map")
+    machine = catalogue.machine(reference, folder, at)
+    return Model(machine, _from_folder(reference, folder, request.folder))
+
+
+def instrument(
+    request: ImportRequest, column_map: ColumnMap, place: Place, default: str | None
+) -> tuple[Instrument, str]:
+    """The instrument of the map, or a default, with its reference. Raises InputError."""
+    reference = column_map.instrument or default
+    at = place.key("instrument")
+    if reference is None:
+        raise at.error("missing", "name one of `oed list instruments` in a --map file")
+    folder = request.map.parent if request.map is not None else Path()
+    loaded = catalogue.instrument(reference, folder, at)
+    return loaded, _from_folder(reference, folder, request.folder)
+
+
+def text(column_map: ColumnMap) -> str:
+    """The map as a file, without fields at their defaults."""
+    plain: dict[str, Any] = msgspec.to_builtins(column_map)
+    defaults = msgspec.to_builtins(ColumnMap())
+    table = {key: value for key, value in plain.items() if value != defaults[key]}
+    if column_map.circle is not None:
+        table["circle"] = {k: v for k, v in plain["circle"].items() if v is not None}
+    return "# Which column is what; use it again with --map.\n" + tomli_w.dumps(table)
+
+
+def study_text(comment: str, tables: Mapping[str, Any], tail: str) -> str:
+    """The text of a study from its tables and text that follows."""
+    written = tomli_w.dumps({"schema": 1, **tables})
+    return f"# {comment}\n# `oed run` runs it; see `oed schema study`.\n\n{written}\n{tail}"
+
+
+def _from_folder(reference: str, folder: Path, out: Path) -> str:
+    """A reference as the out folder sees it: paths of files change."""
+    path, colon, attribute = reference.rpartition(":")
+    if reference.endswith(".py"):
+        path, colon, attribute = reference, "", ""
+    if not path.endswith(".py"):
+        return reference
+    relative = os.path.relpath((folder / path).resolve(), out.resolve())
+    return Path(relative).as_posix() + colon + attribute

@@ -1,0 +1,191 @@
+"""Any CSV with commanded poses or joints and readings, by a column map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import msgspec
+
+from oed.dataset.columns import COVARIATES, LABELS, UNITLESS, is_covariate, parse_column
+from oed.instrument import Instrument
+from oed.machine import Machine
+from oed.units import UnitError
+from pkm_studies import csv_table, template
+from pkm_studies.csv_table import CsvTable
+from pkm_studies.errors import InputError, Place, suggest
+from pkm_studies.importers import column_map
+from pkm_studies.importers.base import (
+    ImportedSession,
+    ImportRequest,
+    Row,
+    readings_name,
+)
+from pkm_studies.resolve.quantities import column as usual_column
+from pkm_studies.study.tables.column_map import ColumnMap
+
+
+class ColumnsImporter:
+    """Takes columns by the map, or those whose names are those of a readings file."""
+
+    name = "columns"
+    about = "any CSV, by a column map"
+
+    def read(self, request: ImportRequest) -> ImportedSession:
+        """Machine, instrument and columns of the map. Raises InputError."""
+        given, place = column_map.load(request)
+        model = column_map.model(request, given, place)
+        tool, reference = column_map.instrument(request, given, place, None)
+        table = joined([csv_table.read(path) for path in request.files])
+        columns = mapped_columns(given, table, model.machine, tool, place)
+        complete = msgspec.structs.replace(
+            given, machine=model.reference, instrument=reference, columns=columns
+        )
+        tables = {
+            "name": request.name,
+            "title": f"{model.machine.name} read by {tool.name}",
+            "machine": {"model": model.reference},
+            "setup": [setup_table(complete, reference)],
+            "noise": {**given.noise, "estimate": True},
+            "readings": {"files": [readings_name(request.name)]},
+        }
+        comment = f"Imported from {', '.join(p.name for p in request.files)}."
+        return ImportedSession(
+            study=column_map.study_text(
+                comment, tables, template.prediction_table(model.machine)
+            ),
+            rows=rows(table, columns, given),
+            statements=statements(table, columns, given),
+            column_map=column_map.text(complete),
+        )
+
+
+importer = ColumnsImporter()
+
+
+def joined(tables: Sequence[CsvTable]) -> CsvTable:
+    """Tables side by side, line by line. Raises InputError where they do not fit."""
+    first = tables[0]
+    for other in tables[1:]:
+        if len(other) != len(first):
+            raise InputError(
+                f"{len(other)} lines of numbers, but {first.file} has {len(first)}",
+                "give files of the same poses in the same order",
+                file=other.file,
+            )
+        repeated = sorted(set(first.header) & set(other.header))
+        if repeated:
+            problem = f"the column {repeated[0]} is in {first.file} as well"
+            raise InputError(problem, "rename one of them", file=other.file)
+        pairs = zip(first.lines, other.lines, strict=True)
+        lines = tuple((number, [*cells, *more]) for (number, cells), (_, more) in pairs)
+        first = CsvTable(first.file, (*first.header, *other.header), lines)
+    return first
+
+
+def mapped_columns(
+    given: ColumnMap, table: CsvTable, machine: Machine, tool: Instrument, place: Place
+) -> dict[str, str]:
+    """Column of the CSV by column of the readings. Raises InputError.
+
+    What the map does not say is taken where the CSV's name is a readings column.
+    """
+    known = {c.name: c.unit for c in (*machine.command, *machine.joints)}
+    known |= {c.name: c.unit for c in tool.channels} | dict(COVARIATES)
+    columns = dict(given.columns)
+    at = place.key("columns")
+    for name, source in columns.items():
+        if not _is_known(name, known):
+            possible = [usual_column(stem, unit) for stem, unit in known.items()]
+            raise at.key(name).error("no column of readings", suggest(name, possible))
+        if source not in table.header:
+            remedy = suggest(source, table.header, "the file has")
+            raise at.key(name).error("the file has no such column", remedy, source)
+    stems = {_stem(name) for name in columns}
+    for name in table.header:
+        is_free = name not in columns.values() and _stem(name) not in stems
+        if is_free and _is_known(name, known):
+            columns[name] = name
+    stems = {_stem(name) for name in [*columns, *given.fixed]}
+    for channel in tool.channels:
+        if channel.name not in stems:
+            usual = usual_column(channel.name, channel.unit)
+            remedy = (
+                f"add {usual} to [columns] of a --map file; the file has"
+                f" {', '.join(table.header)}"
+            )
+            raise at.error(f"no column for {channel.name}", remedy)
+    return columns
+
+
+def rows(table: CsvTable, columns: Mapping[str, str], given: ColumnMap) -> list[Row]:
+    """Rows of the readings file; cells that are no numbers raise InputError."""
+    cells: dict[str, list[str]] = {}
+    for name, source in columns.items():
+        if name in LABELS:
+            cells[name] = table.cells(source)
+            continue
+        values = table.numbers(source, gaps=True)
+        cells[name] = ["" if value != value else repr(float(value)) for value in values]
+    for name, number in given.fixed.items():
+        cells[name] = [repr(number)] * len(table)
+    cells.setdefault("setup", [given.setup] * len(table))
+    cells.setdefault("run", ["1"] * len(table))
+    if "order" not in cells:
+        cells["order"] = _order(cells["setup"], cells["run"])
+    else:
+        cells["order"] = [str(int(float(cell))) for cell in cells["order"]]
+    labels = ["setup", "run", "order"]
+    names = labels + [name for name in cells if name not in labels]
+    return [{name: cells[name][k] for name in names} for k in range(len(table))]
+
+
+def setup_table(given: ColumnMap, reference: str) -> dict[str, object]:
+    """The [[setup]] of a map."""
+    table: dict[str, object] = {"name": given.setup, "instrument": reference}
+    if any(given.tool_mm):
+        table["tool_mm"] = list(given.tool_mm)
+    return {**table, **given.settings}
+
+
+def statements(
+    table: CsvTable, columns: Mapping[str, str], given: ColumnMap
+) -> list[str]:
+    """What was taken for what, and what was not taken."""
+    taken = ", ".join(f"{source} as {name}" for name, source in columns.items())
+    sentences = [f"Readings: {len(table)} lines of {table.file}; {taken}."]
+    for name, number in given.fixed.items():
+        sentences.append(f"All readings: {name} = {number:g}.")
+    unused = [name for name in table.header if name not in columns.values()]
+    if unused:
+        sentences.append(f"Not used: {', '.join(unused)}.")
+    return sentences
+
+
+def _order(setups: Sequence[str], runs: Sequence[str]) -> list[str]:
+    """Numbers within each run, in the order of the file."""
+    count: dict[tuple[str, str], int] = {}
+    order = []
+    for run in zip(setups, runs, strict=True):
+        count[run] = count.get(run, 0) + 1
+        order.append(str(count[run]))
+    return order
+
+
+def _is_known(name: str, known: Mapping[str, str]) -> bool:
+    """Whether a readings file may have a column of this name."""
+    if name in LABELS or name in UNITLESS:
+        return True
+    try:
+        column = parse_column(name)
+    except UnitError:
+        return False
+    if is_covariate(column.stem):
+        return True
+    return known.get(column.stem) == column.unit
+
+
+def _stem(name: str) -> str:
+    try:
+        return parse_column(name).stem
+    except UnitError:
+        return name

@@ -1,0 +1,234 @@
+"""Points of a laser tracker or a CMM: commanded poses, and the tool in a frame of its own.
+
+The instrument's frame is laid onto the machine's by a best fit of the points to where the
+nominal machine would be: s_i = R m_i + t with the least sum of squares (Kabsch). Then the
+frame is free within tolerances, or held there.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oed import units
+from oed.arrays import Array
+from oed.kinematics import Kinematics
+from pkm_studies import csv_table, template
+from pkm_studies.csv_table import CsvTable
+from pkm_studies.errors import InputError, Place
+from pkm_studies.importers import column_map, columns
+from pkm_studies.importers.base import (
+    ImportedSession,
+    ImportRequest,
+    Row,
+    readings_name,
+)
+from pkm_studies.resolve.tool_points import ToolPoints
+from pkm_studies.study.tables.column_map import ColumnMap
+
+INSTRUMENT = "pose_tracker_position"
+CHANNELS = ("read_x", "read_y", "read_z")
+#: names of measured coordinates that need no map: X, x [mm], x_meas
+MEASURED = re.compile(
+    r"\s*([xyz])\s*(?:[\[(]\s*mm\s*[\])]|_?meas(?:ured)?|_?m)?\s*", re.I
+)
+#: tolerances of a frame that is only known by the best fit
+FREE = {
+    **{f"shift_{axis}_mm": 10.0 for axis in "xyz"},
+    **{f"turn_{axis}_mrad": 20.0 for axis in "xyz"},
+}
+#: rms of the best fit over the points' spread above which the points are no such poses
+WORST_FIT = 0.1
+#: how many times better a mirrored frame must fit to be named
+MIRROR = 5.0
+
+
+class BestFit(NamedTuple):
+    """Rotation and shift (3,), m, of the instrument's frame, and the rms left, m."""
+
+    rotation: Rotation
+    shift: Array
+    rms: float
+
+    def apply(self, points: Array) -> Array:
+        """Points (n, 3) of the instrument's frame in the machine's."""
+        return np.asarray(self.rotation.apply(points) + self.shift)
+
+
+class TrackerImporter:
+    """Takes points with x, y, z from one file, and poses from it or from a second."""
+
+    name = "tracker"
+    about = "tracker or CMM points (CSV), with their frame laid onto the machine's"
+
+    def read(self, request: ImportRequest) -> ImportedSession:
+        """Poses and points, in the machine's frame. Raises InputError."""
+        given, place = column_map.load(request)
+        model = column_map.model(request, given, place)
+        tool, reference = column_map.instrument(request, given, place, INSTRUMENT)
+        table = columns.joined([csv_table.read(path) for path in request.files])
+        given = msgspec.structs.replace(given, columns=_with_measured(given, table))
+        mapped = columns.mapped_columns(given, table, model.machine, tool, place)
+        complete = msgspec.structs.replace(
+            given, machine=model.reference, instrument=reference, columns=mapped
+        )
+        rows = columns.rows(table, mapped, given)
+        kinematics = Kinematics(model.machine)
+        rows, sentence = _registered(rows, given, kinematics, table, place)
+        tables = {
+            "name": request.name,
+            "title": f"{model.machine.name} read by {tool.name}",
+            "machine": {"model": model.reference},
+            "setup": [_setup(complete, reference)],
+            "noise": {**given.noise, "estimate": True},
+            "readings": {"files": [readings_name(request.name)]},
+        }
+        comment = f"Imported from {', '.join(p.name for p in request.files)}."
+        return ImportedSession(
+            study=column_map.study_text(
+                comment, tables, template.prediction_table(model.machine)
+            ),
+            rows=rows,
+            statements=[*columns.statements(table, mapped, given), *sentence],
+            column_map=column_map.text(complete),
+        )
+
+
+importer = TrackerImporter()
+
+
+def best_fit(measured: Array, wanted: Array) -> BestFit:
+    """The rigid motion that lays measured points (n, 3) best onto wanted ones, m."""
+    middle, target = measured.mean(axis=0), wanted.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(wanted - target, measured - middle)
+    shift = target - rotation.apply(middle)
+    residual = rotation.apply(measured) + shift - wanted
+    return BestFit(rotation, shift, math.sqrt(float(np.mean(residual**2))))
+
+
+def _with_measured(given: ColumnMap, table: CsvTable) -> dict[str, str]:
+    """The map's columns, with X, Y, Z of the file as the points where it names none."""
+    mapped = dict(given.columns)
+    if any(name.startswith(CHANNELS) for name in [*mapped, *table.header]):
+        return mapped
+    for header in table.header:
+        match = MEASURED.fullmatch(header)
+        if match and header not in mapped.values():
+            mapped[f"read_{match[1].lower()}_mm"] = header
+    return mapped
+
+
+def _registered(
+    rows: list[Row],
+    given: ColumnMap,
+    kinematics: Kinematics,
+    table: CsvTable,
+    place: Place,
+) -> tuple[list[Row], list[str]]:
+    """Rows with the points in the machine's frame, and what was done. Raises InputError."""
+    if given.registration == "known":
+        return rows, ["Frame: the points are taken to be in the machine's frame."]
+    turned = [name for name in rows[0] if name.startswith("read_")]
+    turned = [name for name in turned if not name.startswith(CHANNELS)]
+    if turned:
+        raise place.key("registration").error(
+            f"{turned[0]} would stay in the instrument's frame",
+            'turn the points beforehand and state registration = "known"',
+        )
+    names = [_channel_column(rows, channel) for channel in CHANNELS]
+    measured = _numbers(rows, names)
+    machine = kinematics.machine
+    commanded = [_channel_column(rows, c.name) for c in machine.command]
+    tool = units.to_si(given.tool_mm, "mm")
+    wanted = ToolPoints(kinematics, tool.tolist()).points(_numbers(rows, commanded))
+    used = np.isfinite(measured).all(axis=1) & np.isfinite(wanted).all(axis=1)
+    if used.sum() < 4:
+        raise InputError(
+            f"{int(used.sum())} points are too few to find the instrument's frame",
+            'measure four poses or more, or state registration = "known" in the map',
+            file=table.file,
+        )
+    fit = best_fit(measured[used], wanted[used])
+    _check_fit(fit, measured[used], wanted[used], table)
+    moved = fit.apply(measured)
+    changed: list[Row] = []
+    for k, row in enumerate(rows):
+        cells = {
+            name: repr(float(value / units.factor(name.rpartition("_")[2])))
+            for name, value in zip(names, moved[k], strict=True)
+            if np.isfinite(value)
+        }
+        changed.append({**row, **cells})
+    return changed, _frame_sentences(fit, given)
+
+
+def _check_fit(fit: BestFit, measured: Array, wanted: Array, table: CsvTable) -> None:
+    """Raises InputError for points in a left-handed frame, or of other poses."""
+    spread = math.sqrt(float(np.mean((wanted - wanted.mean(axis=0)) ** 2)))
+    if fit.rms < WORST_FIT * spread:
+        return
+    mirrored = best_fit(measured * np.array([1.0, 1.0, -1.0]), wanted)
+    if MIRROR * mirrored.rms < fit.rms:
+        raise InputError(
+            "the points fit their mirror image: the instrument's frame is left-handed,"
+            " or two axes are swapped",
+            "swap two of read_x, read_y, read_z in [columns] of the map",
+            file=table.file,
+        )
+    rms = units.number(fit.rms, "mm")
+    raise InputError(
+        f"the points are {rms:.3g} mm rms off the commanded poses after a best fit",
+        "check that points and poses are in one order, their units, and the machine",
+        file=table.file,
+    )
+
+
+def _frame_sentences(fit: BestFit, given: ColumnMap) -> list[str]:
+    shift = ", ".join(f"{v:.6g}" for v in units.from_si(fit.shift, "mm"))
+    vector = units.from_si(fit.rotation.as_rotvec(), "deg")
+    turn = ", ".join(f"{v:.5g}" for v in vector)
+    rms = units.number(fit.rms, "mm")
+    role = "free within 10 mm and 20 mrad, and identified with the machine"
+    if given.registration == "best_fit":
+        role = "held there: what the machine's errors share with a rigid motion is lost"
+    return [
+        f"Frame: best fit to the nominal poses, shift {shift} mm, rotation vector"
+        f" {turn} deg; {rms:.3g} mm rms are left.",
+        f"The frame is {role}.",
+    ]
+
+
+def _setup(given: ColumnMap, reference: str) -> dict[str, object]:
+    tolerance = {name: 0.0 for name in FREE}
+    if given.registration == "free":
+        tolerance = dict(FREE)
+    return {**columns.setup_table(given, reference), "tolerance": tolerance}
+
+
+def _channel_column(rows: list[Row], stem: str) -> str:
+    """Name of the readings column of a quantity. Raises InputError."""
+    for name in rows[0]:
+        if name.rpartition("_")[0] == stem:
+            return name
+    raise InputError(
+        f"no column for {stem}",
+        "commanded poses are needed: add the column to [columns] of a --map file, or"
+        " give a second file of poses",
+        file="--map",
+    )
+
+
+def _numbers(rows: list[Row], names: list[str]) -> Array:
+    """SI values (n, k) of columns; NaN where a cell is empty."""
+    values = np.full((len(rows), len(names)), np.nan)
+    for j, name in enumerate(names):
+        factor = units.factor(name.rpartition("_")[2])
+        for i, row in enumerate(rows):
+            if row[name]:
+                values[i, j] = factor * float(row[name])
+    return values

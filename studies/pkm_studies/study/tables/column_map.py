@@ -1,0 +1,69 @@
+"""Tables of a column map file: which column of a CSV is what."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pkm_studies.study.tables.base import (
+    Count,
+    NotNegative,
+    Positive,
+    StudyTable,
+    Triple,
+)
+
+
+class CircleFacts(StudyTable, frozen=True, kw_only=True):
+    """What a ball-bar trace does not say about its circle.
+
+    centre_mm     of the circle, in machine coordinates
+    radius_mm     of the circle
+    plane         "xy", "yz" or "zx": angles run from the first axis to the second
+    length_mm     of the bar, to which deviations are added; by default the radius
+    cup_mm        place of the table's cup; by default the centre
+    feed_mm_min   for traces over time
+    start_deg     for traces over time: angle of the first point
+    direction     for traces over time: "ccw" or "cw"
+    feed_in_deg   arc at the start of each run that is no reading
+    feed_out_deg  arc at its end, likewise
+    readings      readings a run after thinning, at most
+    """
+
+    centre_mm: Triple
+    radius_mm: Positive
+    plane: Literal["xy", "yz", "zx"] = "xy"
+    length_mm: Positive | None = None
+    cup_mm: Triple | None = None
+    feed_mm_min: Positive | None = None
+    start_deg: float = 0.0
+    direction: Literal["ccw", "cw"] = "ccw"
+    feed_in_deg: NotNegative = 0.0
+    feed_out_deg: NotNegative = 0.0
+    readings: Count = 120
+
+
+class ColumnMap(StudyTable, frozen=True, kw_only=True):
+    """A column map file.
+
+    machine       a name of `oed list machines`, or a file of your own
+    instrument    a name of `oed list instruments`, or a file of your own
+    setup         name of the set-up
+    registration  of a tracker: "free" (identified), "best_fit" (held) or "known"
+    tool_mm       tool point in the platform's frame
+    columns       column of the CSV, by column of the readings
+    settings      of the instrument, with their unit
+    noise         standard deviations of the channels, with their unit
+    fixed         coordinates with one value for all readings, with their unit
+    circle        what a ball-bar trace does not say
+    """
+
+    machine: str | None = None
+    instrument: str | None = None
+    setup: str = "setup1"
+    registration: Literal["free", "best_fit", "known"] = "free"
+    tool_mm: Triple = (0.0, 0.0, 0.0)
+    columns: dict[str, str] = {}
+    settings: dict[str, float] = {}
+    noise: dict[str, float] = {}
+    fixed: dict[str, float] = {}
+    circle: CircleFacts | None = None
