@@ -26,6 +26,27 @@ def completed(dimensions: Sequence[Dimension], geometry: Geometry) -> dict[str, 
     return {d.name: geometry.get(d.name, d.default) for d in dimensions}
 
 
+def array(table: Geometry, name: str) -> Array:
+    """An entry as an array."""
+    return np.asarray(table[name], dtype=float)
+
+
+def number(table: Geometry, name: str) -> float:
+    """An entry as a number."""
+    return float(table[name])
+
+
+def largest(points: Array) -> float:
+    """Largest length of points or vectors (n, 3), m."""
+    return float(np.linalg.norm(points, axis=1).max())
+
+
+def by_name(coordinates: Sequence[Coordinate], values: Sequence[Expr]) -> Values:
+    """Values by the names of their coordinates."""
+    names = [c.name for c in coordinates]
+    return dict(zip(names, values, strict=True))
+
+
 def tolerance_dimension() -> Dimension:
     """The accuracy to which places and lengths are known before."""
     about = "standard deviation of places and lengths; a thousandth of the size if none"
@@ -68,6 +89,14 @@ def joint_ranges(lower: float, upper: float, count: int) -> tuple[Coordinate, ..
     """Joints `q1`, `q2`, ... with one range, m, widened."""
     margin = JOINT_MARGIN * (upper - lower)
     low, high = lower - margin, upper + margin
+    return tuple(Coordinate(f"q{i + 1}", "m", low, high) for i in range(count))
+
+
+def around(lengths: Array, change: float, count: int) -> tuple[Coordinate, ...]:
+    """Ranges of legs that change by so much from lengths at home, m; above 0."""
+    shortest = float(lengths.min())
+    low = max(shortest - change, 0.01 * shortest)
+    high = float(lengths.max()) + change
     return tuple(Coordinate(f"q{i + 1}", "m", low, high) for i in range(count))
 
 

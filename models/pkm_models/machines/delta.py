@@ -20,7 +20,6 @@ number for all towers or one for each; print_radius and print_height, the worksp
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -35,6 +34,7 @@ from oed.machine import (
     Family,
     Machine,
     Parameter,
+    Start,
     Values,
 )
 from pkm_models import families
@@ -71,7 +71,8 @@ def _tool(x: Values) -> Expr:
 
 def _tower(p: Values, i: int) -> tuple[Expr, Expr]:
     """Foot (3,) at z = 0 and direction (3,) of a tower."""
-    cos, sin = ca.cos(p[f"angle{i}"]), ca.sin(p[f"angle{i}"])
+    angle = p[f"angle{i}"]
+    cos, sin = ca.cos(angle), ca.sin(angle)
     lean, tip = p[f"lean{i}"], p[f"tip{i}"]
     axis = ca.vertcat(lean * cos - tip * sin, lean * sin + tip * cos, 1.0)
     foot = ca.vertcat(p[f"radius{i}"] * cos, p[f"radius{i}"] * sin, 0.0)
@@ -93,7 +94,7 @@ def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     return [ca.norm_2(_tool(x) - _carriage(i, q, p)) - p[f"arm{i}"] for i in TOWERS]
 
 
-def guess(c: Values, p: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
+def guess(c: Values, p: Values) -> Start:
     """The commanded point, and each carriage at the upper end of its arm."""
     joints = []
     for i in TOWERS:

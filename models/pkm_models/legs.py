@@ -1,0 +1,176 @@
+"""What the families with six coordinates of a platform have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from oed.arrays import Array
+from oed.machine import Component, Coordinate, Dimension, Expr, Parameter, Strut, Values
+from pkm_models import families
+from pkm_models.families import Geometry, point
+from pkm_models.six_dof import ANGLES, XYZ, platform
+
+#: prior standard deviations of directions, rad
+DIRECTION_SD = 1e-3
+BASE = "joint centres at the base, in the base frame"
+PLATFORM = "joint centres at the platform, from the tool point"
+SIDE = "1 where the carriage is ahead of its platform joint, -1 where behind"
+#: commands of a tripod: height and tilt vector of the tool
+TRIPOD_COMMAND = ("z", "rx", "ry")
+
+
+def ranges_dimensions(
+    home: Sequence[float], reach: float, tilt: float
+) -> tuple[Dimension, ...]:
+    """Home of the tool point, how far the workspace reaches about it, and the tilt."""
+    return (
+        Dimension("home", "m", (3,), tuple(home), "tool point at home"),
+        Dimension("reach", "m", (), reach, "half the workspace's width about home"),
+        Dimension("tilt", "rad", (), tilt, "largest tilt, either way"),
+        families.tolerance_dimension(),
+    )
+
+
+def platform_joint(x: Values, p: Values, i: int) -> Expr:
+    """Joint centre (3,) of limb i at the platform, in the base frame."""
+    rotation, origin = platform(x)
+    return origin + rotation @ point(p, "a", i)
+
+
+def leg(x: Values, p: Values, i: int) -> Strut:
+    """Ends (3,) of an extensible leg, at the base and at the platform."""
+    return point(p, "b", i), platform_joint(x, p, i)
+
+
+def leg_length(x: Values, p: Values, i: int) -> Expr:
+    """Distance of a leg's joints less the zero of its scale, m."""
+    foot, joint = leg(x, p, i)
+    return ca.norm_2(joint - foot) - p[f"l{i}"]
+
+
+def legs_skeleton(x: Values, p: Values, count: int) -> list[list[Expr]]:
+    """Base, legs, platform and tool."""
+    ends = [leg(x, p, i + 1) for i in range(count)]
+    feet = [foot for foot, _ in ends]
+    joints = [joint for _, joint in ends]
+    return skeleton(feet, joints, x)
+
+
+def errors(free: Sequence[str]) -> tuple[Component, ...]:
+    """Pose errors x, y, z and rotation vector; those in `free` can be nulled."""
+    units = dict.fromkeys(XYZ, "m") | dict.fromkeys(("ax", "ay", "az"), "rad")
+    return tuple(Component(n, unit, n in free) for n, unit in units.items())
+
+
+def pose_at(c: Values, home: Sequence[float]) -> dict[str, Expr]:
+    """A pose by name: the command's coordinates, home's place, and no spin."""
+    start = dict(zip(XYZ, home, strict=True)) | dict.fromkeys(ANGLES, 0.0)
+    return {**start, **dict(c)}
+
+
+def skeleton(
+    feet: Sequence[Expr], joints: Sequence[Expr], x: Values
+) -> list[list[Expr]]:
+    """Base, limbs, platform and tool."""
+    centre = sum(joints[1:], joints[0]) / len(joints)
+    limbs = [[b, a] for b, a in zip(feet, joints, strict=True)]
+    base, top = [*feet, feet[0]], [*joints, joints[0]]
+    return [base, *limbs, top, [centre, platform(x)[1]]]
+
+
+# -- carriages on straight guides ------------------------------------------------------
+
+
+def across(directions: Array) -> Array:
+    """Two unit vectors (n, 2, 3) across each direction (n, 3)."""
+    pairs = []
+    for u in directions:
+        axis = np.eye(3)[int(np.argmin(np.abs(u)))]
+        first = np.cross(u, axis)
+        first /= np.linalg.norm(first)
+        pairs.append((first, np.cross(u, first)))
+    return np.array(pairs)
+
+
+def direction(p: Values, i: int, along: Array, sides: Array) -> Expr:
+    """Direction (3,) of guide i with its two tilts."""
+    tilted = (
+        ca.DM(along)
+        + p[f"tilt{i}a"] * ca.DM(sides[0])
+        + p[f"tilt{i}b"] * ca.DM(sides[1])
+    )
+    return tilted / ca.norm_2(tilted)
+
+
+def travel(joint: Expr, foot: Expr, axis: Expr, strut: Expr, side: float) -> Expr:
+    """Travel along a guide that puts a strut's carriage at its length from a joint."""
+    offset = joint - foot
+    along = ca.dot(offset, axis)
+    sideways = ca.dot(offset, offset) - along**2
+    height = ca.sqrt(strut**2 - sideways)
+    return along + side * height
+
+
+def guide_tilts(count: int) -> list[Parameter]:
+    """Two tilts a guide, rad."""
+    about = "tilt of guide"
+    return [
+        Parameter(f"tilt{i + 1}{k}", 0.0, DIRECTION_SD, "rad", f"{about} {i + 1}, {k}")
+        for i in range(count)
+        for k in "ab"
+    ]
+
+
+def guide_dimensions(
+    guide: Array, along: Array, strut: float, side: Sequence[float]
+) -> tuple[Dimension, ...]:
+    """Guides, their directions, struts and the sides of their carriages."""
+    n = len(guide)
+    return (
+        Dimension("guide", "m", (n, 3), guide, "points of the guides at travel 0"),
+        Dimension("direction", "1", (n, 3), along, "directions of the guides"),
+        Dimension("strut", "m", (n,), strut, "strut lengths"),
+        Dimension("side", "1", (n,), tuple(side), SIDE),
+    )
+
+
+# -- tripods ---------------------------------------------------------------------------
+
+
+def tripod_command(table: Geometry) -> tuple[Coordinate, ...]:
+    """Height within reach of home, and tilt vector."""
+    z, reach, tilt = (
+        float(table["home"][2]),
+        float(table["reach"]),
+        float(table["tilt"]),
+    )
+    angles = [Coordinate(n, "rad", -tilt, tilt) for n in TRIPOD_COMMAND[1:]]
+    return (Coordinate("z", "m", z - reach, z + reach), *angles)
+
+
+def tripod_start(c: Values, p: Values) -> list[Expr]:
+    """Pose with the platform's joints over the base's, upright up to its tilt."""
+    rotation, _ = platform(pose_at(c, (0.0, 0.0, 0.0)))
+    at = _centre(p, "b") - rotation @ _centre(p, "a")
+    return [at[0], at[1], c["z"], c["rx"], c["ry"], 0.0]
+
+
+def _centre(p: Values, stem: str) -> Expr:
+    """Mean (3,) of a tripod's points."""
+    points = [point(p, stem, i) for i in (1, 2, 3)]
+    return sum(points[1:], points[0]) / 3.0
+
+
+def hinge(v: Expr, axis: Array, p: Values, i: int) -> Expr:
+    """How far a strut (3,) is out of the plane of its hinge, m."""
+    tilt = p[f"hinge{i}"]
+    return ca.dot(ca.DM(axis), v) - ca.norm_2(v) * ca.sin(tilt)
+
+
+def hinge_parameters() -> list[Parameter]:
+    """The tilts of three struts out of the planes of their hinges, rad."""
+    about = "tilt out of its plane of strut"
+    return families.numbers("hinge", (0.0, 0.0, 0.0), DIRECTION_SD, "rad", about)

@@ -1,0 +1,116 @@
+"""Hexapod with carriages (6-PUS) of any geometry: struts of fixed length on six guides.
+
+Carriage i is at g_i + q_i u_i on its guide, and its strut runs to the platform joint:
+
+    |x + R a_i - g_i - q_i u_i| = l_i,
+
+as in M. Honegger, A. Codourey and E. Burdet, Adaptive control of the Hexaglide, IEEE
+ICRA 1997, 543-548. Geometry (`[machine.geometry]`): guide, direction, strut, side and
+platform, one for each limb; home, reach and tilt of the workspace. A guide's point
+along its direction is the zero of its scale.
+"""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+
+from oed.arrays import Array
+from oed.machine import Dimension, Expr, Family, Machine, Start, Values
+from pkm_models import families, legs, six_dof
+from pkm_models.families import Geometry, as_rows, point
+
+LIMBS = (1, 2, 3, 4, 5, 6)
+NAME = "hexapod_pus"
+GUIDES = families.ring(0.350, (-15, 15, 105, 135, 225, 255), 0.0)
+PLATFORM = families.ring(0.200, (-45, 45, 75, 165, 195, 285), 0.050)
+DIMENSIONS = (
+    *legs.guide_dimensions(GUIDES, np.array([0.0, 0.0, 1.0]), 0.500, [1.0] * 6),
+    Dimension("platform", "m", (6, 3), PLATFORM, legs.PLATFORM),
+    *legs.ranges_dimensions((0.0, 0.0, 0.200), 0.080, math.radians(10.0)),
+)
+
+
+def _builder(along: Array, side: Array) -> dict[str, object]:
+    """Closure, start, drawing and struts for guides of these directions and sides."""
+    sides = legs.across(along)
+
+    def axis(p: Values, i: int) -> Expr:
+        return legs.direction(p, i, along[i - 1], sides[i - 1])
+
+    def ends(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
+        carriage = point(p, "b", i) + q[f"q{i}"] * axis(p, i)
+        return carriage, legs.platform_joint(x, p, i)
+
+    def closure(x: Values, q: Values, p: Values) -> list[Expr]:
+        rows = []
+        for i in LIMBS:
+            carriage, joint = ends(x, q, p, i)
+            rows.append(ca.norm_2(joint - carriage) - p[f"l{i}"])
+        return rows
+
+    def guess(c: Values, p: Values) -> Start:
+        joints = []
+        for i in LIMBS:
+            at = legs.platform_joint(c, p, i)
+            foot = point(p, "b", i)
+            along_guide = axis(p, i)
+            strut = p[f"l{i}"]
+            sign = side[i - 1]
+            joints.append(legs.travel(at, foot, along_guide, strut, sign))
+        return six_dof.target(c), joints
+
+    def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
+        carriages, joints = zip(*[ends(x, q, p, i) for i in LIMBS], strict=True)
+        return legs.skeleton(carriages, joints, x)
+
+    def struts(x: Values, q: Values, p: Values) -> list[tuple[Expr, Expr]]:
+        return [ends(x, q, p, i) for i in LIMBS]
+
+    return {"closure": closure, "guess": guess, "skeleton": skeleton, "struts": struts}
+
+
+def build(geometry: Geometry) -> Machine:
+    """A machine of this geometry. Raises ValueError where it makes none."""
+    table = families.completed(DIMENSIONS, geometry)
+    families.positive(table, "strut", "reach", "tilt")
+    platform = families.array(table, "platform")
+    guides = families.array(table, "guide")
+    home = families.array(table, "home")
+    reach = families.number(table, "reach")
+    along = families.unit_vectors(table["direction"], 6)
+    strut = as_rows(table["strut"], 6)
+    size = families.largest(platform)
+    span = families.largest(home + platform - guides)
+    longest = float(strut.max())
+    sd = families.tolerance(table, longest)
+    command = six_dof.command(home.tolist(), reach, families.number(table, "tilt"))
+    return Machine(
+        name=NAME,
+        source="Honegger, Codourey and Burdet 1997, IEEE ICRA, 543-548, generalised",
+        about="hexapod with carriages of any geometry (6-PUS): all six driven",
+        pose=six_dof.POSE,
+        joints=families.joint_ranges(-span - reach, span + longest, 6),
+        command=command,
+        parameters=(
+            *families.places("b", guides, sd, "point of guide"),
+            *legs.guide_tilts(6),
+            *families.places("a", platform, sd, "platform joint"),
+            *families.numbers("l", strut.tolist(), sd, "m", "length of strut"),
+        ),
+        components=six_dof.COMPONENTS,
+        home=legs.pose_at({}, home.tolist()),
+        lever=size,
+        platform=six_dof.platform,
+        commanded=six_dof.commanded,
+        target=six_dof.target,
+        read_error=lambda c, twist: twist,
+        family=family,
+        **_builder(along, as_rows(table["side"], 6)),  # type: ignore[arg-type]
+    )
+
+
+family = Family(NAME, DIMENSIONS, build)
+machine = build({})

@@ -1,0 +1,126 @@
+"""Tripod with carriages (3-PRS) of any geometry: struts of fixed length on hinges.
+
+Carriage i is at b_i + q_i u_i on its guide and carries a hinge of axis s_i; with v_i =
+x + R a_i - b_i - q_i u_i the strut to the platform joint obeys
+
+    |v_i| = l_i,        v_i . s_i = |v_i| sin(hinge_i),
+
+as in J. A. Carretero et al., Kinematic analysis and optimization of a new three
+degree-of-freedom spatial parallel manipulator, J. Mechanical Design 122 (2000) 17-24.
+Commanded are z of the tool point and the tilt vector rx, ry. Geometry
+(`[machine.geometry]`): guide, direction, strut, side, axis and platform, one for each
+limb; home, reach and tilt of the workspace.
+"""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+
+from oed.arrays import Array
+from oed.machine import Dimension, Expr, Family, Machine, Start, Values
+from pkm_models import families, legs, six_dof
+from pkm_models.families import Geometry, as_rows, point
+
+LIMBS = (1, 2, 3)
+NAME = "tripod_prs"
+DEGREES = (0.0, 120.0, 240.0)
+GUIDES = families.ring(0.350, DEGREES, 0.0)
+AXES = families.ring(1.0, [d + 90.0 for d in DEGREES], 0.0)
+PLATFORM = families.ring(0.200, DEGREES, 0.300)
+DIMENSIONS = (
+    *legs.guide_dimensions(GUIDES, np.array([0.0, 0.0, 1.0]), 0.800, [1.0] * 3),
+    Dimension("axis", "1", (3, 3), AXES, "axes of the hinges"),
+    Dimension("platform", "m", (3, 3), PLATFORM, legs.PLATFORM),
+    *legs.ranges_dimensions((0.0, 0.0, 0.300), 0.150, math.radians(25.0)),
+)
+
+
+def _builder(along: Array, axes: Array, side: Array) -> dict[str, object]:
+    """Closure, start, drawing and struts for these guides and hinges."""
+    sides = legs.across(along)
+
+    def guide(p: Values, i: int) -> Expr:
+        return legs.direction(p, i, along[i - 1], sides[i - 1])
+
+    def ends(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
+        carriage = point(p, "b", i) + q[f"q{i}"] * guide(p, i)
+        return carriage, legs.platform_joint(x, p, i)
+
+    def closure(x: Values, q: Values, p: Values) -> list[Expr]:
+        rows = []
+        for i in LIMBS:
+            carriage, joint = ends(x, q, p, i)
+            v = joint - carriage
+            rows.append(ca.norm_2(v) - p[f"l{i}"])
+            rows.append(legs.hinge(v, axes[i - 1], p, i))
+        return rows
+
+    def guess(c: Values, p: Values) -> Start:
+        pose = legs.tripod_start(c, p)
+        x = families.by_name(six_dof.POSE, pose)
+        joints = []
+        for i in LIMBS:
+            at = legs.platform_joint(x, p, i)
+            foot = point(p, "b", i)
+            along_guide = guide(p, i)
+            strut = p[f"l{i}"]
+            sign = side[i - 1]
+            joints.append(legs.travel(at, foot, along_guide, strut, sign))
+        return pose, joints
+
+    def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
+        carriages, joints = zip(*[ends(x, q, p, i) for i in LIMBS], strict=True)
+        return legs.skeleton(carriages, joints, x)
+
+    def struts(x: Values, q: Values, p: Values) -> list[tuple[Expr, Expr]]:
+        return [ends(x, q, p, i) for i in LIMBS]
+
+    return {"closure": closure, "guess": guess, "skeleton": skeleton, "struts": struts}
+
+
+def build(geometry: Geometry) -> Machine:
+    """A tripod of this geometry. Raises ValueError where it makes none."""
+    table = families.completed(DIMENSIONS, geometry)
+    families.positive(table, "strut", "reach", "tilt")
+    platform = families.array(table, "platform")
+    guides = families.array(table, "guide")
+    home = families.array(table, "home")
+    along = families.unit_vectors(table["direction"], 3)
+    axes = families.unit_vectors(table["axis"], 3)
+    strut = as_rows(table["strut"], 3)
+    size = families.largest(platform)
+    span = families.largest(home + platform - guides)
+    reach = families.number(table, "reach")
+    longest = float(strut.max())
+    sd = families.tolerance(table, longest)
+    return Machine(
+        name=NAME,
+        source="Carretero et al. 2000, J. Mechanical Design 122, 17-24",
+        about="tripod with carriages of any geometry (3-PRS): z and tilt driven",
+        pose=six_dof.POSE,
+        joints=families.joint_ranges(-span - reach, span + longest, 3),
+        command=legs.tripod_command(table),
+        parameters=(
+            *families.places("b", guides, sd, "point of guide"),
+            *legs.guide_tilts(3),
+            *families.places("a", platform, sd, "platform joint"),
+            *families.numbers("l", strut.tolist(), sd, "m", "length of strut"),
+            *legs.hinge_parameters(),
+        ),
+        components=legs.errors(("z", "ax", "ay")),
+        home={"z": float(home[2]), "rx": 0.0, "ry": 0.0},
+        lever=size,
+        platform=six_dof.platform,
+        commanded=lambda x, tip: [tip[2], x["rx"], x["ry"]],
+        target=lambda c: [c[n] for n in legs.TRIPOD_COMMAND],
+        read_error=lambda c, twist: twist,
+        family=family,
+        **_builder(along, axes, as_rows(table["side"], 3)),  # type: ignore[arg-type]
+    )
+
+
+family = Family(NAME, DIMENSIONS, build)
+machine = build({})

@@ -1,0 +1,109 @@
+"""Tripod of any geometry (3-RPS): three extensible legs on hinges; z and tilt driven.
+
+Leg i runs from the hinge b_i to the platform joint a_i, with v_i = x + R a_i - b_i:
+
+    |v_i| = q_i + l_i,        v_i . s_i = |v_i| sin(hinge_i),
+
+where s_i is the axis of the hinge; hinge_i tilts the leg out of its plane (K. M. Lee
+and D. K. Shah, Kinematic analysis of a three-degrees-of-freedom in-parallel actuated
+manipulator, IEEE J. Robotics and Automation 4, 1988, 354-360). Commanded are z of the
+tool point and the tilt vector rx, ry; x, y and spin follow. Geometry
+(`[machine.geometry]`): base, axis and platform, one for each leg; home, reach, tilt.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from oed.arrays import Array
+from oed.machine import Dimension, Expr, Family, Machine, Start, Values
+from pkm_models import families, legs, six_dof
+from pkm_models.families import Geometry
+
+LEGS = (1, 2, 3)
+NAME = "tripod_rps"
+DEGREES = (-90.0, 30.0, 150.0)
+AXES = families.ring(1.0, [d + 90.0 for d in DEGREES], 0.0)
+DIMENSIONS = (
+    Dimension("base", "m", (3, 3), families.ring(0.250, DEGREES, 0.0), legs.BASE),
+    Dimension("axis", "1", (3, 3), AXES, "axes of the hinges"),
+    Dimension(
+        "platform", "m", (3, 3), families.ring(0.250, DEGREES, -0.3), legs.PLATFORM
+    ),
+    *legs.ranges_dimensions((0.0, 0.0, 0.900), 0.100, math.radians(25.0)),
+)
+
+
+def _vector(x: Values, p: Values, i: int) -> Expr:
+    foot, joint = legs.leg(x, p, i)
+    return joint - foot
+
+
+def _closure(x: Values, q: Values, p: Values, axes: Array) -> list[Expr]:
+    """Leg lengths and planes; m."""
+    rows = []
+    for i in LEGS:
+        v = _vector(x, p, i)
+        rows.append(legs.leg_length(x, p, i) - q[f"q{i}"])
+        rows.append(legs.hinge(v, axes[i - 1], p, i))
+    return rows
+
+
+def guess(c: Values, p: Values) -> Start:
+    """Platform over the base, with the commanded tilt, and its legs."""
+    pose = legs.tripod_start(c, p)
+    x = families.by_name(six_dof.POSE, pose)
+    return pose, [legs.leg_length(x, p, i) for i in LEGS]
+
+
+def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
+    """Base, legs, platform, tool."""
+    return legs.legs_skeleton(x, p, 3)
+
+
+def build(geometry: Geometry) -> Machine:
+    """A tripod of this geometry. Raises ValueError where it makes none."""
+    table = families.completed(DIMENSIONS, geometry)
+    families.positive(table, "reach", "tilt")
+    base = families.array(table, "base")
+    platform = families.array(table, "platform")
+    home = families.array(table, "home")
+    reach = families.number(table, "reach")
+    axes = families.unit_vectors(table["axis"], 3)
+    size = families.largest(platform)
+    lengths = np.linalg.norm(home + platform - base, axis=1)
+    tilt = families.number(table, "tilt")
+    legs_range = families.around(lengths, 2.0 * (reach + 2.0 * size * tilt), 3)
+    sd = families.tolerance(table, float(lengths.mean()))
+    return Machine(
+        name=NAME,
+        source="Lee and Shah 1988, IEEE J. Robotics and Automation 4, 354-360",
+        about="tripod of any geometry (3-RPS): z and tilt driven; x, y, spin parasitic",
+        pose=six_dof.POSE,
+        joints=legs_range,
+        command=legs.tripod_command(table),
+        parameters=(
+            *families.places("b", base, sd, "base joint"),
+            *families.places("a", platform, sd, "platform joint"),
+            *families.numbers("l", [0.0] * 3, sd, "m", "zero of leg"),
+            *legs.hinge_parameters(),
+        ),
+        components=legs.errors(("z", "ax", "ay")),
+        home={"z": float(home[2]), "rx": 0.0, "ry": 0.0},
+        lever=size,
+        closure=lambda x, q, p: _closure(x, q, p, axes),
+        platform=six_dof.platform,
+        commanded=lambda x, tip: [tip[2], x["rx"], x["ry"]],
+        target=lambda c: [c[n] for n in legs.TRIPOD_COMMAND],
+        guess=guess,
+        read_error=lambda c, twist: twist,
+        skeleton=skeleton,
+        struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
+        family=family,
+    )
+
+
+family = Family(NAME, DIMENSIONS, build)
+machine = build({})

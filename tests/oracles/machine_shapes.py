@@ -1,0 +1,234 @@
+"""Oracle of the families of machines: drawn geometries of 0.1 to 10 m, and whether a
+pose with its joints is assembled, and in which mode, by NumPy and SciPy alone.
+
+It must never import the toolkit.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+Geometry = dict[str, Any]
+#: length errors (n, limbs), m, and the mask (n,) of mirrored poses
+Verdict = tuple[Array, NDArray[np.bool_]]
+
+
+def drawn_size(rng: np.random.Generator) -> float:
+    """0.1 to 10 m, evenly over the decades."""
+    return float(10.0 ** rng.uniform(-1.0, 1.0))
+
+
+def _ring(
+    rng: np.random.Generator, radius: float, degrees: list[float], z: float
+) -> Array:
+    """A circle whose points were drawn 3 % of the radius and 4 degrees off."""
+    angles = np.deg2rad(degrees) + rng.normal(0.0, 0.07, len(degrees))
+    at = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))])
+    place = np.array([0.0, 0.0, z])
+    return radius * at + place + 0.03 * radius * rng.normal(size=at.shape)
+
+
+def _pairs(middle: float, half: float) -> list[float]:
+    centres = (middle, middle + 120.0, middle + 240.0)
+    return [c + s * half for c in centres for s in (-1.0, 1.0)]
+
+
+def rotations(x: Array) -> Array:
+    """Rotations (n, 3, 3) of poses x, y, z, rx, ry, spin: spin, then the tilt vector."""
+    tilt = np.column_stack([x[:, 3], x[:, 4], np.zeros(len(x))])
+    spin = np.column_stack([np.zeros((len(x), 2)), x[:, 5]])
+    turned = Rotation.from_rotvec(tilt) * Rotation.from_rotvec(spin)
+    return np.asarray(turned.as_matrix())
+
+
+def _joints(geometry: Geometry, x: Array) -> Array:
+    """Platform joints (n, limbs, 3) in the base frame."""
+    turned = np.einsum("nij,kj->nki", rotations(x), geometry["platform"])
+    return np.asarray(x[:, None, :3] + turned)
+
+
+def _upright(x: Array) -> NDArray[np.bool_]:
+    """Which poses have the tool axis and the spin the wrong way round."""
+    r = rotations(x)
+    return np.asarray((r[:, 2, 2] < 0.0) | (np.cos(x[:, 5]) < 0.0))
+
+
+# -- hexapods and tripods --------------------------------------------------------------
+
+
+def hexapod_ups(rng: np.random.Generator) -> Geometry:
+    """Base and platform with six joints in pairs."""
+    size = drawn_size(rng)
+    base = _ring(rng, 0.6 * size, _pairs(0.0, 15.0), 0.0)
+    platform = _ring(rng, 0.4 * size, _pairs(0.0, 45.0), rng.uniform(0, 0.3) * size)
+    home = np.array([0.0, 0.0, rng.uniform(0.7, 1.1) * size])
+    shape = {"base": base, "platform": platform, "home": home}
+    return shape | {"reach": 0.15 * size, "tilt": 0.2}
+
+
+def hexapod_pus(rng: np.random.Generator) -> Geometry:
+    """Nearly vertical guides, with the carriages above or below the platform."""
+    size, side = drawn_size(rng), rng.choice([-1.0, 1.0])
+    guide = _ring(rng, 0.7 * size, _pairs(0.0, 15.0), 0.0)
+    platform = _ring(rng, 0.4 * size, _pairs(0.0, 45.0), 0.0)
+    direction = [0.0, 0.0, 1.0] + 0.05 * rng.normal(size=(6, 3))
+    shape = {"guide": guide, "platform": platform, "direction": direction}
+    shape |= {"strut": size * rng.uniform(1.0, 1.1, 6), "side": np.full(6, side)}
+    return shape | {"home": np.zeros(3), "reach": 0.1 * size, "tilt": 0.15}
+
+
+def _tripod(rng: np.random.Generator, size: float) -> Geometry:
+    degrees = [-90.0, 30.0, 150.0]
+    axis = _ring(rng, 1.0, [d + 90.0 for d in degrees], 0.0)
+    drop = rng.uniform(-0.6, 0.6) * size
+    platform = _ring(rng, 0.4 * size, degrees, drop)
+    return {"axis": axis, "platform": platform, "reach": 0.15 * size, "tilt": 0.3}
+
+
+def tripod_rps(rng: np.random.Generator) -> Geometry:
+    """Three hinged legs that point up or down to the platform."""
+    size = drawn_size(rng)
+    shape = _tripod(rng, size)
+    shape["base"] = _ring(rng, 0.45 * size, [-90.0, 30.0, 150.0], 0.0)
+    height = rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.2) * size
+    platform_height = shape["platform"][:, 2].mean()
+    return shape | {"home": np.array([0.0, 0.0, height - platform_height])}
+
+
+def tripod_prs(rng: np.random.Generator) -> Geometry:
+    """Three hinged struts on carriages above or below the platform."""
+    size, side = drawn_size(rng), rng.choice([-1.0, 1.0])
+    shape = _tripod(rng, size)
+    shape["guide"] = _ring(rng, 0.7 * size, [-90.0, 30.0, 150.0], 0.0)
+    shape["direction"] = [0.0, 0.0, 1.0] + 0.03 * rng.normal(size=(3, 3))
+    shape |= {"strut": size * rng.uniform(1.2, 1.4, 3), "side": np.full(3, side)}
+    return shape | {"home": np.zeros(3)}
+
+
+def tripod_passive_leg(rng: np.random.Generator) -> Geometry:
+    """A tripod with a passive leg, hanging or standing."""
+    size, way = drawn_size(rng), rng.choice([-1.0, 1.0])
+    degrees = [90.0, 210.0, 330.0]
+    shape = {"base": _ring(rng, 0.4 * size, degrees, 0.0)}
+    shape["platform"] = _ring(rng, 0.2 * size, degrees, -way * 0.3 * size)
+    shape["home"] = np.array([0.0, 0.0, way * rng.uniform(1.1, 1.4) * size])
+    shape["pivot"] = 0.02 * size * rng.normal(size=3)
+    return shape | {"reach": 0.25 * size, "first_axis": rng.uniform(-np.pi, np.pi)}
+
+
+def cables_planar(rng: np.random.Generator) -> Geometry:
+    """Four or five anchors around a point."""
+    size, count = drawn_size(rng), int(rng.integers(4, 6))
+    degrees = list(45.0 + 360.0 / count * np.arange(count))
+    return {"anchor": _ring(rng, size, degrees, 0.0)[:, :2], "reach": 0.4 * size}
+
+
+def cables_spatial(rng: np.random.Generator) -> Geometry:
+    """Six anchors, above and below a point."""
+    size = drawn_size(rng)
+    above = _ring(rng, size, [0.0, 120.0, 240.0], 0.5 * size)
+    below = _ring(rng, size, [60.0, 180.0, 300.0], -0.5 * size)
+    anchor = np.vstack([above, below])
+    return {"anchor": anchor, "home": np.zeros(3), "reach": 0.3 * size}
+
+
+def delta(rng: np.random.Generator) -> Geometry:
+    """A delta whose towers differ in all that a tower has."""
+    size = drawn_size(rng)
+    angles = np.deg2rad([210.0, 330.0, 90.0]) + rng.uniform(-0.2, 0.2, 3)
+    shape = {
+        "angle": angles[:: rng.choice([-1, 1])],
+        "arm": size * rng.uniform(0.95, 1.05, 3),
+    }
+    shape["radius"] = size * rng.uniform(0.3, 0.5) * rng.uniform(0.9, 1.1, 3)
+    shape |= {n: rng.uniform(-0.05, 0.05, 3) for n in ("lean", "tip")}
+    return shape | {"endstop": size * rng.uniform(1.0, 1.2, 3)}
+
+
+# -- verdicts --------------------------------------------------------------------------
+
+
+def _legs(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    v = _joints(geometry, x) - geometry["base"]
+    return np.linalg.norm(v, axis=2) - q, _upright(x)
+
+
+def _carriages(geometry: Geometry, x: Array, q: Array) -> tuple[Array, Array]:
+    """Struts (n, limbs, 3) and directions (limbs, 3)."""
+    u = np.asarray(geometry["direction"], dtype=float)
+    u = u / np.linalg.norm(u, axis=1)[:, None]
+    carriage = geometry["guide"] + q[:, :, None] * u
+    return _joints(geometry, x) - carriage, u
+
+
+def _sliders(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    v, u = _carriages(geometry, x, q)
+    behind = -np.einsum("nki,ki->nk", v, u) * geometry["side"] < 0.0
+    error = np.linalg.norm(v, axis=2) - geometry["strut"]
+    return error, behind.any(axis=1) | _upright(x)
+
+
+def _hinge_errors(geometry: Geometry, v: Array) -> Array:
+    axis = geometry["axis"]
+    axis = axis / np.linalg.norm(axis, axis=1)[:, None]
+    return np.asarray(np.einsum("nki,ki->nk", v, axis))
+
+
+def _rps(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    error, mirrored = _legs(geometry, x, q)
+    v = _joints(geometry, x) - geometry["base"]
+    return np.hstack([error, _hinge_errors(geometry, v)]), mirrored
+
+
+def _prs(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    error, mirrored = _sliders(geometry, x, q)
+    v, _ = _carriages(geometry, x, q)
+    return np.hstack([error, _hinge_errors(geometry, v)]), mirrored
+
+
+def _passive_leg(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    error, mirrored = _legs(geometry, x, q)
+    r, offset = rotations(x), geometry["pivot"] - x[:, :3]
+    distance = np.linalg.norm(offset, axis=1)
+    way = np.sign(geometry["pivot"][2] - geometry["home"][2])
+    astray = offset - way * distance[:, None] * r[:, :, 2]
+    angle = geometry["first_axis"]
+    first = np.array([np.cos(angle), np.sin(angle), 0.0])
+    second = np.array([-np.sin(angle), np.cos(angle), 0.0])
+    square = distance * np.einsum("i,nij,j->n", first, r, second)
+    return np.hstack([error, astray, square[:, None]]), mirrored
+
+
+def _cables(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    v = x[:, None] - geometry["anchor"]
+    return np.linalg.norm(v, axis=2) - q, np.zeros(len(x), dtype=bool)
+
+
+def _delta(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    carriages = []
+    for k in range(3):
+        turn = Rotation.from_euler("z", geometry["angle"][k]).as_matrix()
+        axis = turn @ [geometry["lean"][k], geometry["tip"][k], 1.0]
+        radius, arm = geometry["radius"][k], geometry["arm"][k]
+        travel = geometry["endstop"][k] + np.sqrt(arm**2 - radius**2) - q[:, k]
+        foot = turn @ [radius, 0.0, 0.0]
+        carriages.append(foot + travel[:, None] * axis / np.linalg.norm(axis))
+    v = x[:, None] - np.stack(carriages, axis=1)
+    below = (v[:, :, 2] < 0.0).all(axis=1)
+    return np.linalg.norm(v, axis=2) - geometry["arm"], ~below
+
+
+FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Geometry], Any]] = {
+    "delta": (delta, _delta),
+    "hexapod_ups": (hexapod_ups, _legs),
+    "hexapod_pus": (hexapod_pus, _sliders),
+    "tripod_rps": (tripod_rps, _rps),
+    "tripod_prs": (tripod_prs, _prs),
+    "tripod_passive_leg": (tripod_passive_leg, _passive_leg),
+    "cables_planar": (cables_planar, _cables),
+    "cables_spatial": (cables_spatial, _cables),
+}

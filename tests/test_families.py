@@ -1,0 +1,126 @@
+"""Families of machines: any geometry assembles in the mode that is meant, against the
+oracle of tests/oracles/machine_shapes.py, and studies describe them.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+
+import numpy as np
+import pytest
+from oracles import machine_shapes
+from sample import refused, resolved
+
+from oed.kinematics import AssemblyError, Kinematics
+from oed.machine import Family
+
+#: relative to the machine's size
+CLOSURE = 1e-12
+POSES = 60
+
+
+def _family(name: str) -> Family:
+    module = importlib.import_module(f"pkm_models.machines.{name}")
+    return module.machine.family  # type: ignore[no-any-return]
+
+
+def _commands(machine, rng: np.random.Generator) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Corners of the workspace, and poses inside."""
+    ends = [(c.lower, c.upper) for c in machine.command]
+    inside = rng.uniform(*np.transpose(ends), (POSES, len(ends)))
+    return np.vstack([list(itertools.product(*ends)), inside])
+
+
+def _size(geometry: machine_shapes.Geometry) -> float:
+    """Largest distance of a joint at the base from the origin, or longest arm; m."""
+    keys = [k for k in ("base", "guide", "anchor") if k in geometry]
+    if not keys:
+        return float(geometry["arm"].max())
+    return float(np.linalg.norm(geometry[keys[0]], axis=1).max())
+
+
+def _refusal(name: str, rng: np.random.Generator) -> str | None:
+    """Draw a machine and judge it: the sentence of its refusal, or None."""
+    draw, judge = machine_shapes.FAMILIES[name]
+    geometry = draw(rng)
+    machine = _family(name).build(geometry)
+    kinematics, command = Kinematics(machine), _commands(machine, rng)
+    size = _size(geometry)
+    try:
+        x, q = kinematics.inverse(command)
+        again = kinematics.start_poses(q)
+    except AssemblyError as error:
+        return str(error)
+    lengths, mirrored = judge(geometry, x, q)
+    assert np.abs(lengths).max() < CLOSURE * size
+    assert not mirrored.any()
+    lever = [size if c.unit == "m" else 1.0 for c in machine.pose]
+    assert (np.abs(again - x) / lever).max() < CLOSURE
+    return None
+
+
+@pytest.mark.parametrize("name", machine_shapes.FAMILIES)
+def test_a_drawn_machine_closes_in_the_mode_that_is_meant(
+    name: str, rng: np.random.Generator
+) -> None:
+    assert _refusal(name, rng) is None
+
+
+@pytest.mark.slow
+def test_two_hundred_drawn_machines_close_or_are_refused_with_a_sentence() -> None:
+    rng = np.random.default_rng(28)
+    names = list(machine_shapes.FAMILIES)
+    refusals = [_refusal(names[k % len(names)], rng) for k in range(200)]
+    sentences = [r for r in refusals if r is not None]
+    print(f"{len(sentences)} of {len(refusals)} refused", *sentences, sep="\n")
+    assert all("pose" in sentence for sentence in sentences)
+    assert len(sentences) <= 10
+
+
+STUDY = """\
+schema = 1
+name = "tricept"
+
+[machine]
+model = "tripod_passive_leg"
+
+[machine.geometry]
+base_mm = [[0, 500, 0], [-433, -250, 0], [433, -250, 0]]
+platform_mm = [[0, 200, 400], [-173, -100, 400], [173, -100, 400]]
+home_mm = [0, 0, -1500]
+reach_mm = 300
+
+[[setup]]
+name = "tracker"
+instrument = "pose_tracker_position"
+"""
+
+
+def test_a_study_describes_a_tricept() -> None:
+    machine = resolved(STUDY).machine
+    nominal = {p.name: p.nominal for p in machine.parameters}
+    assert nominal["b2x"] == pytest.approx(-0.433)
+    assert [c.name for c in machine.command] == ["x", "y", "z"]
+    x, q = Kinematics(machine).inverse(machine.home_command)
+    assert q[0] == pytest.approx(np.hypot(0.3, 1.1), abs=1e-4)
+    assert x[0] == pytest.approx([0.0, 0.0, -1.5, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[0, 500, 0], ", "", "2 x 3 numbers, where 3 x 3 belong"),
+        ("[0, 500, 0]", "[0, 500]", "the rows differ in length"),
+        ("home_mm = [0, 0, -1500]", "home_mm = [0, 0, -100]", "reaches the pivot"),
+        ("reach_mm", "reech_mm", "did you mean reach_mm?"),
+    ],
+)
+def test_a_geometry_that_does_not_fit_is_refused(old: str, new: str, said: str) -> None:
+    assert said in str(refused(STUDY, (old, new)))
+
+
+def test_too_few_cables_are_refused() -> None:
+    family = _family("cables_planar")
+    with pytest.raises(ValueError, match="1 cables are fewer than the 2 coordinates"):
+        family.build({"anchor": np.ones((1, 2))})
