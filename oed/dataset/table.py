@@ -41,6 +41,10 @@ HEADER_REMEDY: Final = (
 )
 ORDER_REMEDY: Final = "count the readings of a run in time: 1, 2, 3"
 ENCODING_REMEDY: Final = "save it as CSV in UTF-8"
+#: least value of a covariate
+LEAST_VALUES: Final = {"time": 0, "feed": 0, "repeat": 1}
+#: orders stay below this
+MOST_ORDER: Final = 1e15
 #: characters of a name or value in an error
 SHOWN: Final = 40
 
@@ -154,6 +158,7 @@ def from_rows(
     _check_labels(table)
     _check_order(table)
     _check_direction(table)
+    _check_not_negative(table)
     frame["order"] = frame["order"].astype(np.int64)
     return table
 
@@ -319,8 +324,10 @@ def _check_labels(table: ReadingsFile) -> None:
 
 def _check_order(table: ReadingsFile) -> None:
     order = table.frame["order"].to_numpy()
-    whole = np.isfinite(order) & (order == np.round(order))
-    _refuse_first(table, ~whole, "order is a whole number", ORDER_REMEDY, "order")
+    whole = (order >= 0) & (order < MOST_ORDER) & (order == np.round(order))
+    _refuse_first(
+        table, ~whole, "order is no whole number from 0 on", ORDER_REMEDY, "order"
+    )
 
 
 def _check_direction(table: ReadingsFile) -> None:
@@ -330,6 +337,16 @@ def _check_direction(table: ReadingsFile) -> None:
     known = np.isnan(direction) | (np.abs(direction) == 1.0)
     remedy = "write 1 or -1, or leave it empty"
     _refuse_first(table, ~known, "direction is +1 or -1", remedy, "direction")
+
+
+def _check_not_negative(table: ReadingsFile) -> None:
+    """Times count from the session's start, feeds are speeds, repeats count from 1."""
+    for stem, least in LEAST_VALUES.items():
+        if stem in table.frame:
+            below = table.frame[stem].to_numpy() < least
+            remedy = "correct it, or leave the cell empty where it is unknown"
+            problem = f"{stem} is at least {least}"
+            _refuse_first(table, below, problem, remedy, stem)
 
 
 def _refuse_first(

@@ -35,6 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _call(arguments)
     except InputError as error:
         return _bad_input(str(error))
+    except KeyboardInterrupt:  # outside typer's care, as during an import
+        return _interrupted()
     except SystemExit:  # typer's way to say that nobody reads the output any more
         console.discard_output()
         return DONE
@@ -56,9 +58,14 @@ def _call(arguments: Sequence[str] | None) -> int:
     given = None if arguments is None else list(arguments)
     code = app(args=given, prog_name="oed", standalone_mode=False)
     if code == INTERRUPTED:  # typer's code for Ctrl-C
-        console.print_error("interrupted: files written so far are whole")
+        _interrupted()
     sys.stdout.flush()
     return code if isinstance(code, int) else DONE
+
+
+def _interrupted() -> int:
+    console.print_error("interrupted: files written so far are whole")
+    return INTERRUPTED
 
 
 def _about_file(error: OSError) -> str:

@@ -245,6 +245,11 @@ def planned_series(
         series = measurement.series(setup, command, run)
     except AssemblyError as error:
         raise place.error(str(error), "keep to poses the machine can reach") from error
+    if not len(series):
+        raise place.error(
+            "every run is one point: its reference, and no reading",
+            "add poses along the run, or choose another runs_by",
+        )
     check_joint_range(measurement.machine, series, place)
     return series.expand_passes(measurement.setups[setup].protocol)
 

@@ -45,8 +45,13 @@ def predict_accuracy(state: RunState) -> RunState:
 def predict_held_out(state: RunState) -> RunState:
     """Compare held-out readings with what the posterior predicts."""
     held_out = state.readings.held_out if state.readings is not None else None
-    if held_out is None or state.posterior is None:
+    if held_out is None:
         return state
+    if state.posterior is None:
+        return state.with_warnings(
+            "the readings of [readings] predict were not predicted, as [posterior] is"
+            " not enabled"
+        )
     state.progress.stage("held-out readings")
     sections = held_out_sections(
         state.measurement,

@@ -24,6 +24,7 @@ def take_readings(state: RunState) -> RunState:
     """Take recorded readings, simulate those of a virtual machine, or only plan them."""
     data = state.resolved.dataset
     if data is not None:
+        state = _with_setups_of(state, data)
         state = state.replace(readings=_recorded(state, data))
         if data.dropped:
             return state.with_warnings(
@@ -34,6 +35,22 @@ def take_readings(state: RunState) -> RunState:
     if state.study.readings is None:
         return state.replace(readings=Readings(series=series))
     return state.replace(readings=simulate_readings(state, series).readings)
+
+
+def _with_setups_of(state: RunState, data: Dataset) -> RunState:
+    """The state with the set-ups of the readings, if its design lacks some.
+
+    A design of other set-ups says nothing about the readings and is left out.
+    """
+    absent = [name for name in data.setups if name not in state.measurement.setups]
+    if not absent:
+        return state
+    measurement = state.resolved.measurement_with(set(data.setups))
+    state = state.replace(measurement=measurement, design=None, planned=())
+    return state.with_warnings(
+        f"the design has no readings of {', '.join(absent)}: it is not reported with"
+        " these readings"
+    )
 
 
 def _recorded(state: RunState, data: Dataset) -> Readings:

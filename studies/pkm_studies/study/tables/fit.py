@@ -9,7 +9,6 @@ import msgspec
 from pkm_studies.study.tables.base import (
     Count,
     StudyTable,
-    Whole,
 )
 from pkm_studies.study.tables.grids import Axis
 
@@ -79,5 +78,5 @@ class PredictionTable(StudyTable, frozen=True, kw_only=True):
 
     free_keys = "coordinates"
     reference: Literal["home", "absolute", "best_fit"] = "home"
-    virtual_machines: Whole = 0
+    virtual_machines: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
     coordinates: dict[str, Axis] = {}
