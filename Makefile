@@ -16,6 +16,8 @@ STUDY := a3_ball_bar
 # at the end. One BLAS thread each: two threads on two busy cores slow small solves down tenfold.
 PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 export OPENBLAS_NUM_THREADS ?= 1
+# Where it is set, every process of the tests would compile every module anew.
+unexport PYTHONDONTWRITEBYTECODE
 # The blind benchmark: a folder for each seed and number of cases; what is there already is not made again. A diagnosis
 # that fails stops nothing: the score counts it as wrong. BLIND_PAIRS: pairs drawn beside, of which few are diagnosed.
 BLIND_CASES ?= 40
@@ -26,7 +28,7 @@ BLIND = out/blind/$(BLIND_CASES)-$(BLIND_SEED)
 BLIND_DO = $(BIN)/python -m benchmarks.blind
 UV_WANTED := 'uv>=0.13,<1'
 
-SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --python $(BIN)/python
+SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --compile-bytecode --python $(BIN)/python
 
 .PHONY: study test slow blind docs lint format wheel lock clean distclean setup setup-dev
 .DEFAULT_GOAL := study

@@ -281,3 +281,14 @@ def test_a_wave_is_found_in_runs_without_a_clock() -> None:
     chosen = processes.atoms[best.process]
     assert len(chosen.columns) == 2 * len(problem.members)
     assert chosen.constants["period_m"] == pytest.approx(0.61, rel=0.1)
+
+
+def test_many_even_waves_are_those_of_each_frequency(
+    rng: np.random.Generator,
+) -> None:
+    clock, frequencies = rng.uniform(0.0, 3e4, (30, 2)), np.linspace(1e-4, 0.05, 517)
+    angle = 2.0 * np.pi * clock[..., None, None] * frequencies
+    wanted = np.concatenate([np.cos(angle), np.sin(angle)], axis=-2)
+    np.testing.assert_allclose(
+        waves._cosine_and_sine(clock, frequencies), wanted, rtol=0.0, atol=1e-10
+    )

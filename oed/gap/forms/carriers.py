@@ -189,6 +189,17 @@ def _most_poses(problem: GapProblem) -> int:
     return max(len(_moving_poses(series)) for series in problem.series)
 
 
+def _grams(forms: Array) -> Array:
+    """Gram matrices (k, c, c) of forms (N, c, k), an entry of all of them at a time."""
+    size, width = forms.shape[1:]
+    grams = np.empty((width, size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            products = np.einsum("nk,nk->k", forms[:, i], forms[:, j])
+            grams[:, i, j] = grams[:, j, i] = products
+    return grams
+
+
 def log_tails(
     metric: Metric,
     forms: Array,
@@ -202,10 +213,9 @@ def log_tails(
     gram, b = np.zeros((width, size, size)), np.zeros((width, size))
     columns = metric.parts(forms.reshape(len(forms), -1))
     for sign, v, r in zip((1.0, -1.0), columns, residual, strict=True):
-        stack = v.reshape(-1, size, width).transpose(2, 1, 0)
-        part = np.ascontiguousarray(stack)
-        gram += sign * (part @ part.transpose(0, 2, 1))
-        b += sign * (part @ r[:, 0])
+        part = v.reshape(-1, size, width)
+        gram += sign * _grams(part)
+        b += sign * np.einsum("nck,n->kc", part, r[:, 0])
     ridge = 1e-6 * np.trace(gram, axis1=1, axis2=2) + 1e-300
     gram += ridge[:, None, None] * np.eye(size)
     solved = np.linalg.solve(gram, b[:, :, None])[:, :, 0]

@@ -9,6 +9,7 @@ all that were tried.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -30,6 +31,8 @@ NAME = "a steady wave"
 PEAKS, BEST = 4, 2
 #: frequencies that are computed at once
 CHUNK = 512
+#: evenly spaced frequencies from which on their waves are products of fewer waves
+MANY = 64
 #: frequencies that go with one at a peak: it may be that of the fundamental wave or of
 #: its overtone
 TONES = (0.5, 1.0, 2.0)
@@ -163,8 +166,26 @@ def _unit_of_time(period: float) -> tuple[float, str]:
 
 def _cosine_and_sine(clock: Array, frequencies: Array) -> Array:
     """Cosine and sine (..., 2, k) of each frequency at a clock (...)."""
-    angle = 2.0 * np.pi * clock[..., None] * frequencies
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-2)
+    phase = 2.0 * np.pi * clock[..., None]
+    if not _many_even(frequencies):
+        angle = phase * frequencies
+        return np.stack([np.cos(angle), np.sin(angle)], axis=-2)
+    # exp(i (a + b)) = exp(i a) exp(i b): a product costs less than a cosine
+    count = len(frequencies)
+    width = math.isqrt(count)
+    coarse = np.exp(1j * phase * frequencies[::width])
+    fine = np.exp(1j * phase * (frequencies[:width] - frequencies[0]))
+    turns = coarse[..., :, None] * fine[..., None, :]
+    turns = turns.reshape(*clock.shape, -1)[..., :count]
+    return np.stack([turns.real, turns.imag], axis=-2)
+
+
+def _many_even(frequencies: Array) -> bool:
+    """Whether frequencies are many, and evenly spaced."""
+    if len(frequencies) < MANY:
+        return False
+    steps = np.diff(frequencies)
+    return bool(np.ptp(steps) <= 1e-9 * steps.mean())
 
 
 def _waves(carrier: Array, both: Array) -> Array:
