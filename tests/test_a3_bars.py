@@ -172,7 +172,7 @@ def test_the_e_exchange_beats_the_d_design_in_its_own_measure(
 def ratios(realised: Realised, predicted: Prediction) -> dict[str, dict[str, float]]:
     """Realised over predicted RMS by kind and component."""
     table = {}
-    for kind in ("before", "after", "known"):
+    for kind in ("before", "after", "fully_corrected"):
         rms = np.sqrt(np.mean(getattr(realised, kind) ** 2, axis=(0, 1)))
         expected = getattr(predicted, kind)
         pairs = zip(predicted.names, rms, strict=True)
@@ -222,7 +222,7 @@ def test_machines_from_the_tolerances_end_as_the_plan_predicts(
     rng = np.random.default_rng(1)
     truths = taught.nominal + taught.tolerance * rng.standard_normal((machines, 27))
     table = ratios(realise(taught, plan, truths, seed=2), planned(taught, plan))
-    for kind in ("before", "after", "known"):
+    for kind in ("before", "after", "fully_corrected"):
         for name, ratio in table[kind].items():
             assert 0.8 < ratio < 1.25, (kind, name)
 
@@ -234,7 +234,7 @@ def test_machines_with_table_3s_errors_end_as_their_posterior_predicts(
     """One machine, read many times; predicted from the first estimate."""
     realised = realise(taught, plan, [a3_plans.table_3(taught)] * machines, seed=3)
     table = ratios(realised, from_estimate(taught, realised.first))
-    for kind in ("before", "after", "known"):
+    for kind in ("before", "after", "fully_corrected"):
         for name, ratio in table[kind].items():
             assert 0.8 < ratio < 1.25, (kind, name)
     by_plan = ratios(realised, planned(taught, plan))

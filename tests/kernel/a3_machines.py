@@ -20,7 +20,7 @@ class Realised:
 
     before: np.ndarray
     after: np.ndarray
-    known: np.ndarray
+    fully_corrected: np.ndarray
     first: Estimate
 
 
