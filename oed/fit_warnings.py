@@ -36,7 +36,7 @@ def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
             f"these ended more than {FAR:.0f} tolerances from where they began; widen"
             f" [prior] or doubt the model: {', '.join(far)}"
         )
-    if _residuals_are_large(estimate):
+    if chi2_is_large(estimate.chi2, estimate.dof):
         ratio = np.sqrt(estimate.chi2 / estimate.dof)
         sentences.append(
             f"the residuals are {ratio:.1f} times the stated noise: noise is"
@@ -69,8 +69,8 @@ def _far_parameters(measurement: Measurement, estimate: Estimate) -> list[str]:
     return [measurement.names[k] for k in far]
 
 
-def _residuals_are_large(estimate: Estimate) -> bool:
-    dof = estimate.dof
+def chi2_is_large(chi2: float, dof: float) -> bool:
+    """Whether chi2 is larger than the stated noise allows."""
     if dof < LEAST_DOF:
         return False
-    return bool(estimate.chi2 > dof + EXCESS * np.sqrt(2.0 * dof))
+    return bool(chi2 > dof + EXCESS * np.sqrt(2.0 * dof))

@@ -6,6 +6,8 @@ import difflib
 import math
 from collections.abc import Iterable
 
+from oed import units
+
 
 def percent(share: float) -> str:
     """A share between 0 and 1 in percent, such as `83 %` or `99.6 %`.
@@ -51,3 +53,9 @@ def suggest(
         listed += ", ..."
     near = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
     return f"did you mean {near[0]}? ({listed})" if near else listed
+
+
+def quantity(value: float, si: str) -> str:
+    """An SI value in its fine unit, three digits: `12.3 um`."""
+    unit = units.FINE[si]
+    return f"{units.number(value, unit):.3g} {unit}"

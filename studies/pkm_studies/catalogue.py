@@ -3,7 +3,9 @@
 A model is named by its short name (`a3_head`), by `package.module:attribute`, or by
 `path/to/file.py:attribute` relative to the study; in the last two the attribute may be
 left out where it is `machine`, `instrument` or `effect`. An installed package adds its
-own under the entry points `pkm_oed.machines`, `pkm_oed.instruments`, `pkm_oed.effects`.
+own under the entry points `pkm_oed.machines`, `pkm_oed.instruments`, `pkm_oed.effects`,
+`pkm_oed.formats`. A controller's format is found likewise; its attribute is
+`controller`.
 """
 
 from __future__ import annotations
@@ -27,7 +29,11 @@ from pkm_studies.errors import InputError, Place, shorten, suggest
 #: characters of an error that are shown
 LONGEST_REASON = 120
 
-KINDS = ("machines", "instruments", "effects", "criteria")
+KINDS = ("machines", "instruments", "effects", "criteria", "formats")
+#: packages with the shipped ones of a kind, and attribute that may be left out, where
+#: these are not `pkm_models.KIND` and the kind's singular
+PACKAGES = {"formats": "pkm_studies.compensation.formats"}
+ATTRIBUTES = {"formats": "controller"}
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -79,6 +85,16 @@ def effect(reference: str, folder: Path, place: Place) -> Any:
     return _lookup(reference, "effects", Effect, folder, place)
 
 
+def controller_format(reference: str, folder: Path) -> Any:
+    """The `ControllerFormat` that `reference` names; a file is relative to `folder`.
+
+    Raises InputError.
+    """
+    from pkm_studies.compensation.content import ControllerFormat
+
+    return _lookup(reference, "formats", ControllerFormat, folder, Place("--to"))
+
+
 def criterion(name: str, place: Place) -> str:
     """The name of a known criterion. Raises InputError."""
     known = _criteria()
@@ -94,18 +110,20 @@ def _criteria() -> Mapping[str, Any]:
 
 @functools.cache
 def _items(kind: str) -> dict[str, tuple[str, Any]]:
-    """Machines, instruments or effects by name, each with its long name."""
+    """Machines, instruments, effects or formats by name, each with its long name."""
     from oed.effect import Effect
     from oed.instrument import Instrument
     from oed.machine import Machine
+    from pkm_studies.compensation.content import ControllerFormat
 
     kinds: dict[str, Any] = {
         "machines": Machine,
         "instruments": Instrument,
         "effects": Effect,
+        "formats": ControllerFormat,
     }
     wanted = kinds[kind]
-    package = importlib.import_module(f"pkm_models.{kind}")
+    package = importlib.import_module(PACKAGES.get(kind, f"pkm_models.{kind}"))
     items: dict[str, tuple[str, Any]] = {}
     for info in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
         for attribute, item in vars(importlib.import_module(info.name)).items():
@@ -144,7 +162,7 @@ def _lookup(reference: str, kind: str, wanted: type, folder: Path, place: Place)
     if not module_name:
         return _by_short_name(reference, kind, place)
     module = _module(module_name, folder, place)
-    attribute = attribute or kind.removesuffix("s")
+    attribute = attribute or ATTRIBUTES.get(kind, kind.removesuffix("s"))
     item = getattr(module, attribute, None)
     if isinstance(item, wanted):
         return item

@@ -110,7 +110,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         fitted_setups=fitted,
         held_out_setups=held_out,
         identification_stages=tuple(tuple(s) for s in study.identify.stages),
-        prediction_commands=_prediction_commands(study, machine),
+        prediction_commands=prediction_commands(study, machine),
         gap=gap_request(study, machine),
         gap_design=gap_design_request(study, references, everything),
         warnings=warnings,
@@ -140,7 +140,8 @@ def _machine_and_setups(study: Study) -> tuple[Machine, dict[str, Setup]]:
     return tolerances.with_tolerances(study, machine, mounted)
 
 
-def _prediction_commands(study: Study, machine: Machine) -> Array | None:
+def prediction_commands(study: Study, machine: Machine) -> Array | None:
+    """Commands (n, n_dof) of [prediction], SI; None without it. Raises InputError."""
     if study.prediction is None:
         return None
     place = study.place.key("prediction")

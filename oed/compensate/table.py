@@ -1,0 +1,64 @@
+"""Tables over a rectilinear grid with multilinear interpolation."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
+from oed.arrays import Array
+
+
+@dataclasses.dataclass(frozen=True)
+class InterpolationTable:
+    """Values on a rectilinear grid; beyond the grid its border values hold.
+
+    axes    names of the coordinates or states
+    knots   ascending places along each axis, SI
+    values  (n_1, ..., n_a, m), SI
+    """
+
+    axes: tuple[str, ...]
+    knots: tuple[Array, ...]
+    values: Array
+
+    def __post_init__(self) -> None:
+        shape = tuple(len(places) for places in self.knots)
+        if self.values.shape[:-1] != shape or len(self.axes) != len(shape):
+            raise ValueError(
+                f"a table over {self.axes} with {shape} knots needs values of that"
+                f" shape and one axis more, not {self.values.shape}"
+            )
+        for name, places in zip(self.axes, self.knots, strict=True):
+            if not (np.diff(places) > 0.0).all():
+                raise ValueError(f"the knots of {name} must ascend")
+
+    @property
+    def size(self) -> int:
+        """Number of nodes."""
+        return int(np.prod([len(places) for places in self.knots]))
+
+    @property
+    def nodes(self) -> Array:
+        """Places (size, a) of the nodes, the last axis running fastest."""
+        return grid_nodes(self.knots)
+
+    def at(self, places: Array) -> Array:
+        """Interpolated values (n, m) at places (n, a)."""
+        low = np.array([axis[0] for axis in self.knots])
+        high = np.array([axis[-1] for axis in self.knots])
+        inside = np.clip(places, low, high)
+        varied = [k for k, axis in enumerate(self.knots) if len(axis) > 1]
+        if not varied:
+            return np.repeat(self.values.reshape(1, -1), len(places), axis=0)
+        knots = [self.knots[k] for k in varied]
+        shape = [len(axis) for axis in knots]
+        values = self.values.reshape(*shape, self.values.shape[-1])
+        return np.asarray(RegularGridInterpolator(knots, values)(inside[:, varied]))
+
+
+def grid_nodes(knots: tuple[Array, ...]) -> Array:
+    """Nodes (n, a) of a rectilinear grid, the last axis running fastest."""
+    mesh = np.meshgrid(*knots, indexing="ij")
+    return np.column_stack([axis.ravel() for axis in mesh])

@@ -1,0 +1,1 @@
+"""Compensation files for controllers, from a result."""

@@ -1,0 +1,88 @@
+"""What an export holds, and what a format is."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+
+from oed.arrays import Array
+from oed.kinematics import Kinematics
+from oed.machine import Machine
+
+#: texts of an export by the end of their file names, such as `.cfg`
+Texts = Mapping[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Identified:
+    """Identified parameters of a machine, SI.
+
+    values      (np,)
+    sd          (np,) 0 for parameters that are held
+    origin      section of result.json that they come from
+    conditions  what they rest on, in sentences
+    """
+
+    values: Array
+    sd: Array
+    origin: str
+    conditions: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class MeasuringPose:
+    """A pose to measure: set-up, run, and command (n_dof,), SI."""
+
+    setup: str
+    run: str
+    command: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Compensation:
+    """What an export writes.
+
+    study       name of the study
+    version     of the program
+    machine     with the study's nominal numbers: the controller's model so far
+    kinematics  of it
+    identified  parameters
+    command     (n, n_dof) commands over the workspace, SI
+    poses       to measure
+    notes       sentences that go into every file as comments
+    """
+
+    study: str
+    version: str
+    machine: Machine
+    kinematics: Kinematics
+    identified: Identified
+    command: Array
+    poses: tuple[MeasuringPose, ...]
+    notes: tuple[str, ...]
+
+    def parameter(self, name: str) -> float:
+        """An identified parameter, SI. Raises KeyError."""
+        return float(self.identified.values[self.machine.index(name)])
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ControllerFormat:
+    """A file format of a controller.
+
+    name, about, source    for the catalogue
+    write(compensation)    texts by the end of their file names
+    joints(texts, compensation)
+                           joints (n, nq), SI, that the controller drives to for the
+                           compensation's commands, by its own formula from these
+                           texts; None where the file does not decide them
+    unfit(machine)         why the controller cannot drive a machine, in words; None
+                           where it can
+    """
+
+    name: str
+    about: str
+    source: str
+    write: Callable[[Compensation], Texts]
+    joints: Callable[[Texts, Compensation], Array] | None = None
+    unfit: Callable[[Machine], str | None] = lambda machine: None

@@ -1,0 +1,140 @@
+"""Writes an export, and states what rounding and the controller's model cost."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from oed.compensate import ParameterCompensator, component_errors
+from oed.result import StudyResult
+from oed.text import quantity
+from pkm_studies import catalogue, files, result_folder
+from pkm_studies.compensation import build, identified
+from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
+from pkm_studies.errors import InputError, Place
+from pkm_studies.study import Study, load
+from pkm_studies.study.loader import parse
+
+
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """Written files, and sentences on what they hold."""
+
+    paths: tuple[Path, ...]
+    sentences: tuple[str, ...]
+
+
+class BadFitError(Exception):
+    """The fit is too bad to be compensated."""
+
+
+def export_folder(
+    folder: Path,
+    reference: str,
+    *,
+    out: Path | None = None,
+    study_file: Path | None = None,
+    force: bool = False,
+) -> Export:
+    """Write the result of a folder in a format.
+
+    reference   name of a format, or `path/to/file.py:attribute`
+    out         file to write; compensation.* in the folder by default
+    study_file  study, where it names a machine in a file of its own
+    force       whether to write a bad fit
+
+    Raises InputError, and BadFitError where the fit is bad.
+    """
+    controller = catalogue.controller_format(reference, Path())
+    result = result_folder.load_result(folder)
+    study = _study(result, folder) if study_file is None else load(study_file)
+    return export(result, study, controller, folder, out=out, force=force)
+
+
+def export(
+    result: StudyResult,
+    study: Study,
+    controller: ControllerFormat,
+    folder: Path,
+    *,
+    out: Path | None = None,
+    force: bool = False,
+) -> Export:
+    """As `export_folder`, from a result in memory."""
+    objections = identified.objections(result)
+    if objections and not force:
+        raise BadFitError(
+            f"{'; '.join(objections)}: nothing is written; run `oed diagnose`, or"
+            " give --force"
+        )
+    content = build.compensation(result, study, folder)
+    notes = tuple(f"written by --force: {reason}" for reason in objections)
+    content = dataclasses.replace(content, notes=(*content.notes, *notes))
+    reason = controller.unfit(content.machine)
+    if reason is not None:
+        raise InputError(
+            f"{controller.name} cannot drive {content.machine.name}: {reason}",
+            "take csv or json, or a format of your own: path/to/file.py:attribute",
+            value=f"--to {controller.name}",
+        )
+    texts = controller.write(content)
+    paths = _write(texts, folder, out)
+    return Export(paths, (*content.notes, *cost(controller, texts, content)))
+
+
+def cost(
+    controller: ControllerFormat, texts: Texts, content: Compensation
+) -> tuple[str, ...]:
+    """What the controller's model and the printed digits cost, and what stays."""
+    identified_values = content.identified.values
+    exact = ParameterCompensator(
+        content.kinematics, identified_values, identified_values
+    )
+    remaining = exact.limits(content.command)[1:]
+    if controller.joints is None:
+        return remaining
+    joints = controller.joints(texts, content)
+    errors = component_errors(
+        content.kinematics, content.command, joints, identified_values
+    )
+    largest = np.abs(errors).max(axis=0)
+    parts = [
+        f"{c.name} {quantity(size, c.unit)}"
+        for c, size in zip(content.machine.components, largest, strict=True)
+        if c.compensatable
+    ]
+    sentence = (
+        f"the controller's model and the printed digits cost at most {', '.join(parts)}"
+        f" over {len(content.command)} poses"
+    )
+    return (sentence, *remaining)
+
+
+def _study(result: StudyResult, folder: Path) -> Study:
+    path = folder / f"{result.study}.study.toml"
+    if not result.study_text:
+        raise Place(str(folder / "result.json")).error(
+            "this result holds no study", "give it: --study STUDY"
+        )
+    return parse(result.study_text, path)
+
+
+def _write(texts: Texts, folder: Path, out: Path | None) -> tuple[Path, ...]:
+    """Write the texts; a file that a user names is never replaced."""
+    if out is None:
+        stem = folder / "compensation"
+        paths = [stem.with_name(f"{stem.name}{suffix}") for suffix in texts]
+    else:
+        first = next(iter(texts))
+        base = out.name.removesuffix(Path(first).suffix)
+        others = [out.with_name(f"{base}{suffix}") for suffix in list(texts)[1:]]
+        paths = [out, *others]
+        for path in paths:
+            if path.exists():
+                raise InputError(
+                    "this file is there already", "name another one", file=str(path)
+                )
+    contents = zip(paths, texts.values(), strict=True)
+    return tuple(files.write_whole(path, text) for path, text in contents)

@@ -1,0 +1,71 @@
+"""CSV: a table of parameters, and one of corrected commands and joints."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from oed import units
+from oed.arrays import Array
+from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
+from pkm_studies.compensation.formats.json_file import table
+from pkm_studies.resolve.quantities import column
+
+#: decimals of lengths in mm and of angles in degrees
+DECIMALS = 6
+#: significant digits of parameters
+DIGITS = 12
+
+
+def write(compensation: Compensation) -> Texts:
+    """The commands first; the parameters in a second file."""
+    columns = table(compensation)
+    rows = zip(*columns.values(), strict=True)
+    commands = ([f"{value:.{DECIMALS}f}" for value in row] for row in rows)
+    return {
+        ".csv": _text(list(columns), commands),
+        "_parameters.csv": _text(
+            ["name", "value", "sd", "nominal", "unit", "about"],
+            _parameters(compensation),
+        ),
+    }
+
+
+def _parameters(compensation: Compensation) -> Iterable[list[str]]:
+    identified = compensation.identified
+    for k, p in enumerate(compensation.machine.parameters):
+        unit = units.display(p.unit)
+        numbers = (identified.values[k], identified.sd[k], p.nominal)
+        texts = [f"{units.number(value, unit):.{DIGITS}g}" for value in numbers]
+        yield [p.name, *texts, unit, p.about]
+
+
+def _text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return buffer.getvalue()
+
+
+def joints(texts: Texts, compensation: Compensation) -> Array:
+    """Joints as the table has them."""
+    rows = list(csv.DictReader(io.StringIO(texts[".csv"])))
+    columns = []
+    for joint in compensation.machine.joints:
+        name = column(joint.name, joint.unit)
+        values = [float(row[name]) for row in rows]
+        columns.append(units.to_si(values, units.split(name)[1]))
+    return np.column_stack(columns)
+
+
+controller = ControllerFormat(
+    name="csv",
+    about="tables of parameters, and of corrected commands and joints, six decimals",
+    source="this project",
+    write=write,
+    joints=joints,
+)

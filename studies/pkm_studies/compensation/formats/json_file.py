@@ -1,0 +1,87 @@
+"""JSON: everything, at full precision."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from oed import units
+from oed.arrays import Array
+from oed.compensate import compensated_joints, corrected_commands
+from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
+from pkm_studies.resolve.quantities import column, display_unit
+
+
+def write(compensation: Compensation) -> Texts:
+    """Parameters with sd, and corrected commands and joints over the workspace."""
+    document = {
+        "schema": 1,
+        "program": f"pkm-oed {compensation.version}",
+        "study": compensation.study,
+        "machine": compensation.machine.name,
+        "notes": list(compensation.notes),
+        "parameters": _parameters(compensation),
+        "table": table(compensation),
+    }
+    return {".json": json.dumps(document, indent=1) + "\n"}
+
+
+def _parameters(compensation: Compensation) -> dict[str, Any]:
+    parameters = {}
+    identified = compensation.identified
+    for k, p in enumerate(compensation.machine.parameters):
+        unit = units.display(p.unit)
+        parameters[p.name] = {
+            "value": units.number(identified.values[k], unit),
+            "sd": units.number(identified.sd[k], unit),
+            "nominal": units.number(p.nominal, unit),
+            "unit": unit,
+        }
+    return parameters
+
+
+def table(compensation: Compensation) -> dict[str, list[float]]:
+    """Columns of the workspace: commands, corrected commands, joints.
+
+    Corrected commands are for a controller that keeps the nominal model.
+    """
+    kinematics, machine = compensation.kinematics, compensation.machine
+    values = compensation.identified.values
+    command = compensation.command
+    corrected = corrected_commands(kinematics, command, values)
+    joints = compensated_joints(kinematics, command, values)
+    columns = {}
+    for prefix, block in (("", command), ("corrected_", corrected)):
+        for k, c in enumerate(machine.command):
+            name = column(f"{prefix}{c.name}", c.unit)
+            columns[name] = _in_unit(block[:, k], c.unit)
+    for k, joint in enumerate(machine.joints):
+        columns[column(joint.name, joint.unit)] = _in_unit(joints[:, k], joint.unit)
+    return columns
+
+
+def _in_unit(values: Array, si: str) -> list[float]:
+    return [float(v) for v in units.from_si(values, display_unit(si))]
+
+
+def joints(texts: Texts, compensation: Compensation) -> Array:
+    """Joints of a controller that computes with these parameters."""
+    parameters = json.loads(texts[".json"])["parameters"]
+    held = [
+        units.to_si(parameters[p.name]["value"], parameters[p.name]["unit"])
+        for p in compensation.machine.parameters
+    ]
+    return compensated_joints(
+        compensation.kinematics, compensation.command, np.array(held)
+    )
+
+
+controller = ControllerFormat(
+    name="json",
+    about="parameters with sd, corrected commands and joints, full precision",
+    source="this project",
+    write=write,
+    joints=joints,
+)

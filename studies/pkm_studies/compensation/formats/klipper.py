@@ -1,0 +1,59 @@
+"""Klipper: the sections of a delta in printer.cfg."""
+
+from __future__ import annotations
+
+import configparser
+
+import numpy as np
+
+from oed.arrays import Array
+from pkm_studies.compensation.build import sentences_of
+from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
+from pkm_studies.compensation.formats.delta import (
+    DeltaNumbers,
+    delta_joints,
+    delta_numbers,
+    not_a_delta,
+)
+
+TOWERS = "abc"
+
+
+def write(compensation: Compensation) -> Texts:
+    """The options that calibration changes, with Klipper's own six decimals."""
+    numbers = delta_numbers(compensation)
+    lines = [f"# {sentence}" for sentence in sentences_of(compensation)]
+    lines.append("# put these values into the sections of your printer.cfg")
+    lines += ["", "[printer]", f"delta_radius: {numbers.radius:.6f}"]
+    rows = zip(TOWERS, numbers.endstops, numbers.arms, numbers.angles, strict=True)
+    for tower, endstop, arm, angle in rows:
+        lines += ["", f"[stepper_{tower}]", f"position_endstop: {endstop:.6f}"]
+        lines += [f"arm_length: {arm:.6f}", f"angle: {angle:.6f}"]
+    return {".cfg": "\n".join([*lines, ""])}
+
+
+def joints(texts: Texts, compensation: Compensation) -> Array:
+    """Travels of a printer with this file."""
+    parser = configparser.ConfigParser()
+    parser.read_string(texts[".cfg"])
+
+    def read(option: str) -> Array:
+        return np.array([parser.getfloat(f"stepper_{t}", option) for t in TOWERS])
+
+    numbers = DeltaNumbers(
+        radius=parser.getfloat("printer", "delta_radius"),
+        arms=read("arm_length"),
+        angles=read("angle"),
+        endstops=read("position_endstop"),
+    )
+    return delta_joints(numbers, numbers.carriages, compensation)
+
+
+controller = ControllerFormat(
+    name="klipper",
+    about="printer.cfg of a delta printer: radius, arms, tower angles, endstops",
+    source="Klipper, klippy/kinematics/delta.py",
+    write=write,
+    joints=joints,
+    unfit=not_a_delta,
+)

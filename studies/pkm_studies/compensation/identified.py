@@ -1,0 +1,70 @@
+"""Takes identified parameters out of a result, and says why they are not to be used."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from oed import units
+from oed.fit_warnings import FAR, chi2_is_large
+from oed.machine import Machine
+from oed.result import StudyResult
+from pkm_studies.compensation.content import Identified
+
+
+def identified_parameters(result: StudyResult, machine: Machine) -> Identified | None:
+    """The parameters that everything downstream takes; None without an identification.
+
+    Those of the section `corrected` come first: they are estimated together with the
+    effects that a diagnosis found.
+    """
+    corrected: Any = getattr(result, "corrected", None)
+    section: Any = corrected if corrected is not None else result.estimate
+    if section is None:
+        return None
+    values, sd = machine.nominal.copy(), np.zeros(len(machine.parameters))
+    for k, parameter in enumerate(machine.parameters):
+        estimate = section.parameters.get(parameter.name)
+        if estimate is not None:
+            values[k] = units.to_si(estimate.value, estimate.unit)
+            sd[k] = units.to_si(estimate.sd, estimate.unit)
+    origin = "estimate" if corrected is None else "corrected"
+    conditions = tuple(getattr(corrected, "conditions", ()) or ())
+    return Identified(values, sd, origin, conditions)
+
+
+def objections(result: StudyResult) -> list[str]:
+    """Why the parameters should not go into a controller; none where the fit is good."""
+    estimate = result.estimate
+    if getattr(result, "corrected", None) is not None or estimate is None:
+        return []
+    sentences = []
+    if chi2_is_large(estimate.chi2, estimate.dof):
+        ratio = (estimate.chi2 / estimate.dof) ** 0.5
+        sentences.append(
+            f"the residuals are {ratio:.1f} times the stated noise: the fit failed"
+        )
+    far = [
+        name
+        for name, p in estimate.parameters.items()
+        if abs(p.value - p.nominal) > FAR * p.prior_sd
+    ]
+    if far:
+        sentences.append(
+            f"these ended more than {FAR:.0f} tolerances from nominal: {', '.join(far)}"
+        )
+    if result.gap is not None and result.gap.verdict != "none":
+        sentences.append(
+            f"the diagnosis reports a gap ({result.gap.verdict}), which bends the"
+            " parameters of a fit without it"
+        )
+    return sentences
+
+
+def is_virtual(result: StudyResult) -> bool:
+    """Whether the readings are those of a virtual machine."""
+    estimate = result.estimate
+    if estimate is None:
+        return False
+    return any(p.truth is not None for p in estimate.parameters.values())

@@ -1,0 +1,287 @@
+"""`oed compensate`: files that controllers read, by formulas written here."""
+
+from __future__ import annotations
+
+import configparser
+import csv
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import compensation_sample as sample
+import numpy as np
+import pytest
+from oracles import delta_trilateration as delta
+
+from oed.compensate import compensated_joints
+from oed.kinematics import Kinematics
+from pkm_models.machines import a3_head, hexapod, linear_delta, micro_cmm
+from pkm_studies import cli
+
+Run = Callable[..., tuple[int, str, str]]
+#: an identified delta: radius, arms, angles, endstops
+DELTA = linear_delta.machine.nominal + np.array(
+    [3e-4, -5e-4, -6e-4, 4e-4, 1e-3, -2e-3, 0.0, 2e-4, 1.2e-3, -1e-4]
+)
+
+
+@pytest.fixture
+def oed(capsys: pytest.CaptureFixture[str]) -> Run:
+    def call(*arguments: object) -> tuple[int, str, str]:
+        code = cli.main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return call
+
+
+@pytest.fixture
+def delta_folder(tmp_path: Path) -> Path:
+    return sample.save(tmp_path / "d", sample.result(linear_delta.machine, DELTA))
+
+
+def carriages_of_klipper(point: np.ndarray, text: str) -> np.ndarray:
+    """Travel down from the endstops, mm, as klippy/kinematics/delta.py computes it."""
+    config = configparser.ConfigParser()
+    config.read_string(text)
+    radius = config.getfloat("printer", "delta_radius")
+    travel = []
+    for section in ("stepper_a", "stepper_b", "stepper_c"):
+        arm = config.getfloat(section, "arm_length")
+        angle = np.radians(config.getfloat(section, "angle"))
+        top = config.getfloat(section, "position_endstop") + np.sqrt(arm**2 - radius**2)
+        dx = point[:, 0] - radius * np.cos(angle)
+        dy = point[:, 1] - radius * np.sin(angle)
+        travel.append(top - (point[:, 2] + np.sqrt(arm**2 - dx**2 - dy**2)))
+    return np.column_stack(travel)
+
+
+def points(rng: np.random.Generator) -> np.ndarray:
+    return np.column_stack([rng.uniform(-0.09, 0.09, (40, 2)), rng.uniform(0, 0.3, 40)])
+
+
+def nozzle(q: np.ndarray) -> np.ndarray:
+    """Tool points of the machine with the identified parameters, by the oracle."""
+    return delta.nozzle(q, DELTA[0], DELTA[1:4], DELTA[4:7], DELTA[7:])
+
+
+def test_klipper_reproduces_the_compensated_pose(
+    oed: Run, delta_folder: Path, rng: np.random.Generator
+) -> None:
+    code, out, _ = oed("compensate", delta_folder, "--to", "klipper")
+    assert code == 0
+    assert "printed digits cost at most x 0.0" in out
+    text = (delta_folder / "compensation.cfg").read_text("utf-8")
+    command = points(rng)
+    q = 1e-3 * carriages_of_klipper(1e3 * command, text)
+    assert np.abs(nozzle(q) - command).max() < 5e-9
+    exact = compensated_joints(Kinematics(linear_delta.machine), command, DELTA)
+    assert np.abs(q - exact).max() < 5e-9
+
+
+def words(line: str) -> dict[str, str]:
+    return dict(re.findall(r" ([A-Z])([-\d.:]+)", line))
+
+
+def test_marlin_reproduces_the_compensated_pose(
+    oed: Run, delta_folder: Path, rng: np.random.Generator
+) -> None:
+    """Marlin: carriages at H + sqrt(arm^2 - R^2) after the move by M666's adjustment."""
+    assert oed("compensate", delta_folder, "--to", "marlin")[0] == 0
+    text = (delta_folder / "compensation.gcode").read_text("utf-8")
+    g, adjust = (
+        words(next(r for r in text.splitlines() if r.startswith(c)))
+        for c in ("M665", "M666")
+    )
+    command, q = points(rng), []
+    radius, height = float(g["R"]), float(g["H"])
+    for base, axis, trim in zip((210, 330, 90), "XYZ", "ABC", strict=True):
+        arm, angle = float(g["L"]) + float(g[trim]), np.radians(base + float(g[axis]))
+        assert float(adjust[axis]) <= 0.0
+        dx = 1e3 * command[:, 0] - radius * np.cos(angle)
+        dy = 1e3 * command[:, 1] - radius * np.sin(angle)
+        at_home = height + np.sqrt(arm**2 - radius**2)
+        above = at_home - 1e3 * command[:, 2] - np.sqrt(arm**2 - dx**2 - dy**2)
+        q.append(above - float(adjust[axis]))
+    assert np.abs(nozzle(1e-3 * np.column_stack(q)) - command).max() < 5e-7
+
+
+def test_rrf_reproduces_the_compensated_pose(
+    oed: Run, delta_folder: Path, rng: np.random.Generator
+) -> None:
+    """RepRapFirmware: homed carriages stand at H + T - z(T, T, T) + adjustment."""
+    assert oed("compensate", delta_folder, "--to", "rrf")[0] == 0
+    text = (delta_folder / "compensation.g").read_text("utf-8")
+    g, adjust = (
+        words(next(r for r in text.splitlines() if r.startswith(c)))
+        for c in ("M665", "M666")
+    )
+    arm = np.array([float(v) for v in g["L"].split(":")])
+    a = np.radians([30 + float(g["X"]), 30 - float(g["Y"]), float(g["Z"])])
+    x = float(g["R"]) * np.array([-np.cos(a[0]), np.cos(a[1]), -np.sin(a[2])])
+    y = float(g["R"]) * np.array([-np.sin(a[0]), -np.sin(a[1]), np.cos(a[2])])
+    tower = np.column_stack([x, y, np.full(3, arm[0])])
+    equal = lower_point(tower, arm)[2]
+    homed = float(g["H"]) + arm[0] - equal + [float(adjust[k]) for k in "XYZ"]
+    command = points(rng)
+    across = ((1e3 * command[:, None, :2] - tower[:, :2]) ** 2).sum(-1)
+    q = homed - (1e3 * command[:, 2:] + np.sqrt(arm**2 - across))
+    assert np.abs(nozzle(1e-3 * q) - command).max() < 5e-7
+    assert sum(float(adjust[k]) for k in "XYZ") == pytest.approx(0.0, abs=2e-4)
+
+
+def lower_point(centres: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """The lower point at distances (3,) from three centres, by bisection along z."""
+
+    def across(z: float) -> np.ndarray:
+        r2 = arm**2 - (centres[:, 2] - z) ** 2
+        left = 2 * (centres[1:, :2] - centres[0, :2])
+        size = (centres[:, :2] ** 2).sum(1)
+        return np.linalg.solve(left, size[1:] - size[0] - r2[1:] + r2[0])
+
+    low, high = centres[0, 2] - arm[0], centres[0, 2]
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        point = np.r_[across(middle), middle]
+        inside = np.linalg.norm(point - centres[0]) < arm[0]
+        low, high = (low, middle) if inside else (middle, high)
+    return point
+
+
+def test_linuxcnc_reproduces_a_hexapod_and_a_tripod(
+    oed: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    for machine, shift in ((hexapod.machine, 0.05), (micro_cmm.machine, 0.02)):
+        truth = machine.nominal + 0.5 * rng.standard_normal(len(machine.nominal)) * [
+            p.tolerance for p in machine.parameters
+        ]
+        folder = sample.save(tmp_path / machine.name, sample.result(machine, truth))
+        code, out, err = oed("compensate", folder, "--to", "linuxcnc")
+        assert code == 0, err
+        hal = (folder / "compensation.hal").read_text("utf-8")
+        ini = (folder / "compensation.ini").read_text("utf-8")
+        pins = {k: float(v) for k, v in re.findall(r"setp (\S+) (\S+)", hal)}
+        zero = np.array(re.findall(r"STRUT_ZERO = (\S+)", ini), dtype=float)
+        kinematics = Kinematics(machine)
+        command = machine.home_command + shift * rng.uniform(-1, 1, (20, len(zero)))
+        x, _ = kinematics.inverse(command)
+        rotation, point, _ = kinematics.frames(x, np.zeros(3))
+        if len(zero) == 6:
+            b, a = (
+                np.array(
+                    [[pins[f"genhexkins.{s}.{k}.{i}"] for i in "xyz"] for k in range(6)]
+                )
+                for s in ("base", "platform")
+            )
+            ends = 1e3 * point[:, None] + np.einsum("nij,kj->nki", rotation, a)
+            lengths = np.linalg.norm(ends - b, axis=2)
+        else:
+            lengths = tripod_lengths(hal, pins, 1e3 * point)
+        q = 1e-3 * (lengths - zero)
+        exact = compensated_joints(kinematics, command, truth)
+        assert np.abs(q - exact).max() < 5e-9
+        assert "cost at most x" in out
+
+
+def tripod_lengths(hal: str, pins: dict[str, float], point: np.ndarray) -> np.ndarray:
+    """AD, BD, CD of tripodkins for points of the machine's frame, mm."""
+    origin = np.array(re.search(r"origin at (.*) mm", hal)[1].split(","), dtype=float)
+    rows = re.search(r"\(rows\) (.*); point", hal)[1].split(";")
+    axes = np.array([row.split() for row in rows], dtype=float)
+    d = (point - origin) @ axes.T
+    bx, cx, cy = (pins[f"tripodkins.{n}"] for n in ("Bx", "Cx", "Cy"))
+    return np.column_stack(
+        [
+            np.sqrt((d**2).sum(1)),
+            np.sqrt((d[:, 0] - bx) ** 2 + d[:, 1] ** 2 + d[:, 2] ** 2),
+            np.sqrt((d[:, 0] - cx) ** 2 + (d[:, 1] - cy) ** 2 + d[:, 2] ** 2),
+        ]
+    )
+
+
+def test_csv_and_json_hold_parameters_and_corrected_commands(
+    oed: Run, delta_folder: Path
+) -> None:
+    assert oed("compensate", delta_folder, "--to", "csv")[0] == 0
+    assert oed("compensate", delta_folder, "--to", "json")[0] == 0
+    with (delta_folder / "compensation.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    q = np.array([[float(r[f"q{i}_mm"]) for i in (1, 2, 3)] for r in rows])
+    command = np.array([[float(r[f"{k}_mm"]) for k in "xyz"] for r in rows])
+    assert np.abs(1e3 * nozzle(1e-3 * q) - command).max() < 5e-6
+    corrected = np.array([[float(r[f"corrected_{k}_mm"]) for k in "xyz"] for r in rows])
+    n = linear_delta.machine.nominal
+    unchanged = delta.nozzle(1e-3 * q, n[0], n[1:4], n[4:7], n[7:])
+    assert np.abs(1e3 * unchanged - corrected).max() < 5e-6
+    document = json.loads((delta_folder / "compensation.json").read_text("utf-8"))
+    radius = document["parameters"]["radius"]
+    assert radius["value"] == pytest.approx(1e3 * DELTA[0], abs=1e-12)
+    with (delta_folder / "compensation_parameters.csv").open(newline="") as file:
+        table = {r["name"]: r for r in csv.DictReader(file)}
+    assert float(table["arm2"]["value"]) == pytest.approx(1e3 * DELTA[2], abs=1e-9)
+
+
+def test_gcode_moves_to_the_planned_poses(oed: Run, tmp_path: Path) -> None:
+    poses = [{"z_mm": 1186.0, "psi_deg": 30.0, "theta_deg": 12.5}]
+    content = sample.result(
+        a3_head.machine, a3_head.machine.nominal, design=sample.design(poses)
+    )
+    folder = sample.save(tmp_path / "a3", content)
+    assert oed("compensate", folder, "--to", "gcode")[0] == 0
+    text = (folder / "compensation.ngc").read_text("utf-8")
+    assert "G1 Z1186.0000 A30.0000 B12.5000 F300\nG4 P2\n(reading 1, run 1)" in text
+    assert text.endswith("M2\n")
+
+
+# -- refusals --------------------------------------------------------------------------
+
+
+def test_a_failed_fit_is_refused_unless_forced(oed: Run, tmp_path: Path) -> None:
+    content = sample.result(linear_delta.machine, DELTA, chi2=2000.0)
+    folder = sample.save(tmp_path / "bad", content)
+    code, out, err = oed("compensate", folder, "--to", "klipper")
+    assert (code, out) == (1, "")
+    assert "10.0 times the stated noise" in err
+    assert "--force" in err
+    assert not (folder / "compensation.cfg").exists()
+    assert oed("compensate", folder, "--to", "klipper", "--force")[0] == 0
+    text = (folder / "compensation.cfg").read_text("utf-8")
+    assert "written by --force: the residuals are 10.0 times" in text
+
+
+def test_a_file_of_the_user_stays(oed: Run, delta_folder: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "printer.cfg"
+    mine.write_text("mine", "utf-8")
+    code, _, err = oed("compensate", delta_folder, "--to", "klipper", "--out", mine)
+    assert code == 2
+    assert "printer.cfg: this file is there already; name another one" in err
+    assert mine.read_text("utf-8") == "mine"
+
+
+def test_bad_input_is_refused(oed: Run, delta_folder: Path, tmp_path: Path) -> None:
+    code, _, err = oed("compensate", delta_folder, "--to", "klippr")
+    assert code == 2
+    assert "did you mean klipper?" in err
+    code, _, err = oed("compensate", delta_folder, "--to", "linuxcnc")
+    assert code == 2
+    assert "linuxcnc cannot drive linear_delta" in err
+    code, _, err = oed("compensate", delta_folder, "--to", "gcode")
+    assert code == 2
+    assert "no planned poses" in err
+    code, _, err = oed("compensate", tmp_path / "nowhere", "--to", "csv")
+    assert code == 2
+
+
+def test_a_format_of_the_users_own(
+    oed: Run, delta_folder: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from pkm_studies.compensation.content import ControllerFormat\n"
+        "controller = ControllerFormat(name='mine', about='', source='',\n"
+        "    write=lambda c: {'.txt': f'{c.parameter(\"radius\"):.4f}'})\n",
+        "utf-8",
+    )
+    assert oed("compensate", delta_folder, "--to", file)[0] == 0
+    assert (delta_folder / "compensation.txt").read_text() == f"{DELTA[0]:.4f}"
