@@ -34,6 +34,7 @@ _HOMES = {
     "diagnose": "pkm_studies.notebook",
     "run": "pkm_studies.notebook",
     "write_report": "pkm_studies.notebook",
+    "write_compensation": "pkm_studies.notebook",
     "Study": "pkm_studies.study",
     "InputError": "pkm_studies.errors",
     "StudyResult": "oed.result",

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from oed.result import StudyResult
-from pkm_studies import pipeline, shipped
+from pkm_studies import catalogue, pipeline, shipped
 from pkm_studies.progress import Silent
 from pkm_studies.run_state import Readings, RunState, start
 from pkm_studies.steps import design as design_steps
@@ -150,6 +150,21 @@ def write_report(view: View, out: str | Path) -> tuple[Path, ...]:
     from pkm_reports import write_report
 
     return write_report(_result(view.state), Path(out))
+
+
+def write_compensation(
+    view: View, to: str, out: str | Path, *, force: bool = False
+) -> tuple[Path, ...]:
+    """Files that the controller reads, in the format `to` and the folder `out`.
+
+    Formats are those of `oed list formats`. Raises InputError, and BadFitError where
+    the fit is bad, unless forced.
+    """
+    from pkm_studies.compensation.export import export
+
+    controller = catalogue.controller_format(to, Path())
+    result, study, folder = _result(view.state), view.state.study, Path(out)
+    return export(result, study, controller, folder, force=force).paths
 
 
 def _result(state: RunState) -> StudyResult:

@@ -13,13 +13,12 @@ from oed.compensate.table import grid_nodes
 from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Machine
 from oed.result import StudyResult
-from pkm_studies import catalogue
 from pkm_studies.compensation import identified
 from pkm_studies.compensation.content import Compensation, MeasuringPose
 from pkm_studies.errors import InputError
+from pkm_studies.resolve.machine import study_machine
 from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.resolved import prediction_commands
-from pkm_studies.resolve.setups import nominal_machine
 from pkm_studies.study import Study
 
 #: places along a coordinate of the workspace where the study names none
@@ -28,9 +27,7 @@ PLACES = 5
 
 def compensation(result: StudyResult, study: Study, folder: Path) -> Compensation:
     """The content of an export. Raises InputError where nothing was identified."""
-    place = study.place.key("machine").key("model")
-    model = catalogue.machine(study.machine.model, study.folder, place)
-    machine = nominal_machine(study, model)
+    machine = study_machine(study)
     parameters = identified.identified_parameters(result, machine)
     if parameters is None:
         raise InputError(

@@ -46,8 +46,8 @@ def write(compensation: Compensation) -> Texts:
 def words(text: str, code: str) -> dict[str, list[float]]:
     """Letters and numbers of the first line that starts with a code."""
     line = next(row for row in text.splitlines() if row.startswith(f"{code} "))
-    found = re.findall(r"([A-Z])(-?[\d.]+(?::-?[\d.]+)*)", line.split(" ", 1)[1])
-    return {letter: [float(v) for v in values.split(":")] for letter, values in found}
+    pairs = re.findall(r"([A-Z])(-?[\d.]+(?::-?[\d.]+)*)", line.split(" ", 1)[1])
+    return {letter: [float(v) for v in values.split(":")] for letter, values in pairs}
 
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
