@@ -22,6 +22,7 @@ from pkm_studies.notebook import read_readings as read_readings
 from pkm_studies.notebook import run as run
 from pkm_studies.notebook import sample as sample
 from pkm_studies.notebook import simulate as simulate
+from pkm_studies.notebook import write_compensation as write_compensation
 from pkm_studies.notebook import write_report as write_report
 from pkm_studies.study import Study as Study
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pkm_studies import console, import_command
+from pkm_studies import compensate_command, console, import_command
 from pkm_studies.errors import InputError
 
 if TYPE_CHECKING:
@@ -248,51 +248,6 @@ def report(
     return DONE
 
 
-@app.command()
-def compensate(
-    folder: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DIR", help="Folder with a result.json.", show_default=False
-        ),
-    ],
-    to: Annotated[
-        str,
-        typer.Option(
-            metavar="FORMAT",
-            help="A format of `oed list formats`, or path/to/file.py:attribute.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File to write [DIR/compensation.*]."),
-    ] = None,
-    study: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="STUDY", help="The study, where its machine is a file of yours."
-        ),
-    ] = None,
-    force: Annotated[bool, typer.Option(help="Write a bad fit as well.")] = False,
-) -> int:
-    """Write what the controller reads: parameters, tables, measuring poses."""
-    from pkm_studies.compensation import export
-
-    try:
-        written = export.export_folder(
-            folder, to, out=out, study_file=study, force=force
-        )
-    except export.BadFitError as error:
-        console.print_error(str(error))
-        return FAILED
-    for path in written.paths:
-        print(f"Compensation: {path}")
-    for sentence in written.sentences:
-        print(f"{sentence[0].upper()}{sentence[1:]}.")
-    return DONE
-
-
 @app.command(name="list")
 def list_entries(
     kind: Annotated[Kind, typer.Argument(show_default=False)],
@@ -401,6 +356,7 @@ def _new_study(
 
 
 app.command(name="import")(import_command.import_files)
+app.command()(compensate_command.compensate)
 
 
 # -- studies in, results out -----------------------------------------------------------

@@ -1,0 +1,56 @@
+"""The subcommand `oed compensate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies import console
+
+DONE, FAILED = 0, 1
+
+
+def compensate(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR", help="Folder with a result.json.", show_default=False
+        ),
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="FORMAT",
+            help="A format of `oed list formats`, or path/to/file.py:attribute.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="File to write [DIR/compensation.*]."),
+    ] = None,
+    study: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="STUDY", help="The study, where its machine is a file of yours."
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option(help="Write a bad fit as well.")] = False,
+) -> int:
+    """Write what the controller reads: parameters, tables, measuring poses."""
+    from pkm_studies.compensation import export
+
+    try:
+        written = export.export_folder(
+            folder, to, out=out, study_file=study, force=force
+        )
+    except export.BadFitError as error:
+        console.print_error(str(error))
+        return FAILED
+    for path in written.paths:
+        print(f"Compensation: {path}")
+    for sentence in written.sentences:
+        print(f"{sentence[0].upper()}{sentence[1:]}.")
+    return DONE
