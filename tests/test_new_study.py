@@ -9,6 +9,7 @@ import pytest
 import sample
 
 from pkm_studies import catalogue, schemas, study, template
+from pkm_studies.cli import main
 from pkm_studies.errors import InputError, Place
 from pkm_studies.resolve.resolved import resolve
 
@@ -106,3 +107,19 @@ def test_the_schema_knows_tables_with_fields_of_free_name() -> None:
     assert table["additionalProperties"] == {"type": "number"}
     assert "settings" not in table["properties"]
     assert schema["$defs"]["DesignTable"]["additionalProperties"] is False
+
+
+def test_a_study_is_drafted_from_a_machine_file_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my.py").write_text(
+        "import dataclasses\n"
+        "from pkm_models.machines.linear_delta import machine as base\n"
+        'machine = dataclasses.replace(base, name="my_delta")\n'
+    )
+    assert main(["new", "--machine", "my.py"]) == 0
+    assert "Instrument: pose_tracker; it can also be read by" in capsys.readouterr().out
+    assert main(["check", "my_delta.study.toml"]) == 0
+    assert main(["new", "--machine", "my.py"]) == 2  # nothing is overwritten
+    assert main(["new", "--from", "a3_ball_bar"]) == 2

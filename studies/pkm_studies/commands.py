@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pkm_studies import compensate_command, console, import_command
+from pkm_studies import compensate_command, console, import_command, new_command
 from pkm_studies.errors import InputError
 
 if TYPE_CHECKING:
@@ -304,57 +304,7 @@ def schema(
     return DONE
 
 
-@app.command()
-def new(
-    name: Annotated[str, typer.Argument(help="Name of the study.", show_default=False)],
-    machine: Annotated[
-        str | None,
-        typer.Option(help="A machine of `oed list machines`.", show_default=False),
-    ] = None,
-    instrument: Annotated[
-        str | None,
-        typer.Option(
-            help="An instrument of `oed list instruments`.", show_default=False
-        ),
-    ] = None,
-    source: Annotated[
-        str | None,
-        typer.Option(
-            "--from",
-            metavar="STUDY",
-            help="A study of `oed list studies` to copy.",
-            show_default=False,
-        ),
-    ] = None,
-) -> int:
-    """Write a study to start from: a commented one, or a copy of a shipped one."""
-    path = _new_study(name, machine, instrument, source)
-    print(f"Study: {path}; edit it, then: oed run {path}")
-    return DONE
-
-
-def _new_study(
-    name: str, machine: str | None, instrument: str | None, source: str | None
-) -> Path:
-    if source is not None:
-        if machine is not None or instrument is not None:
-            raise InputError(
-                "--from copies a whole study",
-                "leave out --machine and --instrument, or leave out --from",
-            )
-        from pkm_studies import shipped
-
-        return shipped.copy(name, source, Path())
-    if machine is None or instrument is None:
-        raise InputError(
-            "it is not said what to start from",
-            "give --machine and --instrument, or --from STUDY",
-        )
-    from pkm_studies import template
-
-    return template.write(name, machine, instrument, Path())
-
-
+app.command()(new_command.new)
 app.command(name="import")(import_command.import_files)
 app.command()(compensate_command.compensate)
 

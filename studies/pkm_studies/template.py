@@ -32,6 +32,8 @@ READINGS = 30
 #: least share of the grid's poses to which an instrument leads a "hold" coordinate
 LED_SHARE = 0.3
 SETUP = "setup1"
+#: instruments to draft a study with, the most informative first
+DEFAULTS = ("pose_tracker", "pose_tracker_position", "redundancy")
 GAP = """\
 # What calibration leaves: `oed diagnose` looks for its causes in any readings.
 # With [gap], `oed run` does so too, and predicts which causes the readings could find.
@@ -49,15 +51,37 @@ GAP = """\
 """
 
 
-def write(name: str, machine: str, instrument: str, folder: Path) -> Path:
-    """Write NAME.study.toml into a folder; its path.
+def default_instrument(machine: str, folder: Path) -> tuple[str, list[str]]:
+    """An instrument that can read a machine as it stands, and the others that can.
+
+    It is the first of DEFAULTS, or of the catalogue, whose settings all have defaults.
+    Raises InputError for a machine that is none.
+    """
+    place = Place("oed new")
+    model = catalogue.machine(machine, folder, place.key("--machine"))
+    names = [entry.name for entry in catalogue.listing("instruments")]
+    tools = {name: catalogue.instrument(name, folder, place) for name in names}
+    able = [name for name in names if tools[name].unfit(model) is None]
+    ready = [n for n in able if all(s.default is not None for s in tools[n].settings)]
+    chosen = next((name for name in DEFAULTS if name in ready), None)
+    if chosen is None and not able:
+        raise place.key("--instrument").error(
+            f"no instrument of the catalogue can read {model.name}",
+            "write one, see the reference, and name its file with --instrument",
+        )
+    chosen = chosen or [*ready, *able][0]
+    return chosen, [name for name in able if name != chosen]
+
+
+def write(name: str | None, machine: str, instrument: str, folder: Path) -> Path:
+    """Write NAME.study.toml into a folder; its path. Without a name, the machine's.
 
     Raises InputError for a bad name, an existing file, and an instrument that cannot
     read the machine.
     """
-    path = shipped.new_path(name, folder)
     place = Place("oed new")
     model = catalogue.machine(machine, folder, place.key("--machine"))
+    path = shipped.new_path(model.name if name is None else name, folder)
     tool = catalogue.instrument(instrument, folder, place.key("--instrument"))
     reason = tool.unfit(model)
     if reason is not None:
