@@ -41,7 +41,8 @@ def written(folder: Path) -> tuple[bytes, dict[str, object]]:
 
 
 def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
+    """Files of a folder; a kill in the middle of a write leaves a hidden one."""
+    return {path.name for path in folder.iterdir() if path.name[0] != "."}
 
 
 def test_run_resumes_by_itself(
@@ -100,7 +101,7 @@ def test_killed_ten_times_at_random_in_earnest(tmp_path: Path) -> None:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-        kills += 1
+            kills += 1
         for path in (tmp_path / "killed").glob("*.json"):
             json.loads(path.read_text(encoding="utf-8"))
     subprocess.run(calls["killed"], check=True, env=environment)
