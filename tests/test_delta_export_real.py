@@ -1,0 +1,52 @@
+"""Real readings of a delta printer, exported for Klipper: its own formula on the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import compensation_sample as sample
+import numpy as np
+import pytest
+from test_compensate_command import carriages_of_klipper
+from test_delta_real import Session, fitted, heights_of, measurement, sessions
+
+from oed.measurement import Measurement
+from pkm_models.machines.linear_delta import machine
+from pkm_studies import cli
+
+__all__ = ["measurement", "sessions"]  # fixtures
+
+
+@pytest.mark.parametrize("name", ["S03", "S04"])
+def test_klippers_residuals_agree_to_the_printed_digits(
+    measurement: Measurement,
+    sessions: dict[str, Session],
+    tmp_path: Path,
+    name: str,
+) -> None:
+    """Contacts where Klipper, with our file, sends each carriage: height by Newton on
+    its formula for the carriages' travel.
+    """
+    session = sessions[name]
+    fit = fitted(measurement, session)
+    folder = sample.save(tmp_path, sample.result(machine, fit.theta[:10]))
+    assert cli.main(["compensate", str(folder), "--to", "klipper"]) == 0
+    text = (folder / "compensation.cfg").read_text("utf-8")
+    contacts = 1e3 * session.contacts
+    point = np.zeros_like(contacts)
+    for _ in range(20):
+        step = 1e-3 * np.eye(3)
+        columns = [
+            carriages_of_klipper(point + s, text)
+            - carriages_of_klipper(point - s, text)
+            for s in step
+        ]
+        slope = np.stack(columns, axis=2) / 2e-3
+        miss = carriages_of_klipper(point, text) - contacts
+        point = point - np.linalg.solve(slope, miss[:, :, None])[:, :, 0]
+    offset = fit.theta[list(measurement.names).index(f"{name}_probe.offset")]
+    read = measurement.readings([heights_of(measurement, session)], fit.theta)
+    assert point[:, 2] == pytest.approx(1e3 * (read - offset), abs=3e-6)
+    # the residuals are those of a good fit, not of a wrong geometry
+    residual = 1e3 * session.heights - point[:, 2]
+    assert np.std(residual) < 0.06
