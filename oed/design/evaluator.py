@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.design import fedorov
+from oed.design import fedorov, tabu
 from oed.design.blocks import information
 from oed.design.criterion import Criterion, Determinant
 
@@ -49,6 +49,15 @@ class PlanEvaluator(Protocol):
 
     def exchange_all(self, chosen: Index, level: int) -> Index | None:
         """The plan after all exchanges by a closed formula; None where there is none."""
+        ...
+
+    def search_plans(
+        self, starts: Index, steps: int, rng: np.random.Generator
+    ) -> Index | None:
+        """The best plan that starts (plans, size) lead to in some steps of a search.
+
+        None where the evaluator has no search of its own.
+        """
         ...
 
     def subset(self, pool: Index) -> PlanEvaluator:
@@ -98,13 +107,27 @@ class CriterionEvaluator:
 
     def exchange_all(self, chosen: Index, level: int) -> Index | None:
         """Fedorov's exchange of pairs, for D of single rows."""
-        criterion = self.criterion.continuation()[level]
-        if not isinstance(criterion, Determinant) or criterion.interest is not None:
-            return None
-        if self.blocks.shape[1] > 1:
+        if not self._rows_by_determinant:
             return None
         base = self._matrix(chosen, None) - information(self.blocks[chosen])
         return fedorov.exchange_rows(self.blocks[:, 0], chosen, base)
+
+    def search_plans(
+        self, starts: Index, steps: int, rng: np.random.Generator
+    ) -> Index | None:
+        """Tabu search, for D of single rows."""
+        size, count = starts.shape[1], self.count
+        searchable = 0 < size < count and size * count <= tabu.LARGEST
+        if not (searchable and self._rows_by_determinant):
+            return None
+        return tabu.search_plans(self.blocks[:, 0], starts, self.base, steps, rng)
+
+    @property
+    def _rows_by_determinant(self) -> bool:
+        """Whether single rows are judged by D of all directions."""
+        criterion = self.criterion
+        of_all = isinstance(criterion, Determinant) and criterion.interest is None
+        return of_all and self.blocks.shape[1] == 1
 
     def subset(self, pool: Index) -> CriterionEvaluator:
         """The evaluator over a part of the candidates."""

@@ -209,6 +209,12 @@ class _ScenarioEvaluator:
     def exchange_all(self, chosen: Index, level: int) -> Index | None:
         return None
 
+    def search_plans(
+        self, starts: Index, steps: int, rng: np.random.Generator
+    ) -> Index | None:
+        """No search of its own."""
+        return None
+
     def subset(self, pool: Index) -> _ScenarioEvaluator:
         scenarios = tuple(s.subset(pool) for s in self.scenarios)
         return dataclasses.replace(self, scenarios=scenarios)

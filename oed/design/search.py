@@ -1,5 +1,7 @@
 """Iterated local search over plans: exchange sweeps, then restarts from a changed plan.
 
+D of single rows has a faster search of its own in place of restarts (`oed.design.tabu`).
+
 The search runs over a pool of candidates that an optimal plan may want, by the slopes
 and weights of a relaxation. One more improvement over all candidates ends it. The
 result is never worse than the greedy plans at its start.
@@ -13,17 +15,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.arrays import Array, Index
+from oed.design import tabu
 from oed.design.evaluator import PlanEvaluator
 from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
 
 #: candidates in the pool: at the least, a chosen one, and in each class of the quotas
 POOL, POOL_PER_READING, POOL_PER_CLASS = 200, 8, 50
+#: candidates a place in the pool, at the most; relative difference of two copies' slopes
+MOST_COPIES, COPY = 4, 1e-9
 #: gain in log phi below which an exchange counts as none
 GAIN = 1e-10
 #: sweeps at the most: rounding near a singular plan could let two exchanges undo each
 #: other for ever
 SWEEPS = 50
+#: steps of the evaluator's own search that stand for one round
+STEPS_PER_ROUND = 12
 #: most readings that one restart replaces; chance that it replaces a whole set-up
 REPLACED, REPLACE_SETUP = 6, 0.3
 #: weight from which a relaxed candidate counts as chosen, and from which it may be
@@ -43,7 +50,7 @@ def search(
 
     weights, slopes (C,) are those of a relaxation; `starts` are plans to begin with.
     """
-    promising = _promising(weights, slopes, rules, evaluator.count)
+    promising = _promising(weights, slopes, rules)
     pool = np.union1d(promising, np.concatenate(starts))
     pool_exchange = _Exchange(evaluator.subset(pool), rules.subset(pool))
     pool_starts = [np.searchsorted(pool, start) for start in starts]
@@ -90,20 +97,29 @@ def improve(
     return _Exchange(evaluator, rules).sweep_until_stable(chosen, level, sweeps)
 
 
-def _promising(weights: Array, slopes: Array, rules: Rules, count: int) -> Index:
+def _promising(weights: Array, slopes: Array, rules: Rules) -> Index:
     """Candidates that an optimal plan may want."""
     slopes_per_cost = slopes
     if rules.cost is not None:
         slopes_per_cost = slopes / np.maximum(rules.cost, 1e-300)
     size = rules.size or int((weights > HEAVY).sum())
     places = max(POOL, POOL_PER_READING * size)
-    steepest = np.argsort(-slopes_per_cost, kind="stable")[: min(count, places)]
+    steepest = _steepest(slopes_per_cost, places)
     heaviest = np.argsort(-weights, kind="stable")[:places]
     heaviest = heaviest[weights[heaviest] > LIGHT]
     promising = np.union1d(steepest, heaviest)
     if rules.quotas is not None:
         promising = np.union1d(promising, _steepest_by_class(slopes, rules.quotas))
     return promising.astype(np.intp)
+
+
+def _steepest(slopes: Array, places: int) -> Index:
+    """The steepest candidates; copies of one candidate take one place."""
+    order = np.argsort(-slopes, kind="stable")[: MOST_COPIES * places]
+    ordered = slopes[order]
+    falls = ordered[:-1] - ordered[1:] > COPY * np.abs(ordered[:-1])
+    place = np.concatenate([[0], np.cumsum(falls)])
+    return np.asarray(order[place < places])
 
 
 def _steepest_by_class(slopes: Array, quotas: QuotaSet) -> Index:
@@ -206,6 +222,9 @@ class _Restarts:
         Given and drawn plans come first, then changes of the best plan so far.
         """
         weights = weights + 1e-4 * weights.sum() / len(weights)
+        searched = self._search_plans(weights, rounds, starts)
+        if searched is not None:
+            return searched
         best, best_value = np.zeros(0, dtype=np.intp), -np.inf
         drawn = max(1, min(5, rounds // 4))
         for k in range(-len(starts), rounds):
@@ -220,6 +239,19 @@ class _Restarts:
             if value > best_value or not best.size:
                 best, best_value = chosen, value
         return best
+
+    def _search_plans(
+        self, weights: Array, rounds: int, starts: Sequence[Index]
+    ) -> Index | None:
+        """The best plan by the evaluator's own search; None where it has none."""
+        evaluator = self.exchange.evaluator
+        if not self.rules.only_size or rounds < 1:
+            return None
+        drawn = [self._draw(weights) for _ in range(len(starts), tabu.PLANS)]
+        plans = np.array([*starts, *drawn])
+        steps = STEPS_PER_ROUND * rounds
+        best = evaluator.search_plans(plans, steps, self.rng)
+        return None if best is None else self.exchange.improve_by_levels(best)
 
     def _draw(self, weights: Array) -> Index:
         """A plan drawn with chances that follow the weights (Gumbel's trick)."""

@@ -269,6 +269,12 @@ class SeparationJudge:
         """No faster way is known."""
         return None
 
+    def search_plans(
+        self, starts: Index, steps: int, rng: np.random.Generator
+    ) -> Index | None:
+        """No search of its own."""
+        return None
+
     def subset(self, pool: Index) -> SeparationJudge:
         """Over some of the candidates."""
         return SeparationJudge(self.separation.subset(pool))

@@ -1,0 +1,204 @@
+"""Tabu search for D-optimal plans of single rows, many plans at once.
+
+In every plan, one step replaces the chosen row i by the row j that raises det M most, or
+lowers it least. With d_ij = x_i^T M^-1 x_j, the factor of det M is
+
+    (1 - d_ii)(1 + d_jj) + d_ij^2        (Fedorov 1972).
+
+The row that leaves, and the place that is filled, rest for a few steps, so that the
+search climbs out of a local optimum and does not return to it (Glover 1989, ORSA J.
+Comput. 1, 190-206). All plans take their step in the same array operations. M^-1 and
+the d_ij of the chosen rows follow by rank-two updates, in single precision on whitened
+rows. They are computed anew from time to time, and plans are compared in double
+precision at the end.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.arrays import Array, Index
+
+#: plans that are searched together
+PLANS = 20
+#: places times candidates beyond which one plan's products are too many
+LARGEST = 250_000
+#: most steps for which a row, or a place, rests, in turn for the plans: short rests
+#: climb fast, long ones leave wide basins
+TENURES = (2, 3, 3, 4, 8)
+#: steps after which all products are computed anew
+REFRESH = 60
+#: prior information added in whitened units: random plans can be singular
+RIDGE = 1e-6
+#: gain in log det below which a step counts as none, in single precision
+GAIN = 1e-5
+#: factor of det M below which updates are not sound, and all is computed anew
+UNSOUND = 1e-3
+#: least share of a row that is its own
+LEAST = 1e-6
+#: added to the factor where a row or a place rests, and where the row is in the plan
+RESTS, HELD = -1e6, -4e6
+
+Single = NDArray[np.float32]
+
+
+def search_plans(
+    rows: Array, starts: Index, base: Array, steps: int, rng: np.random.Generator
+) -> Index:
+    """The best plan (size,) that the plans `starts` (plans, size) pass in their steps.
+
+    rows   (C, n)
+    base   (n, n) prior information, positive semidefinite
+
+    Rows and prior together determine all n directions.
+    """
+    white, white_base = _whiten(rows, base)
+    search = _TabuSearch(white, white_base, _copies(rows), starts, rng)
+    best_plans = search.run(steps)
+    values = _log_determinants(white, white_base, best_plans)
+    return np.asarray(best_plans[int(values.argmax())])
+
+
+def _whiten(rows: Array, base: Array) -> tuple[Array, Array]:
+    """Rows and prior in coordinates where all rows and the prior have information C."""
+    eigenvalues, vectors = np.linalg.eigh(base)
+    prior_rows = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * vectors.T
+    triangle = np.linalg.qr(np.vstack([rows, prior_rows]), mode="r")
+    inverse = np.linalg.inv(triangle) * np.sqrt(len(rows))
+    white_prior = prior_rows @ inverse
+    return rows @ inverse, white_prior.T @ white_prior
+
+
+def _copies(rows: Array) -> Index:
+    """A number (C,) for each row; equal rows have the same."""
+    return np.unique(rows, axis=0, return_inverse=True)[1].ravel().astype(np.intp)
+
+
+def _information(white: Array, base: Array, plans: Index) -> Array:
+    """M (plans, n, n)."""
+    chosen = white[plans]
+    return np.asarray(base + np.swapaxes(chosen, 1, 2) @ chosen)
+
+
+def _log_determinants(white: Array, base: Array, plans: Index) -> Array:
+    sign, values = np.linalg.slogdet(_information(white, base, plans))
+    return np.where(sign > 0, values, -np.inf)
+
+
+class _TabuSearch:
+    """The plans, their products with all candidates, and what rests.
+
+    plans     (B, size)
+    inverse   (B, n, n) M^-1
+    products  (B, size, C) d_ij of chosen rows with all rows
+    leverage  (B, C) d_jj
+    """
+
+    def __init__(
+        self,
+        white: Array,
+        base: Array,
+        copies: Index,
+        starts: Index,
+        rng: np.random.Generator,
+    ) -> None:
+        self.white, self.copies, self.rng = white, copies, rng
+        self.base = base + RIDGE * np.eye(len(base))
+        self.rows = white.astype(np.float32)
+        self.columns = np.ascontiguousarray(self.rows.T)
+        self.plans = starts.copy()
+        self.batch = np.arange(len(starts))
+        self.tenures = np.resize(TENURES, len(starts))
+        count, size = len(white), starts.shape[1]
+        self.held = np.zeros((len(starts), count), dtype=bool)
+        self.held[self.batch[:, None], starts] = True
+        self.row_rests_until = np.zeros((len(starts), count), dtype=np.intp)
+        self.place_rests_until = np.zeros(starts.shape, dtype=np.intp)
+        self.place_terms = np.ones((len(starts), size, 3), dtype=np.float32)
+        self.row_terms = np.ones((len(starts), 3, count), dtype=np.float32)
+        self._refresh()
+        self.best, self.best_values = self.plans.copy(), self.values
+
+    def _refresh(self) -> None:
+        """Computes inverse, products and values anew, in double precision."""
+        m = _information(self.white, self.base, self.plans)
+        inverse = np.linalg.inv(m)
+        products = (self.white[self.plans] @ inverse) @ self.white.T
+        by_row = self.white @ inverse
+        leverage = np.einsum("bcn,cn->bc", by_row, self.white)
+        self.inverse: Single = inverse.astype(np.float32)
+        self.products: Single = products.astype(np.float32)
+        self.leverage: Single = leverage.astype(np.float32)
+        self.factors = np.empty_like(self.products)
+        self.values: Array = np.linalg.slogdet(m)[1]
+
+    def run(self, steps: int) -> Index:
+        """The best plan (B, size) that each plan passed."""
+        for step in range(steps):
+            place, row, factor = self._best_exchange(step)
+            self._exchange(place, row, step)
+            self.values = self.values + np.log(np.maximum(factor, UNSOUND))
+            if step % REFRESH == REFRESH - 1 or factor.min() < UNSOUND:
+                self._refresh()
+            better = np.flatnonzero(self.values > self.best_values + GAIN)
+            self.best_values[better] = self.values[better]
+            self.best[better] = self.plans[better]
+        return self.best
+
+    def _best_exchange(self, step: int) -> tuple[Index, Index, Single]:
+        """Place, row and factor of the best allowed exchange of each plan (B,).
+
+        One product of three terms gives (1 - d_ii)(1 + d_jj) with both prohibitions.
+        """
+        resting = self.row_rests_until[:, self.copies] > step
+        chosen_leverage = np.take_along_axis(self.leverage, self.plans, 1)
+        self.place_terms[:, :, 0] = 1.0 - chosen_leverage
+        self.row_terms[:, 0] = 1.0 + self.leverage
+        self.row_terms[:, 1] = np.where(resting, RESTS, 0.0)
+        self.row_terms[:, 1][self.held] = HELD
+        place_rests = self.place_rests_until > step
+        self.place_terms[:, :, 2] = np.where(place_rests, RESTS, 0.0)
+        np.multiply(self.products, self.products, out=self.factors)
+        self.factors += np.matmul(self.place_terms, self.row_terms)
+        flat = self.factors.reshape(len(self.plans), -1)
+        best = flat.argmax(axis=1)
+        place, row = np.divmod(best, self.products.shape[2])
+        return place, row, flat[self.batch, best]
+
+    def _exchange(self, place: Index, row: Index, step: int) -> None:
+        """Replaces one row in each plan; what changed rests."""
+        removed = self.plans[self.batch, place]
+        self.plans[self.batch, place] = row
+        self._update_products(place, row, removed)
+        self.held[self.batch, removed] = False
+        self.held[self.batch, row] = True
+        tenure = self.rng.integers(1, self.tenures, (2, len(row)), endpoint=True)
+        rests_until = step + 1 + tenure
+        self.row_rests_until[self.batch, self.copies[removed]] = rests_until[0]
+        self.place_rests_until[self.batch, place] = rests_until[1]
+
+    def _update_products(self, place: Index, row: Index, removed: Index) -> None:
+        """Sherman and Morrison for the row that comes, then for the one that leaves."""
+        batch = self.batch
+        side_in = np.matmul(self.inverse, self.rows[row][:, :, None])[:, :, 0]
+        with_in = side_in @ self.columns
+        before = self.products[batch, place]
+        scale_in = 1.0 / (1.0 + self.leverage[batch, row])
+        share = before[batch, row] * scale_in
+        side_before = np.matmul(self.inverse, self.rows[removed][:, :, None])
+        side_out = side_before[:, :, 0] - share[:, None] * side_in
+        with_out = before - share[:, None] * with_in
+        remaining = 1.0 - with_out[batch, removed]
+        scale_out = 1.0 / np.maximum(remaining, np.float32(LEAST))
+        scales = np.stack([-scale_in, scale_out], axis=1)
+        sides = np.stack([side_in, side_out], axis=1)
+        scaled_sides = sides * scales[:, :, None]
+        self.inverse += np.matmul(np.swapaxes(scaled_sides, 1, 2), sides)
+        with_both = np.stack([with_in, with_out], axis=1)
+        self.products[batch, place] = with_in
+        chosen = np.take_along_axis(with_both, self.plans[:, None, :], 2)
+        scaled = np.swapaxes(chosen * scales[:, :, None], 1, 2)
+        self.products += np.matmul(scaled, with_both)
+        self.leverage += scale_out[:, None] * with_out**2
+        self.leverage -= scale_in[:, None] * with_in**2
