@@ -107,6 +107,7 @@ class _TabuSearch:
         self.base = base + RIDGE * np.eye(len(base))
         self.rows = white.astype(np.float32)
         self.columns = np.ascontiguousarray(self.rows.T)
+        self.has_copies = int(copies.max()) + 1 < len(copies)
         self.plans = starts.copy()
         self.batch = np.arange(len(starts))
         self.tenures = np.resize(TENURES, len(starts))
@@ -161,6 +162,10 @@ class _TabuSearch:
         self.place_terms[:, :, 2] = np.where(place_rests, RESTS, 0.0)
         np.multiply(self.products, self.products, out=self.factors)
         self.factors += np.matmul(self.place_terms, self.row_terms)
+        if self.has_copies:
+            # a copy in place of its row changes nothing, and would use up the step
+            chosen = self.copies[self.plans]
+            self.factors[chosen[:, :, None] == self.copies] = HELD
         flat = self.factors.reshape(len(self.plans), -1)
         best = flat.argmax(axis=1)
         place, row = np.divmod(best, self.products.shape[2])

@@ -14,10 +14,10 @@ def _log_det(rows: np.ndarray, plan: np.ndarray, prior: np.ndarray) -> float:
     return float(np.linalg.slogdet(rows[plan].T @ rows[plan] + prior)[1])
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5])
-def test_best_of_all_subsets(share: float) -> None:
+@pytest.mark.parametrize(("share", "copies"), [(0.0, 1), (0.5, 1), (0.0, 2)])
+def test_best_of_all_subsets(share: float, copies: int) -> None:
     rng = np.random.default_rng(4)
-    rows = rng.standard_normal((16, 4))
+    rows = np.repeat(rng.standard_normal((16 // copies, 4)), copies, axis=0)
     prior = share * np.diag([1.0, 0.0, 2.0, 0.0])
     subsets = np.array(list(itertools.combinations(range(16), 6)))
     best = max(_log_det(rows, subset, prior) for subset in subsets)
