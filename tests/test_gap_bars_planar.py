@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pytest
 from effects_sample import NAMES, effect_of
 from scipy import linalg
 
@@ -193,17 +194,22 @@ def conditioned(
     )
 
 
-def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines() -> None:
+@pytest.mark.parametrize(
+    ("machines", "least"), [(3, 4), pytest.param(6, 9, marks=pytest.mark.slow)]
+)
+def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines(
+    machines: int, least: int
+) -> None:
     """What geometry leaves, up to 0.06 mm, goes down to about 0.01 mm on lines and a
     load that were not fitted.
 
     The rms of what is left there lies in its 95 % interval, channel by channel, in at
-    least 9 of 12 cases: 8 or fewer are a matter of 0.3 %. The shrink itself reaches the
-    lower end of what the diagnosis said of unseen runs. In one machine of six an effect
-    more may be named (the weight is between two of the library's).
+    least 9 of 12 cases: 8 or fewer are a matter of 0.3 %, as 3 or fewer of 6 are of
+    0.2 %. The shrink itself reaches the lower end of what the diagnosis said of unseen
+    runs. In one machine an effect more may be named (the weight is between two of the library's).
     """
     inside, alone, draws = [], [], np.random.default_rng(7)
-    for seed in range(6):
+    for seed in range(machines):
         case = planar(seed)
         assert min(case.diagnosis.marginal[n] for n, _, _ in ACTING) > 0.95
         alone.append(
@@ -231,5 +237,5 @@ def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines() -> 
                 np.sqrt(np.mean(likely[channel == name] ** 2, axis=0)), [2.5, 97.5]
             )
             inside.append(low <= np.sqrt(np.mean(after[channel == name] ** 2)) <= high)
-    assert sum(alone) >= 5
-    assert sum(inside) >= 9
+    assert sum(alone) >= machines - 1
+    assert sum(inside) >= least
