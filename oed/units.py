@@ -18,6 +18,7 @@ from oed.arrays import Array
 MM: Final = 1e-3
 UM: Final = 1e-6
 NM: Final = 1e-9
+INCH: Final = 25.4e-3
 MRAD: Final = 1e-3
 URAD: Final = 1e-6
 DEG: Final = math.pi / 180.0

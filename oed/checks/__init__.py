@@ -1,0 +1,31 @@
+"""Checks of readings before they are fitted: ranges, mistakes, outliers, copies.
+
+session    readings as checks use them
+ranges     predicted range of every reading
+fit        fit within the tolerances, and what all others predict of a reading
+outliers   readings that all others contradict
+mistakes   the usual mistakes, undone
+explain    which mistake explains readings that do not fit
+change     a change between two parts of a session
+copies     readings that no instrument took
+goodness   residuals against the stated noise
+blind      mistakes that readings cannot reveal
+check      all of them on one session
+"""
+
+from oed.checks.check import CheckedSession, check_session
+from oed.checks.findings import Finding, Severity
+from oed.checks.goodness import Goodness
+from oed.checks.mistakes import Alternatives
+from oed.checks.session import Session, session
+
+__all__ = [
+    "Alternatives",
+    "CheckedSession",
+    "Finding",
+    "Goodness",
+    "Session",
+    "Severity",
+    "check_session",
+    "session",
+]

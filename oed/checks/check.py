@@ -1,0 +1,166 @@
+"""Checks the readings of a session before they are fitted, and says what is wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed.arrays import Array, Index
+from oed.checks import copies, sentences
+from oed.checks.explain import Explanation, explain
+from oed.checks.findings import Finding, Severity
+from oed.checks.fit import fit
+from oed.checks.goodness import Goodness, goodness
+from oed.checks.mistakes import Alternatives
+from oed.checks.outliers import Outliers, find_outliers
+from oed.checks.ranges import Ranges, predict_ranges
+from oed.checks.session import Session
+
+#: ratio of the penalised sum of squares from which mistakes are tried though the
+#: residuals are small: parameters far outside their tolerances took the mistake in
+STRAINED = 2.0
+#: outliers that are tried as an exchanged pair, at most
+MOST_PAIRED = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class CheckedSession:
+    """A session with what its check found.
+
+    session       the readings
+    findings      the most harmful first
+    goodness      of the readings that are not set aside; None where they have no fit
+    outliers      readings to set aside, and how far each is; None where none can be
+    explanations  mistakes that explain readings which do not fit
+    """
+
+    session: Session
+    findings: tuple[Finding, ...]
+    goodness: Goodness | None
+    outliers: Outliers | None
+    explanations: tuple[Explanation, ...]
+
+    @property
+    def bad_fit(self) -> bool:
+        """Whether nothing fitted to the readings can be trusted."""
+        return any(f.severity <= Severity.BAD_FIT for f in self.findings)
+
+    @property
+    def set_aside(self) -> tuple[int, ...]:
+        """Readings, by number, that a fit should leave out."""
+        if self.outliers is None or self.bad_fit:
+            return ()
+        return tuple(sorted(self.outliers.readings))
+
+
+def check_session(
+    session: Session, alternatives: Alternatives, rng: np.random.Generator
+) -> CheckedSession:
+    """Check readings against tolerances, noise, the usual mistakes, and each other.
+
+    `rng` draws machines where ranges are not linear. Raises AssemblyError where the
+    nominal machine cannot be read.
+    """
+    ranges = predict_ranges(session, rng)
+    outside = ranges.outside(session.y)
+    suspects = np.unique(session.reading_of_value[outside])
+    outliers = find_outliers(session, suspects)
+    fitted = None if outliers is None else goodness(outliers.solution)
+    explanations = _explanations(session, alternatives, outliers, fitted)
+    single = outliers is not None and not outliers.exhausted and not explanations
+    findings = [
+        *sentences.explained(explanations),
+        *_copies(session, ranges),
+        *_fit_findings(session, outliers, fitted, explanations),
+    ]
+    if single and outliers is not None:
+        findings += sentences.outliers(session, outliers, _exchanged(session, outliers))
+    findings += _outside(session, ranges, outside, outliers if single else None)
+    findings.sort(key=lambda finding: finding.severity)
+    return CheckedSession(
+        session=session,
+        findings=tuple(findings),
+        goodness=fitted,
+        outliers=outliers if single else None,
+        explanations=tuple(explanations),
+    )
+
+
+def _explanations(
+    session: Session,
+    alternatives: Alternatives,
+    outliers: Outliers | None,
+    fitted: Goodness | None,
+) -> list[Explanation]:
+    """Mistakes, where the readings without their outliers do not fit."""
+    if outliers is None or fitted is None:
+        return explain(session, None, alternatives)
+    strained = outliers.solution.ratio > STRAINED
+    if not (outliers.exhausted or fitted.too_large or strained):
+        return []
+    return explain(session, outliers.solution, alternatives)
+
+
+def _fit_findings(
+    session: Session,
+    outliers: Outliers | None,
+    fitted: Goodness | None,
+    explanations: list[Explanation],
+) -> list[Finding]:
+    """Residuals too large or too small for the stated noise."""
+    if explanations:
+        return []
+    if fitted is None or outliers is None:
+        return [sentences.no_fit()]
+    if fitted.too_large or outliers.exhausted:
+        return [sentences.too_large(fitted, outliers)]
+    if fitted.too_small:
+        return [sentences.too_small(fitted)]
+    return []
+
+
+def _copies(session: Session, ranges: Ranges) -> list[Finding]:
+    findings = []
+    computed = copies.computed_readings(session, ranges.middle, ranges.sd)
+    if computed.size:
+        findings.append(sentences.computed(session, computed))
+    else:
+        equal = copies.equal_readings(session)
+        if equal:
+            findings.append(sentences.doubled(session, equal))
+    for channel, step in copies.coarse_columns(session):
+        findings.append(sentences.coarse(session, channel, step))
+    return findings
+
+
+def _outside(
+    session: Session, ranges: Ranges, outside: Index, outliers: Outliers | None
+) -> list[Finding]:
+    """Readings outside their predicted range that are not named as outliers."""
+    named: Array = np.empty(0)
+    if outliers is not None:
+        named = np.array(outliers.readings)
+    reading = session.reading_of_value
+    left_over = outside[~np.isin(reading[outside], named)]
+    return [sentences.outside(session, ranges, left_over)] if left_over.size else []
+
+
+def _exchanged(session: Session, outliers: Outliers) -> tuple[int, int] | None:
+    """Two outliers that fit where the other one stands, by number."""
+    numbers = outliers.readings
+    if not 2 <= len(numbers) <= MOST_PAIRED:
+        return None
+    reading = session.reading_of_value
+    for i, first in enumerate(numbers):
+        for second in numbers[i + 1 :]:
+            one, other = (np.flatnonzero(reading == k) for k in (first, second))
+            y = session.y.copy()
+            if len(one) != len(other):
+                continue
+            y[one], y[other] = session.y[other], session.y[one]
+            rest = [k for k in numbers if k not in (first, second)]
+            solution = fit(session.with_y(y).without(rest), outliers.solution.theta)
+            if solution is not None and not goodness(solution).too_large:
+                return first, second
+    return None

@@ -1,0 +1,147 @@
+"""Readings that no instrument took: doubled, frozen, computed, or coarsely rounded."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from oed.arrays import Array, Index
+from oed.checks.session import Session
+
+#: probability that a correct session has as many equal readings
+FALSE_ALARM = 1e-5
+#: digits after the decimal point in a column's unit that are looked at
+DIGITS = 9
+#: share of the stated noise within which a reading is one of the nominal machine
+NOMINAL = 0.02
+#: share of a session's readings that are nominal where they were computed
+COMPUTED = 0.3
+#: rounding steps, in the stated noise, from which on they matter
+COARSE = 3.0
+
+
+@dataclasses.dataclass(frozen=True)
+class EqualReadings:
+    """Readings with equal values, by number.
+
+    same_pose  whether they were taken at the same pose
+    """
+
+    readings: tuple[int, ...]
+    same_pose: bool
+
+
+def resolution(session: Session, members: Index) -> float:
+    """Step of which all these values are multiples, SI; 0 for none of DIGITS digits."""
+    channel = str(session.values["channel"].iloc[int(members[0])])
+    factor = session.column(channel).factor
+    values = session.y[members] / factor
+    if np.ptp(values) <= 1e-9 * np.abs(values).max(initial=0.0):
+        return 0.0
+    for digits in range(-2, DIGITS + 1):
+        step = 10.0**-digits
+        rest = values / step - np.round(values / step)
+        tolerance = 1e-9 * np.maximum(1.0, np.abs(values / step))
+        if (np.abs(rest) <= np.minimum(tolerance, 1e-2)).all():
+            return step * factor
+    return 0.0
+
+
+def equal_readings(session: Session) -> list[EqualReadings]:
+    """Groups of readings with equal values that chance does not explain."""
+    groups: list[EqualReadings] = []
+    for s, span in zip(session.series, session.spans, strict=True):
+        table = session.y[span].reshape(len(s), -1)
+        first = int(session.reading_of_value[span.start])
+        labels = pd.DataFrame(table).groupby(list(range(table.shape[1]))).indices
+        equal = [np.sort(rows) for rows in labels.values() if len(rows) > 1]
+        pairs = sum(len(rows) * (len(rows) - 1) // 2 for rows in equal)
+        if not pairs or not _unlikely(session, span, table, pairs):
+            continue
+        for rows in equal:
+            joints = s.q[s.index[rows, 0]]
+            same = bool(np.ptp(joints, axis=0).max() < 1e-9)
+            numbers = tuple(int(first + k) for k in rows)
+            groups.append(EqualReadings(numbers, same))
+    return groups
+
+
+def _unlikely(session: Session, span: slice, table: Array, pairs: int) -> bool:
+    """Whether chance gives as many equal pairs as seldom as FALSE_ALARM.
+
+    Two values of a density f agree in a rounding step d with probability d times the
+    integral of f^2: over their spread for different poses, and over the noise for
+    repeated ones.
+    """
+    n, channels = table.shape
+    probability = repeated = 1.0
+    sigma = session.measurement.sigma(session.series)[span].reshape(n, channels)
+    for c in range(channels):
+        members = np.arange(span.start, span.stop)[c::channels]
+        step = resolution(session, members)
+        noise = float(np.median(sigma[:, c]))
+        spread = max(_spread(table[:, c]), noise)
+        probability *= min(1.0, step / (2.0 * np.sqrt(np.pi) * spread))
+        repeated *= min(1.0, step / (2.0 * np.sqrt(np.pi) * noise))
+    poses = pd.DataFrame(_poses(session, span).round(9))
+    sizes = poses.groupby(list(poses.columns)).size().to_numpy()
+    same = float(np.sum(sizes * (sizes - 1) / 2))
+    expected = (0.5 * n * (n - 1) - same) * probability + same * repeated
+    return bool(stats.poisson.sf(pairs - 1, expected) < FALSE_ALARM)
+
+
+def _poses(session: Session, span: slice) -> Array:
+    """Joints (n, nq) at which the readings of a span were taken."""
+    for s, own_span in zip(session.series, session.spans, strict=True):
+        if own_span == span:
+            return np.asarray(s.q[s.index[:, 0]])
+    raise KeyError(span)
+
+
+def _spread(values: Array) -> float:
+    """Robust standard deviation: half the distance between 16 % and 84 %."""
+    low, high = np.quantile(values, [0.16, 0.84])
+    return float(0.5 * (high - low))
+
+
+def computed_readings(session: Session, middle: Array, sd: Array) -> Index:
+    """Readings, by number, that equal those of the nominal machine.
+
+    middle, sd  (N,) predicted reading of the nominal machine, SI, and its standard
+                deviation under tolerances and noise
+
+    Empty where chance explains them.
+    """
+    sigma = session.measurement.sigma(session.series)
+    reading = session.reading_of_value
+    close = NOMINAL * sigma + np.minimum(_rounding(session), sigma)
+    near = np.abs(session.y - middle) <= close
+    density = 2.0 * close / (np.sqrt(2.0 * np.pi) * sd)
+    expected = float(np.minimum(density, 1.0).sum())
+    count = int(near.sum())
+    if count < COMPUTED * len(session) or 3.0 * expected > count:
+        return np.empty(0, dtype=np.intp)
+    return np.unique(reading[near])
+
+
+def _rounding(session: Session) -> Array:
+    """Half the rounding step (N,) of each value, SI."""
+    half = np.zeros(len(session))
+    frame = session.values
+    for rows in frame.groupby(["setup", "channel"], sort=False).indices.values():
+        half[rows] = 0.5 * resolution(session, rows)
+    return half
+
+
+def coarse_columns(session: Session) -> list[tuple[str, float]]:
+    """Channels whose rounding step exceeds the stated noise by far, with the step, SI."""
+    sigma = session.measurement.sigma(session.series)
+    coarse = []
+    for channel, rows in session.values.groupby("channel", sort=False).indices.items():
+        step = resolution(session, rows)
+        if step > COARSE * float(np.median(sigma[rows])):
+            coarse.append((str(channel), step))
+    return coarse

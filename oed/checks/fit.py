@@ -1,0 +1,220 @@
+"""Fit of readings for checks: maximum a posteriori, and the precision of prediction.
+
+With tolerances T and noise covariance S, readings have the covariance C = J T^2 J^T + S
+about those of the nominal machine. At the maximum a posteriori the penalised sum of
+squares |W (y - f)|^2 + |z|^2 is r^T C^-1 r, and chi-squared of N degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy import linalg, optimize, sparse, stats
+
+from oed.arrays import Array, Index
+from oed.checks.session import Session
+from oed.noise.covariance import Noise
+
+#: evaluations of the model in one fit
+MOST_EVALUATIONS = 15
+#: whitened residual in place of one that cannot be computed
+UNREACHABLE = 1e9
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """Readings fitted within the tolerances.
+
+    session    the readings
+    theta      (n,) parameters, SI
+    penalised  sum of squares of whitened residuals and scaled parameters
+    residual   (N,) whitened residual
+    slopes     (N, r) whitened slopes over free parameters in their tolerances
+    departure  (r,) free parameters from nominal, in their tolerances
+    whitening  (N, N) sparse
+    """
+
+    session: Session
+    theta: Array
+    penalised: float
+    residual: Array
+    slopes: Array
+    departure: Array
+    whitening: sparse.csr_array
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared whitened residuals."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def ratio(self) -> float:
+        """Penalised sum of squares over its expectation, as a ratio of amplitudes."""
+        return float(np.sqrt(self.penalised / max(len(self.residual), 1)))
+
+    def p_penalised(self) -> float:
+        """Probability that correct readings have a larger penalised sum of squares."""
+        return float(stats.chi2.sf(self.penalised, len(self.residual)))
+
+    def linear_residual(self) -> Array:
+        """Whitened residual (N,) about the nominal machine, linear at the solution."""
+        return np.asarray(self.residual + self.slopes @ self.departure)
+
+    def half_covariance(self) -> Array:
+        """L (r, r) with L L^T = (1 + A^T A)^-1, A the slopes."""
+        return half_covariance(self.slopes)
+
+    def weights(self) -> Array:
+        """Weights (N,) of independent chi-squared terms whose sum chi2 is distributed as.
+
+        They are the eigenvalues of 1 - A (1 + A^T A)^-1 A^T.
+        """
+        singular = linalg.svdvals(self.slopes)[: len(self.residual)]
+        ones = np.ones(len(self.residual) - len(singular))
+        return np.concatenate([1.0 / (1.0 + singular**2), ones])
+
+
+def fit(session: Session, start: Array | None = None) -> Fit | None:
+    """Fit a session from `start` (n,), or from nominal; None where it cannot be read."""
+    measurement, series = session.measurement, session.series
+    noise = measurement.noise(series)
+    free = np.flatnonzero(measurement.free)
+    tolerance = measurement.tolerance[free]
+    nominal = measurement.nominal
+
+    def theta_at(z: Array) -> Array:
+        theta = nominal.copy()
+        theta[free] += tolerance * z
+        return theta
+
+    def residuals(z: Array) -> Array:
+        predicted = measurement.try_readings(series, theta_at(z))
+        white = noise.whiten(np.nan_to_num(session.y - predicted, nan=UNREACHABLE))
+        return np.concatenate([white, z])
+
+    def slopes(z: Array) -> Array:
+        h = measurement.jacobian(series, theta_at(z))[:, free] * tolerance
+        return np.vstack([-noise.whiten(h), np.eye(len(free))])
+
+    first = np.zeros(len(free))
+    if start is not None:
+        first = (start[free] - nominal[free]) / tolerance
+    try:
+        solution = optimize.least_squares(
+            residuals, first, slopes, xtol=1e-10, ftol=1e-8, max_nfev=MOST_EVALUATIONS
+        )
+    except (ArithmeticError, ValueError, RuntimeError, linalg.LinAlgError):
+        return None
+    count = len(session)
+    if 2.0 * solution.cost >= UNREACHABLE**2:
+        return None
+    return Fit(
+        session=session,
+        theta=theta_at(solution.x),
+        penalised=float(2.0 * solution.cost),
+        residual=solution.fun[:count],
+        slopes=-solution.jac[:count],
+        departure=solution.x,
+        whitening=whitening_matrix(noise),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class LinearModel:
+    """Readings linear about the nominal machine, to screen many sets of values.
+
+    predicted  (N,) readings of the nominal machine, SI
+    noise      stated noise
+    shared     (N, r) whitened slopes times the half covariance of the parameters
+    """
+
+    predicted: Array
+    noise: Noise
+    shared: Array
+
+    def penalised(self, y: Array) -> float:
+        """Penalised sum of squares of values (N,), SI."""
+        r = self.noise.whiten(y - self.predicted)
+        common = self.shared.T @ r
+        return float(r @ r - common @ common)
+
+
+def linear_model(session: Session) -> LinearModel | None:
+    """The linear model of a session's poses; None where they cannot be read."""
+    measurement, series = session.measurement, session.series
+    free = np.flatnonzero(measurement.free)
+    nominal, noise = measurement.nominal, measurement.noise(series)
+    try:
+        predicted = measurement.readings(series, nominal)
+        h = measurement.jacobian(series, nominal)[:, free]
+    except (ArithmeticError, ValueError, RuntimeError):
+        return None
+    slopes = noise.whiten(h * measurement.tolerance[free])
+    half = half_covariance(slopes)
+    return LinearModel(predicted, noise, slopes @ half)
+
+
+def half_covariance(slopes: Array) -> Array:
+    """L (r, r) with L L^T = (1 + A^T A)^-1, A the slopes (N, r)."""
+    gram = np.eye(slopes.shape[1]) + slopes.T @ slopes
+    lower = linalg.cholesky(gram, lower=True)
+    identity = np.eye(len(gram))
+    return np.asarray(linalg.solve_triangular(lower, identity, lower=True).T)
+
+
+def whitening_matrix(noise: Noise) -> sparse.csr_array:
+    """W (N, N) with W S W^T = 1 of a noise covariance S."""
+    if noise.whitening is not None:
+        return noise.whitening
+    return sparse.csr_array(sparse.diags_array(1.0 / noise.sigma))
+
+
+@dataclasses.dataclass(frozen=True)
+class Prediction:
+    """Each reading against what all others predict, by the precision P = C^-1.
+
+    gradient  (N,) P r
+    diagonal  (N,) of P
+    factor    (N, r) B, with P = W^T W - B B^T
+    gram      (N, N) sparse W^T W
+    """
+
+    gradient: Array
+    diagonal: Array
+    factor: Array
+    gram: sparse.csr_array
+
+    def columns(self, members: Index) -> Array:
+        """Columns (N, k) of P."""
+        gram = np.asarray(self.gram[:, members].todense())
+        return np.asarray(gram - self.factor @ self.factor[members].T)
+
+    def without(self, members: Index) -> tuple[Array, Array]:
+        """Gradient and diagonal (N,), with the values `members` (k,) left out.
+
+        Entries of `members` are 0 and 1.
+        """
+        if not len(members):
+            return self.gradient, self.diagonal
+        columns = self.columns(members)
+        lower = linalg.cholesky(columns[members], lower=True)
+        half = linalg.solve_triangular(lower, columns.T, lower=True)
+        known = linalg.solve_triangular(lower, self.gradient[members], lower=True)
+        gradient = self.gradient - half.T @ known
+        diagonal = self.diagonal - np.einsum("ij,ij->j", half, half)
+        gradient[members], diagonal[members] = 0.0, 1.0
+        return gradient, np.maximum(diagonal, 1e-12 * self.diagonal)
+
+
+def predict_from_others(solution: Fit) -> Prediction:
+    """What all other readings predict of each reading, linear at the solution."""
+    w = solution.whitening
+    half = solution.half_covariance()
+    shared = solution.slopes @ half
+    r = solution.linear_residual()
+    remainder = r - shared @ (shared.T @ r)
+    factor = np.asarray(w.T @ shared)
+    gram = sparse.csr_array(w.T @ w)
+    diagonal = gram.diagonal() - np.einsum("ij,ij->i", factor, factor)
+    return Prediction(np.asarray(w.T @ remainder), diagonal, factor, gram)

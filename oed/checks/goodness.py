@@ -1,0 +1,59 @@
+"""Goodness of fit against the stated noise, with a probability in both tails."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from scipy import stats
+
+from oed.checks.fit import Fit
+
+#: probability of a tail below which residuals are too large or too small
+ALARM = 1e-5
+
+
+@dataclasses.dataclass(frozen=True)
+class Goodness:
+    """How residuals compare with the stated noise.
+
+    chi2    sum of squared whitened residuals
+    dof     its expectation: values less effectively determined directions
+    p_low   probability of a smaller sum
+    p_high  probability of a larger sum
+    """
+
+    chi2: float
+    dof: float
+    p_low: float
+    p_high: float
+
+    @property
+    def ratio(self) -> float:
+        """Residuals over the stated noise."""
+        return float((self.chi2 / self.dof) ** 0.5) if self.dof > 0.0 else 1.0
+
+    @property
+    def too_large(self) -> bool:
+        """Whether the stated noise does not explain the residuals."""
+        return self.p_high < ALARM
+
+    @property
+    def too_small(self) -> bool:
+        """Whether the stated noise would leave larger residuals."""
+        return self.p_low < ALARM
+
+
+def goodness(solution: Fit) -> Goodness:
+    """Goodness of a fit, by a scaled chi-squared law of the right mean and variance.
+
+    The weights of chi2 are 1 / (1 + s^2) for singular values s of the slopes, and 1
+    (Satterthwaite, Biometrics Bulletin 2 (1946) 110-114).
+    """
+    weights = solution.weights()
+    total, squares = float(weights.sum()), float(weights @ weights)
+    if total <= 0.0:
+        return Goodness(solution.chi2, 0.0, 1.0, 1.0)
+    scale, freedom = squares / total, total**2 / squares
+    law = stats.chi2(freedom, scale=scale)
+    p_low, p_high = float(law.cdf(solution.chi2)), float(law.sf(solution.chi2))
+    return Goodness(solution.chi2, total, p_low, p_high)

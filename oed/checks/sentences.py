@@ -1,0 +1,200 @@
+"""What a check found, in sentences that name file rows, columns, values and ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.arrays import Index
+from oed.checks.copies import EqualReadings
+from oed.checks.explain import Explanation
+from oed.checks.findings import Finding, Severity
+from oed.checks.goodness import Goodness
+from oed.checks.outliers import Outliers
+from oed.checks.ranges import Ranges
+from oed.checks.session import Session
+
+#: rows that a sentence names, at most
+NAMED = 6
+#: residual over noise beyond which its decimals say nothing
+LARGE = 100.0
+
+
+def explained(explanations: Sequence[Explanation]) -> list[Finding]:
+    """The mistake that explains the readings, and those that do as well."""
+    if not explanations:
+        return []
+    best = explanations[0]
+    others = [one.what for one in explanations[1:NAMED]]
+    also = f" Equally likely: {'; or '.join(others)}." if others else ""
+    before = "cannot be fitted as given"
+    if np.isfinite(best.before):
+        before = f"misfit as given: {_times(best.before)} the stated noise"
+    sentence = (
+        f"The readings look mistaken: {best.what} ({before}; with this undone:"
+        f" {_times(best.after)}).{also}"
+    )
+    return [Finding(Severity.MISTAKE, best.kind, sentence)]
+
+
+def no_fit() -> Finding:
+    """Readings that no machine within its tolerances gives."""
+    sentence = (
+        "The readings cannot be fitted, and none of the usual mistakes explains them:"
+        " check units, signs, order and set-up."
+    )
+    return Finding(Severity.BAD_FIT, "fit", sentence)
+
+
+def too_large(fitted: Goodness, outliers: Outliers) -> Finding:
+    """Residuals that the stated noise does not explain."""
+    many = (
+        " More rows deviate than can be single outliers." if outliers.exhausted else ""
+    )
+    sentence = (
+        f"The fit is bad: residuals are {_times(fitted.ratio)} the stated noise"
+        f" (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of freedom,"
+        f" p {_probability(fitted.p_high)}).{many} None of the usual mistakes explains"
+        " it: the noise is understated, or an effect is not in the model."
+    )
+    return Finding(Severity.BAD_FIT, "fit", sentence)
+
+
+def too_small(fitted: Goodness) -> Finding:
+    """Residuals below what the stated noise leaves."""
+    sentence = (
+        f"The residuals are only {_times(fitted.ratio)} the stated noise"
+        f" (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of freedom,"
+        f" p {_probability(fitted.p_low)}): the noise is overstated, or the readings"
+        " were smoothed, averaged or computed."
+    )
+    return Finding(Severity.REMARK, "too_small", sentence)
+
+
+def computed(session: Session, readings: Index) -> Finding:
+    """Readings equal to those of the nominal machine."""
+    rows = _rows(session, readings)
+    equal = "equals that" if len(rows) == 1 else "equal those"
+    sentence = (
+        f"{_count(rows)} {equal} of the nominal machine to within a small part of the"
+        f" noise: computed, not measured? ({_listing(rows)})"
+    )
+    return Finding(Severity.BAD_FIT, "computed", sentence, rows)
+
+
+def doubled(session: Session, groups: Sequence[EqualReadings]) -> Finding:
+    """Rows with readings equal to the last digit."""
+    rows = tuple(k for one in groups for k in _rows(session, one.readings))
+    pairs = [
+        " and ".join(str(k) for k in _rows(session, one.readings)[:NAMED])
+        for one in groups[:NAMED]
+    ]
+    more = ", ..." if len(groups) > NAMED else ""
+    poses = "at the same pose" if all(g.same_pose for g in groups) else "at other poses"
+    sentence = (
+        f"Readings are equal to the last digit {poses}, more often than chance allows:"
+        f" rows {', '.join(pairs)}{more}. Rows doubled, or a frozen display?"
+    )
+    return Finding(Severity.COPIES, "doubled", sentence, rows)
+
+
+def coarse(session: Session, channel: str, step: float) -> Finding:
+    """A column rounded more coarsely than its noise."""
+    column = session.column(channel)
+    sentence = (
+        f"All readings of {column.name} are multiples of {step / column.factor:.6g}:"
+        " rounding exceeds the stated noise."
+    )
+    return Finding(Severity.REMARK, "coarse", sentence)
+
+
+def outliers(
+    session: Session, found_rows: Outliers, exchanged: tuple[int, int] | None
+) -> list[Finding]:
+    """Each outlier with row, column, value and what the others predict."""
+    findings = []
+    if exchanged is not None:
+        rows = _rows(session, exchanged)
+        sentence = (
+            f"Rows {rows[0]} and {rows[1]} look exchanged: each reading fits where the"
+            " other one stands."
+        )
+        findings.append(Finding(Severity.OUTLIER, "exchanged", sentence, rows))
+    records = zip(
+        found_rows.readings,
+        found_rows.values,
+        found_rows.pulls,
+        found_rows.errors,
+        strict=True,
+    )
+    for reading, value, pull, error in records:
+        channel = str(session.values["channel"].iloc[value])
+        row = _rows(session, [reading])
+        predicted = session.written(channel, session.y[value] - error)
+        sd = session.fine(channel, abs(error / pull))
+        sentence = (
+            f"{_capital(_place(session, value))} is {abs(pull):.3g} sigma from the {predicted}"
+            f" that all other readings predict (sd {sd}): the row is set aside."
+        )
+        findings.append(Finding(Severity.OUTLIER, "outlier", sentence, row))
+    return findings
+
+
+def outside(session: Session, ranges: Ranges, values: Index) -> Finding:
+    """Readings outside the range that tolerances and noise predict."""
+    size = np.abs(session.y - ranges.middle) / ranges.sd
+    ranked = values[np.argsort(-size[values], kind="stable")]
+    first = int(ranked[0])
+    channel = str(session.values["channel"].iloc[first])
+    lower, upper = (
+        session.written(channel, float(end[first]))
+        for end in (ranges.lower, ranges.upper)
+    )
+    rows = tuple(sorted({int(session.values["row"].iloc[k]) for k in values}))
+    lie = "lies" if len(rows) == 1 else "lie"
+    sentence = (
+        f"{_count(rows)} {lie} outside the range that tolerances and noise predict; the"
+        f" farthest: {_place(session, first)}, predicted {lower} to {upper}"
+        f" ({_listing(rows)})."
+    )
+    return Finding(Severity.REMARK, "outside", sentence, rows)
+
+
+# -- words -----------------------------------------------------------------------------
+
+
+def _place(session: Session, value: int) -> str:
+    """`row 12, column length_mm = 300.1`."""
+    channel, row = (session.values[c].iloc[value] for c in ("channel", "row"))
+    written = session.written(str(channel), float(session.y[value]))
+    return f"row {row}, column {session.column(str(channel)).name} = {written}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _rows(session: Session, readings: Sequence[int] | Index) -> tuple[int, ...]:
+    """Rows of the file of readings, by number."""
+    row, reading = session.values["row"].to_numpy(), session.reading_of_value
+    first = np.searchsorted(reading, np.asarray(readings, dtype=np.intp))
+    return tuple(int(k) for k in row[first])
+
+
+def _count(rows: Sequence[int]) -> str:
+    return "1 reading" if len(rows) == 1 else f"{len(rows)} readings"
+
+
+def _listing(rows: Sequence[int]) -> str:
+    shown = ", ".join(str(k) for k in rows[:NAMED])
+    more = ", ..." if len(rows) > NAMED else ""
+    return f"row{'s' if len(rows) > 1 else ''} {shown}{more}"
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.3g} times" if ratio >= LARGE else f"{ratio:.2g} times"
+
+
+def _probability(p: float) -> str:
+    return "< 1e-9" if p < 1e-9 else f"{p:.1g}"

@@ -1,0 +1,153 @@
+"""The readings of a session as checks use them: values, series and rows of the file."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+
+from oed import units
+from oed.arrays import Array, Index, Mask
+from oed.dataset.columns import ReadingsColumn, column_name, parse_column
+from oed.dataset.data import consecutive
+from oed.measurement import Measurement, Series
+
+#: columns of `Session.values`
+VALUE_COLUMNS = ("setup", "run", "order", "row", "channel")
+
+
+@dataclasses.dataclass(frozen=True)
+class Session:
+    """Readings to check.
+
+    measurement  machine with the set-ups of the readings, or with more
+    series       readings, by set-up
+    y            (N,) values, SI: series after series, channels innermost
+    values       one row a value: setup, run, order, row in the file, channel
+    columns      columns of the file by stem; written as a result is, where absent
+    """
+
+    measurement: Measurement
+    series: tuple[Series, ...]
+    y: Array
+    values: pd.DataFrame
+    columns: Mapping[str, ReadingsColumn] = dataclasses.field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    @property
+    def spans(self) -> tuple[slice, ...]:
+        """Where the values of each series are in y."""
+        return consecutive([len(s) * self.channel_count(s.setup) for s in self.series])
+
+    @property
+    def reading_of_value(self) -> Index:
+        """Number (N,), from 0, of the reading that each value belongs to."""
+        counts = [
+            np.full(len(s), self.channel_count(s.setup), dtype=np.intp)
+            for s in self.series
+        ]
+        sizes = np.concatenate(counts)
+        return np.repeat(np.arange(len(sizes), dtype=np.intp), sizes)
+
+    def channel_count(self, setup: str) -> int:
+        """Number of channels of a set-up."""
+        return len(self.measurement.setups[setup].instrument.channels)
+
+    def take(self, readings: Index) -> Session:
+        """The session with these readings only, by number, in ascending order."""
+        wanted = np.zeros(1 + int(self.reading_of_value[-1]), dtype=bool)
+        wanted[readings] = True
+        sizes = [len(s) for s in self.series]
+        series = [
+            s.take(np.flatnonzero(wanted[span]))
+            for s, span in zip(self.series, consecutive(sizes), strict=True)
+            if wanted[span].any()
+        ]
+        used = wanted[self.reading_of_value]
+        values = self.values[used].reset_index(drop=True)
+        return dataclasses.replace(
+            self, series=tuple(series), y=self.y[used], values=values
+        )
+
+    def without(self, readings: Sequence[int]) -> Session:
+        """The session without these readings, by number."""
+        every = np.arange(1 + int(self.reading_of_value[-1]))
+        return self.take(np.setdiff1d(every, np.asarray(readings, dtype=np.intp)))
+
+    def with_y(self, y: Array) -> Session:
+        """The session with other values (N,), SI."""
+        return dataclasses.replace(self, y=y)
+
+    def mask(self, setup: str, channel: str | None = None) -> Mask:
+        """Mask (N,) of the values of a set-up, or of one channel of it."""
+        mask = (self.values["setup"] == setup).to_numpy()
+        if channel is not None:
+            mask = mask & (self.values["channel"] == channel).to_numpy()
+        return np.asarray(mask)
+
+    def map_series(self, change: Callable[[Series], Series]) -> Session:
+        """The session with each series changed."""
+        return dataclasses.replace(self, series=tuple(map(change, self.series)))
+
+    # -- words -------------------------------------------------------------------------
+
+    def column(self, channel: str) -> ReadingsColumn:
+        """Column of a channel, as in the file."""
+        if channel in self.columns:
+            return self.columns[channel]
+        return parse_column(column_name(channel, self.unit(channel)))
+
+    def unit(self, channel: str) -> str:
+        """SI unit of a channel."""
+        for setup in self.measurement.setups.values():
+            for one in setup.instrument.channels:
+                if one.name == channel:
+                    return one.unit
+        raise KeyError(channel)
+
+    def written(self, channel: str, value: float) -> str:
+        """An SI value in the unit of its column, without the unit."""
+        column = self.column(channel)
+        return f"{value / column.factor:.7g}"
+
+    def fine(self, channel: str, value: float) -> str:
+        """A difference of readings, SI, in the fine unit of its channel."""
+        unit = units.FINE[self.unit(channel)]
+        return f"{units.number(value, unit):.3g} {unit}"
+
+
+def session(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    covariates: pd.DataFrame | None = None,
+    columns: Mapping[str, ReadingsColumn] | None = None,
+) -> Session:
+    """Make a session of readings y (N,), SI.
+
+    `covariates` state the order and the file's row of each reading; without them, rows
+    count from 2, as in a file with these readings alone.
+    """
+    parts = []
+    for s in series:
+        channels = [c.name for c in measurement.setups[s.setup].instrument.channels]
+        readings = np.repeat(np.arange(len(s)), len(channels))
+        part = {
+            "setup": s.setup,
+            "run": s.run[readings],
+            "channel": np.tile(channels, len(s)),
+        }
+        parts.append(pd.DataFrame(part))
+    values = pd.concat(parts, ignore_index=True)
+    plain = Session(measurement, tuple(series), y, values, columns or {})
+    number = plain.reading_of_value
+    values["row"] = number + 2
+    values["order"] = number + 1
+    if covariates is not None:
+        for name in {"row", "order"} & set(covariates.columns):
+            values[name] = covariates[name].to_numpy()[number]
+    return plain
