@@ -14,15 +14,15 @@ check      all of them on one session
 """
 
 from oed.checks.check import CheckedSession, check_session
-from oed.checks.findings import Finding, Severity
+from oed.checks.findings import CheckFinding, Severity
 from oed.checks.goodness import Goodness
 from oed.checks.mistakes import Alternatives
 from oed.checks.session import Session, session
 
 __all__ = [
     "Alternatives",
+    "CheckFinding",
     "CheckedSession",
-    "Finding",
     "Goodness",
     "Session",
     "Severity",

@@ -9,11 +9,11 @@ import numpy as np
 from oed.arrays import Array, Index
 from oed.checks import copies, sentences
 from oed.checks.explain import Explanation, explain
-from oed.checks.findings import Finding, Severity
+from oed.checks.findings import CheckFinding, Severity
 from oed.checks.fit import fit
 from oed.checks.goodness import Goodness, goodness
 from oed.checks.mistakes import Alternatives
-from oed.checks.outliers import Outliers, find_outliers
+from oed.checks.outliers import OutlierSearch, find_outliers
 from oed.checks.ranges import Ranges, predict_ranges
 from oed.checks.session import Session
 
@@ -36,9 +36,9 @@ class CheckedSession:
     """
 
     session: Session
-    findings: tuple[Finding, ...]
+    findings: tuple[CheckFinding, ...]
     goodness: Goodness | None
-    outliers: Outliers | None
+    outliers: OutlierSearch | None
     explanations: tuple[Explanation, ...]
 
     @property
@@ -90,7 +90,7 @@ def check_session(
 def _explanations(
     session: Session,
     alternatives: Alternatives,
-    outliers: Outliers | None,
+    outliers: OutlierSearch | None,
     fitted: Goodness | None,
 ) -> list[Explanation]:
     """Mistakes, where the readings without their outliers do not fit."""
@@ -104,10 +104,10 @@ def _explanations(
 
 def _fit_findings(
     session: Session,
-    outliers: Outliers | None,
+    outliers: OutlierSearch | None,
     fitted: Goodness | None,
     explanations: list[Explanation],
-) -> list[Finding]:
+) -> list[CheckFinding]:
     """Residuals too large or too small for the stated noise."""
     if explanations:
         return []
@@ -120,9 +120,9 @@ def _fit_findings(
     return []
 
 
-def _copies(session: Session, ranges: Ranges) -> list[Finding]:
+def _copies(session: Session, ranges: Ranges) -> list[CheckFinding]:
     findings = []
-    computed = copies.computed_readings(session, ranges.middle, ranges.sd)
+    computed = copies.computed_readings(session, ranges.nominal, ranges.sd)
     if computed.size:
         findings.append(sentences.computed(session, computed))
     else:
@@ -135,8 +135,8 @@ def _copies(session: Session, ranges: Ranges) -> list[Finding]:
 
 
 def _outside(
-    session: Session, ranges: Ranges, outside: Index, outliers: Outliers | None
-) -> list[Finding]:
+    session: Session, ranges: Ranges, outside: Index, outliers: OutlierSearch | None
+) -> list[CheckFinding]:
     """Readings outside their predicted range that are not named as outliers."""
     named: Array = np.empty(0)
     if outliers is not None:
@@ -146,7 +146,7 @@ def _outside(
     return [sentences.outside(session, ranges, left_over)] if left_over.size else []
 
 
-def _exchanged(session: Session, outliers: Outliers) -> tuple[int, int] | None:
+def _exchanged(session: Session, outliers: OutlierSearch) -> tuple[int, int] | None:
     """Two outliers that fit where the other one stands, by number."""
     numbers = outliers.readings
     if not 2 <= len(numbers) <= MOST_PAIRED:

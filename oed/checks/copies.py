@@ -95,8 +95,8 @@ def _unlikely(session: Session, span: slice, table: Array, pairs: int) -> bool:
 
 def _poses(session: Session, span: slice) -> Array:
     """Joints (n, nq) at which the readings of a span were taken."""
-    for s, own_span in zip(session.series, session.spans, strict=True):
-        if own_span == span:
+    for s, other in zip(session.series, session.spans, strict=True):
+        if other == span:
             return np.asarray(s.q[s.index[:, 0]])
     raise KeyError(span)
 
@@ -107,18 +107,18 @@ def _spread(values: Array) -> float:
     return float(0.5 * (high - low))
 
 
-def computed_readings(session: Session, middle: Array, sd: Array) -> Index:
+def computed_readings(session: Session, nominal: Array, sd: Array) -> Index:
     """Readings, by number, that equal those of the nominal machine.
 
-    middle, sd  (N,) predicted reading of the nominal machine, SI, and its standard
-                deviation under tolerances and noise
+    nominal, sd  (N,) readings of the nominal machine, SI, and the standard deviation of
+                 their prediction under tolerances and noise
 
     Empty where chance explains them.
     """
     sigma = session.measurement.sigma(session.series)
     reading = session.reading_of_value
     close = NOMINAL * sigma + np.minimum(_rounding(session), sigma)
-    near = np.abs(session.y - middle) <= close
+    near = np.abs(session.y - nominal) <= close
     density = 2.0 * close / (np.sqrt(2.0 * np.pi) * sd)
     expected = float(np.minimum(density, 1.0).sum())
     count = int(near.sum())

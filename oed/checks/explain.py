@@ -27,7 +27,9 @@ from oed.checks.session import Session
 MOST_READINGS = 240
 #: largest ratio of residuals to stated noise of readings that are explained
 EXPLAINED = 2.5
-#: least factor between the ratios as given and with the mistake undone
+#: least fall of the penalised sum of squares, in units of the residual variance
+GAIN = 40.0
+#: the same for a change, which has twice the parameters: least factor of the ratio
 IMPROVEMENT = 2.0
 #: log likelihood by which explanations may differ that are equally likely
 EQUAL = 5.0
@@ -74,14 +76,19 @@ def explain(
     for candidates in (_discrete, _of_amount, _change):
         explained = candidates(_sample(session), alternatives, before)
         best = sorted(explained, key=lambda one: one.cost)
-        best = [one for one in best if _explains(one, before)]
+        best = [one for one in best if _explains(one, before, len(session))]
         if best:
             return [one for one in best if one.cost <= best[0].cost + EQUAL]
     return []
 
 
-def _explains(one: Explanation, before: float) -> bool:
-    return one.after <= EXPLAINED and one.after * IMPROVEMENT <= before
+def _explains(one: Explanation, before: float, values: int) -> bool:
+    """Whether the misfit falls to the noise, by far more than chance lowers it."""
+    if one.after > EXPLAINED or one.after >= before:
+        return False
+    if one.kind == "change":
+        return one.after * IMPROVEMENT <= before
+    return ((before / max(one.after, 1.0)) ** 2 - 1.0) * values >= GAIN
 
 
 def _discrete(

@@ -24,7 +24,7 @@ class Severity(enum.IntEnum):
 
 
 @dataclasses.dataclass(frozen=True)
-class Finding:
+class CheckFinding:
     """What is wrong with readings.
 
     severity  how much harm it does

@@ -171,7 +171,7 @@ def whitening_matrix(noise: Noise) -> sparse.csr_array:
 
 
 @dataclasses.dataclass(frozen=True)
-class Prediction:
+class LeaveOneOut:
     """Each reading against what all others predict, by the precision P = C^-1.
 
     gradient  (N,) P r
@@ -207,7 +207,7 @@ class Prediction:
         return gradient, np.maximum(diagonal, 1e-12 * self.diagonal)
 
 
-def predict_from_others(solution: Fit) -> Prediction:
+def predict_from_others(solution: Fit) -> LeaveOneOut:
     """What all other readings predict of each reading, linear at the solution."""
     w = solution.whitening
     half = solution.half_covariance()
@@ -217,4 +217,4 @@ def predict_from_others(solution: Fit) -> Prediction:
     factor = np.asarray(w.T @ shared)
     gram = sparse.csr_array(w.T @ w)
     diagonal = gram.diagonal() - np.einsum("ij,ij->i", factor, factor)
-    return Prediction(np.asarray(w.T @ remainder), diagonal, factor, gram)
+    return LeaveOneOut(np.asarray(w.T @ remainder), diagonal, factor, gram)

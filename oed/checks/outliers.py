@@ -17,7 +17,7 @@ from scipy import stats
 from oed.arrays import Array, Index
 from oed.checks.fit import (
     Fit,
-    Prediction,
+    LeaveOneOut,
     fit,
     predict_from_others,
     whitening_matrix,
@@ -35,7 +35,7 @@ MEDIAN = float(stats.norm.isf(0.25))
 
 
 @dataclasses.dataclass(frozen=True)
-class Outliers:
+class OutlierSearch:
     """Readings far from what all others predict.
 
     readings   numbers of the readings, the farthest first
@@ -54,12 +54,13 @@ class Outliers:
     exhausted: bool
 
 
-def find_outliers(session: Session, suspects: Index) -> Outliers | None:
+def find_outliers(session: Session, suspects: Index) -> OutlierSearch | None:
     """Outliers of a session; None where it cannot be fitted.
 
     `suspects` are readings, by number, to leave out of the first fit.
     """
-    most = max(LEAST, int(SHARE * (1 + session.reading_of_value[-1])))
+    count = 1 + int(session.reading_of_value[-1])
+    most = min(max(LEAST, int(SHARE * count)), count // 4)
     if len(suspects) > most:
         suspects = suspects[:0]
     readings = sorted({int(k) for k in suspects})
@@ -99,7 +100,7 @@ def _on_all(session: Session, solution: Fit) -> Fit:
 
 def _search(
     session: Session,
-    prediction: Prediction,
+    prediction: LeaveOneOut,
     most: int,
     first: list[int],
     *,
@@ -129,7 +130,7 @@ def _search(
 
 
 def _pulls(
-    prediction: Prediction, reading: Index, removed: list[int], *, robust: bool
+    prediction: LeaveOneOut, reading: Index, removed: list[int], *, robust: bool
 ) -> Array:
     """Pulls (N,) from what the readings not removed predict; 0 for those removed."""
     members = np.flatnonzero(np.isin(reading, removed))
@@ -144,11 +145,11 @@ def _pulls(
 
 def _outliers(
     session: Session,
-    prediction: Prediction,
+    prediction: LeaveOneOut,
     readings: list[int],
     solution: Fit,
     exhausted: bool,
-) -> Outliers:
+) -> OutlierSearch:
     reading = session.reading_of_value
     records = []
     for one in readings:
@@ -161,7 +162,7 @@ def _outliers(
         error = float(gradient[worst] / diagonal[worst])
         records.append((one, float(pulls[worst]), error, worst))
     records.sort(key=lambda record: -abs(record[1]))
-    return Outliers(
+    return OutlierSearch(
         readings=tuple(r[0] for r in records),
         pulls=tuple(r[1] for r in records),
         errors=tuple(r[2] for r in records),

@@ -27,12 +27,14 @@ FALSE_ALARM = 1e-4
 class Ranges:
     """Predicted ranges of N values, SI.
 
+    nominal  (N,) readings of the nominal machine
     middle  (N,) mean of the prediction
     sd      (N,) its standard deviation, noise included
     factor  half width of a range in standard deviations
     linear  whether slopes gave it
     """
 
+    nominal: Array
     middle: Array
     sd: Array
     factor: float
@@ -67,8 +69,9 @@ def predict_ranges(session: Session, rng: np.random.Generator) -> Ranges:
     linear = middle + (machines - nominal) @ slopes.T
     curved = np.sqrt(np.mean((exact - linear) ** 2, axis=0))
     if (curved <= CURVATURE * spread + noise).all():
-        return Ranges(middle, np.hypot(spread, noise), factor, True)
+        return Ranges(middle, middle, np.hypot(spread, noise), factor, True)
     machines = simulation.draw_parameters(measurement, rng, DRAWS)
     exact = measurement.try_readings(series, machines)
     drawn = np.nanstd(exact, axis=0)
-    return Ranges(np.nanmean(exact, axis=0), np.hypot(drawn, noise), factor, False)
+    mean, sd = np.nanmean(exact, axis=0), np.hypot(drawn, noise)
+    return Ranges(middle, mean, sd, factor, False)

@@ -9,9 +9,9 @@ import numpy as np
 from oed.arrays import Index
 from oed.checks.copies import EqualReadings
 from oed.checks.explain import Explanation
-from oed.checks.findings import Finding, Severity
+from oed.checks.findings import CheckFinding, Severity
 from oed.checks.goodness import Goodness
-from oed.checks.outliers import Outliers
+from oed.checks.outliers import OutlierSearch
 from oed.checks.ranges import Ranges
 from oed.checks.session import Session
 
@@ -21,7 +21,7 @@ NAMED = 6
 LARGE = 100.0
 
 
-def explained(explanations: Sequence[Explanation]) -> list[Finding]:
+def explained(explanations: Sequence[Explanation]) -> list[CheckFinding]:
     """The mistake that explains the readings, and those that do as well."""
     if not explanations:
         return []
@@ -35,19 +35,19 @@ def explained(explanations: Sequence[Explanation]) -> list[Finding]:
         f"The readings look mistaken: {best.what} ({before}; with this undone:"
         f" {_times(best.after)}).{also}"
     )
-    return [Finding(Severity.MISTAKE, best.kind, sentence)]
+    return [CheckFinding(Severity.MISTAKE, best.kind, sentence)]
 
 
-def no_fit() -> Finding:
+def no_fit() -> CheckFinding:
     """Readings that no machine within its tolerances gives."""
     sentence = (
         "The readings cannot be fitted, and none of the usual mistakes explains them:"
         " check units, signs, order and set-up."
     )
-    return Finding(Severity.BAD_FIT, "fit", sentence)
+    return CheckFinding(Severity.BAD_FIT, "fit", sentence)
 
 
-def too_large(fitted: Goodness, outliers: Outliers) -> Finding:
+def too_large(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
     """Residuals that the stated noise does not explain."""
     many = (
         " More rows deviate than can be single outliers." if outliers.exhausted else ""
@@ -58,10 +58,10 @@ def too_large(fitted: Goodness, outliers: Outliers) -> Finding:
         f" p {_probability(fitted.p_high)}).{many} None of the usual mistakes explains"
         " it: the noise is understated, or an effect is not in the model."
     )
-    return Finding(Severity.BAD_FIT, "fit", sentence)
+    return CheckFinding(Severity.BAD_FIT, "fit", sentence)
 
 
-def too_small(fitted: Goodness) -> Finding:
+def too_small(fitted: Goodness) -> CheckFinding:
     """Residuals below what the stated noise leaves."""
     sentence = (
         f"The residuals are only {_times(fitted.ratio)} the stated noise"
@@ -69,10 +69,10 @@ def too_small(fitted: Goodness) -> Finding:
         f" p {_probability(fitted.p_low)}): the noise is overstated, or the readings"
         " were smoothed, averaged or computed."
     )
-    return Finding(Severity.REMARK, "too_small", sentence)
+    return CheckFinding(Severity.REMARK, "too_small", sentence)
 
 
-def computed(session: Session, readings: Index) -> Finding:
+def computed(session: Session, readings: Index) -> CheckFinding:
     """Readings equal to those of the nominal machine."""
     rows = _rows(session, readings)
     equal = "equals that" if len(rows) == 1 else "equal those"
@@ -80,10 +80,10 @@ def computed(session: Session, readings: Index) -> Finding:
         f"{_count(rows)} {equal} of the nominal machine to within a small part of the"
         f" noise: computed, not measured? ({_listing(rows)})"
     )
-    return Finding(Severity.BAD_FIT, "computed", sentence, rows)
+    return CheckFinding(Severity.BAD_FIT, "computed", sentence, rows)
 
 
-def doubled(session: Session, groups: Sequence[EqualReadings]) -> Finding:
+def doubled(session: Session, groups: Sequence[EqualReadings]) -> CheckFinding:
     """Rows with readings equal to the last digit."""
     rows = tuple(k for one in groups for k in _rows(session, one.readings))
     pairs = [
@@ -96,22 +96,22 @@ def doubled(session: Session, groups: Sequence[EqualReadings]) -> Finding:
         f"Readings are equal to the last digit {poses}, more often than chance allows:"
         f" rows {', '.join(pairs)}{more}. Rows doubled, or a frozen display?"
     )
-    return Finding(Severity.COPIES, "doubled", sentence, rows)
+    return CheckFinding(Severity.COPIES, "doubled", sentence, rows)
 
 
-def coarse(session: Session, channel: str, step: float) -> Finding:
+def coarse(session: Session, channel: str, step: float) -> CheckFinding:
     """A column rounded more coarsely than its noise."""
     column = session.column(channel)
     sentence = (
         f"All readings of {column.name} are multiples of {step / column.factor:.6g}:"
         " rounding exceeds the stated noise."
     )
-    return Finding(Severity.REMARK, "coarse", sentence)
+    return CheckFinding(Severity.REMARK, "coarse", sentence)
 
 
 def outliers(
-    session: Session, found_rows: Outliers, exchanged: tuple[int, int] | None
-) -> list[Finding]:
+    session: Session, found_rows: OutlierSearch, exchanged: tuple[int, int] | None
+) -> list[CheckFinding]:
     """Each outlier with row, column, value and what the others predict."""
     findings = []
     if exchanged is not None:
@@ -120,7 +120,7 @@ def outliers(
             f"Rows {rows[0]} and {rows[1]} look exchanged: each reading fits where the"
             " other one stands."
         )
-        findings.append(Finding(Severity.OUTLIER, "exchanged", sentence, rows))
+        findings.append(CheckFinding(Severity.OUTLIER, "exchanged", sentence, rows))
     records = zip(
         found_rows.readings,
         found_rows.values,
@@ -137,11 +137,11 @@ def outliers(
             f"{_capital(_place(session, value))} is {abs(pull):.3g} sigma from the {predicted}"
             f" that all other readings predict (sd {sd}): the row is set aside."
         )
-        findings.append(Finding(Severity.OUTLIER, "outlier", sentence, row))
+        findings.append(CheckFinding(Severity.OUTLIER, "outlier", sentence, row))
     return findings
 
 
-def outside(session: Session, ranges: Ranges, values: Index) -> Finding:
+def outside(session: Session, ranges: Ranges, values: Index) -> CheckFinding:
     """Readings outside the range that tolerances and noise predict."""
     size = np.abs(session.y - ranges.middle) / ranges.sd
     ranked = values[np.argsort(-size[values], kind="stable")]
@@ -158,7 +158,7 @@ def outside(session: Session, ranges: Ranges, values: Index) -> Finding:
         f" farthest: {_place(session, first)}, predicted {lower} to {upper}"
         f" ({_listing(rows)})."
     )
-    return Finding(Severity.REMARK, "outside", sentence, rows)
+    return CheckFinding(Severity.REMARK, "outside", sentence, rows)
 
 
 # -- words -----------------------------------------------------------------------------

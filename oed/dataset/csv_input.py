@@ -54,6 +54,7 @@ def from_tables(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dat
         covariates=pd.concat(covariates, ignore_index=True),
         layouts=column_layouts(measurement, series),
         dropped=sum(part.dropped for part in parts),
+        columns=merged.columns,
     )
 
 

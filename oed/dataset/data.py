@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from oed.arrays import Array
+from oed.dataset.columns import ReadingsColumn
 from oed.instrument import Channel, Setup
 from oed.machine import Coordinate, Machine
 from oed.measurement import Measurement, Series
@@ -42,6 +43,7 @@ class Dataset:
                 SI, NaN where unknown; and the row in the file
     layouts     columns of each set-up
     dropped     number of rows whose reading was not taken
+    columns     columns of the files, by stem; empty for a plan
     """
 
     series: tuple[Series, ...]
@@ -49,6 +51,7 @@ class Dataset:
     covariates: pd.DataFrame
     layouts: Mapping[str, ColumnLayout]
     dropped: int = 0
+    columns: Mapping[str, ReadingsColumn] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         values, rows = sum(self._sizes()), sum(len(s) for s in self.series)

@@ -40,6 +40,7 @@ from oed.result.gap_before import (
     SeparationRecord,
     SharedRecord,
 )
+from oed.result.goodness import GoodnessSection, MistakeRecord, OutlierRecord
 from oed.result.identifiability import (
     IdentifiabilityFinding,
     IdentifiabilitySection,
@@ -89,6 +90,7 @@ __all__ = [
     "EstimateSection",
     "GapBeforeSection",
     "GapSection",
+    "GoodnessSection",
     "HeldOutSection",
     "HowManySummary",
     "IdentifiabilityFinding",
@@ -97,6 +99,8 @@ __all__ = [
     "MachineInfo",
     "MapPoint",
     "Marginal",
+    "MistakeRecord",
+    "OutlierRecord",
     "ParameterEstimate",
     "PlaceRecord",
     "PlanScore",

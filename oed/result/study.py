@@ -11,6 +11,7 @@ from oed.result.design import DesignSection
 from oed.result.fit import EstimateSection, PosteriorSection
 from oed.result.gap import GapSection
 from oed.result.gap_before import GapBeforeSection
+from oed.result.goodness import GoodnessSection
 from oed.result.identifiability import IdentifiabilitySection, KappaMap
 from oed.result.plan import PlanSection
 from oed.result.prediction import HeldOutSection, PredictionSection
@@ -89,6 +90,7 @@ class StudyResult(Record, frozen=True, kw_only=True):
     design: DesignSection | None = None
     kappa_maps: list[KappaMap] = []
     plan: PlanSection | None = None
+    goodness: GoodnessSection | None = None
     estimate: EstimateSection | None = None
     posterior: PosteriorSection | None = None
     prediction: PredictionSection | None = None

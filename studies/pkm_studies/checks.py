@@ -2,49 +2,110 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
+from oed import checks
+from oed.checks import Severity, blind
+from oed.dataset import Dataset
 from oed.kinematics import AssemblyError
 from pkm_studies import shipped, sources
 from pkm_studies.errors import InputError, SourceAbsentError
 from pkm_studies.resolve.machine import has_own_numbers, unreachable
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
+from pkm_studies.run_state import Stream
+from pkm_studies.stages.fit.goodness import check_dataset
 from pkm_studies.study import Study, load
 
 
-def check(paths: Sequence[Path]) -> Iterator[tuple[Path, str | InputError]]:
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """What a file holds.
+
+    content   in a sentence
+    findings  what is wrong with its readings, the most harmful first
+    remarks   what a user should know
+    """
+
+    content: str
+    findings: Sequence[str] = ()
+    remarks: Sequence[str] = ()
+
+
+def check(paths: Sequence[Path]) -> Iterator[tuple[Path, Verdict | InputError]]:
     """For each file what it holds, or what is wrong.
 
     Readings are checked against the studies among the files.
     """
     resolved: list[ResolvedStudy] = []
+    alone = all(p.suffix != ".csv" for p in paths)
     for path in [p for p in paths if p.suffix != ".csv"]:
-        yield path, _verdict(partial(_check_study, path, resolved))
+        yield path, _verdict(partial(_check_study, path, resolved, alone=alone))
     for path in [p for p in paths if p.suffix == ".csv"]:
         yield path, _verdict(partial(_check_readings, path, resolved))
 
 
-def _verdict(check_file: Callable[[], str]) -> str | InputError:
+def _verdict(check_file: Callable[[], Verdict]) -> Verdict | InputError:
     try:
         return check_file()
     except InputError as error:
         return error
 
 
-def _check_study(path: Path, resolved: list[ResolvedStudy]) -> str:
-    """What a study holds; it joins the studies that are `resolved`."""
+def _check_study(path: Path, resolved: list[ResolvedStudy], *, alone: bool) -> Verdict:
+    """What a study holds; it joins the studies that are `resolved`.
+
+    Where it stands `alone`, the mistakes that its readings cannot reveal are stated.
+    """
     study = load(shipped.study_path(path))
     try:
         # without readings first: others can be checked even where these are absent
         resolved.append(resolve(study, readings=()))
-        return _content(study, resolve(study))
+        complete = resolve(study)
+        content = _content(study, complete)
+        if complete.dataset is not None:
+            return _with_findings(content, complete, complete.dataset)
+        return Verdict(content, remarks=_unseen(complete) if alone else ())
     except SourceAbsentError as error:
-        return f"the study is sound, but its data is missing: {error.problem}"
+        problem = f"the study is sound, but its data is missing: {error.problem}"
+        return Verdict(problem)
     except AssemblyError as error:
         remedy = "check the machine's numbers and the poses"
         raise InputError(str(error), remedy, file=str(path)) from error
+
+
+def _with_findings(content: str, study: ResolvedStudy, data: Dataset) -> Verdict:
+    """What a check of readings says."""
+    checked = check_dataset(study, data, _rng(study))
+    findings = [f.sentence for f in checked.findings if f.severity < Severity.REMARK]
+    remarks = [f.sentence for f in checked.findings if f.severity == Severity.REMARK]
+    return Verdict(content, findings, remarks)
+
+
+def _unseen(study: ResolvedStudy) -> list[str]:
+    """Mistakes that readings of the first reference plan cannot reveal."""
+    if not study.reference_plans:
+        return []
+    plan = study.reference_plans[0]
+    measurement = study.measurement_with(plan.setups)
+    series = tuple(plan.series)
+    exact = measurement.readings(series, measurement.nominal)
+    session = checks.session(measurement, series, exact)
+    everything = study.measurement_with(study.setups)
+    alternatives = checks.Alternatives(everything)
+    unseen = blind.unseen_mistakes(session, alternatives, _rng(study))
+    return [
+        f"Readings of {plan.name} cannot reveal this mistake: {what}."
+        for what in unseen
+    ]
+
+
+def _rng(study: ResolvedStudy) -> np.random.Generator:
+    return np.random.default_rng([study.study.seed, int(Stream.CHECKS)])
 
 
 def _content(study: Study, resolved: ResolvedStudy) -> str:
@@ -62,21 +123,27 @@ def _content(study: Study, resolved: ResolvedStudy) -> str:
     return "; ".join(sentences)
 
 
-def _check_readings(path: Path, resolved: Sequence[ResolvedStudy]) -> str:
+def _check_readings(path: Path, resolved: Sequence[ResolvedStudy]) -> Verdict:
     """What a readings file holds, by the studies that name it, or by all."""
     if not resolved:
         rows = sources.check_text(path)
-        return (
+        return Verdict(
             f"{rows} rows are sound as text; give the study as well to check set-ups,"
             " poses and units"
         )
     naming = [r for r in resolved if _names_file(r.study, path)]
-    verdicts = []
+    contents: list[str] = []
+    findings: list[str] = []
+    remarks: list[str] = []
     for study in naming or resolved:
         measurement = study.measurement_with(study.setups)
         data = sources.from_files([path], measurement)
-        verdicts.append(f"{len(data)} readings fit {study.study.name}")
-    return "; ".join(verdicts)
+        content = f"{len(data)} readings fit the columns of {study.study.name}"
+        verdict = _with_findings(content, study, data)
+        contents.append(verdict.content)
+        findings += verdict.findings
+        remarks += verdict.remarks
+    return Verdict("; ".join(contents), findings, remarks)
 
 
 def _names_file(study: Study, path: Path) -> bool:

@@ -101,17 +101,21 @@ def check(
         ),
     ],
 ) -> int:
-    """Check studies and readings; run nothing."""
+    """Check studies, and readings against what they predict; run nothing."""
     from pkm_studies import checks
 
-    errors = 0
+    code = DONE
     for path, verdict in checks.check(paths):
         if isinstance(verdict, InputError):
             console.print_error(str(verdict))
-            errors += 1
-        else:
-            print(f"{path}: {verdict}")
-    return BAD_INPUT if errors else DONE
+            code = BAD_INPUT
+            continue
+        print(f"{path}: {verdict.content}")
+        for sentence in [*verdict.findings, *verdict.remarks]:
+            print(f"  {sentence}")
+        if verdict.findings:
+            code = max(code, FAILED)
+    return code
 
 
 @app.command()
@@ -324,6 +328,9 @@ def _report_result(result: StudyResult, folder: Path, quiet: bool) -> int:
     if not quiet:
         for sentence in result.headline:
             print(sentence)
+        for warning in result.warnings:
+            if warning not in result.headline:
+                print(f"Warning: {_sentence(warning)}")
         names = ("report.html", "report.pdf", "result.json")
         paths = [folder / name for name in names if (folder / name).is_file()]
         print(f"Report: {', '.join(map(str, paths))}")
@@ -335,7 +342,21 @@ def _report_result(result: StudyResult, folder: Path, quiet: bool) -> int:
     failing = [claim for claim in result.claims if not claim.met]
     for claim in failing:
         console.print_error(f"claim {_verdict(claim)}")
-    return FAILED if failing else DONE
+    if _fit_is_bad(result):
+        console.print_error("the fit is bad: nothing that rests on it can be trusted")
+    return FAILED if failing or _fit_is_bad(result) else DONE
+
+
+def _fit_is_bad(result: StudyResult) -> bool:
+    """Whether the readings do not fit, and no effect of a diagnosis explains it."""
+    if result.goodness is None or not result.goodness.bad_fit:
+        return False
+    return result.gap is None or result.gap.verdict == "none"
+
+
+def _sentence(text: str) -> str:
+    """A capital first letter, and a full stop."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
 def _verdict(claim: Claim) -> str:

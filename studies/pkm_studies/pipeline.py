@@ -17,6 +17,7 @@ from pkm_studies.progress import Progress, Silent
 from pkm_studies.run_state import Readings, RunState, start
 from pkm_studies.stages import describe, headline
 from pkm_studies.stages.plan.earlier import read_earlier_session
+from pkm_studies.steps.checks import check_readings
 from pkm_studies.steps.design import (
     analyse_identifiability,
     draw_machine,
@@ -40,6 +41,7 @@ Step = Callable[[RunState], RunState]
 #: from readings to accuracy
 EVALUATION: tuple[Step, ...] = (
     take_readings,
+    check_readings,
     analyse_identifiability,
     report_design,
     preview_gap,
@@ -58,6 +60,7 @@ READINGS_GIVEN: tuple[Step, ...] = (select_design, *EVALUATION)
 #: the diagnosis alone: neither posterior nor prediction
 DIAGNOSIS: tuple[Step, ...] = (
     take_readings,
+    check_readings,
     analyse_identifiability,
     fit_parameters,
     diagnose_always,
@@ -247,7 +250,7 @@ def assemble_result(state: RunState) -> StudyResult:
         setups=[describe.setup_info(machine, setup) for setup in setups],
         study_text=study.text,
         versions=describe.package_versions(),
-        headline=headline.sentences(state.sections),
+        headline=headline.sentences(state.sections, state.resolved.dataset is not None),
         warnings=list(dict.fromkeys(state.warnings)),
         **state.sections,
     )

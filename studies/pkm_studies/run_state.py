@@ -14,6 +14,7 @@ import numpy as np
 from oed.arrays import Array
 from oed.assessment import Assessment
 from oed.checkpoint import Checkpoint
+from oed.checks import CheckedSession
 from oed.identification import Estimate
 from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
@@ -42,6 +43,7 @@ class Stream(enum.IntEnum):
     EFFECTS = 9
     GAP = 10
     BEFORE = 11
+    CHECKS = 12
 
 
 class HeldOut(NamedTuple):
@@ -82,6 +84,7 @@ class RunState:
     gap_poses        readings of the runs of [gap.design], as CSV
     planned          readings to write down as poses, in working order
     readings         what is fitted, held out or only planned
+    checked          what a check of recorded readings says
     identifiability  verdict on the readings
     estimate         identified parameters
     checkpoint       where an unfinished chain of draws is saved, if anywhere
@@ -102,12 +105,18 @@ class RunState:
     gap_poses: str | None = None
     planned: tuple[Series, ...] = ()
     readings: Readings | None = None
+    checked: CheckedSession | None = None
     identifiability: Assessment | None = None
     estimate: Estimate | None = None
     checkpoint: Checkpoint | None = None
     posterior: Posterior | None = None
     sections: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+    @property
+    def fit_is_bad(self) -> bool:
+        """Whether nothing fitted to the readings can be trusted."""
+        return self.checked is not None and self.checked.bad_fit
 
     def rng(self, stream: Stream) -> np.random.Generator:
         """Random numbers of one stream."""

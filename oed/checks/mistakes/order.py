@@ -42,6 +42,12 @@ def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
             turned = _reordered(session, [rows], lambda r: r[::-1])
             what = f"the readings of set-up {series.setup} are in reversed order"
             yield Variant("order", what, turned)
+    if len(setups) == 2 and len(setups[0]) == len(setups[1]):
+        order = _taken(session, np.concatenate(setups[::-1]))
+        if _same_channels(session, order):
+            names = " and ".join(s.setup for s in session.series)
+            what = f"the readings of the set-ups {names} are exchanged"
+            yield Variant("order", what, session.with_y(y[order]))
     for shift in SHIFTS:
         count = f"{abs(shift)} row{'s' if abs(shift) > 1 else ''}"
         way = "late" if shift > 0 else "early"

@@ -24,10 +24,13 @@ LONGEST: Final = 70
 
 def blocks(result: StudyResult) -> list[Block]:
     """Headline sentences, a pointer to the warnings if there are any, and claims."""
-    headline = [text.with_symbols(line) for line in result.headline]
-    opening: list[Block] = [Items(headline, numbered=True)]
+    alarms = [] if result.goodness is None else result.goodness.findings
+    lines = [line for line in result.headline if line not in alarms]
+    headline = [text.with_symbols(line) for line in lines]
+    opening: list[Block] = [Notice(text.with_symbols(alarm)) for alarm in alarms]
+    opening.append(Items(headline, numbered=True))
     if not headline:
-        opening = [Paragraph("No headline was computed.")]
+        opening[-1] = Paragraph("No headline was computed.")
     if result.warnings:
         opening.append(Notice(_warning(result.warnings)))
     return opening + _claims(result.claims)

@@ -11,6 +11,7 @@ from oed.result import (
     EstimateSection,
     GapBeforeSection,
     GapSection,
+    GoodnessSection,
     HeldOutSection,
     IdentifiabilitySection,
     PlanScore,
@@ -27,22 +28,29 @@ REFERENCES = {
 }
 
 
-def sentences(sections: Mapping[str, Any]) -> list[str]:
-    """Sentences about the sections that are there; all those of a diagnosis first."""
+def sentences(sections: Mapping[str, Any], recorded: bool = False) -> list[str]:
+    """Sentences about the sections that are there.
+
+    Findings about the readings come first, then all those of a diagnosis. Where the
+    readings are `recorded`, no plan chose them: nothing is said about a design.
+    """
+    chosen = None if recorded else sections.get("design")
     ranked = [
         *plan_sentences(sections.get("plan")),
         *_separation(sections.get("gap_before")),
         *_accuracy(sections.get("prediction")),
         *_held_out(sections.get("held_out") or []),
         *_rank(sections.get("identifiability")),
-        *_gain(sections.get("design")),
-        *_design(sections.get("design")),
+        *_gain(chosen),
+        *_design(chosen),
         *_fit(sections.get("estimate")),
         *_posterior(sections.get("posterior")),
     ]
     diagnosis: GapSection | None = sections.get("gap")
     findings = [] if diagnosis is None else diagnosis.words
-    return [*findings, *ranked[:MAX_SENTENCES]]
+    checked: GoodnessSection | None = sections.get("goodness")
+    alarms = [] if checked is None else checked.findings
+    return [*alarms, *findings, *ranked[:MAX_SENTENCES]]
 
 
 def _separation(section: GapBeforeSection | None) -> list[str]:

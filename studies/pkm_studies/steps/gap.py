@@ -79,6 +79,10 @@ def _diagnose(state: RunState, request: GapRequest) -> RunState:
     readings = state.readings
     if readings is None or readings.y is None or state.estimate is None:
         return state
+    if state.checked is not None and state.checked.explanations:
+        return state.with_warnings(
+            "There is no diagnosis: a mistake in the readings explains their misfit"
+        )
     state.progress.stage("diagnosis")
     covariates = readings.covariates
     if covariates is None:

@@ -18,6 +18,10 @@ def predict_accuracy(state: RunState) -> RunState:
     if table is None or command is None:
         return state
     assert state.readings is not None
+    if state.fit_is_bad:
+        return state.with_warnings(
+            "The predicted accuracy is withheld: it would rest on a bad fit"
+        )
     state.progress.stage("prediction")
     series, virtual = state.readings.series, state.readings.truth is not None
     realised = realised_accuracy(

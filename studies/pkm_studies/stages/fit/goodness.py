@@ -1,0 +1,73 @@
+"""Checks recorded readings, and reports it: the section `goodness` of the result."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed import checks
+from oed.checks import CheckedSession
+from oed.checks.explain import Explanation
+from oed.dataset import Dataset
+from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
+from pkm_studies.resolve.resolved import ResolvedStudy
+
+
+def check_dataset(
+    resolved: ResolvedStudy, data: Dataset, rng: np.random.Generator
+) -> CheckedSession:
+    """What a check of recorded readings says. Raises AssemblyError."""
+    session = checks.session(
+        resolved.measurement_with(data.setups),
+        data.series,
+        data.y,
+        data.covariates,
+        data.columns,
+    )
+    alternatives = checks.Alternatives(resolved.measurement_with(resolved.setups))
+    return checks.check_session(session, alternatives, rng)
+
+
+def goodness_section(checked: CheckedSession) -> GoodnessSection:
+    """The check as a section of the result."""
+    fitted = checked.goodness
+    mistakes = [
+        MistakeRecord(what=one.what, evidence=_evidence(one))
+        for one in checked.explanations
+    ]
+    return GoodnessSection(
+        chi2=None if fitted is None else fitted.chi2,
+        dof=None if fitted is None else fitted.dof,
+        p_low=None if fitted is None else fitted.p_low,
+        p_high=None if fitted is None else fitted.p_high,
+        bad_fit=checked.bad_fit,
+        outliers=_outliers(checked),
+        mistakes=mistakes,
+        findings=[finding.sentence for finding in checked.findings],
+    )
+
+
+def _evidence(explanation: Explanation) -> str:
+    after = f"{explanation.after:.3g} times the stated noise with this undone"
+    if not np.isfinite(explanation.before):
+        return f"no fit as given, residuals {after}"
+    return f"residuals {explanation.before:.3g} times as given, {after}"
+
+
+def _outliers(checked: CheckedSession) -> list[OutlierRecord]:
+    if checked.outliers is None:
+        return []
+    records = []
+    for value, pull in zip(
+        checked.outliers.values, checked.outliers.pulls, strict=True
+    ):
+        row = checked.session.values.iloc[value]
+        records.append(
+            OutlierRecord(
+                setup=str(row["setup"]),
+                run=str(row["run"]),
+                order=int(row["order"]),
+                row=int(row["row"]),
+                pull=pull,
+            )
+        )
+    return records
