@@ -20,6 +20,8 @@ from oed.checks.session import Session
 #: ratio of the penalised sum of squares from which mistakes are tried though the
 #: residuals are small: parameters far outside their tolerances took the mistake in
 STRAINED = 2.0
+#: values from which on mistakes are tried: fewer fit too many of them
+LEAST_VALUES = 8
 #: outliers that are tried as an exchanged pair, at most
 MOST_PAIRED = 6
 
@@ -94,6 +96,8 @@ def _explanations(
     fitted: Goodness | None,
 ) -> list[Explanation]:
     """Mistakes, where the readings without their outliers do not fit."""
+    if len(session) < LEAST_VALUES:
+        return []
     if outliers is None or fitted is None:
         return explain(session, None, alternatives)
     strained = outliers.solution.ratio > STRAINED
