@@ -144,7 +144,7 @@ def planar_readings(seed: int) -> Readings:
     return Readings({"square": pose}, y, y)
 
 
-def session(machine: str, readings: Readings) -> checks.Session:
+def session(machine: str, readings: Readings) -> checks.SessionReadings:
     """The session of a file with these readings."""
     measurement = a3_measurement() if machine == "a3" else planar_measurement()
     series = []

@@ -157,8 +157,8 @@ def test_studies_and_readings_may_have_carriage_returns(
     study, readings = tmp_path / "a.study.toml", tmp_path / "a.readings.csv"
     study.write_text(sample.STUDY, encoding="utf-8", newline="\r\n")
     readings.write_text(sample.READINGS, encoding="utf-8-sig", newline="\r\n")
-    assert cli.main(["check", str(study), str(readings)]) == 0
-    assert "3 readings fit small" in capsys.readouterr().out
+    assert cli.main(["check", str(study), str(readings)]) == 1
+    assert "3 readings fit the columns of small" in capsys.readouterr().out
 
 
 def test_a_machine_is_found_on_a_drive(tmp_path: Path) -> None:

@@ -17,14 +17,14 @@ from oed.checks.check import CheckedSession, check_session
 from oed.checks.findings import CheckFinding, Severity
 from oed.checks.goodness import Goodness
 from oed.checks.mistakes import Alternatives
-from oed.checks.session import Session, session
+from oed.checks.session import SessionReadings, session
 
 __all__ = [
     "Alternatives",
     "CheckFinding",
     "CheckedSession",
     "Goodness",
-    "Session",
+    "SessionReadings",
     "Severity",
     "check_session",
     "session",

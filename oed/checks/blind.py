@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.checks.fit import fit, linear_model
 from oed.checks.mistakes import Alternatives, variants
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 from oed.simulation import draw_parameters
 
 #: penalised sum of squares that noise-free readings may gain without a trace
@@ -20,7 +20,7 @@ FAR = 100.0
 
 
 def unseen_mistakes(
-    session: Session, alternatives: Alternatives, rng: np.random.Generator
+    session: SessionReadings, alternatives: Alternatives, rng: np.random.Generator
 ) -> list[str]:
     """Mistakes, as sentences without a full stop, that would pass unnoticed."""
     measurement = session.measurement
@@ -46,6 +46,6 @@ def unseen_mistakes(
     return unseen
 
 
-def _same_poses(one: Session, other: Session) -> bool:
+def _same_poses(one: SessionReadings, other: SessionReadings) -> bool:
     pairs = zip(one.series, other.series, strict=True)
     return all(a.setup == b.setup and np.array_equal(a.q, b.q) for a, b in pairs)

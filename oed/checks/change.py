@@ -9,7 +9,7 @@ import numpy as np
 from oed.arrays import Index
 from oed.checks.fit import fit
 from oed.checks.mistakes.order import run_members
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: readings that a part has at least
 LEAST = 6
@@ -31,7 +31,7 @@ class Change:
     ratio: float
 
 
-def find_change(session: Session) -> Change | None:
+def find_change(session: SessionReadings) -> Change | None:
     """The division that fits best; None where no part can be fitted."""
     count = 1 + int(session.reading_of_value[-1])
     places = _places(session, count)
@@ -53,14 +53,14 @@ def find_change(session: Session) -> Change | None:
     return Change(int(last), int(first), ratios[best])
 
 
-def _places(session: Session, count: int) -> list[int]:
+def _places(session: SessionReadings, count: int) -> list[int]:
     """Numbers of first readings after a division."""
     ends = [int(rows[0]) for rows in run_members(session)]
     even = np.linspace(0, count, PLACES + 1).astype(int).tolist()
     return sorted({k for k in [*ends, *even] if LEAST <= k <= count - LEAST})
 
 
-def _ratio(session: Session, place: int, count: int) -> float:
+def _ratio(session: SessionReadings, place: int, count: int) -> float:
     """Ratio of the penalised sum of squares of both parts to the number of values."""
     total = 0.0
     parts: tuple[Index, Index] = (np.arange(place), np.arange(place, count))

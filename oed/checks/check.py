@@ -8,14 +8,14 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.checks import copies, sentences
-from oed.checks.explain import Explanation, explain
+from oed.checks.explain import PHYSICAL, Explanation, explain
 from oed.checks.findings import CheckFinding, Severity
 from oed.checks.fit import fit
 from oed.checks.goodness import Goodness, goodness
 from oed.checks.mistakes import Alternatives
 from oed.checks.outliers import OutlierSearch, find_outliers
 from oed.checks.ranges import Ranges, predict_ranges
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: ratio of the penalised sum of squares from which mistakes are tried though the
 #: residuals are small: parameters far outside their tolerances took the mistake in
@@ -37,7 +37,7 @@ class CheckedSession:
     explanations  mistakes that explain readings which do not fit
     """
 
-    session: Session
+    session: SessionReadings
     findings: tuple[CheckFinding, ...]
     goodness: Goodness | None
     outliers: OutlierSearch | None
@@ -49,6 +49,11 @@ class CheckedSession:
         return any(f.severity <= Severity.BAD_FIT for f in self.findings)
 
     @property
+    def mistaken(self) -> bool:
+        """Whether a mistake explains the readings that no effect of a machine mimics."""
+        return any(one.kind not in PHYSICAL for one in self.explanations)
+
+    @property
     def set_aside(self) -> tuple[int, ...]:
         """Readings, by number, that a fit should leave out."""
         if self.outliers is None or self.bad_fit:
@@ -57,7 +62,7 @@ class CheckedSession:
 
 
 def check_session(
-    session: Session, alternatives: Alternatives, rng: np.random.Generator
+    session: SessionReadings, alternatives: Alternatives, rng: np.random.Generator
 ) -> CheckedSession:
     """Check readings against tolerances, noise, the usual mistakes, and each other.
 
@@ -90,7 +95,7 @@ def check_session(
 
 
 def _explanations(
-    session: Session,
+    session: SessionReadings,
     alternatives: Alternatives,
     outliers: OutlierSearch | None,
     fitted: Goodness | None,
@@ -107,7 +112,7 @@ def _explanations(
 
 
 def _fit_findings(
-    session: Session,
+    session: SessionReadings,
     outliers: OutlierSearch | None,
     fitted: Goodness | None,
     explanations: list[Explanation],
@@ -124,7 +129,7 @@ def _fit_findings(
     return []
 
 
-def _copies(session: Session, ranges: Ranges) -> list[CheckFinding]:
+def _copies(session: SessionReadings, ranges: Ranges) -> list[CheckFinding]:
     findings = []
     computed = copies.computed_readings(session, ranges.nominal, ranges.sd)
     if computed.size:
@@ -139,7 +144,10 @@ def _copies(session: Session, ranges: Ranges) -> list[CheckFinding]:
 
 
 def _outside(
-    session: Session, ranges: Ranges, outside: Index, outliers: OutlierSearch | None
+    session: SessionReadings,
+    ranges: Ranges,
+    outside: Index,
+    outliers: OutlierSearch | None,
 ) -> list[CheckFinding]:
     """Readings outside their predicted range that are not named as outliers."""
     named: Array = np.empty(0)
@@ -150,7 +158,9 @@ def _outside(
     return [sentences.outside(session, ranges, left_over)] if left_over.size else []
 
 
-def _exchanged(session: Session, outliers: OutlierSearch) -> tuple[int, int] | None:
+def _exchanged(
+    session: SessionReadings, outliers: OutlierSearch
+) -> tuple[int, int] | None:
     """Two outliers that fit where the other one stands, by number."""
     numbers = outliers.readings
     if not 2 <= len(numbers) <= MOST_PAIRED:

@@ -9,7 +9,7 @@ import pandas as pd
 from scipy import stats
 
 from oed.arrays import Array, Index
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: probability that a correct session has as many equal readings
 FALSE_ALARM = 1e-5
@@ -34,7 +34,7 @@ class EqualReadings:
     same_pose: bool
 
 
-def resolution(session: Session, members: Index) -> float:
+def resolution(session: SessionReadings, members: Index) -> float:
     """Step of which all these values are multiples, SI; 0 for none of DIGITS digits."""
     channel = str(session.values["channel"].iloc[int(members[0])])
     factor = session.column(channel).factor
@@ -50,7 +50,7 @@ def resolution(session: Session, members: Index) -> float:
     return 0.0
 
 
-def equal_readings(session: Session) -> list[EqualReadings]:
+def equal_readings(session: SessionReadings) -> list[EqualReadings]:
     """Groups of readings with equal values that chance does not explain."""
     groups: list[EqualReadings] = []
     for s, span in zip(session.series, session.spans, strict=True):
@@ -69,7 +69,7 @@ def equal_readings(session: Session) -> list[EqualReadings]:
     return groups
 
 
-def _unlikely(session: Session, span: slice, table: Array, pairs: int) -> bool:
+def _unlikely(session: SessionReadings, span: slice, table: Array, pairs: int) -> bool:
     """Whether chance gives as many equal pairs as seldom as FALSE_ALARM.
 
     Two values of a density f agree in a rounding step d with probability d times the
@@ -93,7 +93,7 @@ def _unlikely(session: Session, span: slice, table: Array, pairs: int) -> bool:
     return bool(stats.poisson.sf(pairs - 1, expected) < FALSE_ALARM)
 
 
-def _poses(session: Session, span: slice) -> Array:
+def _poses(session: SessionReadings, span: slice) -> Array:
     """Joints (n, nq) at which the readings of a span were taken."""
     for s, other in zip(session.series, session.spans, strict=True):
         if other == span:
@@ -107,7 +107,7 @@ def _spread(values: Array) -> float:
     return float(0.5 * (high - low))
 
 
-def computed_readings(session: Session, nominal: Array, sd: Array) -> Index:
+def computed_readings(session: SessionReadings, nominal: Array, sd: Array) -> Index:
     """Readings, by number, that equal those of the nominal machine.
 
     nominal, sd  (N,) readings of the nominal machine, SI, and the standard deviation of
@@ -127,7 +127,7 @@ def computed_readings(session: Session, nominal: Array, sd: Array) -> Index:
     return np.unique(reading[near])
 
 
-def _rounding(session: Session) -> Array:
+def _rounding(session: SessionReadings) -> Array:
     """Half the rounding step (N,) of each value, SI."""
     half = np.zeros(len(session))
     frame = session.values
@@ -136,7 +136,7 @@ def _rounding(session: Session) -> Array:
     return half
 
 
-def coarse_columns(session: Session) -> list[tuple[str, float]]:
+def coarse_columns(session: SessionReadings) -> list[tuple[str, float]]:
     """Channels whose rounding step exceeds the stated noise by far, with the step, SI."""
     sigma = session.measurement.sigma(session.series)
     coarse = []

@@ -21,14 +21,14 @@ from oed.checks.mistakes import (
     variants_of_amount,
 )
 from oed.checks.outliers import find_outliers
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: readings of which at most the variants are compared
 MOST_READINGS = 240
 #: largest ratio of residuals to stated noise of readings that are explained
 EXPLAINED = 2.5
-#: least fall of the penalised sum of squares, in units of the residual variance
-GAIN = 40.0
+#: least gain of the log likelihood
+GAIN = 20.0
 #: the same for a change, which has twice the parameters: least factor of the ratio
 IMPROVEMENT = 2.0
 #: log likelihood by which explanations may differ that are equally likely
@@ -45,6 +45,10 @@ STEPS, SETTLED = 12, 1e-4
 SIGNIFICANT = 6.0
 
 
+#: mistakes that an effect of the machine can mimic: a diagnosis tells them apart
+PHYSICAL = ("offset", "run", "tool", "change")
+
+
 @dataclasses.dataclass(frozen=True)
 class Explanation:
     """A mistake that explains the readings.
@@ -54,6 +58,7 @@ class Explanation:
     before  residual over the stated noise, of the readings as given
     after   the same with the mistake undone
     cost    negative log likelihood with the mistake undone, up to a constant
+    penalty  part of it for rescaled readings and for those left out
     """
 
     kind: str
@@ -61,10 +66,11 @@ class Explanation:
     before: float
     after: float
     cost: float
+    penalty: float = 0.0
 
 
 def explain(
-    session: Session, solution: Fit | None, alternatives: Alternatives
+    session: SessionReadings, solution: Fit | None, alternatives: Alternatives
 ) -> list[Explanation]:
     """Mistakes that explain the readings of a session, equally well, best first.
 
@@ -83,16 +89,21 @@ def explain(
 
 
 def _explains(one: Explanation, before: float, values: int) -> bool:
-    """Whether the misfit falls to the noise, by far more than chance lowers it."""
+    """Whether the misfit falls to the noise, by far more than chance lowers it.
+
+    Compared are log likelihoods at the noise level that suits each best, the stated one
+    at least: readings of larger noise are no mistake.
+    """
     if one.after > EXPLAINED or one.after >= before:
         return False
-    if one.kind == "change":
-        return one.after * IMPROVEMENT <= before
-    return ((before / max(one.after, 1.0)) ** 2 - 1.0) * values >= GAIN
+    if one.kind == "change" and one.after * IMPROVEMENT > before:
+        return False
+    gain = values * float(np.log(before) - np.log(max(one.after, 1.0)))
+    return gain - one.penalty >= GAIN
 
 
 def _discrete(
-    session: Session, alternatives: Alternatives, before: float
+    session: SessionReadings, alternatives: Alternatives, before: float
 ) -> list[Explanation]:
     """Explanations by variants without an unknown amount: the likeliest are fitted."""
     screened = _screened(session, alternatives)[:FITTED]
@@ -104,15 +115,16 @@ def _discrete(
         if solution.ratio > EXPLAINED:
             solution = _without_outliers(variant.session, solution)
         dropped = len(session) - len(solution.session)
-        cost = 0.5 * solution.penalised - variant.log_scale + DROPPED * dropped
+        penalty = DROPPED * dropped - variant.log_scale
+        cost = 0.5 * solution.penalised + penalty
         explanation = Explanation(
-            variant.kind, variant.what, before, solution.ratio, cost
+            variant.kind, variant.what, before, solution.ratio, cost, penalty
         )
         explanations.append(explanation)
     return explanations
 
 
-def _screened(session: Session, alternatives: Alternatives) -> list[Variant]:
+def _screened(session: SessionReadings, alternatives: Alternatives) -> list[Variant]:
     """Variants of distinct readings, by their cost in the linear model."""
     model = linear_model(session)
     costs: list[tuple[float, Variant]] = []
@@ -132,7 +144,7 @@ def _screened(session: Session, alternatives: Alternatives) -> list[Variant]:
     return [variant for _, variant in costs]
 
 
-def _sample(session: Session) -> Session:
+def _sample(session: SessionReadings) -> SessionReadings:
     """Evenly spaced readings of a long session."""
     count = 1 + int(session.reading_of_value[-1])
     if count <= MOST_READINGS:
@@ -140,7 +152,7 @@ def _sample(session: Session) -> Session:
     return session.take(np.linspace(0, count - 1, MOST_READINGS).astype(np.intp))
 
 
-def _without_outliers(session: Session, solution: Fit) -> Fit:
+def _without_outliers(session: SessionReadings, solution: Fit) -> Fit:
     """The fit without outliers, where there are few; the fit as it is otherwise."""
     result = find_outliers(session, np.empty(0, dtype=np.intp))
     if result is None or result.exhausted:
@@ -152,7 +164,7 @@ def _without_outliers(session: Session, solution: Fit) -> Fit:
 
 
 def _of_amount(
-    session: Session, alternatives: Alternatives, before: float
+    session: SessionReadings, alternatives: Alternatives, before: float
 ) -> list[Explanation]:
     """Explanations by variants whose amount is estimated with the parameters."""
     explanations = []
@@ -228,7 +240,7 @@ def _amount_slope(
 
 
 def _change(
-    session: Session, alternatives: Alternatives, before: float
+    session: SessionReadings, alternatives: Alternatives, before: float
 ) -> list[Explanation]:
     """The explanation by two parts that fit alone, and not together."""
     change = find_change(session)

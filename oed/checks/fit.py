@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg, optimize, sparse, stats
 
 from oed.arrays import Array, Index
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 from oed.noise.covariance import Noise
 
 #: evaluations of the model in one fit
@@ -35,7 +35,7 @@ class Fit:
     whitening  (N, N) sparse
     """
 
-    session: Session
+    session: SessionReadings
     theta: Array
     penalised: float
     residual: Array
@@ -75,7 +75,7 @@ class Fit:
         return np.concatenate([1.0 / (1.0 + singular**2), ones])
 
 
-def fit(session: Session, start: Array | None = None) -> Fit | None:
+def fit(session: SessionReadings, start: Array | None = None) -> Fit | None:
     """Fit a session from `start` (n,), or from nominal; None where it cannot be read."""
     measurement, series = session.measurement, session.series
     noise = measurement.noise(series)
@@ -140,7 +140,7 @@ class LinearModel:
         return float(r @ r - common @ common)
 
 
-def linear_model(session: Session) -> LinearModel | None:
+def linear_model(session: SessionReadings) -> LinearModel | None:
     """The linear model of a session's poses; None where they cannot be read."""
     measurement, series = session.measurement, session.series
     free = np.flatnonzero(measurement.free)

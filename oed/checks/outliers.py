@@ -22,7 +22,7 @@ from oed.checks.fit import (
     predict_from_others,
     whitening_matrix,
 )
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: probability that a correct session has an outlier
 FALSE_ALARM = 1e-4
@@ -54,7 +54,7 @@ class OutlierSearch:
     exhausted: bool
 
 
-def find_outliers(session: Session, suspects: Index) -> OutlierSearch | None:
+def find_outliers(session: SessionReadings, suspects: Index) -> OutlierSearch | None:
     """Outliers of a session; None where it cannot be fitted.
 
     `suspects` are readings, by number, to leave out of the first fit.
@@ -81,7 +81,7 @@ def find_outliers(session: Session, suspects: Index) -> OutlierSearch | None:
     return _outliers(session, prediction, readings, solution, exhausted)
 
 
-def _on_all(session: Session, solution: Fit) -> Fit:
+def _on_all(session: SessionReadings, solution: Fit) -> Fit:
     """The model of a fit at its solution, for all readings of the session."""
     measurement, series = session.measurement, session.series
     noise = measurement.noise(series)
@@ -99,7 +99,7 @@ def _on_all(session: Session, solution: Fit) -> Fit:
 
 
 def _search(
-    session: Session,
+    session: SessionReadings,
     prediction: LeaveOneOut,
     most: int,
     first: list[int],
@@ -144,7 +144,7 @@ def _pulls(
 
 
 def _outliers(
-    session: Session,
+    session: SessionReadings,
     prediction: LeaveOneOut,
     readings: list[int],
     solution: Fit,

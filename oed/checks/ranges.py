@@ -13,7 +13,7 @@ from scipy import stats
 
 from oed import simulation
 from oed.arrays import Array, Index
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: machines that test linearity, and machines drawn where it fails
 TRIAL, DRAWS = 24, 400
@@ -55,7 +55,7 @@ class Ranges:
         return np.flatnonzero(np.abs(y - self.middle) > self.factor * self.sd)
 
 
-def predict_ranges(session: Session, rng: np.random.Generator) -> Ranges:
+def predict_ranges(session: SessionReadings, rng: np.random.Generator) -> Ranges:
     """Ranges of a session's readings. Raises AssemblyError at the nominal machine."""
     measurement, series = session.measurement, session.series
     nominal = measurement.nominal

@@ -13,7 +13,7 @@ from oed.checks.findings import CheckFinding, Severity
 from oed.checks.goodness import Goodness
 from oed.checks.outliers import OutlierSearch
 from oed.checks.ranges import Ranges
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: rows that a sentence names, at most
 NAMED = 6
@@ -72,7 +72,7 @@ def too_small(fitted: Goodness) -> CheckFinding:
     return CheckFinding(Severity.REMARK, "too_small", sentence)
 
 
-def computed(session: Session, readings: Index) -> CheckFinding:
+def computed(session: SessionReadings, readings: Index) -> CheckFinding:
     """Readings equal to those of the nominal machine."""
     rows = _rows(session, readings)
     equal = "equals that" if len(rows) == 1 else "equal those"
@@ -83,7 +83,7 @@ def computed(session: Session, readings: Index) -> CheckFinding:
     return CheckFinding(Severity.BAD_FIT, "computed", sentence, rows)
 
 
-def doubled(session: Session, groups: Sequence[EqualReadings]) -> CheckFinding:
+def doubled(session: SessionReadings, groups: Sequence[EqualReadings]) -> CheckFinding:
     """Rows with readings equal to the last digit."""
     rows = tuple(k for one in groups for k in _rows(session, one.readings))
     pairs = [
@@ -99,7 +99,7 @@ def doubled(session: Session, groups: Sequence[EqualReadings]) -> CheckFinding:
     return CheckFinding(Severity.COPIES, "doubled", sentence, rows)
 
 
-def coarse(session: Session, channel: str, step: float) -> CheckFinding:
+def coarse(session: SessionReadings, channel: str, step: float) -> CheckFinding:
     """A column rounded more coarsely than its noise."""
     column = session.column(channel)
     sentence = (
@@ -110,7 +110,9 @@ def coarse(session: Session, channel: str, step: float) -> CheckFinding:
 
 
 def outliers(
-    session: Session, found_rows: OutlierSearch, exchanged: tuple[int, int] | None
+    session: SessionReadings,
+    found_rows: OutlierSearch,
+    exchanged: tuple[int, int] | None,
 ) -> list[CheckFinding]:
     """Each outlier with row, column, value and what the others predict."""
     findings = []
@@ -141,7 +143,7 @@ def outliers(
     return findings
 
 
-def outside(session: Session, ranges: Ranges, values: Index) -> CheckFinding:
+def outside(session: SessionReadings, ranges: Ranges, values: Index) -> CheckFinding:
     """Readings outside the range that tolerances and noise predict."""
     size = np.abs(session.y - ranges.middle) / ranges.sd
     ranked = values[np.argsort(-size[values], kind="stable")]
@@ -164,7 +166,7 @@ def outside(session: Session, ranges: Ranges, values: Index) -> CheckFinding:
 # -- words -----------------------------------------------------------------------------
 
 
-def _place(session: Session, value: int) -> str:
+def _place(session: SessionReadings, value: int) -> str:
     """`row 12, column length_mm = 300.1`."""
     channel, row = (session.values[c].iloc[value] for c in ("channel", "row"))
     written = session.written(str(channel), float(session.y[value]))
@@ -175,7 +177,7 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _rows(session: Session, readings: Sequence[int] | Index) -> tuple[int, ...]:
+def _rows(session: SessionReadings, readings: Sequence[int] | Index) -> tuple[int, ...]:
     """Rows of the file of readings, by number."""
     row, reading = session.values["row"].to_numpy(), session.reading_of_value
     first = np.searchsorted(reading, np.asarray(readings, dtype=np.intp))

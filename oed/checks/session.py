@@ -14,12 +14,12 @@ from oed.dataset.columns import ReadingsColumn, column_name, parse_column
 from oed.dataset.data import consecutive
 from oed.measurement import Measurement, Series
 
-#: columns of `Session.values`
+#: columns of `SessionReadings.values`
 VALUE_COLUMNS = ("setup", "run", "order", "row", "channel")
 
 
 @dataclasses.dataclass(frozen=True)
-class Session:
+class SessionReadings:
     """Readings to check.
 
     measurement  machine with the set-ups of the readings, or with more
@@ -57,7 +57,7 @@ class Session:
         """Number of channels of a set-up."""
         return len(self.measurement.setups[setup].instrument.channels)
 
-    def take(self, readings: Index) -> Session:
+    def take(self, readings: Index) -> SessionReadings:
         """The session with these readings only, by number, in ascending order."""
         wanted = np.zeros(1 + int(self.reading_of_value[-1]), dtype=bool)
         wanted[readings] = True
@@ -73,12 +73,12 @@ class Session:
             self, series=tuple(series), y=self.y[used], values=values
         )
 
-    def without(self, readings: Sequence[int]) -> Session:
+    def without(self, readings: Sequence[int]) -> SessionReadings:
         """The session without these readings, by number."""
         every = np.arange(1 + int(self.reading_of_value[-1]))
         return self.take(np.setdiff1d(every, np.asarray(readings, dtype=np.intp)))
 
-    def with_y(self, y: Array) -> Session:
+    def with_y(self, y: Array) -> SessionReadings:
         """The session with other values (N,), SI."""
         return dataclasses.replace(self, y=y)
 
@@ -89,7 +89,7 @@ class Session:
             mask = mask & (self.values["channel"] == channel).to_numpy()
         return np.asarray(mask)
 
-    def map_series(self, change: Callable[[Series], Series]) -> Session:
+    def map_series(self, change: Callable[[Series], Series]) -> SessionReadings:
         """The session with each series changed."""
         return dataclasses.replace(self, series=tuple(map(change, self.series)))
 
@@ -126,7 +126,7 @@ def session(
     y: Array,
     covariates: pd.DataFrame | None = None,
     columns: Mapping[str, ReadingsColumn] | None = None,
-) -> Session:
+) -> SessionReadings:
     """Make a session of readings y (N,), SI.
 
     `covariates` state the order and the file's row of each reading; without them, rows
@@ -143,7 +143,7 @@ def session(
         }
         parts.append(pd.DataFrame(part))
     values = pd.concat(parts, ignore_index=True)
-    plain = Session(measurement, tuple(series), y, values, columns or {})
+    plain = SessionReadings(measurement, tuple(series), y, values, columns or {})
     number = plain.reading_of_value
     values["row"] = number + 2
     values["order"] = number + 1

@@ -12,8 +12,9 @@ import sys
 from collections.abc import Sequence
 
 from pkm_studies import console
-from pkm_studies.commands import BAD_INPUT, DONE, app
+from pkm_studies.commands import app
 from pkm_studies.errors import InputError, shorten
+from pkm_studies.outcome import BAD_INPUT, DONE
 
 INTERRUPTED = 130
 #: errors of the kernel about the input, by module; looked for only in loaded modules

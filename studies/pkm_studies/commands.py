@@ -10,12 +10,10 @@ import typer
 
 from pkm_studies import compensate_command, console, import_command, new_command
 from pkm_studies.errors import InputError
+from pkm_studies.outcome import BAD_INPUT, DONE, FAILED, report_outcome
 
 if TYPE_CHECKING:
-    from oed.result import Claim, StudyResult
     from pkm_studies.study import Study
-
-DONE, FAILED, BAD_INPUT = 0, 1, 2
 
 app = typer.Typer(
     name="oed",
@@ -89,7 +87,7 @@ def run(
 
     with display.progress(quiet=quiet) as progress:
         result = pipeline.run(loaded, folder, seed=seed, progress=progress)
-    return _report_result(result, folder, quiet)
+    return report_outcome(result, folder, quiet)
 
 
 @app.command()
@@ -162,7 +160,7 @@ def identify(
         result = pipeline.run(
             loaded, out, seed=seed, progress=progress, readings=[readings]
         )
-    return _report_result(result, out, quiet)
+    return report_outcome(result, out, quiet)
 
 
 @app.command()
@@ -188,7 +186,7 @@ def diagnose(
     given = None if readings is None else [readings]
     with display.progress(quiet=quiet) as progress:
         result = pipeline.diagnose(loaded, given, out, seed=seed, progress=progress)
-    return _report_result(result, out, quiet)
+    return report_outcome(result, out, quiet)
 
 
 @app.command()
@@ -222,7 +220,7 @@ def plan(
         )
     if not quiet and result.plan is not None:
         display.print_plan(result.plan)
-    return _report_result(result, folder, quiet)
+    return report_outcome(result, folder, quiet)
 
 
 @app.command()
@@ -321,49 +319,3 @@ def _load(path: Path) -> Study:
     from pkm_studies import shipped, study
 
     return study.load(shipped.study_path(path))
-
-
-def _report_result(result: StudyResult, folder: Path, quiet: bool) -> int:
-    """Print headline, files and claims; the exit code."""
-    if not quiet:
-        for sentence in result.headline:
-            print(sentence)
-        for warning in result.warnings:
-            if warning not in result.headline:
-                print(f"Warning: {_sentence(warning)}")
-        names = ("report.html", "report.pdf", "result.json")
-        paths = [folder / name for name in names if (folder / name).is_file()]
-        print(f"Report: {', '.join(map(str, paths))}")
-        for name in result.written:
-            if name.startswith("poses"):
-                print(f"To fill in: {folder / name}")
-        for claim in result.claims:
-            print(f"Claim {_verdict(claim)}")
-    failing = [claim for claim in result.claims if not claim.met]
-    for claim in failing:
-        console.print_error(f"claim {_verdict(claim)}")
-    if _fit_is_bad(result):
-        console.print_error("the fit is bad: nothing that rests on it can be trusted")
-    return FAILED if failing or _fit_is_bad(result) else DONE
-
-
-def _fit_is_bad(result: StudyResult) -> bool:
-    """Whether the readings do not fit, and no effect of a diagnosis explains it."""
-    if result.goodness is None or not result.goodness.bad_fit:
-        return False
-    return result.gap is None or result.gap.verdict == "none"
-
-
-def _sentence(text: str) -> str:
-    """A capital first letter, and a full stop."""
-    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
-
-
-def _verdict(claim: Claim) -> str:
-    if claim.met and isinstance(claim.measured, str):
-        return f"{claim.claim}: met: {claim.wanted}"
-    measured = claim.measured
-    if isinstance(measured, float):
-        measured = f"{measured:.6g}"
-    met = "met" if claim.met else "not met"
-    return f"{claim.claim}: {met}: {claim.wanted}, measured {measured}"

@@ -29,7 +29,7 @@ from oed.checks.mistakes import (
     unit,
 )
 from oed.checks.mistakes.variant import Alternatives, Variant, VariantOfAmount
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 __all__ = [
     "Alternatives",
@@ -42,12 +42,12 @@ __all__ = [
 _MISTAKES = (unit, deviation, sign, columns, order, setups, pose)
 
 
-def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
+def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
     """Every variant of a session without an unknown amount."""
     for mistake in _MISTAKES:
         yield from mistake.variants(session, alternatives)
 
 
-def variants_of_amount(session: Session) -> Iterator[VariantOfAmount]:
+def variants_of_amount(session: SessionReadings) -> Iterator[VariantOfAmount]:
     """Every variant of a session with an unknown amount."""
     yield from amounts.variants(session)

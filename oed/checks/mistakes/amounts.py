@@ -11,14 +11,14 @@ from oed import units
 from oed.arrays import Mask
 from oed.checks.mistakes.order import run_members, run_names
 from oed.checks.mistakes.variant import VariantOfAmount, channel_sets
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 from oed.measurement import Measurement
 
 #: amount for differences of the tool's length, m
 STEP = 1e-4
 
 
-def variants(session: Session) -> Iterator[VariantOfAmount]:
+def variants(session: SessionReadings) -> Iterator[VariantOfAmount]:
     """Offsets of a channel and of a run, and another tool."""
     for channel, setups in channel_sets(session):
         groups = [setups] if len(setups) == 1 else [setups, *([s] for s in setups)]
@@ -40,7 +40,7 @@ def variants(session: Session) -> Iterator[VariantOfAmount]:
 
 
 def _offset(
-    session: Session, channel: str, members: Mask, where: str, kind: str
+    session: SessionReadings, channel: str, members: Mask, where: str, kind: str
 ) -> VariantOfAmount:
     column = session.column(channel).name
     cause = "the bar length or the zero of the instrument is wrong"
@@ -62,7 +62,7 @@ def _offset(
     )
 
 
-def _tools(session: Session) -> Iterator[VariantOfAmount]:
+def _tools(session: SessionReadings) -> Iterator[VariantOfAmount]:
     """Each set-up with a tool of another length, and all of them."""
     setups = list(dict.fromkeys(s.setup for s in session.series))
     machine = session.measurement.machine
@@ -88,10 +88,12 @@ def _tools(session: Session) -> Iterator[VariantOfAmount]:
         )
 
 
-def _with_tool(session: Session, names: list[str]) -> Callable[[float], Session]:
+def _with_tool(
+    session: SessionReadings, names: list[str]
+) -> Callable[[float], SessionReadings]:
     """The session with tools of these set-ups longer by an amount, m."""
 
-    def shift(amount: float) -> Session:
+    def shift(amount: float) -> SessionReadings:
         setups = []
         for name, setup in session.measurement.setups.items():
             x, y, z = setup.tool

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed.checks.mistakes.variant import Alternatives, Variant
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: channels of one unit that are permuted, at most
 MOST_CHANNELS = 4
 
 
-def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
+def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
     """Every permutation of the columns of one unit that is not the one given."""
     channels = list(dict.fromkeys(session.values["channel"]))
     by_unit: dict[str, list[str]] = {}
@@ -31,7 +31,9 @@ def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
                     yield exchanged
 
 
-def _exchanged(session: Session, changes: list[tuple[str, str]]) -> Variant | None:
+def _exchanged(
+    session: SessionReadings, changes: list[tuple[str, str]]
+) -> Variant | None:
     """The session with each first channel taken from the column of the second."""
     y = session.y.copy()
     for setup in dict.fromkeys(session.values["setup"]):

@@ -9,13 +9,13 @@ import numpy as np
 from oed import units
 from oed.arrays import Array
 from oed.checks.mistakes.variant import Alternatives, Variant
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: units in which deviations are written
 SCALES = {"m": (("", 1.0), (" in um", units.UM / units.MM)), "rad": (("", 1.0),)}
 
 
-def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
+def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
     """Readings plus and minus the instrument's length, or what the machine predicts."""
     measurement = session.measurement
     predicted = measurement.readings(session.series, measurement.nominal)
@@ -26,7 +26,7 @@ def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
     yield from _about(session, predicted, "the readings of the nominal machine")
 
 
-def _about(session: Session, base: Array, name: str) -> Iterator[Variant]:
+def _about(session: SessionReadings, base: Array, name: str) -> Iterator[Variant]:
     si = session.unit(str(session.values["channel"].iloc[0]))
     for words, factor in SCALES.get(si, (("", 1.0),)):
         for sign, reversed_sign in ((1.0, ""), (-1.0, " with the sign reversed")):
@@ -38,7 +38,7 @@ def _about(session: Session, base: Array, name: str) -> Iterator[Variant]:
     yield Variant("deviation", what, session.with_y(session.y - base))
 
 
-def lengths(session: Session) -> Array:
+def lengths(session: SessionReadings) -> Array:
     """Reading (N,) that each instrument keeps by design; NaN where there is none."""
     values = np.full(len(session), np.nan)
     for name, setup in session.measurement.setups.items():

@@ -8,7 +8,7 @@ import numpy as np
 
 from oed.arrays import Index
 from oed.checks.mistakes.variant import Alternatives, Variant
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: rows by which readings are shifted
 SHIFTS = (1, -1, 2, -2)
@@ -16,7 +16,7 @@ SHIFTS = (1, -1, 2, -2)
 LEAST = 4
 
 
-def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
+def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
     """Readings reversed and shifted, in each run, in one run, and in the whole file."""
     runs = run_members(session)
     y, reading = session.y, session.reading_of_value
@@ -57,7 +57,7 @@ def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
             yield from _shifted(session, file, shift, words)
 
 
-def run_members(session: Session) -> list[Index]:
+def run_members(session: SessionReadings) -> list[Index]:
     """Readings, by number, of each run."""
     frame = session.values
     reading = session.reading_of_value
@@ -65,7 +65,7 @@ def run_members(session: Session) -> list[Index]:
     return [np.unique(reading[rows]) for rows in groups]
 
 
-def run_names(session: Session) -> list[str]:
+def run_names(session: SessionReadings) -> list[str]:
     """Name of each run, in the order of `run_members`."""
     return [
         str(run)
@@ -73,7 +73,7 @@ def run_names(session: Session) -> list[str]:
     ]
 
 
-def _taken(session: Session, order: Index) -> Index:
+def _taken(session: SessionReadings, order: Index) -> Index:
     """Values (N,) to take, for readings in another order; channels stay in place."""
     reading = session.reading_of_value
     counts = np.bincount(reading)
@@ -82,8 +82,8 @@ def _taken(session: Session, order: Index) -> Index:
 
 
 def _reordered(
-    session: Session, groups: list[Index], turn: Callable[[Index], Index]
-) -> Session:
+    session: SessionReadings, groups: list[Index], turn: Callable[[Index], Index]
+) -> SessionReadings:
     """The session with the readings of each group turned, poses in place."""
     order = np.arange(1 + int(session.reading_of_value[-1]), dtype=np.intp)
     for rows in groups:
@@ -94,13 +94,13 @@ def _reordered(
     return session.with_y(session.y[taken])
 
 
-def _same_channels(session: Session, taken: Index) -> bool:
+def _same_channels(session: SessionReadings, taken: Index) -> bool:
     channel = session.values["channel"].to_numpy()
     return bool((channel[taken] == channel).all())
 
 
 def _shifted(
-    session: Session, groups: list[Index], shift: int, words: str
+    session: SessionReadings, groups: list[Index], shift: int, words: str
 ) -> Iterator[Variant]:
     """Readings that stand `shift` rows too late, put back; first cyclic, then cut."""
     turned = _reordered(session, groups, lambda rows: np.roll(rows, -shift))

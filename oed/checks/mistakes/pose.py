@@ -10,7 +10,7 @@ import numpy as np
 from oed import units
 from oed.arrays import Array
 from oed.checks.mistakes.variant import Alternatives, Variant, recommanded
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 from oed.dataset.columns import column_name
 from oed.machine import Coordinate
 
@@ -18,17 +18,17 @@ from oed.machine import Coordinate
 TURNS = (90.0, -90.0, 180.0)
 
 
-def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
+def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
     """All set-ups' commands with each change undone, those that can be reached."""
     for what, change in _changes(session.measurement.machine.command):
-        changed: Session | None = session
+        changed: SessionReadings | None = session
         for setup in dict.fromkeys(s.setup for s in session.series):
             changed = None if changed is None else recommanded(changed, setup, change)
         if changed is not None and not _same(session, changed):
             yield Variant("pose", what, changed)
 
 
-def _same(session: Session, changed: Session) -> bool:
+def _same(session: SessionReadings, changed: SessionReadings) -> bool:
     """Whether all poses are as given, turns of 360 deg aside."""
     pairs = zip(session.series, changed.series, strict=True)
     return all(np.allclose(a.q, b.q, rtol=0.0, atol=1e-12) for a, b in pairs)

@@ -9,12 +9,12 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from oed.checks.mistakes.variant import Alternatives, Variant
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 from oed.kinematics import AssemblyError
 from oed.measurement import Measurement, Series
 
 
-def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
+def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
     """Each set-up taken for each other one with the same channels, and exchanged."""
     setups = alternatives.measurement.setups
     used = list(dict.fromkeys(s.setup for s in session.series))
@@ -41,7 +41,10 @@ def _alike(measurement: Measurement, name: str, other: str) -> bool:
 
 
 def _renamed(
-    session: Session, alternatives: Alternatives, names: Mapping[str, str], what: str
+    session: SessionReadings,
+    alternatives: Alternatives,
+    names: Mapping[str, str],
+    what: str,
 ) -> Iterator[Variant]:
     measurement = alternatives.measurement
     try:

@@ -8,10 +8,10 @@ import numpy as np
 
 from oed.checks.mistakes.deviation import lengths
 from oed.checks.mistakes.variant import Alternatives, Variant, channel_sets
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 
-def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
+def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
     """Each channel with the other sign, and with deviations of the other sign."""
     measurement = session.measurement
     predicted = measurement.readings(session.series, measurement.nominal)

@@ -8,13 +8,13 @@ import numpy as np
 
 from oed import units
 from oed.checks.mistakes.variant import Alternatives, Variant
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 
 #: units that a file's readings may be in, beside those of a column
 OTHERS = {"m": {"inch": units.INCH}, "rad": {}, "1": {}}
 
 
-def variants(session: Session, alternatives: Alternatives) -> Iterator[Variant]:
+def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
     """The readings of a kind, all and by set-up, in each other unit of that kind."""
     channels = session.values["channel"].to_numpy()
     kind = np.array([session.unit(c) for c in channels])

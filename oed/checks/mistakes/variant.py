@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from oed.arrays import Array
-from oed.checks.session import Session
+from oed.checks.session import SessionReadings
 from oed.kinematics import AssemblyError
 from oed.measurement import Measurement, Series
 
@@ -36,7 +36,7 @@ class Variant:
 
     kind: str
     what: str
-    session: Session
+    session: SessionReadings
     log_scale: float = 0.0
 
 
@@ -52,7 +52,7 @@ class VariantOfAmount:
     """
 
     kind: str
-    shift: Callable[[float], Session]
+    shift: Callable[[float], SessionReadings]
     step: float
     what: Callable[[float, float], str]
     linear: bool
@@ -66,8 +66,8 @@ def read_indices(series: Series) -> Array:
 
 
 def recommanded(
-    session: Session, setup: str, change: Callable[[Array], Array]
-) -> Session | None:
+    session: SessionReadings, setup: str, change: Callable[[Array], Array]
+) -> SessionReadings | None:
     """The session with the commands (n, n_dof) of a set-up's rows changed.
 
     None where no command was recorded, or the machine cannot reach one.
@@ -93,12 +93,12 @@ def recommanded(
         return None
 
 
-def _commanded(session: Session, setup: str) -> bool:
+def _commanded(session: SessionReadings, setup: str) -> bool:
     series = [s for s in session.series if s.setup == setup]
     return all(bool(np.isfinite(s.command).all()) for s in series)
 
 
-def channel_sets(session: Session) -> Iterator[tuple[str, list[str]]]:
+def channel_sets(session: SessionReadings) -> Iterator[tuple[str, list[str]]]:
     """Each channel of the session with the set-ups that read it."""
     setups = dict.fromkeys(s.setup for s in session.series)
     by_channel: dict[str, list[str]] = {}

@@ -79,7 +79,7 @@ def _diagnose(state: RunState, request: GapRequest) -> RunState:
     readings = state.readings
     if readings is None or readings.y is None or state.estimate is None:
         return state
-    if state.checked is not None and state.checked.explanations:
+    if state.checked is not None and state.checked.mistaken:
         return state.with_warnings(
             "There is no diagnosis: a mistake in the readings explains their misfit"
         )

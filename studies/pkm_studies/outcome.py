@@ -1,0 +1,59 @@
+"""What the command prints of a result, and the exit code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pkm_studies import console
+
+if TYPE_CHECKING:
+    from oed.result import Claim, StudyResult
+
+DONE, FAILED, BAD_INPUT = 0, 1, 2
+
+
+def report_outcome(result: StudyResult, folder: Path, quiet: bool) -> int:
+    """Print headline, files and claims; the exit code."""
+    if not quiet:
+        for sentence in result.headline:
+            print(sentence)
+        for warning in result.warnings:
+            if warning not in result.headline:
+                print(f"Warning: {_sentence(warning)}")
+        names = ("report.html", "report.pdf", "result.json")
+        paths = [folder / name for name in names if (folder / name).is_file()]
+        print(f"Report: {', '.join(map(str, paths))}")
+        for name in result.written:
+            if name.startswith("poses"):
+                print(f"To fill in: {folder / name}")
+        for claim in result.claims:
+            print(f"Claim {_verdict(claim)}")
+    failing = [claim for claim in result.claims if not claim.met]
+    for claim in failing:
+        console.print_error(f"claim {_verdict(claim)}")
+    if _fit_is_bad(result):
+        console.print_error("the fit is bad: nothing that rests on it can be trusted")
+    return FAILED if failing or _fit_is_bad(result) else DONE
+
+
+def _fit_is_bad(result: StudyResult) -> bool:
+    """Whether the readings do not fit, and no effect of a diagnosis explains it."""
+    if result.goodness is None or not result.goodness.bad_fit:
+        return False
+    return result.gap is None or result.gap.verdict == "none"
+
+
+def _sentence(text: str) -> str:
+    """A capital first letter, and a full stop."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+def _verdict(claim: Claim) -> str:
+    if claim.met and isinstance(claim.measured, str):
+        return f"{claim.claim}: met: {claim.wanted}"
+    measured = claim.measured
+    if isinstance(measured, float):
+        measured = f"{measured:.6g}"
+    met = "met" if claim.met else "not met"
+    return f"{claim.claim}: {met}: {claim.wanted}, measured {measured}"
