@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from oed.arrays import Array
+from oed.instrument import Frame
 from oed.machine import Coordinate, Expr, Machine, Parameter, Values
 
 
@@ -135,3 +137,49 @@ def closure_misfit(phi: Expr, x: Expr) -> Expr | None:
         minors.append((-1) ** i * ca.det(phi_x[others, :]))
     normal = ca.vertcat(*minors)
     return ca.dot(normal, phi) / (ca.norm_2(normal) * np.sqrt(rows))
+
+
+def machine_frame(
+    machine: Machine, x: ca.SX, by_name: tuple[Values, Values, Values], tool: Expr
+) -> Frame:
+    """What an instrument sees of a machine at a pose, with a tool (3,).
+
+    by_name  pose, joints and parameters
+    """
+    x_by_name, q_by_name, p_by_name = by_name
+    rotation, origin = machine.platform(x_by_name)
+    tip = origin + rotation @ tool
+    phi = ca.vertcat(*machine.closure(x_by_name, q_by_name, p_by_name))
+    spare = phi.numel() - x.numel()
+    if spare <= 0:
+        return Frame(rotation, tip)
+    null = _null_space(ca.jacobian(phi, x), _home_null_space(machine))
+    misfits = null.T @ phi / np.sqrt(phi.numel())
+    return Frame(rotation, tip, closure_misfit(phi, x), misfits, null)
+
+
+def _home_null_space(machine: Machine) -> Array:
+    """Orthonormal null space (m, k) of the constraints at the start for home."""
+    e = machine_expressions(machine)
+    start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
+    at = ca.Function("start", [e.c, e.p], start)(machine.home_command, machine.nominal)
+    slope = ca.Function("slope", [e.x, e.q, e.p], [ca.jacobian(e.phi, e.x)])
+    vectors, _, _ = np.linalg.svd(np.array(slope(*at, machine.nominal)))
+    return np.asarray(vectors[:, e.x.numel() :])
+
+
+def _null_space(slope: Expr, reference: Array) -> Expr:
+    """Orthonormal directions (m, k) across the columns of a slope (m, n).
+
+    By Gram and Schmidt on the slope's columns, then on the reference's (m, k): smooth
+    wherever no direction of the null space is square to all of the reference.
+    """
+    columns = [slope[:, j] for j in range(slope.shape[1])]
+    columns += [ca.DM(column) for column in reference.T]
+    unit: list[Expr] = []
+    for column in columns:
+        rest = column
+        for direction in unit:
+            rest = rest - ca.dot(direction, rest) * direction
+        unit.append(rest / ca.norm_2(rest))
+    return ca.horzcat(*unit[slope.shape[1] :])

@@ -57,11 +57,23 @@ class Frame:
     point           tool point (3,), m
     closure_misfit  signed root mean square of the closure's equations; None unless the
                     machine is redundant by one equation
+    closure_misfits  its components (k,) in the null space of the constraints, over the
+                    square root of the number of equations m; None unless the machine is
+                    redundant, by k equations
+    null_space      (m, k) orthonormal directions of these components
     """
 
     rotation: Expr
     point: Expr
     closure_misfit: Expr | None = None
+    closure_misfits: Expr | None = None
+    null_space: Expr | None = None
+
+
+#: channels of a reading from frames, nuisances and settings
+Observe = Callable[[Sequence[Frame], Values, Values], Sequence[Expr]]
+#: slopes of the channels over independent errors inside the instrument
+Sources = Callable[[Sequence[Frame], Values, Values], Expr]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -86,6 +98,10 @@ class Instrument:
     fixed_reading(k)       value (SI) of the first channel that the poses are chosen to
                            keep, such as a ball bar's length; None where there is none
     unfit(machine)         why it cannot read a machine, in words; None where it can
+    implied                reading (SI) where a file has no column for it: 0 of a closure,
+                           which a machine at rest states by its joints alone
+    adapt(machine)         the instrument for a machine, where its channels or settings
+                           depend on it
     """
 
     name: str
@@ -94,17 +110,60 @@ class Instrument:
     settings: tuple[Setting, ...]
     nuisances: tuple[Parameter, ...]
     cost: Cost
-    observe: Callable[[Sequence[Frame], Values, Values], Sequence[Expr]]
+    observe: Observe
     reference: Literal["teach", "run"] | None = None
-    sources: Callable[[Sequence[Frame], Values, Values], Expr] | None = None
+    sources: Sources | None = None
     fixed_reading: Callable[[Mapping[str, float]], float] | None = None
     unfit: Callable[[Machine], str | None] = lambda machine: None
     about: str = ""
+    implied: float | None = None
+    adapt: Callable[[Machine], Instrument] | None = None
+
+    def for_machine(self, machine: Machine) -> Instrument:
+        """The instrument with the channels and settings that it has on a machine."""
+        return self if self.adapt is None else self.adapt(machine)
+
+    def take_channels(self, names: Sequence[str]) -> Instrument:
+        """The instrument that reads some of its channels alone, in its own order.
+
+        Raises ValueError for unknown names, and for none.
+        """
+        known = [c.name for c in self.channels]
+        unknown = [n for n in names if n not in known]
+        if unknown or not names:
+            raise ValueError(
+                f"{self.name} has no channel {unknown}; it has {known}"
+                if unknown
+                else f"{self.name} must read one of {known} at least"
+            )
+        rows = [k for k, n in enumerate(known) if n in names]
+        return dataclasses.replace(
+            self,
+            channels=tuple(self.channels[k] for k in rows),
+            observe=_entries(self.observe, rows),
+            sources=None if self.sources is None else _rows(self.sources, rows),
+            fixed_reading=self.fixed_reading if rows[0] == 0 else None,
+        )
 
     @property
     def arity(self) -> int:
         """Number of poses that one reading depends on."""
         return 1 if self.reference is None else 2
+
+
+def _entries(observe: Observe, rows: Sequence[int]) -> Observe:
+    def taken(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+        channels = observe(frames, s, k)
+        return [channels[row] for row in rows]
+
+    return taken
+
+
+def _rows(sources: Sources, rows: Sequence[int]) -> Sources:
+    def taken(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
+        return sources(frames, s, k)[list(rows), :]
+
+    return taken
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

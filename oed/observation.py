@@ -8,8 +8,8 @@ import casadi as ca
 
 from oed.arrays import Array
 from oed.batch import BatchedFunction
-from oed.expressions import closure_misfit, symbols
-from oed.instrument import Frame, Setup
+from oed.expressions import machine_frame, symbols
+from oed.instrument import Setup
 from oed.machine import Machine
 
 
@@ -30,12 +30,10 @@ class ObservationModel:
         for j in range(instrument.arity):
             x, x_by_name = symbols(f"x{j}", machine.pose)
             q, q_by_name = symbols(f"q{j}", machine.joints)
-            rotation, origin = machine.platform(x_by_name)
-            phi = ca.vertcat(*machine.closure(x_by_name, q_by_name, p_by_name))
-            tip = origin + rotation @ ca.DM(setup.tool)
+            by_name = x_by_name, q_by_name, p_by_name
             poses.append(x)
             joints.append(q)
-            frames.append(Frame(rotation, tip, closure_misfit(phi, x)))
+            frames.append(machine_frame(machine, x, by_name, ca.DM(setup.tool)))
         y = ca.vertcat(*instrument.observe(frames, s_by_name, setup.settings))
         self.uses_closure = bool(ca.depends_on(y, ca.vertcat(*joints, p)))
         inputs, over = [*poses, s], [*poses, s]
@@ -44,7 +42,8 @@ class ObservationModel:
         slopes = [ca.jacobian(y, v) for v in over]
         sources = ca.SX(1, 1)
         if instrument.sources is not None:
-            sources = instrument.sources(frames, s_by_name, setup.settings)
+            slopes_of_errors = instrument.sources(frames, s_by_name, setup.settings)
+            sources = ca.substitute(ca.SX(slopes_of_errors), p, machine.nominal)
 
         self._arity = instrument.arity
         self._channels = len(instrument.channels)

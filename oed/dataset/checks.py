@@ -80,10 +80,12 @@ def _check_channels(
     """Check the rows of one set-up; `channels` are those of all set-ups."""
     stems = [c.name for c in setup.instrument.channels]
     for channel in setup.instrument.channels:
-        if channel.name not in table.columns:
+        implied = setup.instrument.implied is not None
+        if channel.name not in table.columns and not implied:
             column = column_name(channel.name, channel.unit)
             problem = f"{setup.name} reads {channel.name}, which has no column"
-            raise table.error(problem, f"add {column}", int(rows[0]), column)
+            remedy = f"add {column}, or give the set-up the channels that were read"
+            raise table.error(problem, remedy, int(rows[0]), column)
     for other in (channels - set(stems)) & set(table.columns):
         values = table.frame[other].to_numpy()[rows]
         for at in rows[np.isfinite(values)][:1]:

@@ -14,6 +14,7 @@ from oed.dataset import checks, table
 from oed.dataset.columns import ReadingsColumn, column_name, is_covariate
 from oed.dataset.data import Dataset, column_layouts
 from oed.dataset.table import ORDER_REMEDY, ROW, ReadingsError, ReadingsFile
+from oed.instrument import Instrument
 from oed.kinematics import AssemblyError
 from oed.measurement import Measurement, Series
 
@@ -98,7 +99,7 @@ def _setup_readings(
     if instrument.reference == "run":
         reference = ~frame.duplicated("run").to_numpy()
         _check_runs_have_readings(merged, frame, rows, reference)
-    values = frame[[c.name for c in instrument.channels]].to_numpy(dtype=float)
+    values = _channel_values(frame, instrument)
     taken = np.isfinite(values).all(axis=1) & ~reference
     series = None
     if taken.any():
@@ -110,6 +111,18 @@ def _setup_readings(
         covariates=_covariates(frame[taken]),
         dropped=int((~taken & ~reference).sum()),
     )
+
+
+def _channel_values(frame: pd.DataFrame, instrument: Instrument) -> Array:
+    """Readings (n, channels), NaN where not taken; the implied one without a column."""
+    columns = []
+    for channel in instrument.channels:
+        if channel.name in frame:
+            columns.append(frame[channel.name].to_numpy(dtype=float))
+        else:
+            implied = np.nan if instrument.implied is None else instrument.implied
+            columns.append(np.full(len(frame), implied))
+    return np.column_stack(columns)
 
 
 def _check_runs_have_readings(

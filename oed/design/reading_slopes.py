@@ -19,7 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.expressions import closure_misfit, symbols
+from oed.expressions import machine_frame, symbols
 from oed.information import Scaling, column_scale
 from oed.instrument import Frame, Setup
 from oed.machine import Machine
@@ -106,8 +106,7 @@ def symbolic_reading(
         x, xs = symbols(f"x{j}", machine.pose)
         q, qs = symbols(f"q{j}", machine.joints)
         phi = ca.vertcat(*machine.closure(xs, qs, ps))
-        rotation, point = machine.platform(xs)
-        frames.append(Frame(rotation, point + rotation @ tool, closure_misfit(phi, x)))
+        frames.append(machine_frame(machine, x, (xs, qs, ps), tool))
         poses.append((x, q, phi))
     y = ca.vertcat(*instrument.observe(frames, ss, known))
     by_machine = ca.jacobian(y, p)

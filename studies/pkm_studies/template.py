@@ -82,7 +82,8 @@ def write(name: str | None, machine: str, instrument: str, folder: Path) -> Path
     place = Place("oed new")
     model = catalogue.machine(machine, folder, place.key("--machine"))
     path = shipped.new_path(model.name if name is None else name, folder)
-    tool = catalogue.instrument(instrument, folder, place.key("--instrument"))
+    listed = catalogue.instrument(instrument, folder, place.key("--instrument"))
+    tool = listed.for_machine(model)
     reason = tool.unfit(model)
     if reason is not None:
         raise place.key("--instrument").error(

@@ -1,7 +1,11 @@
 """Touch probe that reads the height of the tool over the bed along z of the base frame.
 
 The bed is taken as the plane z = 0; the trigger offset of the probe is unknown within
-its tolerance.
+its tolerance. `tilted_bed` frees the bed's two tilts as well, rotations about x and y:
+
+    y = z + offset - tilt_x y_t + tilt_y x_t,
+
+with (x_t, y_t, z) the tool point, first order in the tilts.
 """
 
 from __future__ import annotations
@@ -16,13 +20,38 @@ def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     return [frames[0].point[2] + s["offset"]]
 
 
+def _over_tilted_bed(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+    point = frames[0].point
+    slope = s["tilt_y"] * point[0] - s["tilt_x"] * point[1]
+    return [point[2] + s["offset"] + slope]
+
+
+SOURCE = "touch probe of delta printers; height over the bed at the trigger"
+OFFSET = Parameter("offset", 0.0, 0.05e-3, "m", "trigger offset")
+COST = Cost(setup=120.0, reading=10.0)
+
 instrument = Instrument(
     name="height_probe",
-    source="touch probe of delta printers; height over the bed at the trigger",
+    source=SOURCE,
     about="touch probe: height of the tool over the bed",
     channels=(Channel("height", "m", 0.02e-3),),
     settings=(),
-    nuisances=(Parameter("offset", 0.0, 0.05e-3, "m", "trigger offset"),),
-    cost=Cost(setup=120.0, reading=10.0),
+    nuisances=(OFFSET,),
+    cost=COST,
     observe=_observe,
+)
+
+tilted_bed = Instrument(
+    name="height_probe_tilted_bed",
+    source=SOURCE,
+    about="touch probe: height of the tool over a bed whose tilts are unknown",
+    channels=(Channel("height", "m", 0.02e-3),),
+    settings=(),
+    nuisances=(
+        OFFSET,
+        Parameter("tilt_x", 0.0, 5e-3, "rad", "tilt of the bed about x"),
+        Parameter("tilt_y", 0.0, 5e-3, "rad", "tilt of the bed about y"),
+    ),
+    cost=COST,
+    observe=_over_tilted_bed,
 )

@@ -1,50 +1,148 @@
-"""The machine as its own instrument: by how much its redundant equation is missed.
+"""The machine as its own instrument: by how much its redundant equations are missed.
 
-A machine with one leg more than degrees of freedom cannot choose its joints freely: the
+A machine with more legs than degrees of freedom cannot choose its joints freely: the
 recorded joints close the machine only for the right parameters. With phi(x, q, p) the m
-equations at the pose that fits them best, the reading is
+equations at the pose that fits them best, and N (m x k) an orthonormal basis of the
+null space of phi_x^T, one direction for each spare joint, the readings are
 
-    g = +- |phi| / m^1/2     (root mean square of the equations; the sign is that of the
-                             redundant direction).
+    g = N^T phi / m^1/2     (for one spare joint +- |phi| / m^1/2, `gap`; for more,
+                             `gap1`, `gap2`, ...).
 
 Where the joints were recorded on a machine that had settled freely (motors in torque
 mode, encoders read), g = 0 was read, with the noise of the joints: e on each leg's
-length gives e / m^1/2. It needs no other instrument, and sees no motion of the machine
-as a whole, nor anything else that leaves the legs' lengths as they are.
+length gives e / m^1/2 in each component. Readings files need the joints alone: without
+a column, 0 was read. It needs no other instrument, and sees no
+motion of the machine as a whole, nor anything else that leaves the legs' lengths as
+they are.
+
+`redundancy_per_leg` is the same with a noise for each leg, `noise_q1_mm`, ...: with D
+the diagonal of their squares, the covariance of g is N^T D N / m.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
-from oed.instrument import Channel, Cost, Frame, Instrument
+import casadi as ca
+
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
 from oed.machine import Expr, Machine, Values
 
+#: m, standard deviation of a reading: legs of 1 mm, four of them
+SIGMA = 0.5e-3
+SOURCE = (
+    "self-calibration by redundant legs: Patel and Ehmann 2000, Int. J. Mach. Tools"
+    " Manuf. 40, 489-512"
+)
+COST = Cost(setup=60.0, reading=10.0)
 
-def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+
+def _one(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     return [frames[0].closure_misfit]
 
 
+def _several(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+    misfits = frames[0].closure_misfits
+    assert misfits is not None  # `unfit` refuses other machines
+    return [misfits[i] for i in range(misfits.numel())]
+
+
+def _spare(machine: Machine) -> int:
+    return len(machine.joints) - len(machine.command)
+
+
 def _unfit(machine: Machine) -> str | None:
-    spare = len(machine.joints) - len(machine.command)
-    return (
-        None
-        if spare == 1
-        else f"it takes one joint more than degrees of freedom, here are {spare} more"
+    if _spare(machine) >= 1:
+        return None
+    return "it takes more joints than degrees of freedom"
+
+
+def _channels(machine: Machine) -> tuple[Channel, ...]:
+    count = _spare(machine)
+    if count == 1:
+        return (Channel("gap", "m", SIGMA),)
+    return tuple(Channel(f"gap{k + 1}", "m", SIGMA) for k in range(count))
+
+
+def _for_machine(machine: Machine) -> Instrument:
+    count = _spare(machine)
+    return Instrument(
+        name="redundancy",
+        source=SOURCE,
+        about=ABOUT,
+        channels=_channels(machine),
+        settings=(),
+        nuisances=(),
+        cost=COST,
+        implied=0.0,
+        observe=_one if count <= 1 else _several,
+        unfit=lambda other: _unfit(other) or _unlike(other, count),
     )
 
 
+def _unlike(machine: Machine, count: int) -> str | None:
+    """Why an instrument for `count` spare joints does not fit another machine."""
+    spare = _spare(machine)
+    if spare == max(count, 1):
+        return None
+    return f"it is for {count} spare joints, here are {spare}: use for_machine(machine)"
+
+
+def _per_leg(machine: Machine) -> Instrument:
+    legs, m = machine.joints, len(machine.joints)
+    default = SIGMA * math.sqrt(m)
+
+    def sources(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
+        noise = ca.vertcat(*[k[f"noise_{leg.name}"] for leg in legs])
+        null = frames[0].null_space
+        assert null is not None  # as above
+        return null.T @ ca.diag(noise) / math.sqrt(m)
+
+    return Instrument(
+        name="redundancy_per_leg",
+        source=SOURCE,
+        about="closure of a redundant machine, with a noise for each leg",
+        channels=_channels(machine),
+        settings=tuple(
+            Setting(f"noise_{leg.name}", "m", default, f"noise of leg {leg.name}")
+            for leg in legs
+        ),
+        nuisances=(),
+        cost=COST,
+        implied=0.0,
+        observe=_several,
+        sources=sources,
+        unfit=_unfit,
+    )
+
+
+ABOUT = "closure of a redundant machine: by how much its legs' lengths disagree"
+
 instrument = Instrument(
     name="redundancy",
-    source=(
-        "self-calibration by redundant legs: Patel and Ehmann 2000, Int. J. Mach. Tools"
-        " Manuf. 40, 489-512"
-    ),
-    about="closure of a redundant machine: by how much its legs' lengths disagree",
-    channels=(Channel("gap", "m", 0.5e-3),),
+    source=SOURCE,
+    about=ABOUT,
+    channels=(Channel("gap", "m", SIGMA),),
     settings=(),
     nuisances=(),
-    cost=Cost(setup=60.0, reading=10.0),
-    observe=_observe,
-    unfit=_unfit,
+    cost=COST,
+    implied=0.0,
+    observe=_one,
+    unfit=lambda machine: _unfit(machine) or _unlike(machine, 1),
+    adapt=_for_machine,
+)
+
+per_leg = Instrument(
+    name="redundancy_per_leg",
+    source=SOURCE,
+    about="closure of a redundant machine, with a noise for each leg",
+    channels=(Channel("gap", "m", SIGMA),),
+    settings=(),
+    nuisances=(),
+    cost=COST,
+    implied=0.0,
+    observe=_several,
+    unfit=lambda machine: _unfit(machine) or "use for_machine(machine)",
+    adapt=_per_leg,
 )

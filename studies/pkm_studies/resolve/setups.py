@@ -29,14 +29,7 @@ def mounted_setups(study: Study, machine: Machine) -> dict[str, Setup]:
 
 
 def _setup(study: Study, table: SetupTable, machine: Machine, place: Place) -> Setup:
-    instrument = catalogue.instrument(
-        table.instrument, study.folder, place.key("instrument")
-    )
-    reason = instrument.unfit(machine)
-    if reason is not None:
-        raise place.key("instrument").error(
-            f"it cannot read {machine.name}: {reason}", "take another", instrument.name
-        )
+    instrument = _instrument(study, table, machine, place)
     x, y, z = (float(v) for v in units.to_si(table.tool_mm, "mm"))
     setup = mount(
         instrument,
@@ -50,6 +43,26 @@ def _setup(study: Study, table: SetupTable, machine: Machine, place: Place) -> S
     setup = dataclasses.replace(setup, protocol=protocol)
     _check_teach_pose(machine, setup, place)
     return setup
+
+
+def _instrument(
+    study: Study, table: SetupTable, machine: Machine, place: Place
+) -> Instrument:
+    """The instrument with the channels it has here. Raises InputError."""
+    at = place.key("instrument")
+    listed: Instrument = catalogue.instrument(table.instrument, study.folder, at)
+    instrument = listed.for_machine(machine)
+    reason = instrument.unfit(machine)
+    if reason is not None:
+        problem = f"it cannot read {machine.name}: {reason}"
+        raise at.error(problem, "take another", instrument.name)
+    if table.channels is None:
+        return instrument
+    try:
+        return instrument.take_channels(table.channels)
+    except ValueError as error:
+        remedy = "name the channels that were read"
+        raise place.key("channels").error(str(error), remedy) from error
 
 
 def _settings(

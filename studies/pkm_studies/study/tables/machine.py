@@ -31,6 +31,7 @@ class SetupTable(StudyTable, frozen=True, kw_only=True):
 
     name             of the set-up
     instrument       a name of `oed list instruments`, or a file of your own
+    channels         channels that were read, where not all: `["read_x", "read_y"]`
     tool_mm          tool point in the platform's frame
     repeats          how often each planned reading is taken
     both_directions  whether it is taken forward and backward
@@ -43,6 +44,7 @@ class SetupTable(StudyTable, frozen=True, kw_only=True):
     free_keys = "settings"
     name: Name
     instrument: str
+    channels: list[str] | None = None
     tool_mm: Triple = (0.0, 0.0, 0.0)
     repeats: Count = 1
     both_directions: bool = False

@@ -1,0 +1,127 @@
+"""Instruments of which part is read: planes, some channels of a pose, tilted beds, and
+cable lengths without any other column.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sample import refused, resolved
+
+from oed.instrument import mount
+from oed.measurement import Measurement
+from pkm_models.instruments import height_probe, laser_ball_bar, planar_position
+from pkm_models.machines import a3_head, cables_planar, delta
+
+ARM = """\
+schema = 1
+name = "arm"
+
+[machine]
+model = "planar_2dof"
+
+[[setup]]
+name = "camera"
+instrument = "camera"
+channels = ["read_y", "read_z"]
+
+[readings]
+files = ["arm.csv"]
+"""
+ARM_ROWS = """\
+setup,run,order,y_mm,z_mm,read_y_mm,read_z_mm
+camera,a,1,0,100,0.1,100.2
+camera,a,2,500,100,500.1,100.1
+camera,a,3,0,600,0.2,600.3
+"""
+CABLES = """\
+schema = 1
+name = "cables"
+
+[machine]
+model = "cables_planar"
+
+[[setup]]
+name = "drums"
+instrument = "redundancy"
+
+[readings]
+files = ["drums.csv"]
+"""
+
+
+def test_a_camera_in_a_plane_has_two_readings_a_pose(tmp_path: Path) -> None:
+    (tmp_path / "arm.csv").write_text(ARM_ROWS, encoding="utf-8")
+    study = resolved(ARM, tmp_path)
+    assert study.dataset is not None
+    assert len(study.dataset) == 6
+    assert [c.name for c in study.setups["camera"].instrument.channels] == [
+        "read_y",
+        "read_z",
+    ]
+    assert study.setups["camera"].sigma == (1e-3, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("channels", "said"),
+    [('["read_q"]', "camera has no channel ['read_q']"), ("[]", "must read one of")],
+)
+def test_channels_that_do_not_exist_are_refused(channels: str, said: str) -> None:
+    assert said in str(refused(ARM, ('["read_y", "read_z"]', channels)))
+
+
+def test_cable_lengths_need_no_other_column(tmp_path: Path) -> None:
+    machine = cables_planar.machine
+    points = np.array([[0.0, 0.0], [0.2, 0.1], [-0.3, 0.2]])
+    away = points[:, None] - np.array(cables_planar.ANCHORS)
+    rows = ["setup,run,order," + ",".join(f"{c.name}_mm" for c in machine.joints)]
+    for k, lengths in enumerate(1e3 * np.linalg.norm(away, axis=2)):
+        rows.append(f"drums,a,{k + 1}," + ",".join(f"{v:.9f}" for v in lengths))
+    (tmp_path / "drums.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    study = resolved(CABLES, tmp_path)
+    assert study.dataset is not None
+    assert study.dataset.y.tolist() == [0.0] * 6
+    (series,) = study.dataset.series
+    predicted = study.measurement.readings([series], study.measurement.nominal)
+    assert np.abs(predicted).max() < 1e-11
+
+
+def test_a_subset_of_channels_reads_and_scatters_as_the_whole_does(
+    rng: np.random.Generator,
+) -> None:
+    whole = laser_ball_bar.instrument
+    rows = [0, 2, 4]
+    part = whole.take_channels([whole.channels[k].name for k in rows])
+    gimbal = {"at_x": 0.0, "at_y": -1.0, "at_z": 1.0}
+    setups = [mount(whole, "whole", **gimbal), mount(part, "part", **gimbal)]
+    m = Measurement(a3_head.machine, setups)
+    command = np.array([[1.1, 0.3, 0.2], [1.2, -2.0, 0.4]])
+    both = [m.series(name, command) for name in ("whole", "part")]
+    theta = m.nominal + 1e-4 * rng.standard_normal(len(m.names))
+    theta[m.nuisance_slice("part")] = theta[m.nuisance_slice("whole")]
+    full, taken = (m.readings([s], theta).reshape(2, -1) for s in both)
+    assert taken == pytest.approx(full[:, rows], abs=1e-15)
+    covariances = [m.reading_covariances(s) for s in both]
+    expected = covariances[0][:, rows][:, :, rows]
+    assert covariances[1] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_planar_position_by_hand() -> None:
+    setup = mount(planar_position.instrument, "plate")
+    m = Measurement(cables_planar.machine, [setup])
+    series = m.series("plate", np.array([[0.3, 0.4]]))
+    theta = m.nominal
+    theta[m.nuisance_slice("plate")] = 0.001, -0.002, np.pi / 2.0
+    assert m.readings([series], theta) == pytest.approx([-0.399, 0.298], abs=1e-12)
+
+
+def test_a_tilted_bed_by_hand() -> None:
+    setup = mount(height_probe.tilted_bed, "probe")
+    m = Measurement(delta.machine, [setup])
+    series = m.series("probe", np.array([[0.05, -0.02, 0.03]]))
+    theta = m.nominal
+    theta[m.nuisance_slice("probe")] = 1e-4, 2e-3, 3e-3
+    expected = 0.03 + 1e-4 + 0.02 * 2e-3 + 0.05 * 3e-3
+    assert m.readings([series], theta) == pytest.approx([expected], abs=1e-12)
