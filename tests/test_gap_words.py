@@ -129,9 +129,9 @@ def test_what_an_unknown_effect_resembles() -> None:
 
 
 @pytest.mark.parametrize(("low", "high", "interval"), [
-    (0.35, 49.55, "35 to over 100 %"), (-7.0, 0.4, "under -100 to 40 %"), (-0.2, 1.2, "-20 to 120 %"),
+    (0.35, 49.55, "35 to 100 %"), (-7.0, 0.4, "0 to 40 %"), (-0.2, 1.2, "0 to 100 %"),
 ])  # fmt: skip
-def test_an_interval_far_beyond_shares_has_no_figures(
+def test_an_interval_of_a_share_stays_between_nothing_and_all(
     low: float, high: float, interval: str
 ) -> None:
     section = _gap(
@@ -169,10 +169,13 @@ def test_a_gap_is_never_reported_as_closed_whole() -> None:
 def test_more_than_the_whole_is_all_that_exceeds_the_noise() -> None:
     more = [ClosureRecord("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[2]
-    assert (
-        "shrinks by all that exceeds the noise (80 to over 100 %) on held-out"
-        in sentence
-    )
+    assert "shrinks by all that exceeds the noise (80 to 100 %) on held-out" in sentence
+
+
+def test_a_gap_that_grows_does_not_shrink() -> None:
+    grown = [ClosureRecord("whole", -0.21, -0.5, 0.1, 0.8, 3.0, 3.3, 1.2, 200)]
+    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=grown).words[2]
+    assert "shrinks by nothing (0 to 10 %) on whole held-out runs" in sentence
 
 
 def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:

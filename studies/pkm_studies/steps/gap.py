@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from oed import units
 from oed.measurement import Measurement
 from pkm_studies.resolve.gap import GapRequest, gap_request
@@ -9,6 +11,12 @@ from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readin
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.gap import detectability, section
 from pkm_studies.stages.gap.virtual_readings import empty_readings
+
+#: the only advice after a fit that failed its check, where no effect explains it
+AFTER_BAD_FIT = (
+    "Do not compensate with these parameters: the fit is bad, and no effect explains it."
+    " Check the readings and the stated noise first."
+)
 
 
 def preview_gap(state: RunState) -> RunState:
@@ -97,4 +105,7 @@ def _diagnose(state: RunState, request: GapRequest) -> RunState:
         request,
         state.rng(Stream.GAP),
     )
-    return state.with_sections(gap=section.gap_section(diagnosis, request.effects))
+    gap = section.gap_section(diagnosis, request.effects)
+    if state.fit_is_bad and gap.verdict == "none":
+        gap = msgspec.structs.replace(gap, next=[AFTER_BAD_FIT])
+    return state.with_sections(gap=gap)

@@ -24,8 +24,6 @@ COMPARABLE = 0.5
 CONSIDERABLE = 0.1
 #: probability from which a cause is stated as a fact
 EVEN = 0.5
-#: shares beyond these are not stated in figures
-HIGHEST_SHARE, LOWEST_SHARE = 1.5, -1.0
 #: what to record for an effect's covariate
 COLUMNS = {
     "time": "time_s",
@@ -206,9 +204,12 @@ def _closure(closure: ClosureRecord) -> str:
     """`80 % (60 to 90 %) on whole held-out runs`."""
     assert closure.value is not None
     digits = _digits(closure.low)
-    size = "all that exceeds the noise"
-    if closure.value < 1.0:
+    if closure.value <= 0.0:
+        size = "nothing"
+    elif closure.value < 1.0:
         size = f"{_format_share(closure.value, digits)} %"
+    else:
+        size = "all that exceeds the noise"
     interval = ""
     if closure.low is not None and closure.high is not None:
         low, high = (_format_bound(v, digits) for v in (closure.low, closure.high))
@@ -231,12 +232,8 @@ def _format_share(value: float, digits: int) -> str:
 
 
 def _format_bound(value: float, digits: int) -> str:
-    """An end of a share's interval; one far beyond any share is not given in figures."""
-    if value > HIGHEST_SHARE:
-        return "over 100"
-    if value < LOWEST_SHARE:
-        return "under -100"
-    return _format_share(value, digits)
+    """An end of a share's interval; no gap shrinks by less than 0 or more than 100 %."""
+    return _format_share(min(max(value, 0.0), 1.0), digits)
 
 
 # -- what could not be tested, and what next -------------------------------------------

@@ -22,6 +22,7 @@ def plan_sentences(section: result.PlanSection | None) -> list[str]:
     if section.loss is not None:
         lines.append(
             f"No plan within {section.budget_min:.0f} min is more than"
-            f" {at_most_better(section.loss)} (bound)."
+            f" {at_most_better(section.loss)}: a bound over all plans that take each"
+            " measurement at most as often as `counts` allows."
         )
     return lines
