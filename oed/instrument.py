@@ -97,6 +97,8 @@ class Instrument:
                            c by sigma over the default of channel c
     fixed_reading(k)       value (SI) of the first channel that the poses are chosen to
                            keep, such as a ball bar's length; None where there is none
+    renewed                names of the unknowns that each run seats anew, such as the
+                           place of a magnetic cup
     unfit(machine)         why it cannot read a machine, in words; None where it can
     implied                reading (SI) where a file has no column for it: 0 of a closure,
                            which a machine at rest states by its joints alone
@@ -116,6 +118,7 @@ class Instrument:
     fixed_reading: Callable[[Mapping[str, float]], float] | None = None
     unfit: Callable[[Machine], str | None] = lambda machine: None
     about: str = ""
+    renewed: tuple[str, ...] = ()
     implied: float | None = None
     adapt: Callable[[Machine], Instrument] | None = None
 

@@ -23,6 +23,8 @@ SOURCE = "Tian et al. 2016, section 3; ISO 230-4 for the instrument"
 LENGTH = Setting("length", "m", 0.300, "nominal bar length")
 CHANNEL = Channel("length", "m", 0.5e-6)
 COST = Cost(setup=900.0, reading=6.0)
+#: a magnetic cup seats elsewhere each time
+CUP = ("cup_x", "cup_y", "cup_z")
 
 
 def _offset(s: Values) -> Expr:
@@ -52,6 +54,7 @@ instrument = Instrument(
     channels=(CHANNEL,),
     settings=(LENGTH,),
     nuisances=_cup(0.02e-3),
+    renewed=CUP,
     cost=COST,
     observe=_taught,
     reference="teach",
@@ -71,6 +74,7 @@ free_cup = Instrument(
         ),
     ),
     nuisances=_cup(1.0e-3),
+    renewed=CUP,
     cost=COST,
     observe=_free,
     fixed_reading=lambda k: k["length"],

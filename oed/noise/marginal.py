@@ -1,0 +1,220 @@
+"""The noise law, integrated over: its posterior given readings and a linear model.
+
+For standardised residuals r about an estimate c of z ~ N(0, I), r = H (z - c) + e, and
+e of a law with coordinates u,
+
+    log p(r | u) = -1/2 [ log |C| + log |A| + r^T C^-1 r + c^T c - b^T A^-1 b ],
+    A = I + H^T C^-1 H,    b = H^T C^-1 r - c,
+
+the marginal likelihood with the parameters z integrated out (restricted likelihood with
+a proper prior; Patterson and Thompson 1971). Laws are drawn about its mode from a
+Student t and weighted: estimates are means over laws, not those of the best one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy import linalg, optimize
+
+from oed.arrays import Array
+from oed.noise.prior import NoisePrior
+from oed.noise.process import Laws, Whitening
+from oed.noise.structure import ReadingStructure
+
+#: laws drawn, and degrees of freedom of the Student t they are drawn from
+DRAWS, DEGREES = 160, 5.0
+#: step of numerical slopes and curvatures, and least curvature, in prior sd
+SLOPE_STEP, CURVATURE_STEP, LEAST_CURVATURE = 1e-4, 0.15, 0.5
+#: coordinates beyond which a law is not looked at, in prior sd
+FARTHEST = 8.0
+#: numbers in the largest array of one batch of laws
+BATCH_NUMBERS = 20_000_000
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Standardised residuals of readings about an estimate of z ~ N(0, I).
+
+    residual  (N,)
+    slopes    (N, r) over z
+    centre    (r,) the estimate. Near the solution: the likelihood is a difference of
+              squares, which loses digits elsewhere
+    """
+
+    structure: ReadingStructure
+    residual: Array
+    slopes: Array
+    centre: Array
+
+    def solve(self, laws: Laws) -> Solutions:
+        """Log marginal likelihood and posterior of z under each law."""
+        size = self.slopes.size + self.slopes.shape[0]
+        step = max(1, BATCH_NUMBERS // size)
+        parts = [
+            self._solve(laws.take(slice(k, k + step)))
+            for k in range(0, len(laws), step)
+        ]
+        return Solutions(
+            np.concatenate([p.log_marginal for p in parts]),
+            np.concatenate([p.mean for p in parts]),
+            np.concatenate([p.covariance for p in parts]),
+            np.concatenate([p.misfit for p in parts]),
+        )
+
+    def _solve(self, laws: Laws) -> Solutions:
+        whitening = Whitening(self.structure, laws)
+        gram = whitening.gram(np.column_stack([self.residual, self.slopes]))
+        slope = gram[:, 1:, 0]
+        information = gram[:, 1:, 1:]
+        b = slope - self.centre
+        precision = information + np.eye(b.shape[1])
+        covariance = np.asarray(np.linalg.inv(precision), dtype=float)
+        step = np.einsum("lij,lj->li", covariance, b)
+        square = gram[:, 0, 0]
+        quadratic = square + self.centre @ self.centre
+        quadratic = quadratic - np.einsum("li,li->l", b, step)
+        log_size = np.linalg.slogdet(precision)[1] + whitening.log_determinant
+        misfit = square - 2.0 * np.einsum("li,li->l", slope, step)
+        misfit = misfit + np.einsum("li,lij,lj->l", step, information, step)
+        return Solutions(
+            log_marginal=-0.5 * (log_size + quadratic),
+            mean=self.centre + step,
+            covariance=covariance,
+            misfit=misfit,
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Solutions:
+    """Of L laws: log marginal likelihood, posterior of z, misfit.
+
+    log_marginal  (L,)
+    mean          (L, r) of z
+    covariance    (L, r, r) of z
+    misfit        (L,) sum of squared whitened residuals at the mean
+    """
+
+    log_marginal: Array
+    mean: Array
+    covariance: Array
+    misfit: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class NoisePosterior:
+    """Posterior of the noise law, as weighted draws.
+
+    prior       of the coordinates
+    structure   of the readings
+    draws       (L, d) coordinates u
+    weights     (L,) sum 1
+    mode        (d,) most probable coordinates
+    root        (d, d) root of the covariance about the mode
+    mean        (r,) of z, over laws
+    covariance  (r, r) of z, over laws
+    """
+
+    prior: NoisePrior
+    structure: ReadingStructure
+    draws: Array
+    weights: Array
+    mode: Array
+    root: Array
+    mean: Array
+    covariance: Array
+
+    @property
+    def effective_draws(self) -> float:
+        """Number of equally weighted draws that tell as much."""
+        return float(1.0 / (self.weights @ self.weights))
+
+    def quantiles(self, values: Array, levels: tuple[float, ...]) -> Array:
+        """Weighted quantiles of a quantity (L,) of the laws."""
+        order = np.argsort(values)
+        mass = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
+        return np.interp(levels, mass, values[order])
+
+
+def integrate(
+    model: LinearModel, prior: NoisePrior, rng: np.random.Generator
+) -> NoisePosterior:
+    """The posterior of the noise law, and of z with the law integrated out."""
+    mode = _mode(model, prior)
+    root = _root_about(model, prior, mode)
+    normal = rng.standard_normal((DRAWS, prior.dimensions))
+    chi2 = rng.chisquare(DEGREES, (DRAWS, 1))
+    student = normal / np.sqrt(chi2 / DEGREES)
+    draws = mode + student @ root.T
+    inside = np.abs(draws).max(axis=1) < FARTHEST
+    draws, student = draws[inside], student[inside]
+    power = -0.5 * (DEGREES + prior.dimensions)
+    log_proposal = power * np.log1p((student**2).sum(axis=1) / DEGREES)
+    solutions = model.solve(prior.laws(draws))
+    log_prior = -0.5 * (draws**2).sum(axis=1)
+    log_weights = solutions.log_marginal + log_prior - log_proposal
+    weights = np.exp(log_weights - log_weights.max())
+    weights /= weights.sum()
+    mean = weights @ solutions.mean
+    offsets = solutions.mean - mean
+    covariance = np.einsum("l,lij->ij", weights, solutions.covariance)
+    covariance += np.einsum("l,li,lj->ij", weights, offsets, offsets)
+    return NoisePosterior(
+        prior=prior,
+        structure=model.structure,
+        draws=draws,
+        weights=weights,
+        mode=mode,
+        root=root,
+        mean=mean,
+        covariance=covariance,
+    )
+
+
+def _cost(model: LinearModel, prior: NoisePrior, u: Array) -> Array:
+    """Minus log posterior (L,) at coordinates (L, d)."""
+    log_marginal = model.solve(prior.laws(u)).log_marginal
+    return np.asarray(0.5 * (u**2).sum(axis=1) - log_marginal)
+
+
+def _mode(model: LinearModel, prior: NoisePrior) -> Array:
+    """The most probable coordinates (d,), from several starts."""
+    steps = np.vstack([np.zeros(prior.dimensions), np.eye(prior.dimensions)])
+    steps *= SLOPE_STEP
+
+    def cost_and_slope(u: Array) -> tuple[float, Array]:
+        costs = _cost(model, prior, u + steps)
+        return float(costs[0]), (costs[1:] - costs[0]) / SLOPE_STEP
+
+    limits = [(-FARTHEST, FARTHEST)] * prior.dimensions
+    minima = [
+        optimize.minimize(
+            cost_and_slope,
+            start,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=limits,
+            options={"maxiter": 60, "ftol": 1e-6},
+        )
+        for start in prior.starts()
+    ]
+    return np.asarray(min(minima, key=lambda minimum: minimum.fun).x)
+
+
+def _root_about(model: LinearModel, prior: NoisePrior, mode: Array) -> Array:
+    """Root (d, d) of the inverse curvature at the mode, no wider than is sensible."""
+    d = prior.dimensions
+    unit = CURVATURE_STEP * np.eye(d)
+    pairs = [(i, j) for i in range(d) for j in range(i)]
+    both = [unit[i] + unit[j] for i, j in pairs]
+    points = np.vstack([np.zeros(d), unit, -unit, *both])
+    costs = _cost(model, prior, mode + points)
+    middle, ahead, behind = costs[0], costs[1 : d + 1], costs[d + 1 : 2 * d + 1]
+    curvature = np.diag(ahead + behind - 2.0 * middle)
+    for (i, j), value in zip(pairs, costs[2 * d + 1 :], strict=True):
+        mixed = value - ahead[i] - ahead[j] + middle
+        curvature[i, j] = curvature[j, i] = mixed
+    values, vectors = linalg.eigh(curvature / CURVATURE_STEP**2)
+    root: Array = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
+    return root

@@ -1,0 +1,80 @@
+"""What is known of the noise before the readings: a prior over its laws.
+
+The stated noise is the anchor: single readings scatter by it within a factor exp(0.4).
+A data sheet tells of repeatability within a run; what a run shares and what is carried
+along are stated by no data sheet, so their priors are wide and reach down to nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy import special
+
+from oed.arrays import Array
+from oed.noise.process import RENEWED, Laws
+from oed.noise.structure import ReadingStructure
+
+#: sd of the log of a group's noise over the stated one
+SCALE_SD = 0.4
+#: median, in units of the stated noise, of a run's level and of a renewed unknown, and
+#: sd of their logs: from a thirtieth of the noise to five times it
+SHARED_MEDIAN, SHARED_SD = 0.4, 1.3
+#: median of the share of the variance that is carried along, and sd of its logit
+CARRIED_MEDIAN, CARRIED_SD = 0.27, 1.8
+#: median of the reach, in readings, and sd of its log
+REACH_MEDIAN, REACH_SD = 8.0, 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class NoisePrior:
+    """A prior over laws: coordinates u (d,) are standard normal.
+
+    names     of the coordinates
+    groups    number of groups with a scale of their own
+    has_seat  whether runs seat an unknown anew
+    """
+
+    names: tuple[str, ...]
+    groups: int
+    has_seat: bool
+
+    @property
+    def dimensions(self) -> int:
+        """Number of coordinates."""
+        return len(self.names)
+
+    def laws(self, u: Array) -> Laws:
+        """Laws at coordinates (L, d)."""
+        g = self.groups
+        carried, reach, level = u[:, g], u[:, g + 1], u[:, g + 2]
+        seat = np.zeros(len(u))
+        if self.has_seat:
+            seat = SHARED_MEDIAN * np.exp(SHARED_SD * u[:, g + 3])
+        middle = special.logit(CARRIED_MEDIAN)
+        return Laws(
+            scale=np.exp(SCALE_SD * u[:, :g]),
+            carried=np.asarray(special.expit(middle + CARRIED_SD * carried)),
+            reach=REACH_MEDIAN * np.exp(REACH_SD * reach),
+            level=SHARED_MEDIAN * np.exp(SHARED_SD * level),
+            seat=seat,
+        )
+
+    def starts(self) -> Array:
+        """Coordinates (s, d) from which the most probable law is sought.
+
+        The middle of the prior, and an error that is carried far.
+        """
+        starts = np.zeros((2, self.dimensions))
+        starts[1, self.groups : self.groups + 2] = 1.5, 0.5
+        return starts
+
+
+def noise_prior(structure: ReadingStructure) -> NoisePrior:
+    """The prior that goes with readings of a structure."""
+    has_seat = bool((structure.kinds == RENEWED).any())
+    scales = tuple(f"noise of {name}" for name in structure.names)
+    common = ("share carried along", "reach", "level of a run")
+    seat = ("seating",) if has_seat else ()
+    return NoisePrior((*scales, *common, *seat), len(scales), has_seat)

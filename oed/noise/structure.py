@@ -1,0 +1,219 @@
+"""How readings hang together: runs, chains of one channel, renewed set-up unknowns.
+
+A run is a circle, a line, a series of poses read without a break. A chain is one
+channel of a run. Errors may be common to a chain, follow each other along it, or come
+from a set-up unknown that a run seats anew (a magnetic cup, ISO 230-4).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import sparse
+
+from oed.arrays import Array, Index
+from oed.measurement import Measurement, Series
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class ReadingStructure:
+    """N readings in C chains of R runs; chains are numbered run by run.
+
+    names      of the groups of readings that share a noise scale, `set-up.channel`
+    group      (N,) group of each reading
+    chain      (N,) chain of each reading
+    run        (C,) run of each chain
+    position   (N,) place along the chain, in readings
+    unit       (N,) standard deviation of the stated noise that is not shared, SI
+    decouple   (N, N) sparse: readings whose channels have common sources, made
+               independent and of unit noise; None where division by `unit` does it
+    columns    (N, K) errors that a run shares, in units of the stated noise: level of
+               each chain, stated shared error, set-up unknowns renewed with the run
+    kinds      (K,) 0 level, 1 stated, 2 renewed
+    """
+
+    names: tuple[str, ...]
+    group: Index
+    chain: Index
+    run: Index
+    position: Array
+    unit: Array
+    decouple: sparse.csr_array | None
+    columns: Array
+    kinds: Index
+
+    def __len__(self) -> int:
+        return len(self.group)
+
+    @functools.cached_property
+    def slot(self) -> tuple[Index, Index]:
+        """Chain and place within it of each reading, for arrays (C, T, ...)."""
+        order = np.lexsort((self.position, self.chain))
+        first = np.searchsorted(self.chain[order], np.arange(len(self.run)))
+        place = np.empty(len(self), dtype=np.intp)
+        place[order] = np.arange(len(self)) - first[self.chain[order]]
+        return self.chain, place
+
+    @functools.cached_property
+    def shape(self) -> tuple[int, int]:
+        """Number of chains, and readings of the longest one."""
+        return len(self.run), int(self.slot[1].max()) + 1
+
+    @functools.cached_property
+    def first_chains(self) -> Index:
+        """First chain of each run (R,)."""
+        return np.flatnonzero(np.r_[True, np.diff(self.run) > 0])
+
+    @functools.cached_property
+    def steps(self) -> Array:
+        """Distance (C, T) of each reading from the one before in its chain, readings.
+
+        Infinite for the first of a chain, and where there is no reading.
+        """
+        grid = self.to_grid(self.position, np.nan)
+        steps = np.full(self.shape, np.inf)
+        steps[:, 1:] = np.diff(grid, axis=1)
+        return np.where(np.isfinite(steps), steps, np.inf)
+
+    @functools.cached_property
+    def present(self) -> Array:
+        """1 where a chain has a reading (C, T), 0 elsewhere."""
+        return self.to_grid(np.ones(len(self)), 0.0)
+
+    def to_grid(self, values: Array, fill: float = 0.0) -> Array:
+        """Values (N, ...) at their slots (C, T, ...)."""
+        grid = np.full((*self.shape, *values.shape[1:]), fill)
+        grid[self.slot] = values
+        return grid
+
+    def standardise(self, values: Array) -> Array:
+        """Values (N,) or (N, m), SI, in units of the stated noise, channels decoupled."""
+        if self.decouple is not None:
+            return np.asarray(self.decouple @ values)
+        return values / self.unit.reshape(-1, *[1] * (values.ndim - 1))
+
+
+def reading_structure(
+    measurement: Measurement, series: Sequence[Series], theta: Array
+) -> ReadingStructure:
+    """Structure of readings, with the slopes of renewed unknowns taken at theta (n,)."""
+    names: dict[str, int] = {}
+    parts = _Parts([], [], [], [], [])
+    blocks: list[sparse.csr_array] = []
+    runs = 0
+    for s in series:
+        setup = measurement.setups[s.setup]
+        channels = setup.instrument.channels
+        labels = [f"{s.setup}.{c.name}" for c in channels]
+        groups = [names.setdefault(label, len(names)) for label in labels]
+        number = {label: runs + k for k, label in enumerate(dict.fromkeys(s.run))}
+        run = np.array([number[label] for label in s.run])
+        place = _places(run)
+        count = len(channels)
+        parts.run.append(np.repeat(run, count))
+        parts.channel.append(np.tile(np.arange(count), len(s)))
+        parts.group.append(np.tile(groups, len(s)))
+        parts.position.append(np.repeat(place, count))
+        common = [c.shared * sd for c, sd in zip(channels, setup.sigma, strict=True)]
+        parts.shared.append(np.tile(common, len(s)))
+        blocks.append(_inverse_roots(measurement.reading_covariances(s)))
+        runs += len(number)
+    run, channel = (
+        np.concatenate(parts.run),
+        np.concatenate(parts.channel).astype(np.intp),
+    )
+    pairs, chain = np.unique(
+        np.column_stack([run, channel]), axis=0, return_inverse=True
+    )
+    decouple = sparse.csr_array(sparse.block_diag(blocks))
+    diagonal = decouple.diagonal()
+    independent = decouple.nnz == len(run)
+    renewed = _renewed_slopes(measurement, series, theta) / diagonal[:, None]
+    shared = np.concatenate(parts.shared)
+    columns, kinds = _columns(decouple, channel, shared, renewed)
+    return ReadingStructure(
+        names=tuple(names),
+        group=np.concatenate(parts.group).astype(np.intp),
+        chain=chain.ravel().astype(np.intp),
+        run=pairs[:, 0].astype(np.intp),
+        position=np.concatenate(parts.position).astype(float),
+        unit=1.0 / diagonal,
+        decouple=None if independent else decouple,
+        columns=columns,
+        kinds=kinds,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Parts:
+    """Arrays of each series, readings one after the other."""
+
+    run: list[Array]
+    channel: list[Array]
+    group: list[Array]
+    position: list[Array]
+    shared: list[Array]
+
+
+def _places(run: Index) -> Index:
+    """Number of each reading within its run."""
+    place = np.empty(len(run), dtype=np.intp)
+    for number in np.unique(run):
+        members = np.flatnonzero(run == number)
+        place[members] = np.arange(len(members))
+    return place
+
+
+def _inverse_roots(covariances: Array) -> sparse.csr_array:
+    """Block diagonal W with W C W^T = 1, for covariances (n, c, c) of n readings."""
+    count = covariances.shape[1]
+    if count == 1:
+        return sparse.csr_array(sparse.diags_array(covariances[:, 0, 0] ** -0.5))
+    inverse = np.linalg.inv(np.linalg.cholesky(covariances))
+    at = np.arange(len(covariances) * count).reshape(-1, count)
+    rows = np.broadcast_to(at[:, :, None], inverse.shape)
+    columns = np.broadcast_to(at[:, None, :], inverse.shape)
+    filled = inverse != 0.0
+    entries = (inverse[filled], (rows[filled], columns[filled]))
+    return sparse.csr_array(sparse.coo_array(entries, shape=(at.size, at.size)))
+
+
+def _renewed_slopes(
+    measurement: Measurement, series: Sequence[Series], theta: Array
+) -> Array:
+    """Slopes (N, s) over the unknowns that each run seats anew, by their names.
+
+    One column serves the unknown of that name in every set-up: no reading sees two.
+    """
+    columns: dict[str, list[int]] = {}
+    for name in dict.fromkeys(s.setup for s in series):
+        for unknown in measurement.setups[name].instrument.renewed:
+            full = measurement.names.index(f"{name}.{unknown}")
+            columns.setdefault(unknown, []).append(full)
+    if not columns:
+        return np.zeros((len(measurement.setup_of_readings(series)), 0))
+    slopes = measurement.jacobian(series, theta)
+    summed = [slopes[:, members].sum(axis=1) for members in columns.values()]
+    return np.column_stack(summed)
+
+
+def _columns(
+    decouple: sparse.csr_array, channel: Index, shared: Array, renewed: Array
+) -> tuple[Array, Index]:
+    """Errors common to a run (N, K), and their kinds (K,).
+
+    renewed  (N, s) slopes times the stated noise; what one set-up does not have is 0
+    """
+    of_channel = (channel[:, None] == np.arange(channel.max() + 1)).astype(float)
+    blocks = [(of_channel, 0)]
+    if shared.any():
+        blocks.append((np.asarray(decouple @ (of_channel * shared[:, None])), 1))
+    if renewed.any():
+        blocks.append((np.asarray(decouple @ renewed), 2))
+    columns = np.hstack([values for values, _ in blocks])
+    kinds = np.concatenate([np.full(values.shape[1], kind) for values, kind in blocks])
+    used = columns.any(axis=0)
+    return columns[:, used], kinds[used].astype(np.intp)
