@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy import special
 
 from oed.arrays import Array
 from oed.coordinates import IdentifiableCoordinates
 from oed.noise.covariance import Noise
+from oed.noise.marginal import NoisePosterior
 
 #: posterior over prior standard deviation above which a parameter is weakly identified,
 #: and above which it stays at its prior
@@ -43,13 +45,17 @@ class Estimate:
     z                 (r,) the solution in them
     residuals         (N,) y - f(theta), SI
     residuals_before  (N,) the same at the start
-    noise             noise used, SI; scaled where its scale was estimated
-    noise_scale       {set-up: factor on the stated noise}
-    noise_estimated   whether these factors were estimated
+    noise             noise used, SI; of the most probable law where it was estimated
     dof               readings less effectively determined directions
-    chi2              sum of squared whitened residuals
+    chi2              sum of squared residuals whitened by the stated noise, of a fit
+                      with that noise: whether the readings agree with it
     stages            the stages of the fit
     warnings          sentences that a user must read
+    noise_posterior   of the noise law; None where the noise is as stated
+    robust_readings   (N,) readings, SI, with those far off replaced; None likewise
+    outliers          numbers of the readings that are far off
+    pull              (N,) how far each is from what the others predict, in standard
+                      deviations; None likewise
     """
 
     theta: Array
@@ -60,12 +66,24 @@ class Estimate:
     residuals: Array
     residuals_before: Array
     noise: Noise
-    noise_scale: dict[str, float]
-    noise_estimated: bool
     dof: float
     chi2: float
     stages: tuple[FitStage, ...]
     warnings: tuple[str, ...]
+    noise_posterior: NoisePosterior | None = None
+    robust_readings: Array | None = None
+    outliers: tuple[int, ...] = ()
+    pull: Array | None = None
+
+    @property
+    def p_high(self) -> float:
+        """Chance of a larger chi2 under the stated noise; small for a bad fit."""
+        return float(special.gammaincc(0.5 * max(self.dof, 1e-9), 0.5 * self.chi2))
+
+    @property
+    def p_low(self) -> float:
+        """Chance of a smaller chi2; small where the residuals are too small."""
+        return float(special.gammainc(0.5 * max(self.dof, 1e-9), 0.5 * self.chi2))
 
     @property
     def sd(self) -> Array:

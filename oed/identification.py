@@ -1,8 +1,9 @@
 """Identification: Gauss-Newton on the exact nonlinear readings, with tolerance priors.
 
 Minimised is |W (y - f(theta))|^2 + |z|^2 over the identifiable coordinates z (see
-`oed.coordinates`), where W whitens the noise. Where asked for, the scale of the noise
-of each set-up is estimated by restricted maximum likelihood in alternation with z.
+`oed.coordinates`), where W whitens the noise. Where asked for, the noise law is
+estimated from the readings too and integrated over (`oed.noise.marginal`): theta is the
+mean over laws, its covariance holds what is not known of the noise.
 """
 
 from __future__ import annotations
@@ -20,13 +21,18 @@ from oed.coordinates import IdentifiableCoordinates, identifiable_coordinates
 from oed.estimate import Estimate, FitStage
 from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise, as_noise
+from oed.noise.marginal import LinearModel, integrate
+from oed.noise.prior import noise_prior
+from oed.noise.process import stated_laws
+from oed.noise.process_noise import process_noise
+from oed.noise.robust import robust_residuals
+from oed.noise.structure import reading_structure
 
 __all__ = ["Estimate", "IdentificationError", "identify"]
 
-#: rounds of the noise-scale estimate; it settles in a few
-NOISE_ROUNDS = 8
-#: relative change of a noise scale below which it has settled
-SETTLED = 1e-3
+#: rounds of fit and noise law, and change of a law's coordinates, in prior standard
+#: deviations, below which they have settled
+NOISE_ROUNDS, SETTLED = 6, 0.03
 
 
 class IdentificationError(RuntimeError):
@@ -50,7 +56,8 @@ def identify(
                     before the last only find a start: large errors of few parameters
                     are gone before the others are free. The tolerances hold about
                     nominal in all of them
-    estimate_noise  scale the stated noise of each set-up by its residuals, never below 1
+    estimate_noise  estimate the noise law from the readings, and integrate over it;
+                    otherwise the noise is as stated
     noise           of the readings; as stated by default
     start           (n,) where to begin; nominal by default
     max_iterations  of each solution
@@ -68,7 +75,8 @@ def identify(
             fit, stated, theta, residuals, patterns
         )
         done.append(stage)
-    estimate = _last_stage(fit, stated, theta, residuals, stages[-1], estimate_noise)
+    last = _integrated_stage if estimate_noise else _last_stage
+    estimate = last(fit, stated, theta, residuals, stages[-1])
     estimate = dataclasses.replace(
         estimate,
         residuals_before=residuals_before,
@@ -197,32 +205,20 @@ def _preliminary_stage(
 
 def _last_stage(
     fit: _Fit,
-    stated: Noise,
+    noise: Noise,
     theta: Array,
     start_residuals: Array,
     patterns: Sequence[str],
-    estimate_noise: bool,
 ) -> Estimate:
-    """The last stage from theta (n,), fitted until the noise has settled."""
+    """The last stage from theta (n,), with known noise."""
     tolerance = fit.tolerances(patterns)
-    setups = fit.measurement.setup_of_readings(fit.series)
-    scale = dict.fromkeys(setups, 1.0)
-    noise = stated
-    # Twice at least: the coordinates of the result are those of H at the result.
-    for _ in range(NOISE_ROUNDS if estimate_noise else 2):
+    # Twice: the coordinates of the result are those of H at the result.
+    for _ in range(2):
         coordinates = fit.coordinates(theta, noise, tolerance)
         z, iterations = fit.solve(noise, coordinates, theta)
         theta = coordinates.to_theta(z)
-        residuals = fit.residuals(theta)
-        covariance, leverage = fit.covariance(theta, noise, tolerance)
-        if not estimate_noise:
-            continue
-        newer = _noise_scale(stated.whiten(residuals), leverage, setups)
-        change = max(abs(newer[name] / scale[name] - 1.0) for name in newer)
-        scale = newer
-        noise = stated.scaled(np.array([scale[name] for name in setups]))
-        if change < SETTLED:
-            break
+    residuals = fit.residuals(theta)
+    covariance, leverage = fit.covariance(theta, noise, tolerance)
     white = noise.whiten(residuals)
     stage = FitStage(
         patterns=tuple(patterns),
@@ -239,8 +235,6 @@ def _last_stage(
         residuals=residuals,
         residuals_before=start_residuals,
         noise=noise,
-        noise_scale=scale,
-        noise_estimated=estimate_noise,
         dof=len(fit.y) - float(leverage.sum()),
         chi2=float(white @ white),
         stages=(stage,),
@@ -248,23 +242,60 @@ def _last_stage(
     )
 
 
-def _noise_scale(
-    white: Array, leverage: Array, setups: Sequence[str]
-) -> dict[str, float]:
-    """Factor on the noise of each set-up, by restricted maximum likelihood; 1 at least.
+def _integrated_stage(
+    fit: _Fit,
+    stated: Noise,
+    theta: Array,
+    start_residuals: Array,
+    patterns: Sequence[str],
+) -> Estimate:
+    """The last stage from theta (n,), with the noise law integrated over.
 
-    white     (N,) residuals, whitened by the stated noise
-    leverage  (N,) of each reading
-    setups    set-up of each reading
+    Fit, outliers and law are found in turn until the most probable law has settled.
     """
-    labels = np.array(setups)
-    scale = {}
-    for name in dict.fromkeys(setups):
-        members = labels == name
-        square = white[members] @ white[members]
-        dof = float(members.sum() - leverage[members].sum())
-        scale[name] = max(1.0, float(np.sqrt(square / max(dof, 1.0))))
-    return scale
+    first = _last_stage(fit, stated, theta, start_residuals, patterns)
+    structure = reading_structure(fit.measurement, fit.series, first.theta)
+    prior = noise_prior(structure)
+    theta, noise, law = first.theta, stated, stated_laws(structure)
+    robust = fit
+    mode = np.zeros(prior.dimensions)
+    for _ in range(NOISE_ROUNDS):
+        coordinates = fit.coordinates(theta, stated, first.prior_sd)
+        z, iterations = robust.solve(noise, coordinates, theta)
+        theta = coordinates.to_theta(z)
+        jacobian = fit.measurement.jacobian(fit.series, theta)
+        slopes = structure.standardise(jacobian @ coordinates.basis)
+        residual = structure.standardise(fit.residuals(theta))
+        far = robust_residuals(structure, law, residual + slopes @ z, slopes)
+        replaced = far.residual - slopes @ z
+        change = structure.restore(replaced - residual)
+        robust = dataclasses.replace(fit, y=fit.y + change)
+        model = LinearModel(structure, replaced, slopes, z)
+        posterior = integrate(model, prior)
+        moved = np.abs(posterior.mode - mode).max()
+        mode = posterior.mode
+        law = prior.laws(mode[None])
+        noise = process_noise(structure, law)
+        if moved < SETTLED:
+            break
+    theta = coordinates.to_theta(posterior.mean)
+    residuals = fit.residuals(theta)
+    basis, null = coordinates.basis, coordinates.null_basis
+    stage = dataclasses.replace(first.stages[-1], iterations=iterations)
+    return dataclasses.replace(
+        first,
+        theta=theta,
+        covariance=basis @ posterior.covariance @ basis.T + null @ null.T,
+        coordinates=coordinates,
+        z=posterior.mean,
+        residuals=residuals,
+        noise=noise,
+        stages=(stage,),
+        noise_posterior=posterior,
+        robust_readings=robust.y,
+        outliers=tuple(int(k) for k in far.rows),
+        pull=far.pull,
+    )
 
 
 def _rms(values: Array) -> float:

@@ -1,11 +1,11 @@
 """Log posterior density of the readings in identifiable coordinates, for a sampler.
 
-    log p(z, t | y) = -|z|^2 / 2 - sum_g [ N_g t_g + exp(-2 t_g) |(y - f(theta(z))) /
-    sigma|_g^2 / 2 + t_g^2 / (2 s^2) ]
+    log p(z, u | y) = -1/2 [ |z|^2 + |u|^2 + r^T C(u)^-1 r + log |C(u)| ],
+    r = y - f(theta(z)).
 
-z are the identifiable coordinates (`oed.coordinates`). t_g is the log of the noise
-factor of set-up g, sampled where the noise is to be estimated, so that few readings
-give wide tails.
+z are the identifiable coordinates (`oed.coordinates`), u those of the noise law
+(`oed.noise.prior`), sampled where the law is estimated, so that few readings give wide
+tails.
 """
 
 from __future__ import annotations
@@ -17,11 +17,8 @@ import numpy as np
 from oed.arrays import Array
 from oed.estimate import Estimate
 from oed.measurement import Measurement, Series
+from oed.noise.process import Whitening
 
-#: prior standard deviation s of a log noise factor
-LOG_NOISE_SD = 1.0
-#: standard deviation of a log noise factor's proposals, times the root of its readings
-NOISE_PROPOSAL = 0.7
 #: degrees of freedom of the independent proposals' Student tails
 PROPOSAL_DOF = 20.0
 #: Gauss-Newton steps that keep the readings as they were along null directions
@@ -29,12 +26,12 @@ CORRECTIONS = 2
 
 
 class LogDensity:
-    """Log density over points (z, log noise factors), for all walkers at once.
+    """Log density over points (z, u), for all walkers at once.
 
     coordinates   identifiable coordinates of the estimate
-    noise_groups  set-ups whose noise factor is sampled
+    noise_names   coordinates u of the noise law; none where the noise is known
     r             number of identifiable coordinates
-    dimensions    r plus the number of noise groups
+    dimensions    r plus the number of coordinates u
     moving        indices of the parameters that identifiable coordinates move
     centre, root  (dimensions,) and (dimensions, dimensions): mean of the Laplace
                   approximation, and a root of its covariance
@@ -48,25 +45,22 @@ class LogDensity:
         y: Array,
         estimate: Estimate,
     ) -> None:
-        scale = estimate.noise_scale
-        labels = np.array(measurement.setup_of_readings(series))
-        factors = np.array([1.0 / scale[name] for name in labels])
         jacobian = measurement.jacobian(series, estimate.theta)
         self.coordinates = estimate.coordinates
-        self.noise_groups = tuple(scale) if estimate.noise_estimated else ()
+        self._posterior = estimate.noise_posterior
+        self.noise_names = self._posterior.prior.names if self._posterior else ()
         self.r = self.coordinates.basis.shape[1]
-        self.dimensions = self.r + len(self.noise_groups)
+        self.dimensions = self.r + len(self.noise_names)
         largest = np.abs(self.coordinates.basis).max(axis=1)
         self.moving = np.flatnonzero(largest > 0)
         self.interrupted = False
-        self._y = y
+        robust = estimate.robust_readings
+        self._y = y if robust is None else robust
         self._readings = measurement.readings_near(series, estimate.theta)
-        self._members = [labels == name for name in self.noise_groups]
         self._noise = estimate.noise
-        self._stated_noise = estimate.noise.scaled(factors)
         self._slope = estimate.noise.whiten(jacobian) @ self.coordinates.basis
-        log_noise = np.log([scale[name] for name in self.noise_groups])
-        self.centre = np.concatenate([estimate.z, log_noise])
+        mode = self._posterior.mode if self._posterior else np.zeros(0)
+        self.centre = np.concatenate([estimate.z, mode])
         self.root = self._laplace_root()
 
     def __call__(self, points: Array) -> Array:
@@ -82,17 +76,25 @@ class LogDensity:
             return np.full(len(points), -np.inf)
 
     def _log_density(self, points: Array) -> Array:
-        z, log_noise = points[:, : self.r], points[:, self.r :]
+        z, u = points[:, : self.r], points[:, self.r :]
         residual = self._readings(self.coordinates.to_theta(z)) - self._y
-        square = self._stated_noise.whiten_last(residual) ** 2
-        normalisation = np.zeros(len(points))
-        for k, members in enumerate(self._members):
-            square[:, members] *= np.exp(-2.0 * log_noise[:, k])[:, None]
-            normalisation += members.sum() * log_noise[:, k]
-        prior = np.sum(z**2, axis=1)
-        noise_prior = np.sum((log_noise / LOG_NOISE_SD) ** 2, axis=1)
-        value = -0.5 * (square.sum(axis=1) + prior + noise_prior)
-        return np.where(np.isfinite(value), value - normalisation, -np.inf)
+        prior = np.sum(points**2, axis=1)
+        value = -0.5 * (self._misfit(residual, u) + prior)
+        return np.where(np.isfinite(value), value, -np.inf)
+
+    def _misfit(self, residual: Array, u: Array) -> Array:
+        """r^T C^-1 r + log |C| (walkers,) of residuals (walkers, N); infinite for NaN."""
+        if self._posterior is None:
+            return np.asarray(np.sum(self._noise.whiten_last(residual) ** 2, axis=1))
+        structure = self._posterior.structure
+        misfit = np.full(len(residual), np.inf)
+        good = np.flatnonzero(np.isfinite(residual).all(axis=1))
+        if good.size:
+            whitening = Whitening(structure, self._posterior.prior.laws(u[good]))
+            standard = structure.standardise(residual[good].T).T
+            square = whitening.gram(standard[:, :, None])[:, 0, 0]
+            misfit[good] = square + whitening.log_determinant
+        return misfit
 
     def propose(
         self, points: Array, random: np.random.RandomState
@@ -116,14 +118,15 @@ class LogDensity:
 
     def _laplace_root(self) -> Array:
         """Root of the covariance of the Laplace approximation."""
+        root = np.zeros((self.dimensions, self.dimensions))
+        if self._posterior is not None:
+            values, vectors = np.linalg.eigh(self._posterior.covariance)
+            root[: self.r, : self.r] = vectors * np.sqrt(np.maximum(values, 1e-12))
+            root[self.r :, self.r :] = self._posterior.root
+            return root
         precision = self._slope.T @ self._slope + np.eye(self.r)
         values, vectors = np.linalg.eigh(precision)
-        counts = [max(1.0, members.sum()) for members in self._members]
-        noise_sd = [NOISE_PROPOSAL / np.sqrt(count) for count in counts]
-        root = np.zeros((self.dimensions, self.dimensions))
-        root[: self.r, : self.r] = vectors / np.sqrt(values)
-        root[self.r :, self.r :] = np.diag(noise_sd)
-        return root
+        return np.asarray(vectors / np.sqrt(values))
 
     def move_along_null(self, theta: Array, change: Array) -> Array:
         """Move draws (..., n) by null changes (..., n) with the readings as they were.

@@ -47,8 +47,9 @@ class Posterior:
     names            parameters of theta
     draws            (chains, draws, n) theta, SI; one chain a walker, thinned
     z                (chains, draws, r) identifiable coordinates
-    log_noise        (chains, draws, groups) log noise factors
-    noise_groups     set-ups of these factors
+    noise_law        (chains, draws, d) coordinates of the noise law, standard normal a
+                     priori (`oed.noise.prior`)
+    noise_names      of these coordinates
     ess              (n,) bulk effective sample size (ArviZ); NaN for held parameters
     rhat             (n,) split R-hat (ArviZ); NaN for held parameters
     acceptance       mean share of accepted steps
@@ -60,8 +61,8 @@ class Posterior:
     names: tuple[str, ...]
     draws: Array
     z: Array
-    log_noise: Array
-    noise_groups: tuple[str, ...]
+    noise_law: Array
+    noise_names: tuple[str, ...]
     ess: Array
     rhat: Array
     acceptance: float
@@ -253,8 +254,8 @@ def _posterior(
         names=names,
         draws=theta,
         z=thinned[..., :r],
-        log_noise=thinned[..., r:],
-        noise_groups=target.noise_groups,
+        noise_law=thinned[..., r:],
+        noise_names=target.noise_names,
         ess=ess,
         rhat=rhat,
         acceptance=float(np.mean(sampler.acceptance_fraction)),
@@ -269,7 +270,7 @@ def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> None:
     import arviz_base
 
     groups = {
-        "posterior": {"theta": posterior.draws, "log_noise": posterior.log_noise},
+        "posterior": {"theta": posterior.draws, "noise_law": posterior.noise_law},
         "sample_stats": {
             "ess": posterior.ess[None, None],
             "rhat": posterior.rhat[None, None],
@@ -279,11 +280,11 @@ def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> None:
         groups,
         coords={
             "parameter": list(posterior.names),
-            "setup": list(posterior.noise_groups),
+            "noise_coordinate": list(posterior.noise_names),
         },
         dims={
             "theta": ["parameter"],
-            "log_noise": ["setup"],
+            "noise_law": ["noise_coordinate"],
             "ess": ["parameter"],
             "rhat": ["parameter"],
         },

@@ -90,19 +90,22 @@ def predict(
     rng: np.random.Generator,
     *,
     mean: Array | None = None,
+    draws: Array | None = None,
     reference: Reference = "home",
     sources: Sequence[tuple[str, Array]] = (),
 ) -> Prediction:
     """Predict the residual accuracy from prior and posterior covariances (np, np), SI.
 
     mean     (np,) identified errors p_hat - p_nominal; None before measuring
+    draws    (m, np) draws of delta from the posterior of the parameters, SI, of which
+             `posterior` is the second moment; normal draws by default
     sources  (name, covariance (np, np)) parts that add up to `posterior`, for the
              uncertainty budget
     """
     measured = mean is not None
     centre = np.zeros(len(prior)) if mean is None else mean
     unknown_estimate = np.zeros_like(prior) if measured else prior - posterior
-    delta = _draw(posterior, rng)
+    delta = _draw(posterior, rng) if draws is None else _choose(draws, rng)
     estimate = centre + _draw(unknown_estimate, rng)
     undetermined = _apply(maps.raw, delta)
     errors = {
@@ -157,6 +160,13 @@ def _draw(covariance: Array, rng: np.random.Generator) -> Array:
     """Draws (machines, np) of N(0, covariance)."""
     noise = rng.standard_normal((VIRTUAL_MACHINES, len(covariance)))
     return np.asarray(noise @ covariance_root(covariance).T)
+
+
+def _choose(draws: Array, rng: np.random.Generator) -> Array:
+    """As many of the draws (m, np) as virtual machines are wanted."""
+    return np.asarray(
+        rng.choice(draws, VIRTUAL_MACHINES, replace=len(draws) < VIRTUAL_MACHINES)
+    )
 
 
 def _apply(maps: Array, parameters: Array) -> Array:

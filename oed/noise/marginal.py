@@ -14,9 +14,11 @@ Student t and weighted: estimates are means over laws, not those of the best one
 from __future__ import annotations
 
 import dataclasses
+import warnings
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg, optimize, special, stats
+from scipy.stats import qmc
 
 from oed.arrays import Array
 from oed.noise.prior import NoisePrior
@@ -137,15 +139,15 @@ class NoisePosterior:
         return np.interp(levels, mass, values[order])
 
 
-def integrate(
-    model: LinearModel, prior: NoisePrior, rng: np.random.Generator
-) -> NoisePosterior:
-    """The posterior of the noise law, and of z with the law integrated out."""
+def integrate(model: LinearModel, prior: NoisePrior) -> NoisePosterior:
+    """The posterior of the noise law, and of z with the law integrated out.
+
+    The laws are points of a Sobol sequence turned into Student t, so that the same
+    readings give the same estimate without a random generator.
+    """
     mode = _mode(model, prior)
     root = _root_about(model, prior, mode)
-    normal = rng.standard_normal((DRAWS, prior.dimensions))
-    chi2 = rng.chisquare(DEGREES, (DRAWS, 1))
-    student = normal / np.sqrt(chi2 / DEGREES)
+    student = _student_points(prior.dimensions)
     draws = mode + student @ root.T
     inside = np.abs(draws).max(axis=1) < FARTHEST
     draws, student = draws[inside], student[inside]
@@ -170,6 +172,18 @@ def integrate(
         mean=mean,
         covariance=covariance,
     )
+
+
+def _student_points(dimensions: int) -> Array:
+    """Points (DRAWS, d) spread as a Student t is."""
+    sequence = qmc.Sobol(dimensions + 1, scramble=False)
+    with warnings.catch_warnings():
+        # Balance asks for powers of two, and the first point has no finite quantile.
+        warnings.simplefilter("ignore", UserWarning)
+        points = sequence.random(DRAWS + 1)[1:]
+    normal = special.ndtri(points[:, :-1])
+    chi2 = stats.chi2.ppf(points[:, -1:], DEGREES)
+    return np.asarray(normal / np.sqrt(chi2 / DEGREES))
 
 
 def _cost(model: LinearModel, prior: NoisePrior, u: Array) -> Array:

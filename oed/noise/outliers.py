@@ -13,11 +13,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import linalg, optimize, special
 
-from oed.arrays import Array
+from oed.arrays import Array, Index
 from oed.noise.law import NoiseLaw
 
 #: degrees of freedom of the Student t that are tried
@@ -30,6 +31,8 @@ WORTH = 3.0
 #: turns by which strays are told from what others are predicted to be without them;
 #: change at which they end
 TURNS, STILL = 12, 1e-3
+#: weight below which, and pull above which, a reading is named
+FAR_WEIGHT, FAR_PULL = 0.5, 3.5
 #: errors over which the information is integrated
 _GRID = np.linspace(-60.0, 60.0, 12001)
 
@@ -90,6 +93,12 @@ CANDIDATE_DENSITIES: tuple[ErrorDensity, ...] = (
         for share, wild in itertools.product(SHARES, WILD)
     ),
 )
+#: the same, and single readings that have nothing to do with the others: a probe that
+#: touched nothing, a typing error
+ROBUST_DENSITIES = (
+    *CANDIDATE_DENSITIES,
+    *(ContaminatedNormal(share, wild) for share in SHARES for wild in (30.0, 100.0)),
+)
 
 
 @functools.cache
@@ -101,18 +110,28 @@ def fisher_information(shape: ErrorDensity) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Outliers:
-    """What is told of readings far off.
+    """Readings far off, and residuals that replace theirs.
 
-    residual (N,)     as of normal noise that tells as much, in units of the stated
-                      noise
-    shape             density of their errors
-    log_odds          log likelihood of these over that of the residual's own as normal
-                      ones
+    pseudo_residual  (N,) of normal noise with the same information, in units of the
+                     stated noise
+    density          of the errors
+    log_odds         log likelihood of these over that of the residuals as normal ones
+    pull             (N,) error of predicting each reading from all others, in its
+                     standard deviations
+    weight           (N,) of each reading in the fit, 1 for an ordinary one
     """
 
     pseudo_residual: Array
     density: ErrorDensity
     log_odds: float
+    pull: Array
+    weight: Array
+
+    @property
+    def rows(self) -> Index:
+        """Readings that are more likely far off than ordinary."""
+        suspicious = (self.weight < FAR_WEIGHT) & (np.abs(self.pull) > FAR_PULL)
+        return np.flatnonzero(suspicious)
 
     def with_outliers(self, law: NoiseLaw) -> NoiseLaw:
         """The law of `residual`, with how many of the readings are far off."""
@@ -121,7 +140,11 @@ class Outliers:
         )
 
 
-def detect(residual: Array, covariance: Array) -> Outliers | None:
+def detect(
+    residual: Array,
+    covariance: Array,
+    densities: Sequence[ErrorDensity] = CANDIDATE_DENSITIES,
+) -> Outliers | None:
     """Outliers of residuals (N,) whose covariance (N, N) is wide enough to hold any
     gap, so that no gap is taken for one; None where tails are light.
 
@@ -134,9 +157,7 @@ def detect(residual: Array, covariance: Array) -> Outliers | None:
     for turn in range(TURNS):
         predicted = clean - inverse @ clean / precision
         errors = (residual - predicted) * np.sqrt(precision)
-        fits = [
-            (shape, *_fitted(shape, errors)) for shape in (NORMAL, *CANDIDATE_DENSITIES)
-        ]
+        fits = [(shape, *_fitted(shape, errors)) for shape in (NORMAL, *densities)]
         shape, scale, height = max(fits[1:], key=lambda fit: fit[2])
         if height < fits[0][2] + WORTH:
             return None
@@ -152,7 +173,13 @@ def detect(residual: Array, covariance: Array) -> Outliers | None:
         - NORMAL.log_density(normal * np.sqrt(least))
         - 0.5 * np.log(least)
     )
-    return Outliers(clean, shape, float(odds.sum()) - np.log(len(CANDIDATE_DENSITIES)))
+    return Outliers(
+        pseudo_residual=clean,
+        density=shape,
+        log_odds=float(odds.sum()) - np.log(len(densities)),
+        pull=e,
+        weight=shape.weight(e),
+    )
 
 
 def _fitted(shape: ErrorDensity, errors: Array) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import spsolve
 
 from oed.arrays import Array, Index
 from oed.measurement import Measurement, Series
@@ -94,6 +95,14 @@ class ReadingStructure:
         if self.decouple is not None:
             return np.asarray(self.decouple @ values)
         return values / self.unit.reshape(-1, *[1] * (values.ndim - 1))
+
+    def restore(self, values: Array) -> Array:
+        """Standardised values (..., N) in SI: the inverse of `standardise`."""
+        if self.decouple is None:
+            return values * self.unit
+        flat = values.reshape(-1, len(self))
+        solution = spsolve(self.decouple.tocsc(), flat.T)
+        return np.asarray(solution).T.reshape(values.shape)
 
 
 def reading_structure(

@@ -12,7 +12,7 @@ from kernel import a3_plans
 from kernel.cases import CASES
 from oed import simulation
 from oed.coordinates import identifiable_coordinates
-from oed.identification import IdentificationError, identify
+from oed.identification import Estimate, IdentificationError, identify
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import ball_bar, calliper, height_probe
@@ -235,36 +235,39 @@ def test_only_what_is_freed_moves(bar: tuple[Measurement, Series]) -> None:
     assert [n for n, sd in zip(m.names, found.prior_sd, strict=True) if sd] == moved
 
 
-def test_understated_noise_is_found(printer: tuple) -> None:
-    """Heights three times as noisy as stated, distances as stated: factors near 3 and
-    1, intervals wider by them.
-    """
+def test_understated_noise_is_estimated(printer: tuple) -> None:
+    """Heights three times as noisy as stated, distances as stated."""
     m, series = printer
-    factors = []
-    for seed in range(60):
+    scales, chances = [], []
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         truth = simulation.draw_parameters(m, rng)
         exact, sigma = m.readings(series, truth), m.sigma(series)
         actual = np.where(np.arange(len(sigma)) < 20, 3.0, 1.0) * sigma
-        found = identify(
-            m,
-            series,
-            exact + actual * rng.standard_normal(len(sigma)),
-            estimate_noise=True,
-        )
-        factors.append([found.noise_scale["probe"], found.noise_scale["calliper"]])
-        assert found.noise.sigma[:20] == pytest.approx(
-            found.noise_scale["probe"] * 20e-6
-        )
-    assert np.median(factors, axis=0) == pytest.approx([3.0, 1.0], rel=0.12)
-    assert np.min(factors) >= 1.0
+        y = exact + actual * rng.standard_normal(len(sigma))
+        estimate = identify(m, series, y, estimate_noise=True)
+        scales.append(total_noise(estimate))
+        chances.append(estimate.p_high)
+    heights, distances = np.median(scales, axis=0)
+    assert heights / distances == pytest.approx(3.0, rel=0.25)
+    assert 2.4 < heights < 4.0
+    assert np.max(chances) < 1e-3
 
 
-def test_a_perfect_fit_does_not_lower_the_stated_noise(printer: tuple) -> None:
+def total_noise(estimate: Estimate) -> list[float]:
+    """Standard deviation of each group's readings over the stated one, mean of laws."""
+    posterior = estimate.noise_posterior
+    assert posterior is not None
+    laws = posterior.prior.laws(posterior.draws)
+    total = laws.scale * np.sqrt(1.0 + laws.level**2)[:, None]
+    return list(posterior.weights @ total)
+
+
+def test_a_perfect_fit_keeps_the_estimate_and_is_suspicious(printer: tuple) -> None:
     m, series = printer
-    found = identify(m, series, m.readings(series, m.nominal), estimate_noise=True)
-    assert found.noise_scale == {"probe": 1.0, "calliper": 1.0}
-    assert found.theta == pytest.approx(m.nominal, abs=1e-12)
+    estimate = identify(m, series, m.readings(series, m.nominal), estimate_noise=True)
+    assert estimate.theta == pytest.approx(m.nominal, abs=1e-9)
+    assert estimate.p_low < 1e-6
 
 
 @pytest.mark.parametrize(

@@ -80,32 +80,38 @@ def test_the_same_seed_gives_the_same_draws() -> None:
     assert not np.array_equal(first.draws[:, :50], other.draws[:, :50])
 
 
-def test_an_unknown_noise_factor_has_the_posterior_of_the_quadrature() -> None:
-    """Linear in theta and Gaussian, so p(t | y) = N(y - f0; 0, e^(2t) S + H T^2 H^T)
-    N(t; 0, 1), by quadrature.
+def test_an_unknown_noise_scale_has_the_posterior_of_the_quadrature() -> None:
+    """Means of emcee's draws against importance sampling of the exact marginal
+    likelihood, written out here with dense matrices.
     """
     m, series, y, estimate = problem(
         distances=False, readings=14, noise=3.0, estimate_noise=True
     )
     drawn = posterior.sample(m, series, y, estimate, np.random.default_rng(2), ess=1000)
+    assert drawn.noise_names[0] == "noise of probe.height"
     h = m.jacobian(series, estimate.theta)
     miss = y - m.readings(series, estimate.theta) + h @ (estimate.theta - m.nominal)
-    t = np.linspace(-3, 4, 1401)
-    spread = (
-        np.exp(2 * t)[:, None, None] * np.diag(m.sigma(series) ** 2)
-        + (h * m.tolerance**2) @ h.T
-    )
-    solved = np.linalg.solve(spread, np.tile(miss[:, None], (len(t), 1, 1)))[..., 0]
-    log = -0.5 * (np.linalg.slogdet(spread)[1] + solved @ miss + t**2)
+    u = np.random.default_rng(7).standard_normal((40_000, 4))
+    scale, level = np.exp(0.4 * u[:, 0]), 0.4 * np.exp(1.3 * u[:, 3])
+    share = 1.0 / (1.0 + np.exp(-(np.log(0.27 / 0.73) + 1.8 * u[:, 1])))
+    reach = 8.0 * np.exp(u[:, 2])
+    sigma = m.sigma(series)
+    distance = np.abs(np.subtract.outer(np.arange(14), np.arange(14)))
+    decay = np.exp(-distance / reach[:, None, None])
+    noise = share[:, None, None] * decay + level[:, None, None] ** 2
+    noise = noise + (1.0 - share)[:, None, None] * np.eye(14)
+    spread = noise * np.outer(sigma, sigma) * scale[:, None, None] ** 2
+    spread = spread + (h * m.tolerance**2) @ h.T
+    solved = np.linalg.solve(spread, np.tile(miss[:, None], (len(u), 1, 1)))[..., 0]
+    log = -0.5 * (np.linalg.slogdet(spread)[1] + solved @ miss)
     weight = np.exp(log - log.max())
     weight /= weight.sum()
-    mean = weight @ t
-    sd = np.sqrt(weight @ (t - mean) ** 2)
-    assert drawn.noise_groups == ("probe",)
-    got = drawn.log_noise.ravel()
-    assert got.mean() == pytest.approx(mean, abs=0.2 * sd)
-    assert got.std() == pytest.approx(sd, rel=0.12)
-    assert np.exp(got.mean()) > 1.5
+    mean = weight @ u
+    sd = np.sqrt(weight @ (u - mean) ** 2)
+    draws = drawn.noise_law.reshape(-1, 4)
+    assert (draws.mean(axis=0) - mean) / sd == pytest.approx(0.0, abs=0.2)
+    assert draws.std(axis=0) / sd == pytest.approx(1.0, abs=0.15)
+    assert draws[:, 0].mean() > 1.0
 
 
 def test_a_known_noise_is_not_sampled() -> None:
@@ -113,8 +119,8 @@ def test_a_known_noise_is_not_sampled() -> None:
     drawn = posterior.sample(
         m, series, y, estimate, np.random.default_rng(2), max_steps=250
     )
-    assert drawn.noise_groups == ()
-    assert drawn.log_noise.shape[2] == 0
+    assert drawn.noise_names == ()
+    assert drawn.noise_law.shape[2] == 0
 
 
 def test_draws_of_a_machine_with_lost_directions_still_read_as_observed() -> None:

@@ -41,6 +41,7 @@ def predict_accuracy(state: RunState) -> RunState:
         table.reference,
         state.rng(Stream.PREDICT),
         None if virtual else state.estimate,
+        None if virtual else state.posterior,
         realised,
     )
     return state.with_sections(prediction=section)
@@ -56,11 +57,13 @@ def predict_held_out(state: RunState) -> RunState:
             "the readings of [readings] predict were not predicted, as [posterior] is"
             " not enabled"
         )
+    assert state.estimate is not None
     state.progress.stage("held-out readings")
     sections = held_out_sections(
         state.measurement,
         held_out.series,
         held_out.y,
+        state.estimate,
         state.posterior,
         state.rng(Stream.HELD_OUT),
     )

@@ -51,7 +51,7 @@ def estimate_section(
         dof=estimate.dof,
         chi2=estimate.chi2,
         iterations=rounds,
-        warnings=[*estimate.warnings, *_noise_warning(estimate)],
+        warnings=list(estimate.warnings),
         residuals=[float(v) for v in after],
         residuals_before=[float(v) for v in before],
         covariance=_covariance(measurement, estimate),
@@ -93,17 +93,6 @@ def _how_well(shrinkage: float) -> str:
     if shrinkage <= WEAK:
         return "seen"
     return "weak" if shrinkage <= AT_PRIOR else "prior"
-
-
-def _noise_warning(estimate: Estimate) -> list[str]:
-    factors = [
-        f"{name} {factor:.2f}"
-        for name, factor in estimate.noise_scale.items()
-        if factor != 1.0
-    ]
-    if not factors:
-        return []
-    return [f"the residuals scale the stated noise by: {', '.join(factors)}"]
 
 
 def _rms_by_channel(values: Array, names: np.ndarray) -> dict[str, float]:

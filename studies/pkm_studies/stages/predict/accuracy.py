@@ -11,6 +11,7 @@ from oed import information, prediction, units
 from oed.arrays import Array
 from oed.identification import Estimate
 from oed.measurement import Measurement, Series
+from oed.posterior import Posterior
 from oed.prediction import Prediction, Reference, Spread
 from oed.result import ComponentAccuracy, MapPoint, PredictionSection, SpreadRecord
 from pkm_studies.stages import describe
@@ -23,14 +24,18 @@ def prediction_section(
     reference: Reference,
     rng: np.random.Generator,
     estimate: Estimate | None,
+    posterior: Posterior | None,
     realised: Mapping[str, Spread] | None,
 ) -> PredictionSection:
     """Accuracy before and after compensation, and the share of virtual machines in it.
 
-    Without an `estimate`, the tolerances and the planned readings predict it. `realised`
-    is the accuracy of virtual machines, by component.
+    Without an `estimate`, the tolerances and the planned readings predict it; with a
+    `posterior`, its draws do, which follow directions that no reading determines.
+    `realised` is the accuracy of virtual machines, by component.
     """
-    prediction = _predict(measurement, series, command, reference, rng, estimate)
+    prediction = _predict(
+        measurement, series, command, reference, rng, estimate, posterior
+    )
     mode = "plan" if estimate is None else "identified"
     section = _section(measurement, prediction, mode)
     if realised is None:
@@ -47,6 +52,7 @@ def _predict(
     reference: Reference,
     rng: np.random.Generator,
     estimate: Estimate | None,
+    posterior: Posterior | None,
 ) -> Prediction:
     """The kernel's prediction over commands (n, n_dof)."""
     count = len(measurement.machine.parameters)
@@ -58,12 +64,19 @@ def _predict(
     h = noise.whiten(measurement.jacobian(series, theta)) * tolerance
     scale = np.outer(tolerance[:count], tolerance[:count])
     covariance = information.posterior_covariance(h)[:count, :count] * scale
+    if estimate is not None:
+        covariance = estimate.covariance[:count, :count]
+    draws = None
+    if posterior is not None and estimate is not None:
+        draws = posterior.pooled[:, :count] - estimate.theta[:count]
+        covariance = draws.T @ draws / len(draws)
     return prediction.predict(
         prediction.error_maps(measurement.kinematics, command, reference),
         np.diag(tolerance[:count] ** 2),
         covariance,
         rng,
         mean=mean,
+        draws=draws,
         reference=reference,
         sources=prediction.budget_sources(h, tolerance, measurement.names, count),
     )

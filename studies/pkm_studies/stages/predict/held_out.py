@@ -8,14 +8,18 @@ Q (y* - f), with Q = 1 - J_s (J_s^T W J_s + Lambda_s^-1)^-1 J_s^T W.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
 from oed import units
 from oed.arrays import Array, Index, Mask
+from oed.estimate import Estimate
 from oed.instrument import Channel
 from oed.measurement import Measurement, Series
+from oed.noise.process import Whitening, stated_laws
+from oed.noise.structure import reading_structure
 from oed.posterior import Posterior
 from oed.result import HeldOutSection
 
@@ -29,6 +33,7 @@ def held_out_sections(
     measurement: Measurement,
     series: Sequence[Series],
     y: Array,
+    estimate: Estimate,
     posterior: Posterior,
     rng: np.random.Generator,
 ) -> list[HeldOutSection]:
@@ -41,8 +46,7 @@ def held_out_sections(
         readings = y[start : start + len(s) * len(channels)]
         start += len(readings)
         predicted = measurement.readings([s], posterior.pooled[draws])
-        factors = _noise_factors(measurement, posterior, s.setup, draws)
-        noise = measurement.noise([s]).draw(rng, predicted.shape) * factors[:, None]
+        noise = _noise_draws(measurement, s, estimate, posterior, draws, rng)
         centre = predicted.mean(axis=0)
         adjust = _setup_adjustment(measurement, s, posterior)
         ends = np.quantile((predicted + noise - centre) @ adjust.T, INTERVAL, axis=0)
@@ -101,15 +105,32 @@ def _setup_unknowns(measurement: Measurement, setup: str) -> Mask:
     return of_setup & measurement.free
 
 
-def _noise_factors(
-    measurement: Measurement, posterior: Posterior, setup: str, draws: Index
+def _noise_draws(
+    measurement: Measurement,
+    series: Series,
+    estimate: Estimate,
+    posterior: Posterior,
+    draws: Index,
+    rng: np.random.Generator,
 ) -> Array:
-    """Noise factor of a set-up in each draw: that of a fitted set-up's instrument."""
-    if not posterior.noise_groups:
-        return np.ones(len(draws))
-    instrument = measurement.setups[setup].instrument.name
-    log_noise = posterior.log_noise.reshape(-1, posterior.log_noise.shape[2])[draws]
-    for k, group in enumerate(posterior.noise_groups):
-        if measurement.setups[group].instrument.name == instrument:
-            return np.asarray(np.exp(log_noise[:, k]))
-    return np.ones(len(draws))
+    """Errors (draws, N), SI, of new readings: one for each draw of the noise law."""
+    structure = reading_structure(measurement, [series], estimate.theta)
+    laws = stated_laws(structure, len(draws))
+    fitted = estimate.noise_posterior
+    if fitted is not None:
+        flat = posterior.noise_law.reshape(-1, posterior.noise_law.shape[2])
+        law = fitted.prior.laws(flat[draws])
+        kinds = [_channel_kind(measurement, n) for n in fitted.structure.names]
+        scale = np.ones((len(draws), len(structure.names)))
+        for k, name in enumerate(structure.names):
+            kind = _channel_kind(measurement, name)
+            if kind in kinds:
+                scale[:, k] = law.scale[:, kinds.index(kind)]
+        laws = dataclasses.replace(law, scale=scale)
+    return structure.restore(Whitening(structure, laws).draw(rng))
+
+
+def _channel_kind(measurement: Measurement, name: str) -> tuple[str, str]:
+    """Instrument and channel of a group of readings, `set-up.channel`."""
+    setup, _, channel = name.rpartition(".")
+    return measurement.setups[setup].instrument.name, channel

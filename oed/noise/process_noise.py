@@ -1,0 +1,69 @@
+"""Noise of readings under one estimated law, for fits and predictions."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed.arrays import Array
+from oed.noise.covariance import Noise
+from oed.noise.process import Laws, Whitening
+from oed.noise.structure import ReadingStructure
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class ProcessNoise(Noise):
+    """Noise of N readings under a law, SI; whitened in linear time.
+
+    structure   of the readings
+    law         whitening of its covariance
+    """
+
+    structure: ReadingStructure
+    law: Whitening
+
+    def whiten(self, values: Array) -> Array:
+        """Whitened values: (N,), (N, n), with readings first."""
+        standard = self.structure.standardise(values)
+        if values.ndim == 1:
+            return np.asarray(self.law.whiten(standard[:, None])[0, :, 0])
+        return np.asarray(self.law.whiten(standard)[0])
+
+    def whiten_last(self, values: Array) -> Array:
+        """Whitened values (..., N), with readings last."""
+        flat = values.reshape(-1, values.shape[-1])
+        return self.whiten(flat.T).T.reshape(values.shape)
+
+    def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+        """Draws (..., N)."""
+        count = int(np.prod(shape[:-1]))
+        laws = self.law.laws.take([0] * count)
+        errors = Whitening(self.structure, laws).draw(rng)
+        return self.structure.restore(errors).reshape(shape)
+
+
+def process_noise(structure: ReadingStructure, laws: Laws) -> ProcessNoise:
+    """Noise under the first of the laws."""
+    law = laws.take([0])
+    sizes = np.array([law.level[0], 1.0, law.seat[0]])[structure.kinds]
+    shared = (structure.columns * sizes) ** 2
+    sd = law.scale[0, structure.group] * np.sqrt(1.0 + shared.sum(axis=1))
+    return ProcessNoise(
+        sigma=structure.unit * sd, structure=structure, law=Whitening(structure, law)
+    )
+
+
+def dense_covariance(structure: ReadingStructure, laws: Laws) -> Array:
+    """Covariance (N, N) under the first of the laws, in units of the stated noise."""
+    same_chain = structure.chain[:, None] == structure.chain
+    run = structure.run[structure.chain]
+    distance = np.abs(structure.position[:, None] - structure.position)
+    carried = np.exp(-distance / laws.reach[0]) * same_chain
+    single = (1.0 - laws.carried[0]) * np.eye(len(structure))
+    sizes = np.array([laws.level[0], 1.0, laws.seat[0]])[structure.kinds]
+    columns = structure.columns * sizes
+    shared = (columns @ columns.T) * (run[:, None] == run)
+    scale = laws.scale[0, structure.group]
+    unit = single + laws.carried[0] * carried + shared
+    return np.asarray(unit * scale[:, None] * scale)

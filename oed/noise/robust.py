@@ -1,0 +1,84 @@
+"""Readings in place of those far off, so that a fit with normal noise is not bent.
+
+A residual that its neighbours and the prior contradict is replaced by one of normal
+noise with the same information (pseudo-values, `oed.noise.outliers`). What is replaced
+is judged against the widest residual that the tolerances allow, so that no error of the
+machine is taken for an outlier.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed.arrays import Array, Index
+from oed.noise import outliers
+from oed.noise.process import Laws
+from oed.noise.process_noise import dense_covariance
+from oed.noise.structure import ReadingStructure
+
+#: readings judged together; the covariance of more would not fit into memory
+MOST_TOGETHER = 2000
+#: fewest readings among which one can be told to be far off
+FEWEST = 8
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RobustResiduals:
+    """Residuals (N,) with those far off replaced, in units of the stated noise.
+
+    residual  (N,)
+    rows      readings that are far off
+    pull      (N,) error of predicting each reading from the others, in standard
+              deviations; zero where tails are light
+    """
+
+    residual: Array
+    rows: Index
+    pull: Array
+
+
+def robust_residuals(
+    structure: ReadingStructure, laws: Laws, residual: Array, slopes: Array
+) -> RobustResiduals:
+    """Replace residuals (N,) about the prior's middle that are far off.
+
+    slopes  (N, r) over z ~ N(0, I), which hold what the machine may do
+    """
+    clean, pull = residual.copy(), np.zeros(len(residual))
+    rows: list[Index] = []
+    for members in _together(structure):
+        part = _take(structure, members)
+        h = slopes[members]
+        covariance = dense_covariance(part, laws) + h @ h.T
+        result = outliers.detect(
+            residual[members], covariance, outliers.ROBUST_DENSITIES
+        )
+        if result is not None:
+            clean[members] = result.pseudo_residual
+            pull[members] = result.pull
+            rows.append(members[result.rows])
+    far = np.concatenate(rows) if rows else np.zeros(0, dtype=np.intp)
+    return RobustResiduals(clean, np.sort(far), pull)
+
+
+def _together(structure: ReadingStructure) -> list[Index]:
+    """Readings that are judged together: all, or whole chains, or parts of long ones."""
+    order = np.lexsort((structure.position, structure.chain))
+    parts = -(-len(order) // MOST_TOGETHER)
+    groups = np.array_split(order, parts)
+    return [np.sort(group) for group in groups if len(group) >= FEWEST]
+
+
+def _take(structure: ReadingStructure, members: Index) -> ReadingStructure:
+    """The readings `members` of a structure; the numbers of chains stay."""
+    return dataclasses.replace(
+        structure,
+        group=structure.group[members],
+        chain=structure.chain[members],
+        position=structure.position[members],
+        unit=structure.unit[members],
+        decouple=None,
+        columns=structure.columns[members],
+    )

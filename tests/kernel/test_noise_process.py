@@ -1,0 +1,135 @@
+"""The noise process: linear-time whitening against dense matrices, and its draws."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from oed.instrument import mount
+from oed.measurement import Measurement
+from oed.noise.marginal import LinearModel, integrate
+from oed.noise.outliers import detect
+from oed.noise.prior import noise_prior
+from oed.noise.process import Laws, Whitening, stated_laws
+from oed.noise.structure import ReadingStructure, reading_structure
+from pkm_models.instruments import ball_bar, laser_ball_bar
+from pkm_models.machines import a3_head, prs_spindle
+
+
+GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
+
+
+@pytest.fixture(scope="module")
+def circles() -> ReadingStructure:
+    """Three circles of 12 readings by a ball bar, whose cup is seated at each."""
+    m = Measurement(
+        a3_head.machine, [mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0))]
+    )
+    psi = np.linspace(-3.0, 3.0, 12)
+    heights = np.repeat([1.15, 1.2, 1.25], 12)
+    command = np.column_stack([heights, np.tile(psi, 3), np.full(36, 0.4)])
+    series = m.series("bar", command, run=[f"z {z}" for z in heights])
+    return reading_structure(m, [series], m.nominal)
+
+
+@pytest.fixture(scope="module")
+def laser() -> ReadingStructure:
+    """Two runs by a laser ball bar, whose channels have common sources."""
+    m = Measurement(
+        prs_spindle.machine, [mount(laser_ball_bar.instrument, "laser", **GIMBAL)]
+    )
+    rng = np.random.default_rng(4)
+    command = rng.uniform([0.1, -0.3, -0.3], [0.3, 0.3, 0.3], (10, 3))
+    series = m.series("laser", command, run=["a"] * 4 + ["b"] * 6)
+    return reading_structure(m, [series], m.nominal)
+
+
+def covariance(structure: ReadingStructure, laws: Laws, k: int) -> np.ndarray:
+    """The covariance of the module's docstring, reading by reading."""
+    n = len(structure)
+    result = np.zeros((n, n))
+    sizes = [laws.level[k], 1.0, laws.seat[k]]
+    for i in range(n):
+        for j in range(n):
+            a, b = structure.chain[i], structure.chain[j]
+            value = 0.0
+            if a == b:
+                lag = abs(structure.position[i] - structure.position[j])
+                value += laws.carried[k] * np.exp(-lag / laws.reach[k])
+            if i == j:
+                value += 1.0 - laws.carried[k]
+            if structure.run[a] == structure.run[b]:
+                for c, kind in enumerate(structure.kinds):
+                    product = structure.columns[i, c] * structure.columns[j, c]
+                    value += sizes[kind] ** 2 * product
+            scales = laws.scale[k, structure.group]
+            result[i, j] = value * scales[i] * scales[j]
+    return result
+
+
+@pytest.mark.parametrize("name", ["circles", "laser"])
+def test_whitening_is_that_of_dense_matrices(
+    name: str, request: pytest.FixtureRequest
+) -> None:
+    structure = request.getfixturevalue(name)
+    rng = np.random.default_rng(0)
+    prior = noise_prior(structure)
+    laws = prior.laws(rng.standard_normal((3, prior.dimensions)))
+    whitening = Whitening(structure, laws)
+    y = rng.standard_normal((len(structure), 4))
+    gram, white = whitening.gram(y), whitening.whiten(y)
+    for k in range(3):
+        dense = covariance(structure, laws, k)
+        exact = y.T @ np.linalg.solve(dense, y)
+        log_determinant = np.linalg.slogdet(dense)[1]
+        assert gram[k] == pytest.approx(exact, rel=1e-11, abs=1e-9)
+        assert white[k].T @ white[k] == pytest.approx(exact, rel=1e-11, abs=1e-9)
+        assert whitening.log_determinant[k] == pytest.approx(log_determinant, abs=1e-9)
+
+
+def test_draws_have_the_covariance(circles: ReadingStructure) -> None:
+    laws = Laws(*(np.array(v) for v in ([[1.5]], [0.6], [5.0], [0.7], [0.4])))
+    many = Whitening(circles, laws.take([0] * 20_000))
+    errors = many.draw(np.random.default_rng(1))
+    dense = covariance(circles, laws, 0)
+    standard_error = dense[0, 0] / np.sqrt(20_000)
+    assert np.abs(errors.T @ errors / 20_000 - dense).max() < 6.0 * standard_error * 1.5
+
+
+def test_standardised_laser_readings_have_unit_noise(laser: ReadingStructure) -> None:
+    assert laser.decouple is not None
+    values = np.random.default_rng(2).standard_normal((5, len(laser)))
+    assert pytest.approx(values) == laser.standardise(laser.restore(values).T).T
+    assert stated_laws(laser).scale.shape == (1, 6)
+
+
+def test_runs_that_shift_are_recognised(circles: ReadingStructure) -> None:
+    """A level of two sigma at each run moves the posterior of the level, not the scale."""
+    rng = np.random.default_rng(3)
+    structure = dataclasses.replace(
+        circles, columns=circles.columns[:, :1], kinds=circles.kinds[:1]
+    )
+    prior = noise_prior(structure)
+    run = structure.run[structure.chain]
+    medians = []
+    for size in (0.0, 3.0):
+        levels = size * np.array([1.0, -1.2, 0.4])
+        residual = rng.standard_normal(36) + levels[run]
+        slopes = rng.standard_normal((36, 2))
+        model = LinearModel(structure, residual, slopes, np.zeros(2))
+        posterior = integrate(model, prior)
+        laws = prior.laws(posterior.draws)
+        medians.append(posterior.quantiles(laws.level, (0.5,))[0])
+        assert 0.6 < posterior.quantiles(laws.scale[:, 0], (0.5,))[0] < 1.6
+    assert medians[0] < 0.8
+    assert medians[1] > 1.5
+
+
+def test_outliers_are_named() -> None:
+    rng = np.random.default_rng(5)
+    residual = rng.standard_normal(60)
+    residual[17] += 50.0
+    result = detect(residual, np.eye(60) + np.outer(np.ones(60), np.ones(60)))
+    assert result is not None
+    assert list(result.rows) == [17]
+    assert abs(result.pseudo_residual[17]) < 10.0
