@@ -176,7 +176,8 @@ def test_one_session_predicts_another(
         without_bed = np.eye(n) - (1 / n if kind == "probe" else 0.0)
         miss = without_bed @ (read - measurement.readings([series], found.theta))
         h = measurement.jacobian([series], found.theta)
-        sigma = found.noise_scale[f"{seen}_{kind}"] * measurement.sigma([series])
+        fitted_sigma = found.noise.sigma[0 if kind == "probe" else -1]
+        sigma = np.full(n, fitted_sigma)
         spread = (
             without_bed @ (h @ found.covariance @ h.T + np.diag(sigma**2)) @ without_bed
         )

@@ -100,7 +100,7 @@ def test_standardised_laser_readings_have_unit_noise(laser: ReadingStructure) ->
     assert laser.decouple is not None
     values = np.random.default_rng(2).standard_normal((5, len(laser)))
     assert pytest.approx(values) == laser.standardise(laser.restore(values).T).T
-    assert stated_laws(laser).scale.shape == (1, 6)
+    assert stated_laws(laser).scale.shape == (1, len(laser.names))
 
 
 def test_runs_that_shift_are_recognised(circles: ReadingStructure) -> None:
