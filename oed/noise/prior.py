@@ -16,8 +16,9 @@ from oed.arrays import Array
 from oed.noise.process import RENEWED, Laws
 from oed.noise.structure import ReadingStructure
 
-#: sd of the log of a group's noise over the stated one
-SCALE_SD = 0.4
+#: sd of the log of a group's noise over the stated one, and sd from which on its tails
+#: are heavy: at four it is not 5 times the stated noise but 25 times
+SCALE_SD, HEAVY_FROM = 0.4, 4.0
 #: median, in units of the stated noise, of a run's level and of a renewed unknown, and
 #: sd of their logs: from a thirtieth of the noise to five times it
 SHARED_MEDIAN, SHARED_SD = 0.4, 1.3
@@ -54,7 +55,7 @@ class NoisePrior:
             seat = SHARED_MEDIAN * np.exp(SHARED_SD * u[:, g + 3])
         middle = special.logit(CARRIED_MEDIAN)
         return Laws(
-            scale=np.exp(SCALE_SD * u[:, :g]),
+            scale=np.exp(SCALE_SD * _heavy(u[:, :g])),
             carried=np.asarray(special.expit(middle + CARRIED_SD * carried)),
             reach=REACH_MEDIAN * np.exp(REACH_SD * reach),
             level=SHARED_MEDIAN * np.exp(SHARED_SD * level),
@@ -69,6 +70,11 @@ class NoisePrior:
         starts = np.zeros((2, self.dimensions))
         starts[1, self.groups : self.groups + 2] = 1.5, 0.5
         return starts
+
+
+def _heavy(u: Array) -> Array:
+    """Normal coordinates with heavier tails: a data sheet may be wrong by far."""
+    return np.asarray(u * (1.0 + (u / HEAVY_FROM) ** 2))
 
 
 def noise_prior(structure: ReadingStructure) -> NoisePrior:

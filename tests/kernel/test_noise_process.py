@@ -15,7 +15,6 @@ from oed.noise.structure import ReadingStructure, reading_structure
 from pkm_models.instruments import ball_bar, laser_ball_bar
 from pkm_models.machines import a3_head, prs_spindle
 
-
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 
 
