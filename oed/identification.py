@@ -21,7 +21,7 @@ from oed.coordinates import IdentifiableCoordinates, identifiable_coordinates
 from oed.estimate import Estimate, FitStage
 from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise, as_noise
-from oed.noise.marginal import LinearModel, integrate
+from oed.noise.marginal import ResidualModel, integrate
 from oed.noise.prior import noise_prior
 from oed.noise.process import stated_laws
 from oed.noise.process_noise import process_noise
@@ -270,7 +270,7 @@ def _integrated_stage(
         replaced = far.residual - slopes @ z
         change = structure.restore(replaced - residual)
         robust = dataclasses.replace(fit, y=fit.y + change)
-        model = LinearModel(structure, replaced, slopes, z)
+        model = ResidualModel(structure, replaced, slopes, z)
         posterior = integrate(model, prior)
         moved = np.abs(posterior.mode - mode).max()
         mode = posterior.mode

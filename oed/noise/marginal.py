@@ -36,7 +36,7 @@ BATCH_NUMBERS = 20_000_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class LinearModel:
+class ResidualModel:
     """Standardised residuals of readings about an estimate of z ~ N(0, I).
 
     residual  (N,)
@@ -139,7 +139,7 @@ class NoisePosterior:
         return np.interp(levels, mass, values[order])
 
 
-def integrate(model: LinearModel, prior: NoisePrior) -> NoisePosterior:
+def integrate(model: ResidualModel, prior: NoisePrior) -> NoisePosterior:
     """The posterior of the noise law, and of z with the law integrated out.
 
     The laws are points of a Sobol sequence turned into Student t, so that the same
@@ -186,13 +186,13 @@ def _student_points(dimensions: int) -> Array:
     return np.asarray(normal / np.sqrt(chi2 / DEGREES))
 
 
-def _cost(model: LinearModel, prior: NoisePrior, u: Array) -> Array:
+def _cost(model: ResidualModel, prior: NoisePrior, u: Array) -> Array:
     """Minus log posterior (L,) at coordinates (L, d)."""
     log_marginal = model.solve(prior.laws(u)).log_marginal
     return np.asarray(0.5 * (u**2).sum(axis=1) - log_marginal)
 
 
-def _mode(model: LinearModel, prior: NoisePrior) -> Array:
+def _mode(model: ResidualModel, prior: NoisePrior) -> Array:
     """The most probable coordinates (d,), from several starts."""
     steps = np.vstack([np.zeros(prior.dimensions), np.eye(prior.dimensions)])
     steps *= SLOPE_STEP
@@ -216,7 +216,7 @@ def _mode(model: LinearModel, prior: NoisePrior) -> Array:
     return np.asarray(min(minima, key=lambda minimum: minimum.fun).x)
 
 
-def _root_about(model: LinearModel, prior: NoisePrior, mode: Array) -> Array:
+def _root_about(model: ResidualModel, prior: NoisePrior, mode: Array) -> Array:
     """Root (d, d) of the inverse curvature at the mode, no wider than is sensible."""
     d = prior.dimensions
     unit = CURVATURE_STEP * np.eye(d)

@@ -128,9 +128,9 @@ class Whitening:
         filtered = self._filter(batch / self._scale[:, :, None])
         whole = np.einsum("lctm,lctn->lmn", filtered, filtered, optimize=True)
         sizes, vectors = self._spectrum
-        seen = np.swapaxes(vectors, 2, 3) @ self._run_products(filtered)
-        share = seen / (1.0 + sizes[..., None])
-        removed = np.einsum("lrkm,lrkn->lmn", seen, share, optimize=True)
+        projected = np.swapaxes(vectors, 2, 3) @ self._run_products(filtered)
+        share = projected / (1.0 + sizes[..., None])
+        removed = np.einsum("lrkm,lrkn->lmn", projected, share, optimize=True)
         return np.asarray(whole - removed)
 
     def whiten(self, values: Array) -> Array:
@@ -140,8 +140,8 @@ class Whitening:
         sizes, vectors = self._spectrum
         root = 1.0 / np.sqrt(1.0 + sizes) - 1.0
         factor = np.where(sizes > 1e-12, root / np.maximum(sizes, 1e-300), -0.5)
-        seen = np.swapaxes(vectors, 2, 3) @ self._run_products(filtered)
-        change = vectors @ (factor[..., None] * seen)
+        projected = np.swapaxes(vectors, 2, 3) @ self._run_products(filtered)
+        change = vectors @ (factor[..., None] * projected)
         of_chain = change[:, self.structure.run]
         whitened = filtered + self._columns @ of_chain
         return np.asarray(whitened[:, *self.structure.slot])

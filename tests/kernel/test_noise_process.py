@@ -7,7 +7,7 @@ import pytest
 
 from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.noise.marginal import LinearModel, integrate
+from oed.noise.marginal import ResidualModel, integrate
 from oed.noise.outliers import detect
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening, stated_laws
@@ -115,7 +115,7 @@ def test_runs_that_shift_are_recognised(circles: ReadingStructure) -> None:
         levels = size * np.array([1.0, -1.2, 0.4])
         residual = rng.standard_normal(36) + levels[run]
         slopes = rng.standard_normal((36, 2))
-        model = LinearModel(structure, residual, slopes, np.zeros(2))
+        model = ResidualModel(structure, residual, slopes, np.zeros(2))
         posterior = integrate(model, prior)
         laws = prior.laws(posterior.draws)
         medians.append(posterior.quantiles(laws.level, (0.5,))[0])
