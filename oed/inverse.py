@@ -80,7 +80,7 @@ class InverseKinematics:
         """
         z = self._starts(command, p)
         z, failed = self._newton(z, command, p, tool)
-        home, mode = self.home()
+        home, mode = self._home_for(command, failed)
         reached = self.modes(z, command, p, tool)
         mirrored = ~failed & _differ(reached, mode)
         lost = np.flatnonzero(failed | mirrored)
@@ -97,6 +97,16 @@ class InverseKinematics:
             raise self._error(command, lost, reason)
         nx = len(self.machine.pose)
         return z[:, :nx], z[:, nx:]
+
+    def _home_for(self, command: Array, failed: Mask) -> tuple[Array, Array]:
+        """Home and its mode; where it fails as well, the error lists the poses."""
+        try:
+            return self.home()
+        except AssemblyError:
+            lost = np.flatnonzero(failed)
+            if lost.size:
+                raise self._error(command, lost, OUT_OF_REACH) from None
+            raise
 
     def home(self) -> tuple[Array, Array]:
         """Pose and joints (nx + nq,) of the home pose, and its mode. Raises AssemblyError.

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from oed import identification, posterior
+from oed.arrays import Array
+from oed.assembly_mode import mode_jumps
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import posterior_section
@@ -25,11 +27,24 @@ def fit_parameters(state: RunState) -> RunState:
         estimate_noise=state.study.noise.estimate,
         max_iterations=state.study.identify.max_iterations,
     )
+    _refuse_mode_jump(state, estimate.theta)
     section = estimate_section(
         state.measurement, series, estimate, state.readings.truth
     )
     state = state.replace(estimate=estimate).with_sections(estimate=section)
     return state.with_warnings(*section.warnings)
+
+
+def _refuse_mode_jump(state: RunState, theta: Array) -> None:
+    """Raises IdentificationError where the fit mirrors the machine."""
+    assert state.readings is not None
+    jumps, count = mode_jumps(state.measurement, state.readings.series, theta)
+    if jumps:
+        raise identification.IdentificationError(
+            f"the fit carries {jumps} of {count} poses into another (mirrored) assembly"
+            " mode; check the machine's numbers, the poses and the units of the"
+            " readings"
+        )
 
 
 def sample_posterior(state: RunState) -> RunState:
