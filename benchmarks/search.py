@@ -128,7 +128,8 @@ def main() -> None:
         )
         sys.stdout.flush()
     print(f"best known at the default: {sum(best_known)} of {len(best_known)}")
-    print(f"behind the NumPy exchange by at most {max(0.0, -min(leads)):.4f}")
+    if arguments.starts:
+        print(f"behind the NumPy exchange by at most {max(0.0, -min(leads)):.4f}")
 
 
 if __name__ == "__main__":

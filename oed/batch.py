@@ -1,5 +1,8 @@
 """One CasADi function over many points at once, without copies or a Python loop.
 
+Batches of hundreds of points run as array operations (`oed.array_tape`), smaller ones
+in CasADi's interpreter.
+
 `casadi.Function.map` runs one instruction tape over many columns, and its buffer
 interface works in place on NumPy memory. Calls with DM matrices would spend three to
 ten times as long on conversions.
@@ -13,15 +16,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from oed.array_tape import ArrayTape, is_supported
 from oed.arrays import Array
 
 #: Numbers of points for which a mapped function is compiled, each on first use, in half
 #: a millisecond. Batches are cut into the largest; what remains is padded to the next
 #: larger number, by a third at most from 4 points on.
 CHUNK_SIZES = (
-    *(1024, 768, 512, 384, 256, 192, 128, 96, 64),
+    *(2048, 1024, 768, 512, 384, 256, 192, 128, 96, 64),
     *(48, 32, 24, 16, 12, 8, 6, 4, 2, 1),
 )
+#: number of points from which array operations are faster than CasADi's interpreter
+ARRAY_SIZE = 256
 
 
 class BatchedFunction:
@@ -38,7 +44,7 @@ class BatchedFunction:
         self._function = ca.Function(name, list(inputs), dense, {"cse": True})
         count = self._function.n_out()
         self._shapes = [self._function.size_out(i) for i in range(count)]
-        self._mapped: dict[int, _MappedFunction] = {}
+        self._mapped: dict[int, _MappedFunction | ArrayTape] = {}
 
     def __call__(self, *arrays: Array) -> list[Array]:
         """Evaluate at n points: arrays (n, size) or (size,), one for each input.
@@ -59,9 +65,11 @@ class BatchedFunction:
             start += size
         return [_shaped(a, *s) for a, s in zip(outputs, self._shapes, strict=True)]
 
-    def _mapped_to(self, size: int) -> _MappedFunction:
+    def _mapped_to(self, size: int) -> _MappedFunction | ArrayTape:
         if size not in self._mapped:
-            self._mapped[size] = _MappedFunction(self._function, size)
+            by_array = size >= ARRAY_SIZE and is_supported(self._function)
+            mapped = ArrayTape if by_array else _MappedFunction
+            self._mapped[size] = mapped(self._function, size)
         return self._mapped[size]
 
 

@@ -71,8 +71,9 @@ def _whiten(rows: Array, base: Array) -> tuple[Array, Array]:
 
 
 def _copies(rows: Array) -> Index:
-    """A number (C,) for each row; equal rows have the same."""
-    return np.unique(rows, axis=0, return_inverse=True)[1].ravel().astype(np.intp)
+    """A number (C,) for each row; equal rows have that of the first of them."""
+    _, first, label = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    return np.asarray(first[label.ravel()])
 
 
 def _information(white: Array, base: Array, plans: Index) -> Array:
@@ -107,7 +108,7 @@ class _TabuSearch:
         self.base = base + RIDGE * np.eye(len(base))
         self.rows = white.astype(np.float32)
         self.columns = np.ascontiguousarray(self.rows.T)
-        self.has_copies = int(copies.max()) + 1 < len(copies)
+        self.has_copies = not np.array_equal(copies, np.arange(len(copies)))
         self.plans = starts.copy()
         self.batch = np.arange(len(starts))
         self.tenures = np.resize(TENURES, len(starts))
@@ -152,8 +153,10 @@ class _TabuSearch:
 
         One product of three terms gives (1 - d_ii)(1 + d_jj) with both prohibitions.
         """
-        resting = self.row_rests_until[:, self.copies] > step
-        chosen_leverage = np.take_along_axis(self.leverage, self.plans, 1)
+        resting = self.row_rests_until > step
+        if self.has_copies:
+            resting = resting[:, self.copies]
+        chosen_leverage = self.leverage[self.batch[:, None], self.plans]
         self.place_terms[:, :, 0] = 1.0 - chosen_leverage
         self.row_terms[:, 0] = 1.0 + self.leverage
         self.row_terms[:, 1] = np.where(resting, RESTS, 0.0)
@@ -178,8 +181,8 @@ class _TabuSearch:
         self._update_products(place, row, removed)
         self.held[self.batch, removed] = False
         self.held[self.batch, row] = True
-        tenure = self.rng.integers(1, self.tenures, (2, len(row)), endpoint=True)
-        rests_until = step + 1 + tenure
+        share = self.rng.random((2, len(row)))
+        rests_until = step + 2 + (share * self.tenures).astype(np.intp)
         self.row_rests_until[self.batch, self.copies[removed]] = rests_until[0]
         self.place_rests_until[self.batch, place] = rests_until[1]
 
@@ -202,8 +205,9 @@ class _TabuSearch:
         self.inverse += np.matmul(np.swapaxes(scaled_sides, 1, 2), sides)
         with_both = np.stack([with_in, with_out], axis=1)
         self.products[batch, place] = with_in
-        chosen = np.take_along_axis(with_both, self.plans[:, None, :], 2)
-        scaled = np.swapaxes(chosen * scales[:, :, None], 1, 2)
-        self.products += np.matmul(scaled, with_both)
+        # (B, size, 2)
+        chosen = with_both[batch[:, None], :, self.plans]
+        np.matmul(chosen * scales[:, None, :], with_both, out=self.factors)
+        self.products += self.factors
         self.leverage += scale_out[:, None] * with_out**2
         self.leverage -= scale_in[:, None] * with_in**2
