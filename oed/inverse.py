@@ -19,7 +19,6 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
-from scipy import stats
 
 from oed import newton
 from oed.arrays import Array, Index, Mask
@@ -191,7 +190,9 @@ class InverseKinematics:
         start = self._starts(command, p)
         size = [_size(c.unit, self.machine.lever) for c in self.machine.pose]
         size += [_size(c.unit, self.machine.lever) for c in self.machine.joints]
-        sequence = stats.qmc.Halton(len(size), scramble=False)
+        from scipy.stats import qmc  # takes a second to import
+
+        sequence = qmc.Halton(len(size), scramble=False)
         cloud = 2.0 * sequence.random(SEVERAL_STARTS) - 1.0
         z = start + START_SPREAD * np.array(size) * cloud
         commands = np.repeat(command, len(z), axis=0)

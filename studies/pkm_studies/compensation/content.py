@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 from oed.arrays import Array
-from oed.kinematics import Kinematics
 from oed.machine import Machine
+
+if TYPE_CHECKING:
+    from oed.kinematics import Kinematics
 
 #: texts of an export by the end of their file names, such as `.cfg`
 Texts = Mapping[str, str]
