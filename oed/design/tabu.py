@@ -87,6 +87,10 @@ def _log_determinants(white: Array, base: Array, plans: Index) -> Array:
     return np.where(sign > 0, values, -np.inf)
 
 
+#: largest number whose square is finite in single precision
+LARGEST_ROOT = 1e18
+
+
 class _TabuSearch:
     """The plans, their products with all candidates, and what rests.
 
@@ -130,13 +134,18 @@ class _TabuSearch:
         by_row = self.white @ inverse
         leverage = np.einsum("bcn,cn->bc", by_row, self.white)
         self.inverse: Single = inverse.astype(np.float32)
-        self.products: Single = products.astype(np.float32)
-        self.leverage: Single = leverage.astype(np.float32)
+        self.products: Single = _single(products)
+        self.leverage: Single = _single(leverage)
         self.factors = np.empty_like(self.products)
         self.values: Array = np.linalg.slogdet(m)[1]
 
     def run(self, steps: int) -> Index:
         """The best plan (B, size) that each plan passed."""
+        # A nearly singular plan exceeds single precision; it is computed anew and left.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._run(steps)
+
+    def _run(self, steps: int) -> Index:
         for step in range(steps):
             place, row, factor = self._best_exchange(step)
             self._exchange(place, row, step)
@@ -211,3 +220,8 @@ class _TabuSearch:
         self.products += self.factors
         self.leverage += scale_out[:, None] * with_out**2
         self.leverage -= scale_in[:, None] * with_in**2
+
+
+def _single(values: Array) -> Single:
+    """Values in single precision, with squares that stay finite in it."""
+    return np.clip(values, -LARGEST_ROOT, LARGEST_ROOT).astype(np.float32)

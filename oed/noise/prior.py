@@ -73,8 +73,8 @@ class NoisePrior:
 
 
 def _heavy(u: Array) -> Array:
-    """Normal coordinates with heavier tails: a data sheet may be wrong by far."""
-    return np.asarray(u * (1.0 + (u / HEAVY_FROM) ** 2))
+    """Normal coordinates with a heavier upper tail: noise may be far above a data sheet."""
+    return np.asarray(u * (1.0 + (np.maximum(u, 0.0) / HEAVY_FROM) ** 2))
 
 
 def noise_prior(structure: ReadingStructure) -> NoisePrior:

@@ -92,7 +92,7 @@ def test_an_unknown_noise_scale_has_the_posterior_of_the_quadrature() -> None:
     h = m.jacobian(series, estimate.theta)
     miss = y - m.readings(series, estimate.theta) + h @ (estimate.theta - m.nominal)
     u = np.random.default_rng(7).standard_normal((40_000, 4))
-    scale = np.exp(0.4 * u[:, 0] * (1.0 + (u[:, 0] / 4.0) ** 2))
+    scale = np.exp(0.4 * u[:, 0] * (1.0 + (np.maximum(u[:, 0], 0.0) / 4.0) ** 2))
     level = 0.4 * np.exp(1.3 * u[:, 3])
     share = 1.0 / (1.0 + np.exp(-(np.log(0.27 / 0.73) + 1.8 * u[:, 1])))
     reach = 8.0 * np.exp(u[:, 2])
