@@ -70,10 +70,10 @@ def test_the_best_plan_under_a_quota(name: str, numbers: str) -> None:
 
 def test_equal_numbers_a_setup() -> None:
     resolved, design = chosen(
-        text('equal = "setup"\n' + KNOWN, tables=GRIDS, setups=THREE, rest="")
+        text('equal = "setup"\n' + KNOWN, tables=GRIDS, setups=THREE, workspace="")
     )
     assert [len(s) for s in design.series] == [1, 1, 1]
-    free = chosen(text(KNOWN, tables=GRIDS, setups=THREE, rest=""))[1]
+    free = chosen(text(KNOWN, tables=GRIDS, setups=THREE, workspace=""))[1]
     assert design.choice.value <= free.choice.value + 1e-9
     assert design.choice.value <= design.choice.bound
     names = {s.setup for s in design.series}
@@ -180,7 +180,7 @@ def test_readings_that_cannot_be_shared_equally_are_refused() -> None:
     with pytest.raises(
         InputError, match=r'equal = "setup": 4 cannot .* ask for 3 or 6'
     ):
-        chosen(text(plan, tables=GRIDS, setups=THREE, rest=""))
+        chosen(text(plan, tables=GRIDS, setups=THREE, workspace=""))
 
 
 # -- branch and bound ------------------------------------------------------------------

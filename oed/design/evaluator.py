@@ -117,7 +117,8 @@ class CriterionEvaluator:
     ) -> Index | None:
         """Tabu search, for D of single rows."""
         size, count = starts.shape[1], self.count
-        searchable = 0 < size < count and size * count <= tabu.LARGEST
+        directions = self.blocks.shape[2]
+        searchable = directions <= size < count and size * count <= tabu.LARGEST
         if not (searchable and self._rows_by_determinant):
             return None
         return tabu.search_plans(self.blocks[:, 0], starts, self.base, steps, rng)

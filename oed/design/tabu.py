@@ -33,7 +33,8 @@ REFRESH = 60
 RIDGE = 1e-6
 #: gain in log det below which a step counts as none, in single precision
 GAIN = 1e-5
-#: factor of det M below which updates are not sound, and all is computed anew
+#: factor of det M below which, or above whose inverse, updates are not sound: a plan is
+#: or was nearly singular, and all is computed anew
 UNSOUND = 1e-3
 #: least share of a row that is its own
 LEAST = 1e-6
@@ -51,7 +52,8 @@ def search_plans(
     rows   (C, n)
     base   (n, n) prior information, positive semidefinite
 
-    Rows and prior together determine all n directions.
+    Rows and prior together determine all n directions, and a plan has n rows or more:
+    where the prior alone determines a direction, single precision does not resolve it.
     """
     white, white_base = _whiten(rows, base)
     search = _TabuSearch(white, white_base, _copies(rows), starts, rng)
@@ -85,10 +87,6 @@ def _information(white: Array, base: Array, plans: Index) -> Array:
 def _log_determinants(white: Array, base: Array, plans: Index) -> Array:
     sign, values = np.linalg.slogdet(_information(white, base, plans))
     return np.where(sign > 0, values, -np.inf)
-
-
-#: largest number whose square is finite in single precision
-LARGEST_ROOT = 1e18
 
 
 class _TabuSearch:
@@ -134,23 +132,19 @@ class _TabuSearch:
         by_row = self.white @ inverse
         leverage = np.einsum("bcn,cn->bc", by_row, self.white)
         self.inverse: Single = inverse.astype(np.float32)
-        self.products: Single = _single(products)
-        self.leverage: Single = _single(leverage)
+        self.products: Single = products.astype(np.float32)
+        self.leverage: Single = leverage.astype(np.float32)
         self.factors = np.empty_like(self.products)
         self.values: Array = np.linalg.slogdet(m)[1]
 
     def run(self, steps: int) -> Index:
         """The best plan (B, size) that each plan passed."""
-        # A nearly singular plan exceeds single precision; it is computed anew and left.
-        with np.errstate(over="ignore", invalid="ignore"):
-            return self._run(steps)
-
-    def _run(self, steps: int) -> Index:
         for step in range(steps):
             place, row, factor = self._best_exchange(step)
             self._exchange(place, row, step)
             self.values = self.values + np.log(np.maximum(factor, UNSOUND))
-            if step % REFRESH == REFRESH - 1 or factor.min() < UNSOUND:
+            sound = UNSOUND < factor.min() and factor.max() < 1.0 / UNSOUND
+            if step % REFRESH == REFRESH - 1 or not sound:
                 self._refresh()
             better = np.flatnonzero(self.values > self.best_values + GAIN)
             self.best_values[better] = self.values[better]
@@ -220,8 +214,3 @@ class _TabuSearch:
         self.products += self.factors
         self.leverage += scale_out[:, None] * with_out**2
         self.leverage -= scale_in[:, None] * with_in**2
-
-
-def _single(values: Array) -> Single:
-    """Values in single precision, with squares that stay finite in it."""
-    return np.clip(values, -LARGEST_ROOT, LARGEST_ROOT).astype(np.float32)
