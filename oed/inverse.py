@@ -26,6 +26,8 @@ from oed.batch import BatchedFunction
 from oed.expressions import MachineExpressions
 from oed.machine import Machine
 
+#: change of the slopes, over the largest, that is steady within Newton's last step
+STEADY = 1e-3
 #: steps in which a solution is followed, first few, then more
 PATH_STEPS = (8, 64, 512)
 #: starts about the machine's own for a home pose that fails, and how far they reach,
@@ -89,6 +91,7 @@ class InverseKinematics:
             followed, done = self._from_home(
                 (home, mode), command[lost], _at(p, lost), tool, steps
             )
+            done &= self._has_slopes(followed, command[lost], _at(p, lost), tool)
             z[lost[done]] = followed[done]
             lost = lost[~done]
         if lost.size:
@@ -255,6 +258,20 @@ class InverseKinematics:
             if not alive.any():
                 break
         return z, alive
+
+    def _has_slopes(self, z: Array, command: Array, p: Array, tool: Array) -> Mask:
+        """Whether the equations have slopes at solutions (n, nx + nq).
+
+        A leg of no length has a direction from every side, and none there: the slopes
+        then change over the last step that Newton's method may leave.
+        """
+        nx = len(self.machine.pose)
+        x, q = z[:, :nx], z[:, nx:]
+        _, at = self._inverse(x, q, p, command, tool)
+        _, near = self._inverse(x + newton.STEP_TOLERANCE, q, p, command, tool)
+        change = np.abs(near - at).max(axis=(1, 2))
+        regular: Mask = change < STEADY * np.abs(at).max(axis=(1, 2))
+        return regular
 
     # -- equations ---------------------------------------------------------------------
 

@@ -166,7 +166,9 @@ CASES = {
     "hexapod": Case(
         machine=hexapod.machine,
         commands=_box_commands(hexapod.machine),
-        out_of_reach=np.zeros((0, 6)),  # legs without limits reach every pose
+        out_of_reach=np.array(
+            [[*(np.array(hexapod.B[1]) - hexapod.A[1]), 0.0, 0.0, 0.0]]
+        ),  # leg 1 of length 0
         setups=_setups((0.02, 0.01, 0.20), (0.0, 0.05, 0.30, 0.05, 0.0, 0.1)),
     ),
     "hexaglide": Case(
