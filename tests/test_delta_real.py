@@ -155,6 +155,58 @@ def test_the_firmwares_fit_leaves_its_published_residuals(
         assert rms_mm(read - session.distances) == pytest.approx(distances, abs=1e-6)
 
 
+KINDS = ("probe", "calliper")
+#: The calliper of S04, predicted from S03, misses by 0.0905 mm where 0.09 were asked:
+#: twelve readings, with the noise law integrated over.
+PREDICTED = [
+    pytest.param(
+        seen,
+        unseen,
+        kind,
+        marks=pytest.mark.xfail(
+            (seen, unseen, kind) == ("S03", "S04", "calliper"),
+            reason="0.0905 mm, and 0.09 were asked",
+            strict=True,
+        ),
+    )
+    for seen, unseen in published.ASKED
+    for kind in KINDS
+]
+
+
+def held_out(m: Measurement, session: Session, kind: str) -> tuple[Series, np.ndarray]:
+    """Poses and readings of one kind."""
+    if kind == "probe":
+        return heights_of(m, session), session.heights
+    return distances_of(m, session), session.distances
+
+
+def without_bed(n: int, kind: str) -> np.ndarray:
+    """Takes the bed's height, free in each session, out of n readings."""
+    return np.eye(n) - (1 / n if kind == "probe" else 0.0)
+
+
+def miss_of(
+    m: Measurement, theta: np.ndarray, session: Session, kind: str
+) -> np.ndarray:
+    """Readings less their prediction."""
+    series, read = held_out(m, session, kind)
+    return without_bed(len(read), kind) @ (read - m.readings([series], theta))
+
+
+@pytest.mark.parametrize(("seen", "unseen", "kind"), PREDICTED)
+def test_a_prediction_is_as_near_as_asked(
+    measurement: Measurement,
+    sessions: dict[str, Session],
+    seen: str,
+    unseen: str,
+    kind: str,
+) -> None:
+    estimate = fitted(measurement, sessions[seen])
+    miss = miss_of(measurement, estimate.theta, sessions[unseen], kind)
+    assert rms_mm(miss) <= published.ASKED[seen, unseen][KINDS.index(kind)]
+
+
 @pytest.mark.parametrize(("seen", "unseen"), published.ASKED)
 def test_one_session_predicts_another(
     measurement: Measurement, sessions: dict[str, Session], seen: str, unseen: str
@@ -162,28 +214,18 @@ def test_one_session_predicts_another(
     """Held-out readings, and how many of them the 95 % intervals hold; the bed's height
     is free in each session.
     """
-    found, other = fitted(measurement, sessions[seen]), sessions[unseen]
+    estimate, other = fitted(measurement, sessions[seen]), sessions[unseen]
     inside = []
-    for kind, series, read, asked, ordinary in zip(
-        ("probe", "calliper"),
-        (heights_of(measurement, other), distances_of(measurement, other)),
-        (other.heights, other.distances),
-        published.ASKED[seen, unseen],
-        published.ORDINARY[seen, unseen],
-        strict=True,
-    ):
+    for kind, ordinary in zip(KINDS, published.ORDINARY[seen, unseen], strict=True):
+        series, read = held_out(measurement, other, kind)
         n = len(read)
-        without_bed = np.eye(n) - (1 / n if kind == "probe" else 0.0)
-        miss = without_bed @ (read - measurement.readings([series], found.theta))
-        h = measurement.jacobian([series], found.theta)
-        fitted_sigma = found.noise.sigma[0 if kind == "probe" else -1]
-        sigma = np.full(n, fitted_sigma)
-        spread = (
-            without_bed @ (h @ found.covariance @ h.T + np.diag(sigma**2)) @ without_bed
-        )
+        miss = miss_of(measurement, estimate.theta, other, kind)
+        h = measurement.jacobian([series], estimate.theta)
+        sigma = np.full(n, estimate.noise.sigma[0 if kind == "probe" else -1])
+        covariance = h @ estimate.covariance @ h.T + np.diag(sigma**2)
+        bed = without_bed(n, kind)
+        spread = bed @ covariance @ bed
         inside += (np.abs(miss) < 1.96 * np.sqrt(np.diag(spread))).tolist()
-        # A dozen readings: with the noise law integrated over, a hundredth is no change.
-        assert rms_mm(miss) <= 1.01 * asked
         assert rms_mm(miss) == pytest.approx(ordinary, rel=0.1)
     assert len(inside) == 19
     assert 0.85 <= np.mean(inside) <= 1.0
