@@ -112,8 +112,8 @@ def test_a_copy_overwrites_nothing(oed: Run, tmp_path: Path) -> None:
     [
         (["--from", "a3_bal_bar"], "did you mean a3_ball_bar?"),
         (["--from", "a3_ball_bar", "--machine", "a3_head"], "leave out --machine"),
-        ([], "give --machine and --instrument, or --from STUDY"),
-        (["--machine", "a3_head"], "give --machine and --instrument"),
+        ([], "give --machine, a name or a file of your own, or --from STUDY"),
+        (["--instrument", "ball_bar"], "give --machine, a name or a file of your own"),
     ],
 )
 def test_what_to_start_from_is_stated_once(
@@ -123,6 +123,13 @@ def test_what_to_start_from_is_stated_once(
     assert (code, err.count("\n")) == (2, 1)
     assert words in err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_machine_alone_gets_an_instrument(oed: Run, tmp_path: Path) -> None:
+    code, out, _ = oed("new", "mine", "--machine", "a3_head")
+    assert code == 0
+    assert "Instrument: " in out
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.study.toml"]
 
 
 def test_an_installed_package_has_its_studies_inside(

@@ -128,7 +128,11 @@ def test_a_file_that_another_program_has_open_is_named(
     """Windows refuses to replace an open file: one line, and the old file stays."""
     study, out = tmp_path / "p.study.toml", tmp_path / "out"
     study.write_text(PLAN, encoding="utf-8")
-    files.write_whole(out / "result.json", "old")
+    assert (
+        cli.main(["run", str(study), "--quiet", "--out", str(tmp_path / "first")]) == 0
+    )
+    old = (tmp_path / "first" / "result.json").read_text(encoding="utf-8")
+    files.write_whole(out / "result.json", old)
 
     def refuse(part: Path, target: Path) -> None:
         raise PermissionError(errno.EACCES, "Access is denied", str(target))
@@ -138,7 +142,7 @@ def test_a_file_that_another_program_has_open_is_named(
     err = capsys.readouterr().err
     assert "result.json: access is denied" in err
     assert "close it in other programs" in err
-    assert (out / "result.json").read_text(encoding="utf-8") == "old"
+    assert (out / "result.json").read_text(encoding="utf-8") == old
     assert [path.name for path in out.iterdir()] == ["result.json"]
 
 

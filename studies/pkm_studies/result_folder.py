@@ -65,14 +65,14 @@ def write(
                 f" one is {path.name}"
             )
     result = msgspec.structs.replace(result, written=written, warnings=warnings)
+    encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
+    files.write_whole(folder / "result.json", encoded)
     if state.posterior is not None:
         _save_posterior(folder, result, state.posterior)
     for name, text in zip(written, texts.values(), strict=True):
         files.write_whole(folder / name, text)
     if state.plan is not None and sheet:
         _write_sheet(folder, result, state.plan)
-    encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
-    files.write_whole(folder / "result.json", encoded)
     return result
 
 
