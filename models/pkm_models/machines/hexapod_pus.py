@@ -20,9 +20,9 @@ import numpy as np
 from oed.arrays import Array
 from oed.machine import Dimension, Expr, Family, Machine, Start, Values
 from pkm_models import families, legs, six_dof
-from pkm_models.families import Geometry, as_rows, point
+from pkm_models.carriages import GuidedStruts
+from pkm_models.families import Geometry, as_rows
 
-LIMBS = (1, 2, 3, 4, 5, 6)
 NAME = "hexapod_pus"
 GUIDES = families.ring(0.350, (-15, 15, 105, 135, 225, 255), 0.0)
 PLATFORM = families.ring(0.200, (-45, 45, 75, 165, 195, 285), 0.050)
@@ -35,41 +35,24 @@ DIMENSIONS = (
 
 def _builder(along: Array, side: Array) -> dict[str, object]:
     """Closure, start, drawing and struts for guides of these directions and sides."""
-    sides = legs.across(along)
-
-    def axis(p: Values, i: int) -> Expr:
-        return legs.direction(p, i, along[i - 1], sides[i - 1])
-
-    def ends(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
-        carriage = point(p, "b", i) + q[f"q{i}"] * axis(p, i)
-        return carriage, legs.platform_joint(x, p, i)
+    limbs = GuidedStruts(along, side)
 
     def closure(x: Values, q: Values, p: Values) -> list[Expr]:
         rows = []
-        for i in LIMBS:
-            carriage, joint = ends(x, q, p, i)
+        for i in limbs.limbs:
+            carriage, joint = limbs.ends(x, q, p, i)
             rows.append(ca.norm_2(joint - carriage) - p[f"l{i}"])
         return rows
 
     def guess(c: Values, p: Values) -> Start:
-        joints = []
-        for i in LIMBS:
-            at = legs.platform_joint(c, p, i)
-            foot = point(p, "b", i)
-            along_guide = axis(p, i)
-            strut = p[f"l{i}"]
-            sign = side[i - 1]
-            joints.append(legs.travel(at, foot, along_guide, strut, sign))
-        return six_dof.target(c), joints
+        return six_dof.target(c), limbs.travels(c, p)
 
-    def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
-        carriages, joints = zip(*[ends(x, q, p, i) for i in LIMBS], strict=True)
-        return legs.skeleton(carriages, joints, x)
-
-    def struts(x: Values, q: Values, p: Values) -> list[tuple[Expr, Expr]]:
-        return [ends(x, q, p, i) for i in LIMBS]
-
-    return {"closure": closure, "guess": guess, "skeleton": skeleton, "struts": struts}
+    return {
+        "closure": closure,
+        "guess": guess,
+        "skeleton": limbs.skeleton,
+        "struts": limbs.struts,
+    }
 
 
 def build(geometry: Geometry) -> Machine:

@@ -22,9 +22,9 @@ import numpy as np
 from oed.arrays import Array
 from oed.machine import Dimension, Expr, Family, Machine, Start, Values
 from pkm_models import families, legs, six_dof
-from pkm_models.families import Geometry, as_rows, point
+from pkm_models.carriages import GuidedStruts
+from pkm_models.families import Geometry, as_rows
 
-LIMBS = (1, 2, 3)
 NAME = "tripod_prs"
 DEGREES = (0.0, 120.0, 240.0)
 GUIDES = families.ring(0.350, DEGREES, 0.0)
@@ -40,19 +40,12 @@ DIMENSIONS = (
 
 def _builder(along: Array, axes: Array, side: Array) -> dict[str, object]:
     """Closure, start, drawing and struts for these guides and hinges."""
-    sides = legs.across(along)
-
-    def guide(p: Values, i: int) -> Expr:
-        return legs.direction(p, i, along[i - 1], sides[i - 1])
-
-    def ends(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
-        carriage = point(p, "b", i) + q[f"q{i}"] * guide(p, i)
-        return carriage, legs.platform_joint(x, p, i)
+    limbs = GuidedStruts(along, side)
 
     def closure(x: Values, q: Values, p: Values) -> list[Expr]:
         rows = []
-        for i in LIMBS:
-            carriage, joint = ends(x, q, p, i)
+        for i in limbs.limbs:
+            carriage, joint = limbs.ends(x, q, p, i)
             v = joint - carriage
             rows.append(ca.norm_2(v) - p[f"l{i}"])
             rows.append(legs.hinge(v, axes[i - 1], p, i))
@@ -61,24 +54,14 @@ def _builder(along: Array, axes: Array, side: Array) -> dict[str, object]:
     def guess(c: Values, p: Values) -> Start:
         pose = legs.tripod_start(c, p)
         x = families.by_name(six_dof.POSE, pose)
-        joints = []
-        for i in LIMBS:
-            at = legs.platform_joint(x, p, i)
-            foot = point(p, "b", i)
-            along_guide = guide(p, i)
-            strut = p[f"l{i}"]
-            sign = side[i - 1]
-            joints.append(legs.travel(at, foot, along_guide, strut, sign))
-        return pose, joints
+        return pose, limbs.travels(x, p)
 
-    def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
-        carriages, joints = zip(*[ends(x, q, p, i) for i in LIMBS], strict=True)
-        return legs.skeleton(carriages, joints, x)
-
-    def struts(x: Values, q: Values, p: Values) -> list[tuple[Expr, Expr]]:
-        return [ends(x, q, p, i) for i in LIMBS]
-
-    return {"closure": closure, "guess": guess, "skeleton": skeleton, "struts": struts}
+    return {
+        "closure": closure,
+        "guess": guess,
+        "skeleton": limbs.skeleton,
+        "struts": limbs.struts,
+    }
 
 
 def build(geometry: Geometry) -> Machine:
