@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import special
 
 from oed.arrays import Array
 from oed.coordinates import IdentifiableCoordinates
@@ -53,9 +52,6 @@ class Estimate:
     warnings          sentences that a user must read
     noise_posterior   of the noise law; None where the noise is as stated
     robust_readings   (N,) readings, SI, with those far off replaced; None likewise
-    outliers          numbers of the readings that are far off
-    pull              (N,) how far each is from what the others predict, in standard
-                      deviations; None likewise
     """
 
     theta: Array
@@ -72,18 +68,6 @@ class Estimate:
     warnings: tuple[str, ...]
     noise_posterior: NoisePosterior | None = None
     robust_readings: Array | None = None
-    outliers: tuple[int, ...] = ()
-    pull: Array | None = None
-
-    @property
-    def p_high(self) -> float:
-        """Chance of a larger chi2 under the stated noise; small for a bad fit."""
-        return float(special.gammaincc(0.5 * max(self.dof, 1e-9), 0.5 * self.chi2))
-
-    @property
-    def p_low(self) -> float:
-        """Chance of a smaller chi2; small where the residuals are too small."""
-        return float(special.gammainc(0.5 * max(self.dof, 1e-9), 0.5 * self.chi2))
 
     @property
     def sd(self) -> Array:

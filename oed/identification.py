@@ -266,8 +266,9 @@ def _integrated_stage(
         jacobian = fit.measurement.jacobian(fit.series, theta)
         slopes = structure.standardise(jacobian @ coordinates.basis)
         residual = structure.standardise(fit.residuals(theta))
-        far = robust_residuals(structure, law, residual + slopes @ z, slopes)
-        replaced = far.residual - slopes @ z
+        about_nominal = residual + slopes @ z
+        clean = robust_residuals(structure, law, about_nominal, slopes)
+        replaced = clean - slopes @ z
         change = structure.restore(replaced - residual)
         robust = dataclasses.replace(fit, y=fit.y + change)
         model = ResidualModel(structure, replaced, slopes, z)
@@ -293,8 +294,6 @@ def _integrated_stage(
         stages=(stage,),
         noise_posterior=posterior,
         robust_readings=robust.y,
-        outliers=tuple(int(k) for k in far.rows),
-        pull=far.pull,
     )
 
 

@@ -143,7 +143,7 @@ class _TabuSearch:
             place, row, factor = self._best_exchange(step)
             self._exchange(place, row, step)
             self.values = self.values + np.log(np.maximum(factor, UNSOUND))
-            sound = UNSOUND < factor.min() and factor.max() < 1.0 / UNSOUND
+            sound = factor.min() > UNSOUND and factor.max() < 1.0 / UNSOUND
             if step % REFRESH == REFRESH - 1 or not sound:
                 self._refresh()
             better = np.flatnonzero(self.values > self.best_values + GAIN)

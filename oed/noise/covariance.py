@@ -73,7 +73,9 @@ def independent_noise(sigma: Array) -> Noise:
     return Noise(sigma)
 
 
-def block_noise(covariances: Sequence[Array], places: Sequence[Index]) -> Noise:
+def block_noise(
+    covariances: Sequence[Array] | Array, places: Sequence[Index] | Index
+) -> Noise:
     """Noise with dense covariance blocks at index sets `places`, which together cover
     all readings.
     """

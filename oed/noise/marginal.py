@@ -127,11 +127,6 @@ class NoisePosterior:
     mean: Array
     covariance: Array
 
-    @property
-    def effective_draws(self) -> float:
-        """Number of equally weighted draws that tell as much."""
-        return float(1.0 / (self.weights @ self.weights))
-
     def quantiles(self, values: Array, levels: tuple[float, ...]) -> Array:
         """Weighted quantiles of a quantity (L,) of the laws."""
         order = np.argsort(values)

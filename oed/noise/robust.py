@@ -24,30 +24,14 @@ MOST_TOGETHER = 2000
 FEWEST = 8
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class RobustResiduals:
-    """Residuals (N,) with those far off replaced, in units of the stated noise.
-
-    residual  (N,)
-    rows      readings that are far off
-    pull      (N,) error of predicting each reading from the others, in standard
-              deviations; zero where tails are light
-    """
-
-    residual: Array
-    rows: Index
-    pull: Array
-
-
 def robust_residuals(
     structure: ReadingStructure, laws: Laws, residual: Array, slopes: Array
-) -> RobustResiduals:
-    """Replace residuals (N,) about the prior's middle that are far off.
+) -> Array:
+    """Residuals (N,) about the prior's middle, with those far off replaced.
 
     slopes  (N, r) over z ~ N(0, I), which hold what the machine may do
     """
-    clean, pull = residual.copy(), np.zeros(len(residual))
-    rows: list[Index] = []
+    clean = residual.copy()
     for members in _together(structure):
         part = _take(structure, members)
         h = slopes[members]
@@ -57,10 +41,7 @@ def robust_residuals(
         )
         if result is not None:
             clean[members] = result.pseudo_residual
-            pull[members] = result.pull
-            rows.append(members[result.rows])
-    far = np.concatenate(rows) if rows else np.zeros(0, dtype=np.intp)
-    return RobustResiduals(clean, np.sort(far), pull)
+    return clean
 
 
 def _together(structure: ReadingStructure) -> list[Index]:

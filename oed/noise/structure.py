@@ -17,6 +17,7 @@ from scipy.sparse.linalg import spsolve
 
 from oed.arrays import Array, Index
 from oed.measurement import Measurement, Series
+from oed.noise.covariance import block_noise
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -128,7 +129,7 @@ def reading_structure(
         parts.position.append(np.repeat(place, count))
         common = [c.shared * sd for c, sd in zip(channels, setup.sigma, strict=True)]
         parts.shared.append(np.tile(common, len(s)))
-        blocks.append(_inverse_roots(measurement.reading_covariances(s)))
+        blocks.append(_decoupling(measurement.reading_covariances(s)))
         runs += len(number)
     run, channel = (
         np.concatenate(parts.run),
@@ -176,18 +177,14 @@ def _places(run: Index) -> Index:
     return place
 
 
-def _inverse_roots(covariances: Array) -> sparse.csr_array:
+def _decoupling(covariances: Array) -> sparse.csr_array:
     """Block diagonal W with W C W^T = 1, for covariances (n, c, c) of n readings."""
-    count = covariances.shape[1]
-    if count == 1:
-        return sparse.csr_array(sparse.diags_array(covariances[:, 0, 0] ** -0.5))
-    inverse = np.linalg.inv(np.linalg.cholesky(covariances))
-    at = np.arange(len(covariances) * count).reshape(-1, count)
-    rows = np.broadcast_to(at[:, :, None], inverse.shape)
-    columns = np.broadcast_to(at[:, None, :], inverse.shape)
-    filled = inverse != 0.0
-    entries = (inverse[filled], (rows[filled], columns[filled]))
-    return sparse.csr_array(sparse.coo_array(entries, shape=(at.size, at.size)))
+    places = np.arange(covariances.shape[0] * covariances.shape[1])
+    noise = block_noise(covariances, places.reshape(covariances.shape[:2]))
+    assert noise.whitening is not None
+    whitening = noise.whitening.copy()
+    whitening.eliminate_zeros()
+    return whitening
 
 
 def _renewed_slopes(

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
+from scipy import stats
 
 from kernel import a3_plans
 from kernel.cases import CASES
@@ -247,7 +248,7 @@ def test_understated_noise_is_estimated(printer: tuple) -> None:
         y = exact + actual * rng.standard_normal(len(sigma))
         estimate = identify(m, series, y, estimate_noise=True)
         scales.append(total_noise(estimate))
-        chances.append(estimate.p_high)
+        chances.append(stats.chi2.sf(estimate.chi2, estimate.dof))
     heights, distances = np.median(scales, axis=0)
     assert heights / distances == pytest.approx(3.0, rel=0.25)
     assert 2.4 < heights < 4.0
@@ -267,7 +268,7 @@ def test_a_perfect_fit_keeps_the_estimate_and_is_suspicious(printer: tuple) -> N
     m, series = printer
     estimate = identify(m, series, m.readings(series, m.nominal), estimate_noise=True)
     assert estimate.theta == pytest.approx(m.nominal, abs=1e-9)
-    assert estimate.p_low < 1e-6
+    assert stats.chi2.cdf(estimate.chi2, estimate.dof) < 1e-6
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import numpy as np
 from oed import units
 from oed.arrays import Array
 from oed.kinematics import Kinematics
-from pkm_studies import csv_table, template
+from pkm_studies import csv_table
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import Place
 from pkm_studies.importers import column_map
@@ -24,7 +24,6 @@ from pkm_studies.importers.base import (
     ImportedSession,
     ImportRequest,
     Row,
-    readings_name,
 )
 from pkm_studies.importers.column_map import Model
 from pkm_studies.importers.thinning import Thinned, thin
@@ -244,17 +243,8 @@ def _study(
         setup["tool_mm"] = list(given.tool_mm)
     sigma = math.sqrt(float(np.mean([t.sigma**2 for t in thinned])))
     noise = given.noise or {"length_um": float(f"{units.number(sigma, 'um'):.3g}")}
-    tables = {
-        "name": request.name,
-        "title": f"Ball-bar circles of {model.machine.name}",
-        "machine": {"model": model.reference},
-        "setup": [setup],
-        "noise": {**noise, "estimate": True},
-        "readings": {"files": [readings_name(request.name)]},
-    }
-    comment = f"Imported from {', '.join(path.name for path in request.files)}."
-    tail = template.prediction_table(model.machine)
-    return column_map.study_text(comment, tables, tail)
+    title = f"Ball-bar circles of {model.machine.name}"
+    return column_map.imported_study(request, model, title, setup, noise)
 
 
 def _rows(

@@ -21,9 +21,9 @@ import tomli_w
 
 from oed.instrument import Instrument
 from oed.machine import Machine
-from pkm_studies import catalogue, files
+from pkm_studies import catalogue, files, template
 from pkm_studies.errors import Place, shorten
-from pkm_studies.importers.base import ImportRequest
+from pkm_studies.importers.base import ImportRequest, readings_name
 from pkm_studies.study import decode
 from pkm_studies.study.tables.column_map import ColumnMap
 
@@ -88,10 +88,27 @@ def text(column_map: ColumnMap) -> str:
     return "# Which column is what; use it again with --map.\n" + tomli_w.dumps(table)
 
 
-def study_text(comment: str, tables: Mapping[str, Any], tail: str) -> str:
-    """The text of a study from its tables and text that follows."""
-    written = tomli_w.dumps({"schema": 1, **tables})
-    return f"# {comment}\n# `oed run` runs it; see `oed schema study`.\n\n{written}\n{tail}"
+def imported_study(
+    request: ImportRequest,
+    model: Model,
+    title: str,
+    setup: Mapping[str, object],
+    noise: Mapping[str, object],
+) -> str:
+    """The study of one set-up with its readings; the noise law is estimated."""
+    tables = {
+        "schema": 1,
+        "name": request.name,
+        "title": title,
+        "machine": {"model": model.reference},
+        "setup": [setup],
+        "noise": {**noise, "estimate": True},
+        "readings": {"files": [readings_name(request.name)]},
+    }
+    comment = f"Imported from {', '.join(path.name for path in request.files)}."
+    head = f"# {comment}\n# `oed run` runs it; see `oed schema study`."
+    prediction = template.prediction_table(model.machine)
+    return f"{head}\n\n{tomli_w.dumps(tables)}\n{prediction}"
 
 
 def _from_folder(reference: str, folder: Path, out: Path) -> str:

@@ -10,7 +10,7 @@ from oed.dataset.columns import COVARIATES, LABELS, UNITLESS, is_covariate, pars
 from oed.instrument import Instrument
 from oed.machine import Machine
 from oed.units import UnitError
-from pkm_studies import csv_table, template
+from pkm_studies import csv_table
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import InputError, Place, suggest
 from pkm_studies.importers import column_map
@@ -18,7 +18,6 @@ from pkm_studies.importers.base import (
     ImportedSession,
     ImportRequest,
     Row,
-    readings_name,
 )
 from pkm_studies.resolve.quantities import column as usual_column
 from pkm_studies.study.tables.column_map import ColumnMap
@@ -40,26 +39,38 @@ class ColumnsImporter:
         complete = msgspec.structs.replace(
             given, machine=model.reference, instrument=reference, columns=columns
         )
-        tables = {
-            "name": request.name,
-            "title": f"{model.machine.name} read by {tool.name}",
-            "machine": {"model": model.reference},
-            "setup": [setup_table(complete, reference)],
-            "noise": {**given.noise, "estimate": True},
-            "readings": {"files": [readings_name(request.name)]},
-        }
-        comment = f"Imported from {', '.join(p.name for p in request.files)}."
-        return ImportedSession(
-            study=column_map.study_text(
-                comment, tables, template.prediction_table(model.machine)
-            ),
+        return session(
+            request,
+            complete,
+            model,
+            tool,
+            setup=setup_table(complete, reference),
             rows=rows(table, columns, given),
             statements=statements(table, columns, given),
-            column_map=column_map.text(complete),
         )
 
 
 importer = ColumnsImporter()
+
+
+def session(
+    request: ImportRequest,
+    complete: ColumnMap,
+    model: column_map.Model,
+    tool: Instrument,
+    *,
+    setup: Mapping[str, object],
+    rows: Sequence[Row],
+    statements: Sequence[str],
+) -> ImportedSession:
+    """The session of a complete map: a study with one set-up, and what was read."""
+    title = f"{model.machine.name} read by {tool.name}"
+    return ImportedSession(
+        study=column_map.imported_study(request, model, title, setup, complete.noise),
+        rows=rows,
+        statements=statements,
+        column_map=column_map.text(complete),
+    )
 
 
 def joined(tables: Sequence[CsvTable]) -> CsvTable:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from oed import units
 from oed.arrays import Array
 from oed.kinematics import Kinematics
-from pkm_studies import csv_table, template
+from pkm_studies import csv_table
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import InputError, Place
 from pkm_studies.importers import column_map, columns
@@ -26,7 +26,6 @@ from pkm_studies.importers.base import (
     ImportedSession,
     ImportRequest,
     Row,
-    readings_name,
 )
 from pkm_studies.resolve.tool_points import ToolPoints
 from pkm_studies.study.tables.column_map import ColumnMap
@@ -80,22 +79,14 @@ class TrackerImporter:
         rows = columns.rows(table, mapped, given)
         kinematics = Kinematics(model.machine)
         rows, sentence = _registered(rows, given, kinematics, table, place)
-        tables = {
-            "name": request.name,
-            "title": f"{model.machine.name} read by {tool.name}",
-            "machine": {"model": model.reference},
-            "setup": [_setup(complete, reference)],
-            "noise": {**given.noise, "estimate": True},
-            "readings": {"files": [readings_name(request.name)]},
-        }
-        comment = f"Imported from {', '.join(p.name for p in request.files)}."
-        return ImportedSession(
-            study=column_map.study_text(
-                comment, tables, template.prediction_table(model.machine)
-            ),
+        return columns.session(
+            request,
+            complete,
+            model,
+            tool,
+            setup=_setup(complete, reference),
             rows=rows,
             statements=[*columns.statements(table, mapped, given), *sentence],
-            column_map=column_map.text(complete),
         )
 
 

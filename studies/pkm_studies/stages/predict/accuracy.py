@@ -62,12 +62,13 @@ def _predict(
         theta, noise = estimate.theta, estimate.noise
         mean = (estimate.theta - measurement.nominal)[:count]
     h = noise.whiten(measurement.jacobian(series, theta)) * tolerance
-    scale = np.outer(tolerance[:count], tolerance[:count])
-    covariance = information.posterior_covariance(h)[:count, :count] * scale
-    if estimate is not None:
-        covariance = estimate.covariance[:count, :count]
     draws = None
-    if posterior is not None and estimate is not None:
+    if estimate is None:
+        scale = np.outer(tolerance[:count], tolerance[:count])
+        covariance = information.posterior_covariance(h)[:count, :count] * scale
+    elif posterior is None:
+        covariance = estimate.covariance[:count, :count]
+    else:
         draws = posterior.pooled[:, :count] - estimate.theta[:count]
         covariance = draws.T @ draws / len(draws)
     return prediction.predict(
