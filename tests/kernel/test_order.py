@@ -2,7 +2,7 @@
 geometry written out here.
 """
 
-from itertools import pairwise, permutations, product
+from itertools import permutations, product
 
 import numpy as np
 import pytest
@@ -10,37 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import planar_geometry as planar
 
+from kernel.orders import along, plane, problem, shortest
 from oed.design import move_times, order, path_search
 from oed.instrument import Protocol, mount
 from oed.measurement import Measurement
 from pkm_models.instruments import height_probe
 from pkm_models.machines import planar_2dof
-
-
-def problem(
-    seed: int, n: int, forbidden: float = 0.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lengths (n, n) that differ there and back, some of them forbidden, from the start
-    (n,) and to the finish (n,).
-    """
-    rng = np.random.default_rng(seed)
-    distance = rng.uniform(size=(n, n))
-    distance[rng.uniform(size=(n, n)) < forbidden] = np.inf
-    return distance, rng.uniform(size=n), rng.uniform(size=n)
-
-
-def along(
-    path: list[int] | tuple[int, ...] | np.ndarray, distance: np.ndarray
-) -> float:
-    return float(sum(distance[a, b] for a, b in pairwise(path)))
-
-
-def shortest(distance: np.ndarray, start: np.ndarray, finish: np.ndarray) -> float:
-    """Of all permutations."""
-    return min(
-        start[p[0]] + along(p, distance) + finish[p[-1]]
-        for p in permutations(range(len(distance)))
-    )
 
 
 def nearest_neighbours(distance: np.ndarray) -> float:
@@ -53,11 +28,6 @@ def nearest_neighbours(distance: np.ndarray) -> float:
             path.append(min(on_left, key=lambda j: distance[path[-1], j]))
         lengths.append(along(path, distance))
     return min(lengths)
-
-
-def plane(seed: int, n: int) -> np.ndarray:
-    x = np.random.default_rng(seed).uniform(size=(n, 2))
-    return np.linalg.norm(x[:, None] - x, axis=-1)
 
 
 @pytest.mark.parametrize("exact", [True, False])

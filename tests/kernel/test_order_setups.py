@@ -1,11 +1,12 @@
 """Orders with retract poses, reference readings and set-ups."""
 
 from collections.abc import Callable
-from itertools import combinations, pairwise, permutations, product
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
 
+from kernel.orders import plane, problem, shortest
 from oed.design import move_times, order, schedule
 from oed.design.clearance import Clearance, Surroundings
 from oed.design.segments import sphere
@@ -13,37 +14,6 @@ from oed.instrument import mount
 from oed.measurement import Measurement
 from pkm_models.instruments import ball_bar, calliper
 from pkm_models.machines import planar_2dof
-
-
-def problem(
-    seed: int, n: int, forbidden: float = 0.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lengths (n, n) that differ there and back, some of them forbidden, from the start
-    (n,) and to the finish (n,).
-    """
-    rng = np.random.default_rng(seed)
-    distance = rng.uniform(size=(n, n))
-    distance[rng.uniform(size=(n, n)) < forbidden] = np.inf
-    return distance, rng.uniform(size=n), rng.uniform(size=n)
-
-
-def along(
-    path: list[int] | tuple[int, ...] | np.ndarray, distance: np.ndarray
-) -> float:
-    return float(sum(distance[a, b] for a, b in pairwise(path)))
-
-
-def shortest(distance: np.ndarray, start: np.ndarray, finish: np.ndarray) -> float:
-    """Of all permutations."""
-    return min(
-        start[p[0]] + along(p, distance) + finish[p[-1]]
-        for p in permutations(range(len(distance)))
-    )
-
-
-def plane(seed: int, n: int) -> np.ndarray:
-    x = np.random.default_rng(seed).uniform(size=(n, 2))
-    return np.linalg.norm(x[:, None] - x, axis=-1)
 
 
 def test_a_wall_between_two_groups_is_gone_round_by_the_retract_pose(

@@ -87,7 +87,9 @@ def test_an_unknown_noise_scale_has_the_posterior_of_the_quadrature() -> None:
     m, series, y, estimate = problem(
         distances=False, readings=14, noise=3.0, estimate_noise=True
     )
-    drawn = posterior.sample(m, series, y, estimate, np.random.default_rng(2), ess=1000)
+    drawn = posterior.sample(
+        m, series, y, estimate, np.random.default_rng(2), ess=1000, max_steps=3000
+    )
     assert drawn.noise_names[0] == "noise of probe.height"
     h = m.jacobian(series, estimate.theta)
     miss = y - m.readings(series, estimate.theta) + h @ (estimate.theta - m.nominal)
