@@ -11,6 +11,7 @@ to first order) and, through the exact closure, a virtual machine that has the e
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
 import functools
 import itertools
 from collections.abc import Callable, Iterable, Mapping
@@ -189,6 +190,8 @@ class Effect:
     exposed_by           reading that separates it from its rivals
     unfit(machine)       why it cannot occur on a machine, in words; None where it can
     common_to_limbs      whether limbs of one design usually share one coefficient
+    units                {pattern of coefficients' names: SI unit}, the first that suits;
+                         m where none does
     textbook_share       prior probability of its textbook form, where it has columns
                          that adapt the shape
     """
@@ -204,6 +207,14 @@ class Effect:
     unfit: Callable[[Machine], str | None] = lambda machine: None
     common_to_limbs: bool = False
     textbook_share: float = 0.5
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def unit(self, coefficient: str) -> str:
+        """SI unit of a coefficient by its name."""
+        for pattern, unit in self.units.items():
+            if fnmatch.fnmatchcase(coefficient, pattern):
+                return unit
+        return "m"
 
     def constant_grid(self) -> list[dict[str, float]]:
         """Every combination of the constants' values, by name."""

@@ -41,8 +41,13 @@ def error_maps(
     command: Array,
     reference: Reference = "home",
     tool: Array = NO_TOOL,
+    further: tuple[Array, Array] | None = None,
 ) -> ErrorMaps:
-    """Error maps at workspace commands (n, n_dof), SI. Raises AssemblyError."""
+    """Error maps at workspace commands (n, n_dof), SI. Raises AssemblyError.
+
+    `further` are twists (n + 1, 6, m) per unit of m coefficients, raw and remaining,
+    the home pose last; the maps are then over them in place of the parameters.
+    """
     machine = kinematics.machine
     model = error_model(kinematics, command, tool)
     home = error_model(kinematics, machine.home_command[None], tool)
@@ -52,11 +57,16 @@ def error_maps(
         relative = _relative(twist, home_twist, model, home, reference, machine.lever)
         return np.asarray(slope @ relative)
 
+    raw, raw_home = model.raw, home.raw
+    remaining, remaining_home = model.remaining, home.remaining
+    if further is not None:
+        raw, raw_home = further[0][:-1], further[0][-1:]
+        remaining, remaining_home = further[1][:-1], further[1][-1:]
     return ErrorMaps(
         command=command,
         names=tuple(c.name for c in machine.components),
-        raw=components(model.raw, home.raw),
-        remaining=components(model.remaining, home.remaining),
+        raw=components(raw, raw_home),
+        remaining=components(remaining, remaining_home),
     )
 
 

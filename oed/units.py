@@ -27,6 +27,7 @@ MINUTE: Final = 60.0
 HOUR: Final = 3600.0
 MM_PER_MIN: Final = MM / MINUTE
 PPM: Final = 1e-6
+MS: Final = 1e-3
 PERCENT: Final = 1e-2
 MEGABYTE: Final = 1e6
 
@@ -58,6 +59,17 @@ DISPLAY: Final[dict[str, str]] = {
     "N": "N",
     "K": "C",
     "1": "1",
+}
+
+#: unit of an effect's coefficient and its factor to SI, by its SI unit
+EFFECT: Final[dict[str, tuple[str, float]]] = {
+    "m": ("um", UM),
+    "rad": ("urad", URAD),
+    "s": ("ms", MS),
+    "s2": ("ms2", MS**2),
+    "K": ("C", 1.0),
+    "1": ("ppm", PPM),
+    "1/K": ("ppm/K", PPM),
 }
 
 #: finer unit for residuals and predicted errors, by SI unit
@@ -98,6 +110,11 @@ def from_si(value: ArrayLike, unit: str) -> Array:
 def number(value: float, unit: str) -> float:
     """Convert one SI value to a plain float in `unit`. Raises UnitError."""
     return float(from_si(value, unit))
+
+
+def coefficient_unit(si: str) -> tuple[str, float]:
+    """Unit in which a person reads an effect's coefficient, and its factor to SI."""
+    return EFFECT.get(si, (si, 1.0))
 
 
 def split(name: str) -> tuple[str, str]:

@@ -3,6 +3,7 @@
 Field names are fixed by the contract; values are SI unless a `unit` stands beside them.
 """
 
+from oed.result.corrected import CorrectedSection, EffectEstimate
 from oed.result.design import (
     CriterionComparison,
     DesignSection,
@@ -81,11 +82,13 @@ __all__ = [
     "ClosureRecord",
     "CoefficientRecord",
     "ComponentAccuracy",
+    "CorrectedSection",
     "CriterionComparison",
     "DesignSection",
     "DetectabilityRecord",
     "DetectabilityTable",
     "Drawing",
+    "EffectEstimate",
     "EffectNote",
     "EstimateSection",
     "GapBeforeSection",

@@ -7,6 +7,7 @@ Arrays are lists.
 
 from __future__ import annotations
 
+from oed.result.corrected import CorrectedSection
 from oed.result.design import DesignSection
 from oed.result.fit import EstimateSection, PosteriorSection
 from oed.result.gap import GapSection
@@ -96,6 +97,7 @@ class StudyResult(Record, frozen=True, kw_only=True):
     prediction: PredictionSection | None = None
     held_out: list[HeldOutSection] = []
     gap: GapSection | None = None
+    corrected: CorrectedSection | None = None
     gap_before: GapBeforeSection | None = None
     drawing: Drawing | None = None
     warnings: list[str] = []

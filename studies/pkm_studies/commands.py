@@ -146,6 +146,14 @@ def identify(
         Path, typer.Option(metavar="CSV", help="The readings.", show_default=False)
     ],
     out: OutFolder,
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            "--with",
+            metavar="EFFECT,...",
+            help="Effects to estimate together with the parameters.",
+        ),
+    ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
 ) -> int:
@@ -158,7 +166,12 @@ def identify(
 
     with display.progress(quiet=quiet) as progress:
         result = pipeline.run(
-            loaded, out, seed=seed, progress=progress, readings=[readings]
+            loaded,
+            out,
+            seed=seed,
+            progress=progress,
+            readings=[readings],
+            effects=effects.replace(",", " ").split() if effects else (),
         )
     return report_outcome(result, out, quiet)
 

@@ -9,11 +9,18 @@ import numpy as np
 from scipy import stats
 
 from oed import session_change
-from oed.result import EstimateSection, ParameterEstimate, StudyResult
+from oed.result import (
+    CorrectedSection,
+    EstimateSection,
+    ParameterEstimate,
+    StudyResult,
+)
 from oed.session_change import CombinationChange, Session, SessionChange, SingleCause
 from pkm_studies import result_folder
 from pkm_studies.errors import InputError
 
+#: a section with parameters, their covariance and chi2
+Fitted = EstimateSection | CorrectedSection
 #: probability of a false alarm of a session's comparison, and of the warning of a fit
 ALARM, BAD_FIT = 0.01, 1e-3
 #: combinations and causes that are printed, and parameters of a combination
@@ -46,8 +53,9 @@ def compare(before: Path, after: Path) -> list[str]:
     return [*filter(None, warnings), *_sentences(change, units)]
 
 
-def _estimate(result: StudyResult, folder: Path) -> EstimateSection:
-    estimate = result.estimate
+def _estimate(result: StudyResult, folder: Path) -> Fitted:
+    """The corrected estimate where there is one, which effects do not bend."""
+    estimate: Fitted | None = result.corrected or result.estimate
     if estimate is None or not estimate.covariance:
         raise InputError(
             "this result has no estimate with its covariance",
@@ -58,7 +66,7 @@ def _estimate(result: StudyResult, folder: Path) -> EstimateSection:
 
 
 def _machine_parameters(
-    result: StudyResult, estimate: EstimateSection
+    result: StudyResult, estimate: Fitted
 ) -> dict[str, ParameterEstimate]:
     """The machine's parameters that are not fixed; set-ups are mounted anew."""
     names = {str(row["name"]) for row in result.machine.parameters}
@@ -87,7 +95,7 @@ def _check_same(
     raise InputError(problem, remedy, file=str(after / "result.json"))
 
 
-def _session(names: list[str], estimate: EstimateSection) -> Session:
+def _session(names: list[str], estimate: Fitted) -> Session:
     """The posterior of the machine's parameters, marginal to the set-ups."""
     position = {name: k for k, name in enumerate(estimate.parameters)}
     rows = [position[name] for name in names]
@@ -95,7 +103,7 @@ def _session(names: list[str], estimate: EstimateSection) -> Session:
     return Session(mean, np.array(estimate.covariance)[np.ix_(rows, rows)])
 
 
-def _bad_fit(estimate: EstimateSection, folder: Path) -> str | None:
+def _bad_fit(estimate: Fitted, folder: Path) -> str | None:
     """A warning where the readings do not fit: the deviations below are too small."""
     p_value = float(stats.chi2.sf(estimate.chi2, max(estimate.dof, 1e-9)))
     if p_value >= BAD_FIT:

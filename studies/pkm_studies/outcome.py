@@ -41,6 +41,8 @@ def _fit_is_bad(result: StudyResult) -> bool:
     """Whether the readings do not fit, and no effect of a diagnosis explains it."""
     if result.goodness is None or not result.goodness.bad_fit:
         return False
+    if result.corrected is not None:
+        return bool(result.corrected.warnings)
     return result.gap is None or result.gap.verdict == "none"
 
 

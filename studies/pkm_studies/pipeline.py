@@ -18,6 +18,7 @@ from pkm_studies.run_state import Readings, RunState, start
 from pkm_studies.stages import describe, headline
 from pkm_studies.stages.plan.earlier import read_earlier_session
 from pkm_studies.steps.checks import check_readings
+from pkm_studies.steps.correct import correct_for_effects
 from pkm_studies.steps.design import (
     analyse_identifiability,
     draw_machine,
@@ -48,6 +49,7 @@ EVALUATION: tuple[Step, ...] = (
     fit_parameters,
     sample_posterior,
     diagnose_gap,
+    correct_for_effects,
     predict_accuracy,
     predict_held_out,
     report_single_stage,
@@ -64,10 +66,17 @@ DIAGNOSIS: tuple[Step, ...] = (
     analyse_identifiability,
     fit_parameters,
     diagnose_always,
+    correct_for_effects,
     draw_machine,
 )
 #: sections that the diagnosis alone and the plan alone make: claims about others wait
-DIAGNOSIS_SECTIONS = ("gap", "estimate", "identifiability", "identifiability_of")
+DIAGNOSIS_SECTIONS = (
+    "gap",
+    "corrected",
+    "estimate",
+    "identifiability",
+    "identifiability_of",
+)
 PLAN_SECTIONS = ("plan", "identifiability", "gap_before")
 
 
@@ -79,15 +88,18 @@ def run(
     progress: Progress | None = None,
     report: bool = True,
     readings: Sequence[Path] | None = None,
+    effects: Sequence[str] = (),
 ) -> StudyResult:
     """Run everything that the study asks for, and write its files into `out`.
 
-    `readings` replace those that the study names. Where `out` holds the unfinished
+    `readings` replace those that the study names. `effects` are estimated together with
+    the parameters. Where `out` holds the unfinished
     posterior of an interrupted run with the same study, readings and seed, that is
     resumed. Raises InputError for what cannot be done, IdentificationError where a fit
     fails.
     """
     state = start(study, seed, progress or Silent(), readings)
+    state = state.replace(with_effects=tuple(effects))
     result_folder.prepare(out)
     checkpoint = result_folder.checkpoint(out, study, state.seed)
     steps = READINGS_GIVEN if state.readings_given else STUDY

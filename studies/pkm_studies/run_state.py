@@ -27,6 +27,8 @@ from pkm_studies.study import Study
 if TYPE_CHECKING:
     import pandas as pd
 
+    from oed.correction import CorrectedEstimate
+
 
 class Stream(enum.IntEnum):
     """Independent random streams: more draws in one leave the others as they are."""
@@ -44,6 +46,8 @@ class Stream(enum.IntEnum):
     GAP = 10
     BEFORE = 11
     CHECKS = 12
+    CORRECTED = 13
+    ACCEPTANCE = 14
 
 
 class HeldOut(NamedTuple):
@@ -87,6 +91,8 @@ class RunState:
     checked          what a check of recorded readings says
     identifiability  verdict on the readings
     estimate         identified parameters
+    with_effects     names of effects to estimate together with the parameters
+    corrected        parameters and effects, estimated together
     checkpoint       where an unfinished chain of draws is saved, if anywhere
     posterior        draws about the estimate
     sections         sections of the result so far
@@ -108,6 +114,8 @@ class RunState:
     checked: CheckedSession | None = None
     identifiability: Assessment | None = None
     estimate: Estimate | None = None
+    with_effects: tuple[str, ...] = ()
+    corrected: CorrectedEstimate | None = None
     checkpoint: Checkpoint | None = None
     posterior: Posterior | None = None
     sections: Mapping[str, Any] = dataclasses.field(default_factory=dict)

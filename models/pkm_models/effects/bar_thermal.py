@@ -61,6 +61,7 @@ effect = Effect(
     source="ISO 230-4 and ISO 1 (20 degrees C); steel 11.5e-6 / K",
     about="a bar that grows with its temperature",
     columns=columns,
+    units={"*per kelvin*": "1/K", "*": "1"},
     needs=("time or temp_bar",),
     constants={"tau": terms.TIME_CONSTANTS, "held": (0.0, 1.0)},
     remedy=(

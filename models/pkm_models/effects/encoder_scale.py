@@ -24,6 +24,7 @@ effect = Effect(
     source="ISO 230-2 and -3; catalogues of linear encoders and ball screws",
     about="scale error of each joint's encoder or screw",
     columns=columns,
+    units={"*": "1"},
     remedy=(
         "measure each joint's scale with a laser interferometer and correct it in the"
         " controller"

@@ -59,6 +59,7 @@ effect = Effect(
     source="ISO 230-3 (environmental temperature variation error); steel 11.5e-6 / K",
     about="a frame that grows with its temperature, moving the base joints apart",
     columns=columns,
+    units={"*per kelvin*": "1/K", "*": "K"},
     needs=("time or temp_frame",),
     constants={"tau": terms.TIME_CONSTANTS},
     remedy=(

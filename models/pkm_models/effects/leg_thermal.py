@@ -57,6 +57,7 @@ effect = Effect(
     source="ISO 230-3 (thermal effects); steel 11.5e-6 / K",
     about="legs that grow with their temperature",
     columns=columns,
+    units={"*per kelvin*": "1/K", "*": "K"},
     needs=("time or temp_leg or temp_leg1",),
     constants={"tau": terms.TIME_CONSTANTS},
     remedy=(

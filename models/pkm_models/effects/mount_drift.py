@@ -49,6 +49,7 @@ effect = Effect(
     source="ISO 230-3 (drift tests); data sheets of magnetic bases: 1 to 5 um in hours",
     about="a cup or instrument that moves during the session",
     columns=columns,
+    units={"*turn_*": "rad", "*tilt*": "rad"},
     needs=("time",),
     remedy=(
         "clamp the mount to the table, let it settle, and teach the cup again between"

@@ -41,6 +41,7 @@ effect = Effect(
     ),
     about="legs that follow their commands with different delays",
     columns=columns,
+    units={"*acceleration": "s2", "*": "s"},
     needs=("feed",),
     remedy=(
         "match the position loop gains of the legs, or tune the velocity feed-forward"

@@ -79,6 +79,7 @@ effect = Effect(
     ),
     about="a joint's zero or a set-up that changes at once",
     columns=columns,
+    units={"*turn_*": "rad", "*tilt*": "rad"},
     needs=("time",),
     constants={"when": WHEN, "lasts": LASTS},
     remedy=(

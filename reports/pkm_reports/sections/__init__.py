@@ -8,6 +8,7 @@ from oed.result import StudyResult
 from pkm_reports.blocks import Chapter, Section
 from pkm_reports.sections import (
     accuracy,
+    corrected,
     held_out,
     identifiability,
     identification,
@@ -38,12 +39,14 @@ CHAPTERS: Final = (
 def chapters(result: StudyResult) -> list[Section]:
     """All chapters of a report.
 
-    A diagnosis comes first, then what the readings could detect, then a plan in
+    A diagnosis comes first, then the model corrected for it, then what the readings could detect, then a plan in
     stages: only results that hold these have their chapters.
     """
     leading: list[Chapter] = []
     if result.gap is not None:
         leading.append(gap.CHAPTER)
+    if result.corrected is not None:
+        leading.append(corrected.CHAPTER)
     if result.gap_before is not None:
         leading.append(gap_before.CHAPTER)
     if stages.has_schedule(result.plan):

@@ -45,13 +45,13 @@ def compensation(result: StudyResult, study: Study, folder: Path) -> Compensatio
         machine=machine,
         kinematics=kinematics,
         identified=parameters,
-        command=_workspace(study, kinematics),
+        command=workspace_commands(study, kinematics),
         poses=_poses(result, machine),
         notes=(*notes, *parameters.conditions),
     )
 
 
-def _workspace(study: Study, kinematics: Kinematics) -> Array:
+def workspace_commands(study: Study, kinematics: Kinematics) -> Array:
     """Commands (n, n_dof): those of [prediction], or a grid over the workspace."""
     machine = kinematics.machine
     command = prediction_commands(study, machine)

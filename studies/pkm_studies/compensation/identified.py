@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from oed import units
@@ -19,8 +17,8 @@ def identified_parameters(result: StudyResult, machine: Machine) -> Identified |
     Those of the section `corrected` come first: they are estimated together with the
     effects that a diagnosis found.
     """
-    corrected: Any = getattr(result, "corrected", None)
-    section: Any = corrected if corrected is not None else result.estimate
+    corrected = result.corrected
+    section = corrected if corrected is not None else result.estimate
     if section is None:
         return None
     values, sd = machine.nominal.copy(), np.zeros(len(machine.parameters))
@@ -30,14 +28,16 @@ def identified_parameters(result: StudyResult, machine: Machine) -> Identified |
             values[k] = units.to_si(estimate.value, estimate.unit)
             sd[k] = units.to_si(estimate.sd, estimate.unit)
     origin = "estimate" if corrected is None else "corrected"
-    conditions = tuple(getattr(corrected, "conditions", ()) or ())
+    conditions = () if corrected is None else tuple(corrected.conditions)
     return Identified(values, sd, origin, conditions)
 
 
 def objections(result: StudyResult) -> list[str]:
     """Why the parameters should not go into a controller; none where the fit is good."""
-    estimate = result.estimate
-    if getattr(result, "corrected", None) is not None or estimate is None:
+    corrected, estimate = result.corrected, result.estimate
+    if corrected is not None:
+        return list(corrected.warnings)
+    if estimate is None:
         return []
     sentences = []
     if chi2_is_large(estimate.chi2, estimate.dof):

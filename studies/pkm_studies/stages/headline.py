@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from oed.result import (
+    CorrectedSection,
     DesignSection,
     EstimateSection,
     GapBeforeSection,
@@ -38,7 +39,8 @@ def sentences(sections: Mapping[str, Any], recorded: bool = False) -> list[str]:
     ranked = [
         *plan_sentences(sections.get("plan")),
         *_separation(sections.get("gap_before")),
-        *_accuracy(sections.get("prediction")),
+        *_corrected(sections.get("corrected")),
+        *([] if "corrected" in sections else _accuracy(sections.get("prediction"))),
         *_held_out(sections.get("held_out") or []),
         *_rank(sections.get("identifiability")),
         *_gain(chosen),
@@ -58,6 +60,24 @@ def _separation(section: GapBeforeSection | None) -> list[str]:
     if section is None or section.chosen is None:
         return []
     return section.words[:1]
+
+
+def _corrected(section: CorrectedSection | None) -> list[str]:
+    """What compensation of parameters and effects reaches, and on which conditions."""
+    if section is None or section.prediction is None:
+        return []
+    changes = [
+        _change(name, c.before.rms, c.after.rms, c.after.unit)
+        for name, c in section.prediction.components.items()
+        if c.compensatable
+    ]
+    effects = " and ".join(section.constants)
+    reference = REFERENCES[section.prediction.reference]
+    return [
+        f"With {effects} in the model, compensation of parameters and effects is"
+        f" predicted to reduce the rms error, {reference}: {'; '.join(changes)}. It rests"
+        f" on these conditions: {'; '.join(section.conditions)}."
+    ]
 
 
 def _accuracy(section: PredictionSection | None) -> list[str]:

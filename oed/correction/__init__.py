@@ -1,0 +1,14 @@
+"""Corrected model: parameters and effects estimated together, and what they predict."""
+
+from oed.correction.effect_measurement import MeasurementWithEffects
+from oed.correction.fit import CorrectedEstimate, EffectReadings, estimate_with_effects
+from oed.correction.workspace import CorrectedAccuracy, predict_corrected
+
+__all__ = [
+    "CorrectedAccuracy",
+    "CorrectedEstimate",
+    "EffectReadings",
+    "MeasurementWithEffects",
+    "estimate_with_effects",
+    "predict_corrected",
+]

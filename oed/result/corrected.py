@@ -1,0 +1,55 @@
+"""Parameters and effects estimated together: the `corrected` section of result.json."""
+
+from __future__ import annotations
+
+from oed.result.fit import Marginal, ParameterEstimate
+from oed.result.prediction import PredictionSection, SpreadRecord
+from oed.result.record import Record
+
+
+class EffectEstimate(Record, frozen=True):
+    """A coefficient of an effect, in `unit`; `prior_sd` is the size expected of it.
+
+    shape    whether it only lets the form depart from the textbook's
+    """
+
+    value: float
+    sd: float
+    unit: str
+    effect: str
+    prior_sd: float
+    shape: bool = False
+
+
+class CorrectedSection(Record, frozen=True):
+    """What a compensation takes: estimates that the effects do not bend.
+
+    parameters       {name: estimate}, those of the set-ups included
+    effects          {`effect: coefficient`: estimate}
+    constants        {effect: {constant: value}}, SI, of the form that fits best
+    conditions       what the corrected machine's accuracy rests on, in sentences
+    origin           `diagnosis`, or `given` where effects were named
+    rms_after        {channel: rms residual, in its fine unit}
+    chi2, dof        against the stated noise
+    covariance       of `parameters`, in their units
+    prediction       with parameters and effects compensated; null without a workspace
+    parameters_only  {component: accuracy with the effects left uncompensated}
+    posterior        {name: marginal}, where the study samples
+    warnings         sentences that a user must know
+    """
+
+    parameters: dict[str, ParameterEstimate]
+    effects: dict[str, EffectEstimate]
+    constants: dict[str, dict[str, float]]
+    conditions: list[str]
+    origin: str
+    rms_after: dict[str, float]
+    units: dict[str, str]
+    readings: int
+    chi2: float
+    dof: float
+    covariance: list[list[float]]
+    prediction: PredictionSection | None = None
+    parameters_only: dict[str, SpreadRecord] = {}
+    posterior: dict[str, Marginal] = {}
+    warnings: list[str] = []

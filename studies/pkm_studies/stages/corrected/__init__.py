@@ -1,0 +1,1 @@
+"""Parameters and effects estimated together as the section `corrected`."""

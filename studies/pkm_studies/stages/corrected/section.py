@@ -1,0 +1,194 @@
+"""Reports parameters and effects estimated together: the section `corrected`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from oed import units
+from oed.arrays import Array
+from oed.correction import CorrectedAccuracy, CorrectedEstimate
+from oed.error_maps import Reference
+from oed.fit_warnings import chi2_is_large
+from oed.posterior import Posterior
+from oed.prediction import Spread
+from oed.result import (
+    ComponentAccuracy,
+    CorrectedSection,
+    EffectEstimate,
+    GapSection,
+    MapPoint,
+    Marginal,
+    PredictionSection,
+    SpreadRecord,
+)
+from pkm_studies.stages import describe
+from pkm_studies.stages.corrected.conditions import conditions
+from pkm_studies.stages.fit.estimate import estimate_section
+
+
+def corrected_section(
+    corrected: CorrectedEstimate,
+    truth: Array | None,
+    origin: str,
+    gap: GapSection | None,
+    accuracy: CorrectedAccuracy | None,
+    reference: Reference,
+    draws: Posterior | None,
+) -> CorrectedSection:
+    """The section of an estimate; `truth` (n,) are a virtual machine's parameters, SI."""
+    measurement, estimate = corrected.measurement, corrected.estimate
+    count = corrected.parameters
+    if truth is not None:
+        truth = np.concatenate([truth, np.full(len(corrected.scales), np.nan)])
+    whole = estimate_section(measurement, corrected.series, estimate, truth)
+    names = measurement.names[:count]
+    parameters = {n: p for n, p in whole.parameters.items() if n in names}
+    size = len(parameters)
+    marginals = {} if draws is None else dict(_marginals(corrected, draws))
+    return CorrectedSection(
+        parameters=parameters,
+        effects=dict(_coefficients(corrected)),
+        constants={f.effect.name: dict(f.constants) for f in corrected.forms},
+        conditions=conditions(corrected, gap),
+        origin=origin,
+        rms_after=whole.rms_after,
+        units=whole.units,
+        readings=whole.readings,
+        chi2=estimate.chi2,
+        dof=estimate.dof,
+        covariance=[row[:size] for row in whole.covariance[:size]],
+        prediction=_prediction(corrected, accuracy, reference) if accuracy else None,
+        parameters_only=_parameters_only(corrected, accuracy) if accuracy else {},
+        posterior=marginals,
+        warnings=_warnings(corrected),
+    )
+
+
+def _warnings(corrected: CorrectedEstimate) -> list[str]:
+    """Why the corrected values should not go into a controller; none if they fit."""
+    estimate = corrected.estimate
+    if not chi2_is_large(estimate.chi2, estimate.dof):
+        return []
+    ratio = (estimate.chi2 / estimate.dof) ** 0.5
+    return [
+        f"the residuals are {ratio:.1f} times the stated noise even with the effects in"
+        " the model"
+    ]
+
+
+def _coefficients(
+    corrected: CorrectedEstimate,
+) -> Iterator[tuple[str, EffectEstimate]]:
+    """Each coefficient in a unit that a person reads."""
+    estimate, at = corrected.estimate, corrected.parameters
+    k = 0
+    for form in corrected.forms:
+        signature = form.signature
+        for name, shape in zip(signature.names, signature.shape, strict=True):
+            unit, factor = units.coefficient_unit(form.effect.unit(name))
+            scale = corrected.scales[k] / factor
+            yield (
+                corrected.coefficient_names[k],
+                EffectEstimate(
+                    value=float(estimate.theta[at + k] * scale),
+                    sd=float(estimate.sd[at + k] * scale),
+                    unit=unit,
+                    effect=form.effect.name,
+                    prior_sd=float(scale),
+                    shape=bool(shape),
+                ),
+            )
+            k += 1
+
+
+def _marginals(
+    corrected: CorrectedEstimate, draws: Posterior
+) -> Iterator[tuple[str, Marginal]]:
+    """Posterior of every parameter that is free, and of every coefficient."""
+    coefficients, at = dict(_coefficients(corrected)), corrected.parameters
+    for k, p in enumerate(corrected.measurement.parameters):
+        if corrected.estimate.prior_sd[k] == 0.0:
+            continue
+        if k < at:
+            unit = units.display(p.unit)
+            values = units.from_si(draws.pooled[:, k], unit)
+        else:
+            coefficient = coefficients[p.name]
+            unit = coefficient.unit
+            values = draws.pooled[:, k] * coefficient.prior_sd
+        low, high = np.quantile(values, [0.025, 0.975])
+        marginal = Marginal(
+            mean=float(values.mean()),
+            sd=float(values.std(ddof=1)),
+            q025=float(low),
+            q975=float(high),
+            rhat=float(draws.rhat[k]),
+            ess=float(draws.ess[k]),
+            unit=unit,
+        )
+        yield p.name, marginal
+
+
+def _spread(spread: Spread, unit: str) -> SpreadRecord:
+    return SpreadRecord(
+        rms=units.number(spread.rms, unit),
+        p95=units.number(spread.p95, unit),
+        max=units.number(spread.largest, unit),
+        unit=unit,
+    )
+
+
+def _prediction(
+    corrected: CorrectedEstimate, accuracy: CorrectedAccuracy, reference: Reference
+) -> PredictionSection:
+    """Accuracy with parameters and effects compensated."""
+    machine = corrected.measurement.machine
+    fine = {c.name: units.FINE[c.unit] for c in machine.components}
+    components = {}
+    for c in machine.components:
+        after = _spread(accuracy.after[c.name], fine[c.name])
+        components[c.name] = ComponentAccuracy(
+            compensatable=c.compensatable,
+            before=_spread(accuracy.before[c.name], fine[c.name]),
+            after=after,
+            known=_spread(accuracy.fully_corrected[c.name], fine[c.name]),
+            budget={},
+        )
+    names = list(fine)
+    points = []
+    for k, command in enumerate(accuracy.command):
+        before, after_here = accuracy.sd_before[k], accuracy.sd_after[k]
+        points.append(
+            MapPoint(
+                describe.displayed_command(machine, command),
+                _by_component(names, before, fine),
+                _by_component(names, after_here, fine),
+            )
+        )
+    return PredictionSection(
+        reference=reference,
+        components=components,
+        unit=fine,
+        poses=len(accuracy.command),
+        map=points,
+        mode="corrected",
+    )
+
+
+def _by_component(
+    names: list[str], values: Array, fine: dict[str, str]
+) -> dict[str, float]:
+    pairs = zip(names, values, strict=True)
+    return {name: units.number(value, fine[name]) for name, value in pairs}
+
+
+def _parameters_only(
+    corrected: CorrectedEstimate, accuracy: CorrectedAccuracy
+) -> dict[str, SpreadRecord]:
+    components = corrected.measurement.machine.components
+    return {
+        c.name: _spread(accuracy.parameters_only[c.name], units.FINE[c.unit])
+        for c in components
+    }

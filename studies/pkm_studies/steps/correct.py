@@ -1,0 +1,154 @@
+"""The step that estimates parameters and effects together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed import posterior
+from oed.arrays import Array
+from oed.correction import (
+    CorrectedEstimate,
+    EffectReadings,
+    estimate_with_effects,
+    predict_corrected,
+)
+from oed.effect import Effect
+from oed.gap.data.signature import untestable
+from pkm_studies import catalogue
+from pkm_studies.compensation.build import workspace_commands
+from pkm_studies.resolve.gap import GapRequest, gap_request
+from pkm_studies.run_state import RunState, Stream
+from pkm_studies.stages.corrected import section as sections
+from pkm_studies.stages.gap.virtual_readings import empty_readings
+
+if TYPE_CHECKING:
+    from oed.result import GapSection
+
+
+def correct_for_effects(state: RunState) -> RunState:
+    """Estimate the parameters together with the effects that are named or diagnosed."""
+    readings, estimate = state.readings, state.estimate
+    if readings is None or readings.y is None or estimate is None:
+        return state
+    request = state.resolved.gap
+    if request is None:
+        request = gap_request(state.study, state.resolved.machine, always=True)
+    assert request is not None
+    gap: GapSection | None = state.sections.get("gap")
+    effects = _effects(state, request, gap)
+    if not effects:
+        return state
+    state.progress.stage("parameters and effects together")
+    given = _readings_with_covariates(state, request)
+    if state.with_effects:
+        _refuse_untestable(state, given, effects)
+    corrected = estimate_with_effects(
+        given,
+        effects,
+        estimate.theta,
+        stages=state.resolved.identification_stages,
+        estimate_noise=state.study.noise.estimate,
+        max_iterations=state.study.identify.max_iterations,
+    )
+    if corrected is None:
+        return state.with_warnings("no effect that was named changes these readings")
+    state = state.replace(corrected=corrected)
+    return _with_section(state, corrected, gap)
+
+
+def _effects(
+    state: RunState, request: GapRequest, gap: GapSection | None
+) -> list[Effect]:
+    """The effects of the command, or those that the diagnosis selected."""
+    if state.with_effects:
+        place = state.study.place.key("--with")
+        folder = state.study.folder
+        names = dict.fromkeys(state.with_effects)
+        return [catalogue.effect(name, folder, place) for name in names]
+    if gap is None or gap.verdict == "none":
+        return []
+    by_name = {effect.name: effect for effect in request.effects}
+    return [by_name[name] for name in gap.selected if name in by_name]
+
+
+def _readings_with_covariates(state: RunState, request: GapRequest) -> EffectReadings:
+    readings = state.readings
+    assert readings is not None
+    assert readings.y is not None
+    covariates = readings.covariates
+    if covariates is None:
+        planned = empty_readings(state.measurement, readings.series, request)
+        covariates = planned.covariates
+    series = tuple(readings.series)
+    return EffectReadings(
+        state.measurement, series, readings.y, covariates, request.gravity
+    )
+
+
+def _refuse_untestable(
+    state: RunState, given: EffectReadings, effects: Sequence[Effect]
+) -> None:
+    """Raises InputError for an effect that these readings cannot show."""
+    assert state.estimate is not None
+    states = given.problem(state.estimate.theta).states
+    for effect in effects:
+        reason = untestable(effect, states)
+        if reason is not None:
+            raise state.study.place.key("--with").error(
+                f"{effect.name} cannot be estimated: {reason}",
+                "record it, or name other effects",
+                effect.name,
+            )
+
+
+def _with_section(
+    state: RunState, corrected: CorrectedEstimate, gap: GapSection | None
+) -> RunState:
+    """The state with the section `corrected`: estimates, conditions, prediction."""
+    assert state.readings is not None
+    study, rng = state.study, state.rng(Stream.CORRECTED)
+    draws = None
+    if study.posterior.enabled and (state.posterior or state.with_effects):
+        draws = _sample(state, corrected, rng)
+    table = study.prediction
+    kinematics = state.measurement.kinematics
+    command = workspace_commands(study, kinematics)
+    # where a tilt is zero its direction has no error
+    slopes = kinematics.error_components_jacobian(command)
+    command = command[np.isfinite(slopes).all(axis=(1, 2))]
+    reference = "home" if table is None else table.reference
+    pooled: Array | None = None if draws is None else draws.pooled
+    accuracy = None
+    if len(command):
+        accuracy = predict_corrected(corrected, command, reference, rng, pooled)
+    section = sections.corrected_section(
+        corrected,
+        state.readings.truth,
+        "given" if state.with_effects else "diagnosis",
+        gap,
+        accuracy,
+        reference,
+        draws,
+    )
+    return state.with_sections(corrected=section)
+
+
+def _sample(
+    state: RunState, corrected: CorrectedEstimate, rng: np.random.Generator
+) -> posterior.Posterior:
+    table = state.study.posterior
+    state.progress.stage("posterior with the effects")
+    return posterior.sample(
+        corrected.measurement,
+        corrected.series,
+        corrected.readings.y,
+        corrected.estimate,
+        rng,
+        walkers=table.walkers,
+        ess=float(table.ess),
+        max_steps=table.steps,
+        progress=state.progress.share,
+    )
