@@ -94,3 +94,68 @@ def test_an_effect_that_the_readings_cannot_show_is_refused(
     options = ["--with", "backlash", "--out", str(folder / "no")]
     assert run("identify", study, "--readings", readings, *options) == 2
     assert "direction" in capsys.readouterr().err
+
+
+# -- acceptance ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def planned(folder: Path, result: StudyResult) -> Path:
+    """The acceptance file of the result, to fill in."""
+    assert result.corrected is not None
+    assert run("verify", folder / "out", "--poses", "6") == 0
+    return folder / "out" / "acceptance.csv"
+
+
+def fill_in(planned: Path, to: Path, factor: float) -> Path:
+    """Errors of a factor on the promise, with alternating signs, at every pose."""
+    acceptance = result_folder.load_result(planned.parent).acceptance
+    assert acceptance is not None
+    header, *rows = planned.read_text().splitlines()
+    names = header.split(",")
+    lines = [header]
+    for k, row in enumerate(rows):
+        cells = dict(zip(names, row.split(","), strict=True))
+        for name, demand in acceptance.components.items():
+            size = factor * demand.promised * (-1) ** k
+            cells[f"error_{name}_{demand.unit}"] = f"{size:.6f}"
+        lines.append(",".join(cells.values()))
+    to.write_text("\n".join(lines) + "\n")
+    return to
+
+
+def test_acceptance_poses_are_not_those_of_the_calibration(
+    planned: Path, folder: Path
+) -> None:
+    acceptance = result_folder.load_result(folder / "out").acceptance
+    assert acceptance is not None
+    assert len(acceptance.poses) == 6
+    assert all(0.0 < d.power < 1.0 for d in acceptance.components.values())
+    read = {tuple(line.split(",")[3:5]) for line in _readings(folder)}
+    for pose in acceptance.poses:
+        assert tuple(f"{v:g}" for v in pose.values()) not in read
+
+
+def _readings(folder: Path) -> list[str]:
+    return (folder / "loads.readings.csv").read_text().splitlines()[1:]
+
+
+def test_a_good_machine_passes_and_a_bad_one_fails(
+    planned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = planned.parent
+    good = fill_in(planned, tmp_path / "good.csv", 0.9)
+    assert run("verify", out, "--readings", good) == 0
+    bad = fill_in(planned, tmp_path / "bad.csv", 1.5)
+    assert run("verify", out, "--readings", bad) == 1
+    assert "does not meet" in capsys.readouterr().out
+    stored = result_folder.load_result(out).verification
+    assert stored is not None
+    assert not stored.passed
+
+
+def test_a_file_that_lacks_a_pose_is_refused(planned: Path, tmp_path: Path) -> None:
+    whole = fill_in(planned, tmp_path / "whole.csv", 0.9)
+    part = tmp_path / "part.csv"
+    part.write_text("\n".join(whole.read_text().splitlines()[:-1]) + "\n")
+    assert run("verify", planned.parent, "--readings", part) == 2

@@ -3,6 +3,13 @@
 Field names are fixed by the contract; values are SI unless a `unit` stands beside them.
 """
 
+from oed.result.acceptance import (
+    AcceptanceSection,
+    PositioningRecord,
+    PromiseRecord,
+    VerdictRecord,
+    VerificationSection,
+)
 from oed.result.corrected import CorrectedSection, EffectEstimate
 from oed.result.design import (
     CriterionComparison,
@@ -74,6 +81,7 @@ from oed.result.study import (
 
 __all__ = [
     "SCHEMA",
+    "AcceptanceSection",
     "AlternativePlan",
     "AnswerRecord",
     "ChosenRun",
@@ -111,8 +119,10 @@ __all__ = [
     "PlannedReading",
     "PolishSummary",
     "Polyline",
+    "PositioningRecord",
     "PosteriorSection",
     "PredictionSection",
+    "PromiseRecord",
     "Record",
     "RivalRecord",
     "RobustSummary",
@@ -127,5 +137,7 @@ __all__ = [
     "StageRecord",
     "StudyResult",
     "Trace",
+    "VerdictRecord",
+    "VerificationSection",
     "WorkingOrder",
 ]

@@ -37,6 +37,7 @@ class EstimateSection(Record, frozen=True):
     residuals: list[float]  # of each reading, after
     residuals_before: list[float]
     covariance: list[list[float]] = []  # of `parameters`, in their units
+    commands: list[dict[str, float]] = []  # that were read, each once, where recorded
 
 
 class Marginal(Record, frozen=True):

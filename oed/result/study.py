@@ -7,6 +7,7 @@ Arrays are lists.
 
 from __future__ import annotations
 
+from oed.result.acceptance import AcceptanceSection, VerificationSection
 from oed.result.corrected import CorrectedSection
 from oed.result.design import DesignSection
 from oed.result.fit import EstimateSection, PosteriorSection
@@ -98,6 +99,8 @@ class StudyResult(Record, frozen=True, kw_only=True):
     held_out: list[HeldOutSection] = []
     gap: GapSection | None = None
     corrected: CorrectedSection | None = None
+    acceptance: AcceptanceSection | None = None
+    verification: VerificationSection | None = None
     gap_before: GapBeforeSection | None = None
     drawing: Drawing | None = None
     warnings: list[str] = []

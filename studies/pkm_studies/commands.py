@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pkm_studies import compensate_command, console, import_command, new_command
+from pkm_studies import (
+    compensate_command,
+    console,
+    import_command,
+    new_command,
+    verify_command,
+)
 from pkm_studies.errors import InputError
 from pkm_studies.outcome import BAD_INPUT, DONE, FAILED, report_outcome
 
@@ -322,6 +328,7 @@ def schema(
 app.command()(new_command.new)
 app.command(name="import")(import_command.import_files)
 app.command()(compensate_command.compensate)
+app.command()(verify_command.verify)
 
 
 # -- studies in, results out -----------------------------------------------------------

@@ -76,6 +76,15 @@ def write(
     return result
 
 
+def rewrite(folder: Path, result: StudyResult) -> None:
+    """Write result.json of a folder again, and the reports that the folder has."""
+    encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
+    files.write_whole(folder / "result.json", encoded)
+    html, pdf = ((folder / f"report.{kind}").is_file() for kind in ("html", "pdf"))
+    if html or pdf:
+        write_report(folder, html=html, pdf=pdf)
+
+
 def _texts(result: StudyResult, state: RunState) -> dict[str, str]:
     """Text files by name that go with the result."""
     texts = {}

@@ -7,6 +7,7 @@ from typing import Final
 from oed.result import StudyResult
 from pkm_reports.blocks import Chapter, Section
 from pkm_reports.sections import (
+    acceptance,
     accuracy,
     corrected,
     held_out,
@@ -39,7 +40,8 @@ CHAPTERS: Final = (
 def chapters(result: StudyResult) -> list[Section]:
     """All chapters of a report.
 
-    A diagnosis comes first, then the model corrected for it, then what the readings could detect, then a plan in
+    A diagnosis comes first, then the model corrected for it and the
+    acceptance test, then what the readings could detect, then a plan in
     stages: only results that hold these have their chapters.
     """
     leading: list[Chapter] = []
@@ -47,6 +49,8 @@ def chapters(result: StudyResult) -> list[Section]:
         leading.append(gap.CHAPTER)
     if result.corrected is not None:
         leading.append(corrected.CHAPTER)
+    if result.acceptance is not None:
+        leading.append(acceptance.CHAPTER)
     if result.gap_before is not None:
         leading.append(gap_before.CHAPTER)
     if stages.has_schedule(result.plan):

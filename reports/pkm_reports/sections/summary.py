@@ -17,6 +17,7 @@ from pkm_reports.blocks import (
     TableColumn,
     wide_column,
 )
+from pkm_reports.sections import acceptance
 
 #: characters of a measured value
 LONGEST: Final = 70
@@ -26,6 +27,8 @@ def blocks(result: StudyResult) -> list[Block]:
     """Headline sentences, a pointer to the warnings if there are any, and claims."""
     alarms = [] if result.goodness is None else result.goodness.findings
     lines = [line for line in result.headline if line not in alarms]
+    if result.verification is not None:
+        lines = [acceptance.verdict(result.verification), *lines]
     headline = [text.with_symbols(line) for line in lines]
     opening: list[Block] = [Notice(text.with_symbols(alarm)) for alarm in alarms]
     opening.append(Items(headline, numbered=True))

@@ -49,7 +49,7 @@ def export_folder(
     """
     controller = catalogue.controller_format(reference, Path())
     result = result_folder.load_result(folder)
-    study = _study(result, folder) if study_file is None else load(study_file)
+    study = result_study(result, folder) if study_file is None else load(study_file)
     return export(result, study, controller, folder, out=out, force=force)
 
 
@@ -112,7 +112,8 @@ def cost(
     return (sentence, *remaining)
 
 
-def _study(result: StudyResult, folder: Path) -> Study:
+def result_study(result: StudyResult, folder: Path) -> Study:
+    """The study of a result. Raises InputError where the result does not hold it."""
     path = folder / f"{result.study}.study.toml"
     if not result.study_text:
         raise Place(str(folder / "result.json")).error(

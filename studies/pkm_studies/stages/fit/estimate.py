@@ -11,6 +11,7 @@ from oed.arrays import Array
 from oed.estimate import AT_PRIOR, WEAK, Estimate
 from oed.measurement import Measurement, Series
 from oed.result import EstimateSection, ParameterEstimate
+from pkm_studies.stages.describe import displayed_command
 
 
 def estimate_section(
@@ -55,7 +56,17 @@ def estimate_section(
         residuals=[float(v) for v in after],
         residuals_before=[float(v) for v in before],
         covariance=_covariance(measurement, estimate),
+        commands=_commands(measurement, series),
     )
+
+
+def _commands(
+    measurement: Measurement, series: Sequence[Series]
+) -> list[dict[str, float]]:
+    """The commands that were read, each once; none where only joints are known."""
+    commands = np.unique(np.vstack([s.reading_commands() for s in series]), axis=0)
+    known = commands[np.isfinite(commands).all(axis=1)]
+    return [displayed_command(measurement.machine, c) for c in known]
 
 
 def _parameters(

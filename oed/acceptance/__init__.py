@@ -1,0 +1,15 @@
+"""Acceptance: few poses that confirm a promised accuracy, and their judgement."""
+
+from oed.acceptance.judge import ComponentVerdict, judge
+from oed.acceptance.plan import AcceptancePlan, Promise, plan_acceptance
+from oed.acceptance.positioning import Positioning, positioning
+
+__all__ = [
+    "AcceptancePlan",
+    "ComponentVerdict",
+    "Positioning",
+    "Promise",
+    "judge",
+    "plan_acceptance",
+    "positioning",
+]

@@ -1,0 +1,76 @@
+"""Acceptance plan and its judgement: `acceptance` and `verification` of result.json."""
+
+from __future__ import annotations
+
+from oed.result.record import Record
+
+
+class PromiseRecord(Record, frozen=True):
+    """What an acceptance test demands of one pose component, in `unit`.
+
+    promised     rms error over the workspace
+    limit        largest rms of the measured errors with which the machine passes
+    power        probability that a machine which misses the promise is caught
+    uncertainty  standard uncertainty of one measured error
+    """
+
+    promised: float
+    limit: float
+    power: float
+    uncertainty: float
+    unit: str
+
+
+class AcceptanceSection(Record, frozen=True):
+    """Which poses confirm the promised accuracy.
+
+    poses        commands by column, in the order of the plan
+    components   {component: demand}
+    reference    against which errors are stated: absolute, home or best_fit
+    miss         factor on the promised rms of a machine that misses
+    false_alarm  probability that a machine at its promise fails
+    conditions   what the promise rests on
+    """
+
+    poses: list[dict[str, float]]
+    components: dict[str, PromiseRecord]
+    reference: str
+    miss: float
+    false_alarm: float
+    conditions: list[str] = []
+
+
+class VerdictRecord(Record, frozen=True):
+    """The judgement of one pose component, in `unit`."""
+
+    rms: float
+    max: float
+    limit: float
+    promised: float
+    unit: str
+    passed: bool
+
+
+class PositioningRecord(Record, frozen=True):
+    """Figures in the manner of ISO 230-2, in `unit`; null where directions are missing.
+
+    approaches  fewest of one direction at a target; the standard asks for five
+    """
+
+    targets: int
+    approaches: int
+    accuracy: float
+    systematic: float
+    repeatability: float
+    mean: float | None
+    reversal: float | None
+    unit: str
+
+
+class VerificationSection(Record, frozen=True):
+    """Whether the measured errors confirm the promise."""
+
+    passed: bool
+    readings: int
+    components: dict[str, VerdictRecord]
+    positioning: dict[str, PositioningRecord] = {}

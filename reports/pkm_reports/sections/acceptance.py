@@ -1,0 +1,120 @@
+"""Chapter: the acceptance test, and whether the machine passed it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from oed.result import AcceptanceSection, StudyResult, VerificationSection
+from pkm_reports import text
+from pkm_reports.blocks import (
+    Block,
+    Chapter,
+    Paragraph,
+    Table,
+    TableColumn,
+    headed_list,
+    number_columns,
+)
+
+
+def blocks(result: StudyResult) -> list[Block]:
+    """What is demanded, at which poses, and the verdict where there are readings."""
+    acceptance, verification = result.acceptance, result.verification
+    if acceptance is None:
+        return []
+    chapter: list[Block] = []
+    if verification is not None:
+        chapter += _verdict(verification)
+    chapter.append(Paragraph(_about(acceptance)))
+    chapter += headed_list("The promise rests on:", acceptance.conditions)
+    chapter += [_demands(acceptance), _poses(acceptance)]
+    return chapter
+
+
+def verdict(verification: VerificationSection) -> str:
+    """The judgement in a sentence."""
+    failed = [n for n, c in verification.components.items() if not c.passed]
+    if not failed:
+        return "The acceptance test is passed: the measured errors confirm the promise."
+    return f"The acceptance test is failed: {text.listing(failed)} exceeds its limit."
+
+
+def _about(acceptance: AcceptanceSection) -> str:
+    miss = text.percent(acceptance.miss - 1.0)
+    return (
+        f"{text.count(len(acceptance.poses), 'pose')} that the calibration did not read"
+        " confirm the promised rms errors. Power: probability that a machine whose"
+        f" errors are {miss} larger than promised fails. A machine just at its promise"
+        f" fails with probability {text.percent(acceptance.false_alarm)}."
+    )
+
+
+def _demands(acceptance: AcceptanceSection) -> Table:
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Promised rms", "Limit", "Uncertainty", "Power"),
+    ]
+    rows = [
+        [
+            f"{name} [{text.unit_symbol(d.unit)}]",
+            text.number(d.promised),
+            text.number(d.limit),
+            text.number(d.uncertainty, 2),
+            text.fixed(d.power, 2),
+        ]
+        for name, d in acceptance.components.items()
+    ]
+    caption = (
+        "Demands: the rms of the errors measured at the poses below must not exceed the"
+        " limit. Uncertainty: of one measured error, one standard deviation."
+    )
+    return Table(columns, rows, caption)
+
+
+def _poses(acceptance: AcceptanceSection) -> Table:
+    titles = [text.heading(name) for name in acceptance.poses[0]]
+    rows = [[text.trimmed(v, 6) for v in pose.values()] for pose in acceptance.poses]
+    return Table(number_columns(*titles), rows, "Poses to measure.")
+
+
+def _verdict(verification: VerificationSection) -> list[Block]:
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Measured rms", "Limit", "Largest"),
+        TableColumn("Verdict"),
+    ]
+    rows, marks = [], []
+    for name, c in verification.components.items():
+        unit = text.unit_symbol(c.unit)
+        sizes = [text.number(v) for v in (c.rms, c.limit, c.max)]
+        rows.append(
+            [f"{name} [{unit}]", *sizes, "✓ passed" if c.passed else "✗ failed"]
+        )
+        marks.append("good" if c.passed else "bad")
+    caption = f"Measured errors against their limits. {verdict(verification)}"
+    blocks: list[Block] = [Table(columns, rows, caption, marks)]
+    if verification.positioning:
+        blocks.append(_positioning(verification))
+    return blocks
+
+
+def _positioning(verification: VerificationSection) -> Table:
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Targets", "Approaches", "A", "E", "R", "M", "B"),
+    ]
+    rows = []
+    for name, p in verification.positioning.items():
+        figures = [p.accuracy, p.systematic, p.repeatability, p.mean, p.reversal]
+        cells = ["" if v is None else text.number(v) for v in figures]
+        unit = text.unit_symbol(p.unit)
+        rows.append([f"{name} [{unit}]", str(p.targets), str(p.approaches), *cells])
+    caption = (
+        "Figures in the manner of ISO 230-2 over the acceptance poses: accuracy A,"
+        " systematic deviation E, repeatability R, mean bidirectional deviation M,"
+        " reversal B. The standard asks for five approaches a direction along one axis."
+    )
+    return Table(columns, rows, caption)
+
+
+CHAPTER: Final = Chapter("acceptance", "Acceptance test", blocks)

@@ -1,0 +1,1 @@
+"""Acceptance plans of a result, and the judgement of their readings."""

@@ -1,0 +1,106 @@
+"""Plans an acceptance test from a result: poses, limits and power."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+
+import numpy as np
+
+from oed import units
+from oed.acceptance import AcceptancePlan, plan_acceptance
+from oed.arrays import Array, Index
+from oed.result import AcceptanceSection, PromiseRecord, StudyResult
+from pkm_studies.acceptance.promise import PromisedAccuracy
+from pkm_studies.errors import InputError
+from pkm_studies.stages import describe
+
+#: share of the range of a coordinate by which a pose differs from a calibration pose
+APART = 0.02
+#: column of an error to fill in, by component and unit
+ERROR = "error_{}_{}"
+
+
+def plan_section(
+    result: StudyResult,
+    accuracy: PromisedAccuracy,
+    rng: np.random.Generator,
+    *,
+    power: float,
+    most: int,
+) -> AcceptanceSection:
+    """The acceptance plan. Raises InputError where no other poses are left."""
+    candidates = _other_poses(result, accuracy)
+    if not len(candidates):
+        raise InputError(
+            "every workspace pose is one of the calibration",
+            "give more poses in [prediction] of the study",
+        )
+    plan = plan_acceptance(accuracy.promise, candidates, rng, power=power, most=most)
+    return AcceptanceSection(
+        poses=[
+            describe.displayed_command(accuracy.machine, accuracy.command[k])
+            for k in plan.poses
+        ],
+        components=_demands(accuracy, plan),
+        reference=accuracy.reference,
+        miss=plan.miss,
+        false_alarm=plan.false_alarm,
+        conditions=list(accuracy.conditions),
+    )
+
+
+def _demands(
+    accuracy: PromisedAccuracy, plan: AcceptancePlan
+) -> dict[str, PromiseRecord]:
+    demands = {}
+    for k, component in enumerate(accuracy.components):
+        unit = units.FINE[component.unit]
+        demands[component.name] = PromiseRecord(
+            promised=units.number(accuracy.promise.rms[k], unit),
+            limit=units.number(plan.limits[k], unit),
+            power=float(plan.power[k]),
+            uncertainty=units.number(accuracy.promise.uncertainty[k], unit),
+            unit=unit,
+        )
+    return demands
+
+
+def _other_poses(result: StudyResult, accuracy: PromisedAccuracy) -> Index:
+    """Numbers of the workspace poses that the calibration did not read."""
+    command = accuracy.command
+    used = _calibration_commands(result, accuracy)
+    if not len(used):
+        return np.arange(len(command))
+    size = np.ptp(np.vstack([command, used]), axis=0)
+    scaled = np.where(size > 0.0, size, 1.0)
+    distance = np.abs(command[:, None] - used[None]) / scaled
+    return np.flatnonzero(distance.max(axis=2).min(axis=1) > APART)
+
+
+def _calibration_commands(result: StudyResult, accuracy: PromisedAccuracy) -> Array:
+    """Commands (n, n_dof), SI, that the calibration read, as far as they are known."""
+    names = list(describe.displayed_command(accuracy.machine, accuracy.command[0]))
+    commands = [] if result.estimate is None else result.estimate.commands
+    rows = [
+        [float(units.to_si(c[n], units.split(n)[1])) for n in names] for c in commands
+    ]
+    return np.array(rows).reshape(len(rows), len(names))
+
+
+def error_columns(components: Mapping[str, PromiseRecord]) -> dict[str, str]:
+    """{component: its column in the file to fill in}."""
+    return {n: ERROR.format(n, demand.unit) for n, demand in components.items()}
+
+
+def to_fill_in(section: AcceptanceSection) -> str:
+    """CSV of the poses, with empty columns for the measured errors."""
+    columns = list(error_columns(section.components).values())
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*section.poses[0], "direction", *columns])
+    for pose in section.poses:
+        values = [f"{value:.10g}" for value in pose.values()]
+        writer.writerow([*values, "", *[""] * len(columns)])
+    return text.getvalue()

@@ -1,0 +1,138 @@
+"""What a result promises of the compensated machine, for an acceptance test."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from oed import units
+from oed.acceptance import Promise
+from oed.arrays import Array
+from oed.error_maps import ErrorMaps, Reference, error_maps
+from oed.kinematics import Kinematics
+from oed.machine import Component, Machine
+from oed.result import CorrectedSection, EstimateSection, StudyResult
+from pkm_studies.compensation.build import workspace_commands
+from pkm_studies.errors import InputError
+from pkm_studies.resolve.machine import study_machine
+from pkm_studies.study import Study
+
+#: standard uncertainty of the acceptance measurement, as a share of the promise, where
+#: none is given
+UNCERTAINTY_SHARE = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class PromisedAccuracy:
+    """A promise over commands (m, n_dof), SI, and what it rests on."""
+
+    machine: Machine
+    command: Array
+    promise: Promise
+    components: tuple[Component, ...]
+    reference: Reference
+    conditions: tuple[str, ...]
+
+
+def promised_accuracy(
+    result: StudyResult,
+    study: Study,
+    file: str,
+    promised: Mapping[str, float],
+    uncertainty: Mapping[str, float],
+) -> PromisedAccuracy:
+    """The promise of a result for the components that the controller corrects.
+
+    promised     rms errors by component, SI, in place of the predicted ones
+    uncertainty  of one measured error by component, SI
+
+    Raises InputError where the result has no estimate with its covariance.
+    """
+    section = result.corrected or result.estimate
+    if section is None or not section.covariance:
+        raise InputError(
+            "this result has no estimate with its covariance",
+            "make it with `oed identify STUDY --readings CSV --out DIR`",
+            file=file,
+        )
+    kinematics = Kinematics(study_machine(study))
+    machine = kinematics.machine
+    command = workspace_commands(study, kinematics)
+    slopes = kinematics.error_components_jacobian(command)
+    command = command[np.isfinite(slopes).all(axis=(1, 2))]
+    table = study.prediction
+    reference: Reference = "home" if table is None else table.reference
+    maps = error_maps(kinematics, command, reference)
+    covariance, tolerance = _covariances(machine, section)
+    chosen = _judged(machine, maps, covariance)
+    names = tuple(machine.components[k].name for k in chosen)
+    slope = maps.raw[:, chosen]
+    rms = _promised_rms(result, machine, slope, chosen, covariance)
+    rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
+    given = [
+        uncertainty.get(n, UNCERTAINTY_SHARE * r)
+        for n, r in zip(names, rms, strict=True)
+    ]
+    corrected = result.corrected
+    return PromisedAccuracy(
+        machine=machine,
+        command=command,
+        promise=Promise(names, slope, [covariance, tolerance], rms, np.array(given)),
+        components=tuple(machine.components[k] for k in chosen),
+        reference=reference,
+        conditions=() if corrected is None else tuple(corrected.conditions),
+    )
+
+
+def _covariances(
+    machine: Machine, section: EstimateSection | CorrectedSection
+) -> tuple[Array, Array]:
+    """Covariance (np, np) of the identified parameters, and of the tolerances, SI."""
+    size = len(machine.parameters)
+    covariance, tolerance = np.zeros((size, size)), np.zeros((size, size))
+    names = list(section.parameters)
+    known = {p.name for p in machine.parameters}
+    rows = [k for k, name in enumerate(names) if name in known]
+    at = [machine.index(names[k]) for k in rows]
+    factors = [units.factor(section.parameters[names[k]].unit) for k in rows]
+    part = np.array(section.covariance)[np.ix_(rows, rows)]
+    covariance[np.ix_(at, at)] = part * np.outer(factors, factors)
+    prior = [section.parameters[names[k]].prior_sd for k in rows]
+    tolerance[at, at] = (np.array(prior) * np.array(factors)) ** 2
+    return covariance, tolerance
+
+
+def _judged(machine: Machine, maps: ErrorMaps, covariance: Array) -> list[int]:
+    """Numbers of the components that the controller corrects and that vary."""
+    variance = np.einsum("mkp,pq,mkq->k", maps.raw, covariance, maps.raw, optimize=True)
+    return [
+        k
+        for k, c in enumerate(machine.components)
+        if c.compensatable and variance[k] > 0.0
+    ]
+
+
+def _promised_rms(
+    result: StudyResult,
+    machine: Machine,
+    slope: Array,
+    chosen: list[int],
+    covariance: Array,
+) -> Array:
+    """Predicted rms (k,), SI: of the corrected model, or of the identified parameters.
+
+    A prediction made before the measurement promises nothing of this machine.
+    """
+    prediction = None if result.corrected is None else result.corrected.prediction
+    plain = result.prediction
+    if prediction is None and plain is not None and plain.mode == "identified":
+        prediction = plain
+    if prediction is not None:
+        spreads = [
+            prediction.components[machine.components[k].name].after for k in chosen
+        ]
+        return np.array([s.rms * units.factor(s.unit) for s in spreads])
+    variance = np.einsum("mkp,pq,mkq->mk", slope, covariance, slope, optimize=True)
+    return np.asarray(np.sqrt(variance.mean(axis=0)))

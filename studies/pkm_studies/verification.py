@@ -1,0 +1,151 @@
+"""Acceptance test of a result's folder: its plan, and the judgement of its readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from oed import units
+from oed.machine import Machine
+from oed.result import AcceptanceSection, VerificationSection
+from pkm_studies import files, result_folder
+from pkm_studies.acceptance import plan
+from pkm_studies.acceptance.judge import judge_file
+from pkm_studies.acceptance.promise import promised_accuracy
+from pkm_studies.compensation import identified
+from pkm_studies.compensation.export import BadFitError, result_study
+from pkm_studies.errors import InputError, Place
+from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve.quantities import split_key
+from pkm_studies.run_state import Stream
+from pkm_studies.study import load
+
+FILE = "acceptance.csv"
+
+
+def plan_folder(
+    folder: Path,
+    *,
+    promised: str = "",
+    uncertainty: str = "",
+    power: float = 0.9,
+    most: int = 12,
+    study_file: Path | None = None,
+) -> tuple[AcceptanceSection, Path]:
+    """Plan the acceptance test of a result; the section, and the file to fill in.
+
+    promised, uncertainty  `z_um=30,theta_arcsec=20`, in place of the predicted rms and
+                           of a fifth of it
+    power                  asked for
+    most                   poses at most
+    study_file             study, where it names a machine in a file of its own
+
+    Raises InputError, and BadFitError where the fit promises nothing.
+    """
+    result = result_folder.load_result(folder)
+    objections = identified.objections(result)
+    if objections:
+        raise BadFitError(
+            f"{'; '.join(objections)}: such a fit promises no accuracy; run"
+            " `oed diagnose`"
+        )
+    study = result_study(result, folder) if study_file is None else load(study_file)
+    machine = study_machine(study)
+    accuracy = promised_accuracy(
+        result,
+        study,
+        str(folder / "result.json"),
+        _values(promised, "--promise", machine),
+        _values(uncertainty, "--uncertainty", machine),
+    )
+    rng = np.random.default_rng([result.seed, int(Stream.ACCEPTANCE)])
+    section = plan.plan_section(result, accuracy, rng, power=power, most=most)
+    text = plan.to_fill_in(section)
+    path = files.unused_path(folder / FILE, text, list(result.written.values()))
+    written = {**result.written, path.name: files.digest(text.encode("utf-8"))}
+    result = msgspec.structs.replace(
+        result, acceptance=section, verification=None, written=written
+    )
+    result_folder.rewrite(folder, result)
+    return section, files.write_whole(path, text)
+
+
+def judge_folder(folder: Path, readings: Path) -> VerificationSection:
+    """Judge the readings of an acceptance test, and write it into the result.
+
+    Raises InputError where the folder has no acceptance plan.
+    """
+    result = result_folder.load_result(folder)
+    if result.acceptance is None:
+        raise InputError(
+            "this result has no acceptance plan",
+            f"make it with `oed verify {folder}`",
+            file=str(folder / "result.json"),
+        )
+    section = judge_file(result.acceptance, readings)
+    result = msgspec.structs.replace(result, verification=section)
+    result_folder.rewrite(folder, result)
+    return section
+
+
+def _values(text: str, option: str, machine: Machine) -> dict[str, float]:
+    """Numbers by component, SI, of an option. Raises InputError."""
+    known = {c.name: c.unit for c in machine.components}
+    place = Place(option)
+    values = {}
+    for entry in filter(None, text.replace(",", " ").split()):
+        key, _, number = entry.partition("=")
+        name, unit = split_key(key, known, place)
+        try:
+            value = float(number)
+        except ValueError:
+            value = -1.0
+        if not 0.0 < value < np.inf:
+            raise place.key(key).error("not a positive number", "write z_um=30", number)
+        values[name] = float(units.to_si(value, unit))
+    return values
+
+
+def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
+    """What the plan demands and how sure it is."""
+    yield f"Measure the pose errors of the compensated machine at {len(section.poses)} poses."
+    for name, d in section.components.items():
+        yield (
+            f"{name}: promised rms {d.promised:.3g} {d.unit}; it passes up to"
+            f" {d.limit:.3g} {d.unit} rms over these poses, measured to"
+            f" {d.uncertainty:.2g} {d.unit} (1 sd). A machine with"
+            f" {100 * (section.miss - 1):.0f} % more than promised is caught with"
+            f" probability {d.power:.2f}."
+        )
+    yield f"A machine just at its promise fails with probability {section.false_alarm:.2f}."
+    for condition in section.conditions:
+        yield f"Condition: {condition}."
+
+
+def verdict_sentences(section: VerificationSection) -> Iterator[str]:
+    """The judgement, component by component."""
+    for name, c in section.components.items():
+        verdict = "passed" if c.passed else "failed"
+        yield (
+            f"{name}: {verdict}: rms {c.rms:.3g} {c.unit}, limit {c.limit:.3g}"
+            f" {c.unit} (promised {c.promised:.3g}), largest {c.max:.3g} {c.unit}."
+        )
+    for name, p in section.positioning.items():
+        yield (
+            f"{name}, after ISO 230-2 with {p.approaches} approaches at {p.targets}"
+            f" targets (the standard asks for 5 along an axis): accuracy A"
+            f" {p.accuracy:.3g}, systematic deviation E {p.systematic:.3g},"
+            f" repeatability R {p.repeatability:.3g}{_both_ways(p.mean, p.reversal)}"
+            f" {p.unit}."
+        )
+    verdict = "meets" if section.passed else "does not meet"
+    yield f"The machine {verdict} its promised accuracy."
+
+
+def _both_ways(mean: float | None, reversal: float | None) -> str:
+    if mean is None or reversal is None:
+        return ""
+    return f", mean bidirectional deviation M {mean:.3g}, reversal B {reversal:.3g}"

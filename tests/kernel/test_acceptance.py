@@ -1,0 +1,110 @@
+"""Acceptance plans: their power against a plain simulation, and ISO 230-2 by hand."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from oed.acceptance import (
+    AcceptancePlan,
+    Promise,
+    judge,
+    plan_acceptance,
+    positioning,
+)
+
+POSES, PARAMETERS = 80, 12
+
+
+def promise(rng: np.random.Generator) -> Promise:
+    """Two components over a line of poses, smooth in place."""
+    at = np.linspace(-1.0, 1.0, POSES)
+    waves = np.array([np.cos(k * np.arccos(at)) for k in range(PARAMETERS)]).T
+    maps = np.stack([waves, waves[:, ::-1] * rng.standard_normal(PARAMETERS)], axis=1)
+    first = np.diag(1.0 / (1.0 + np.arange(PARAMETERS)) ** 2)
+    return Promise(
+        names=("z", "theta"),
+        maps=maps,
+        covariances=[1e-12 * first, 1e-10 * np.eye(PARAMETERS)],
+        rms=np.array([20e-6, 50e-6]),
+        uncertainty=np.array([2e-6, 4e-6]),
+    )
+
+
+def caught(
+    p: Promise, plan: AcceptancePlan, factor: float, count: int, seed: int
+) -> np.ndarray:
+    """Whether machines (count, 2) at a factor on the promise fail; plain NumPy."""
+    rng = np.random.default_rng(seed)
+    fails = np.empty((count, 2), dtype=bool)
+    for d in range(count):
+        scale = [np.sqrt(np.diag(c)) for c in p.covariances][int(rng.random() < 0.5)]
+        change = scale * rng.standard_normal(PARAMETERS)
+        for k in range(2):
+            field = p.maps[:, k] @ change
+            field *= factor * p.rms[k] / np.sqrt(np.mean(field**2))
+            noise = p.uncertainty[k] * rng.standard_normal(len(plan.poses))
+            measured = field[plan.poses] + noise
+            fails[d, k] = np.sqrt(np.mean(measured**2)) > plan.limits[k]
+    return fails
+
+
+def band(count: int, share: float) -> tuple[float, float]:
+    """99 % band of a share among `count` trials."""
+    low, high = stats.binom.interval(0.99, count, share)
+    return low / count, high / count
+
+
+def check_power(count: int) -> None:
+    rng = np.random.default_rng(3)
+    p = promise(rng)
+    candidates = np.arange(0, POSES, 2)
+    plan = plan_acceptance(p, candidates, rng, power=0.8, most=25)
+    assert set(plan.poses) <= set(candidates)
+    missed = caught(p, plan, plan.miss, count, 11).mean(axis=0)
+    for share, power in zip(missed, plan.power, strict=True):
+        low, high = band(count, power)
+        assert low <= share <= high
+    alarms = caught(p, plan, 1.0, count, 12).any(axis=1).mean()
+    low, high = band(count, plan.false_alarm)
+    assert low <= alarms <= high
+
+
+def test_machines_that_miss_are_caught_at_the_stated_power() -> None:
+    check_power(250)
+
+
+@pytest.mark.slow
+def test_the_stated_power_holds_in_a_thousand_trials() -> None:
+    check_power(1000)
+
+
+def test_chosen_poses_are_better_than_the_first_ones() -> None:
+    rng = np.random.default_rng(4)
+    p = promise(rng)
+    plan = plan_acceptance(p, np.arange(POSES), rng, power=1.0, most=8)
+    first = plan_acceptance(p, np.arange(8), rng, power=1.0, most=8)
+    assert plan.power.min() > first.power.min() + 0.05
+
+
+def test_errors_above_the_limit_fail() -> None:
+    errors = {"z": np.array([3e-6, -4e-6]), "theta": np.array([1e-5, 0.0])}
+    verdicts = judge(errors, {"z": 3.5e-6, "theta": 8e-6})
+    assert not verdicts["z"].passed
+    assert verdicts["theta"].passed
+    assert verdicts["z"].rms == pytest.approx(np.sqrt(12.5) * 1e-6)
+
+
+def test_positioning_by_hand() -> None:
+    # targets 0 and 1; means up 1 and 4, down 3 and 4; deviations of every pair sqrt(2)
+    errors = np.array([0.0, 2.0, 2.0, 4.0, 3.0, 5.0, 3.0, 5.0])
+    target = np.array([0, 0, 0, 0, 1, 1, 1, 1])
+    direction = np.array([1.0, 1, -1, -1, 1, 1, -1, -1])
+    figures = positioning(errors, target, direction)
+    assert figures is not None
+    sd = np.sqrt(2.0)
+    assert figures.reversal == pytest.approx(2.0)
+    assert figures.mean == pytest.approx(2.0)
+    assert figures.systematic == pytest.approx(3.0)
+    assert figures.repeatability == pytest.approx(4 * sd + 2.0)
+    assert figures.accuracy == pytest.approx(3.0 + 4.0 * sd)
+    assert positioning(errors[:3], target[:3], direction[:3]) is None
