@@ -97,26 +97,35 @@ def compare(
     Set-ups are mounted anew in each session: the parameters are the machine's alone,
     and the covariances marginal to them. Raises ValueError unless there are two.
     """
-    first, second = (_likelihood(s, nominal, tolerance) for s in sessions)
+    first, second = (likelihood(s, nominal, tolerance) for s in sessions)
     inverse = linalg.pinvh(first[0] + second[0])
     information = first[0] @ inverse @ second[0]
     score = first[0] @ inverse @ second[1] - second[0] @ inverse @ first[1]
-    values, vectors = np.linalg.eigh((information + information.T) / 2)
-    determined = values > LEAST_INFORMATION
-    root = np.sqrt(values[determined])[:, None] * vectors[:, determined].T
-    white = vectors[:, determined].T @ score / np.sqrt(values[determined])
-    chi2, dof = float(white @ white), int(determined.sum())
+    root, white = determined_directions(information, score)
+    chi2, dof = float(white @ white), len(white)
     return SessionChange(
         chi2=chi2,
         dof=dof,
         p_value=float(stats.chi2.sf(chi2, dof)),
-        combinations=_combinations(names, tolerance, root, white),
+        combinations=combinations(names, tolerance, root, white),
         causes=_causes(names, tolerance, root, white),
         undetermined=len(names) - dof,
     )
 
 
-def _likelihood(
+def determined_directions(information: Array, score: Array) -> tuple[Array, Array]:
+    """Root (r, n) of the information in its determined directions, and their estimates.
+
+    The estimates (r,) are standard normal where the truth is 0.
+    """
+    values, vectors = np.linalg.eigh((information + information.T) / 2)
+    determined = values > LEAST_INFORMATION
+    root = np.sqrt(values[determined])[:, None] * vectors[:, determined].T
+    white = vectors[:, determined].T @ score / np.sqrt(values[determined])
+    return root, white
+
+
+def likelihood(
     session: Session, nominal: Array, tolerance: Array
 ) -> tuple[Array, Array]:
     """Information (n, n) and score (n,) of the readings, in tolerances."""
@@ -129,7 +138,7 @@ def _likelihood(
     return information, vectors @ (mean / values)
 
 
-def _combinations(
+def combinations(
     names: Sequence[str], tolerance: Array, root: Array, white: Array
 ) -> tuple[CombinationChange, ...]:
     """Changes of the combinations that the rows of `root` (r, n) determine."""

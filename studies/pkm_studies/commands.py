@@ -11,6 +11,7 @@ import typer
 from pkm_studies import (
     compensate_command,
     console,
+    history_command,
     import_command,
     new_command,
     verify_command,
@@ -329,6 +330,7 @@ app.command()(new_command.new)
 app.command(name="import")(import_command.import_files)
 app.command()(compensate_command.compensate)
 app.command()(verify_command.verify)
+app.command()(history_command.history)
 
 
 # -- studies in, results out -----------------------------------------------------------

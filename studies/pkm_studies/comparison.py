@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +51,30 @@ def compare(before: Path, after: Path) -> list[str]:
     units = {name: p.unit for name, p in tables[0].items()}
     warnings = [_bad_fit(e, f) for e, f in zip(estimates, folders, strict=True)]
     return [*filter(None, warnings), *_sentences(change, units)]
+
+
+def posteriors(
+    results: Sequence[StudyResult], folders: Sequence[Path]
+) -> tuple[list[str], dict[str, ParameterEstimate], list[Session]]:
+    """Names, table and posteriors of the machine's parameters in several results.
+
+    Raises InputError where a folder holds no estimate, or not of the same machine.
+    """
+    estimates = [_estimate(r, f) for r, f in zip(results, folders, strict=True)]
+    tables = [
+        _machine_parameters(result, estimate)
+        for result, estimate in zip(results, estimates, strict=True)
+    ]
+    for table, result, folder in zip(tables, results, folders, strict=True):
+        _check_same([tables[0], table], [results[0], result], folder)
+    names = list(tables[0])
+    return names, tables[0], [_session(names, estimate) for estimate in estimates]
+
+
+def bad_fits(results: Sequence[StudyResult], folders: Sequence[Path]) -> list[str]:
+    """Warnings on the results that do not fit their readings."""
+    pairs = zip(results, folders, strict=True)
+    return [w for r, f in pairs if (w := _bad_fit(_estimate(r, f), f)) is not None]
 
 
 def _estimate(result: StudyResult, folder: Path) -> Fitted:
@@ -141,15 +165,23 @@ def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]
 
 
 def _combination(combination: CombinationChange, units: Mapping[str, str]) -> str:
+    words, unit = combination_words(combination, units)
+    z = combination.change / combination.sd
+    return (
+        f"{words}: {combination.change:+.4g} {unit}, sd {combination.sd:.2g} {unit},"
+        f" {z:+.1f} sd"
+    )
+
+
+def combination_words(
+    combination: CombinationChange, units: Mapping[str, str]
+) -> tuple[str, str]:
+    """A combination in words, and the unit of its pivot."""
     ordered = sorted(combination.coefficients.items(), key=lambda item: item[1] != 1.0)
     terms = [name if c == 1.0 else f"{c:+.3g} {name}" for name, c in ordered[:TERMS]]
     if len(ordered) > TERMS:
         terms.append(f"+ {len(ordered) - TERMS} more")
-    unit, z = units[ordered[0][0]], combination.change / combination.sd
-    return (
-        f"{' '.join(terms)}: {combination.change:+.4g} {unit}, sd"
-        f" {combination.sd:.2g} {unit}, {z:+.1f} sd"
-    )
+    return " ".join(terms), units[ordered[0][0]]
 
 
 def _explanations(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]:

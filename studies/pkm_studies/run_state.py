@@ -48,6 +48,7 @@ class Stream(enum.IntEnum):
     CHECKS = 12
     CORRECTED = 13
     ACCEPTANCE = 14
+    HISTORY = 15
 
 
 class HeldOut(NamedTuple):

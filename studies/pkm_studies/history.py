@@ -1,0 +1,254 @@
+"""Drift of a machine over the results of its sessions, and when to calibrate again."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from oed import session_drift, units
+from oed.arrays import Array
+from oed.result import StudyResult
+from oed.session_change import CombinationChange
+from oed.session_drift import SessionDrift
+from pkm_studies import comparison, result_folder
+from pkm_studies.acceptance.promise import PromisedAccuracy, promised_accuracy
+from pkm_studies.compensation.export import result_study
+from pkm_studies.errors import InputError, Place
+from pkm_studies.resolve.quantities import split_key
+from pkm_studies.run_state import Stream
+from pkm_studies.study import load
+
+DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
+#: probability of a false alarm, and combinations that are printed
+ALARM, SHOWN = 0.01, 10
+#: limit of the rms error over that right after a calibration, where none is given
+LIMIT = 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Sessions:
+    """Results of one machine in order of time.
+
+    times  (k,) days, or numbers of the sessions where no dates are known
+    unit   `day` or `session`
+    """
+
+    folders: tuple[Path, ...]
+    results: tuple[StudyResult, ...]
+    times: Array
+    unit: str
+
+
+def history(
+    folders: Sequence[Path], limits: str = "", study_file: Path | None = None
+) -> list[str]:
+    """Sentences on the drift over the sessions in folders of results.
+
+    folders     results, or folders of results; dates (2026-11-24) in their names count
+    limits      `z_um=30,theta_arcsec=20`: rms errors at which to calibrate again; twice
+                those right after a calibration by default
+    study_file  study, where it names a machine in a file of its own
+
+    Raises InputError for fewer than two sessions, and results of different machines.
+    """
+    sessions = _sessions(folders)
+    names, table, posteriors = comparison.posteriors(sessions.results, sessions.folders)
+    drifted = session_drift.drift(
+        names,
+        np.array([p.nominal for p in table.values()]),
+        np.array([p.prior_sd for p in table.values()]),
+        posteriors,
+        sessions.times,
+    )
+    shown = {name: p.unit for name, p in table.items()}
+    return [
+        *comparison.bad_fits(sessions.results, sessions.folders),
+        _about(sessions),
+        *_verdict(drifted, sessions.unit),
+        *_combinations(drifted, shown, sessions.unit),
+        *_due(sessions, names, shown, drifted, limits, study_file),
+    ]
+
+
+def _sessions(folders: Sequence[Path]) -> Sessions:
+    """The results of all folders in order of time. Raises InputError."""
+    found_in = [path for folder in folders for path in _result_folders(folder)]
+    if len(found_in) < 2:
+        raise InputError(
+            f"a history needs two sessions or more, here are {len(found_in)}",
+            "name folders with a result.json, or a folder that holds them",
+        )
+    dates = [_date(path) for path in found_in]
+    known = [date for date in dates if date is not None]
+    if len(known) < len(dates):
+        times = np.arange(len(found_in), dtype=float)
+        order = np.arange(len(found_in))
+        unit = "session"
+    else:
+        days = np.array([date.toordinal() for date in known], dtype=float)
+        order = np.argsort(days, kind="stable")
+        times, unit = days[order], "day"
+        if np.ptp(times) == 0.0:
+            raise InputError(
+                "all sessions have one date", "name the folders by their dates"
+            )
+    ordered = tuple(found_in[k] for k in order)
+    results = tuple(result_folder.load_result(path) for path in ordered)
+    return Sessions(ordered, results, times, unit)
+
+
+def _result_folders(folder: Path) -> list[Path]:
+    """The folder itself, or those within it, that hold a result."""
+    if (folder / "result.json").is_file():
+        return [folder]
+    inside = sorted(path.parent for path in folder.glob("*/result.json"))
+    if not inside:
+        raise InputError(
+            "there is no result.json here, nor in a folder of it",
+            "make results with `oed identify STUDY --readings CSV --out DIR`",
+            file=str(folder),
+        )
+    return inside
+
+
+def _date(path: Path) -> datetime.date | None:
+    """The date in a folder's name, None without one."""
+    match = DATE.search(path.name)
+    if match is None:
+        return None
+    try:
+        return datetime.date.fromisoformat(match.group())
+    except ValueError:
+        return None
+
+
+def _about(sessions: Sessions) -> str:
+    span = float(np.ptp(sessions.times))
+    count = len(sessions.folders)
+    if sessions.unit == "day":
+        return f"{count} sessions over {span:.0f} days."
+    return f"{count} sessions without dates in their folders' names: drift per session."
+
+
+def _verdict(drifted: SessionDrift, unit: str) -> Iterator[str]:
+    """Whether the machine drifts, and whether evenly."""
+    if not drifted.dof:
+        yield "The sessions determine the drift of no combination of parameters."
+        return
+    verdict = "The machine drifts" if drifted.p_value < ALARM else "No drift is proven"
+    yield (
+        f"{verdict}: chi2 {drifted.chi2:.4g} for {drifted.dof} combinations, p ="
+        f" {drifted.p_value:.2g}."
+    )
+    if drifted.widening > 1.0:
+        yield (
+            f"The sessions do not lie on a line (chi2 {drifted.rest:.4g} for"
+            f" {drifted.rest_dof}): all intervals are {drifted.widening:.2g} times as"
+            " wide. `oed compare` shows between which sessions the machine changed."
+        )
+    if drifted.undetermined:
+        yield (
+            f"{drifted.undetermined} directions are not determined: a drift there stays"
+            " unseen."
+        )
+
+
+def _combinations(
+    drifted: SessionDrift, shown: dict[str, str], unit: str
+) -> Iterator[str]:
+    if not drifted.dof:
+        return
+    yield f"Drift a {unit}, with its 95 % interval:"
+    for combination in drifted.combinations[:SHOWN]:
+        yield f"  {_line(combination, shown, unit)}"
+
+
+def _line(combination: CombinationChange, shown: dict[str, str], unit: str) -> str:
+    words, of = comparison.combination_words(combination, shown)
+    half = 1.96 * combination.sd
+    low, high = combination.change - half, combination.change + half
+    return f"{words}: {combination.change:+.3g} {of}, {low:+.3g} to {high:+.3g}"
+
+
+# -- when to calibrate again -----------------------------------------------------------
+
+
+def _due(
+    sessions: Sessions,
+    names: Sequence[str],
+    shown: dict[str, str],
+    drifted: SessionDrift,
+    limits: str,
+    study_file: Path | None,
+) -> Iterator[str]:
+    """When the rms error of each component reaches its limit."""
+    if not drifted.dof:
+        return
+    latest, folder = sessions.results[-1], sessions.folders[-1]
+    study = result_study(latest, folder) if study_file is None else load(study_file)
+    accuracy = promised_accuracy(latest, study, str(folder / "result.json"), {}, {})
+    given = _limits(limits, accuracy)
+    si = _in_si(drifted, [units.factor(shown[name]) for name in names])
+    columns = [accuracy.machine.index(name) for name in names]
+    rng = np.random.default_rng([latest.seed, int(Stream.HISTORY)])
+    for k, component in enumerate(accuracy.components):
+        after = float(accuracy.promise.rms[k])
+        limit = given.get(component.name, LIMIT * after)
+        due = session_drift.next_calibration(
+            accuracy.promise.maps[:, k][:, columns], si, after, limit, rng
+        )
+        unit = units.FINE[component.unit]
+        yield (
+            f"{component.name}: rms {units.number(after, unit):.3g} {unit} right after"
+            f" the last session; {units.number(limit, unit):.3g} {unit} are reached"
+            f" after {_time(due.time, sessions.unit)} (95 %: {_time(due.low, sessions.unit)}"
+            f" to {_time(due.high, sessions.unit)}). {_advice(sessions, due.low)}"
+        )
+
+
+def _in_si(drifted: SessionDrift, factors: Sequence[float]) -> SessionDrift:
+    factor = np.array(factors)
+    return dataclasses.replace(
+        drifted,
+        rate=drifted.rate * factor,
+        covariance=drifted.covariance * np.outer(factor, factor),
+    )
+
+
+def _limits(text: str, accuracy: PromisedAccuracy) -> dict[str, float]:
+    """Limits by component, SI. Raises InputError."""
+    known = {c.name: c.unit for c in accuracy.components}
+    values = {}
+    for entry in filter(None, text.replace(",", " ").split()):
+        key, _, number = entry.partition("=")
+        name, unit = split_key(key, known, Place("--limit"))
+        try:
+            values[name] = float(units.to_si(float(number), unit))
+        except ValueError as error:
+            raise (
+                Place("--limit").key(key).error("not a number", "write z_um=30", number)
+            ) from error
+    return values
+
+
+def _time(value: float, unit: str) -> str:
+    if not np.isfinite(value):
+        return "no time"
+    count = f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+    return f"{count} {unit}s"
+
+
+def _advice(sessions: Sessions, earliest: float) -> str:
+    """The date until which the accuracy is 97.5 % sure."""
+    if earliest <= 0.0:
+        return "Calibrate now."
+    if sessions.unit != "day" or earliest > datetime.date.max.toordinal() - 800_000:
+        return f"Calibrate again within {_time(earliest, sessions.unit)}."
+    last = int(sessions.times[-1])
+    day = datetime.date.fromordinal(last + int(earliest))
+    return f"Calibrate again by {day.isoformat()}."
