@@ -7,7 +7,7 @@ import numpy as np
 from oed import units
 from oed.fit_warnings import FAR, chi2_is_large
 from oed.machine import Machine
-from oed.result import StudyResult
+from oed.result import CorrectedSection, StudyResult
 from pkm_studies.compensation.content import Identified
 
 
@@ -28,8 +28,22 @@ def identified_parameters(result: StudyResult, machine: Machine) -> Identified |
             values[k] = units.to_si(estimate.value, estimate.unit)
             sd[k] = units.to_si(estimate.sd, estimate.unit)
     origin = "estimate" if corrected is None else "corrected"
-    conditions = () if corrected is None else tuple(corrected.conditions)
+    conditions = () if corrected is None else _what_the_effects_cost(corrected)
     return Identified(values, sd, origin, conditions)
+
+
+def _what_the_effects_cost(corrected: CorrectedSection) -> tuple[str, ...]:
+    """Sentences on the effects, which a file of parameters does not hold."""
+    names = ", ".join(corrected.constants)
+    left_out = f"not in this file: {names}; a controller corrects them by their states"
+    if corrected.prediction is None:
+        return (left_out,)
+    parts = [
+        f"{name} {alone.rms:.3g} {alone.unit}"
+        f" ({corrected.prediction.components[name].after.rms:.3g} with them)"
+        for name, alone in corrected.parameters_only.items()
+    ]
+    return (left_out, f"predicted rms without them: {', '.join(parts)}")
 
 
 def objections(result: StudyResult) -> list[str]:

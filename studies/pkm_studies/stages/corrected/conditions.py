@@ -22,7 +22,11 @@ LOADED = ("gravity", "frame_bending")
 
 def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str]:
     """One sentence for each condition."""
+    moving = [f.effect.name for f in corrected.forms if _moves_machine(corrected, f)]
     sentences = []
+    if moving:
+        names = ", ".join(moving)
+        sentences.append(f"the controller corrects {names} as well as the parameters")
     for form in corrected.forms:
         sentences += _of_effect(corrected, form)
     if gap is not None:
@@ -46,8 +50,6 @@ def _of_effect(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
             sentences.append(_of_warmth(name, form))
     if not sentences and name in LOADED:
         sentences.append(f"{name}: the payload is known, or that of these readings")
-    if not sentences:
-        sentences.append(f"{name}: the controller corrects it from pose and joints")
     return sentences
 
 
