@@ -159,3 +159,31 @@ def test_a_file_that_lacks_a_pose_is_refused(planned: Path, tmp_path: Path) -> N
     part = tmp_path / "part.csv"
     part.write_text("\n".join(whole.read_text().splitlines()[:-1]) + "\n")
     assert run("verify", planned.parent, "--readings", part) == 2
+
+
+def test_the_report_has_the_corrected_model_and_the_acceptance_test(
+    planned: Path, tmp_path: Path
+) -> None:
+    bad = fill_in(planned, tmp_path / "bad.csv", 1.5)
+    assert run("verify", planned.parent, "--readings", bad) == 1
+    page = (planned.parent / "report.html").read_text(encoding="utf-8")
+    for text in ("Corrected model", "Without effects", "Acceptance test"):
+        assert text in page
+    assert "The acceptance test is failed" in page
+
+
+@pytest.mark.slow
+def test_the_sampled_posterior_is_that_of_the_estimate(folder: Path) -> None:
+    study = folder / "sampled.study.toml"
+    text = (folder / "loads.study.toml").read_text()
+    study.write_text(text.replace("enabled = false", "enabled = true\ness = 300"))
+    readings, out = folder / "loads.readings.csv", folder / "sampled"
+    options = ["--with", "gravity,frame_bending", "--out", out]
+    assert run("identify", study, "--readings", readings, *options) == 0
+    corrected = result_folder.load_result(out).corrected
+    assert corrected is not None
+    for name, p in corrected.parameters.items():
+        draws = corrected.posterior[name]
+        assert abs(draws.mean - p.value) < 0.3 * p.sd, name
+        assert draws.sd == pytest.approx(p.sd, rel=0.25), name
+    assert set(corrected.effects) <= set(corrected.posterior)

@@ -15,7 +15,7 @@ from oed.design.candidates import reading_time
 from oed.machine import Machine
 from oed.measurement import Measurement
 from oed.planning.option import Option
-from oed.result import ParameterEstimate, StudyResult
+from oed.result import CorrectedSection, ParameterEstimate, StudyResult
 from pkm_studies.errors import Place
 from pkm_studies.resolve.plan import plan_request
 from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
@@ -46,8 +46,9 @@ def read_earlier_session(
 ) -> EarlierSession:
     """What the result `stored` in `folder` tells about the study's machine.
 
-    The covariance comes from the draws of the posterior, or, where there are none, from
-    the standard deviations of the estimate.
+    The covariance is that of the section `corrected` where there is one, which effects
+    do not bend. Otherwise it comes from the draws of the posterior, or, where there are
+    none, from the standard deviations of the estimate.
 
     Raises InputError where the result does not fit the study.
     """
@@ -55,7 +56,10 @@ def read_earlier_session(
     measurement = resolved.measurement_with(())
     free = _free_names(measurement)
     estimate = _estimate(stored, machine.name, free, folder)
-    value, covariance, source = _posterior(folder / FILE, estimate, free)
+    if stored.corrected is not None:
+        value, covariance, source = _corrected(stored.corrected, free)
+    else:
+        value, covariance, source = _posterior(folder / FILE, estimate, free)
     identified = dict(zip(free, value, strict=True))
     parameters = [
         dataclasses.replace(p, nominal=float(identified.get(p.name, p.nominal)))
@@ -90,7 +94,7 @@ def _estimate(
     place = Place(str(folder / "result.json")).key("estimate")
     if stored.estimate is None:
         raise place.error("nothing was identified there", "make it with `oed identify`")
-    estimate = stored.estimate.parameters
+    estimate = (stored.corrected or stored.estimate).parameters
     remedy = f"give a result for {machine} of this study"
     absent = [name for name in free if name not in estimate]
     if absent:
@@ -112,6 +116,20 @@ def _without_done(
         measurement=measurement_with(resolved.measurement.setups),
         plan=plan_request(resolved.study, measurement_with, resolved.setups, done),
     )
+
+
+def _corrected(
+    corrected: CorrectedSection, free: Sequence[str]
+) -> tuple[Array, Array, str]:
+    """Values (n,), their covariance (n, n), SI, and where they come from."""
+    names = list(corrected.parameters)
+    at = [names.index(name) for name in free]
+    rows = [corrected.parameters[name] for name in free]
+    value = _in_si([row.value for row in rows], rows)
+    factors = np.array([units.factor(row.unit) for row in rows])
+    covariance = np.array(corrected.covariance)[np.ix_(at, at)]
+    source = "parameters and effects estimated together"
+    return value, covariance * np.outer(factors, factors), source
 
 
 def _posterior(
