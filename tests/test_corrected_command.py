@@ -21,7 +21,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert run("simulate", "planar_gap", "--out", readings) == 0
     study = folder / "loads.study.toml"
     text = _shipped("planar_gap").split("[readings]")[0]
-    study.write_text(text + "[posterior]\nenabled = false\n")
+    options = "[posterior]\nenabled = false\n[report]\npdf = false\n"
+    study.write_text(text + options)
     code = run(
         "identify",
         study,

@@ -61,13 +61,13 @@ def planned(m: Measurement) -> tuple[Series, pd.DataFrame]:
 
 
 def travel_sense(series: Series, joint: int) -> np.ndarray:
-    """Sense in which a joint last moved; each run is entered as it goes on."""
+    """Sense in which a joint moves at each pose of a closed circle, run through."""
     q = series.q[series.index[:, 0], joint]
     sense = np.zeros(len(q))
     for run in dict.fromkeys(series.run):
         members = np.flatnonzero(np.asarray(series.run) == run)
-        steps = np.sign(np.diff(q[members]))
-        sense[members] = np.concatenate([steps[:1], steps])
+        around = q[members]
+        sense[members] = np.sign(np.roll(around, -1) - np.roll(around, 1))
     return sense
 
 
