@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from oed.arrays import Array, Index
 from oed.checks.session import SessionReadings
@@ -90,7 +90,10 @@ def _unlikely(session: SessionReadings, span: slice, table: Array, pairs: int) -
     sizes = poses.groupby(list(poses.columns)).size().to_numpy()
     same = float(np.sum(sizes * (sizes - 1) / 2))
     expected = (0.5 * n * (n - 1) - same) * probability + same * repeated
-    return bool(stats.poisson.sf(pairs - 1, expected) < FALSE_ALARM)
+    if not pairs:
+        return False
+    at_least_as_many = special.pdtrc(pairs - 1, expected)
+    return bool(at_least_as_many < FALSE_ALARM)
 
 
 def _poses(session: SessionReadings, span: slice) -> Array:

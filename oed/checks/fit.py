@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import linalg, optimize, sparse, stats
+from scipy import linalg, optimize, sparse, special
 
 from oed.arrays import Array, Index
 from oed.checks.session import SessionReadings
@@ -55,7 +55,7 @@ class Fit:
 
     def p_penalised(self) -> float:
         """Probability that correct readings have a larger penalised sum of squares."""
-        return float(stats.chi2.sf(self.penalised, len(self.residual)))
+        return float(special.chdtrc(len(self.residual), self.penalised))
 
     def linear_residual(self) -> Array:
         """Whitened residual (N,) about the nominal machine, linear at the solution."""

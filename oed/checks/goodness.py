@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from scipy import stats
+from scipy import special
 
 from oed.checks.fit import Fit
 
@@ -54,6 +54,7 @@ def goodness(solution: Fit) -> Goodness:
     if total <= 0.0:
         return Goodness(solution.chi2, 0.0, 1.0, 1.0)
     scale, freedom = squares / total, total**2 / squares
-    law = stats.chi2(freedom, scale=scale)
-    p_low, p_high = float(law.cdf(solution.chi2)), float(law.sf(solution.chi2))
+    scaled = solution.chi2 / scale
+    p_low = float(special.chdtr(freedom, scaled))
+    p_high = float(special.chdtrc(freedom, scaled))
     return Goodness(solution.chi2, total, p_low, p_high)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from oed.arrays import Array, Index
 from oed.checks.fit import (
@@ -31,7 +31,7 @@ SHARE, LEAST = 0.12, 3
 #: rounds of fit and search
 ROUNDS = 5
 #: median of a standard normal variable's absolute value
-MEDIAN = float(stats.norm.isf(0.25))
+MEDIAN = float(-special.ndtri(0.25))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +111,7 @@ def _search(
     With `robust`, pulls are in units of their own scatter where it exceeds the noise.
     """
     reading = session.reading_of_value
-    limit = float(stats.norm.isf(0.5 * FALSE_ALARM / len(reading)))
+    limit = float(-special.ndtri(0.5 * FALSE_ALARM / len(reading)))
     removed = list(first)
     while True:
         pulls = _pulls(prediction, reading, removed, robust=robust)

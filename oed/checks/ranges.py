@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from oed import simulation
 from oed.arrays import Array, Index
@@ -63,7 +63,7 @@ def predict_ranges(session: SessionReadings, rng: np.random.Generator) -> Ranges
     noise = measurement.sigma(series)
     slopes = measurement.jacobian(series, nominal)
     spread = np.linalg.norm(slopes * measurement.tolerance, axis=1)
-    factor = float(stats.norm.isf(0.5 * FALSE_ALARM / len(middle)))
+    factor = float(-special.ndtri(0.5 * FALSE_ALARM / len(middle)))
     machines = simulation.draw_parameters(measurement, rng, TRIAL)
     exact = measurement.try_readings(series, machines)
     linear = middle + (machines - nominal) @ slopes.T

@@ -17,8 +17,7 @@ import dataclasses
 import warnings
 
 import numpy as np
-from scipy import linalg, optimize, special, stats
-from scipy.stats import qmc
+from scipy import linalg, optimize, special
 
 from oed.arrays import Array
 from oed.noise.prior import NoisePrior
@@ -171,13 +170,15 @@ def integrate(model: ResidualModel, prior: NoisePrior) -> NoisePosterior:
 
 def _student_points(dimensions: int) -> Array:
     """Points (DRAWS, d) spread as a Student t is."""
+    from scipy.stats import qmc  # takes a second to import
+
     sequence = qmc.Sobol(dimensions + 1, scramble=False)
     with warnings.catch_warnings():
         # Balance asks for powers of two, and the first point has no finite quantile.
         warnings.simplefilter("ignore", UserWarning)
         points = sequence.random(DRAWS + 1)[1:]
     normal = special.ndtri(points[:, :-1])
-    chi2 = stats.chi2.ppf(points[:, -1:], DEGREES)
+    chi2 = special.chdtri(DEGREES, 1.0 - points[:, -1:])
     return np.asarray(normal / np.sqrt(chi2 / DEGREES))
 
 

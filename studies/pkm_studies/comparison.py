@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from oed import session_change
 from oed.result import (
@@ -129,7 +129,7 @@ def _session(names: list[str], estimate: Fitted) -> Session:
 
 def _bad_fit(estimate: Fitted, folder: Path) -> str | None:
     """A warning where the readings do not fit: the deviations below are too small."""
-    p_value = float(stats.chi2.sf(estimate.chi2, max(estimate.dof, 1e-9)))
+    p_value = float(special.chdtrc(max(estimate.dof, 1e-9), estimate.chi2))
     if p_value >= BAD_FIT:
         return None
     return (

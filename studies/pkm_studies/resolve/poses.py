@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import qmc
 
 from oed import units
 from oed.arrays import Array, Index
@@ -206,6 +205,8 @@ def _sampled(
         column = names.index(name)
         lower[column], upper[column] = spread.min(), spread.max()
     count = table.sample or DEFAULT_SAMPLE
+    from scipy.stats import qmc  # takes a second to import
+
     shares = qmc.Halton(len(names), scramble=False).random(count + 1)[1:]
     command = lower + shares * (upper - lower)
     command = command[within_reach(command, kinematics, tool)]

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.stats import qmc
 
 from oed.arrays import Array
 from oed.kinematics import AssemblyError, Kinematics
@@ -94,6 +93,8 @@ class ToolPoints:
             home[k] = fixed.get(coordinate.name, home[k])
         samples = np.tile(home, (SAMPLES, 1))
         lower, upper = ranges(self._machine, self._tool.tolist())
+        from scipy.stats import qmc  # takes a second to import
+
         shares = qmc.Halton(len(free), scramble=False).random(SAMPLES)
         samples[:, free] = lower[free] + shares * (upper - lower)[free]
         tips = self.points(samples)
