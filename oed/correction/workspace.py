@@ -22,7 +22,7 @@ from oed.effect import State
 from oed.error_maps import ErrorMaps, Reference, error_maps
 from oed.gap.data import state as states_of
 from oed.measurement import Series
-from oed.prediction import Spread
+from oed.prediction import Prediction, Spread
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,24 +30,14 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class CorrectedAccuracy:
-    """Residual accuracy over n workspace poses, in states drawn from the session.
+    """Residual accuracy over workspace poses, in states drawn from the session.
 
-    before           {component: Spread} without compensation
-    after            {component: Spread} with parameters and effects compensated
-    fully_corrected  {component: Spread} once a further axis corrects all that is known
+    compensated      with parameters and effects compensated
     parameters_only  {component: Spread} with the effects left as they are
-    command          (n, n_dof), SI
-    sd_before        (n, k) root mean square error at each pose before, SI
-    sd_after         (n, k) the same after
     """
 
-    before: Mapping[str, Spread]
-    after: Mapping[str, Spread]
-    fully_corrected: Mapping[str, Spread]
+    compensated: Prediction
     parameters_only: Mapping[str, Spread]
-    command: Array
-    sd_before: Array
-    sd_after: Array
 
 
 def predict_corrected(
@@ -82,36 +72,22 @@ def predict_corrected(
         changes = (draws - theta)[:, used]
         covariance = changes.T @ changes / len(changes)
     tolerance = corrected.measurement.tolerance[used]
-    predicted = prediction.predict(
-        both,
-        np.diag(tolerance**2),
-        covariance,
-        rng,
-        mean=mean,
-        draws=changes,
-        reference=reference,
-    )
-    as_found = dataclasses.replace(
-        both, remaining=np.concatenate([maps.remaining, effect_maps.raw], axis=2)
-    )
-    uncorrected = prediction.predict(
-        as_found,
-        np.diag(tolerance**2),
-        covariance,
-        rng,
-        mean=mean,
-        draws=changes,
-        reference=reference,
-    )
-    return CorrectedAccuracy(
-        before=predicted.before,
-        after=predicted.after,
-        fully_corrected=predicted.fully_corrected,
-        parameters_only=uncorrected.after,
-        command=command,
-        sd_before=predicted.sd_before,
-        sd_after=predicted.sd_after,
-    )
+
+    def predicted(of: ErrorMaps) -> Prediction:
+        return prediction.predict(
+            of,
+            np.diag(tolerance**2),
+            covariance,
+            rng,
+            mean=mean,
+            draws=changes,
+            reference=reference,
+        )
+
+    compensated = predicted(both)
+    effects_stay = np.concatenate([maps.remaining, effect_maps.raw], axis=2)
+    uncorrected = predicted(dataclasses.replace(both, remaining=effects_stay))
+    return CorrectedAccuracy(compensated, uncorrected.after)
 
 
 def _workspace_state(

@@ -130,7 +130,6 @@ def _with_section(
         "given" if state.with_effects else "diagnosis",
         gap,
         accuracy,
-        reference,
         draws,
     )
     return state.with_sections(corrected=section)

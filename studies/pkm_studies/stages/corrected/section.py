@@ -9,23 +9,19 @@ import numpy as np
 from oed import units
 from oed.arrays import Array
 from oed.correction import CorrectedAccuracy, CorrectedEstimate
-from oed.error_maps import Reference
 from oed.fit_warnings import chi2_is_large
 from oed.posterior import Posterior
-from oed.prediction import Spread
 from oed.result import (
-    ComponentAccuracy,
     CorrectedSection,
     EffectEstimate,
     GapSection,
-    MapPoint,
     Marginal,
-    PredictionSection,
     SpreadRecord,
 )
-from pkm_studies.stages import describe
 from pkm_studies.stages.corrected.conditions import conditions
 from pkm_studies.stages.fit.estimate import estimate_section
+from pkm_studies.stages.fit.posterior import marginal
+from pkm_studies.stages.predict.accuracy import accuracy_section, spread_record
 
 
 def corrected_section(
@@ -34,7 +30,6 @@ def corrected_section(
     origin: str,
     gap: GapSection | None,
     accuracy: CorrectedAccuracy | None,
-    reference: Reference,
     draws: Posterior | None,
 ) -> CorrectedSection:
     """The section of an estimate; `truth` (n,) are a virtual machine's parameters, SI."""
@@ -46,6 +41,10 @@ def corrected_section(
     names = measurement.names[:count]
     parameters = {n: p for n, p in whole.parameters.items() if n in names}
     size = len(parameters)
+    predicted = None
+    if accuracy is not None:
+        machine = measurement.machine
+        predicted = accuracy_section(machine, accuracy.compensated, "corrected")
     marginals = {} if draws is None else dict(_marginals(corrected, draws))
     return CorrectedSection(
         parameters=parameters,
@@ -59,7 +58,7 @@ def corrected_section(
         chi2=estimate.chi2,
         dof=estimate.dof,
         covariance=[row[:size] for row in whole.covariance[:size]],
-        prediction=_prediction(corrected, accuracy, reference) if accuracy else None,
+        prediction=predicted,
         parameters_only=_parameters_only(corrected, accuracy) if accuracy else {},
         posterior=marginals,
         warnings=_warnings(corrected),
@@ -118,70 +117,7 @@ def _marginals(
             coefficient = coefficients[p.name]
             unit = coefficient.unit
             values = draws.pooled[:, k] * coefficient.prior_sd
-        low, high = np.quantile(values, [0.025, 0.975])
-        marginal = Marginal(
-            mean=float(values.mean()),
-            sd=float(values.std(ddof=1)),
-            q025=float(low),
-            q975=float(high),
-            rhat=float(draws.rhat[k]),
-            ess=float(draws.ess[k]),
-            unit=unit,
-        )
-        yield p.name, marginal
-
-
-def _spread(spread: Spread, unit: str) -> SpreadRecord:
-    return SpreadRecord(
-        rms=units.number(spread.rms, unit),
-        p95=units.number(spread.p95, unit),
-        max=units.number(spread.largest, unit),
-        unit=unit,
-    )
-
-
-def _prediction(
-    corrected: CorrectedEstimate, accuracy: CorrectedAccuracy, reference: Reference
-) -> PredictionSection:
-    """Accuracy with parameters and effects compensated."""
-    machine = corrected.measurement.machine
-    fine = {c.name: units.FINE[c.unit] for c in machine.components}
-    components = {}
-    for c in machine.components:
-        after = _spread(accuracy.after[c.name], fine[c.name])
-        components[c.name] = ComponentAccuracy(
-            compensatable=c.compensatable,
-            before=_spread(accuracy.before[c.name], fine[c.name]),
-            after=after,
-            known=_spread(accuracy.fully_corrected[c.name], fine[c.name]),
-            budget={},
-        )
-    names = list(fine)
-    points = []
-    for k, command in enumerate(accuracy.command):
-        before, after_here = accuracy.sd_before[k], accuracy.sd_after[k]
-        points.append(
-            MapPoint(
-                describe.displayed_command(machine, command),
-                _by_component(names, before, fine),
-                _by_component(names, after_here, fine),
-            )
-        )
-    return PredictionSection(
-        reference=reference,
-        components=components,
-        unit=fine,
-        poses=len(accuracy.command),
-        map=points,
-        mode="corrected",
-    )
-
-
-def _by_component(
-    names: list[str], values: Array, fine: dict[str, str]
-) -> dict[str, float]:
-    pairs = zip(names, values, strict=True)
-    return {name: units.number(value, fine[name]) for name, value in pairs}
+        yield p.name, marginal(values, draws, k, unit)
 
 
 def _parameters_only(
@@ -189,6 +125,6 @@ def _parameters_only(
 ) -> dict[str, SpreadRecord]:
     components = corrected.measurement.machine.components
     return {
-        c.name: _spread(accuracy.parameters_only[c.name], units.FINE[c.unit])
+        c.name: spread_record(accuracy.parameters_only[c.name], units.FINE[c.unit])
         for c in components
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed import units
+from oed.arrays import Array
 from oed.identification import Estimate
 from oed.measurement import Measurement
 from oed.posterior import Posterior
@@ -29,16 +30,7 @@ def posterior_section(
             continue
         unit = units.display(p.unit)
         values = units.from_si(posterior.pooled[:, k], unit)
-        low, high = np.quantile(values, [0.025, 0.975])
-        marginals[p.name] = Marginal(
-            mean=float(values.mean()),
-            sd=float(values.std(ddof=1)),
-            q025=float(low),
-            q975=float(high),
-            rhat=float(posterior.rhat[k]),
-            ess=float(posterior.ess[k]),
-            unit=unit,
-        )
+        marginals[p.name] = marginal(values, posterior, k, unit)
     directions, table = _widest(measurement, estimate, posterior, corner)
     return PosteriorSection(
         marginals=marginals,
@@ -48,6 +40,20 @@ def posterior_section(
         autocorrelation=posterior.autocorrelation,
         directions=directions,
         corner=table,
+    )
+
+
+def marginal(values: Array, posterior: Posterior, k: int, unit: str) -> Marginal:
+    """Marginal of the k-th coordinate, from its pooled draws (m,) in `unit`."""
+    low, high = np.quantile(values, [0.025, 0.975])
+    return Marginal(
+        mean=float(values.mean()),
+        sd=float(values.std(ddof=1)),
+        q025=float(low),
+        q975=float(high),
+        rhat=float(posterior.rhat[k]),
+        ess=float(posterior.ess[k]),
+        unit=unit,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from oed import information, prediction, units
 from oed.arrays import Array
 from oed.identification import Estimate
+from oed.machine import Machine
 from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
 from oed.prediction import Prediction, Reference, Spread
@@ -37,10 +38,10 @@ def prediction_section(
         measurement, series, command, reference, rng, estimate, posterior
     )
     mode = "plan" if estimate is None else "identified"
-    section = _section(measurement, prediction, mode)
+    section = accuracy_section(measurement.machine, prediction, mode)
     if realised is None:
         return section
-    spreads = {n: _spread(s, section.unit[n]) for n, s in realised.items()}
+    spreads = {n: spread_record(s, section.unit[n]) for n, s in realised.items()}
     shares = {n: s.rms / section.components[n].after.rms for n, s in spreads.items()}
     return msgspec.structs.replace(section, realised=spreads, realised_share=shares)
 
@@ -83,18 +84,18 @@ def _predict(
     )
 
 
-def _section(
-    measurement: Measurement, prediction: Prediction, mode: str
+def accuracy_section(
+    machine: Machine, prediction: Prediction, mode: str
 ) -> PredictionSection:
-    machine = measurement.machine
+    """A prediction in the components' fine units; `mode` says what it rests on."""
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
     compensatable = {c.name: c.compensatable for c in machine.components}
     components = {
         name: ComponentAccuracy(
             compensatable=compensatable[name],
-            before=_spread(prediction.before[name], fine[name]),
-            after=_spread(prediction.after[name], fine[name]),
-            known=_spread(prediction.fully_corrected[name], fine[name]),
+            before=spread_record(prediction.before[name], fine[name]),
+            after=spread_record(prediction.after[name], fine[name]),
+            known=spread_record(prediction.fully_corrected[name], fine[name]),
             budget=prediction.budget[name],
         )
         for name in prediction.names
@@ -124,7 +125,8 @@ def _by_component(
     return {name: units.number(value, fine[name]) for name, value in pairs}
 
 
-def _spread(spread: Spread, unit: str) -> SpreadRecord:
+def spread_record(spread: Spread, unit: str) -> SpreadRecord:
+    """A spread, SI, in a unit."""
     return SpreadRecord(
         rms=units.number(spread.rms, unit),
         p95=units.number(spread.p95, unit),
