@@ -120,5 +120,7 @@ def test_the_command_tells_the_drift_and_the_next_date(
     assert out.startswith("3 sessions over 60 days.\nThe machine drifts")
     assert "100 um are reached after" in out
     assert "Calibrate again by 2026-" in out
+    assert cli.main(["history", str(tmp_path / "machine"), "--limit", "z_um=-5"]) == 2
+    assert "not a positive number" in capsys.readouterr().err
     assert cli.main(["history", str(tmp_path / "machine" / "2026-01-01")]) == 2
     assert "two sessions" in capsys.readouterr().err

@@ -106,3 +106,8 @@ class StudyResult(Record, frozen=True, kw_only=True):
     warnings: list[str] = []
     written: dict[str, str] = {}  # SHA-256 of the files to fill in or to copy from
     claims: list[Claim] = []
+
+    @property
+    def final_estimate(self) -> EstimateSection | CorrectedSection | None:
+        """The corrected estimate where there is one, which effects do not bend."""
+        return self.corrected or self.estimate

@@ -79,7 +79,7 @@ def bad_fits(results: Sequence[StudyResult], folders: Sequence[Path]) -> list[st
 
 def _estimate(result: StudyResult, folder: Path) -> Fitted:
     """The corrected estimate where there is one, which effects do not bend."""
-    estimate: Fitted | None = result.corrected or result.estimate
+    estimate = result.final_estimate
     if estimate is None or not estimate.covariance:
         raise InputError(
             "this result has no estimate with its covariance",

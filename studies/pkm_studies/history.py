@@ -16,10 +16,10 @@ from oed.result import StudyResult
 from oed.session_change import CombinationChange
 from oed.session_drift import SessionDrift
 from pkm_studies import comparison, result_folder
-from pkm_studies.acceptance.promise import PromisedAccuracy, promised_accuracy
+from pkm_studies.acceptance.promise import promised_accuracy
 from pkm_studies.compensation.export import result_study
-from pkm_studies.errors import InputError, Place
-from pkm_studies.resolve.quantities import split_key
+from pkm_studies.errors import InputError
+from pkm_studies.resolve.component_values import component_values
 from pkm_studies.run_state import Stream
 from pkm_studies.study import load
 
@@ -192,7 +192,7 @@ def _due(
     latest, folder = sessions.results[-1], sessions.folders[-1]
     study = result_study(latest, folder) if study_file is None else load(study_file)
     accuracy = promised_accuracy(latest, study, str(folder / "result.json"), {}, {})
-    given = _limits(limits, accuracy)
+    given = component_values(limits, "--limit", accuracy.machine)
     si = _in_si(drifted, [units.factor(shown[name]) for name in names])
     columns = [accuracy.machine.index(name) for name in names]
     rng = np.random.default_rng([latest.seed, int(Stream.HISTORY)])
@@ -218,22 +218,6 @@ def _in_si(drifted: SessionDrift, factors: Sequence[float]) -> SessionDrift:
         rate=drifted.rate * factor,
         covariance=drifted.covariance * np.outer(factor, factor),
     )
-
-
-def _limits(text: str, accuracy: PromisedAccuracy) -> dict[str, float]:
-    """Limits by component, SI. Raises InputError."""
-    known = {c.name: c.unit for c in accuracy.components}
-    values = {}
-    for entry in filter(None, text.replace(",", " ").split()):
-        key, _, number = entry.partition("=")
-        name, unit = split_key(key, known, Place("--limit"))
-        try:
-            values[name] = float(units.to_si(float(number), unit))
-        except ValueError as error:
-            raise (
-                Place("--limit").key(key).error("not a number", "write z_um=30", number)
-            ) from error
-    return values
 
 
 def _time(value: float, unit: str) -> str:

@@ -8,8 +8,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from oed import units
-from oed.machine import Machine
 from oed.result import AcceptanceSection, VerificationSection
 from pkm_studies import files, result_folder
 from pkm_studies.acceptance import plan
@@ -17,9 +15,9 @@ from pkm_studies.acceptance.judge import judge_file
 from pkm_studies.acceptance.promise import promised_accuracy
 from pkm_studies.compensation import identified
 from pkm_studies.compensation.export import BadFitError, result_study
-from pkm_studies.errors import InputError, Place
+from pkm_studies.errors import InputError
+from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_machine
-from pkm_studies.resolve.quantities import split_key
 from pkm_studies.run_state import Stream
 from pkm_studies.study import load
 
@@ -58,8 +56,8 @@ def plan_folder(
         result,
         study,
         str(folder / "result.json"),
-        _values(promised, "--promise", machine),
-        _values(uncertainty, "--uncertainty", machine),
+        component_values(promised, "--promise", machine),
+        component_values(uncertainty, "--uncertainty", machine),
     )
     rng = np.random.default_rng([result.seed, int(Stream.ACCEPTANCE)])
     section = plan.plan_section(result, accuracy, rng, power=power, most=most)
@@ -89,24 +87,6 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
     result = msgspec.structs.replace(result, verification=section)
     result_folder.rewrite(folder, result)
     return section
-
-
-def _values(text: str, option: str, machine: Machine) -> dict[str, float]:
-    """Numbers by component, SI, of an option. Raises InputError."""
-    known = {c.name: c.unit for c in machine.components}
-    place = Place(option)
-    values = {}
-    for entry in filter(None, text.replace(",", " ").split()):
-        key, _, number = entry.partition("=")
-        name, unit = split_key(key, known, place)
-        try:
-            value = float(number)
-        except ValueError:
-            value = -1.0
-        if not 0.0 < value < np.inf:
-            raise place.key(key).error("not a positive number", "write z_um=30", number)
-        values[name] = float(units.to_si(value, unit))
-    return values
 
 
 def plan_sentences(section: AcceptanceSection) -> Iterator[str]:

@@ -14,7 +14,7 @@ from oed.error_maps import ErrorMaps, Reference, error_maps
 from oed.kinematics import Kinematics
 from oed.machine import Component, Machine
 from oed.result import CorrectedSection, EstimateSection, StudyResult
-from pkm_studies.compensation.build import workspace_commands
+from pkm_studies.compensation.build import regular_commands
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.study import Study
@@ -50,7 +50,7 @@ def promised_accuracy(
 
     Raises InputError where the result has no estimate with its covariance.
     """
-    section = result.corrected or result.estimate
+    section = result.final_estimate
     if section is None or not section.covariance:
         raise InputError(
             "this result has no estimate with its covariance",
@@ -59,9 +59,7 @@ def promised_accuracy(
         )
     kinematics = Kinematics(study_machine(study))
     machine = kinematics.machine
-    command = workspace_commands(study, kinematics)
-    slopes = kinematics.error_components_jacobian(command)
-    command = command[np.isfinite(slopes).all(axis=(1, 2))]
+    command = regular_commands(study, kinematics)
     table = study.prediction
     reference: Reference = "home" if table is None else table.reference
     maps = error_maps(kinematics, command, reference)

@@ -61,6 +61,16 @@ def workspace_commands(study: Study, kinematics: Kinematics) -> Array:
     return _reachable(kinematics, grid_nodes(knots))
 
 
+def regular_commands(study: Study, kinematics: Kinematics) -> Array:
+    """Those of `workspace_commands` at which every pose component has an error.
+
+    Where a tilt is zero, its direction has none.
+    """
+    command = workspace_commands(study, kinematics)
+    slopes = kinematics.error_components_jacobian(command)
+    return np.asarray(command[np.isfinite(slopes).all(axis=(1, 2))])
+
+
 def _reachable(kinematics: Kinematics, command: Array) -> Array:
     while len(command):
         try:

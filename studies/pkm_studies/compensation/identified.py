@@ -18,7 +18,7 @@ def identified_parameters(result: StudyResult, machine: Machine) -> Identified |
     effects that a diagnosis found.
     """
     corrected = result.corrected
-    section = corrected if corrected is not None else result.estimate
+    section = result.final_estimate
     if section is None:
         return None
     values, sd = machine.nominal.copy(), np.zeros(len(machine.parameters))

@@ -18,7 +18,7 @@ from oed.correction import (
 from oed.effect import Effect
 from oed.gap.data.signature import untestable
 from pkm_studies import catalogue
-from pkm_studies.compensation.build import workspace_commands
+from pkm_studies.compensation.build import regular_commands
 from pkm_studies.resolve.gap import GapRequest, gap_request
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.corrected import section as sections
@@ -115,10 +115,7 @@ def _with_section(
         draws = _sample(state, corrected, rng)
     table = study.prediction
     kinematics = state.measurement.kinematics
-    command = workspace_commands(study, kinematics)
-    # where a tilt is zero its direction has no error
-    slopes = kinematics.error_components_jacobian(command)
-    command = command[np.isfinite(slopes).all(axis=(1, 2))]
+    command = regular_commands(study, kinematics)
     reference = "home" if table is None else table.reference
     pooled: Array | None = None if draws is None else draws.pooled
     accuracy = None

@@ -92,9 +92,10 @@ def _estimate(
 ) -> Estimates:
     """The estimated parameters of a stored result, all of the free ones among them."""
     place = Place(str(folder / "result.json")).key("estimate")
-    if stored.estimate is None:
+    section = stored.final_estimate
+    if section is None:
         raise place.error("nothing was identified there", "make it with `oed identify`")
-    estimate = (stored.corrected or stored.estimate).parameters
+    estimate = section.parameters
     remedy = f"give a result for {machine} of this study"
     absent = [name for name in free if name not in estimate]
     if absent:
