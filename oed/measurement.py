@@ -36,19 +36,28 @@ class Measurement(ParameterVector):
     """A machine with its set-ups: predicts readings and their slopes.
 
     setups      set-ups by name
-    kinematics  of the machine
+    kinematics  of the machine; compiled here unless they are given
 
     Raises ValueError where an instrument cannot read the machine, or names repeat.
     """
 
-    def __init__(self, machine: Machine, setups: Sequence[Setup]) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        setups: Sequence[Setup],
+        kinematics: Kinematics | None = None,
+    ) -> None:
         super().__init__(machine, setups)
         for setup in setups:
             _check_fit(machine, setup)
-        self.kinematics = Kinematics(machine)
+        self.kinematics = kinematics or Kinematics(machine)
         self.setups = {setup.name: setup for setup in setups}
         self._models = {s.name: ObservationModel(machine, s) for s in setups}
         self._poses_at = PoseCache()
+
+    def with_setups(self, setups: Sequence[Setup]) -> Measurement:
+        """The same machine with other set-ups; its kinematics are shared."""
+        return Measurement(self.machine, setups, self.kinematics)
 
     # -- series ------------------------------------------------------------------------
 

@@ -68,7 +68,6 @@ def _lost_directions(rows: Array, free: Index, scale: Array) -> int:
 
 def _longer_tool(assessment: Assessment) -> list[Trial]:
     """The same joint positions with a longer tool, in set-ups of their own."""
-    machine = assessment.measurement.machine
     if not _rotates(assessment):
         return []
     names = dict.fromkeys(s.setup for s in assessment.series)
@@ -83,7 +82,7 @@ def _longer_tool(assessment: Assessment) -> list[Trial]:
     repeated = [
         dataclasses.replace(s, setup=_extended_name(s.setup)) for s in assessment.series
     ]
-    trial = Measurement(machine, [*setups, *extended])
+    trial = assessment.measurement.with_setups([*setups, *extended])
     rows = trial.jacobian([*assessment.series, *repeated], trial.nominal)
     free = np.flatnonzero(trial.free)
     lost = _lost_directions(rows, free, 1.0 / trial.length_factors)
@@ -151,7 +150,7 @@ def _alternatives(
         setups = {**measurement.setups, **assessment.measurement.setups}
         used = {s.setup for s in together}
         chosen = [setup for key, setup in setups.items() if key in used]
-        joint = Measurement(measurement.machine, chosen)
+        joint = measurement.with_setups(chosen)
         rows = joint.jacobian(together, joint.nominal)
         free = np.flatnonzero(joint.free)
         lost = _lost_directions(rows, free, 1.0 / joint.length_factors)

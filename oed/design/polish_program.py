@@ -27,7 +27,7 @@ from oed.design.reading_plan import (
 )
 from oed.design.symbolic_criterion import SymbolicCriterion
 from oed.instrument import Setup
-from oed.measurement import Measurement, Series
+from oed.measurement import Series
 
 IPOPT: dict[str, Any] = {
     "hessian_approximation": "limited-memory",
@@ -268,7 +268,8 @@ class PolishProgram:
             settings, tool = numbers[2 * i], numbers[2 * i + 1]
             setups.append(self._with_values(setup, settings, tool))
         unshifted = numbers[2 * len(self._setups) :]
-        plan = ReadingPlan(Measurement(self.machine, setups), self.start.series)
+        measurement = self.start.measurement.with_setups(setups)
+        plan = ReadingPlan(measurement, self.start.series)
         commands = []
         for series, command in zip(plan.series, unshifted, strict=True):
             shift = np.array(plan.setup(series).tool) @ self._shift.T

@@ -16,7 +16,7 @@ from oed.kinematics import AssemblyError
 from pkm_studies import shipped, sources
 from pkm_studies.errors import InputError, SourceAbsentError
 from pkm_studies.resolve.machine import has_own_numbers, unreachable
-from pkm_studies.resolve.resolved import ResolvedStudy, resolve
+from pkm_studies.resolve.resolved import ResolvedStudy, resolve, with_readings
 from pkm_studies.run_state import Stream
 from pkm_studies.stages.fit.goodness import check_dataset
 from pkm_studies.study import Study, load
@@ -64,8 +64,9 @@ def _check_study(path: Path, resolved: list[ResolvedStudy], *, alone: bool) -> V
     study = load(shipped.study_path(path))
     try:
         # without readings first: others can be checked even where these are absent
-        resolved.append(resolve(study, readings=()))
-        complete = resolve(study)
+        without_readings = resolve(study, readings=())
+        resolved.append(without_readings)
+        complete = with_readings(without_readings)
         content = _content(study, complete)
         if complete.dataset is not None:
             return _with_findings(content, complete, complete.dataset)

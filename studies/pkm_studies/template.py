@@ -11,7 +11,7 @@ import numpy as np
 from oed import units
 from oed.arrays import Array
 from oed.instrument import Instrument, mount
-from oed.kinematics import AssemblyError
+from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Coordinate, Machine
 from oed.measurement import Measurement
 from pkm_studies import catalogue, files, shipped
@@ -304,8 +304,9 @@ def _led_coordinate(machine: Machine, instrument: Instrument) -> str | None:
         axes.append(np.linspace(low, high, _count(machine)))
     mesh = np.meshgrid(*axes, indexing="ij")
     command = np.column_stack([m.ravel() for m in mesh])
+    kinematics = Kinematics(machine)
     shares = {
-        c.name: _led_share(machine, instrument, command, c.name)
+        c.name: _led_share(kinematics, instrument, command, c.name)
         for c in machine.command
     }
     best = max(shares, key=lambda name: shares[name])
@@ -313,14 +314,15 @@ def _led_coordinate(machine: Machine, instrument: Instrument) -> str | None:
 
 
 def _led_share(
-    machine: Machine, instrument: Instrument, command: Array, coordinate: str
+    kinematics: Kinematics, instrument: Instrument, command: Array, coordinate: str
 ) -> float:
     """Share of the commands at which some value of a coordinate keeps the reading."""
+    machine = kinematics.machine
     settings = {s.name: s.default or 0.0 for s in instrument.settings}
     teach = machine.home_command if instrument.reference == "teach" else None
     setup = mount(instrument, SETUP, teach=teach, **settings)  # type: ignore[arg-type]
     try:
-        measurement = Measurement(machine, [setup])
+        measurement = Measurement(machine, [setup], kinematics)
         _, solvable = measurement.commands_at_fixed_reading(SETUP, command, coordinate)
     except (AssemblyError, ValueError):
         return 0.0

@@ -12,7 +12,6 @@ from oed.arrays import Mask
 from oed.checks.mistakes.order import run_members, run_names
 from oed.checks.mistakes.variant import VariantOfAmount, channel_sets
 from oed.checks.session import SessionReadings
-from oed.measurement import Measurement
 
 #: amount for differences of the tool's length, m
 STEP = 1e-4
@@ -99,7 +98,7 @@ def _with_tool(
             x, y, z = setup.tool
             longer = dataclasses.replace(setup, tool=(x, y, z + amount))
             setups.append(longer if name in names else setup)
-        measurement = Measurement(session.measurement.machine, setups)
+        measurement = session.measurement.with_setups(setups)
         return dataclasses.replace(session, measurement=measurement)
 
     return shift

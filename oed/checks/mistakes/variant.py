@@ -10,7 +10,11 @@ import numpy as np
 from oed.arrays import Array
 from oed.checks.session import SessionReadings
 from oed.kinematics import AssemblyError
+from oed.machine import RANGE_SLACK, Machine
 from oed.measurement import Measurement, Series
+
+#: a full turn, rad
+TURN = 2.0 * np.pi
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,9 +74,11 @@ def recommanded(
 ) -> SessionReadings | None:
     """The session with the commands (n, n_dof) of a set-up's rows changed.
 
-    None where no command was recorded, or the machine cannot reach one.
+    None where no command was recorded, or the machine cannot reach one. Commands
+    outside the workspace were never given: a readings file with them is refused.
     """
     measurement = session.measurement
+    machine = measurement.machine
     tool = np.array(measurement.setups[setup].tool)
     taught = measurement.setups[setup].teach is not None
 
@@ -81,7 +87,9 @@ def recommanded(
             return series
         rows = read_indices(series) if taught else np.ones(len(series.command), bool)
         command = series.command.copy()
-        command[rows] = change(command[rows])
+        command[rows] = wrapped(change(command[rows]), machine)
+        if machine.out_of_range(command[rows], measurement.setups[setup].tool):
+            raise AssemblyError("outside the workspace", np.flatnonzero(rows))
         x, q = measurement.kinematics.inverse(command, None, tool)
         return dataclasses.replace(series, q=q, start=x, command=command)
 
@@ -91,6 +99,18 @@ def recommanded(
         return session.map_series(changed)
     except (AssemblyError, ArithmeticError, ValueError):
         return None
+
+
+def wrapped(command: Array, machine: Machine) -> Array:
+    """Commands (n, n_dof) with angles that turn freely brought into their range."""
+    turned = command.copy()
+    for k, coordinate in enumerate(machine.command):
+        if coordinate.unit != "rad":
+            continue
+        span = coordinate.upper - coordinate.lower
+        if np.isfinite(span) and span >= TURN * (1.0 - RANGE_SLACK):
+            turned[:, k] -= TURN * np.floor((turned[:, k] - coordinate.lower) / TURN)
+    return turned
 
 
 def _commanded(session: SessionReadings, setup: str) -> bool:

@@ -124,7 +124,7 @@ def prepare_stages(stages: Sequence[PlanStage]) -> tuple[VirtualStage, ...]:
         first_channel[np.cumsum(channels) - channels] = True
         virtual.append(
             VirtualStage(
-                measurement=Measurement(measurement.machine, setups),
+                measurement=measurement.with_setups(setups),
                 series=series,
                 candidate=np.repeat(candidate_of_reading, channels),
                 first_channel=first_channel,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from oed.arrays import Array
 from oed.instrument import Setup
+from oed.kinematics import Kinematics
 from oed.machine import Machine
 from oed.measurement import Measurement, Series
 from pkm_studies.resolve import candidates, grids, roles, setups, tolerances
@@ -117,18 +118,27 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     )
 
 
+def with_readings(resolved: ResolvedStudy) -> ResolvedStudy:
+    """A study that was resolved without readings, with those that its file names."""
+    everything = resolved.measurement_with(resolved.setups)
+    dataset = roles.dataset(resolved.study, everything, None)
+    return dataclasses.replace(resolved, dataset=dataset)
+
+
 def measurement_factory(
     machine: Machine, mounted: Mapping[str, Setup]
 ) -> Callable[[Iterable[str]], Measurement]:
     """A function that gives the measurement with the set-ups of some names, once each."""
     cache: dict[tuple[str, ...], Measurement] = {}
+    kinematics = Kinematics(machine)
 
     def measurement_with(names: Iterable[str]) -> Measurement:
         """The measurement with these set-ups, in the study's order."""
         wanted = set(names)
         key = tuple(name for name in mounted if name in wanted)
         if key not in cache:
-            cache[key] = Measurement(machine, [mounted[name] for name in key])
+            chosen = [mounted[name] for name in key]
+            cache[key] = Measurement(machine, chosen, kinematics)
         return cache[key]
 
     return measurement_with

@@ -8,7 +8,7 @@ import numpy as np
 
 from oed import units
 from oed.instrument import Instrument, Protocol, Setup, mount
-from oed.kinematics import AssemblyError
+from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Machine
 from oed.measurement import Measurement
 from pkm_studies import catalogue
@@ -22,13 +22,17 @@ from pkm_studies.study.tables import SetupTable
 def mounted_setups(study: Study, machine: Machine) -> dict[str, Setup]:
     """Every [[setup]] by its name. Raises InputError."""
     place = study.place.key("setup")
+    kinematics = Kinematics(machine)
     return {
-        table.name: _setup(study, table, machine, place.item(i))
+        table.name: _setup(study, table, kinematics, place.item(i))
         for i, table in enumerate(study.setup)
     }
 
 
-def _setup(study: Study, table: SetupTable, machine: Machine, place: Place) -> Setup:
+def _setup(
+    study: Study, table: SetupTable, kinematics: Kinematics, place: Place
+) -> Setup:
+    machine = kinematics.machine
     instrument = _instrument(study, table, machine, place)
     x, y, z = (float(v) for v in units.to_si(table.tool_mm, "mm"))
     setup = mount(
@@ -41,7 +45,7 @@ def _setup(study: Study, table: SetupTable, machine: Machine, place: Place) -> S
     )
     protocol = _protocol(table, instrument, place)
     setup = dataclasses.replace(setup, protocol=protocol)
-    _check_teach_pose(machine, setup, place)
+    _check_teach_pose(kinematics, setup, place)
     return setup
 
 
@@ -123,14 +127,15 @@ def _teach(
     return [values[c.name] for c in machine.command]
 
 
-def _check_teach_pose(machine: Machine, setup: Setup, place: Place) -> None:
+def _check_teach_pose(kinematics: Kinematics, setup: Setup, place: Place) -> None:
     """A teach pose may lie outside the workspace, but the machine must reach it."""
     if setup.teach is None:
         return
     place = place.key("teach")
+    machine = kinematics.machine
     command = np.array([setup.teach])
     try:
-        series = Measurement(machine, [setup]).series(setup.name, command)
+        series = Measurement(machine, [setup], kinematics).series(setup.name, command)
     except AssemblyError as error:
         raise place.error(str(error), "give a pose the machine can reach") from error
     grids.check_joint_range(machine, series, place)

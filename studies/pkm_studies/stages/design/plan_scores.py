@@ -96,7 +96,7 @@ def _with_setups(
 ) -> Measurement:
     """The measurement with further set-ups; its own stay as they are, polished or not."""
     setups = {**resolved.measurement_with(names).setups, **measurement.setups}
-    return Measurement(measurement.machine, list(setups.values()))
+    return measurement.with_setups(list(setups.values()))
 
 
 def _score(plan: _Plan, judge: StudyCriteria, value: float) -> PlanScore:
