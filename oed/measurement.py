@@ -21,7 +21,7 @@ from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Machine
 from oed.newton import STEP_TOLERANCE
 from oed.noise.covariance import Noise, concatenate_noise
-from oed.observation import ObservationModel
+from oed.observation import ObservationModel, Response
 from oed.parameter_vector import ParameterVector
 from oed.pose_cache import PoseCache
 from oed.series import Series, index_poses
@@ -215,8 +215,13 @@ class Measurement(ParameterVector):
         return model.read(inputs).ravel()
 
     def jacobian(self, series: Sequence[Series], theta: Array) -> Array:
-        """dy/dtheta (N, n) at theta (n,), SI. Raises AssemblyError."""
-        return np.vstack([self._jacobian(s, theta) for s in series])
+        """dy/dtheta (N, n) at theta (n,), or (m, N, n) at theta (m, n), SI.
+
+        Raises AssemblyError.
+        """
+        vectors = np.atleast_2d(theta)
+        rows = np.concatenate([self._jacobian(s, vectors) for s in series], axis=1)
+        return rows[0] if theta.ndim == 1 else rows
 
     def response(self, series: Series, theta: Array) -> Response:
         """Slopes of a series' readings over joints, parameters and nuisances, by pose.
@@ -225,7 +230,8 @@ class Measurement(ParameterVector):
         """
         p, s = self._split(theta, series.setup)
         x = self.poses(series, theta)
-        by_pose, by_setup, by_parameter = self._slopes(series, x, p, s)
+        slopes = self._slopes(series, x[None], p[None], s[None])
+        by_pose, by_setup, by_parameter = slopes
         by_joint = self.kinematics.joint_sensitivity(x, series.q, p)
         sensitivity = self.kinematics.parameter_sensitivity(x, series.q, p)
         pairs = list(zip(by_pose, series.pose_indices(), strict=True))
@@ -328,53 +334,50 @@ class Measurement(ParameterVector):
         """Readings (m, N of the series) at theta (m, n), NaN where not assembled."""
         x = self._poses(series, theta, strict=False, step_tolerance=step_tolerance)
         p, s = self._split(theta, series.setup)
-        m, n = theta.shape[0], len(series)
+        inputs = self._inputs(series, x, p, s)
+        return self._models[series.setup].read(inputs).reshape(len(theta), -1)
+
+    def _jacobian(self, series: Series, theta: Array) -> Array:
+        """Slopes (m, N of the series, n) at theta (m, n)."""
+        p, s = self._split(theta, series.setup)
+        x = self._poses(series, theta, strict=True)
+        m, poses, nx = x.shape
+        at = x.reshape(m * poses, nx), np.tile(series.q, (m, 1))
+        of_poses = np.repeat(p, poses, axis=0)
+        self.kinematics.check_regular(*at, of_poses)
+        sensitivity = self.kinematics.parameter_sensitivity(*at, of_poses)
+        sensitivity = sensitivity.reshape(m, poses, nx, p.shape[1])
+        by_pose, by_setup, by_parameter = self._slopes(series, x, p, s)
+        shape = (m, len(series), by_setup.shape[1])
+        rows = np.zeros((*shape, theta.shape[1]))
+        of_machine = rows[..., : p.shape[1]]
+        for slope, k in zip(by_pose, series.pose_indices(), strict=True):
+            of_machine += slope.reshape(*shape, nx) @ sensitivity[:, k]
+        if by_parameter is not None:
+            of_machine += by_parameter.reshape(*shape, -1)
+        rows[..., self.nuisance_slice(series.setup)] = by_setup.reshape(*shape, -1)
+        return rows.reshape(m, -1, theta.shape[1])
+
+    def _inputs(self, series: Series, x: Array, p: Array, s: Array) -> list[Array]:
+        """Inputs of the observation model, m times the readings n.
+
+        Poses x (m, poses, nx), parameters p (m, np), the set-up's unknowns s (m, ns).
+        """
         model, indices = self._models[series.setup], series.pose_indices()
+        m, n = len(x), len(series)
         inputs = [x[:, k].reshape(m * n, -1) for k in indices]
         inputs.append(np.repeat(s, n, axis=0))
         if model.uses_closure:
             inputs += [np.tile(series.q[k], (m, 1)) for k in indices]
             inputs.append(np.repeat(p, n, axis=0))
-        return model.read(inputs).reshape(m, -1)
-
-    def _jacobian(self, series: Series, theta: Array) -> Array:
-        p, s = self._split(theta, series.setup)
-        x = self.poses(series, theta)
-        self.kinematics.check_regular(x, series.q, p)
-        sensitivity = self.kinematics.parameter_sensitivity(x, series.q, p)
-        by_pose, by_setup, by_parameter = self._slopes(series, x, p, s)
-        rows = np.zeros((len(series), by_setup.shape[1], len(theta)))
-        of_machine = rows[:, :, : len(p)]
-        for slope, k in zip(by_pose, series.pose_indices(), strict=True):
-            of_machine += slope @ sensitivity[k]
-        if by_parameter is not None:
-            of_machine += by_parameter
-        rows[:, :, self.nuisance_slice(series.setup)] = by_setup
-        return rows.reshape(-1, len(theta))
+        return inputs
 
     def _slopes(
         self, series: Series, x: Array, p: Array, s: Array
     ) -> tuple[list[Array], Array, Array | None]:
-        """Slopes of a series' readings, as `ObservationModel.slopes`."""
-        model, indices = self._models[series.setup], series.pose_indices()
-        inputs = [*(x[k] for k in indices), s]
-        if model.uses_closure:
-            inputs += [*(series.q[k] for k in indices), p]
-        return model.slopes(inputs)
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Response:
-    """Slopes of n readings of a set-up over changes at the poses they see, SI.
-
-    joints      for each pose of a reading, (n, channels, nq)
-    parameters  for each pose of a reading, (n, channels, np)
-    nuisances   (n, channels, ns), over the set-up's unknowns at the time of the reading
-    """
-
-    joints: tuple[Array, ...]
-    parameters: tuple[Array, ...]
-    nuisances: Array
+        """Slopes of a series' readings, as `ObservationModel.slopes`, m times n."""
+        inputs = self._inputs(series, x, p, s)
+        return self._models[series.setup].slopes(inputs)
 
 
 def _check_fit(machine: Machine, setup: Setup) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import casadi as ca
@@ -80,3 +81,17 @@ class ObservationModel:
         ]
         by_pose, by_setup = slopes[: self._arity], slopes[self._arity]
         return by_pose, by_setup, slopes[-1] if self.uses_closure else None
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Response:
+    """Slopes of n readings of a set-up over changes at the poses they see, SI.
+
+    joints      for each pose of a reading, (n, channels, nq)
+    parameters  for each pose of a reading, (n, channels, np)
+    nuisances   (n, channels, ns), over the set-up's unknowns at the time of the reading
+    """
+
+    joints: tuple[Array, ...]
+    parameters: tuple[Array, ...]
+    nuisances: Array

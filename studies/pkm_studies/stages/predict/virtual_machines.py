@@ -6,10 +6,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed import compensate, identification, prediction, simulation
+from oed import compensate, prediction, simulation
 from oed.arrays import Array
+from oed.compensate.pose_errors import NO_TOOL
+from oed.kinematics import Kinematics
+from oed.machine_fits import fit_machines
 from oed.measurement import Measurement, Series
 from oed.prediction import Reference, Spread
+
+#: machines that go through the check together
+TOGETHER = 50
 
 
 def realised_accuracy(
@@ -38,18 +44,24 @@ def realised_accuracy(
     model = compensate.error_model(kinematics, command)
     home_model = compensate.error_model(kinematics, home)
     errors = []
-    for k in range(count):
-        truth = simulation.draw_parameters(measurement, rng)
-        y = simulation.draw_readings(measurement, series, truth, rng)
-        estimate = identification.identify(measurement, series, y, stages=stages)
-        identified, true = estimate.theta[:keep], truth[:keep]
-        twist = _remaining_twist(measurement, command, identified, true)
-        home_twist = _remaining_twist(measurement, home, identified, true)
-        referenced = prediction.relative_to_reference(
-            twist, home_twist, model, home_model, reference, measurement.machine.lever
-        )
-        errors.append(kinematics.error_components(command, referenced))
-        progress((k + 1) / count)
+    for start in range(0, count, TOGETHER):
+        machines = min(TOGETHER, count - start)
+        truth, y = _draw_machines(measurement, series, machines, rng)
+        theta = fit_machines(measurement, series, y, stages=stages)
+        identified, true = theta[:, :keep], truth[:, :keep]
+        twists = _remaining_twists(kinematics, command, identified, true)
+        home_twists = _remaining_twists(kinematics, home, identified, true)
+        for twist, home_twist in zip(twists, home_twists, strict=True):
+            referenced = prediction.relative_to_reference(
+                twist,
+                home_twist,
+                model,
+                home_model,
+                reference,
+                measurement.machine.lever,
+            )
+            errors.append(kinematics.error_components(command, referenced))
+        progress((start + machines) / count)
     table = np.array(errors)
     return {
         c.name: prediction.error_spread(table[:, :, k])
@@ -57,10 +69,45 @@ def realised_accuracy(
     }
 
 
-def _remaining_twist(
-    measurement: Measurement, command: Array, identified: Array, true: Array
+def _draw_machines(
+    measurement: Measurement,
+    series: Sequence[Series],
+    machines: int,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """True parameters (m, n) and noisy readings (m, N) of machines, SI.
+
+    Each machine draws its parameters, then its noise: how many machines are drawn
+    together changes no number.
+    """
+    noise = measurement.noise(series)
+    truth, errors = [], []
+    for _ in range(machines):
+        truth.append(simulation.draw_parameters(measurement, rng))
+        errors.append(noise.draw(rng, (len(noise.sigma),)))
+    exact = measurement.readings(series, np.array(truth))
+    return np.array(truth), exact + np.array(errors)
+
+
+def _remaining_twists(
+    kinematics: Kinematics, command: Array, identified: Array, true: Array
 ) -> Array:
-    """Pose error (n, 6) at commands, driven with the identified parameters."""
-    kinematics = measurement.kinematics
-    q = compensate.compensated_joints(kinematics, command, identified)
-    return compensate.pose_error(kinematics, command, q, true)
+    """Pose errors (m, n, 6) at commands (n, n_dof), driven with identified parameters.
+
+    Parameters (m, np) identified and true, SI. Raises AssemblyError.
+    """
+    m, n = len(true), len(command)
+    x, _ = kinematics.inverse(command)
+    wanted_rotation, wanted_point, _ = kinematics.frames(x, NO_TOOL)
+    of_all = np.tile(command, (m, 1))
+    q = compensate.compensated_joints(kinematics, of_all, np.repeat(identified, n, 0))
+    start = np.tile(x, (m, 1))
+    reached = kinematics.forward_per_pose(q, np.repeat(true, n, 0), start)
+    rotation, point, _ = kinematics.frames(reached, NO_TOOL)
+    twists = compensate.twist_between(
+        np.tile(wanted_rotation, (m, 1, 1)),
+        np.tile(wanted_point, (m, 1)),
+        rotation,
+        point,
+    )
+    return twists.reshape(m, n, 6)

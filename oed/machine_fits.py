@@ -1,0 +1,165 @@
+"""Fits many machines at once that were read at the same poses with the same noise.
+
+It minimises what `oed.identification` minimises with known noise,
+
+    |W (y - f(theta))|^2 + |u|^2,        theta = nominal + T u,
+
+W whitening the noise, T the tolerances. The minimum is the same: where the gradient is
+zero, u has no part in the directions that no reading determines. All machines take their
+damped Gauss-Newton step together (Levenberg 1944), each with a damping of its own.
+Machines that do not converge go to `oed.identification`, which says what is wrong.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.arrays import Array, Index, Mask
+from oed.identification import identify
+from oed.kinematics import AssemblyError
+from oed.measurement import Measurement, Series
+from oed.noise.covariance import Noise
+
+#: steps at most, and size of a step, in tolerances, after which a machine has converged
+STEPS, CONVERGED = 60, 1e-8
+#: relative decrease of the cost that counts as none
+NO_DECREASE = 1e-12
+#: damping after a step that helps, after the first that does not, and its growth
+LEAST_DAMPING, FIRST_DAMPING, GROWTH = 1e-9, 1e-3, 10.0
+#: entries of the slopes of all machines that are held in memory at once
+ENTRIES = 4_000_000
+
+
+def fit_machines(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    *,
+    stages: Sequence[Sequence[str]] = (("*",),),
+) -> Array:
+    """Parameters theta (m, n), SI, of m machines with readings y (m, N), SI.
+
+    stages  patterns of parameter names, freed in turn, as in `identify`
+
+    Raises IdentificationError where a machine cannot be fitted.
+    """
+    size = max(1, ENTRIES // (y.shape[1] * len(measurement.parameters)))
+    parts = [
+        _fit_together(measurement, series, y[start : start + size], stages)
+        for start in range(0, len(y), size)
+    ]
+    return np.vstack(parts)
+
+
+def _fit_together(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    stages: Sequence[Sequence[str]],
+) -> Array:
+    noise = measurement.noise(series)
+    theta = np.repeat(measurement.nominal[None], len(y), axis=0)
+    converged = np.ones(len(y), dtype=bool)
+    for patterns in stages:
+        free = _freed(measurement, patterns)
+        problem = _Problem(measurement, series, noise, y, free)
+        theta, settled = problem.solve(theta)
+        converged &= settled
+    for row in np.flatnonzero(~converged):
+        theta[row] = identify(measurement, series, y[row], stages=stages).theta
+    return theta
+
+
+def _freed(measurement: Measurement, patterns: Sequence[str]) -> Index:
+    """Places in theta of the parameters that patterns free."""
+    free = [
+        is_free and any(fnmatch.fnmatchcase(name, p) for p in patterns)
+        for name, is_free in zip(measurement.names, measurement.free, strict=True)
+    ]
+    return np.flatnonzero(free)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Problem:
+    """Readings y (m, N) to fit over the free places of theta."""
+
+    measurement: Measurement
+    series: Sequence[Series]
+    noise: Noise
+    y: Array
+    free: Index
+
+    def solve(self, theta: Array) -> tuple[Array, Mask]:
+        """Minima (m, n) from theta (m, n), and the mask (m,) of those that converged."""
+        theta = theta.copy()
+        converged = np.zeros(len(theta), dtype=bool)
+        damping = np.full(len(theta), LEAST_DAMPING)
+        residual, cost = self._evaluate(theta, np.arange(len(theta)))
+        active = np.flatnonzero(np.isfinite(cost))
+        for _ in range(STEPS):
+            if not active.size:
+                break
+            slopes = self._slopes(theta[active])
+            if slopes is None:
+                break
+            step = self._step(theta[active], residual[active], slopes, damping[active])
+            trial = theta[active].copy()
+            trial[:, self.free] += step * self._tolerance
+            new_residual, new_cost = self._evaluate(trial, active)
+            better = new_cost <= cost[active] * (1.0 + NO_DECREASE)
+            accepted = active[better]
+            theta[accepted], residual[accepted] = trial[better], new_residual[better]
+            cost[accepted] = new_cost[better]
+            damping[accepted] = LEAST_DAMPING
+            refused = active[~better]
+            damping[refused] = np.maximum(damping[refused] * GROWTH, FIRST_DAMPING)
+            done = better & (np.abs(step).max(axis=1) < CONVERGED)
+            converged[active[done]] = True
+            active = active[~done]
+        return theta, converged
+
+    @property
+    def _tolerance(self) -> Array:
+        return self.measurement.tolerance[self.free]
+
+    def _deviation(self, theta: Array) -> Array:
+        """u (m, free): deviations from nominal in tolerances."""
+        change = theta[:, self.free] - self.measurement.nominal[self.free]
+        return np.asarray(change / self._tolerance)
+
+    def _evaluate(self, theta: Array, rows: Index) -> tuple[Array, Array]:
+        """Whitened residuals (m, N) and costs (m,), infinite where not assembled."""
+        predicted = self.measurement.try_readings(self.series, theta)
+        residual = self.noise.whiten_last(self.y[rows] - predicted)
+        deviation = self._deviation(theta)
+        cost = (residual**2).sum(axis=1) + (deviation**2).sum(axis=1)
+        return residual, np.where(np.isfinite(cost), cost, np.inf)
+
+    def _slopes(self, theta: Array) -> Array | None:
+        """Whitened slopes (m, N, free) over u; None where a pose is singular."""
+        try:
+            rows = self.measurement.jacobian(self.series, theta)
+        except AssemblyError:
+            return None
+        scaled = rows[:, :, self.free] * self._tolerance
+        return (
+            self.noise.whiten(scaled.swapaxes(0, 1).reshape(rows.shape[1], -1))
+            .reshape(rows.shape[1], len(theta), -1)
+            .swapaxes(0, 1)
+        )
+
+    def _step(
+        self, theta: Array, residual: Array, slopes: Array, damping: Array
+    ) -> Array:
+        """Damped Gauss-Newton steps (m, free) of u."""
+        transposed = slopes.swapaxes(1, 2)
+        descent = (transposed @ residual[:, :, None])[:, :, 0] - self._deviation(theta)
+        normal = transposed @ slopes + np.eye(len(self.free))
+        diagonal = np.einsum("mkk->mk", normal)
+        damped = normal.copy()
+        np.einsum("mkk->mk", damped)[...] += damping[:, None] * diagonal
+        return np.asarray(np.linalg.solve(damped, descent[:, :, None])[:, :, 0])
