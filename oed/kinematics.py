@@ -223,6 +223,14 @@ class Kinematics:
             return np.zeros(len(x))
         return np.asarray(np.linalg.slogdet(phi_x)[0])
 
+    def closure_slope_over_parameters(self, x: Array, q: Array) -> Array:
+        """d phi / dp (rows, np) of one pose (nx,) and joints (nq,), nominal parameters.
+
+        Of a redundant machine, the rows are its balanced equations.
+        """
+        slopes = self._slopes(x[None], q[None], self.machine.nominal)
+        return np.asarray(slopes[1][0])
+
     def parameter_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dp (n, nx, np) at fixed joints."""
         by_x, by_p, _ = self._slopes(x, q, p)

@@ -74,11 +74,11 @@ def test_the_fixture_conforms_to_the_schema(wanted: bool) -> None:
 # -- chapter ---------------------------------------------------------------------------
 
 
-def test_the_chapter_stands_first_and_only_where_stages_are_planned() -> None:
+def test_the_chapter_is_there_only_where_stages_are_planned() -> None:
     planned = sections.chapters(_small(report_fixture_plan.plan()))
     others = sections.chapters(result_of(report_fixture.sample()))
-    anchors = [section.anchor for section in others]
-    assert [section.anchor for section in planned] == ["stages", *anchors]
+    assert [section.anchor for section in planned] == ["plan", "stages"]
+    assert "stages" not in [section.anchor for section in others]
     assert not chapter.has_schedule(None)
     assert not chapter.has_schedule(PlanSection([], 0.0, []))
 

@@ -11,7 +11,7 @@ from oed.result.record import Number, Record
 
 class PlannedReading(Record, frozen=True):
     """One planned reading: where it is taken, in user units (`z_mm`, ...), and what it
-    nominally reads.
+    nominally reads; `joints` are those of the nominal machine, by column (`q1_mm`, ...).
     """
 
     setup: str
@@ -19,6 +19,7 @@ class PlannedReading(Record, frozen=True):
     order: int
     command: dict[str, float]
     reading: dict[str, float]
+    joints: dict[str, float] = {}
 
 
 class PlanScore(Record, frozen=True):

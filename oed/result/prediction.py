@@ -29,11 +29,15 @@ class ComponentAccuracy(Record, frozen=True):
 
 
 class MapPoint(Record, frozen=True):
-    """1-sigma prediction at one workspace pose (user units), by component."""
+    """1-sigma prediction at one workspace pose (user units), by component.
+
+    at    tool point (3,) of the reference tool, m, in the base frame
+    """
 
     command: dict[str, float]
     before: dict[str, float]
     after: dict[str, float]
+    at: list[float] = []
 
 
 class PredictionSection(Record, frozen=True):

@@ -38,13 +38,32 @@ class Polyline(Record, frozen=True):
     points: list[list[float]]
 
 
+class DrawingLabel(Record, frozen=True):
+    """Parameters at the point of the drawing (3,), m, that they move.
+
+    text    the names, shortened: `da1x, y, z`
+    """
+
+    at: list[float]
+    text: str
+    parameters: list[str]
+
+
 class Drawing(Record, frozen=True):
-    """The machine at its home pose and the planned tool points, m, base frame."""
+    """The machine at its home pose and the planned tool points, m, base frame.
+
+    runs, commands   of each tool point; commands in user units, empty where only joints
+                     are known
+    labels           where the machine's parameters act
+    """
 
     lines: list[Polyline]
     tool_points: list[list[float]]
     reading_of: list[str]  # set-up of each tool point
     bars: list[list[list[float]]]  # reading's far end to tool point, where there is one
+    runs: list[str] = []
+    commands: list[dict[str, float]] = []
+    labels: list[DrawingLabel] = []
 
 
 class MachineInfo(Record, frozen=True):

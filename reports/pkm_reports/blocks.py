@@ -1,4 +1,4 @@
-"""Paragraphs, lists, tables and pictures: what a report is made of, for HTML and PDF.
+"""Paragraphs, lists, facts, tables and pictures: what a report is made of, for HTML and PDF.
 
 All text is plain. No block holds markup, so no name in a study can become markup; each
 writer escapes what it writes.
@@ -41,6 +41,14 @@ class Items:
     kind: ClassVar[str] = "items"
     items: Sequence[str]
     numbered: bool = False
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Facts:
+    """Named facts: a term and what is to be said of it, row by row."""
+
+    kind: ClassVar[str] = "facts"
+    rows: Sequence[tuple[str, str]]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -92,7 +100,7 @@ class Picture:
     caption: str
 
 
-Block = Paragraph | Notice | Items | Code | Table | Picture
+Block = Paragraph | Notice | Items | Facts | Code | Table | Picture
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -106,7 +114,10 @@ class Section:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Chapter:
-    """A chapter that every report can have: where it links to, and what fills it."""
+    """A chapter that a report can have: where it links to, and what fills it.
+
+    A chapter that applies to nothing in the result has no blocks, and is not shown.
+    """
 
     anchor: str
     title: str
@@ -140,8 +151,3 @@ def transposed(columns: Sequence[Sequence[str]]) -> list[list[str]]:
 def headed_list(heading: str, items: Sequence[str]) -> list[Block]:
     """A list below its heading; nothing where there are no items."""
     return [Paragraph(heading), Items(items)] if items else []
-
-
-def absent(stage: str) -> list[Block]:
-    """The one sentence for a stage that did not run."""
-    return [Paragraph(f"{stage} was not part of this study.")]

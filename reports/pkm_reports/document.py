@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import string
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -15,6 +16,7 @@ from pkm_reports import sections, style
 from pkm_reports.blocks import (
     Block,
     Code,
+    Facts,
     Items,
     Notice,
     Paragraph,
@@ -22,7 +24,7 @@ from pkm_reports.blocks import (
     Section,
     Table,
 )
-from pkm_reports.sections import summary
+from pkm_reports.sections import answer
 
 #: control characters that neither HTML nor typst can show
 INVISIBLE: Final = {
@@ -46,6 +48,22 @@ class ItemsBlock:
     kind: str
     items: Sequence[str]
     numbered: bool
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Fact:
+    """A term and what is said of it."""
+
+    term: str
+    words: str
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class FactsBlock:
+    """A list of facts."""
+
+    kind: str
+    rows: Sequence[Fact]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -92,14 +110,23 @@ class PictureBlock:
     height: float
 
 
-DocumentBlock = TextBlock | ItemsBlock | TableBlock | PictureBlock
+DocumentBlock = TextBlock | ItemsBlock | FactsBlock | TableBlock | PictureBlock
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class NumberedSection:
-    """A chapter with its number."""
+    """A chapter with its number, or with its letter in the appendix."""
 
-    number: int
+    number: str
+    anchor: str
+    title: str
+    blocks: Sequence[DocumentBlock]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class AnswerPart:
+    """A question of the first page and its answer."""
+
     anchor: str
     title: str
     blocks: Sequence[DocumentBlock]
@@ -107,15 +134,20 @@ class NumberedSection:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Page:
-    """All text of a report."""
+    """All text of a report.
+
+    answer     parts of the first page
+    sections   chapters; those from `appendix` on belong to the appendix
+    """
 
     title: str
     question: str
     study: str
     machine: str
     foot: str
-    summary: Sequence[DocumentBlock]
+    answer: Sequence[AnswerPart]
     sections: Sequence[NumberedSection]
+    appendix: int
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -142,11 +174,18 @@ class Numbering:
 def build(result: StudyResult) -> Document:
     """All text, tables and pictures of a result."""
     numbering = Numbering()
+    chapters, appendix = sections.chapters(result), sections.appendix(result)
     with style.applied():
-        opening = _numbered(summary.blocks(result), numbering)
-        chapters = [
-            _chapter(k, section, numbering)
-            for k, section in enumerate(sections.chapters(result), 1)
+        parts = [
+            AnswerPart(part.anchor, part.title, _numbered(part.blocks, numbering))
+            for part in answer.parts(result)
+        ]
+        numbered = [
+            _chapter(number, section, numbering)
+            for number, section in (
+                *zip(map(str, itertools.count(1)), chapters, strict=False),
+                *zip(string.ascii_uppercase, appendix, strict=False),
+            )
         ]
     page = Page(
         title=clean(result.title or result.study),
@@ -154,8 +193,9 @@ def build(result: StudyResult) -> Document:
         study=clean(result.study),
         machine=clean(result.machine.name),
         foot=clean(footer(result)),
-        summary=opening,
-        sections=chapters,
+        answer=parts,
+        sections=numbered,
+        appendix=len(chapters),
     )
     return Document(page, numbering.images)
 
@@ -172,7 +212,7 @@ def clean(text: str) -> str:
     return decodable.replace("\r\n", "\n")
 
 
-def _chapter(number: int, section: Section, numbering: Numbering) -> NumberedSection:
+def _chapter(number: str, section: Section, numbering: Numbering) -> NumberedSection:
     blocks = _numbered(section.blocks, numbering)
     return NumberedSection(number, section.anchor, section.title, blocks)
 
@@ -193,6 +233,9 @@ def _block(block: Block, numbering: Numbering) -> DocumentBlock:
         case Items():
             items = [clean(item) for item in block.items]
             return ItemsBlock(block.kind, items, block.numbered)
+        case Facts():
+            rows = [Fact(clean(term), clean(words)) for term, words in block.rows]
+            return FactsBlock(block.kind, rows)
         case Code():
             return TextBlock(block.kind, clean(block.text).rstrip("\n"))
         case Paragraph() | Notice():

@@ -16,7 +16,7 @@ from oed.arrays import Array
 from oed.result import Drawing
 from pkm_reports import style
 from pkm_reports.figures import scene
-from pkm_reports.figures.scene import Box
+from pkm_reports.figures.scene import Box, Rectangle
 
 LINES: Final = {
     "machine": {"color": style.INK, "lw": 1.8},
@@ -61,17 +61,11 @@ class Scene:
 
 
 def draw(drawing: Drawing) -> Figure:
-    """The whole machine on the left, the readings from closer by on the right."""
-    tips = points_mm(drawing.tool_points)
-    if not drawing.lines and not len(tips):
+    """The machine with its parameters on the left, the readings from closer by."""
+    shown = scene_of(drawing)
+    if not shown.lines and not len(shown.tips):
         return style.empty("No drawing is stored in this result.")
-    shown = Scene(
-        lines=[(line.kind, points_mm(line.points)) for line in drawing.lines],
-        tips=tips,
-        bars=[points_mm(bar) for bar in drawing.bars],
-        setups=_setup_of_each(drawing, len(tips)),
-    )
-    entries = _legend_entries(shown)
+    entries = legend_entries(shown)
     longest = max(len(str(entry.get_label())) for entry in entries)
     fitting = LEGEND_CHARACTERS // (MARKER_CHARACTERS + longest)
     columns = max(2, min(len(entries), fitting))
@@ -79,11 +73,37 @@ def draw(drawing: Drawing) -> Figure:
     figure = style.figure(PANEL_HEIGHT + legend_height)
     figure.set_layout_engine("none")
     foot = legend_height / (PANEL_HEIGHT + legend_height)
-    whole, close = shown.whole_box(), shown.readings_box() if len(tips) else None
-    _panel(figure, (0.0, foot), "The machine at home and all readings", shown, whole)
-    _panel(figure, (0.5, foot), "The readings, enlarged", shown, close or whole)
+    whole, close = shown.whole_box(), shown.readings_box() if len(shown.tips) else None
+    titles = ("The machine at home and all readings", "The readings, enlarged")
+    if drawing.labels:
+        titles = ("The machine at home: where its parameters act", titles[1])
+    for edge, title in zip((0.0, 0.5), titles, strict=True):
+        figure.text(edge + 0.03, 0.955, title, fontsize=8.5, fontweight="bold")
+    axes = panel(figure, (0.015, foot, 0.485, 0.93), shown, whole)
+    _label(axes, drawing)
+    panel(figure, (0.515, foot, 0.985, 0.93), shown, close or whole)
     figure.legend(handles=entries, loc="lower center", ncols=columns, borderaxespad=0.2)
     return figure
+
+
+def scene_of(drawing: Drawing) -> Scene:
+    """What a drawing shows, mm."""
+    tips = points_mm(drawing.tool_points)
+    return Scene(
+        lines=[(line.kind, points_mm(line.points)) for line in drawing.lines],
+        tips=tips,
+        bars=[points_mm(bar) for bar in drawing.bars],
+        setups=_setup_of_each(drawing, len(tips)),
+    )
+
+
+def _label(axes: Any, drawing: Drawing) -> None:
+    """Names of the parameters at the points that they move."""
+    white: Any = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.4}
+    look: Any = {"fontsize": 6.5, "color": style.BLUE, "bbox": white}
+    for place in drawing.labels:
+        at = points_mm([place.at])[0]
+        axes.text(*at, style.label(place.text, 24), **look)
 
 
 def points_mm(points: Sequence[Sequence[float]]) -> Array:
@@ -96,13 +116,10 @@ def _setup_of_each(drawing: Drawing, count: int) -> list[str]:
     return [*drawing.reading_of, *["reading"] * count][:count]
 
 
-def _panel(
-    figure: Figure, corner: tuple[float, float], title: str, shown: Scene, box: Box
-) -> None:
-    edge, foot = corner
-    place = (edge, 0.1, 0.5, 0.84)
+def panel(figure: Figure, room: Rectangle, shown: Scene, box: Box) -> Any:
+    """Draw a scene inside a box; the axes fill a rectangle of the figure."""
+    place = (room[0], room[1], room[2] - room[0], room[3] - room[1])
     axes: Any = figure.add_axes(place, projection="3d", proj_type="ortho")
-    figure.text(edge + 0.03, 0.955, title, fontsize=8.5, fontweight="bold")
     colours = style.colours(shown.setups)
     for setup, bar in zip(shown.setups, shown.bars, strict=False):
         ends = _inside(bar, box)
@@ -129,7 +146,8 @@ def _panel(
             **look,
         )
     scene.set_axes(axes, box)
-    scene.fit_to(figure, axes, box, (edge + 0.015, foot, edge + 0.485, 0.93))
+    scene.fit_to(figure, axes, box, room)
+    return axes
 
 
 def _line(
@@ -161,7 +179,7 @@ def _inside(line: Array, box: Box) -> Array:
     return fine
 
 
-def _legend_entries(shown: Scene) -> list[Line2D]:
+def legend_entries(shown: Scene) -> list[Line2D]:
     """Set-ups by marker and colour, then machine, bars and cups."""
     colours = list(style.colours(shown.setups).items())
     entries = []

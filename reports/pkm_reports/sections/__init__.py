@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 from oed.result import StudyResult
@@ -16,43 +17,43 @@ from pkm_reports.sections import (
     kappa,
     plan,
     posterior,
-    record,
 )
+from pkm_reports.sections.appendix import claims, figures, record
 from pkm_reports.sections.design import chapter as design
 from pkm_reports.sections.gap import before as gap_before
 from pkm_reports.sections.gap import chapter as gap
 from pkm_reports.sections.stages import chapter as stages
 
-#: chapters of every report; one whose stage did not run says so in a sentence
+#: chapters in order; one that does not apply to a result is absent from its report
 CHAPTERS: Final = (
     plan.CHAPTER,
+    stages.CHAPTER,
     design.CHAPTER,
-    kappa.CHAPTER,
     identifiability.CHAPTER,
+    kappa.CHAPTER,
     identification.CHAPTER,
     posterior.CHAPTER,
     accuracy.CHAPTER,
     held_out.CHAPTER,
-    record.CHAPTER,
+    gap.CHAPTER,
+    corrected.CHAPTER,
+    acceptance.CHAPTER,
+    gap_before.CHAPTER,
 )
+#: what only a reader who checks the work needs
+APPENDIX: Final = (claims.CHAPTER, figures.CHAPTER, record.CHAPTER)
 
 
 def chapters(result: StudyResult) -> list[Section]:
-    """All chapters of a report.
+    """The chapters that apply to a result: plan, what it determines, fit, accuracy, gap."""
+    return _applying(CHAPTERS, result)
 
-    A diagnosis comes first, then the model corrected for it and the
-    acceptance test, then what the readings could detect, then a plan in
-    stages: only results that hold these have their chapters.
-    """
-    leading: list[Chapter] = []
-    if result.gap is not None:
-        leading.append(gap.CHAPTER)
-    if result.corrected is not None:
-        leading.append(corrected.CHAPTER)
-    if result.acceptance is not None:
-        leading.append(acceptance.CHAPTER)
-    if result.gap_before is not None:
-        leading.append(gap_before.CHAPTER)
-    if stages.has_schedule(result.plan):
-        leading.append(stages.CHAPTER)
-    return [chapter.section(result) for chapter in (*leading, *CHAPTERS)]
+
+def appendix(result: StudyResult) -> list[Section]:
+    """Claims, key figures, versions and study file."""
+    return _applying(APPENDIX, result)
+
+
+def _applying(candidates: Sequence[Chapter], result: StudyResult) -> list[Section]:
+    written = [chapter.section(result) for chapter in candidates]
+    return [section for section in written if section.blocks]

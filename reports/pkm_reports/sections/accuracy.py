@@ -23,7 +23,6 @@ from pkm_reports.blocks import (
     Picture,
     Table,
     TableColumn,
-    absent,
     number_columns,
 )
 from pkm_reports.figures import accuracy, budget, map_layout, workspace
@@ -44,7 +43,7 @@ def blocks(result: StudyResult) -> list[Block]:
     """Bars, table, virtual machine, budget, map."""
     prediction = result.prediction
     if prediction is None:
-        return absent("A prediction of the accuracy over the workspace")
+        return []
     components = prediction.components
     chapter: list[Block] = [
         Paragraph(_about(prediction)),

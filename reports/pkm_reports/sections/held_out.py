@@ -13,7 +13,6 @@ from pkm_reports.blocks import (
     Picture,
     Table,
     TableColumn,
-    absent,
     number_columns,
     wide_column,
 )
@@ -31,7 +30,7 @@ def blocks(result: StudyResult) -> list[Block]:
     """Residuals with predictive intervals, and a table of rms and coverage."""
     sets = result.held_out
     if not sets:
-        return absent("Prediction of readings held out of the fit")
+        return []
     picture = Picture("held_out", lambda: held_out.draw(sets), _caption(sets))
     return [picture, _table(sets)]
 

@@ -19,7 +19,6 @@ from pkm_reports.blocks import (
     Picture,
     Table,
     TableColumn,
-    absent,
     number_columns,
     transposed,
     wide_column,
@@ -40,9 +39,7 @@ VERDICTS: Final = {
 def blocks(result: StudyResult) -> list[Block]:
     """Singular values and verdicts of the plan, then the variants of the study."""
     section, variants = result.identifiability, result.identifiability_of
-    chapter = absent("An analysis of what the readings determine")
-    if section is not None:
-        chapter = _plan(section)
+    chapter = [] if section is None else _plan(section)
     if variants:
         chapter.append(_variants(variants, section))
     return chapter

@@ -18,7 +18,6 @@ from pkm_reports.blocks import (
     Picture,
     Table,
     TableColumn,
-    absent,
     number_columns,
 )
 from pkm_reports.figures import parameters, residuals
@@ -34,7 +33,7 @@ def blocks(result: StudyResult) -> list[Block]:
     """Fit, residuals, parameters as table and figure, iterations."""
     estimate = result.estimate
     if estimate is None:
-        return absent("Identification")
+        return []
     caption = _residuals_caption(estimate)
     chapter: list[Block] = [
         Paragraph(_fit(estimate)),

@@ -14,7 +14,6 @@ from pkm_reports.blocks import (
     Chapter,
     Picture,
     Table,
-    absent,
     number_columns,
     transposed,
 )
@@ -27,7 +26,7 @@ def blocks(result: StudyResult) -> list[Block]:
     """One figure for all parametrisations, and the numbers behind it."""
     maps = result.kappa_maps
     if not maps:
-        return absent("A map of the condition number over circles and points")
+        return []
     picture = Picture("kappa", lambda: kappa.draw(maps), _caption(maps))
     return [picture, *_tables(maps)]
 

@@ -30,6 +30,7 @@ from pkm_reports.blocks import (
     wide_column,
 )
 from pkm_reports.figures import machine
+from pkm_reports.sections import machine as machine_table
 from pkm_reports.sections import working_order
 from pkm_reports.sections.stages.chapter import has_schedule
 
@@ -41,6 +42,8 @@ def blocks(result: StudyResult) -> list[Block]:
     if drawing is not None:
         caption = _drawing_caption(drawing)
         chapter.append(Picture("machine", lambda: machine.draw(drawing), caption))
+    chapter += machine_table.parameters(result.machine)
+    chapter += machine_table.setups(result.setups)
     if plan is not None and not has_schedule(plan):
         chapter += _stages(plan)
     if design is not None:
@@ -58,8 +61,13 @@ def _about(info: MachineInfo) -> str:
 
 
 def _drawing_caption(drawing: Drawing) -> str:
-    """How many readings where, and how far they reach."""
+    """What is labelled, how many readings where, and how far they reach."""
     caption = "The machine at its home pose in the base frame, equal scale on all axes."
+    if drawing.labels:
+        caption += (
+            " Each parameter stands at the point or the leg that it moves; the table"
+            " explains them."
+        )
     tips = machine.points_mm(drawing.tool_points)
     if not len(tips):
         return caption
@@ -83,7 +91,7 @@ def _choice(design: DesignSection) -> str:
         choice += f" out of {text.count(design.candidates, 'candidate')}"
     if design.retained:
         choice += f"; {design.retained} of them belong to the earlier plan"
-    return f"{choice}. The next chapter says how good this choice is."
+    return f"{choice}."
 
 
 def _readings(poses: Sequence[PlannedReading]) -> list[Block]:

@@ -18,7 +18,6 @@ from pkm_reports.blocks import (
     Picture,
     Table,
     TableColumn,
-    absent,
     number_columns,
     transposed,
     wide_column,
@@ -36,7 +35,7 @@ def blocks(result: StudyResult) -> list[Block]:
     """Sampler, corner plot, directions, marginals."""
     posterior = result.posterior
     if posterior is None:
-        return absent("Sampling the posterior")
+        return []
     caption = _caption(posterior)
     return [
         Paragraph(_sampler(posterior)),

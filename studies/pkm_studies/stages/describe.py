@@ -16,6 +16,7 @@ from oed.measurement import Measurement, Series
 from oed.result import Drawing, MachineInfo, Polyline, SetupInfo
 from pkm_studies.resolve import quantities
 from pkm_studies.resolve.quantities import column
+from pkm_studies.stages.drawing_labels import parameter_labels
 
 #: packages on which the numbers depend
 PACKAGES = (
@@ -118,6 +119,12 @@ def displayed_command(machine: Machine, command: np.ndarray) -> dict[str, float]
     }
 
 
+def displayed_joints(machine: Machine, q: np.ndarray) -> dict[str, float]:
+    """Joint values (nq,) by column."""
+    pairs = zip(machine.joints, q, strict=True)
+    return {column(c.name, c.unit): displayed(float(v), c.unit) for c, v in pairs}
+
+
 def drawing(measurement: Measurement, series: Sequence[Series]) -> Drawing:
     """The machine at home, and the tool point of each reading."""
     kinematics, machine = measurement.kinematics, measurement.machine
@@ -127,10 +134,14 @@ def drawing(measurement: Measurement, series: Sequence[Series]) -> Drawing:
     tips: list[list[float]] = []
     owners: list[str] = []
     bars: list[list[list[float]]] = []
+    runs: list[str] = []
+    commands: list[dict[str, float]] = []
     for s in series:
         setup = measurement.setups[s.setup]
         poses = measurement.poses(s, measurement.nominal)
         _, tool_points, _ = kinematics.frames(poses, np.array(setup.tool))
+        runs += [str(name) for name in s.run]
+        commands += [displayed_command(machine, c) for c in s.reading_commands()]
         for row in s.index:
             tip = [float(v) for v in tool_points[row[0]]]
             tips.append(tip)
@@ -138,7 +149,8 @@ def drawing(measurement: Measurement, series: Sequence[Series]) -> Drawing:
             far_end = _far_end(setup, tool_points, row)
             if far_end is not None:
                 bars.append([far_end, tip])
-    return Drawing(lines, tips, owners, bars)
+    labels = parameter_labels(kinematics, x[0], q[0])
+    return Drawing(lines, tips, owners, bars, runs, commands, labels)
 
 
 def _far_end(setup: Setup, tool_points: Array, row: Index) -> list[float] | None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from oed.result import DesignSection, StudyResult
-from pkm_reports.blocks import Block, Chapter, absent
+from pkm_reports.blocks import Block, Chapter
 from pkm_reports.sections.design import (
     certificate,
     criteria,
@@ -31,7 +31,7 @@ def blocks(result: StudyResult) -> list[Block]:
     """Certificate, polishing, reference plans, criteria, scenarios, number of readings."""
     design = result.design
     if design is None:
-        return absent("Choosing readings")
+        return []
     return [block for blocks_of in PARTS for block in blocks_of(design)]
 
 

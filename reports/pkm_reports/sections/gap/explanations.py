@@ -123,7 +123,7 @@ def _sizes(gap: GapSection) -> Table:
         [
             spoken(size.effect),
             _about(gap, size.effect),
-            _rms(gap, size),
+            size_in_readings(gap, size),
             text.number(size.detectability),
         ]
         for size in gap.sizes
@@ -155,7 +155,7 @@ def _constants(gap: GapSection, effect: str) -> Mapping[str, float]:
     return gap.constants.get(effect, {})
 
 
-def _rms(gap: GapSection, size: SizeRecord) -> str:
+def size_in_readings(gap: GapSection, size: SizeRecord) -> str:
     """Rms by channel; one channel alone needs no name."""
     named = len(gap.units) != 1
     entries = []

@@ -28,7 +28,7 @@ def has_schedule(plan: PlanSection | None) -> bool:
 def blocks(result: StudyResult) -> list[Block]:
     """Verdict, stages, accuracy and time, alternatives, sequences of the study."""
     plan = result.plan
-    if plan is None:
+    if plan is None or not has_schedule(plan):
         return []
     return [
         *verdict.blocks(plan),

@@ -43,8 +43,8 @@ def corrected_section(
     size = len(parameters)
     predicted = None
     if accuracy is not None:
-        machine = measurement.machine
-        predicted = accuracy_section(machine, accuracy.compensated, "corrected")
+        kinematics = measurement.kinematics
+        predicted = accuracy_section(kinematics, accuracy.compensated, "corrected")
     marginals = {} if draws is None else dict(_marginals(corrected, draws))
     return CorrectedSection(
         parameters=parameters,

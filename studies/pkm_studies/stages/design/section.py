@@ -10,7 +10,7 @@ from oed.measurement import Measurement, Series
 from oed.result import DesignSection, PlannedReading
 from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages.describe import displayed, displayed_command
+from pkm_studies.stages.describe import displayed, displayed_command, displayed_joints
 from pkm_studies.stages.design.certificate import certificate_text
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.plan_scores import plan_scores
@@ -76,6 +76,7 @@ def planned_readings(
         nominal = measurement.readings([s], measurement.nominal)
         y = nominal.reshape(len(s), len(channels))
         commands = s.reading_commands()
+        joints = s.q[s.index[:, 0]]
         number: Counter[str] = Counter()
         for k, run in enumerate(s.run):
             number[run] += 1
@@ -89,6 +90,7 @@ def planned_readings(
                     column(c.name, c.unit): displayed(float(value), c.unit)
                     for c, value in values
                 },
+                joints=displayed_joints(measurement.machine, joints[k]),
             )
             planned.append(reading)
     return planned

@@ -10,7 +10,7 @@ import numpy as np
 from oed import information, prediction, units
 from oed.arrays import Array
 from oed.identification import Estimate
-from oed.machine import Machine
+from oed.kinematics import Kinematics
 from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
 from oed.prediction import Prediction, Reference, Spread
@@ -38,7 +38,7 @@ def prediction_section(
         measurement, series, command, reference, rng, estimate, posterior
     )
     mode = "plan" if estimate is None else "identified"
-    section = accuracy_section(measurement.machine, prediction, mode)
+    section = accuracy_section(measurement.kinematics, prediction, mode)
     if realised is None:
         return section
     spreads = {n: spread_record(s, section.unit[n]) for n, s in realised.items()}
@@ -85,9 +85,10 @@ def _predict(
 
 
 def accuracy_section(
-    machine: Machine, prediction: Prediction, mode: str
+    kinematics: Kinematics, prediction: Prediction, mode: str
 ) -> PredictionSection:
     """A prediction in the components' fine units; `mode` says what it rests on."""
+    machine = kinematics.machine
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
     compensatable = {c.name: c.compensatable for c in machine.components}
     components = {
@@ -101,11 +102,14 @@ def accuracy_section(
         for name in prediction.names
     }
     points = []
+    poses = kinematics.inverse(prediction.command)[0]
+    _, tips, _ = kinematics.frames(poses, np.zeros(3))
     for i, command in enumerate(prediction.command):
         before = _by_component(prediction, prediction.sd_before[i], fine)
         after = _by_component(prediction, prediction.sd_after[i], fine)
+        at = [float(v) for v in tips[i]]
         points.append(
-            MapPoint(describe.displayed_command(machine, command), before, after)
+            MapPoint(describe.displayed_command(machine, command), before, after, at)
         )
     return PredictionSection(
         reference=prediction.reference,

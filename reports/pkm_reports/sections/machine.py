@@ -1,41 +1,22 @@
-"""Chapter: what was computed with what: warnings, set-ups, machine, study, versions."""
+"""The machine's parameters and the set-ups, explained where they first stand."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Final
 
-from oed.result import MachineInfo, SetupInfo, StudyResult
+from oed.result import MachineInfo, SetupInfo
 from pkm_reports import text
-from pkm_reports.blocks import (
-    Block,
-    Chapter,
-    Code,
-    Paragraph,
-    Table,
-    TableColumn,
-    headed_list,
-    wide_column,
-)
+from pkm_reports.blocks import Block, Table, TableColumn, wide_column
 
 #: columns of the machine's table that hold sentences
 SENTENCES: Final = ("about", "text")
+#: titles of the columns of the machine's table
+TITLES: Final = {"name": "Parameter", "about": "What it is"}
 
 
-def blocks(result: StudyResult) -> list[Block]:
-    """Everything needed to run the study again."""
-    warnings = headed_list("Warnings:", text.sentences(result.warnings))
-    return [
-        *(warnings or [Paragraph("There are no warnings.")]),
-        *_setups(result.setups),
-        *_machine(result.machine),
-        _versions(result),
-        Paragraph("The study file:"),
-        Code(result.study_text),
-    ]
-
-
-def _setups(setups: Sequence[SetupInfo]) -> list[Block]:
+def setups(setups: Sequence[SetupInfo]) -> list[Block]:
+    """Settings, noise and unknowns of each set-up."""
     if not setups:
         return []
     columns = [
@@ -68,7 +49,8 @@ def _instrument(setup: SetupInfo) -> str:
     return f"{setup.instrument}: {text.sentence(setup.about)}"
 
 
-def _machine(machine: MachineInfo) -> list[Block]:
+def parameters(machine: MachineInfo) -> list[Block]:
+    """Each parameter with what it is, its nominal value and its tolerance."""
     table = machine.parameters
     if not table:
         return []
@@ -79,11 +61,14 @@ def _machine(machine: MachineInfo) -> list[Block]:
         if all(key in row and not isinstance(row[key], str) for row in table)
     }
     columns = [
-        TableColumn(text.heading(key), number=key in numeric, wide=key in SENTENCES)
+        TableColumn(_title(key), number=key in numeric, wide=key in SENTENCES)
         for key in keys
     ]
     rows = [[_cell(key, row.get(key)) for key in keys] for row in table]
-    caption = f"Parameters of {machine.name}, nominal and tolerance."
+    caption = (
+        f"The parameters of {machine.name}. The tolerance is the standard deviation"
+        " before any reading."
+    )
     if machine.frame:
         caption += (
             " These stay at nominal, because they only choose the base frame:"
@@ -92,24 +77,11 @@ def _machine(machine: MachineInfo) -> list[Block]:
     return [Table(columns, rows, caption)]
 
 
+def _title(key: str) -> str:
+    return TITLES[key] if key in TITLES else text.heading(key).capitalize()
+
+
 def _cell(key: str, value: str | float | None) -> str:
     if isinstance(value, str):
         return text.unit_symbol(value) if key == "unit" else value
     return text.trimmed(value, 7)
-
-
-def _versions(result: StudyResult) -> Table:
-    rows = [
-        ["study", result.study],
-        ["seed", str(result.seed)],
-        ["time", text.quantity(result.seconds, "s")],
-        ["result schema", str(result.schema)],
-        ["pkm-oed", result.version],
-    ]
-    others = {n: v for n, v in result.versions.items() if n != "pkm-oed"}
-    rows += [[name, version] for name, version in others.items()]
-    caption = "Seed and versions: the same ones give the same numbers."
-    return Table([TableColumn("What"), wide_column("Value")], rows, caption)
-
-
-CHAPTER: Final = Chapter("record", "Record", blocks)

@@ -1,0 +1,221 @@
+"""How accurate the machine is afterwards, with what is wanted beside it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Final
+
+from oed.result import ComponentAccuracy, PredictionSection, StudyResult
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
+    Block,
+    Notice,
+    Paragraph,
+    Table,
+    TableColumn,
+    number_columns,
+)
+from pkm_reports.sections import acceptance
+from pkm_reports.sections.stages import wording
+
+REFERENCES: Final = {
+    "absolute": "in the base frame",
+    "home": "zeroed at the home pose",
+    "best_fit": "after the best alignment of the workpiece",
+}
+#: share of an error from which its unknown part is worth a sentence of its own
+CLEARLY_LESS: Final = 0.8
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class AgainstGoal:
+    """Rms of one component against what is wanted of it, in one unit."""
+
+    reached: float
+    wanted: float
+
+    @property
+    def words(self) -> str:
+        """Whether the wanted accuracy is reached."""
+        return "✓ reached" if self.is_reached else "✗ not reached"
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether the rms error is at most what is wanted."""
+        return self.reached <= self.wanted
+
+
+def title(result: StudyResult) -> str:
+    """The question that the part answers."""
+    return "How accurate it is afterwards"
+
+
+def blocks(result: StudyResult) -> list[Block]:
+    """The acceptance test, then the predicted components, then what they mean."""
+    content: list[Block] = []
+    if result.verification is not None:
+        content.append(Notice(acceptance.verdict(result.verification)))
+    prediction = final_prediction(result)
+    if prediction is not None and prediction.components:
+        content += _predicted(result, prediction)
+    elif result.plan is not None and result.plan.accuracy:
+        content.append(_planned(result))
+    return content
+
+
+def final_prediction(result: StudyResult) -> PredictionSection | None:
+    """The prediction with effects compensated where there is one."""
+    corrected = result.corrected
+    if corrected is not None and corrected.prediction is not None:
+        return corrected.prediction
+    return result.prediction
+
+
+# -- what is wanted --------------------------------------------------------------------
+
+
+def wanted(result: StudyResult) -> dict[str, float]:
+    """Accuracy that the study asks for, by component and unit (`z_um`)."""
+    accuracies: dict[str, float] = {}
+    if result.design is not None and result.design.how_many is not None:
+        accuracies |= result.design.how_many.wanted
+    if result.plan is not None:
+        accuracies |= result.plan.goal
+    return accuracies
+
+
+def verdict(
+    name: str, component: ComponentAccuracy, limits: dict[str, float]
+) -> AgainstGoal:
+    """The rms that matters of a component against its limit; NaN where none is stated.
+
+    What the controller cannot correct is judged by its unknown part, as the criteria
+    of the design judge it.
+    """
+    key = f"{name}_{component.after.unit}"
+    reached = component.known if not component.compensatable else component.after
+    return AgainstGoal(reached.rms, missing.entry(limits, key))
+
+
+# -- the components --------------------------------------------------------------------
+
+
+def _predicted(result: StudyResult, prediction: PredictionSection) -> list[Block]:
+    limits = wanted(result)
+    components = prediction.components
+    judged = {name: verdict(name, c, limits) for name, c in components.items()}
+    with_limits = any(math.isfinite(v.wanted) for v in judged.values())
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Before", "Afterwards", "of it unknown"),
+    ]
+    if with_limits:
+        columns += [*number_columns("Wanted"), TableColumn("Verdict")]
+    rows, marks = [], []
+    for name in _ordered(components, judged):
+        row, mark = _row(name, components[name], judged[name])
+        rows.append(row if with_limits else row[:4])
+        marks.append(mark)
+    table = Table(columns, rows, _caption(prediction, judged), marks)
+    return [table, *_unknown_part(components), *_worst_case(prediction)]
+
+
+def _ordered(
+    components: dict[str, ComponentAccuracy], judged: dict[str, AgainstGoal]
+) -> list[str]:
+    """Components with a limit first, then those that the controller corrects."""
+
+    def rank(name: str) -> tuple[bool, bool]:
+        no_limit = math.isnan(judged[name].wanted)
+        return no_limit, not components[name].compensatable
+
+    return sorted(components, key=rank)
+
+
+def _row(
+    name: str, component: ComponentAccuracy, judged: AgainstGoal
+) -> tuple[list[str], str]:
+    unit = component.after.unit
+    cells = [
+        name,
+        text.quantity(component.before.rms, unit),
+        text.quantity(component.after.rms, unit),
+        text.quantity(component.known.rms, unit),
+    ]
+    if math.isnan(judged.wanted):
+        return [*cells, text.MISSING, text.MISSING], ""
+    mark = "good" if judged.is_reached else "bad"
+    return [*cells, text.quantity(judged.wanted, unit), judged.words], mark
+
+
+def _caption(prediction: PredictionSection, judged: dict[str, AgainstGoal]) -> str:
+    reference = text.meaning(prediction.reference, REFERENCES)
+    caption = f"Predicted rms error over the workspace, {reference} (1 sigma)."
+    stated = [v for v in judged.values() if math.isfinite(v.wanted)]
+    if not stated:
+        return f"{caption} The study states no wanted accuracy."
+    reached = sum(v.is_reached for v in stated)
+    return f"{caption} {reached} of {len(stated)} wanted accuracies are reached."
+
+
+def _unknown_part(components: dict[str, ComponentAccuracy]) -> list[Block]:
+    """Why an error can stay large although it is known: with this machine's numbers."""
+    remaining = [
+        name
+        for name, c in components.items()
+        if not c.compensatable and c.known.rms < CLEARLY_LESS * c.after.rms
+    ]
+    if not remaining:
+        return []
+    name = max(remaining, key=lambda n: components[n].after.rms)
+    component = components[name]
+    after = text.quantity(component.after.rms, component.after.unit)
+    unknown = text.quantity(component.known.rms, component.after.unit)
+    axes = text.listing(remaining)
+    return [
+        Paragraph(
+            f"No drive of this machine corrects {axes}. So {name} keeps an error of"
+            f" {after}, although the calibrated model knows most of it: {unknown} of it"
+            " is unknown. A further axis, or a part program that takes the known error"
+            " into account, leaves only the unknown part."
+        )
+    ]
+
+
+def _worst_case(prediction: PredictionSection) -> list[Block]:
+    """The largest error of what the controller corrects, which rms hides."""
+    worst = [
+        f"{name} {text.quantity(c.after.max, c.after.unit)}"
+        for name, c in prediction.components.items()
+        if c.compensatable
+    ]
+    if not worst:
+        return []
+    return [Paragraph(f"Largest over the workspace (1 sigma): {text.listing(worst)}.")]
+
+
+def _planned(result: StudyResult) -> Table:
+    """Accuracy of a plan of stages, which has no prediction of its own."""
+    assert result.plan is not None
+    plan = result.plan
+    columns = [TableColumn("Component"), *number_columns("Before", "Afterwards")]
+    if plan.goal:
+        columns += [*number_columns("Wanted"), TableColumn("Verdict")]
+    rows, marks = [], []
+    for key, value in plan.accuracy.items():
+        name, unit = text.split_unit(key)
+        before = missing.entry(plan.start_accuracy, key)
+        cells = [name, text.quantity(before, unit), text.quantity(value, unit)]
+        mark = ""
+        if plan.goal:
+            judged = AgainstGoal(value, missing.entry(plan.goal, key))
+            stated = math.isfinite(judged.wanted)
+            cells.append(text.quantity(judged.wanted, unit))
+            cells.append(judged.words if stated else text.MISSING)
+            mark = ("good" if judged.is_reached else "bad") if stated else ""
+        rows.append(cells)
+        marks.append(mark)
+    within = wording.within_budget(plan)
+    caption = f"Predicted rms error over the workspace after the plan{within}."
+    return Table(columns, rows, caption, marks)

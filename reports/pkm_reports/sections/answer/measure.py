@@ -1,0 +1,125 @@
+"""What to measure: instrument, set-ups, number of readings, and a picture of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from oed.result import Drawing, SetupInfo, StudyResult
+from pkm_reports import text
+from pkm_reports.blocks import Block, Facts, Picture
+from pkm_reports.figures import overview
+from pkm_reports.sections.stages.chapter import has_schedule
+
+#: set-ups and stages named one by one
+MOST: Final = 6
+
+
+def title(result: StudyResult) -> str:
+    """Measure, before the readings are taken; measured, once they are recorded."""
+    return "What to measure" if is_plan(result) else "What was measured"
+
+
+def is_plan(result: StudyResult) -> bool:
+    """Whether the report tells which readings to take."""
+    return result.design is not None or has_schedule(result.plan)
+
+
+def blocks(result: StudyResult) -> list[Block]:
+    """Instrument, set-ups and readings as facts; where they lie in the machine."""
+    setups = used_setups(result)
+    facts = [
+        *_machine(result),
+        *_instruments(setups),
+        *_setups(setups),
+        *_readings(result),
+        *_stages(result),
+        *_list_of_readings(result),
+    ]
+    content: list[Block] = [Facts(facts)] if facts else []
+    drawing = result.drawing
+    if drawing is not None and drawing.lines and drawing.tool_points:
+        caption = _caption(drawing)
+        picture = Picture("overview", lambda: overview.draw(drawing), caption)
+        content.append(picture)
+    return content
+
+
+def used_setups(result: StudyResult) -> list[SetupInfo]:
+    """The set-ups that readings are taken in; all of the study where none is named."""
+    names: list[str] = []
+    if result.design is not None:
+        names = result.design.setups
+    elif result.plan is not None:
+        names = [name for stage in result.plan.stages for name in stage.setups]
+    used = [setup for setup in result.setups if setup.name in names]
+    return used or list(result.setups)
+
+
+def _machine(result: StudyResult) -> list[tuple[str, str]]:
+    if not result.machine.about:
+        return []
+    return [("Machine", text.sentence(result.machine.about))]
+
+
+def _instruments(setups: Sequence[SetupInfo]) -> list[tuple[str, str]]:
+    described = {setup.instrument: setup.about for setup in setups}
+    words = [
+        text.sentence(about or name.replace("_", " "))
+        for name, about in described.items()
+    ]
+    return [("Instrument", " ".join(words))] if words else []
+
+
+def _setups(setups: Sequence[SetupInfo]) -> list[tuple[str, str]]:
+    if not setups:
+        return []
+    if len(setups) > MOST:
+        named = text.listing([setup.name for setup in setups], MOST)
+        return [("Set-ups", f"{len(setups)}: {named}.")]
+    rows = [f"{setup.name} ({_settings(setup)})" for setup in setups]
+    term = "Set-up" if len(rows) == 1 else f"{len(rows)} set-ups"
+    return [(term, f"{text.listing(rows)}.")]
+
+
+def _settings(setup: SetupInfo) -> str:
+    """Settings that are not zero: those a user must set."""
+    numbers = {name: value for name, value in setup.numbers.items() if value}
+    return text.named_quantities(numbers) if numbers else "no settings"
+
+
+def _readings(result: StudyResult) -> list[tuple[str, str]]:
+    design = result.design
+    if design is not None:
+        words = f"{design.n}"
+        if design.candidates:
+            words += f", chosen from {design.candidates} candidates"
+        return [("Readings", f"{words}.")]
+    if has_schedule(result.plan) or result.estimate is None:
+        return []
+    return [("Readings", f"{result.estimate.readings}.")]
+
+
+def _stages(result: StudyResult) -> list[tuple[str, str]]:
+    plan = result.plan
+    if plan is None or not has_schedule(plan):
+        return []
+    rows = [
+        f"{k}. {stage.measurement}, {text.count(stage.readings, 'reading')}"
+        for k, stage in enumerate(plan.stages[:MOST], 1)
+    ]
+    if len(plan.stages) > MOST:
+        rows.append(f"and {len(plan.stages) - MOST} more")
+    return [("Stages", f"{'; '.join(rows)}.")]
+
+
+def _list_of_readings(result: StudyResult) -> list[tuple[str, str]]:
+    files = [name for name in result.written if name.endswith("poses.csv")]
+    if not files or not is_plan(result):
+        return []
+    return [("List", f"{text.listing(files)}, with cells for the readings.")]
+
+
+def _caption(drawing: Drawing) -> str:
+    points = text.count(len(drawing.tool_points), "reading")
+    return f"Machine at home and the tool points of {points}."

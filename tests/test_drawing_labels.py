@@ -1,0 +1,49 @@
+"""Labels of the drawing stand at the points that their parameters move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oed.kinematics import Kinematics
+from pkm_models.machines import a3_head, delta, hexapod
+from pkm_studies.stages import drawing_labels
+
+
+def _labels(machine: object) -> dict[str, tuple[str, np.ndarray]]:
+    kinematics = Kinematics(machine)  # type: ignore[arg-type]
+    x, q = kinematics.inverse(kinematics.machine.home_command)
+    labels = drawing_labels.parameter_labels(kinematics, x[0], q[0])
+    return {n: (lab.text, np.array(lab.at)) for lab in labels for n in lab.parameters}
+
+
+def test_a_joint_s_errors_stand_at_the_joint() -> None:
+    labels = _labels(a3_head.machine)
+    angle = a3_head.PHI[2]
+    base = a3_head.B * np.array([np.cos(angle), np.sin(angle), 0.0])
+    assert labels["db2x"][1] == pytest.approx(base, abs=1e-5)
+    home = a3_head.D  # height of the platform joints at home, m
+    text, place = labels["da1y"]
+    assert text == "da1x, y, z"
+    assert place == pytest.approx([0.0, -a3_head.A, home], abs=1e-5)
+
+
+def test_a_leg_s_errors_stand_in_the_middle_of_the_leg() -> None:
+    labels = _labels(a3_head.machine)
+    middle = [0.0, -(a3_head.A + a3_head.B) / 2.0, a3_head.D / 2.0]
+    for name in ("dq1", "beta1"):
+        assert labels[name][1] == pytest.approx(middle, abs=1e-5)
+        assert labels[name][0] == "dq1 beta1"
+
+
+def test_what_only_chooses_the_frame_has_no_label() -> None:
+    labels = _labels(a3_head.machine)
+    names = {p.name for p in a3_head.machine.parameters}
+    assert set(labels) == names - set(a3_head.machine.frame)
+
+
+@pytest.mark.parametrize("machine", [delta.machine, hexapod.machine])
+def test_every_parameter_of_other_machines_has_a_place(machine: object) -> None:
+    labels = _labels(machine)
+    names = {p.name for p in machine.parameters}  # type: ignore[attr-defined]
+    assert names - set(machine.frame) <= set(labels)  # type: ignore[attr-defined]

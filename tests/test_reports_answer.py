@@ -1,0 +1,174 @@
+"""The first page answers the user's questions, and says nothing that is not so."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import report_fixture
+import report_fixture_plan
+from report_fixture import result_of
+
+from oed.result import StudyResult
+from pkm_reports import text
+from pkm_reports.blocks import Facts, Items, Notice, Paragraph, Table
+from pkm_reports.sections.answer import accuracy, causes, parts, unknown, warnings
+
+
+def _raw(**sections: Any) -> dict[str, Any]:
+    return report_fixture.sample() | sections
+
+
+def _words(result: StudyResult) -> dict[str, str]:
+    """All words of each part by its anchor."""
+    words = {}
+    for part in parts(result):
+        lines: list[str] = []
+        for block in part.blocks:
+            match block:
+                case Facts():
+                    lines += [f"{term} {fact}" for term, fact in block.rows]
+                case Table():
+                    lines += [block.caption, *(" ".join(r) for r in block.rows)]
+                case Items():
+                    lines += block.items
+                case Paragraph() | Notice():
+                    lines.append(block.text)
+        words[part.anchor] = " ".join(lines).replace(text.NO_BREAK, " ")
+    return words
+
+
+def test_a_plan_says_what_how_long_and_how_accurate() -> None:
+    words = _words(result_of(report_fixture.sample()))
+    assert list(words) == ["measure", "how-long", "how-accurate", "unknown", "warnings"]
+    assert "30, chosen from 1512 candidates" in words["measure"]
+    assert "Double ball bar" in words["measure"]
+    minutes = report_fixture.sample()["design"]["order"]["minutes"]
+    assert f"{text.number(minutes, 2)} min" in words["how-long"]
+
+
+def test_a_bare_result_promises_nothing() -> None:
+    words = _words(result_of(report_fixture.bare()))
+    assert list(words) == ["measure", "warnings"]
+    assert "no warnings" in words["warnings"]
+    assert "Readings" not in words["measure"]
+
+
+# -- accuracy --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("limit", "reached"), [(1e9, True), (1e-9, False)])
+def test_the_wanted_accuracy_stands_beside_the_predicted(
+    limit: float, reached: bool
+) -> None:
+    raw = report_fixture.sample()
+    raw["design"]["how_many"]["wanted"] = {"z_um": limit}
+    (table, *_) = accuracy.blocks(result_of(raw))
+    assert isinstance(table, Table)
+    assert [c.title for c in table.columns][-2:] == ["Wanted", "Verdict"]
+    assert table.rows[0][0] == "z"
+    assert table.rows[0][-1] == ("✓ reached" if reached else "✗ not reached")
+    assert table.marks[0] == ("good" if reached else "bad")
+    others = {row[-1] for row in table.rows[1:]}
+    assert others == {text.MISSING}
+
+
+def test_an_error_that_no_drive_corrects_is_judged_by_its_unknown_part() -> None:
+    raw = report_fixture.sample()
+    x = raw["prediction"]["components"]["x"]
+    assert not x["compensatable"]
+    x["after"] |= {"rms": 1493.0}
+    x["known"] |= {"rms": 60.0}
+    raw["design"]["how_many"]["wanted"] = {"x_um": 100.0}
+    result = result_of(raw)
+    words = _words(result)["how-accurate"]
+    assert "x keeps an error of 1493 µm" in words
+    assert "60 µm of it is unknown" in words
+    assert "x" in words.partition("✓ reached")[0]
+
+
+def test_without_a_wanted_accuracy_nothing_is_judged() -> None:
+    raw = report_fixture.sample()
+    raw["design"]["how_many"]["wanted"] = {}
+    words = _words(result_of(raw))["how-accurate"]
+    assert "states no wanted accuracy" in words
+    assert "reached" not in words
+
+
+def test_a_plan_of_stages_is_judged_by_its_goal() -> None:
+    raw = report_fixture.bare() | {"plan": report_fixture_plan.plan(wanted=True)}
+    words = _words(result_of(raw))
+    assert "stages" in words["how-long"]
+    assert "reached" in words["how-accurate"]
+
+
+# -- unknown ---------------------------------------------------------------------------
+
+
+def test_what_is_lost_stands_with_what_brings_it_back() -> None:
+    result = result_of(report_fixture.sample())
+    words = _words(result)["unknown"]
+    assert "determine 21 of 24 unknowns: 3 combinations of them stay" in words
+    assert "Brought back by: a second tool length (two of the three); or" in words
+
+
+def test_where_nothing_is_lost_the_page_says_so() -> None:
+    raw = report_fixture.sample()
+    raw["identifiability"] |= {"rank": 24, "lost": [], "words": []}
+    (paragraph,) = unknown.blocks(result_of(raw))
+    assert "all of the 24" in paragraph.text.replace(text.NO_BREAK, " ")
+
+
+# -- warnings --------------------------------------------------------------------------
+
+
+def test_the_most_harmful_warning_stands_first() -> None:
+    goodness = {
+        "chi2": 900.0,
+        "dof": 10.0,
+        "p_low": 1.0,
+        "p_high": 0.0,
+        "bad_fit": True,
+        "findings": ["the readings do not fit the model"],
+    }
+    raw = report_fixture.sample() | {"goodness": goodness}
+    raw["estimate"]["warnings"] = ["a parameter lies far out"]
+    ranked = list(warnings.ranked(result_of(raw)))
+    assert ranked[0] == "the readings do not fit the model"
+    assert ranked[1].startswith("The study misses a claim")
+    assert ranked[2] == "a parameter lies far out"
+    assert ranked[3:] == raw["warnings"]
+
+
+# -- causes ----------------------------------------------------------------------------
+
+
+def test_causes_are_ranked_by_size_with_their_unit_and_probability() -> None:
+    gap = {
+        "verdict": "effect",
+        "answers": [],
+        "set95": [],
+        "where": [],
+        "closure": [],
+        "not_testable": [],
+        "confusable": [],
+        "selected": ["leg_thermal", "backlash"],
+        "marginal": {"leg_thermal": 0.98, "backlash": 0.99, "friction": 0.2},
+        "sizes": [
+            {"effect": "leg_thermal", "rms": {"length": 2.0}, "detectability": 9.0},
+            {"effect": "backlash", "rms": {"length": 5.0}, "detectability": 20.0},
+        ],
+        "units": {"length": "um"},
+        "rms_before": {"length": 6.0},
+        "rms_after": {"length": 0.5},
+        "next": ["preload the screws"],
+    }
+    raw = report_fixture.bare() | {"gap": gap}
+    result = result_of(raw)
+    (table,) = [b for b in causes.blocks(result) if isinstance(b, Table)]
+    assert [row[1] for row in table.rows] == ["backlash", "leg thermal", "friction"]
+    assert table.rows[0][2].replace(text.NO_BREAK, " ") == "5 µm"
+    assert table.rows[0][-1].replace(text.NO_BREAK, " ") == "99 %"
+    words = _words(result)["causes"]
+    assert "length 6 µm before, 0.500 µm after" in words
+    assert "Preload the screws." in words
