@@ -66,7 +66,7 @@ def test_the_wanted_accuracy_stands_beside_the_predicted(
     (table, *_) = accuracy.blocks(result_of(raw))
     assert isinstance(table, Table)
     assert [c.title for c in table.columns][-2:] == ["Wanted", "Verdict"]
-    assert table.rows[0][0] == "z"
+    assert table.rows[0][0] == "z [µm]"
     assert table.rows[0][-1] == ("✓ reached" if reached else "✗ not reached")
     assert table.marks[0] == ("good" if reached else "bad")
     others = {row[-1] for row in table.rows[1:]}
@@ -109,7 +109,7 @@ def test_what_is_lost_stands_with_what_brings_it_back() -> None:
     result = result_of(report_fixture.sample())
     words = _words(result)["unknown"]
     assert "determine 21 of 24 unknowns: 3 combinations of them stay" in words
-    assert "Brought back by: a second tool length (two of the three); or" in words
+    assert "What helps: a second tool length (two of the three); an" in words
 
 
 def test_where_nothing_is_lost_the_page_says_so() -> None:

@@ -77,6 +77,7 @@ class Table:
     """Cells as text, row by row.
 
     marks    the meaning of each row (see MARKS), or empty
+    linked   whether the rows are the readings of the drawing, in its order
     """
 
     kind: ClassVar[str] = "table"
@@ -84,6 +85,7 @@ class Table:
     rows: Sequence[Sequence[str]]
     caption: str
     marks: Sequence[str] = ()
+    linked: bool = False
 
     def mark(self, row: int) -> str:
         """Mark of a row."""

@@ -9,10 +9,9 @@ import dataclasses
 import itertools
 import string
 from collections.abc import Iterator, Sequence
-from typing import Final
 
 from oed.result import StudyResult
-from pkm_reports import sections, style
+from pkm_reports import sections, style, text
 from pkm_reports.blocks import (
     Block,
     Code,
@@ -25,12 +24,8 @@ from pkm_reports.blocks import (
     Table,
 )
 from pkm_reports.sections import answer
-
-#: control characters that neither HTML nor typst can show
-INVISIBLE: Final = {
-    code: "\N{REPLACEMENT CHARACTER}"
-    for code in (*range(9), 11, 12, *range(14, 32), 127)
-}
+from pkm_reports.view import scene
+from pkm_reports.view.scene import PageView
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -85,13 +80,14 @@ class TableRow:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TableBlock:
-    """A numbered table."""
+    """A numbered table; rows of a linked one are the readings of the views."""
 
     kind: str
     label: str
     caption: str
     columns: Sequence[ColumnHead]
     rows: Sequence[TableRow]
+    linked: bool
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -152,10 +148,11 @@ class Page:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Document:
-    """The text of a report, and its images by name."""
+    """The text of a report, its images by name, and what its views show."""
 
     page: Page
     images: dict[str, style.Image]
+    view: PageView | None
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -188,28 +185,21 @@ def build(result: StudyResult) -> Document:
             )
         ]
     page = Page(
-        title=clean(result.title or result.study),
-        question=clean(result.question),
-        study=clean(result.study),
-        machine=clean(result.machine.name),
-        foot=clean(footer(result)),
+        title=text.cleaned(result.title or result.study),
+        question=text.cleaned(result.question),
+        study=text.cleaned(result.study),
+        machine=text.cleaned(result.machine.name),
+        foot=text.cleaned(footer(result)),
         answer=parts,
         sections=numbered,
         appendix=len(chapters),
     )
-    return Document(page, numbering.images)
+    return Document(page, numbering.images, scene.build(result))
 
 
 def footer(result: StudyResult) -> str:
     """Study, seed and version, for the foot of each page."""
     return f"{result.study} · seed {result.seed} · pkm-oed {result.version}"
-
-
-def clean(text: str) -> str:
-    """Text without control characters and lone surrogates."""
-    visible = text.translate(INVISIBLE)
-    decodable = visible.encode("utf-8", "replace").decode("utf-8")
-    return decodable.replace("\r\n", "\n")
 
 
 def _chapter(number: str, section: Section, numbering: Numbering) -> NumberedSection:
@@ -231,32 +221,39 @@ def _block(block: Block, numbering: Numbering) -> DocumentBlock:
             numbering.images[block.name] = image
             return _picture(block, next(numbering.figures), image)
         case Items():
-            items = [clean(item) for item in block.items]
+            items = [text.cleaned(item) for item in block.items]
             return ItemsBlock(block.kind, items, block.numbered)
         case Facts():
-            rows = [Fact(clean(term), clean(words)) for term, words in block.rows]
+            rows = [
+                Fact(text.cleaned(term), text.cleaned(words))
+                for term, words in block.rows
+            ]
             return FactsBlock(block.kind, rows)
         case Code():
-            return TextBlock(block.kind, clean(block.text).rstrip("\n"))
+            return TextBlock(block.kind, text.cleaned(block.text).rstrip("\n"))
         case Paragraph() | Notice():
-            return TextBlock(block.kind, clean(block.text))
+            return TextBlock(block.kind, text.cleaned(block.text))
 
 
 def _table(table: Table, number: int) -> TableBlock:
-    columns = [ColumnHead(clean(c.title), c.number, c.wide) for c in table.columns]
+    columns = [
+        ColumnHead(text.cleaned(c.title), c.number, c.wide) for c in table.columns
+    ]
     rows = [
-        TableRow(table.mark(k), [clean(cell) for cell in row])
+        TableRow(table.mark(k), [text.cleaned(cell) for cell in row])
         for k, row in enumerate(table.rows)
     ]
-    caption = clean(table.caption)
-    return TableBlock(table.kind, f"Table {number}", caption, columns, rows)
+    caption = text.cleaned(table.caption)
+    return TableBlock(
+        table.kind, f"Table {number}", caption, columns, rows, table.linked
+    )
 
 
 def _picture(picture: Picture, number: int, image: style.Image) -> PictureBlock:
     return PictureBlock(
         kind=picture.kind,
         label=f"Figure {number}",
-        caption=clean(picture.caption),
+        caption=text.cleaned(picture.caption),
         name=picture.name,
         file=f"{picture.name}.svg",
         width=float(image.width),

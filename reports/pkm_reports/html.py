@@ -1,17 +1,36 @@
-"""The report as one HTML file that loads nothing: no script, no font, no second file."""
+"""The report as one HTML file that loads nothing: no font, no second file.
+
+Its script is part of the file; the content policy names its digest, so that no other
+script runs, whatever a study's texts hold.
+"""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from functools import cache
+from importlib import resources
+from typing import Final
 
 import jinja2
 
 from pkm_reports.document import Document
+from pkm_reports.view import scene
+
+#: parts of the script, in order
+SCRIPTS: Final = ("page.js", "camera.js", "residuals.js", "view.js")
 
 
 def render(document: Document) -> bytes:
     """The page as UTF-8 bytes; the template engine escapes every text."""
-    page = _template().render(doc=document.page, images=document.images)
+    view = "" if document.view is None else scene.encoded(document.view)
+    page = _template().render(
+        doc=document.page,
+        images=document.images,
+        view=view,
+        script=_script(),
+        digest=_digest(),
+    )
     return page.encode("utf-8")
 
 
@@ -26,3 +45,17 @@ def _template() -> jinja2.Template:
         lstrip_blocks=True,
     )
     return environment.get_template("report.html.j2")
+
+
+@cache
+def _script() -> str:
+    folder = resources.files("pkm_reports").joinpath("templates")
+    parts = [folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS]
+    return "\n".join(["'use strict';", *parts])
+
+
+@cache
+def _digest() -> str:
+    """SHA-256 of the script element's text, as a content policy states it."""
+    digest = hashlib.sha256(f"\n{_script()}\n".encode()).digest()
+    return f"sha256-{base64.b64encode(digest).decode('ascii')}"

@@ -14,7 +14,7 @@ from oed.result import PlannedReading, SetupInfo, StageRecord, StudyResult
 from oed.text import shorten
 from oed.whole_file import whole_file
 from pkm_reports import missing, pdf, text
-from pkm_reports.document import clean, footer
+from pkm_reports.document import footer
 
 #: rows on the sheet; all readings are in poses.csv
 MOST_ROWS: Final = 120
@@ -109,11 +109,11 @@ def build(result: StudyResult, poses: Sequence[PlannedReading]) -> Sheet:
             room -= len(shown)
             table = _table(name, settings, shown, len(of_setup))
             tables.append(table)
-        stages.append(SheetStage(clean(title), tables))
+        stages.append(SheetStage(text.cleaned(title), tables))
     return Sheet(
-        title=clean(result.title or result.study or "Measurements"),
-        machine=clean(result.machine.name),
-        foot=clean(footer(result)),
+        title=text.cleaned(result.title or result.study or "Measurements"),
+        machine=text.cleaned(result.machine.name),
+        foot=text.cleaned(footer(result)),
         stages=stages,
         row=_row_height(stages),
     )
@@ -169,12 +169,12 @@ def _table(
     rows = [[*row, *empty] for row in zip(*cells, strict=True)]
     per_part = _rows_per_part(len(rows), len(titles) + len(channels))
     return SheetTable(
-        setup=clean(name),
-        settings=clean(settings.get(name, "")),
-        titles=[clean(title) for title in titles],
+        setup=text.cleaned(name),
+        settings=text.cleaned(settings.get(name, "")),
+        titles=[text.cleaned(title) for title in titles],
         writing=len(channels),
         blocks=[
-            [[clean(cell) for cell in row] for row in rows[k : k + per_part]]
+            [[text.cleaned(cell) for cell in row] for row in rows[k : k + per_part]]
             for k in range(0, len(rows), per_part)
         ],
         lines=per_part + 1 if rows else 0,

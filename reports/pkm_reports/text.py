@@ -18,6 +18,11 @@ MINUS: Final = "\N{MINUS SIGN}"
 NO_BREAK: Final = "\N{NO-BREAK SPACE}"
 SUPERSCRIPT: Final = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 SYMBOLS: Final = {"um": "µm", "urad": "µrad", "deg": "°", "C": "°C", "1": ""}
+#: control characters that neither HTML nor typst can show
+INVISIBLE: Final = {
+    code: "\N{REPLACEMENT CHARACTER}"
+    for code in (*range(9), 11, 12, *range(14, 32), 127)
+}
 #: sizes between which a number is written without a power of ten
 SMALLEST, LARGEST = 1e-4, 1e6
 #: size from which a number with given decimals gets a power of ten all the same
@@ -220,6 +225,13 @@ def listing(items: Iterable[str], most: int = 12) -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def cleaned(words: str) -> str:
+    """Text without control characters and lone surrogates."""
+    visible = words.translate(INVISIBLE)
+    decodable = visible.encode("utf-8", "replace").decode("utf-8")
+    return decodable.replace("\r\n", "\n")
 
 
 def sentence(words: str) -> str:

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from oed import units
 from oed.arrays import Array
-from oed.result import Drawing
+from oed.result import Drawing, DrawingLabel
 from pkm_reports import style
 from pkm_reports.figures import scene
 from pkm_reports.figures.scene import Box, Rectangle
@@ -79,8 +79,11 @@ def draw(drawing: Drawing) -> Figure:
         titles = ("The machine at home: where its parameters act", titles[1])
     for edge, title in zip((0.0, 0.5), titles, strict=True):
         figure.text(edge + 0.03, 0.955, title, fontsize=8.5, fontweight="bold")
-    axes = panel(figure, (0.015, foot, 0.485, 0.93), shown, whole)
-    _label(axes, drawing)
+    room = (0.015, foot, 0.485, 0.93)
+    if drawing.labels:
+        _labelled(figure, room, shown, drawing.labels)
+    else:
+        panel(figure, room, shown, whole)
     panel(figure, (0.515, foot, 0.985, 0.93), shown, close or whole)
     figure.legend(handles=entries, loc="lower center", ncols=columns, borderaxespad=0.2)
     return figure
@@ -97,13 +100,20 @@ def scene_of(drawing: Drawing) -> Scene:
     )
 
 
-def _label(axes: Any, drawing: Drawing) -> None:
-    """Names of the parameters at the points that they move."""
-    white: Any = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.4}
-    look: Any = {"fontsize": 6.5, "color": style.BLUE, "bbox": white}
-    for place in drawing.labels:
-        at = points_mm([place.at])[0]
-        axes.text(*at, style.label(place.text, 24), **look)
+def _labelled(
+    figure: Figure, room: Rectangle, shown: Scene, labels: Sequence[DrawingLabel]
+) -> None:
+    """The machine alone, with the names of its parameters at the points they move."""
+    places = points_mm([label.at for label in labels])
+    lines = [line for line in shown.lines if line[0] == "machine"]
+    alone = dataclasses.replace(shown, lines=lines, tips=places[:0], bars=[], setups=[])
+    cloud = np.vstack([places, *[points for _, points in lines]])
+    azimuth = scene.clearest_azimuth(places)
+    axes = panel(figure, room, alone, scene.box_around(cloud), azimuth)
+    white: Any = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 0.4}
+    look: Any = {"fontsize": 6.5, "color": style.BLUE, "bbox": white, "ha": "center"}
+    for place, label in zip(places, labels, strict=True):
+        axes.text(*place, style.label(label.text, 24), **look)
 
 
 def points_mm(points: Sequence[Sequence[float]]) -> Array:
@@ -116,7 +126,13 @@ def _setup_of_each(drawing: Drawing, count: int) -> list[str]:
     return [*drawing.reading_of, *["reading"] * count][:count]
 
 
-def panel(figure: Figure, room: Rectangle, shown: Scene, box: Box) -> Any:
+def panel(
+    figure: Figure,
+    room: Rectangle,
+    shown: Scene,
+    box: Box,
+    azimuth: float = scene.VIEW["azim"],
+) -> Any:
     """Draw a scene inside a box; the axes fill a rectangle of the figure."""
     place = (room[0], room[1], room[2] - room[0], room[3] - room[1])
     axes: Any = figure.add_axes(place, projection="3d", proj_type="ortho")
@@ -145,7 +161,7 @@ def panel(figure: Figure, room: Rectangle, shown: Scene, box: Box) -> Any:
             marker=style.marker(k),
             **look,
         )
-    scene.set_axes(axes, box)
+    scene.set_axes(axes, box, azimuth)
     scene.fit_to(figure, axes, box, room)
     return axes
 

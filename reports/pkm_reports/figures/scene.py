@@ -18,7 +18,11 @@ from oed.arrays import Array
 Box = tuple[Array, Array]
 #: left, bottom, right and top of a rectangle, as shares of the figure
 Rectangle = tuple[float, float, float, float]
-VIEW: Final = {"elev": 20.0, "azim": -58.0}
+VIEW: Final[dict[str, float]] = {"elev": 20.0, "azim": -58.0}
+#: azimuths that a labelled drawing can be seen from, the usual one first
+AZIMUTHS: Final[tuple[float, ...]] = (-58.0, *map(float, range(-85, -4, 5)))
+#: width and height of a label, relative to one another
+LETTERING: Final = np.array([3.0, 1.0])
 #: least depth of a box, as a share of its largest side, and room around it
 LEAST_DEPTH, MARGIN = 0.3, 1.06
 #: share of the largest side below which an axis has few ticks
@@ -35,7 +39,33 @@ def box_around(cloud: Array) -> Box:
     return (low + high - size) / 2.0, (low + high + size) / 2.0
 
 
-def set_axes(axes: Any, box: Box) -> None:
+def clearest_azimuth(points: Array) -> float:
+    """Azimuth, deg, that spreads points (n, 3) widest in the picture; the usual if few.
+
+    The spread is the least distance of two points, as drawn.
+    """
+    if len(points) < 2:
+        return AZIMUTHS[0]
+    spread = [_least_distance(_drawn(points, azimuth)) for azimuth in AZIMUTHS]
+    return AZIMUTHS[int(np.argmax(spread))]
+
+
+def _drawn(points: Array, azimuth: float) -> Array:
+    """Points (n, 2) to the right and up in the picture, from points (n, 3)."""
+    turn, rise = np.radians(azimuth), np.radians(VIEW["elev"])
+    x, y, z = points.T
+    right = -x * np.sin(turn) + y * np.cos(turn)
+    towards = x * np.cos(turn) + y * np.sin(turn)
+    return np.column_stack([right, z * np.cos(rise) - towards * np.sin(rise)])
+
+
+def _least_distance(points: Array) -> float:
+    offsets = (points[:, None] - points[None]) / LETTERING
+    distances = np.linalg.norm(offsets, axis=2)
+    return float(distances[np.triu_indices(len(points), 1)].min())
+
+
+def set_axes(axes: Any, box: Box, azimuth: float = VIEW["azim"]) -> None:
     """Limits of the box, one scale on all axes, few ticks."""
     size = box[1] - box[0]
     for k, name in enumerate("xyz"):
@@ -50,7 +80,7 @@ def set_axes(axes: Any, box: Box) -> None:
         axis.set_tick_params(pad=-1.0, labelsize=6.5)
     axes.zaxis.set_tick_params(pad=1.0)
     axes.set_box_aspect(size)
-    axes.view_init(**VIEW)
+    axes.view_init(elev=VIEW["elev"], azim=azimuth)
 
 
 def fit_to(

@@ -120,7 +120,7 @@ def _readings(poses: Sequence[PlannedReading]) -> list[Block]:
         cells.append(
             text.aligned(missing.column([pose.reading for pose in poses], name))
         )
-    return [Table(columns, transposed(cells), _readings_caption(poses))]
+    return [Table(columns, transposed(cells), _readings_caption(poses), linked=True)]
 
 
 def _readings_caption(poses: Sequence[PlannedReading]) -> str:
@@ -146,7 +146,7 @@ def _stages(plan: PlanSection) -> list[Block]:
     considered = [entry for entry in plan.alternatives if isinstance(entry, str)]
     alternatives = headed_list("Alternatives considered:", text.sentences(considered))
     stages = plan.stages
-    if not stages:
+    if len(stages) < 2:
         return alternatives
     columns = [
         TableColumn("Stage", number=True),

@@ -137,16 +137,12 @@ def _row(
     name: str, component: ComponentAccuracy, judged: AgainstGoal
 ) -> tuple[list[str], str]:
     unit = component.after.unit
-    cells = [
-        name,
-        text.quantity(component.before.rms, unit),
-        text.quantity(component.after.rms, unit),
-        text.quantity(component.known.rms, unit),
-    ]
+    sizes = (component.before.rms, component.after.rms, component.known.rms)
+    cells = [f"{name} [{text.unit_symbol(unit)}]", *map(text.number, sizes)]
     if math.isnan(judged.wanted):
         return [*cells, text.MISSING, text.MISSING], ""
     mark = "good" if judged.is_reached else "bad"
-    return [*cells, text.quantity(judged.wanted, unit), judged.words], mark
+    return [*cells, text.number(judged.wanted), judged.words], mark
 
 
 def _caption(prediction: PredictionSection, judged: dict[str, AgainstGoal]) -> str:
@@ -192,7 +188,8 @@ def _worst_case(prediction: PredictionSection) -> list[Block]:
     ]
     if not worst:
         return []
-    return [Paragraph(f"Largest over the workspace (1 sigma): {text.listing(worst)}.")]
+    words = "Largest error over the workspace, which 95 % of such machines stay below"
+    return [Paragraph(f"{words}: {text.listing(worst)}.")]
 
 
 def _planned(result: StudyResult) -> Table:

@@ -47,4 +47,4 @@ def _finding(finding: IdentifiabilityFinding) -> str:
     words = text.sentence(finding.text)
     if not finding.remedies:
         return words
-    return f"{words} Brought back by: {'; or '.join(finding.remedies[:MOST])}."
+    return f"{words} What helps: {'; '.join(finding.remedies[:MOST])}."

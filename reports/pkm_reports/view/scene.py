@@ -1,0 +1,201 @@
+"""Machine, readings, error map and gap of a result as points for the views of the page."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from oed.arrays import Array
+from oed.result import Drawing, GapSection, PredictionSection, StudyResult
+from pkm_reports import text
+from pkm_reports.figures.machine import points_mm
+from pkm_reports.missing import or_nan
+from pkm_reports.view.circles import Circle, circles
+from pkm_reports.view.residuals import ReadingResiduals, residuals_of_readings
+
+#: decimals of places, mm
+DECIMALS: Final = 2
+#: significant digits of errors
+DIGITS: Final = 4
+#: readings beyond which the page has no views
+MOST: Final = 5000
+
+Point = list[float]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ViewLine:
+    """A polyline, mm."""
+
+    kind: str
+    points: list[Point]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ViewLabel:
+    """Names of parameters at the point that they move, mm."""
+
+    at: Point
+    text: str
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ViewReading:
+    """A reading: where the tool is and the far end of what is measured, mm.
+
+    words      the command, and where it is known the run
+    residuals  by channel, where the readings are fitted
+    """
+
+    setup: str
+    run: str
+    words: str
+    at: Point
+    far: Point | None
+    residuals: list[ReadingResiduals]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ViewField:
+    """A size at each of the points `at`, mm, before and after; `words` says where."""
+
+    name: str
+    unit: str
+    at: list[Point]
+    words: list[str]
+    before: list[float | None]
+    after: list[float | None]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class PageView:
+    """All that the views of one page show."""
+
+    lines: list[ViewLine]
+    labels: list[ViewLabel]
+    readings: list[ViewReading]
+    fields: list[ViewField]
+    circles: list[Circle]
+
+
+def build(result: StudyResult) -> PageView | None:
+    """The views of a result; None where nothing is drawn, or far too much."""
+    drawing = result.drawing
+    if drawing is None or not (drawing.lines or drawing.tool_points):
+        return None
+    if len(drawing.tool_points) > MOST:
+        return None
+    lines = [ViewLine(line.kind, _mm(line.points)) for line in drawing.lines]
+    labels = [ViewLabel(_mm([place.at])[0], place.text) for place in drawing.labels]
+    readings = _readings(result, drawing)
+    shown = circles(result.gap, readings)
+    return PageView(lines, labels, readings, _fields(result), shown)
+
+
+def encoded(view: PageView) -> str:
+    """JSON for a script element: no character of it ends the element."""
+    words = msgspec.json.encode(view).decode("utf-8")
+    return words.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+# -- readings --------------------------------------------------------------------------
+
+
+def _readings(result: StudyResult, drawing: Drawing) -> list[ViewReading]:
+    count = len(drawing.tool_points)
+    runs, commands = _runs_and_commands(result, drawing)
+    fitted = residuals_of_readings(result, drawing)
+    tips, far_ends = _mm(drawing.tool_points), [bar[0] for bar in drawing.bars]
+    paired = len(far_ends) == count
+    far = [_mm([end])[0] for end in far_ends] if paired else [None] * count
+    setups = [*drawing.reading_of, *["reading"] * count][:count]
+    return [
+        ViewReading(
+            setup=text.cleaned(setups[k]),
+            run=text.cleaned(runs[k]),
+            words=text.cleaned(text.named_quantities(commands[k], 4)),
+            at=tips[k],
+            far=far[k],
+            residuals=fitted[k],
+        )
+        for k in range(count)
+    ]
+
+
+def _runs_and_commands(
+    result: StudyResult, drawing: Drawing
+) -> tuple[Sequence[str], Sequence[Mapping[str, float]]]:
+    """Of each tool point; from the planned readings where the drawing has none."""
+    count = len(drawing.tool_points)
+    if len(drawing.runs) == count == len(drawing.commands):
+        return drawing.runs, drawing.commands
+    poses = [] if result.design is None else result.design.poses
+    if len(poses) == count:
+        return [pose.run for pose in poses], [pose.command for pose in poses]
+    return [""] * count, [{}] * count
+
+
+# -- fields ----------------------------------------------------------------------------
+
+
+def _fields(result: StudyResult) -> list[ViewField]:
+    corrected = result.corrected
+    prediction = result.prediction
+    if corrected is not None and corrected.prediction is not None:
+        prediction = corrected.prediction
+    fields = [] if prediction is None else _error_fields(prediction)
+    if result.gap is not None:
+        fields += _gap_field(result.gap)
+    return fields
+
+
+def _error_fields(prediction: PredictionSection) -> list[ViewField]:
+    points = [point for point in prediction.map if len(point.at) == 3]
+    if not points:
+        return []
+    at = _mm([point.at for point in points])
+    words = [text.cleaned(text.named_quantities(p.command, 4)) for p in points]
+    return [
+        ViewField(
+            name=f"error of {text.cleaned(name)}",
+            unit=text.unit_symbol(component.after.unit),
+            at=at,
+            words=words,
+            before=[rounded(point.before[name]) for point in points],
+            after=[rounded(point.after[name]) for point in points],
+        )
+        for name, component in prediction.components.items()
+    ]
+
+
+def _gap_field(gap: GapSection) -> list[ViewField]:
+    if not gap.spots:
+        return []
+    return [
+        ViewField(
+            name="residual of the readings",
+            unit=text.unit_symbol(gap.spots_unit),
+            at=[_round(spot.at) for spot in gap.spots],
+            words=["" for _ in gap.spots],
+            before=[rounded(spot.before) for spot in gap.spots],
+            after=[rounded(spot.after) for spot in gap.spots],
+        )
+    ]
+
+
+def rounded(value: float | None) -> float | None:
+    """A size with few digits; None where there is none."""
+    x = or_nan(value)
+    return float(f"{x:.{DIGITS}g}") if np.isfinite(x) else None
+
+
+def _mm(points: Sequence[Sequence[float]]) -> list[Point]:
+    return [_round(point) for point in points_mm(points)]
+
+
+def _round(point: Sequence[float] | Array) -> Point:
+    return [round(float(v), DECIMALS) for v in point]

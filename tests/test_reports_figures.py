@@ -1,0 +1,147 @@
+"""Figures: those without data say so, all words stay inside, and many marks become pixels."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import pytest
+import report_fixture
+from matplotlib.figure import Figure
+from report_fixture import check_inside, result_of
+
+from oed.result import Drawing
+from pkm_reports import document, style
+from pkm_reports import html as html_writer
+from pkm_reports import pdf as pdf_writer
+from pkm_reports.figures import (
+    accuracy,
+    budget,
+    corner,
+    criteria,
+    held_out,
+    how_many,
+    kappa,
+    machine,
+    parameters,
+    path,
+    predicted,
+    residuals,
+    robust,
+    singular_values,
+    workspace,
+)
+
+
+def _empty_figures() -> list[Callable[[], Figure]]:
+    """Each figure, drawn of a section that holds no data for it."""
+    full = result_of(report_fixture.sample())
+    design, estimate = full.design, full.estimate
+    posterior, prediction = full.posterior, full.prediction
+    section = full.identifiability
+    assert design is not None
+    assert estimate is not None
+    assert posterior is not None
+    assert prediction is not None
+    assert section is not None
+    assert design.robust is not None
+    assert design.how_many is not None
+    replace = msgspec.structs.replace
+    no_value = replace(full.kappa_maps[0], kappa=[[None] * 16] * 3)
+    no_direction = replace(section, singular_values=[], rank=0, n=0)
+    no_residual = replace(estimate, residuals=[], residuals_before=[])
+    no_draw = replace(posterior, directions=[], corner=[])
+    no_component = replace(prediction, components={})
+    no_budget = replace(prediction.components["x"], budget={})
+    no_place = replace(prediction, components={}, map=[])
+    no_reading = replace(full.held_out[0], residuals=[])
+    no_criterion = replace(design, compared=[])
+    no_prediction = replace(design.plans[0], predicted={})
+    no_command = replace(design.poses[0], command={})
+    no_scenario = replace(design.robust, values=[None], nominal_values=[])
+    no_size = replace(design.how_many, sizes=[10, 20], accuracy={"z_um": [None, None]})
+    return [
+        lambda: machine.draw(Drawing([], [], [], [])),
+        lambda: kappa.draw([no_value]),
+        lambda: singular_values.draw(no_direction),
+        lambda: parameters.draw({}),
+        lambda: residuals.draw(no_residual),
+        lambda: corner.draw(no_draw),
+        lambda: accuracy.draw(no_component),
+        lambda: budget.draw({"x": no_budget}),
+        lambda: workspace.draw(no_place),
+        lambda: held_out.draw([no_reading]),
+        lambda: criteria.draw(no_criterion),
+        lambda: predicted.draw([no_prediction]),
+        lambda: path.draw([no_command]),
+        lambda: robust.draw(no_scenario),
+        lambda: how_many.draw(no_size),
+    ]
+
+
+@pytest.mark.parametrize("draw", _empty_figures())
+def test_a_figure_without_data_says_so(draw: Callable[[], Figure]) -> None:
+    with style.applied():
+        figure = draw()
+        assert not figure.axes
+        assert re.search(r"No .* (is|are) stored", figure.texts[0].get_text())
+        assert style.render(figure).kind == "svg"
+
+
+@pytest.mark.parametrize("build", [report_fixture.sample, report_fixture.delta])
+def test_figures_keep_all_words_inside(build: Callable[[], dict[str, Any]]) -> None:
+    full = result_of(build())
+    design, prediction = full.design, full.prediction
+    assert design is not None
+    assert prediction is not None
+    with style.applied():
+        for figure in (
+            machine.draw(full.drawing),
+            singular_values.draw(full.identifiability),
+            parameters.draw(full.estimate.parameters),
+            accuracy.draw(prediction),
+            budget.draw(prediction.components),
+            workspace.draw(prediction),
+            criteria.draw(design),
+            predicted.draw(design.plans),
+            path.draw(design.poses),
+            robust.draw(design.robust),
+            how_many.draw(design.how_many),
+        ):
+            check_inside(figure)
+
+
+@pytest.mark.parametrize("names", [("z_mm", "a_deg"), ("z_mm",)])
+def test_a_plan_of_other_machines_is_drawn(names: tuple[str, ...]) -> None:
+    raw = report_fixture.delta()
+    raw["prediction"] |= {
+        "components": {"z": raw["prediction"]["components"]["z"]},
+        "map": [
+            {
+                "command": {name: float(k) for name in names},
+                "before": {"z": 1.0},
+                "after": {"z": 0.1 * k},
+            }
+            for k in range(5)
+        ],
+    }
+    prediction = result_of(raw).prediction
+    assert prediction is not None
+    with style.applied():
+        assert workspace.draw(prediction).axes
+
+
+def test_a_figure_of_many_marks_becomes_pixels() -> None:
+    raw = report_fixture.bare()
+    values = [float(k % 17) for k in range(6000)]
+    raw["estimate"] = report_fixture.sample()["estimate"] | {
+        "residuals": values,
+        "residuals_before": values,
+        "channels": ["length"] * 6000,
+    }
+    report = document.build(result_of(raw))
+    assert report.images["residuals"].kind == "png"
+    assert b"data:image/png" in html_writer.render(report)
+    assert pdf_writer.render(report).startswith(b"%PDF")
