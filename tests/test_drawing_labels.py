@@ -1,13 +1,22 @@
-"""Labels of the drawing stand at the points that their parameters move."""
+"""Labels of the drawing stand where their parameters act; plans state the joints."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import gap_fixture
 import numpy as np
 import pytest
+from oracles import a3_geometry
 
 from oed.kinematics import Kinematics
 from pkm_models.machines import a3_head, delta, hexapod
+from pkm_studies.progress import Silent
+from pkm_studies.run_state import start
 from pkm_studies.stages import drawing_labels
+from pkm_studies.stages.design.section import planned_readings
+from pkm_studies.steps.readings import planned_series
+from pkm_studies.study import load
 
 
 def _labels(machine: object) -> dict[str, tuple[str, np.ndarray]]:
@@ -47,3 +56,20 @@ def test_every_parameter_of_other_machines_has_a_place(machine: object) -> None:
     labels = _labels(machine)
     names = {p.name for p in machine.parameters}  # type: ignore[attr-defined]
     assert names - set(machine.frame) <= set(labels)  # type: ignore[attr-defined]
+
+
+def test_planned_readings_state_the_joints_of_the_nominal_machine(
+    tmp_path: Path,
+) -> None:
+    """Against the lengths of the oracle, which shares no code with the kinematics."""
+    state = start(load(gap_fixture.written(tmp_path)), 3, Silent(), None)
+    (series,) = planned_series(state)[:1]
+    readings = planned_readings(state.measurement, [series])
+    z, psi, theta = (
+        np.array([reading.command[key] for reading in readings])
+        for key in ("z_mm", "psi_deg", "theta_deg")
+    )
+    expected = a3_geometry.inverse_nominal(1e-3 * z, np.radians(psi), np.radians(theta))
+    joints = [list(reading.joints.values()) for reading in readings]
+    assert list(readings[0].joints) == ["q1_mm", "q2_mm", "q3_mm"]
+    np.testing.assert_allclose(joints, 1e3 * expected, atol=1e-6)

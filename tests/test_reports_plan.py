@@ -215,7 +215,7 @@ def test_names_are_never_markup(tmp_path: Path) -> None:
     report = document.build(result)
     page = html_writer.render(report).decode()
     assert "<b>&" not in page
-    assert "</script>" not in page
+    assert page.count("</script>") == 1
     assert pdf_writer.render(report).startswith(b"%PDF")
     poses = [PlannedReading(NASTY, NASTY, 0, {NASTY: 1.0}, {NASTY: 1.0})]
     printed = write_sheet(result, poses, tmp_path)
@@ -334,6 +334,17 @@ def test_the_sheet_holds_every_pose_once_in_order() -> None:
         np.testing.assert_allclose(numbers, expected, atol=5.1e-4)
         assert {row[-1] for row in rows} == {""}
     assert _printed_rows(tables["tracker"]) == []
+
+
+def test_the_sheet_has_the_joints_beside_the_command() -> None:
+    result = result_of(report_fixture_plan.sample())
+    poses = [replace(p, joints={"q1_mm": 500.0 + p.order}) for p in _rows(8, "bar")]
+    (table,) = [t for t in _tables(sheet.build(result, poses)) if t.setup == "bar"]
+    column = list(table.titles).index("q1 [mm]")
+    assert table.titles[column - 1] == "psi [°]"
+    assert [float(row[column]) for row in _printed_rows(table)] == [
+        500.0 + k for k in range(8)
+    ]
 
 
 @pytest.mark.parametrize("counts", [(1, 0), (70, 50), (100, 40), (300, 5)])

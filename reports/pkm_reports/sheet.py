@@ -1,4 +1,4 @@
-"""A page to take to the machine: set-ups with their settings, and cells to fill in."""
+"""A page to take to the machine: set-ups, commands, joint values, and cells to fill in."""
 
 from __future__ import annotations
 
@@ -151,7 +151,6 @@ def _table(
     count: int,
 ) -> SheetTable:
     """One set-up with the poses shown, out of `count`."""
-    commands = list(dict.fromkeys(key for pose in poses for key in pose.command))
     channels = list(dict.fromkeys(key for pose in poses for key in pose.reading))
     channels = channels or ["reading"]
     titles, cells = ["No."], [[str(k) for k in range(1, len(poses) + 1)]]
@@ -159,11 +158,10 @@ def _table(
     if len(set(runs)) > 1:
         titles.append("Run")
         cells.append([shorten(run, LONGEST_RUN) for run in runs])
-    for key in commands:
+    named = [pose.command | pose.joints for pose in poses]
+    for key in dict.fromkeys(key for values in named for key in values):
         titles.append(text.heading(key))
-        cells.append(
-            text.aligned(missing.column([pose.command for pose in poses], key), most=3)
-        )
+        cells.append(text.aligned(missing.column(named, key), most=3))
     titles += [text.heading(key) for key in channels]
     empty = [""] * len(channels)
     rows = [[*row, *empty] for row in zip(*cells, strict=True)]

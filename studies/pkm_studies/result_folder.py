@@ -71,7 +71,7 @@ def write(
         _save_posterior(folder, result, state.posterior)
     for name, text in zip(written, texts.values(), strict=True):
         files.write_whole(folder / name, text)
-    if state.plan is not None and sheet:
+    if sheet:
         _write_sheet(folder, result, state.plan)
     return result
 
@@ -129,14 +129,19 @@ def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
     return dataset.to_csv(dataset.from_series(series, empty, measurement))
 
 
-def _write_sheet(folder: Path, result: StudyResult, plan: PlanOutcome) -> None:
+def _write_sheet(folder: Path, result: StudyResult, plan: PlanOutcome | None) -> None:
+    """Write the page for the machine: of a plan of stages, else of a design."""
+    poses = result.design.poses if result.design is not None else []
+    if plan is not None:
+        poses = [
+            reading
+            for series in plan.scheduled
+            for reading in planned_readings(plan.measurement, series)
+        ]
+    if not poses:
+        return
     from pkm_reports import write_sheet
 
-    poses = [
-        reading
-        for series in plan.scheduled
-        for reading in planned_readings(plan.measurement, series)
-    ]
     write_sheet(result, poses, folder)
 
 

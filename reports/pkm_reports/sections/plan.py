@@ -146,7 +146,9 @@ def _stages(plan: PlanSection) -> list[Block]:
     considered = [entry for entry in plan.alternatives if isinstance(entry, str)]
     alternatives = headed_list("Alternatives considered:", text.sentences(considered))
     stages = plan.stages
-    if len(stages) < 2:
+    if len(stages) == 1:
+        return []
+    if not stages:
         return alternatives
     columns = [
         TableColumn("Stage", number=True),

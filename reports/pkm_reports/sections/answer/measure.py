@@ -97,7 +97,11 @@ def _readings(result: StudyResult) -> list[tuple[str, str]]:
         return [("Readings", f"{words}.")]
     if has_schedule(result.plan) or result.estimate is None:
         return []
-    return [("Readings", f"{result.estimate.readings}.")]
+    values = text.count(result.estimate.readings, "value")
+    poses = 0 if result.drawing is None else len(result.drawing.tool_points)
+    if not poses or poses == result.estimate.readings:
+        return [("Readings", f"{result.estimate.readings}.")]
+    return [("Readings", f"{poses}, with {values}.")]
 
 
 def _stages(result: StudyResult) -> list[tuple[str, str]]:
