@@ -70,9 +70,7 @@ class Fit:
 
         They are the eigenvalues of 1 - A (1 + A^T A)^-1 A^T.
         """
-        singular = linalg.svdvals(self.slopes)[: len(self.residual)]
-        ones = np.ones(len(self.residual) - len(singular))
-        return np.concatenate([1.0 / (1.0 + singular**2), ones])
+        return residual_weights(self.slopes)
 
 
 def fit(session: SessionReadings, start: Array | None = None) -> Fit | None:
@@ -153,6 +151,13 @@ def linear_model(session: SessionReadings) -> LinearModel | None:
     slopes = noise.whiten(h * measurement.tolerance[free])
     half = half_covariance(slopes)
     return LinearModel(predicted, noise, slopes @ half)
+
+
+def residual_weights(slopes: Array) -> Array:
+    """Eigenvalues (N,) of 1 - A (1 + A^T A)^-1 A^T, A whitened slopes (N, r)."""
+    count = len(slopes)
+    singular = linalg.svdvals(slopes)[:count]
+    return np.concatenate([1.0 / (1.0 + singular**2), np.ones(count - len(singular))])
 
 
 def half_covariance(slopes: Array) -> Array:

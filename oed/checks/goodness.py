@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 from scipy import special
 
-from oed.checks.fit import Fit
+from oed.arrays import Array
+from oed.checks.fit import Fit, residual_weights
+from oed.estimate import Estimate
+from oed.measurement import Measurement, Series
 
 #: probability of a tail below which residuals are too large or too small
 ALARM = 1e-5
@@ -49,12 +53,25 @@ def goodness(solution: Fit) -> Goodness:
     The weights of chi2 are 1 / (1 + s^2) for singular values s of the slopes, and 1
     (Satterthwaite, Biometrics Bulletin 2 (1946) 110-114).
     """
-    weights = solution.weights()
+    return goodness_of(solution.chi2, solution.weights())
+
+
+def goodness_of_estimate(
+    measurement: Measurement, series: Sequence[Series], estimate: Estimate
+) -> Goodness:
+    """Goodness of an estimate's fit against the noise that the set-ups state."""
+    slopes = measurement.jacobian(series, estimate.theta) * estimate.prior_sd
+    white = measurement.noise(series).whiten(slopes)
+    return goodness_of(estimate.chi2, residual_weights(white))
+
+
+def goodness_of(chi2: float, weights: Array) -> Goodness:
+    """Goodness of a sum of squares chi2 of terms with these weights (N,)."""
     total, squares = float(weights.sum()), float(weights @ weights)
     if total <= 0.0:
-        return Goodness(solution.chi2, 0.0, 1.0, 1.0)
+        return Goodness(chi2, 0.0, 1.0, 1.0)
     scale, freedom = squares / total, total**2 / squares
-    scaled = solution.chi2 / scale
+    scaled = chi2 / scale
     p_low = float(special.chdtr(freedom, scaled))
     p_high = float(special.chdtrc(freedom, scaled))
-    return Goodness(solution.chi2, total, p_low, p_high)
+    return Goodness(chi2, total, p_low, p_high)

@@ -48,7 +48,12 @@ from oed.result.gap_before import (
     SeparationRecord,
     SharedRecord,
 )
-from oed.result.goodness import GoodnessSection, MistakeRecord, OutlierRecord
+from oed.result.goodness import (
+    GoodnessSection,
+    MistakeRecord,
+    NoiseRecord,
+    OutlierRecord,
+)
 from oed.result.identifiability import (
     IdentifiabilityFinding,
     IdentifiabilitySection,
@@ -113,6 +118,7 @@ __all__ = [
     "MapPoint",
     "Marginal",
     "MistakeRecord",
+    "NoiseRecord",
     "OutlierRecord",
     "ParameterEstimate",
     "PlaceRecord",

@@ -1,4 +1,4 @@
-"""Checks of the readings: the `goodness` section of result.json."""
+"""Checks of the readings, and their noise: the `goodness` section of result.json."""
 
 from __future__ import annotations
 
@@ -22,11 +22,33 @@ class MistakeRecord(Record, frozen=True):
     evidence: str
 
 
+class NoiseRecord(Record, frozen=True):
+    """One number of the noise law as estimated.
+
+    kind     reading, run, seat (standard deviations), carried (share of the variance) or
+             reach (in readings)
+    of       set-up and channel, or set-up; empty for all readings
+    stated   what the stated noise has
+    departs  whether it surely differs from that by more than matters
+    """
+
+    kind: str
+    of: str
+    value: float
+    sd: float
+    unit: str
+    stated: Number = None
+    departs: bool = False
+
+
 class GoodnessSection(Record, frozen=True):
     """Goodness of fit against the stated noise, and what a check of the readings says.
 
     bad_fit   whether nothing fitted to the readings can be trusted
     findings  sentences, the most harmful first
+    noise     the noise law as estimated, by the names of its numbers; empty where the
+              noise is as stated
+    noise_words  how it departs from the stated noise, as sentences
     """
 
     chi2: Number
@@ -37,3 +59,5 @@ class GoodnessSection(Record, frozen=True):
     outliers: list[OutlierRecord] = []
     mistakes: list[MistakeRecord] = []
     findings: list[str] = []
+    noise: dict[str, NoiseRecord] = {}
+    noise_words: list[str] = []

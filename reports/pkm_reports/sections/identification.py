@@ -8,7 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from oed.result import EstimateSection, ParameterEstimate, StudyResult
+from oed.result import (
+    EstimateSection,
+    GoodnessSection,
+    ParameterEstimate,
+    StudyResult,
+)
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,
@@ -22,6 +27,7 @@ from pkm_reports.blocks import (
 )
 from pkm_reports.figures import parameters, residuals
 from pkm_reports.missing import or_nan
+from pkm_reports.sections import noise
 
 Estimates = Mapping[str, ParameterEstimate]
 MARKS: Final = {"weak": "chosen", "prior": "bad"}
@@ -36,9 +42,10 @@ def blocks(result: StudyResult) -> list[Block]:
         return []
     caption = _residuals_caption(estimate)
     chapter: list[Block] = [
-        Paragraph(_fit(estimate)),
+        Paragraph(_fit(estimate, result.goodness)),
         *[Notice(warning) for warning in text.sentences(estimate.warnings)],
         Picture("residuals", lambda: residuals.draw(estimate), caption),
+        *noise.blocks(result.goodness),
     ]
     values = estimate.parameters
     if values:
@@ -52,7 +59,7 @@ def blocks(result: StudyResult) -> list[Block]:
 # -- the fit ---------------------------------------------------------------------------
 
 
-def _fit(estimate: EstimateSection) -> str:
+def _fit(estimate: EstimateSection, checked: GoodnessSection | None) -> str:
     sentences = [f"The fit uses {text.count(estimate.readings, 'reading')}."]
     before, after = estimate.rms_before, estimate.rms_after
     changes = [
@@ -64,6 +71,8 @@ def _fit(estimate: EstimateSection) -> str:
         falls = all(missing.entry(after, name) < before[name] for name in before)
         verb = "falls" if falls else "changes"
         sentences.append(f"The rms residual {verb} {text.listing(changes)}.")
+    if checked is not None and checked.chi2 is not None:
+        return " ".join([*sentences, noise.goodness(checked)])
     chi2, dof = text.number(estimate.chi2), text.number(estimate.dof)
     judgement = _judgement(estimate.chi2, estimate.dof)
     sentences.append(f"χ² is {chi2} for {dof} degrees of freedom{judgement}.")

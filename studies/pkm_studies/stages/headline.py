@@ -52,7 +52,8 @@ def sentences(sections: Mapping[str, Any], recorded: bool = False) -> list[str]:
     findings = [] if diagnosis is None else diagnosis.words
     checked: GoodnessSection | None = sections.get("goodness")
     alarms = [] if checked is None else checked.findings
-    return [*alarms, *findings, *ranked[:MAX_SENTENCES]]
+    noise = [] if checked is None else checked.noise_words
+    return [*alarms, *findings, *noise, *ranked[:MAX_SENTENCES]]
 
 
 def _separation(section: GapBeforeSection | None) -> list[str]:

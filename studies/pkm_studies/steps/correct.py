@@ -22,6 +22,7 @@ from pkm_studies.compensation.build import regular_commands
 from pkm_studies.resolve.gap import GapRequest, gap_request
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.corrected import section as sections
+from pkm_studies.stages.fit.noise import with_noise
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 
 if TYPE_CHECKING:
@@ -56,6 +57,12 @@ def correct_for_effects(state: RunState) -> RunState:
     if corrected is None:
         return state.with_warnings("no effect that was named changes these readings")
     state = state.replace(corrected=corrected)
+    checked = state.sections.get("goodness")
+    if checked is not None:
+        # the noise without what the effects explain
+        setups = state.measurement.setups
+        noisy = with_noise(checked, corrected.estimate, setups)
+        state = state.with_sections(goodness=noisy)
     return _with_section(state, corrected, gap)
 
 

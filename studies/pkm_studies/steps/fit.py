@@ -7,8 +7,11 @@ import numpy as np
 from oed import identification, posterior
 from oed.arrays import Array
 from oed.assembly_mode import mode_jumps
+from oed.checks.goodness import goodness_of_estimate
+from oed.result import GoodnessSection
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.fit.estimate import estimate_section
+from pkm_studies.stages.fit.noise import unchecked_section, with_noise
 from pkm_studies.stages.fit.posterior import posterior_section
 
 
@@ -32,7 +35,20 @@ def fit_parameters(state: RunState) -> RunState:
         state.measurement, series, estimate, state.readings.truth
     )
     state = state.replace(estimate=estimate).with_sections(estimate=section)
+    state = state.with_sections(goodness=_goodness(state, estimate))
     return state.with_warnings(*section.warnings)
+
+
+def _goodness(state: RunState, estimate: identification.Estimate) -> GoodnessSection:
+    """The check's section with the estimated noise; of the fit where there was none."""
+    assert state.readings is not None
+    section: GoodnessSection | None = state.sections.get("goodness")
+    if section is None:
+        fitted = goodness_of_estimate(
+            state.measurement, state.readings.series, estimate
+        )
+        section = unchecked_section(fitted)
+    return with_noise(section, estimate, state.measurement.setups)
 
 
 def _refuse_mode_jump(state: RunState, theta: Array) -> None:

@@ -1,0 +1,80 @@
+"""Reports the estimated noise law: `noise` of the section `goodness`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import msgspec
+
+from oed import units
+from oed.checks.goodness import Goodness
+from oed.estimate import Estimate
+from oed.instrument import Setup
+from oed.noise.summary import NoiseNumber, noise_numbers
+from oed.result import GoodnessSection, NoiseRecord
+
+
+def unchecked_section(fitted: Goodness) -> GoodnessSection:
+    """The section of readings that no check looked at: those of a virtual machine."""
+    return GoodnessSection(
+        chi2=fitted.chi2, dof=fitted.dof, p_low=fitted.p_low, p_high=fitted.p_high
+    )
+
+
+def with_noise(
+    section: GoodnessSection, estimate: Estimate, setups: Mapping[str, Setup]
+) -> GoodnessSection:
+    """The section with the noise law of an estimate, where it has one."""
+    posterior = estimate.noise_posterior
+    if posterior is None:
+        return section
+    numbers = noise_numbers(posterior, setups)
+    records = {f"{n.kind} {n.of}".rstrip(): _record(n) for n in numbers}
+    return msgspec.structs.replace(section, noise=records, noise_words=_words(numbers))
+
+
+def _record(number: NoiseNumber) -> NoiseRecord:
+    unit = units.FINE.get(number.unit, number.unit) if number.kind in _ERRORS else ""
+    factor = units.factor(unit) if unit else 1.0
+    return NoiseRecord(
+        kind=number.kind,
+        of=number.of,
+        value=number.value / factor,
+        sd=number.sd / factor,
+        unit=unit or number.unit,
+        stated=None if number.stated is None else number.stated / factor,
+        departs=number.departs,
+    )
+
+
+#: kinds that are standard deviations, and what they are
+_ERRORS = {
+    "reading": "single readings of {} scatter by",
+    "run": "the readings of one run of {} share an error of",
+    "seat": "what each run of {} seats anew moves by",
+}
+
+
+def _words(numbers: Sequence[NoiseNumber]) -> list[str]:
+    """Departures from the stated noise, as one sentence; none where there is none."""
+    reach = next(n for n in numbers if n.kind == "reach")
+    phrases = []
+    for number in numbers:
+        if not number.departs:
+            continue
+        record = _record(number)
+        size = f"{record.value:.2g} ± {record.sd:.1g}"
+        if number.kind == "carried":
+            phrases.append(
+                f"a share of {size} of the variance of single readings is carried along"
+                f" a run, over about {reach.value:.0f} readings"
+            )
+            continue
+        stated = (
+            f" (stated: {record.stated:.3g} {record.unit})" if record.stated else ""
+        )
+        start = _ERRORS[number.kind].format(number.of)
+        phrases.append(f"{start} {size} {record.unit}{stated}")
+    if not phrases:
+        return []
+    return [f"The noise departs from the stated one: {'; '.join(phrases)}."]

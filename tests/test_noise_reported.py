@@ -1,0 +1,79 @@
+"""The estimated noise law reaches result.json, the report and the terminal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import blunders
+import numpy as np
+import pytest
+import sample
+import test_bad_fit
+
+from pkm_studies import cli
+
+ESTIMATED = sample.changed(
+    test_bad_fit.STUDY, ("length_um = 0.5", "length_um = 0.5\nestimate = true")
+)
+
+
+def fit(folder: Path, readings: blunders.Readings, study: str) -> dict:
+    """The section `goodness` of an identification."""
+    path, table = test_bad_fit.write(folder, readings)
+    path.write_text(study, encoding="utf-8")
+    out = str(folder / "fit")
+    cli.main(["identify", str(path), "--readings", str(table), "--out", out])
+    text = (folder / "fit/result.json").read_text(encoding="utf-8")
+    return json.loads(text)["goodness"]
+
+
+def test_noise_above_the_stated_one_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Readings scatter by 1.25 um, stated are 0.5 um."""
+    goodness = fit(tmp_path, blunders.a3_readings(1, noise=1.25e-6), ESTIMATED)
+    names = ["cup.length", "long_tool.length"]
+    for name in names:
+        record = goodness["noise"][f"reading {name}"]
+        assert (record["unit"], record["stated"]) == ("um", 0.5)
+        assert record["departs"]
+        assert abs(record["value"] - 1.25) < 3.0 * record["sd"]
+        assert 0.05 < record["sd"] < 0.5
+    sentence = "The noise departs from the stated one: single readings of cup.length"
+    out = capsys.readouterr().out
+    assert [line for line in out.splitlines() if line.startswith(sentence)]
+    page = (tmp_path / "fit/report.html").read_text(encoding="utf-8")
+    assert "The noise law as estimated from the readings" in page
+    assert sentence in page
+
+
+def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
+    """Circles shifted by 4 um: an error of the run, not of single readings."""
+    readings = blunders.a3_readings(2)
+    shift = np.repeat([4e-6, -4e-6, 3e-6, -3e-6], blunders.POINTS)
+    noise = fit(tmp_path, readings.with_y(readings.y + shift), ESTIMATED)["noise"]
+    shared = noise["run cup.length"]
+    assert shared["value"] > noise["reading cup.length"]["value"]
+
+
+def test_noise_as_stated_departs_from_nothing(tmp_path: Path) -> None:
+    goodness = fit(tmp_path, blunders.a3_readings(0), ESTIMATED)
+    assert not goodness["noise_words"]
+    assert not any(record["departs"] for record in goodness["noise"].values())
+    assert 1e-3 < goodness["p_low"] < 1.0 - 1e-3
+    assert goodness["p_low"] + goodness["p_high"] == pytest.approx(1.0)
+
+
+def test_a_virtual_machine_has_a_goodness_of_fit(tmp_path: Path) -> None:
+    study = (
+        sample.STUDY + "\n[readings]\nsimulate = true\n[posterior]\nenabled = false\n"
+    )
+    path = tmp_path / "s.study.toml"
+    path.write_text(study, encoding="utf-8")
+    assert cli.main(["run", str(path), "--quiet", "--out", str(tmp_path / "out")]) == 0
+    result = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
+    goodness = result["goodness"]
+    assert goodness["chi2"] == pytest.approx(result["estimate"]["chi2"])
+    assert goodness["dof"] == pytest.approx(result["estimate"]["dof"])
+    assert not goodness["noise"]
