@@ -21,12 +21,13 @@ from pkm_studies import catalogue
 from pkm_studies.compensation.build import regular_commands
 from pkm_studies.resolve.gap import GapRequest, gap_request
 from pkm_studies.run_state import RunState, Stream
+from pkm_studies.stages.corrected import alarm
 from pkm_studies.stages.corrected import section as sections
 from pkm_studies.stages.fit.noise import with_noise
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 
 if TYPE_CHECKING:
-    from oed.result import GapSection
+    from oed.result import CorrectedSection, GapSection
 
 
 def correct_for_effects(state: RunState) -> RunState:
@@ -136,7 +137,24 @@ def _with_section(
         accuracy,
         draws,
     )
-    return state.with_sections(corrected=section)
+    state = state.with_sections(corrected=section)
+    return _with_true_alarms(state, section)
+
+
+def _with_true_alarms(state: RunState, section: CorrectedSection) -> RunState:
+    """The state whose alarms hold for the corrected values, where these fit."""
+    checked = state.checked
+    if checked is None or not checked.bad_fit:
+        return state
+    if not alarm.resolves(section, checked.findings):
+        return state
+    goodness = state.sections["goodness"]
+    goodness = alarm.resolved_section(goodness, section, checked.findings)
+    true = alarm.resolved_sentences(section, checked.findings)
+    for warning in state.sections["estimate"].warnings:
+        true[warning] = f"without effects in the model, {warning}"
+    state = state.with_sections(goodness=goodness)
+    return state.replace(warnings=tuple(true.get(w, w) for w in state.warnings))
 
 
 def _sample(

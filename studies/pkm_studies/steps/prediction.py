@@ -19,9 +19,7 @@ def predict_accuracy(state: RunState) -> RunState:
         return state
     assert state.readings is not None
     if state.fit_is_bad:
-        return state.with_warnings(
-            "The predicted accuracy is withheld: it would rest on a bad fit"
-        )
+        return state.with_warnings(_withheld(state))
     state.progress.stage("prediction")
     series, virtual = state.readings.series, state.readings.truth is not None
     realised = realised_accuracy(
@@ -45,6 +43,13 @@ def predict_accuracy(state: RunState) -> RunState:
         realised,
     )
     return state.with_sections(prediction=section)
+
+
+def _withheld(state: RunState) -> str:
+    """Why no accuracy is predicted from the fit without effects."""
+    if state.corrected is None:
+        return "The predicted accuracy is withheld: it would rest on a bad fit"
+    return "The fit without effects is bad: no accuracy is predicted from it"
 
 
 def predict_held_out(state: RunState) -> RunState:
