@@ -15,6 +15,7 @@ from oed.checks.goodness import Goodness, goodness
 from oed.checks.mistakes import Alternatives
 from oed.checks.outliers import OutlierSearch, find_outliers
 from oed.checks.ranges import Ranges, predict_ranges
+from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
 
 #: ratio of the penalised sum of squares from which mistakes are tried though the
@@ -79,6 +80,7 @@ def check_session(
     findings = [
         *sentences.explained(explanations),
         *_copies(session, ranges),
+        *_senses(session),
         *_fit_findings(session, outliers, fitted, explanations),
     ]
     if single and outliers is not None:
@@ -141,6 +143,11 @@ def _copies(session: SessionReadings, ranges: Ranges) -> list[CheckFinding]:
     for channel, step in copies.coarse_columns(session):
         findings.append(sentences.coarse(session, channel, step))
     return findings
+
+
+def _senses(session: SessionReadings) -> list[CheckFinding]:
+    pairs = contradictions(session)
+    return [sentences.contradicting(pairs)] if pairs else []
 
 
 def _outside(

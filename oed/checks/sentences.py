@@ -13,6 +13,7 @@ from oed.checks.findings import CheckFinding, Severity
 from oed.checks.goodness import Goodness
 from oed.checks.outliers import OutlierSearch
 from oed.checks.ranges import Ranges
+from oed.checks.senses import Contradiction
 from oed.checks.session import SessionReadings
 
 #: rows that a sentence names, at most
@@ -107,6 +108,19 @@ def coarse(session: SessionReadings, channel: str, step: float) -> CheckFinding:
         " rounding exceeds the stated noise."
     )
     return CheckFinding(Severity.REMARK, "coarse", sentence)
+
+
+def contradicting(pairs: Sequence[Contradiction]) -> CheckFinding:
+    """Runs whose order of poses contradicts their column `direction`."""
+    first = pairs[0]
+    order, labels = ("same", "opposite") if first.same_order else ("opposite", "equal")
+    more = f" (and {len(pairs) - 1} more pairs of runs)" if len(pairs) > 1 else ""
+    sentence = (
+        f"The runs {first.runs[0]} and {first.runs[1]} pass the same poses in the"
+        f" {order} order, but have {labels} directions{more}: order or direction is wrong."
+        " Play and friction are estimated by the order, which must be that of travel."
+    )
+    return CheckFinding(Severity.REMARK, "direction", sentence, first.rows)
 
 
 def outliers(

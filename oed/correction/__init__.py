@@ -2,6 +2,7 @@
 
 from oed.correction.effect_measurement import MeasurementWithEffects
 from oed.correction.fit import CorrectedEstimate, EffectReadings, estimate_with_effects
+from oed.correction.senses import TurnedRuns, find_turned_runs
 from oed.correction.workspace import CorrectedAccuracy, predict_corrected
 
 __all__ = [
@@ -9,6 +10,8 @@ __all__ = [
     "CorrectedEstimate",
     "EffectReadings",
     "MeasurementWithEffects",
+    "TurnedRuns",
     "estimate_with_effects",
+    "find_turned_runs",
     "predict_corrected",
 ]

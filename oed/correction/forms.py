@@ -48,15 +48,12 @@ def choose_forms(
     problem: GapProblem, effects: Sequence[Effect]
 ) -> tuple[ChosenForm, ...]:
     """The forms of effects that act together; effects that change nothing are absent."""
-    law = NoiseLaw(
-        run_sd=0.0, ar1_sd=0.0, ar1_length=1.0, variance=np.ones(len(problem))
-    )
-    metric = Metric(problem, law)
+    evidence = form_evidence(problem)
     chosen: dict[str, ChosenForm] = {}
     for _ in range(PASSES):
         for effect in effects:
             others = [f for name, f in chosen.items() if name != effect.name]
-            best = _best_form(problem, metric, effect, others)
+            best = _best_form(problem, evidence, effect, others)
             if best is not None:
                 chosen[effect.name] = best
     return tuple(chosen.values())
@@ -64,7 +61,7 @@ def choose_forms(
 
 def _best_form(
     problem: GapProblem,
-    metric: Metric,
+    evidence: FormEvidence,
     effect: Effect,
     others: Sequence[ChosenForm],
 ) -> ChosenForm | None:
@@ -72,7 +69,7 @@ def _best_form(
     fixed = [problem.in_noise_units(f.signature.columns * f.size) for f in others]
     grid = effect.constant_grid()
     textbook = len(grid) > LARGE_GRID
-    best, best_evidence = None, -np.inf
+    best, best_value = None, -np.inf
     for constants in grid:
         signature = problem.signature(effect, constants, textbook=textbook)
         if not signature.names:
@@ -80,9 +77,9 @@ def _best_form(
         columns = problem.in_noise_units(signature.columns)
         for size in SIZES:
             both = np.hstack([*fixed, size * columns])
-            evidence = _log_evidence(metric, both, problem.residual)
-            if evidence > best_evidence:
-                best_evidence = evidence
+            value = evidence.log_evidence(both, problem.residual)
+            if value > best_value:
+                best_value = value
                 best = ChosenForm(effect, constants, size, signature)
     if best is None or not textbook:
         return best
@@ -90,13 +87,35 @@ def _best_form(
     return dataclasses.replace(best, signature=adapted)
 
 
-def _log_evidence(metric: Metric, columns: Array, residual: Array) -> float:
-    """Log evidence of columns (N, k) for a residual (N,), noise level profiled."""
-    inner = metric.gram(columns, columns) + np.eye(columns.shape[1])
-    b = metric.gram(columns, residual[:, None])[:, 0]
-    total = float(metric.gram(residual[:, None], residual[:, None])[0, 0])
-    root = linalg.cholesky(inner, lower=True)
-    explained = float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
-    log_det = 2.0 * float(np.log(np.diag(root)).sum())
-    unexplained = max(total - explained, 1e-12 * total)
-    return -0.5 * log_det - 0.5 * len(residual) * float(np.log(unexplained))
+@dataclasses.dataclass(frozen=True)
+class FormEvidence:
+    """Evidence of columns for a residual, the noise level profiled out."""
+
+    metric: Metric
+
+    def log_evidence(self, columns: Array, residual: Array) -> float:
+        """Log evidence of columns (N, k) for a residual (N,), in noise units."""
+        log_det, unexplained = self._solve(columns, residual)
+        return -0.5 * log_det - 0.5 * len(residual) * float(np.log(unexplained))
+
+    def unexplained(self, columns: Array, residual: Array) -> float:
+        """Sum of squares that columns with their prior leave of a residual."""
+        return self._solve(columns, residual)[1]
+
+    def _solve(self, columns: Array, residual: Array) -> tuple[float, float]:
+        metric = self.metric
+        inner = metric.gram(columns, columns) + np.eye(columns.shape[1])
+        b = metric.gram(columns, residual[:, None])[:, 0]
+        total = float(metric.gram(residual[:, None], residual[:, None])[0, 0])
+        root = linalg.cholesky(inner, lower=True)
+        explained = float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
+        log_det = 2.0 * float(np.log(np.diag(root)).sum())
+        return log_det, max(total - explained, 1e-12 * total)
+
+
+def form_evidence(problem: GapProblem) -> FormEvidence:
+    """Evidence of columns under independent noise of the stated ratios."""
+    law = NoiseLaw(
+        run_sd=0.0, ar1_sd=0.0, ar1_length=1.0, variance=np.ones(len(problem))
+    )
+    return FormEvidence(Metric(problem, law))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 
 from oed import posterior
@@ -12,7 +13,9 @@ from oed.arrays import Array
 from oed.correction import (
     CorrectedEstimate,
     EffectReadings,
+    TurnedRuns,
     estimate_with_effects,
+    find_turned_runs,
     predict_corrected,
 )
 from oed.effect import Effect
@@ -137,8 +140,23 @@ def _with_section(
         accuracy,
         draws,
     )
+    turned = find_turned_runs(corrected)
+    if turned is not None:
+        return _with_turned_runs(state, section, turned)
     state = state.with_sections(corrected=section)
     return _with_true_alarms(state, section)
+
+
+def _with_turned_runs(
+    state: RunState, section: CorrectedSection, turned: TurnedRuns
+) -> RunState:
+    """The state that names runs which were driven the other way than written."""
+    sentence = alarm.turned_sentence(section, turned)
+    goodness = alarm.with_turned_runs(state.sections["goodness"], section, turned)
+    warnings = [*section.warnings, sentence]
+    section = msgspec.structs.replace(section, warnings=warnings)
+    state = state.with_sections(corrected=section, goodness=goodness)
+    return state.replace(warnings=(sentence, *state.warnings))
 
 
 def _with_true_alarms(state: RunState, section: CorrectedSection) -> RunState:

@@ -12,7 +12,8 @@ import msgspec
 
 from oed.checks import CheckFinding, Severity
 from oed.checks.explain import PHYSICAL
-from oed.result import CorrectedSection, GoodnessSection
+from oed.correction import TurnedRuns
+from oed.result import CorrectedSection, GoodnessSection, MistakeRecord
 
 
 def resolves(corrected: CorrectedSection, findings: Sequence[CheckFinding]) -> bool:
@@ -48,6 +49,40 @@ def resolved_sentences(
         for f in findings
         if _is_about_the_fit(f)
     }
+
+
+def turned_sentence(corrected: CorrectedSection, turned: TurnedRuns) -> str:
+    """Which runs were driven the other way than their rows say."""
+    names = ", ".join(run for _, run in turned.runs)
+    runs, were = ("run", "was") if len(turned.runs) == 1 else ("runs", "were")
+    effects = " and ".join(corrected.constants)
+    return (
+        f"The readings look mistaken: {runs} {names} {were} driven the other way than the"
+        f" order of the rows says, or all others were (residuals with {effects}:"
+        f" {turned.before:.2g} times the stated noise; with the order of {names} reversed:"
+        f" {turned.after:.2g} times)."
+    )
+
+
+def with_turned_runs(
+    section: GoodnessSection, corrected: CorrectedSection, turned: TurnedRuns
+) -> GoodnessSection:
+    """The section with that mistake as its first finding."""
+    sentence = turned_sentence(corrected, turned)
+    names = ", ".join(run for _, run in turned.runs)
+    mistake = MistakeRecord(
+        what=f"direction reversed: {names}",
+        evidence=(
+            f"residuals {turned.before:.3g} times the stated noise as given,"
+            f" {turned.after:.3g} times with this undone"
+        ),
+    )
+    return msgspec.structs.replace(
+        section,
+        findings=[sentence, *section.findings],
+        mistakes=[mistake, *section.mistakes],
+        bad_fit=True,
+    )
 
 
 def _is_about_the_fit(finding: CheckFinding) -> bool:

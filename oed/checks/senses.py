@@ -1,0 +1,94 @@
+"""Runs whose order of poses and whose column `direction` contradict each other.
+
+Two runs through the same poses in the same order have one sense of travel, in opposite
+orders two. Effects of the sense (play, friction) follow the order.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+
+from oed.arrays import Array
+from oed.checks.session import SessionReadings
+
+#: fewest common poses of two runs, and share of steps that must agree
+LEAST, AGREE = 4, 0.75
+#: joints are equal to so much of their largest difference
+SAME = 1e-6
+
+
+@dataclasses.dataclass(frozen=True)
+class Contradiction:
+    """Two runs through the same poses; rows are those that open each run.
+
+    same_order  whether they pass the poses in the same order
+    """
+
+    runs: tuple[str, str]
+    rows: tuple[int, int]
+    same_order: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class _Run:
+    name: str
+    setup: str
+    row: int
+    direction: float
+    joints: Array
+
+
+def contradictions(session: SessionReadings) -> list[Contradiction]:
+    """Pairs of runs whose orders and directions do not go together."""
+    if "direction" not in session.values.columns:
+        return []
+    pairs = []
+    for one, other in itertools.combinations(_runs(session), 2):
+        if one.setup != other.setup:
+            continue
+        sense = _relative_sense(one.joints, other.joints)
+        if sense * one.direction * other.direction < 0.0:
+            rows = (one.row, other.row)
+            pairs.append(Contradiction((one.name, other.name), rows, sense > 0.0))
+    return pairs
+
+
+def _runs(session: SessionReadings) -> list[_Run]:
+    """Runs with one direction throughout, their joints in the order of travel."""
+    frame, reading = session.values, session.reading_of_value
+    joints = np.vstack([s.q[s.index[:, 0]] for s in session.series])
+    runs = []
+    for (setup, run), members in frame.groupby(
+        ["setup", "run"], sort=False
+    ).indices.items():
+        rows = frame.iloc[members].drop_duplicates("row").sort_values("order")
+        directions = np.unique(rows["direction"].to_numpy(dtype=float))
+        if len(directions) != 1 or abs(directions[0]) != 1.0:
+            continue
+        path = joints[reading[rows.index.to_numpy()]]
+        first = int(rows["row"].iloc[0])
+        runs.append(_Run(str(run), str(setup), first, float(directions[0]), path))
+    return runs
+
+
+def _relative_sense(one: Array, other: Array) -> float:
+    """+1 where two paths (n, nq), (m, nq) pass their common poses in the same order.
+
+    -1 in the opposite one; 0 where that cannot be said.
+    """
+    size = max(float(np.ptp(one, axis=0).max()), 1e-12)
+    apart = np.abs(one[:, None] - other[None]).max(axis=2) < SAME * size
+    unique = (apart.sum(axis=1) == 1)[:, None] & (apart.sum(axis=0) == 1)
+    at = np.argwhere(apart & unique)
+    if len(at) < LEAST:
+        return 0.0
+    rank = np.argsort(np.argsort(at[:, 1]))
+    steps = np.diff(rank) % len(rank)
+    forward = float(np.mean(steps == 1))
+    backward = float(np.mean(steps == len(rank) - 1))
+    if forward >= AGREE:
+        return 1.0
+    return -1.0 if backward >= AGREE else 0.0
