@@ -5,14 +5,13 @@ with Student tails decide almost every step where the posterior is nearly Gaussi
 Differential evolution (ter Braak 2006) needs no such shape. (emcee's snooker move is
 left out: on an 18-dimensional standard normal it returns a standard deviation of 0.91.)
 Sampling goes on until every coordinate has the wanted effective sample size, by emcee's
-and by ArviZ's estimate, and R-hat is low, or until the steps are used up. Directions
-that no reading determines are drawn from their prior.
+and by ArviZ's estimate, and independent ensembles agree (R-hat), or until the steps are
+used up. Directions that no reading determines are drawn from their prior.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,24 +19,26 @@ from typing import Any
 import numpy as np
 
 from oed.arrays import Array
-from oed.checkpoint import Checkpoint, open_chain
+from oed.checkpoint import Checkpoint
+from oed.ensembles import Ensembles, ensemble_sizes
 from oed.estimate import Estimate
 from oed.log_density import LogDensity
 from oed.measurement import Measurement, Series
 from oed.whole_file import whole_file
 
 #: steps between checks of convergence
-CHECK_STEPS = 250
+CHECK_STEPS = 100
 #: checks before sampling may end
 LEAST_CHECKS = 2
 #: steps, in autocorrelation times, that must be run, and that are discarded first
 LEAST_TIMES, BURN_IN_TIMES = 10, 2
 #: effective sample size by emcee's estimate, over the wanted one
 SPARE = 1.2
-#: R-hat (each walker a chain) below which the walkers count as mixed
+#: R-hat of independent ensembles below which they agree
 MIXED_RHAT = 1.01
-#: shares of the two kinds of moves
-LAPLACE_SHARE, EVOLUTION_SHARE = 0.6, 0.4
+#: draws returned by default, over the wanted effective sample size, which counts up to
+#: the largest
+DRAWS_OF_ESS, LARGEST_ESS = 4.0, 5000.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,16 +46,18 @@ class Posterior:
     """Draws from the posterior, and their diagnostics.
 
     names            parameters of theta
-    draws            (chains, draws, n) theta, SI; one chain a walker, thinned
+    draws            (chains, draws, n) theta, SI, thinned; a chain is an ensemble, its
+                     walkers in turn, or a walker where there is one ensemble alone
     z                (chains, draws, r) identifiable coordinates
     noise_law        (chains, draws, d) coordinates of the noise law, standard normal a
                      priori (`oed.noise.prior`)
     noise_names      of these coordinates
     ess              (n,) bulk effective sample size (ArviZ); NaN for held parameters
-    rhat             (n,) split R-hat (ArviZ); NaN for held parameters
+    rhat             (n,) split R-hat of the ensembles (ArviZ); NaN for held parameters
     acceptance       mean share of accepted steps
     autocorrelation  longest integrated autocorrelation time, in steps (emcee)
-    steps            steps run
+    walkers          of all ensembles
+    steps            steps run by each
     burn_in          steps discarded
     """
 
@@ -67,6 +70,7 @@ class Posterior:
     rhat: Array
     acceptance: float
     autocorrelation: float
+    walkers: int
     steps: int
     burn_in: int
 
@@ -96,17 +100,19 @@ def sample(
     walkers: int | None = None,
     ess: float = 1000.0,
     max_steps: int = 20_000,
-    max_draws: int = 20_000,
+    max_draws: int | None = None,
+    thin: int = 1,
     progress: Callable[[float], None] | None = None,
     checkpoint: Checkpoint | None = None,
     resumed: Callable[[int], None] | None = None,
 ) -> Posterior:
     """Sample the posterior of readings y (N,), SI, about an estimate.
 
-    walkers     twice the dimensions and more by default
+    walkers     of all ensembles; as many as are needed by default
     ess         effective sample size wanted of every parameter
     max_steps   of every walker
-    max_draws   returned: the chains are thinned
+    max_draws   returned at most: the chains are thinned; four times `ess` by default
+    thin        each so many-th step is returned, or fewer
     progress    called with the share done
     checkpoint  where the unfinished chain is saved, and resumed from
     resumed     called with the steps of a chain that is resumed
@@ -114,53 +120,36 @@ def sample(
     Raises KeyboardInterrupt where Ctrl-C arrives, OSError where the checkpoint cannot
     be written.
     """
-    import emcee
-
     target = LogDensity(measurement, series, y, estimate)
-    shape = (walkers or max(2 * (target.dimensions + 2), 32), target.dimensions)
-    moves = [
-        (emcee.moves.MHMove(target.propose), LAPLACE_SHARE),
-        (emcee.moves.DEMove(), EVOLUTION_SHARE),
-    ]
-    start = target.centre + rng.standard_normal(shape) @ target.root.T
-    random: Any = np.random.RandomState(rng.integers(2**31)).get_state()
-    determining = (y, target.centre, target.root, start, random[1])
-    chain = open_chain(checkpoint, shape, determining)
-    sampler = emcee.EnsembleSampler(
-        *shape, target, vectorize=True, moves=moves, backend=chain.backend
-    )
-    state = emcee.State(start, random_state=random)
-    if sampler.iteration > 0:
-        state = sampler.get_last_sample()
-        if resumed is not None:
-            resumed(sampler.iteration)
-    autocorrelation, burn_in = _run(
-        sampler, state, target, ess, max_steps, progress, chain.save
-    )
+    sizes = ensemble_sizes(walkers, target.dimensions)
+    determining = (y, target.centre, target.root)
+    ensembles = Ensembles(target, sizes, rng, checkpoint, determining)
+    if ensembles.saved > 0 and resumed is not None:
+        resumed(ensembles.saved)
+    autocorrelation, burn_in = _run(ensembles, target, ess, max_steps, progress)
+    draws = max_draws or int(DRAWS_OF_ESS * min(ess, LARGEST_ESS))
     return _posterior(
-        measurement.names, target, sampler, autocorrelation, burn_in, max_draws, rng
+        measurement.names, target, ensembles, autocorrelation, burn_in, draws, thin, rng
     )
 
 
 def _run(
-    sampler: Any,
-    state: Any,
+    ensembles: Ensembles,
     target: LogDensity,
     ess: float,
     max_steps: int,
     progress: Callable[[float], None] | None,
-    save: Callable[[int], None],
 ) -> tuple[float, int]:
     """Run until the chains have converged; autocorrelation time and burn-in, in steps.
 
-    A chain that is resumed is judged before it goes on, as the unbroken one was.
-    `save` is called after each block of steps, with its first step.
+    Chains that are resumed are judged before they go on, as the unbroken ones were.
     """
     while True:
-        begin = sampler.iteration
-        if begin > 0:
-            autocorrelation, burn_in = _autocorrelation_and_burn_in(sampler)
-            reached = sampler.nwalkers * (begin - burn_in) / autocorrelation
+        begin = ensembles.iteration
+        if begin > 0 and begin == ensembles.saved:
+            autocorrelation = ensembles.autocorrelation()
+            burn_in = min(int(BURN_IN_TIMES * autocorrelation), begin // 2)
+            reached = ensembles.walkers * (begin - burn_in) / autocorrelation
             if progress is not None:
                 progress(min(1.0, reached / (SPARE * ess)))
             enough = (
@@ -168,36 +157,22 @@ def _run(
                 and begin >= LEAST_CHECKS * CHECK_STEPS
                 and begin > LEAST_TIMES * autocorrelation
             )
-            if enough and _has_converged(target, _chain(sampler, burn_in), ess):
+            if enough and _has_converged(target, ensembles, burn_in, ess):
                 return autocorrelation, burn_in
             if begin >= max_steps:
                 return autocorrelation, burn_in
-        steps = min(CHECK_STEPS, max_steps - begin)
-        for latest in sampler.sample(state, iterations=steps):
-            state = latest
-            if target.interrupted:
-                raise KeyboardInterrupt
-        save(begin)
+        block = begin - begin % CHECK_STEPS + CHECK_STEPS
+        ensembles.run_to(min(block, max_steps))
 
 
-def _autocorrelation_and_burn_in(sampler: Any) -> tuple[float, int]:
-    """Autocorrelation time, and the steps to discard."""
-    autocorrelation = _autocorrelation(sampler)
-    burn_in = min(int(BURN_IN_TIMES * autocorrelation), sampler.iteration // 2)
-    return autocorrelation, burn_in
-
-
-def _chain(sampler: Any, burn_in: int) -> Array:
-    """Points (walkers, steps, dimensions) after the burn-in."""
-    return np.swapaxes(sampler.get_chain(discard=burn_in), 0, 1)
-
-
-def _has_converged(target: LogDensity, chain: Array, ess: float) -> bool:
-    theta = target.coordinates.to_theta(chain[..., : target.r])
-    moving = theta[..., target.moving]
+def _has_converged(
+    target: LogDensity, ensembles: Ensembles, burn_in: int, ess: float
+) -> bool:
+    chain = ensembles.chains(burn_in)
+    moving = target.coordinates.to_theta(chain[..., : target.r])[..., target.moving]
     if np.min(_ess(moving)) <= ess:
         return False
-    return bool(np.max(_rhat(moving)) < MIXED_RHAT)
+    return bool(np.max(_rhat(ensembles.by_ensemble(moving))) < MIXED_RHAT)
 
 
 def _ess(chain: Array) -> Array:
@@ -217,52 +192,63 @@ def _arviz() -> Any:
     return base.array_stats
 
 
-def _autocorrelation(sampler: Any) -> float:
-    """Longest integrated autocorrelation time, in steps."""
-    with warnings.catch_warnings():
-        # Chains that are too short go on; they need no warning.
-        warnings.simplefilter("ignore")
-        times = sampler.get_autocorr_time(tol=0)
-    finite = np.where(np.isfinite(times), times, sampler.iteration)
-    return float(np.nanmax(finite))
-
-
 def _posterior(
     names: tuple[str, ...],
     target: LogDensity,
-    sampler: Any,
+    ensembles: Ensembles,
     autocorrelation: float,
     burn_in: int,
     max_draws: int,
+    thin: int,
     rng: np.random.Generator,
 ) -> Posterior:
-    """Thinned draws, with null directions from their prior, and their diagnostics."""
+    """Thinned draws, with null directions from their prior, and their diagnostics.
+
+    Diagnostics are those of all steps; of thinned draws they would be rougher.
+    """
     coordinates, r = target.coordinates, target.r
-    chain = _chain(sampler, burn_in)
-    every = max(1, -(-chain.shape[0] * chain.shape[1] // max_draws))
-    null = coordinates.null_basis
-    change = rng.standard_normal((*chain.shape[:2], null.shape[1])) @ null.T
+    chain = ensembles.chains(burn_in)
+    every = max(thin, -(-chain.shape[0] * chain.shape[1] // max_draws))
     thinned = chain[:, ::every]
+    null = coordinates.null_basis
+    change = rng.standard_normal((*thinned.shape[:2], null.shape[1])) @ null.T
     theta = coordinates.to_theta(thinned[..., :r])
-    theta = target.move_along_null(theta, change[:, ::every])
-    n = theta.shape[2]
-    varying = np.flatnonzero(np.ptp(theta.reshape(-1, n), axis=0) > 0)
-    ess, rhat = np.full(n, np.nan), np.full(n, np.nan)
-    ess[varying] = _ess(theta[..., varying])
-    rhat[varying] = _rhat(theta[..., varying])
+    theta = target.move_along_null(theta, change)
+    ess, rhat = _diagnostics(target, ensembles, chain, theta)
     return Posterior(
         names=names,
-        draws=theta,
-        z=thinned[..., :r],
-        noise_law=thinned[..., r:],
+        draws=ensembles.by_ensemble(theta),
+        z=ensembles.by_ensemble(thinned[..., :r]),
+        noise_law=ensembles.by_ensemble(thinned[..., r:]),
         noise_names=target.noise_names,
         ess=ess,
         rhat=rhat,
-        acceptance=float(np.mean(sampler.acceptance_fraction)),
+        acceptance=ensembles.acceptance,
         autocorrelation=autocorrelation,
-        steps=int(sampler.iteration),
+        walkers=ensembles.walkers,
+        steps=ensembles.iteration,
         burn_in=burn_in,
     )
+
+
+def _diagnostics(
+    target: LogDensity, ensembles: Ensembles, chain: Array, theta: Array
+) -> tuple[Array, Array]:
+    """Effective sample size and R-hat (n,); NaN for parameters that are held.
+
+    Of directions that no reading determines draws are independent: parameters that
+    nothing else moves count as the drawn theta.
+    """
+    n, moving = theta.shape[2], target.moving
+    ess, rhat = np.full(n, np.nan), np.full(n, np.nan)
+    varying = np.flatnonzero(np.ptp(theta.reshape(-1, n), axis=0) > 0)
+    only_null = np.setdiff1d(varying, moving)
+    sampled = target.coordinates.to_theta(chain[..., : target.r])
+    for members, values in ((moving, sampled), (only_null, theta)):
+        if members.size:
+            ess[members] = _ess(values[..., members])
+            rhat[members] = _rhat(ensembles.by_ensemble(values[..., members]))
+    return ess, rhat
 
 
 def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> None:

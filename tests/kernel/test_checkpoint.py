@@ -89,15 +89,16 @@ def test_only_a_chain_of_the_same_key_and_seed_is_resumed(
 ) -> None:
     folder = tmp_path / "chain"
     with monkeypatch.context() as patch:
-        kill_at(70, patch)
+        kill_at(BLOCK + 20, patch)
         with pytest.raises(KilledError):
             sampled(folder)
-    assert [p.name for p in folder.iterdir()] == ["00000000.h5"]
-    (folder / "00000050.h5").write_bytes(b"no HDF")
+    first = folder / "0"
+    assert [p.name for p in first.iterdir()] == ["00000000.h5"]
+    (first / "00000050.h5").write_bytes(b"no HDF")
     resumed_after: list[int] = []
     m, series, y, estimate = problem_once()
     for key, seed in (("another study", 5), ("a study", 6), ("a study", 5)):
-        copies = {p.name: p.read_bytes() for p in folder.iterdir()}
+        copies = {p.name: p.read_bytes() for p in first.iterdir()}
         posterior.sample(
             m,
             series,
@@ -110,9 +111,9 @@ def test_only_a_chain_of_the_same_key_and_seed_is_resumed(
         )
         Checkpoint(folder, key).clear()
         assert not folder.exists()
-        folder.mkdir()
+        first.mkdir(parents=True)
         for name, content in copies.items():
-            (folder / name).write_bytes(content)
+            (first / name).write_bytes(content)
     assert resumed_after == [BLOCK]
 
 

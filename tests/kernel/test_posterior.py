@@ -164,7 +164,7 @@ def test_what_is_kept_is_bounded_and_progress_is_told() -> None:
         walkers=40,
         progress=told.append,
     )
-    assert drawn.draws.shape[0] == 40
+    assert drawn.walkers == 40
     assert drawn.draws.shape[0] * drawn.draws.shape[1] <= 500 + 40
     assert drawn.pooled.shape == (
         drawn.draws.shape[0] * drawn.draws.shape[1],

@@ -52,7 +52,8 @@ def _sampler(posterior: PosteriorSection) -> str:
     acceptance = text.percent(posterior.acceptance)
     time = text.number(posterior.autocorrelation)
     return (
-        f"The posterior has {draws} draws from {walkers}. The sampler accepted"
+        f"The posterior has {draws} draws from {walkers} in independent ensembles, which"
+        " R-hat compares. The sampler accepted"
         f" {acceptance} of its moves; the autocorrelation time is {time} steps. All"
         " draws are in posterior.nc."
     )

@@ -27,6 +27,7 @@ from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.corrected import alarm
 from pkm_studies.stages.corrected import section as sections
 from pkm_studies.stages.fit.noise import with_noise
+from pkm_studies.stages.fit.posterior import sampling_warnings
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 
 if TYPE_CHECKING:
@@ -120,10 +121,12 @@ def _with_section(
 ) -> RunState:
     """The state with the section `corrected`: estimates, conditions, prediction."""
     assert state.readings is not None
+    truth = state.readings.truth
     study, rng = state.study, state.rng(Stream.CORRECTED)
     draws = None
     if study.posterior.enabled and (state.posterior or state.with_effects):
         draws = _sample(state, corrected, rng)
+        state = state.with_warnings(*sampling_warnings(draws, study.posterior.ess))
     table = study.prediction
     kinematics = state.measurement.kinematics
     command = regular_commands(study, kinematics)
@@ -134,7 +137,7 @@ def _with_section(
         accuracy = predict_corrected(corrected, command, reference, rng, pooled)
     section = sections.corrected_section(
         corrected,
-        state.readings.truth,
+        truth,
         "given" if state.with_effects else "diagnosis",
         gap,
         accuracy,
@@ -189,5 +192,7 @@ def _sample(
         walkers=table.walkers,
         ess=float(table.ess),
         max_steps=table.steps,
+        max_draws=table.draws,
+        thin=table.thin,
         progress=state.progress.share,
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from oed import identification, posterior
 from oed.arrays import Array
 from oed.assembly_mode import mode_jumps
@@ -12,7 +10,7 @@ from oed.result import GoodnessSection
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.noise import unchecked_section, with_noise
-from pkm_studies.stages.fit.posterior import posterior_section
+from pkm_studies.stages.fit.posterior import posterior_section, sampling_warnings
 
 
 def fit_parameters(state: RunState) -> RunState:
@@ -81,6 +79,8 @@ def sample_posterior(state: RunState) -> RunState:
         walkers=table.walkers,
         ess=float(table.ess),
         max_steps=table.steps,
+        max_draws=table.draws,
+        thin=table.thin,
         progress=state.progress.share,
         checkpoint=state.checkpoint,
         resumed=lambda steps: state.progress.stage(
@@ -90,10 +90,4 @@ def sample_posterior(state: RunState) -> RunState:
     corner = state.study.report.corner
     section = posterior_section(state.measurement, state.estimate, draws, corner)
     state = state.replace(posterior=draws).with_sections(posterior=section)
-    least = float(np.nanmin(draws.ess))
-    if least >= table.ess:
-        return state
-    return state.with_warnings(
-        f"the posterior has an effective sample size of {least:.0f}, short of"
-        f" {table.ess}; raise [posterior] steps"
-    )
+    return state.with_warnings(*sampling_warnings(draws, table.ess))

@@ -8,7 +8,7 @@ from oed import units
 from oed.arrays import Array
 from oed.identification import Estimate
 from oed.measurement import Measurement
-from oed.posterior import Posterior
+from oed.posterior import MIXED_RHAT, Posterior
 from oed.result import Marginal, PosteriorSection
 
 #: draws shown in the corner plot
@@ -36,11 +36,32 @@ def posterior_section(
         marginals=marginals,
         acceptance=posterior.acceptance,
         draws=len(posterior.pooled),
-        walkers=posterior.draws.shape[0],
+        walkers=posterior.walkers,
         autocorrelation=posterior.autocorrelation,
         directions=directions,
         corner=table,
     )
+
+
+def sampling_warnings(posterior: Posterior, ess: int) -> list[str]:
+    """What a user must know of how the posterior was sampled."""
+    sentences = []
+    least = float(np.nanmin(posterior.ess))
+    if least < ess:
+        sentences.append(
+            f"the posterior has an effective sample size of {least:.0f}, short of"
+            f" {ess}; raise [posterior] steps"
+        )
+    unmixed = np.flatnonzero(np.nan_to_num(posterior.rhat) > MIXED_RHAT)
+    if unmixed.size:
+        worst = int(np.nanargmax(posterior.rhat))
+        also = f", {len(unmixed)} parameters in all" if len(unmixed) > 1 else ""
+        sentences.append(
+            f"independent ensembles disagree: R-hat is {posterior.rhat[worst]:.3f} for"
+            f" {posterior.names[worst]}{also}, wanted is {MIXED_RHAT} at most; raise"
+            " [posterior] steps"
+        )
+    return sentences
 
 
 def marginal(values: Array, posterior: Posterior, k: int, unit: str) -> Marginal:

@@ -54,17 +54,19 @@ class PosteriorTable(StudyTable, frozen=True, kw_only=True):
     """[posterior]: how long to sample.
 
     enabled  whether to sample
-    walkers  number of chains
+    walkers  number of chains, in up to four independent ensembles
     steps    most steps of each chain
     ess      effective sample size of each parameter at which sampling stops
-    thin     has no effect
+    draws    most draws in posterior.nc; four times `ess` by default
+    thin     each so many-th step is a draw, or fewer where `draws` asks for it
     """
 
     enabled: bool = True
     walkers: Annotated[int, msgspec.Meta(ge=4, le=100_000)] | None = None
     steps: Count = 20_000
     ess: Count = 1000
-    thin: Count | None = None
+    draws: Count | None = None
+    thin: Count = 1
 
 
 class PredictionTable(StudyTable, frozen=True, kw_only=True):
