@@ -3,7 +3,7 @@
 session    readings as checks use them
 ranges     predicted range of every reading
 fit        fit within the tolerances, and what all others predict of a reading
-outliers   readings that all others contradict
+outliers   readings that all others contradict; outlier_sets: few that do together
 mistakes   the usual mistakes, undone
 explain    which mistake explains readings that do not fit
 change     a change between two parts of a session

@@ -2,9 +2,9 @@
 
 Forward search: the reading with the largest pull is left out, and those that remain
 predict it anew, until none exceeds the limit. Then each one left out is tested again
-against the rest. Pulls are in units of the stated noise. Where too many exceed the limit,
-a robust estimate of their scatter is the unit: noise that is larger everywhere is no
-outlier.
+against the rest, and few are compared with other sets of few (`outlier_sets`). Pulls are
+in units of the stated noise. Where too many exceed the limit, a robust estimate of their
+scatter is the unit: noise that is larger everywhere is no outlier.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from oed.checks.fit import (
     predict_from_others,
     whitening_matrix,
 )
+from oed.checks.outlier_sets import best_set
 from oed.checks.session import SessionReadings
 
 #: probability that a correct session has an outlier
@@ -72,6 +73,9 @@ def find_outliers(session: SessionReadings, suspects: Index) -> OutlierSearch | 
         newer, exhausted = _search(session, prediction, most, readings)
         if exhausted:
             newer, exhausted = _search(session, prediction, most, readings, robust=True)
+        elif len(newer) <= most:
+            reading = session.reading_of_value
+            newer = best_set(prediction, reading, newer, _limit(reading))[:most]
         if set(newer) == set(readings) or exhausted:
             break
         readings = newer
@@ -111,7 +115,7 @@ def _search(
     With `robust`, pulls are in units of their own scatter where it exceeds the noise.
     """
     reading = session.reading_of_value
-    limit = float(-special.ndtri(0.5 * FALSE_ALARM / len(reading)))
+    limit = _limit(reading)
     removed = list(first)
     while True:
         pulls = _pulls(prediction, reading, removed, robust=robust)
@@ -127,6 +131,11 @@ def _search(
         if np.abs(pulls[reading == one]).max() <= limit:
             removed = others
     return removed, False
+
+
+def _limit(reading: Index) -> float:
+    """Pull beyond which a reading counts as an outlier."""
+    return float(-special.ndtri(0.5 * FALSE_ALARM / len(reading)))
 
 
 def _pulls(
