@@ -163,6 +163,78 @@ def test_columns_by_a_map_that_is_kept(tmp_path: Path) -> None:
     np.testing.assert_allclose(readings.state.readings.y, [2e-5, -1e-5])
 
 
+LARGE = (1200.0, [2600.0] * 3, np.radians([210.0, 330.0, 90.0]), [1900.0] * 3)
+LARGE_MAP = """\
+[machine]
+model = "delta"
+
+[machine.geometry]
+radius_mm = 1200
+arm_mm = 2600
+endstop_mm = 1900
+"""
+LARGE_STUDY = (
+    'schema = 1\nname = "large"\n'
+    + LARGE_MAP
+    + """
+[[setup]]
+name = "tracker"
+instrument = "pose_tracker_position"
+"""
+)
+
+
+def write_large_points(path: Path, noise: np.ndarray) -> None:
+    """Points of a delta of 1.2 m with endstops 1 mm off, in a frame of their own."""
+    grid = np.meshgrid([-500.0, 0.0, 500.0], [-500.0, 0.0, 500.0], [100.0, 600.0])
+    commanded = np.column_stack([axis.ravel() for axis in grid])
+    true = (*LARGE[:3], [1901.0, 1900.0, 1899.0])
+    points = nozzle(travel_to(commanded, *LARGE), *true)
+    turned = Rotation.from_euler("zyx", [130.0, 4.0, -7.0], degrees=True)
+    seen = turned.apply(points) + np.array([4210.0, -1533.0, 612.0]) + noise
+    rows = np.hstack([commanded, seen])
+    lines = [",".join(f"{v:.6f}" for v in row) for row in rows]
+    path.write_text("\n".join(["x_mm,y_mm,z_mm,X,Y,Z", *lines]))
+
+
+@pytest.mark.parametrize("by_map", [True, False])
+def test_points_of_a_machine_of_any_size(
+    by_map: bool, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """The map has the machine's table, or --machine a study with it."""
+    path = tmp_path / "points.csv"
+    write_large_points(path, 0.01 * rng.standard_normal((18, 3)))
+    (tmp_path / "m.toml").write_text(LARGE_MAP)
+    (tmp_path / "large.study.toml").write_text(LARGE_STUDY)
+    study, imported = session.import_files(
+        "tracker",
+        [path],
+        tmp_path / "out",
+        machine=None if by_map else str(tmp_path / "large.study.toml"),
+        column_map=tmp_path / "m.toml" if by_map else None,
+    )
+    loaded = oed.load_study(study)
+    assert loaded.machine.geometry["arm_mm"] == 2600
+    estimate = oed.identify(oed.read_readings(loaded)).section
+    assert max(estimate.rms_after.values()) < 20.0  # um
+    # the map that was written is complete
+    kept = tmp_path / "out" / "points.map.toml"
+    again = session.import_files("tracker", [path], tmp_path / "b", column_map=kept)[1]
+    assert again.rows == imported.rows
+
+
+def test_a_machine_table_that_does_not_fit_names_its_field(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    write_large_points(path, np.zeros((18, 3)))
+    (tmp_path / "m.toml").write_text(LARGE_MAP.replace("arm_mm", "arms_mm"))
+    with pytest.raises(
+        InputError, match=r"m\.toml: machine\.geometry\.arms_mm.*arm_mm"
+    ):
+        session.import_files(
+            "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
+        )
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

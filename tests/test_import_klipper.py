@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ def printer(heights: list[str]) -> str:
     return f"""\
 [printer]
 kinematics: delta
-delta_radius: 120
+#delta_radius: 120
 [gcode_macro PARK]
 gcode:
     G1 X{{ 3 + 4 }} ; radius: 3
@@ -67,12 +68,20 @@ def readings_of_truth() -> list[str]:
     return lines
 
 
-def test_a_printer_comes_in_and_its_true_geometry_comes_out(tmp_path: Path) -> None:
+def test_a_printer_comes_in_and_its_true_geometry_comes_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "printer.cfg").write_text(printer(readings_of_truth()))
     code = main(
         ["import", "klipper", str(tmp_path / "printer.cfg"), "--out", str(tmp_path)]
     )
     assert code == 0
+    files = [
+        str(tmp_path / f"printer.{kind}") for kind in ("study.toml", "readings.csv")
+    ]
+    assert main(["check", *files]) == 0
+    # a probe touches at one height: no copies
+    assert "equal to the last digit" not in "".join(capsys.readouterr())
     study = oed.load_study(tmp_path / "printer.study.toml")
     estimate = oed.identify(oed.read_readings(study)).section.parameters
     value = {n: float(units.to_si(e.value, e.unit)) for n, e in estimate.items()}
@@ -104,10 +113,23 @@ def test_real_printers_reach_the_cost_of_klipper(
         for name, entry in section.parameters.items()
     }
     heights, distances = _readings(imported.rows)
-    reference = cost(_delta(values), heights, distances)
+    reference = cost(_saved(config), heights, distances)
     own = cost(_delta(fitted), heights, distances)
     assert own <= 1.05 * reference
     assert own >= 0.99 * reference  # Klipper's is the least there is
+
+
+def _saved(config: Path) -> Delta:
+    """The geometry in the block of SAVE_CONFIG, whether or not it is in use."""
+    lines = [line[4:] for line in config.read_text().splitlines() if line[:3] == "#*#"]
+    block = "\n".join(lines)
+
+    def numbers(key: str) -> list[float]:
+        return [float(v) for v in re.findall(rf"^{key} = (.*)$", block, re.M)]
+
+    (radius,) = numbers("delta_radius")
+    angles = np.radians(numbers("angle")).tolist()
+    return Delta(radius, numbers("arm_length"), angles, numbers("position_endstop"))
 
 
 def _delta(values: Mapping[str, float]) -> Delta:
@@ -135,6 +157,22 @@ def _readings(rows: Sequence[Mapping[str, str]]) -> tuple[list[Any], list[Any]]:
 
 def _travels(row: Mapping[str, str]) -> list[float]:
     return [float(row[f"q{i}_mm"]) for i in (1, 2, 3)]
+
+
+def test_a_value_above_the_saved_block_is_the_one_in_use(tmp_path: Path) -> None:
+    """As klippy/configfile.py: saved values that are written above are stripped."""
+    text = printer(readings_of_truth()).replace(
+        "#delta_radius: 120", "delta_radius: 99"
+    )
+    (tmp_path / "printer.cfg").write_text(text)
+    path, imported = session.import_files(
+        "klipper", [tmp_path / "printer.cfg"], tmp_path
+    )
+    assert oed.load_study(path).machine.nominal["radius_mm"] == 99.0
+    line = text.splitlines().index("delta_radius: 99") + 1
+    (sentence,) = [s for s in imported.statements if "does not use the saved" in s]
+    assert f"delta_radius is 99, as line {line} has it" in sentence
+    assert "98.0 of line" in sentence
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import re
 from pathlib import Path
 
 import pytest
@@ -101,6 +102,26 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     sample.resolved(uncommented(text), tmp_path)
     with pytest.raises(InputError, match="of this name"):
         template.write("fresh", machine, instrument, tmp_path)
+
+
+@pytest.mark.parametrize("family", ["delta", "hexapod_pus", "cables_spatial"])
+def test_a_drafted_geometry_describes_the_machine_of_the_model(
+    family: str, tmp_path: Path
+) -> None:
+    """With the comment signs removed, the table is complete and changes nothing."""
+    path = template.write("fresh", family, "pose_tracker_position", tmp_path)
+    entry = re.compile(r"^# (\[machine\.geometry\]|\w+ = .*  # .*)", re.M)
+    text = path.read_text()
+    start, end = text.index("# [machine.geometry]"), text.index("# [machine.nominal]")
+    table = entry.sub(r"\1", text[start:end])
+    drafted = text[:start] + table + text[end:]
+    assert "\n[machine.geometry]" in drafted
+    machine = sample.resolved(drafted, tmp_path).machine
+    model = catalogue.machine(family, Path(), Place("test"))
+    for given, wanted in zip(machine.parameters, model.parameters, strict=True):
+        assert given.nominal == pytest.approx(wanted.nominal, abs=1e-9)
+    for dimension in model.family.dimensions:
+        assert f"# {dimension.name}" in text[start:end]
 
 
 def test_the_schema_knows_tables_with_fields_of_free_name() -> None:

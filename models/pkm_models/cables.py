@@ -26,17 +26,18 @@ from pkm_models.rotation import about_z, tilt_torsion
 
 #: prior standard deviation of the drums' scales
 SCALE_SD = 0.5e-3
+ATTACH = "the cables' points on the mover, from the tool point; all 0 for a point"
 TURNS = {2: ("spin",), 3: ("rx", "ry", "spin")}
 ERRORS = {2: ("az",), 3: ("ax", "ay", "az")}
 
 
 def dimensions(
-    axes: int, anchors: Any, home: Sequence[float], reach: float
+    axes: int, anchors: Any, attach: Any, home: Sequence[float], reach: float
 ) -> tuple[Dimension, ...]:
-    """The table of geometry in the plane (2) or in space (3)."""
+    """The table of geometry in the plane (2) or in space (3), with the model's numbers."""
     return (
         Dimension("anchor", "m", (None, axes), anchors, "anchors, one for each cable"),
-        Dimension("attach", "m", (None, axes), None, "the cables' points on the mover"),
+        Dimension("attach", "m", (None, axes), attach, ATTACH),
         Dimension("home", "m", (axes,), tuple(home), "tool point at home"),
         Dimension("reach", "m", (), reach, "half the workspace's width about home"),
         Dimension("turn", "rad", (), math.radians(10.0), "largest turn, either way"),

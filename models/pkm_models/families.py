@@ -49,7 +49,7 @@ def by_name(coordinates: Sequence[Coordinate], values: Sequence[Expr]) -> Values
 
 def tolerance_dimension() -> Dimension:
     """The accuracy to which places and lengths are known before."""
-    about = "standard deviation of places and lengths; a thousandth of the size if none"
+    about = "standard deviation of places and lengths, a thousandth of the size"
     return Dimension("tolerance", "m", (), None, about)
 
 

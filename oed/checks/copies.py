@@ -10,6 +10,7 @@ from scipy import special
 
 from oed.arrays import Array, Index
 from oed.checks.session import SessionReadings
+from oed.measurement import Series
 
 #: probability that a correct session has as many equal readings
 FALSE_ALARM = 1e-5
@@ -55,6 +56,8 @@ def equal_readings(session: SessionReadings) -> list[EqualReadings]:
     groups: list[EqualReadings] = []
     for s, span in zip(session.series, session.spans, strict=True):
         table = session.y[span].reshape(len(s), -1)
+        if _taken_at_a_stop(s, table):
+            continue
         first = int(session.reading_of_value[span.start])
         labels = pd.DataFrame(table).groupby(list(range(table.shape[1]))).indices
         equal = [np.sort(rows) for rows in labels.values() if len(rows) > 1]
@@ -67,6 +70,12 @@ def equal_readings(session: SessionReadings) -> list[EqualReadings]:
             numbers = tuple(int(first + k) for k in rows)
             groups.append(EqualReadings(numbers, same))
     return groups
+
+
+def _taken_at_a_stop(series: Series, table: Array) -> bool:
+    """Whether joints were recorded where the reading had one value, as at a contact."""
+    is_recorded = bool(np.isnan(series.command).all())
+    return is_recorded and bool((np.ptp(table, axis=0) == 0.0).all())
 
 
 def _unlikely(session: SessionReadings, span: slice, table: Array, pairs: int) -> bool:

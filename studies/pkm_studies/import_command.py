@@ -33,7 +33,9 @@ def import_files(
     ] = None,
     machine: Annotated[
         str | None,
-        typer.Option(help="A machine of `oed list machines`, or MY.py."),
+        typer.Option(
+            help="A machine of `oed list machines`, MY.py, or a study with it."
+        ),
     ] = None,
     column_map: Annotated[
         Path | None,

@@ -12,7 +12,7 @@ from oed import units
 from oed.arrays import Array
 from oed.instrument import Instrument, mount
 from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Coordinate, Machine
+from oed.machine import Coordinate, Family, Machine
 from oed.measurement import Measurement
 from pkm_studies import catalogue, files, shipped
 from pkm_studies.errors import Place
@@ -32,6 +32,8 @@ READINGS = 30
 #: least share of the grid's poses to which an instrument leads a "hold" coordinate
 LED_SHARE = 0.3
 SETUP = "setup1"
+#: SI numbers of a geometry below this are rounding errors
+ROUNDING = 1e-12
 #: instruments to draft a study with, the most informative first
 DEFAULTS = ("pose_tracker", "pose_tracker_position", "redundancy")
 GAP = """\
@@ -136,14 +138,27 @@ def _machine(model: str, machine: Machine) -> str:
     p = machine.parameters[0]
     nominal = f"{column(p.name, p.unit)} = {_number(p.nominal, p.unit)}"
     fixed = ", ".join(f'"{name}"' for name in machine.frame)
+    geometry = "" if machine.family is None else _geometry(machine.family)
     return f"""\
 [machine]
 model = "{model}"
 # fixed = [{fixed}]  # not identified: these only choose the base frame
-
+{geometry}
 # [machine.nominal]
 # {nominal}  # {p.about}: your machine's number in place of the model's
 """
+
+
+def _geometry(family: Family) -> str:
+    """The table of geometry as comments, one entry a line, with the model's numbers."""
+    lines = ["# [machine.geometry]  # of your machine, in place of the model's"]
+    for d in family.dimensions:
+        key = d.name if d.unit == "1" else column(d.name, d.unit)
+        if d.default is None:
+            lines.append(f"# {key}: {d.about}; derived where it is not given")
+            continue
+        lines.append(f"# {key} = {_numbers(d.default, d.unit)}  # {d.about}")
+    return "\n" + "\n".join(lines) + "\n"
 
 
 def _setup(reference: str, machine: Machine, instrument: Instrument) -> str:
@@ -343,6 +358,14 @@ def _pose(coordinates: tuple[Coordinate, ...], values: Array) -> str:
 def _number(value: float, si: str) -> str:
     """An SI value as TOML, in the unit of its column."""
     return _in_unit(value, display_unit(si))
+
+
+def _numbers(value: object, si: str) -> str:
+    """An SI number, or nested lists of them, as TOML."""
+    if isinstance(value, list | tuple | np.ndarray):
+        return f"[{', '.join(_numbers(item, si) for item in value)}]"
+    number = float(value)  # type: ignore[arg-type]
+    return _number(number if abs(number) > ROUNDING else 0.0, si)
 
 
 def _in_unit(value: float, unit: str) -> str:

@@ -14,7 +14,7 @@ from pkm_models.families import Geometry
 NAME = "cables_planar"
 SOURCE = "Pott 2018, Cable-Driven Parallel Robots, Springer: the standard model"
 ANCHORS = ((-1.0, -0.8), (1.0, -0.8), (1.0, 0.8), (-1.0, 0.8))
-DIMENSIONS = cables.dimensions(2, ANCHORS, (0.0, 0.0), 0.5)
+DIMENSIONS = cables.dimensions(2, ANCHORS, None, (0.0, 0.0), 0.5)
 
 
 def build(geometry: Geometry) -> Machine:

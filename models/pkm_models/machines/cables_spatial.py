@@ -19,12 +19,12 @@ CORNERS = tuple(itertools.product((-1.0, 1.0), repeat=3))
 ANCHORS = tuple((2.0 * x, 1.5 * y, 1.25 + 1.25 * z) for x, y, z in CORNERS)
 # crossed, so that the cables hold the mover against turns
 ENDS = tuple((0.2 * x, -0.15 * y, -0.1 * z) for x, y, z in CORNERS)
-DIMENSIONS = cables.dimensions(3, ANCHORS, (0.0, 0.0, 1.2), 0.5)
+DIMENSIONS = cables.dimensions(3, ANCHORS, ENDS, (0.0, 0.0, 1.2), 0.5)
 
 
 def build(geometry: Geometry) -> Machine:
     """A cable robot in space. Raises ValueError where it has too few cables."""
-    ends = {} if "anchor" in geometry else {"attach": ENDS}
+    ends = {"attach": None} if "anchor" in geometry else {}
     table = families.completed(DIMENSIONS, {**ends, **geometry})
     about = "cable robot in space, any number of cables: x, y, z (and turns) driven"
     return Machine(**cables.build(NAME, SOURCE, table, 3), about=about, family=family)

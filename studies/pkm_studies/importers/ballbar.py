@@ -85,7 +85,7 @@ class BallbarImporter:
         ]
         thinned = [thin(*trace, circle.readings) for trace in traces]
         complete = msgspec.structs.replace(
-            given, machine=model.reference, instrument=INSTRUMENT, columns=columns
+            given, machine=model.described, instrument=INSTRUMENT, columns=columns
         )
         return ImportedSession(
             study=_study(request, complete, circle, model, thinned),

@@ -24,17 +24,25 @@ from oed.machine import Machine
 from pkm_studies import catalogue, files, template
 from pkm_studies.errors import Place, shorten
 from pkm_studies.importers.base import ImportRequest, readings_name
-from pkm_studies.study import decode
+from pkm_studies.resolve.machine import described_machine, study_machine
+from pkm_studies.study import decode, loader
 from pkm_studies.study.tables.column_map import ColumnMap
+from pkm_studies.study.tables.machine import MachineTable
 
 LIMIT = 200_000
 
 
 class Model(NamedTuple):
-    """A machine with the reference by which a study in the out folder names it."""
+    """A machine with the table [machine] of a study in the out folder."""
 
     machine: Machine
-    reference: str
+    table: MachineTable
+
+    @property
+    def described(self) -> str | MachineTable:
+        """The table, or the model's name alone where the table has nothing else."""
+        plain = MachineTable(model=self.table.model)
+        return plain.model if plain == self.table else self.table
 
 
 def load(request: ImportRequest) -> tuple[ColumnMap, Place]:
@@ -53,16 +61,27 @@ def load(request: ImportRequest) -> tuple[ColumnMap, Place]:
 
 
 def model(request: ImportRequest, column_map: ColumnMap, place: Place) -> Model:
-    """The machine of --machine, or of the map. Raises InputError."""
-    folder = Path()
-    reference, at = request.machine, Place("--machine")
-    if reference is None:
-        reference, at = column_map.machine, place.key("machine")
+    """The machine of --machine, or of the map. Raises InputError.
+
+    --machine is a model, a file of the user's, or a study whose machine is meant.
+    """
+    if request.machine is not None and request.machine.endswith(".toml"):
+        study = loader.load(request.machine)
+        machine = study_machine(study)
+        return _model(machine, study.machine, study.folder, request.folder)
+    described: str | MachineTable | None = request.machine
+    folder, at = Path(), Place("--machine")
+    if described is None:
+        described, at = column_map.machine, place.key("machine")
         folder = request.map.parent if request.map is not None else folder
-    if reference is None:
+    if described is None:
         raise at.error("missing", "give --machine, or machine in the map")
-    machine = catalogue.machine(reference, folder, at)
-    return Model(machine, _from_folder(reference, folder, request.folder))
+    if isinstance(described, str):
+        machine = catalogue.machine(described, folder, at)
+        described = MachineTable(model=described)
+    else:
+        machine = described_machine(described, folder, at)
+    return _model(machine, described, folder, request.folder)
 
 
 def instrument(
@@ -83,6 +102,8 @@ def text(column_map: ColumnMap) -> str:
     plain: dict[str, Any] = msgspec.to_builtins(column_map)
     defaults = msgspec.to_builtins(ColumnMap())
     table = {key: value for key, value in plain.items() if value != defaults[key]}
+    if isinstance(column_map.machine, MachineTable):
+        table["machine"] = _stated(column_map.machine)
     if column_map.circle is not None:
         table["circle"] = {k: v for k, v in plain["circle"].items() if v is not None}
     return "# Which column is what; use it again with --map.\n" + tomli_w.dumps(table)
@@ -100,7 +121,7 @@ def imported_study(
         "schema": 1,
         "name": request.name,
         "title": title,
-        "machine": {"model": model.reference},
+        "machine": _stated(model.table),
         "setup": [setup],
         "noise": {**noise, "estimate": True},
         "readings": {"files": [readings_name(request.name)]},
@@ -109,6 +130,19 @@ def imported_study(
     head = f"# {comment}\n# `oed run` runs it; see `oed schema study`."
     prediction = template.prediction_table(model.machine)
     return f"{head}\n\n{tomli_w.dumps(tables)}\n{prediction}"
+
+
+def _model(machine: Machine, table: MachineTable, folder: Path, out: Path) -> Model:
+    """The model whose table names its file as the out folder sees it."""
+    reference = _from_folder(table.model, folder, out)
+    return Model(machine, msgspec.structs.replace(table, model=reference))
+
+
+def _stated(table: MachineTable) -> dict[str, Any]:
+    """The fields of a table that are not at their defaults."""
+    plain: dict[str, Any] = msgspec.to_builtins(table)
+    defaults = msgspec.to_builtins(MachineTable(model=""))
+    return {key: value for key, value in plain.items() if value != defaults[key]}
 
 
 def _from_folder(reference: str, folder: Path, out: Path) -> str:

@@ -37,7 +37,7 @@ class ColumnsImporter:
         table = joined([csv_table.read(path) for path in request.files])
         columns = mapped_columns(given, table, model.machine, tool, place)
         complete = msgspec.structs.replace(
-            given, machine=model.reference, instrument=reference, columns=columns
+            given, machine=model.described, instrument=reference, columns=columns
         )
         return session(
             request,

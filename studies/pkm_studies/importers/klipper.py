@@ -174,6 +174,18 @@ def _noise(heights: int, distances: int) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _unused(config: KlipperConfig) -> list[str]:
+    """Sentences on saved values of the geometry that the printer does not use."""
+    sections = ("printer", *STEPPERS)
+    return [
+        f"[{section}] {key} is {config.entries[section, key].text}, as line"
+        f" {config.entries[section, key].line} has it: Klipper does not use the saved"
+        f" {saved.text} of line {saved.line}."
+        for (section, key), saved in sorted(config.unused.items())
+        if section in sections
+    ]
+
+
 def _fixed_because(distances: bool) -> str:
     if distances:
         return "turning all towers together only turns the printer"
@@ -204,6 +216,7 @@ def _statements(
         statements.append(
             "There are no distances, so the arm lengths are held as Klipper holds them."
         )
+    statements += _unused(config)
     probe = config.find("probe", "z_offset")
     if probe is not None:
         statements.append(

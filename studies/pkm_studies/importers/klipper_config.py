@@ -1,7 +1,8 @@
 """Values of a Klipper configuration with their lines, the saved block included.
 
 Sections in brackets, `key: value` or `key = value`, comments after # or ;. The block that
-SAVE_CONFIG writes at the end starts its lines with `#*#`, and its values win.
+SAVE_CONFIG writes at the end starts its lines with `#*#`. A value that stands above the
+block as well wins over the saved one (`_strip_duplicates` of klippy/configfile.py).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ LIMIT = 4_000_000
 SAVED = "#*#"
 SECTION = re.compile(r"\[\s*([^\]]+?)\s*\]\s*(?:[#;].*)?$")
 OPTION = re.compile(r"([^\s:=#;\[][^:=]*?)\s*[:=]\s*(.*)$")
-COMMENT = re.compile(r"(?:^|\s)[#;].*$")
+COMMENT = re.compile(r"#.*$|(?:^|\s);.*$")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -38,12 +39,20 @@ class Entry:
         return InputError(problem, remedy, file=self.file, field=field, value=self.text)
 
 
+#: values by section and key
+Entries = dict[tuple[str, str], Entry]
+
+
 @dataclasses.dataclass(frozen=True)
 class KlipperConfig:
-    """The options of one or more files, later ones winning; by section and key."""
+    """The options of one or more files, later ones winning; and those not in use.
+
+    unused  saved values over which a written one wins
+    """
 
     file: str
-    entries: dict[tuple[str, str], Entry]
+    entries: Entries
+    unused: Entries
 
     def find(self, section: str, key: str) -> Entry | None:
         """The entry, or None."""
@@ -85,11 +94,15 @@ class KlipperConfig:
 
 def read(paths: Sequence[Path]) -> KlipperConfig:
     """The options of the files. Raises InputError."""
-    entries: dict[tuple[str, str], Entry] = {}
+    written: Entries = {}
+    saved: Entries = {}
     for path in paths:
         text = files.read_text(path, limit=LIMIT, what="Klipper configuration")
-        entries |= _entries(text, str(path))
-    return KlipperConfig(", ".join(map(str, paths)), entries)
+        above, block = _entries(text, str(path))
+        written |= above
+        saved |= block
+    unused = {key: saved[key] for key in saved.keys() & written.keys()}
+    return KlipperConfig(", ".join(map(str, paths)), saved | written, unused)
 
 
 def numbers(entry: Entry, option: str, count: int) -> list[float]:
@@ -107,9 +120,10 @@ def numbers(entry: Entry, option: str, count: int) -> list[float]:
     return values
 
 
-def _entries(text: str, file: str) -> dict[tuple[str, str], Entry]:
-    """The options of one text; indented lines continue a value and are passed over."""
-    entries: dict[tuple[str, str], Entry] = {}
+def _entries(text: str, file: str) -> tuple[Entries, Entries]:
+    """Options as written and as saved; indented lines, which continue, are left out."""
+    written: Entries = {}
+    block: Entries = {}
     section = ""
     for number, line in enumerate(text.splitlines(), start=1):
         saved = line.startswith(SAVED)
@@ -124,5 +138,6 @@ def _entries(text: str, file: str) -> dict[tuple[str, str], Entry]:
         option = OPTION.match(content)
         if option and section:
             key = option[1].strip().lower()
+            entries = block if saved else written
             entries[section, key] = Entry(option[2].strip(), file, number)
-    return entries
+    return written, block

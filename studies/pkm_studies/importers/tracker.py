@@ -74,7 +74,7 @@ class TrackerImporter:
         given = msgspec.structs.replace(given, columns=_with_measured(given, table))
         mapped = columns.mapped_columns(given, table, model.machine, tool, place)
         complete = msgspec.structs.replace(
-            given, machine=model.reference, instrument=reference, columns=mapped
+            given, machine=model.described, instrument=reference, columns=mapped
         )
         rows = columns.rows(table, mapped, given)
         kinematics = Kinematics(model.machine)

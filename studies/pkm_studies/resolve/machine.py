@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -30,8 +31,16 @@ REACH_REMEDY = (
 
 def study_machine(study: Study) -> Machine:
     """The model with the study's numbers, assembled at home. Raises InputError."""
-    place, table = study.place.key("machine"), study.machine
-    model = catalogue.machine(table.model, study.folder, place.key("model"))
+    return described_machine(study.machine, study.folder, study.place.key("machine"))
+
+
+def described_machine(table: MachineTable, folder: Path, place: Place) -> Machine:
+    """The machine of a table [machine], assembled at home. Raises InputError.
+
+    folder  that a model's file is relative to
+    place   of the table, for errors
+    """
+    model = catalogue.machine(table.model, folder, place.key("model"))
     machine = _of_family(table, model, place)
     machine = _with_nominal(table, machine, place)
     machine = _with_ranges(table, machine, place)

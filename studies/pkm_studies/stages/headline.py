@@ -84,12 +84,22 @@ def _corrected(section: CorrectedSection | None) -> list[str]:
 def _accuracy(section: PredictionSection | None) -> list[str]:
     if section is None:
         return []
-    changes = []
-    for name, component in section.components.items():
-        if component.compensatable:
-            before, after = component.before.rms, component.after.rms
-            changes.append(_change(name, before, after, section.unit[name]))
+    driven = {name: c for name, c in section.components.items() if c.compensatable}
+    before = {name: format_number(c.before.rms) for name, c in driven.items()}
+    after = {name: format_number(c.after.rms) for name, c in driven.items()}
     reference = REFERENCES[section.reference]
+    if before == after:
+        errors = [
+            f"{name} {value} {section.unit[name]}" for name, value in after.items()
+        ]
+        return [
+            "Compensation is predicted to leave the rms error over the workspace as it"
+            f" is, {reference}: {'; '.join(errors)}."
+        ]
+    changes = [
+        _change(name, c.before.rms, c.after.rms, section.unit[name])
+        for name, c in driven.items()
+    ]
     return [
         f"Compensation is predicted to reduce the rms error over the workspace,"
         f" {reference}: {'; '.join(changes)}."

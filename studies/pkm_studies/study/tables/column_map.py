@@ -11,6 +11,7 @@ from pkm_studies.study.tables.base import (
     StudyTable,
     Triple,
 )
+from pkm_studies.study.tables.machine import MachineTable
 
 
 class CircleFacts(StudyTable, frozen=True, kw_only=True):
@@ -45,7 +46,8 @@ class CircleFacts(StudyTable, frozen=True, kw_only=True):
 class ColumnMap(StudyTable, frozen=True, kw_only=True):
     """A column map file.
 
-    machine       a name of `oed list machines`, or a file of your own
+    machine       a name of `oed list machines`, a file of your own, or a table as [machine] of
+                  a study: model, geometry, nominal, workspace, home, travel
     instrument    a name of `oed list instruments`, or a file of your own
     setup         name of the set-up
     registration  of a tracker: "free" (identified), "best_fit" (held) or "known"
@@ -57,7 +59,7 @@ class ColumnMap(StudyTable, frozen=True, kw_only=True):
     circle        what a ball-bar trace does not say
     """
 
-    machine: str | None = None
+    machine: str | MachineTable | None = None
     instrument: str | None = None
     setup: str = "setup1"
     registration: Literal["free", "best_fit", "known"] = "free"
