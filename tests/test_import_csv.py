@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import oed
 from oed import units
 from pkm_studies import csv_table
+from pkm_studies.cli import main
 from pkm_studies.errors import InputError
 from pkm_studies.importers import session, thinning
 
@@ -221,6 +222,30 @@ def test_points_of_a_machine_of_any_size(
     kept = tmp_path / "out" / "points.map.toml"
     again = session.import_files("tracker", [path], tmp_path / "b", column_map=kept)[1]
     assert again.rows == imported.rows
+
+
+@pytest.mark.parametrize(
+    ("noise", "code", "words"),
+    [(0.03, 0, "the noise was understated"), (0.5, 1, "The fit is bad")],
+)
+def test_a_tracker_noisier_than_its_data_sheet(
+    noise: float,
+    code: int,
+    words: str,
+    tmp_path: Path,
+    rng: np.random.Generator,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The importer states 10 um as a guess: more is estimated, far more is refused."""
+    path = tmp_path / "points.csv"
+    write_large_points(path, noise * rng.standard_normal((18, 3)))
+    (tmp_path / "m.toml").write_text(LARGE_MAP)
+    study, _ = session.import_files(
+        "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
+    )
+    readings = tmp_path / "out" / "points.readings.csv"
+    assert main(["check", str(study), str(readings)]) == code
+    assert words in "".join(capsys.readouterr())
 
 
 def test_a_machine_table_that_does_not_fit_names_its_field(tmp_path: Path) -> None:

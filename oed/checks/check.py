@@ -21,6 +21,9 @@ from oed.checks.session import SessionReadings
 #: ratio of the penalised sum of squares from which mistakes are tried though the
 #: residuals are small: parameters far outside their tolerances took the mistake in
 STRAINED = 2.0
+#: residuals over the stated noise up to which a noise that is to be estimated, and was
+#: stated as a guess, explains them
+GUESS = 10.0
 #: values from which on mistakes are tried: fewer fit too many of them
 LEAST_VALUES = 8
 #: outliers that are tried as an exchanged pair, at most
@@ -63,17 +66,22 @@ class CheckedSession:
 
 
 def check_session(
-    session: SessionReadings, alternatives: Alternatives, rng: np.random.Generator
+    session: SessionReadings,
+    alternatives: Alternatives,
+    rng: np.random.Generator,
+    *,
+    noise_is_a_guess: bool = False,
 ) -> CheckedSession:
     """Check readings against tolerances, noise, the usual mistakes, and each other.
 
-    `rng` draws machines where ranges are not linear. Raises AssemblyError where the
+    `rng` draws machines where ranges are not linear. Where the stated noise is a guess,
+    residuals up to GUESS times as large are no bad fit. Raises AssemblyError where the
     nominal machine cannot be read.
     """
     ranges = predict_ranges(session, rng)
     outside = ranges.outside(session.y)
     suspects = np.unique(session.reading_of_value[outside])
-    outliers = find_outliers(session, suspects)
+    outliers = find_outliers(session, suspects, robust=noise_is_a_guess)
     fitted = None if outliers is None else goodness(outliers.solution)
     explanations = _explanations(session, alternatives, outliers, fitted)
     single = outliers is not None and not outliers.exhausted and not explanations
@@ -81,7 +89,7 @@ def check_session(
         *sentences.explained(explanations),
         *_copies(session, ranges),
         *_senses(session),
-        *_fit_findings(session, outliers, fitted, explanations),
+        *_fit_findings(outliers, fitted, explanations, noise_is_a_guess),
     ]
     if single and outliers is not None:
         findings += sentences.outliers(session, outliers, _exchanged(session, outliers))
@@ -114,16 +122,19 @@ def _explanations(
 
 
 def _fit_findings(
-    session: SessionReadings,
     outliers: OutlierSearch | None,
     fitted: Goodness | None,
     explanations: list[Explanation],
+    noise_is_a_guess: bool,
 ) -> list[CheckFinding]:
     """Residuals too large or too small for the stated noise."""
     if explanations:
         return []
     if fitted is None or outliers is None:
         return [sentences.no_fit()]
+    bearable = noise_is_a_guess and fitted.ratio <= GUESS
+    if fitted.too_large and bearable and not outliers.exhausted:
+        return [sentences.guessed(fitted)]
     if fitted.too_large or outliers.exhausted:
         return [sentences.too_large(fitted, outliers)]
     if fitted.too_small:

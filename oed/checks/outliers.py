@@ -24,6 +24,7 @@ from oed.checks.fit import (
 )
 from oed.checks.outlier_sets import best_set
 from oed.checks.session import SessionReadings
+from oed.kinematics import AssemblyError
 
 #: probability that a correct session has an outlier
 FALSE_ALARM = 1e-4
@@ -55,10 +56,14 @@ class OutlierSearch:
     exhausted: bool
 
 
-def find_outliers(session: SessionReadings, suspects: Index) -> OutlierSearch | None:
+def find_outliers(
+    session: SessionReadings, suspects: Index, *, robust: bool = False
+) -> OutlierSearch | None:
     """Outliers of a session; None where it cannot be fitted.
 
-    `suspects` are readings, by number, to leave out of the first fit.
+    `suspects` are readings, by number, to leave out of the first fit. With `robust`,
+    deviations count in units of their own scatter where it exceeds the stated noise;
+    without it they do so only where too many deviate.
     """
     count = 1 + int(session.reading_of_value[-1])
     most = min(max(LEAST, int(SHARE * count)), count // 4)
@@ -67,11 +72,12 @@ def find_outliers(session: SessionReadings, suspects: Index) -> OutlierSearch | 
     readings = sorted({int(k) for k in suspects})
     solution = fit(session.without(readings))
     for _ in range(ROUNDS):
-        if solution is None:
+        on_all = None if solution is None else _on_all(session, solution)
+        if on_all is None or solution is None:
             return None
-        prediction = predict_from_others(_on_all(session, solution))
-        newer, exhausted = _search(session, prediction, most, readings)
-        if exhausted:
+        prediction = predict_from_others(on_all)
+        newer, exhausted = _search(session, prediction, most, readings, robust=robust)
+        if exhausted and not robust:
             newer, exhausted = _search(session, prediction, most, readings, robust=True)
         elif len(newer) <= most:
             reading = session.reading_of_value
@@ -85,13 +91,19 @@ def find_outliers(session: SessionReadings, suspects: Index) -> OutlierSearch | 
     return _outliers(session, prediction, readings, solution, exhausted)
 
 
-def _on_all(session: SessionReadings, solution: Fit) -> Fit:
-    """The model of a fit at its solution, for all readings of the session."""
+def _on_all(session: SessionReadings, solution: Fit) -> Fit | None:
+    """The model of a fit at its solution, for all readings of the session.
+
+    None where the fitted machine cannot take the poses that were left out of the fit.
+    """
     measurement, series = session.measurement, session.series
     noise = measurement.noise(series)
     free = np.flatnonzero(measurement.free)
-    difference = session.y - measurement.readings(series, solution.theta)
-    h = measurement.jacobian(series, solution.theta)[:, free]
+    try:
+        difference = session.y - measurement.readings(series, solution.theta)
+        h = measurement.jacobian(series, solution.theta)[:, free]
+    except AssemblyError:
+        return None
     residual = noise.whiten(difference)
     return dataclasses.replace(
         solution,

@@ -62,6 +62,16 @@ def too_large(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
     return CheckFinding(Severity.BAD_FIT, "fit", sentence)
 
 
+def guessed(fitted: Goodness) -> CheckFinding:
+    """Residuals above a noise that was stated as a guess."""
+    sentence = (
+        f"The residuals are {_times(fitted.ratio)} the stated noise: the noise was"
+        " understated, or an effect is not in the model. The standard deviations come"
+        " from the residuals, as `estimate` in [noise] asks."
+    )
+    return CheckFinding(Severity.REMARK, "guess", sentence)
+
+
 def too_small(fitted: Goodness) -> CheckFinding:
     """Residuals below what the stated noise leaves."""
     sentence = (

@@ -24,7 +24,8 @@ def check_dataset(
         data.columns,
     )
     alternatives = checks.Alternatives(resolved.measurement_with(resolved.setups))
-    return checks.check_session(session, alternatives, rng)
+    guess = resolved.study.noise.estimate
+    return checks.check_session(session, alternatives, rng, noise_is_a_guess=guess)
 
 
 def goodness_section(checked: CheckedSession) -> GoodnessSection:

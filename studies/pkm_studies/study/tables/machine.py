@@ -57,7 +57,8 @@ class SetupTable(StudyTable, frozen=True, kw_only=True):
 class NoiseTable(StudyTable, frozen=True, kw_only=True):
     """[noise]: standard deviation of one reading.
 
-    estimate   whether the fit scales it by what the residuals show
+    estimate   whether the fit scales it by what the residuals show; up to ten times the
+               stated noise is then no bad fit
     further    channels with their unit, as in `length_um = 0.5`, for all set-ups, or in
                a table with the set-up's name for that one
     """
