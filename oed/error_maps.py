@@ -54,7 +54,8 @@ def error_maps(
     slope = kinematics.error_components_jacobian(command)
 
     def components(twist: Array, home_twist: Array) -> Array:
-        relative = _relative(twist, home_twist, model, home, reference, machine.lever)
+        lever = machine.alignment_lever
+        relative = _relative(twist, home_twist, model, home, reference, lever)
         return np.asarray(slope @ relative)
 
     raw, raw_home = model.raw, home.raw
@@ -125,7 +126,7 @@ def _without_rigid_motion(twist: Array, point: Array, lever: float) -> Array:
     """Twists (n, 6, m) less the rigid motion that fits them best.
 
     point  (n, 3) tool points, m
-    lever  m, weight of rotations. A machine that never turns has no orientation to
+    lever  m, weight of rotations; 0 for places alone. A machine that never turns has no orientation to
            align: its points alone are fitted
     """
     n = len(twist)

@@ -37,13 +37,19 @@ def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
             f" [prior] or doubt the model: {', '.join(far)}"
         )
     if chi2_is_large(estimate.chi2, estimate.dof):
-        ratio = np.sqrt(estimate.chi2 / estimate.dof)
-        sentences.append(
-            f"the residuals are {ratio:.1f} times the stated noise: noise is"
-            " understated, or an effect is not in the model; [noise] estimate = true"
-            " widens the intervals"
-        )
+        sentences.append(_large_residuals(estimate))
     return sentences
+
+
+def _large_residuals(estimate: Estimate) -> str:
+    ratio = np.sqrt(estimate.chi2 / estimate.dof)
+    remedy = "[noise] estimate = true widens the intervals"
+    if estimate.noise_posterior is not None:
+        remedy = "the intervals are as wide as the residuals ask for"
+    return (
+        f"the residuals are {ratio:.1f} times the stated noise: noise is understated, or"
+        f" an effect is not in the model; {remedy}"
+    )
 
 
 def _wide_parameters(

@@ -225,6 +225,16 @@ class Machine:
         return np.array([p.nominal for p in self.parameters])
 
     @property
+    def alignment_lever(self) -> float:
+        """Weight of rotations against lengths in a best alignment of poses, m.
+
+        0 where no drive corrects a turn: what turns the platform about its tool point, as
+        an error of a passive leg does, must not shift the places then.
+        """
+        turns = [c for c in self.components if c.unit == "rad" and c.compensatable]
+        return self.lever if turns else 0.0
+
+    @property
     def home_command(self) -> Array:
         """Command (n_dof,) of the home pose, SI."""
         return np.array([self.home[c.name] for c in self.command])

@@ -12,6 +12,7 @@ import pytest
 from oracles import machine_shapes
 from sample import refused, resolved
 
+from oed.error_maps import error_maps
 from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Family
 
@@ -105,6 +106,16 @@ def test_a_study_describes_a_tricept() -> None:
     x, q = Kinematics(machine).inverse(machine.home_command)
     assert q[0] == pytest.approx(np.hypot(0.3, 1.1), abs=1e-4)
     assert x[0] == pytest.approx([0.0, 0.0, -1.5, 0.0, 0.0, 0.0])
+
+
+def test_a_best_alignment_moves_no_place_that_compensation_has_put_right() -> None:
+    """Turns of a Tricept's platform, which no leg corrects, stay out of the places."""
+    machine = resolved(STUDY).machine
+    command = np.array(list(itertools.product([-0.2, 0.2], [-0.2, 0.2], [-1.7, -1.3])))
+    maps = error_maps(Kinematics(machine), command, "best_fit")
+    places, turns = maps.remaining[:, :3], maps.remaining[:, 3:]
+    assert np.abs(turns).max() > 0.1
+    assert np.abs(places).max() < 1e-9
 
 
 @pytest.mark.parametrize(

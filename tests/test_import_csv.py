@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles import planar_cables
 from oracles.delta_trilateration import nozzle, travel_to
 from scipy.spatial.transform import Rotation
 
@@ -216,6 +217,7 @@ def test_points_of_a_machine_of_any_size(
     )
     loaded = oed.load_study(study)
     assert loaded.machine.geometry["arm_mm"] == 2600
+    assert loaded.prediction.reference == "best_fit"  # the machine's place is unknown
     estimate = oed.identify(oed.read_readings(loaded)).section
     assert max(estimate.rms_after.values()) < 20.0  # um
     # the map that was written is complete
@@ -258,6 +260,70 @@ def test_a_machine_table_that_does_not_fit_names_its_field(tmp_path: Path) -> No
         session.import_files(
             "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
         )
+
+
+CABLES_MAP = """\
+instrument = "redundancy"
+[machine]
+model = "cables_planar"
+[machine.geometry]
+anchor_mm = [[-1000, -800], [1000, -800], [1000, 800], [-1000, 800]]
+tolerance_mm = 5
+[noise]
+gap1_um = 50
+gap2_um = 50
+[columns]
+q1_mm = "A"
+q2_mm = "B"
+q3_mm = "C"
+q4_mm = "D"
+"""
+
+
+def test_cable_lengths_alone_come_in(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Recorded joints of a machine with two spare ones are its readings."""
+    robot = planar_cables.drawn(rng)
+    wanted = rng.uniform(-0.5, 0.5, (30, 2))
+    noise = np.full(4, 1e-4)
+    drums = 1e3 * planar_cables.recorded(robot, wanted, noise, rng)
+    lines = [",".join(f"{v:.6f}" for v in row) for row in drums]
+    (tmp_path / "l.csv").write_text("\n".join(["A,B,C,D", *lines]))
+    (tmp_path / "m.toml").write_text(CABLES_MAP)
+    study, imported = session.import_files(
+        "columns", [tmp_path / "l.csv"], tmp_path, column_map=tmp_path / "m.toml"
+    )
+    assert "The readings are 0: the machine's closure." in imported.statements
+    loaded = oed.load_study(study)
+    assert loaded.prediction.reference == "best_fit"
+    after = oed.identify(oed.read_readings(loaded)).section.rms_after
+    assert sorted(after) == ["gap1", "gap2"]
+    assert max(after.values()) < 100.0  # um: half the drums' noise
+    wrong = CABLES_MAP.replace("gap1_um", "gap_um")
+    (tmp_path / "m.toml").write_text(wrong)
+    with pytest.raises(InputError, match=r"noise\.gap_um.*gap1_mm"):
+        session.import_files(
+            "columns",
+            [tmp_path / "l.csv"],
+            tmp_path / "b",
+            column_map=tmp_path / "m.toml",
+        )
+
+
+def test_channels_that_were_not_read_are_left_out(tmp_path: Path) -> None:
+    """A camera that looks from above reads x and y; z is missing, not 0."""
+    (tmp_path / "c.csv").write_text(
+        "x_mm,y_mm,z_mm,read_x_mm,read_y_mm\n0,0,10,0.1,0.0\n50,0,10,50.1,0.1\n"
+    )
+    (tmp_path / "m.toml").write_text('machine = "linear_delta"\ninstrument = "camera"')
+    study, imported = session.import_files(
+        "columns", [tmp_path / "c.csv"], tmp_path, column_map=tmp_path / "m.toml"
+    )
+    assert "Not read: read_z; these channels count nothing." in imported.statements
+    (setup,) = oed.load_study(study).setup
+    assert setup.channels == ["read_x", "read_y"]
+    readings = oed.read_readings(oed.load_study(study)).state.readings
+    assert readings is not None
+    assert readings.y.size == 4
 
 
 @pytest.mark.parametrize(

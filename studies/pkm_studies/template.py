@@ -18,6 +18,7 @@ from pkm_studies import catalogue, files, shipped
 from pkm_studies.errors import Place
 from pkm_studies.resolve.quantities import column, display_unit
 from pkm_studies.study import SUFFIX
+from pkm_studies.study.tables.fit import PredictionReference
 
 #: most poses of the grid; its values a coordinate, and with too many poses
 POSES, VALUES, FEWER_VALUES = 1000, 5, 3
@@ -222,11 +223,12 @@ draw = true  # the virtual machine's errors come from the tolerances
 """
 
 
-def prediction_table(machine: Machine) -> str:
+def prediction_table(machine: Machine, errors: PredictionReference = "home") -> str:
+    """The table [prediction]; `errors`, what the errors refer to."""
     axes = "\n".join(_axis(c, machine) for c in machine.command)
     return f"""\
 [prediction]
-reference = "home"  # home, absolute or best_fit
+reference = "{errors}"  # home, absolute or best_fit
 {axes}
 """
 

@@ -120,7 +120,7 @@ class WorkspaceErrors:
         """
         twist, model = self._twist(self.model, controller, believed, truth)
         home_twist, home = self._twist(self.home, controller, believed, truth)
-        lever = self.kinematics.machine.lever
+        lever = self.kinematics.machine.alignment_lever
         referenced = prediction.relative_to_reference(
             twist, home_twist, model, home, self.reference, lever
         )

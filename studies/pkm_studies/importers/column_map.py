@@ -27,6 +27,7 @@ from pkm_studies.importers.base import ImportRequest, readings_name
 from pkm_studies.resolve.machine import described_machine, study_machine
 from pkm_studies.study import decode, loader
 from pkm_studies.study.tables.column_map import ColumnMap
+from pkm_studies.study.tables.fit import PredictionReference
 from pkm_studies.study.tables.machine import MachineTable
 
 LIMIT = 200_000
@@ -85,16 +86,27 @@ def model(request: ImportRequest, column_map: ColumnMap, place: Place) -> Model:
 
 
 def instrument(
-    request: ImportRequest, column_map: ColumnMap, place: Place, default: str | None
+    request: ImportRequest,
+    column_map: ColumnMap,
+    place: Place,
+    machine: Machine,
+    default: str | None = None,
 ) -> tuple[Instrument, str]:
-    """The instrument of the map, or a default, with its reference. Raises InputError."""
+    """The instrument of the map, or a default, with its reference. Raises InputError.
+
+    It has the channels that it has on the machine.
+    """
     reference = column_map.instrument or default
     at = place.key("instrument")
     if reference is None:
         raise at.error("missing", "name one of `oed list instruments` in a --map file")
     folder = request.map.parent if request.map is not None else Path()
     loaded = catalogue.instrument(reference, folder, at)
-    return loaded, _from_folder(reference, folder, request.folder)
+    reason = loaded.for_machine(machine).unfit(machine)
+    if reason is not None:
+        problem = f"it cannot read {machine.name}: {reason}"
+        raise at.error(problem, "take another of `oed list instruments`", reference)
+    return loaded.for_machine(machine), _from_folder(reference, folder, request.folder)
 
 
 def text(column_map: ColumnMap) -> str:
@@ -115,8 +127,12 @@ def imported_study(
     title: str,
     setup: Mapping[str, object],
     noise: Mapping[str, object],
+    errors: PredictionReference = "home",
 ) -> str:
-    """The study of one set-up with its readings; the noise law is estimated."""
+    """The study of one set-up with its readings; the noise law is estimated.
+
+    errors  what the predicted errors refer to
+    """
     tables = {
         "schema": 1,
         "name": request.name,
@@ -128,7 +144,7 @@ def imported_study(
     }
     comment = f"Imported from {', '.join(path.name for path in request.files)}."
     head = f"# {comment}\n# `oed run` runs it; see `oed schema study`."
-    prediction = template.prediction_table(model.machine)
+    prediction = template.prediction_table(model.machine, errors)
     return f"{head}\n\n{tomli_w.dumps(tables)}\n{prediction}"
 
 

@@ -20,7 +20,9 @@ from pkm_studies.importers.base import (
     Row,
 )
 from pkm_studies.resolve.quantities import column as usual_column
+from pkm_studies.resolve.quantities import read_values
 from pkm_studies.study.tables.column_map import ColumnMap
+from pkm_studies.study.tables.fit import PredictionReference
 
 
 class ColumnsImporter:
@@ -33,7 +35,7 @@ class ColumnsImporter:
         """Machine, instrument and columns of the map. Raises InputError."""
         given, place = column_map.load(request)
         model = column_map.model(request, given, place)
-        tool, reference = column_map.instrument(request, given, place, None)
+        tool, reference = column_map.instrument(request, given, place, model.machine)
         table = joined([csv_table.read(path) for path in request.files])
         columns = mapped_columns(given, table, model.machine, tool, place)
         complete = msgspec.structs.replace(
@@ -44,9 +46,11 @@ class ColumnsImporter:
             complete,
             model,
             tool,
-            setup=setup_table(complete, reference),
+            setup=setup_table(complete, reference, tool),
             rows=rows(table, columns, given),
-            statements=statements(table, columns, given),
+            statements=statements(table, columns, given, tool),
+            # a closure read by its joints alone says nothing of the base frame
+            errors="home" if tool.implied is None else "best_fit",
         )
 
 
@@ -62,11 +66,14 @@ def session(
     setup: Mapping[str, object],
     rows: Sequence[Row],
     statements: Sequence[str],
+    errors: PredictionReference = "home",
 ) -> ImportedSession:
     """The session of a complete map: a study with one set-up, and what was read."""
     title = f"{model.machine.name} read by {tool.name}"
     return ImportedSession(
-        study=column_map.imported_study(request, model, title, setup, complete.noise),
+        study=column_map.imported_study(
+            request, model, title, setup, complete.noise, errors
+        ),
         rows=rows,
         statements=statements,
         column_map=column_map.text(complete),
@@ -116,16 +123,24 @@ def mapped_columns(
         is_free = name not in columns.values() and _stem(name) not in stems
         if is_free and _is_known(name, known):
             columns[name] = name
-    stems = {_stem(name) for name in [*columns, *given.fixed]}
-    for channel in tool.channels:
-        if channel.name not in stems:
-            usual = usual_column(channel.name, channel.unit)
-            remedy = (
-                f"add {usual} to [columns] of a --map file; the file has"
-                f" {', '.join(table.header)}"
-            )
-            raise at.error(f"no column for {channel.name}", remedy)
+    channels = {channel.name: channel.unit for channel in tool.channels}
+    read_values(given.noise, channels, place.key("noise"))
+    settings = {setting.name: setting.unit for setting in tool.settings}
+    read_values(given.settings, settings, place.key("settings"))
+    if not read_channels(tool, columns) and tool.implied is None:
+        channel = tool.channels[0]
+        remedy = (
+            f"add {usual_column(channel.name, channel.unit)} to [columns] of a --map"
+            f" file; the file has {', '.join(table.header)}"
+        )
+        raise at.error(f"no column for {channel.name}", remedy)
     return columns
+
+
+def read_channels(tool: Instrument, columns: Mapping[str, str]) -> list[str]:
+    """Channels that the file has, in the instrument's order."""
+    stems = {_stem(name) for name in columns}
+    return [channel.name for channel in tool.channels if channel.name in stems]
 
 
 def rows(table: CsvTable, columns: Mapping[str, str], given: ColumnMap) -> list[Row]:
@@ -150,16 +165,24 @@ def rows(table: CsvTable, columns: Mapping[str, str], given: ColumnMap) -> list[
     return [{name: cells[name][k] for name in names} for k in range(len(table))]
 
 
-def setup_table(given: ColumnMap, reference: str) -> dict[str, object]:
-    """The [[setup]] of a map."""
+def setup_table(
+    given: ColumnMap, reference: str, tool: Instrument
+) -> dict[str, object]:
+    """The [[setup]] of a complete map; its channels are those that were read."""
     table: dict[str, object] = {"name": given.setup, "instrument": reference}
+    channels = read_channels(tool, given.columns)
+    if 0 < len(channels) < len(tool.channels):
+        table["channels"] = channels
     if any(given.tool_mm):
         table["tool_mm"] = list(given.tool_mm)
     return {**table, **given.settings}
 
 
 def statements(
-    table: CsvTable, columns: Mapping[str, str], given: ColumnMap
+    table: CsvTable,
+    columns: Mapping[str, str],
+    given: ColumnMap,
+    tool: Instrument,
 ) -> list[str]:
     """What was taken for what, and what was not taken."""
     taken = ", ".join(f"{source} as {name}" for name, source in columns.items())
@@ -169,6 +192,14 @@ def statements(
     unused = [name for name in table.header if name not in columns.values()]
     if unused:
         sentences.append(f"Not used: {', '.join(unused)}.")
+    channels = read_channels(tool, columns)
+    absent = [c.name for c in tool.channels if c.name not in channels]
+    if absent and channels:
+        sentences.append(
+            f"Not read: {', '.join(absent)}; these channels count nothing."
+        )
+    elif absent:
+        sentences.append(f"The readings are {tool.implied:g}: the machine's closure.")
     return sentences
 
 

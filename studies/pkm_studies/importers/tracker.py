@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from oed import units
 from oed.arrays import Array
+from oed.instrument import Instrument
 from oed.kinematics import Kinematics
 from pkm_studies import csv_table
 from pkm_studies.csv_table import CsvTable
@@ -69,7 +70,9 @@ class TrackerImporter:
         """Poses and points, in the machine's frame. Raises InputError."""
         given, place = column_map.load(request)
         model = column_map.model(request, given, place)
-        tool, reference = column_map.instrument(request, given, place, INSTRUMENT)
+        tool, reference = column_map.instrument(
+            request, given, place, model.machine, INSTRUMENT
+        )
         table = columns.joined([csv_table.read(path) for path in request.files])
         given = msgspec.structs.replace(given, columns=_with_measured(given, table))
         mapped = columns.mapped_columns(given, table, model.machine, tool, place)
@@ -84,9 +87,10 @@ class TrackerImporter:
             complete,
             model,
             tool,
-            setup=_setup(complete, reference),
+            setup=_setup(complete, reference, tool),
             rows=rows,
-            statements=[*columns.statements(table, mapped, given), *sentence],
+            statements=[*columns.statements(table, mapped, given, tool), *sentence],
+            errors="home" if given.registration == "known" else "best_fit",
         )
 
 
@@ -194,11 +198,11 @@ def _frame_sentences(fit: BestFit, given: ColumnMap) -> list[str]:
     ]
 
 
-def _setup(given: ColumnMap, reference: str) -> dict[str, object]:
+def _setup(given: ColumnMap, reference: str, tool: Instrument) -> dict[str, object]:
     tolerance = {name: 0.0 for name in FREE}
     if given.registration == "free":
         tolerance = dict(FREE)
-    return {**columns.setup_table(given, reference), "tolerance": tolerance}
+    return {**columns.setup_table(given, reference, tool), "tolerance": tolerance}
 
 
 def _channel_column(rows: list[Row], stem: str) -> str:

@@ -58,7 +58,7 @@ def realised_accuracy(
                 model,
                 home_model,
                 reference,
-                measurement.machine.lever,
+                measurement.machine.alignment_lever,
             )
             errors.append(kinematics.error_components(command, referenced))
         progress((start + machines) / count)

@@ -50,6 +50,10 @@ class IdentifyTable(StudyTable, frozen=True, kw_only=True):
     max_iterations: Count = 50
 
 
+#: what predicted errors refer to
+PredictionReference = Literal["home", "absolute", "best_fit"]
+
+
 class PosteriorTable(StudyTable, frozen=True, kw_only=True):
     """[posterior]: how long to sample.
 
@@ -79,6 +83,6 @@ class PredictionTable(StudyTable, frozen=True, kw_only=True):
     """
 
     free_keys = "coordinates"
-    reference: Literal["home", "absolute", "best_fit"] = "home"
+    reference: PredictionReference = "home"
     virtual_machines: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
     coordinates: dict[str, Axis] = {}
