@@ -333,6 +333,8 @@ def test_channels_that_were_not_read_are_left_out(tmp_path: Path) -> None:
         ("angle;deviation\n1;2\n2;far\n3;4\n4;5\n", "line 3, column deviation = far"),
         ("angle;deviation\n1;2\n2;99000\n3;4\n4;5\n", "more than 5 % of the radius"),
         ("angle;angle\n1;2\n2;3\n", "two columns of this name"),
+        ("angle;error 1;error 2\n1;2;3\n2;3;4\n", "two columns of deviations"),
+        ("angle;deviation\n1;2\nlow;lower\n3;4\n4;5\n", "line 3, column angle"),
         ("nothing here\n", "no line of numbers"),
         ("angle;radius\n1;2\n2;3\n", "no column for deviation"),
         ("angle;deviation\n1;2\n2;3\n", "the run from here has 2 points"),
@@ -358,6 +360,8 @@ def test_bad_traces_name_line_and_remedy(text: str, words: str, tmp_path: Path) 
         ("a\tb\n1\t2\n3\t4\n", ("a", "b")),
         ("1 2.5\n3 4\n", ("1", "2")),
         ("Test 5\n\na; b\n1,5;2\n3;4\n", ("a", "b")),
+        ("Machine,M\nFeed,1500\n\na,b\n1,2\n3,4\n", ("a", "b")),
+        ("a,b\n1,2\na,b\n3,4\n", ("a", "b")),
     ],
 )
 def test_tables_of_any_separator(

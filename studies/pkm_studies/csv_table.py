@@ -2,7 +2,8 @@
 
 The numbers start at the first line with as many cells as most lines have, at least half
 of them numbers. The line above them with as many cells is the header; without one,
-columns have the names 1, 2, 3.
+columns have the names 1, 2, 3. Facts above the header, as in `Feed,1500`, are no
+readings, and a header that is repeated within the file is passed over.
 """
 
 from __future__ import annotations
@@ -95,10 +96,12 @@ def read(path: Path) -> CsvTable:
     ]
     lines, width = _split(written)
     start = _first_numbers(lines, width, str(path))
+    header = _header(lines[:start], width, str(path))
+    below = [line for line in lines[start:] if tuple(line[1]) != header]
     return CsvTable(
         file=str(path),
-        header=_header(lines[:start], width, str(path)),
-        lines=tuple(_body(lines[start:], width, str(path))),
+        header=header,
+        lines=tuple(_body(below, width, str(path))),
     )
 
 
@@ -127,13 +130,35 @@ def _agreement(lines: list[Line]) -> tuple[int, list[Line], int]:
 
 def _first_numbers(lines: Sequence[Line], width: int, file: str) -> int:
     """Index of the first line of numbers. Raises InputError."""
-    for k, (_, cells) in enumerate(lines):
-        numbers = sum(_number(cell) is not None for cell in cells)
-        if len(cells) == width and 2 * numbers >= width:
-            return k
-    raise InputError(
-        "no line of numbers in columns", "give a CSV with one reading a line", file=file
-    )
+    wide = {k: cells for k, (_, cells) in enumerate(lines) if len(cells) == width}
+    counts = {k: sum(map(_is_number, cells)) for k, cells in wide.items()}
+    numeric = [k for k, count in counts.items() if 2 * count >= width]
+    if not numeric:
+        problem = "no line of numbers in columns"
+        raise InputError(problem, "give a CSV with one reading a line", file=file)
+    usual = _columns_of_numbers([wide[k] for k in numeric])
+    first = next(k for k in numeric if _fits(wide[k], usual))
+    # Text in a column of numbers is a fact above the header, or a mistake to refuse.
+    above_header = any(counts.get(k) == 0 for k in range(numeric[0], first))
+    return first if above_header else numeric[0]
+
+
+def _columns_of_numbers(lines: Sequence[Sequence[str]]) -> list[int]:
+    """Columns in which more than half of the lines have a number."""
+    return [
+        column
+        for column, cells in enumerate(zip(*lines, strict=True))
+        if 2 * sum(map(_is_number, cells)) > len(cells)
+    ]
+
+
+def _fits(cells: Sequence[str], columns: Sequence[int]) -> bool:
+    """Whether these columns of a line have numbers or nothing."""
+    return all(not cells[k] or _is_number(cells[k]) for k in columns)
+
+
+def _is_number(cell: str) -> bool:
+    return _number(cell) is not None
 
 
 def _header(above: Sequence[Line], width: int, file: str) -> tuple[str, ...]:

@@ -116,6 +116,7 @@ def _columns(given: ColumnMap, table: CsvTable, place: Place) -> dict[str, str]:
             if quantity not in stems and any(w in header.lower() for w in words):
                 columns[f"{quantity}_{_unit_in(header, quantity) or unit}"] = header
                 stems.add(quantity)
+    _check_single(columns, given, table, place)
     for wanted in (("deviation",), ("angle", "time")):
         if not stems & set(wanted):
             name = usual_column(wanted[0], QUANTITIES[wanted[0]])
@@ -125,6 +126,23 @@ def _columns(given: ColumnMap, table: CsvTable, place: Place) -> dict[str, str]:
                 f" {', '.join(table.header)}",
             )
     return columns
+
+
+def _check_single(
+    columns: dict[str, str], given: ColumnMap, table: CsvTable, place: Place
+) -> None:
+    """Raises InputError for a second column of deviations that the map leaves open."""
+    if any(name.startswith("deviation") for name in given.columns):
+        return
+    others = [h for h in table.header if h not in columns.values()]
+    words, _ = WORDS["deviation"]
+    second = [h for h in others if any(w in h.lower() for w in words)]
+    if second:
+        raise place.key("columns").error(
+            f"two columns of deviations: {second[0]} as well",
+            "write the runs below each other, with angles that fall on a clockwise run,"
+            " or name one column: deviation_um",
+        )
 
 
 def _unit_in(header: str, quantity: str) -> str | None:
