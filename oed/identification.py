@@ -21,7 +21,7 @@ from oed.coordinates import IdentifiableCoordinates, identifiable_coordinates
 from oed.estimate import Estimate, FitStage
 from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise, as_noise
-from oed.noise.marginal import ResidualModel, integrate
+from oed.noise.marginal import ResidualModel, integrate, most_probable
 from oed.noise.prior import noise_prior
 from oed.noise.process import stated_laws
 from oed.noise.process_noise import process_noise
@@ -272,13 +272,13 @@ def _integrated_stage(
         change = structure.restore(replaced - residual)
         robust = dataclasses.replace(fit, y=fit.y + change)
         model = ResidualModel(structure, replaced, slopes, z)
-        posterior = integrate(model, prior)
-        moved = np.abs(posterior.mode - mode).max()
-        mode = posterior.mode
+        before, mode = mode, most_probable(model, prior)
+        moved = np.abs(mode - before).max()
         law = prior.laws(mode[None])
         noise = process_noise(structure, law)
         if moved < SETTLED:
             break
+    posterior = integrate(model, prior, mode)
     theta = coordinates.to_theta(posterior.mean)
     residuals = fit.residuals(theta)
     basis, null = coordinates.basis, coordinates.null_basis

@@ -7,25 +7,26 @@ e of a law with coordinates u,
     A = I + H^T C^-1 H,    b = H^T C^-1 r - c,
 
 the marginal likelihood with the parameters z integrated out (restricted likelihood with
-a proper prior; Patterson and Thompson 1971). Laws are drawn about its mode from a
-Student t and weighted: estimates are means over laws, not those of the best one.
+a proper prior; Patterson and Thompson 1971). Laws are drawn where they are probable and
+weighted: estimates are means over laws, not those of the best one.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import warnings
+from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg, optimize, special
+from scipy import linalg, optimize
 
 from oed.arrays import Array
 from oed.noise.prior import NoisePrior
 from oed.noise.process import Laws, Whitening
+from oed.noise.proposal import kernels_at, split_student
 from oed.noise.structure import ReadingStructure
 
-#: laws drawn, and degrees of freedom of the Student t they are drawn from
-DRAWS, DEGREES = 160, 5.0
+#: laws drawn in each of two rounds
+DRAWS = 160
 #: step of numerical slopes and curvatures, and least curvature, in prior sd
 SLOPE_STEP, CURVATURE_STEP, LEAST_CURVATURE = 1e-4, 0.15, 0.5
 #: coordinates beyond which a law is not looked at, in prior sd
@@ -57,12 +58,7 @@ class ResidualModel:
             self._solve(laws.take(slice(k, k + step)))
             for k in range(0, len(laws), step)
         ]
-        return Solutions(
-            np.concatenate([p.log_marginal for p in parts]),
-            np.concatenate([p.mean for p in parts]),
-            np.concatenate([p.covariance for p in parts]),
-            np.concatenate([p.misfit for p in parts]),
-        )
+        return concatenate_solutions(parts)
 
     def _solve(self, laws: Laws) -> Solutions:
         whitening = Whitening(self.structure, laws)
@@ -103,6 +99,12 @@ class Solutions:
     misfit: Array
 
 
+def concatenate_solutions(parts: Sequence[Solutions]) -> Solutions:
+    """Solutions of laws one after the other."""
+    names = [field.name for field in dataclasses.fields(Solutions)]
+    return Solutions(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class NoisePosterior:
     """Posterior of the noise law, as weighted draws.
@@ -115,6 +117,7 @@ class NoisePosterior:
     root        (d, d) root of the covariance about the mode
     mean        (r,) of z, over laws
     covariance  (r, r) of z, over laws
+    solutions   of each drawn law
     """
 
     prior: NoisePrior
@@ -125,6 +128,7 @@ class NoisePosterior:
     root: Array
     mean: Array
     covariance: Array
+    solutions: Solutions
 
     def quantiles(self, values: Array, levels: tuple[float, ...]) -> Array:
         """Weighted quantiles of a quantity (L,) of the laws."""
@@ -132,24 +136,40 @@ class NoisePosterior:
         mass = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
         return np.interp(levels, mass, values[order])
 
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """Draws (count, r) of z: of a law by its weight, then of z under that law."""
+        number = rng.choice(len(self.weights), size=count, p=self.weights)
+        roots = np.linalg.cholesky(self.solutions.covariance)
+        normal = rng.standard_normal((count, len(self.mean)))
+        spread = np.einsum("mij,mj->mi", roots[number], normal)
+        return np.asarray(self.solutions.mean[number] + spread)
 
-def integrate(model: ResidualModel, prior: NoisePrior) -> NoisePosterior:
+
+def integrate(
+    model: ResidualModel, prior: NoisePrior, mode: Array | None = None
+) -> NoisePosterior:
     """The posterior of the noise law, and of z with the law integrated out.
 
-    The laws are points of a Sobol sequence turned into Student t, so that the same
-    readings give the same estimate without a random generator.
+    mode  (d,) most probable coordinates; sought by default
+
+    Laws are drawn in two rounds, the second where the first has weight, and weighted by
+    both rounds' density together (`oed.noise.proposal`).
     """
-    mode = _mode(model, prior)
+    if mode is None:
+        mode = most_probable(model, prior)
+
+    def cost(u: Array) -> Array:
+        return _cost(model, prior, u)
+
     root = _root_about(model, prior, mode)
-    student = _student_points(prior.dimensions)
-    draws = mode + student @ root.T
-    inside = np.abs(draws).max(axis=1) < FARTHEST
-    draws, student = draws[inside], student[inside]
-    power = -0.5 * (DEGREES + prior.dimensions)
-    log_proposal = power * np.log1p((student**2).sum(axis=1) / DEGREES)
-    solutions = model.solve(prior.laws(draws))
-    log_prior = -0.5 * (draws**2).sum(axis=1)
-    log_weights = solutions.log_marginal + log_prior - log_proposal
+    first = split_student(cost, mode, root)
+    draws, solutions, target = _solve_at(model, prior, first.points(DRAWS))
+    second = kernels_at(draws, target - first.log_density(draws))
+    further, more, more_target = _solve_at(model, prior, second.points(DRAWS))
+    draws, target = np.vstack([draws, further]), np.concatenate([target, more_target])
+    solutions = concatenate_solutions([solutions, more])
+    log_proposal = np.logaddexp(first.log_density(draws), second.log_density(draws))
+    log_weights = target - log_proposal
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
     mean = weights @ solutions.mean
@@ -165,21 +185,17 @@ def integrate(model: ResidualModel, prior: NoisePrior) -> NoisePosterior:
         root=root,
         mean=mean,
         covariance=covariance,
+        solutions=solutions,
     )
 
 
-def _student_points(dimensions: int) -> Array:
-    """Points (DRAWS, d) spread as a Student t is."""
-    from scipy.stats import qmc  # takes a second to import
-
-    sequence = qmc.Sobol(dimensions + 1, scramble=False)
-    with warnings.catch_warnings():
-        # Balance asks for powers of two, and the first point has no finite quantile.
-        warnings.simplefilter("ignore", UserWarning)
-        points = sequence.random(DRAWS + 1)[1:]
-    normal = special.ndtri(points[:, :-1])
-    chi2 = special.chdtri(DEGREES, 1.0 - points[:, -1:])
-    return np.asarray(normal / np.sqrt(chi2 / DEGREES))
+def _solve_at(
+    model: ResidualModel, prior: NoisePrior, points: Array
+) -> tuple[Array, Solutions, Array]:
+    """Points (L, d) that are not too far, their solutions, their log posteriors (L,)."""
+    draws = points[np.abs(points).max(axis=1) < FARTHEST]
+    solutions = model.solve(prior.laws(draws))
+    return draws, solutions, solutions.log_marginal - 0.5 * (draws**2).sum(axis=1)
 
 
 def _cost(model: ResidualModel, prior: NoisePrior, u: Array) -> Array:
@@ -188,7 +204,7 @@ def _cost(model: ResidualModel, prior: NoisePrior, u: Array) -> Array:
     return np.asarray(0.5 * (u**2).sum(axis=1) - log_marginal)
 
 
-def _mode(model: ResidualModel, prior: NoisePrior) -> Array:
+def most_probable(model: ResidualModel, prior: NoisePrior) -> Array:
     """The most probable coordinates (d,), from several starts."""
     steps = np.vstack([np.zeros(prior.dimensions), np.eye(prior.dimensions)])
     steps *= SLOPE_STEP

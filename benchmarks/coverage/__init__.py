@@ -1,0 +1,1 @@
+"""Coverage of intervals and bands on readings of an independent exact geometry."""

@@ -1,0 +1,133 @@
+"""One virtual machine: read by the oracle, identified, and compared with the truth.
+
+A combination's true value is the one that gives the oracle's readings without noise,
+with the lost directions at nominal: what readings can say of it. (A lost direction of
+a millimetre moves a combination by micrometres, to second order.)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import zlib
+from typing import Any
+
+import numpy as np
+
+from benchmarks.coverage import noise
+from benchmarks.coverage.bench import Bench
+from oed import laplace
+from oed.error_draws import compensated_errors
+from oed.estimate import Estimate
+from oed.identification import identify
+
+#: posterior draws for intervals, those for bands, share that an interval holds
+DRAWS, BAND_DRAWS, LEVEL = 2000, 400, 0.95
+#: Gauss-Newton steps to the coordinates of exact readings
+STEPS = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What holds the truth.
+
+    combinations  (r,) whether each interval does
+    nees          squared error of all combinations together, over their number
+    bands         (n * k,) whether each pose component's interval does
+    """
+
+    combinations: np.ndarray
+    nees: float
+    bands: np.ndarray
+
+    def as_json(self) -> dict[str, Any]:
+        """Masks as texts of 0 and 1."""
+        return {
+            "combinations": _text(self.combinations),
+            "nees": self.nees,
+            "bands": _text(self.bands),
+        }
+
+
+def _text(mask: np.ndarray) -> str:
+    return "".join("1" if value else "0" for value in mask.ravel())
+
+
+def generator(seed: int, *labels: str | int) -> np.random.Generator:
+    """A stream of its own for each configuration, law and machine."""
+    numbers = [v if isinstance(v, int) else zlib.crc32(v.encode()) for v in labels]
+    return np.random.default_rng([seed, *numbers])
+
+
+def one_machine(
+    bench: Bench, law: str, number: int, seed: int, *, estimate_noise: bool = True
+) -> Outcome:
+    """Machine `number` of a configuration, read under a law of `noise.LAWS`.
+
+    The fit estimates the noise law, or takes the stated noise.
+    """
+    m = bench.measurement
+    truth_rng = generator(seed, bench.name, number)
+    truth = m.nominal + m.tolerance * truth_rng.standard_normal(len(m.nominal))
+    rng = generator(seed, bench.name, law, number)
+    exact = bench.read(truth)
+    y = exact + noise.draw(law, bench.layout, rng)
+    estimate = identify(
+        m, bench.series, y, stages=bench.stages, estimate_noise=estimate_noise
+    )
+    z = laplace.draw_coordinates(estimate, rng, DRAWS)
+    inside, nees = _combinations(bench, estimate, z, exact)
+    theta = laplace.draw_parameters(m, bench.series, y, estimate, z[:BAND_DRAWS], rng)
+    return Outcome(inside, nees, _bands(bench, estimate, theta, truth))
+
+
+def _combinations(
+    bench: Bench, estimate: Estimate, z: np.ndarray, exact: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Which combinations' intervals hold the truth (r,), and the joint error."""
+    # In coordinates that are the same for every machine.
+    turn = bench.coordinates.dual @ estimate.coordinates.basis
+    true = turn @ _true_coordinates(bench, estimate, exact)
+    draws = z @ turn.T
+    mean = turn @ estimate.z
+    error = true - mean
+    covariance = np.cov(draws.T)
+    nees = error @ np.linalg.solve(covariance, error) / len(error)
+    return _holds(draws, true), float(nees)
+
+
+def _true_coordinates(
+    bench: Bench, estimate: Estimate, exact: np.ndarray
+) -> np.ndarray:
+    """Coordinates (r,) whose readings are the exact ones (N,)."""
+    m, coordinates = bench.measurement, estimate.coordinates
+    z = estimate.z
+    for _ in range(STEPS):
+        theta = coordinates.to_theta(z)
+        slopes = m.jacobian(bench.series, theta) @ coordinates.basis
+        missing = exact - m.readings(bench.series, theta)
+        unit = bench.layout.sigma
+        step = np.linalg.lstsq(slopes / unit[:, None], missing / unit, rcond=None)[0]
+        z = z + step
+    return z
+
+
+def _bands(
+    bench: Bench, estimate: Estimate, theta: np.ndarray, truth: np.ndarray
+) -> np.ndarray:
+    """Which pose components' intervals (n, k) hold the compensated machine's error."""
+    keep = len(bench.measurement.machine.parameters)
+    identified = estimate.theta[:keep]
+    errors = compensated_errors(
+        bench.measurement.kinematics,
+        bench.command,
+        identified,
+        theta[:, :keep],
+    )
+    return _holds(errors, bench.errors(identified, truth[:keep]))
+
+
+def _holds(draws: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Whether the central interval of draws (m, ...) holds the true values (...)."""
+    tail = 0.5 * (1.0 - LEVEL)
+    low, high = np.quantile(draws, [tail, 1.0 - tail], axis=0)
+    return (low <= true) & (true <= high)

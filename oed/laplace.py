@@ -1,0 +1,47 @@
+"""Draws of the parameters from the approximation about an estimate, without sampling.
+
+Under each noise law the identifiable coordinates are normal; laws are drawn by their
+weight, so that the draws have the tails that few readings leave. Directions that no
+reading determines are drawn from their prior and followed exactly: the readings stay as
+they were, however far a lost direction leads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.arrays import Array
+from oed.estimate import Estimate
+from oed.log_density import LogDensity
+from oed.measurement import Measurement, Series
+
+
+def draw_coordinates(estimate: Estimate, rng: np.random.Generator, count: int) -> Array:
+    """Draws (count, r) of the identifiable coordinates."""
+    if estimate.noise_posterior is not None:
+        return estimate.noise_posterior.draw(rng, count)
+    dual = estimate.coordinates.dual
+    values, vectors = np.linalg.eigh(dual @ estimate.covariance @ dual.T)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    normal = rng.standard_normal((count, len(estimate.z)))
+    return np.asarray(estimate.z + normal @ root.T)
+
+
+def draw_parameters(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    estimate: Estimate,
+    z: Array,
+    rng: np.random.Generator,
+) -> Array:
+    """Parameters (m, n), SI, at coordinates (m, r), with lost directions drawn.
+
+    y  (N,) the readings, SI. Raises AssemblyError at the estimate.
+    """
+    target = LogDensity(measurement, series, y, estimate)
+    null = estimate.coordinates.null_basis
+    change = rng.standard_normal((len(z), null.shape[1])) @ null.T
+    return target.move_along_null(estimate.coordinates.to_theta(z), change)

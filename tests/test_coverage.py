@@ -1,0 +1,163 @@
+"""Coverage on readings of the oracles: a small campaign of `benchmarks.coverage`."""
+
+import importlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from oed import laplace
+from oed.error_draws import compensated_errors
+from oed.identification import identify
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMES = ("a3_30", "a3_60", "a3_circles", "planar", "delta", "hexapod")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def benchmarks() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT)
+        yield
+
+
+def module(name: str) -> ModuleType:
+    return importlib.import_module(f"benchmarks.coverage.{name}")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_oracle_and_toolkit_read_the_same_machine(name: str) -> None:
+    """Readings, and pose errors after a compensation that is off, to rounding."""
+    bench = module("configurations").configuration(name)
+    m = bench.measurement
+    rng = np.random.default_rng(3)
+    truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
+    readings = m.readings(bench.series, truth)
+    assert np.abs(bench.read(truth) - readings).max() < 1e-12
+    keep = len(m.machine.parameters)
+    believed = m.nominal[:keep] + 0.9 * (truth - m.nominal)[:keep]
+    errors = compensated_errors(
+        m.kinematics, bench.command, believed, truth[None, :keep]
+    )[0]
+    exact = bench.errors(believed, truth[:keep])
+    assert np.abs(exact).max() > 1e-5
+    assert np.abs(errors - exact).max() < 1e-9
+
+
+def test_laws_of_the_noise_are_as_stated() -> None:
+    noise = module("noise")
+    chain = np.repeat(np.arange(4000), 15)
+    sigma, shared = np.full(len(chain), 2.0), np.zeros(len(chain))
+    layout = noise.Layout(chain, sigma, shared)
+    rng = np.random.default_rng(1)
+    errors = {
+        law: noise.draw(law, layout, rng).reshape(-1, 15) / 2.0 for law in noise.LAWS
+    }
+    assert errors["white"].var() == pytest.approx(1.0, abs=0.03)
+    assert errors["t4"].var() == pytest.approx(1.0, abs=0.1)
+    assert (np.abs(errors["t4"]) > 4.0).mean() == pytest.approx(0.0048, abs=0.001)
+    between = errors["offsets"].mean(axis=1).var()
+    assert between == pytest.approx(4.0 + 1.0 / 15.0, rel=0.1)
+    follows = (errors["ar1"][:, 1:] * errors["ar1"][:, :-1]).mean()
+    assert follows == pytest.approx(0.9, abs=0.03)
+    assert errors["ar1"].var() == pytest.approx(1.0, abs=0.05)
+    assert (np.abs(errors["outliers"]) > 5.0).mean() == pytest.approx(0.02, abs=0.003)
+    shared += 3.0
+    common = noise.draw("white", noise.Layout(chain, sigma, shared), rng)
+    level = common.reshape(-1, 15).mean(axis=1).var()
+    assert level == pytest.approx(9.0 + 4.0 / 15.0, rel=0.1)
+
+
+def test_draws_follow_the_lost_directions() -> None:
+    """Their readings are those of their coordinates; mean and spread are the fit's."""
+    bench = module("configurations").configuration("a3_30")
+    m = bench.measurement
+    rng = np.random.default_rng(5)
+    truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
+    y = bench.read(truth) + 0.5e-6 * rng.standard_normal(30)
+    estimate = identify(m, bench.series, y, estimate_noise=True)
+    z = laplace.draw_coordinates(estimate, rng, 4000)
+    posterior = estimate.noise_posterior
+    assert posterior is not None
+    sd = np.sqrt(np.diag(posterior.covariance))
+    assert np.abs((z.mean(axis=0) - posterior.mean) / sd).max() < 0.1
+    assert z.std(axis=0) == pytest.approx(sd, rel=0.15)
+    theta = laplace.draw_parameters(m, bench.series, y, estimate, z[:50], rng)
+    straight = m.readings(bench.series, estimate.coordinates.to_theta(z[:50]))
+    moved = np.abs(theta - estimate.coordinates.to_theta(z[:50])).max(axis=0)
+    assert moved.max() > 1e-3
+    assert np.abs(m.readings(bench.series, theta) - straight).max() < 1e-8
+
+
+def test_intervals_hold_where_runs_are_off() -> None:
+    """Of the delta with offsets of 2 sigma, which intervals of the stated noise miss."""
+    one_machine = module("measure").one_machine
+    bench = module("configurations").configuration("delta")
+    estimated = [one_machine(bench, "offsets", k, 1) for k in range(12)]
+    stated = [
+        one_machine(bench, "offsets", k, 1, estimate_noise=False) for k in range(12)
+    ]
+    assert np.mean([o.combinations for o in estimated]) > 0.85
+    assert np.mean([o.bands for o in estimated]) > 0.85
+    assert 0.4 < np.mean([o.nees for o in estimated]) < 2.0
+    assert np.mean([o.combinations for o in stated]) < 0.85
+    assert np.mean([o.nees for o in stated]) > 3.0
+
+
+def test_a_campaign_goes_on_and_writes_its_table(tmp_path: Path) -> None:
+    main = module("__main__").main
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# Coverage\n\n<!-- begin coverage table -->\nold\n<!-- end coverage table -->\n"
+        "\nafter\n",
+        encoding="utf-8",
+    )
+    options = ["--configurations", "planar", "--laws", "white", "--out", str(tmp_path)]
+    main([*options, "--machines", "2", "--page", str(page)])
+    text = page.read_text(encoding="utf-8")
+    assert "old" not in text
+    assert "| planar | white | 2 |" in text
+    assert text.endswith("\nafter\n")
+    folder = tmp_path / "seed_1" / "planar" / "white"
+    first = folder / "0000.json"
+    before = json.loads(first.read_text(encoding="utf-8"))
+    first.write_text(json.dumps({**before, "nees": 5.0}), encoding="utf-8")
+    (folder / "0001.json").unlink()
+    main([*options, "--machines", "2"])
+    assert json.loads(first.read_text(encoding="utf-8"))["nees"] == 5.0
+    first.unlink()
+    main([*options, "--machines", "1"])
+    again = json.loads(first.read_text(encoding="utf-8"))
+    assert again | {"cpu_s": 0.0} == before | {"cpu_s": 0.0}
+
+
+def test_a_cell_knows_what_misses() -> None:
+    summarise = module("cell").summarise
+    good = {"combinations": "1" * 20, "bands": "11", "nees": 1.0, "cpu_s": 1.0}
+    bad = {"combinations": "0" + "1" * 19, "bands": "10", "nees": 1.0, "cpu_s": 1.0}
+    figures = summarise([good] * 50 + [bad] * 50)
+    assert figures.combinations.mean == pytest.approx(0.975)
+    assert not figures.combinations.mean_holds
+    assert figures.combinations.worst == pytest.approx(0.5)
+    assert not figures.combinations.worst_holds
+    assert figures.bands.mean == pytest.approx(0.75)
+    assert figures.nees_holds
+    assert figures.combinations.lowest == pytest.approx(0.87)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["white", "t4", "offsets", "ar1", "all", "outliers"])
+def test_intervals_hold_under_every_law(law: str) -> None:
+    """Sixty machines; limits are those of the page, less four standard errors."""
+    one_machine = module("measure").one_machine
+    bench = module("configurations").configuration("planar")
+    outcomes = [one_machine(bench, law, k, 2) for k in range(60)]
+    shares = np.array([o.combinations.mean() for o in outcomes])
+    error = shares.std(ddof=1) / np.sqrt(60)
+    assert shares.mean() > 0.93 - 4.0 * error
+    bands = np.array([o.bands.mean() for o in outcomes])
+    assert bands.mean() > 0.93 - 4.0 * bands.std(ddof=1) / np.sqrt(60)
+    assert np.mean([o.nees for o in outcomes]) < 1.6
