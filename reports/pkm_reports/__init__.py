@@ -1,4 +1,4 @@
-"""Reports of a finished study: figures, HTML and PDF, and a sheet for the machine.
+"""Reports of finished studies: figures, HTML and PDF, and a sheet for the machine.
 
     from pkm_reports import write_report, write_sheet
     result = msgspec.json.decode(path.read_bytes(), type=StudyResult)
@@ -8,7 +8,8 @@ A report needs only the result, so it can be written again at any time, with the
 bytes of HTML.
 """
 
+from pkm_reports.comparison import write_comparison
 from pkm_reports.report import write_report
 from pkm_reports.sheet import write_sheet
 
-__all__ = ["write_report", "write_sheet"]
+__all__ = ["write_comparison", "write_report", "write_sheet"]

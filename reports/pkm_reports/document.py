@@ -168,33 +168,65 @@ class Numbering:
     images: dict[str, style.Image] = dataclasses.field(default_factory=dict)
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class Content:
+    """What a report holds, before it is numbered and drawn.
+
+    study, machine    for file names and the page's edge
+    answer            parts of the first page
+    """
+
+    title: str
+    question: str
+    study: str
+    machine: str
+    foot: str
+    answer: Sequence[Section]
+    chapters: Sequence[Section]
+    appendix: Sequence[Section]
+
+
 def build(result: StudyResult) -> Document:
     """All text, tables and pictures of a result."""
+    content = Content(
+        title=result.title or result.study,
+        question=result.question,
+        study=result.study,
+        machine=result.machine.name,
+        foot=footer(result),
+        answer=answer.parts(result),
+        chapters=sections.chapters(result),
+        appendix=sections.appendix(result),
+    )
+    return assembled(content, scene.build(result))
+
+
+def assembled(content: Content, view: PageView | None = None) -> Document:
+    """The document of a report: its blocks numbered, its pictures drawn."""
     numbering = Numbering()
-    chapters, appendix = sections.chapters(result), sections.appendix(result)
     with style.applied():
         parts = [
             AnswerPart(part.anchor, part.title, _numbered(part.blocks, numbering))
-            for part in answer.parts(result)
+            for part in content.answer
         ]
         numbered = [
             _chapter(number, section, numbering)
             for number, section in (
-                *zip(map(str, itertools.count(1)), chapters, strict=False),
-                *zip(string.ascii_uppercase, appendix, strict=False),
+                *zip(map(str, itertools.count(1)), content.chapters, strict=False),
+                *zip(string.ascii_uppercase, content.appendix, strict=False),
             )
         ]
     page = Page(
-        title=text.cleaned(result.title or result.study),
-        question=text.cleaned(result.question),
-        study=text.cleaned(result.study),
-        machine=text.cleaned(result.machine.name),
-        foot=text.cleaned(footer(result)),
+        title=text.cleaned(content.title),
+        question=text.cleaned(content.question),
+        study=text.cleaned(content.study),
+        machine=text.cleaned(content.machine),
+        foot=text.cleaned(content.foot),
         answer=parts,
         sections=numbered,
-        appendix=len(chapters),
+        appendix=len(content.chapters),
     )
-    return Document(page, numbering.images, scene.build(result))
+    return Document(page, numbering.images, view)
 
 
 def footer(result: StudyResult) -> str:

@@ -9,6 +9,7 @@ from oed.whole_file import whole_file
 from pkm_reports import document
 from pkm_reports import html as html_writer
 from pkm_reports import pdf as pdf_writer
+from pkm_reports.document import Document
 
 
 def write_report(
@@ -20,14 +21,20 @@ def write_report(
     are written under another name first. Returns the paths, HTML first. Raises OSError
     where the folder cannot be written.
     """
-    report = document.build(result)
+    return write_document(document.build(result), out, "report", html=html, pdf=pdf)
+
+
+def write_document(
+    report: Document, out: Path, name: str, *, html: bool = True, pdf: bool = True
+) -> tuple[Path, ...]:
+    """Write a document as `NAME.html` and `NAME.pdf` into the folder `out`."""
     pages: dict[str, bytes] = {}
     if html:
-        pages["report.html"] = html_writer.render(report)
+        pages[f"{name}.html"] = html_writer.render(report)
     if pdf:
-        pages["report.pdf"] = pdf_writer.render(report)
+        pages[f"{name}.pdf"] = pdf_writer.render(report)
     out.mkdir(parents=True, exist_ok=True)
-    return tuple(_write_whole(out / name, page) for name, page in pages.items())
+    return tuple(_write_whole(out / file, page) for file, page in pages.items())
 
 
 def _write_whole(path: Path, page: bytes) -> Path:

@@ -255,17 +255,28 @@ def compare(before: ResultFolder, after: ResultFolder) -> int:
 
 @app.command()
 def report(
-    folder: Annotated[
-        Path,
+    folders: Annotated[
+        list[Path],
         typer.Argument(
-            metavar="DIR", help="Folder with a result.json.", show_default=False
+            metavar="DIR...",
+            help="Folder with a result.json; several are put side by side.",
+            show_default=False,
         ),
     ],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Folder for a comparison of several results."),
+    ] = Path("out/comparison"),
 ) -> int:
-    """Write the HTML and PDF report again from result.json."""
-    from pkm_studies import result_folder
+    """Write HTML and PDF again from result.json, or a comparison of several results."""
+    from pkm_studies import files, stored_result
 
-    for path in result_folder.write_report(folder):
+    if len(folders) == 1:
+        paths = stored_result.write_report(folders[0])
+    else:
+        files.check_writable(out)
+        paths = stored_result.write_comparison(folders, out)
+    for path in paths:
         print(f"Report: {path}")
     return DONE
 

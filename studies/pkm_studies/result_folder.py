@@ -15,17 +15,18 @@ from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
 from oed.result import StudyResult
 from pkm_studies import files
-from pkm_studies.errors import InputError, Place
+from pkm_studies.errors import InputError
 from pkm_studies.run_state import RunState
 from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.stages.plan import files as plan_files
 from pkm_studies.stages.plan.section import PlanOutcome
+from pkm_studies.stored_result import load_result, write_report
 from pkm_studies.study import Study
+
+__all__ = ["checkpoint", "load_result", "prepare", "rewrite", "write", "write_report"]
 
 #: folder of an unfinished posterior
 UNFINISHED = "posterior.unfinished"
-#: bytes of the largest result that is read
-LIMIT = 1 << 28
 
 
 def checkpoint(folder: Path, study: Study, seed: int) -> Checkpoint:
@@ -143,27 +144,3 @@ def _write_sheet(folder: Path, result: StudyResult, plan: PlanOutcome | None) ->
     from pkm_reports import write_sheet
 
     write_sheet(result, poses, folder)
-
-
-def write_report(
-    folder: Path, *, html: bool = True, pdf: bool = True
-) -> tuple[Path, ...]:
-    """HTML and PDF reports of the result in a folder; their paths."""
-    from pkm_reports import write_report
-
-    return write_report(load_result(folder), folder, html=html, pdf=pdf)
-
-
-def load_result(folder: Path) -> StudyResult:
-    """The result in a folder; keys that its file lacks have their defaults.
-
-    Raises InputError where there is none, or the file is no result.
-    """
-    path = folder / "result.json"
-    text = files.read_text(path, limit=LIMIT, what="result")
-    try:
-        return msgspec.json.decode(text, type=StudyResult)
-    except msgspec.DecodeError as error:
-        raise Place(str(path)).error(
-            f"this is no result: {error}", "make it again with `oed run`"
-        ) from error

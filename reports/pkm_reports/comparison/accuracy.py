@@ -1,0 +1,64 @@
+"""Predicted accuracy of several results, component by component."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from oed.result import StudyResult
+from pkm_reports import missing, text
+from pkm_reports.blocks import Block, Picture, Table, TableColumn, number_columns
+from pkm_reports.comparison.glance import rms_by_component
+from pkm_reports.figures import side_by_side
+from pkm_reports.sections.answer import accuracy as answer_accuracy
+
+
+def blocks(results: Mapping[str, StudyResult]) -> list[Block]:
+    """A table with what is wanted beside it, and bars."""
+    sizes = rms_by_component(results)
+    if not sizes:
+        return []
+    caption = (
+        "Predicted rms error over the workspace afterwards; of what no drive corrects,"
+        " the unknown part. Wanted: the strictest of the studies."
+    )
+    names = list(results)
+    goals = _goals(results)
+    columns = [TableColumn("Component"), *number_columns(*names)]
+    with_goals = bool(goals)
+    if with_goals:
+        columns += [*number_columns("Wanted"), TableColumn("Reached by")]
+    rows = [_row(name, of, names, goals) for name, of in sizes.items()]
+    width = len(columns)
+    table = Table(columns, [row[:width] for row in rows], caption)
+    bars = "The same as bars, on a log scale."
+    return [
+        table,
+        Picture("side_accuracy", lambda: side_by_side.draw(sizes, names), bars),
+    ]
+
+
+def _goals(results: Mapping[str, StudyResult]) -> dict[str, float]:
+    """The strictest accuracy that a study asks for, by component and unit."""
+    goals: dict[str, float] = {}
+    for result in results.values():
+        for key, value in answer_accuracy.wanted(result).items():
+            goals[key] = min(value, goals[key]) if key in goals else value
+    return goals
+
+
+def _row(
+    component: str,
+    sizes: Mapping[str, tuple[float, str]],
+    names: list[str],
+    goals: Mapping[str, float],
+) -> list[str]:
+    unit = next(iter(sizes.values()))[1]
+    cells = [text.number(sizes[n][0]) if n in sizes else text.MISSING for n in names]
+    goal = missing.entry(goals, f"{component}_{unit}")
+    reached = [n for n in names if n in sizes and sizes[n][0] <= goal]
+    verdict = text.listing(reached) or "none"
+    if math.isnan(goal):
+        verdict = text.MISSING
+    title = f"{component} [{text.unit_symbol(unit)}]"
+    return [title, *cells, text.number(goal), verdict]
