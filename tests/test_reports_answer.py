@@ -65,11 +65,11 @@ def test_the_wanted_accuracy_stands_beside_the_predicted(
     raw["design"]["how_many"]["wanted"] = {"z_um": limit}
     (table, *_) = accuracy.blocks(result_of(raw))
     assert isinstance(table, Table)
-    assert [c.title for c in table.columns][-2:] == ["Wanted", "Verdict"]
+    assert [c.title for c in table.columns][-3:-1] == ["Wanted", "Reached"]
     assert table.rows[0][0] == "z [µm]"
-    assert table.rows[0][-1] == ("✓ reached" if reached else "✗ not reached")
+    assert table.rows[0][-2] == ("✓ yes" if reached else "✗ no")
     assert table.marks[0] == ("good" if reached else "bad")
-    others = {row[-1] for row in table.rows[1:]}
+    others = {row[-2] for row in table.rows[1:]}
     assert others == {text.MISSING}
 
 
@@ -84,7 +84,7 @@ def test_an_error_that_no_drive_corrects_is_judged_by_its_unknown_part() -> None
     words = _words(result)["how-accurate"]
     assert "x keeps an error of 1493 µm" in words
     assert "60 µm of it is unknown" in words
-    assert "x" in words.partition("✓ reached")[0]
+    assert "x [µm] 1493 60 100 ✓ yes" in words
 
 
 def test_without_a_wanted_accuracy_nothing_is_judged() -> None:
@@ -92,14 +92,14 @@ def test_without_a_wanted_accuracy_nothing_is_judged() -> None:
     raw["design"]["how_many"]["wanted"] = {}
     words = _words(result_of(raw))["how-accurate"]
     assert "states no wanted accuracy" in words
-    assert "reached" not in words
+    assert "yes" not in words
 
 
 def test_a_plan_of_stages_is_judged_by_its_goal() -> None:
     raw = report_fixture.bare() | {"plan": report_fixture_plan.plan(wanted=True)}
     words = _words(result_of(raw))
     assert "stages" in words["how-long"]
-    assert "reached" in words["how-accurate"]
+    assert "z [µm] 32.6 26.3 ✗ no 8300" in words["how-accurate"]
 
 
 # -- unknown ---------------------------------------------------------------------------

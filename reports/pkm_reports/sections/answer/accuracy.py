@@ -28,6 +28,9 @@ REFERENCES: Final = {
 CLEARLY_LESS: Final = 0.8
 
 
+LIMIT_COLUMNS: Final = (TableColumn("Wanted", number=True), TableColumn("Reached"))
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class AgainstGoal:
     """Rms of one component against what is wanted of it, in one unit."""
@@ -37,13 +40,22 @@ class AgainstGoal:
 
     @property
     def words(self) -> str:
-        """Whether the wanted accuracy is reached."""
-        return "✓ reached" if self.is_reached else "✗ not reached"
+        """Whether the wanted accuracy is reached; a dash where none is stated."""
+        if math.isnan(self.wanted):
+            return text.MISSING
+        return "✓ yes" if self.is_reached else "✗ no"
 
     @property
     def is_reached(self) -> bool:
         """Whether the rms error is at most what is wanted."""
         return self.reached <= self.wanted
+
+    @property
+    def mark(self) -> str:
+        """Mark of the component's row."""
+        if math.isnan(self.wanted):
+            return ""
+        return "good" if self.is_reached else "bad"
 
 
 def title(result: StudyResult) -> str:
@@ -108,15 +120,14 @@ def _predicted(result: StudyResult, prediction: PredictionSection) -> list[Block
     with_limits = any(math.isfinite(v.wanted) for v in judged.values())
     columns = [
         TableColumn("Component"),
-        *number_columns("Before", "Afterwards", "of it unknown"),
+        *number_columns("Afterwards", "Unknown part"),
+        *(LIMIT_COLUMNS if with_limits else []),
+        *number_columns("Before"),
     ]
-    if with_limits:
-        columns += [*number_columns("Wanted"), TableColumn("Verdict")]
     rows, marks = [], []
     for name in _ordered(components, judged):
-        row, mark = _row(name, components[name], judged[name])
-        rows.append(row if with_limits else row[:4])
-        marks.append(mark)
+        rows.append(_row(name, components[name], judged[name], with_limits))
+        marks.append(judged[name].mark)
     table = Table(columns, rows, _caption(prediction, judged), marks)
     return [table, *_unknown_part(components), *_worst_case(prediction)]
 
@@ -134,15 +145,13 @@ def _ordered(
 
 
 def _row(
-    name: str, component: ComponentAccuracy, judged: AgainstGoal
-) -> tuple[list[str], str]:
-    unit = component.after.unit
-    sizes = (component.before.rms, component.after.rms, component.known.rms)
-    cells = [f"{name} [{text.unit_symbol(unit)}]", *map(text.number, sizes)]
-    if math.isnan(judged.wanted):
-        return [*cells, text.MISSING, text.MISSING], ""
-    mark = "good" if judged.is_reached else "bad"
-    return [*cells, text.number(judged.wanted), judged.words], mark
+    name: str, component: ComponentAccuracy, judged: AgainstGoal, with_limits: bool
+) -> list[str]:
+    unit = text.unit_symbol(component.after.unit)
+    before, after = text.number(component.before.rms), text.number(component.after.rms)
+    cells = [f"{name} [{unit}]", after, text.number(component.known.rms)]
+    limits = [text.number(judged.wanted), judged.words] if with_limits else []
+    return [*cells, *limits, before]
 
 
 def _caption(prediction: PredictionSection, judged: dict[str, AgainstGoal]) -> str:
@@ -152,7 +161,10 @@ def _caption(prediction: PredictionSection, judged: dict[str, AgainstGoal]) -> s
     if not stated:
         return f"{caption} The study states no wanted accuracy."
     reached = sum(v.is_reached for v in stated)
-    return f"{caption} {reached} of {len(stated)} wanted accuracies are reached."
+    return (
+        f"{caption} {reached} of {len(stated)} wanted accuracies are reached; what no"
+        " drive corrects is judged by its unknown part."
+    )
 
 
 def _unknown_part(components: dict[str, ComponentAccuracy]) -> list[Block]:
@@ -196,23 +208,19 @@ def _planned(result: StudyResult) -> Table:
     """Accuracy of a plan of stages, which has no prediction of its own."""
     assert result.plan is not None
     plan = result.plan
-    columns = [TableColumn("Component"), *number_columns("Before", "Afterwards")]
-    if plan.goal:
-        columns += [*number_columns("Wanted"), TableColumn("Verdict")]
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Afterwards"),
+        *(LIMIT_COLUMNS if plan.goal else []),
+        *number_columns("Before"),
+    ]
     rows, marks = [], []
     for key, value in plan.accuracy.items():
-        name, unit = text.split_unit(key)
-        before = missing.entry(plan.start_accuracy, key)
-        cells = [name, text.quantity(before, unit), text.quantity(value, unit)]
-        mark = ""
-        if plan.goal:
-            judged = AgainstGoal(value, missing.entry(plan.goal, key))
-            stated = math.isfinite(judged.wanted)
-            cells.append(text.quantity(judged.wanted, unit))
-            cells.append(judged.words if stated else text.MISSING)
-            mark = ("good" if judged.is_reached else "bad") if stated else ""
-        rows.append(cells)
-        marks.append(mark)
+        judged = AgainstGoal(value, missing.entry(plan.goal, key))
+        limits = [text.number(judged.wanted), judged.words] if plan.goal else []
+        before = text.number(missing.entry(plan.start_accuracy, key))
+        rows.append([text.heading(key), text.number(value), *limits, before])
+        marks.append(judged.mark)
     within = wording.within_budget(plan)
     caption = f"Predicted rms error over the workspace after the plan{within}."
     return Table(columns, rows, caption, marks)

@@ -77,7 +77,7 @@ def _setups(setups: Sequence[SetupInfo]) -> list[tuple[str, str]]:
     if len(setups) > MOST:
         named = text.listing([setup.name for setup in setups], MOST)
         return [("Set-ups", f"{len(setups)}: {named}.")]
-    rows = [f"{setup.name} ({_settings(setup)})" for setup in setups]
+    rows = [f"{setup.name}{_settings(setup)}" for setup in setups]
     term = "Set-up" if len(rows) == 1 else f"{len(rows)} set-ups"
     return [(term, f"{text.listing(rows)}.")]
 
@@ -85,7 +85,7 @@ def _setups(setups: Sequence[SetupInfo]) -> list[tuple[str, str]]:
 def _settings(setup: SetupInfo) -> str:
     """Settings that are not zero: those a user must set."""
     numbers = {name: value for name, value in setup.numbers.items() if value}
-    return text.named_quantities(numbers) if numbers else "no settings"
+    return f" ({text.named_quantities(numbers)})" if numbers else ""
 
 
 def _readings(result: StudyResult) -> list[tuple[str, str]]:

@@ -205,6 +205,6 @@ def accuracies(plan: PlanSection) -> Table:
         rows.append([label, *wording.cells(plan.best_reachable, keys)])
         marks.append("")
     titles = [text.heading(key) for key in keys]
-    columns = [wide_column(""), *number_columns(*titles)]
+    columns = [wide_column("When"), *number_columns(*titles)]
     caption = "Accuracy of each component, rms over the workspace, stage by stage."
     return Table(columns, rows, caption, marks)
