@@ -21,6 +21,8 @@ from pkm_studies.resolve import quantities
 SAMPLES, STEPS, SLOPE_STEP, MISS = 600, 30, 1e-6, 1e-8
 #: largest step, over a coordinate's range
 LARGEST_STEP = 0.2
+#: digits of a command, m or rad: less is rounding of the solution
+PICOMETRE = 12
 AXES = "xyz"
 
 
@@ -65,7 +67,7 @@ class ToolPoints:
             command[:, free] += self._shortened(np.nan_to_num(step), free)
         missed = np.linalg.norm(self.points(command) - points, axis=1)
         self._check(missed, points, place)
-        return command
+        return command.round(PICOMETRE)
 
     def _free(self, fixed: Mapping[str, float], place: Place) -> list[int]:
         """Columns of the coordinates to solve for, three at most."""
