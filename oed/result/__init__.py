@@ -22,10 +22,12 @@ from oed.result.design import (
     WorkingOrder,
 )
 from oed.result.fit import (
+    CombinationEstimate,
     EstimateSection,
     Marginal,
     ParameterEstimate,
     PosteriorSection,
+    PredictiveCheckRecord,
 )
 from oed.result.gap import (
     AnswerRecord,
@@ -50,6 +52,7 @@ from oed.result.gap_before import (
 )
 from oed.result.goodness import (
     GoodnessSection,
+    LeftOutRun,
     MistakeRecord,
     NoiseRecord,
     OutlierRecord,
@@ -95,6 +98,7 @@ __all__ = [
     "Claim",
     "ClosureRecord",
     "CoefficientRecord",
+    "CombinationEstimate",
     "ComponentAccuracy",
     "CorrectedSection",
     "CriterionComparison",
@@ -114,6 +118,7 @@ __all__ = [
     "IdentifiabilityFinding",
     "IdentifiabilitySection",
     "KappaMap",
+    "LeftOutRun",
     "MachineInfo",
     "MapPoint",
     "Marginal",
@@ -130,6 +135,7 @@ __all__ = [
     "PositioningRecord",
     "PosteriorSection",
     "PredictionSection",
+    "PredictiveCheckRecord",
     "PromiseRecord",
     "Record",
     "RivalRecord",

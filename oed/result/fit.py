@@ -19,6 +19,21 @@ class ParameterEstimate(Record, frozen=True):
     truth: float | None = None  # of a virtual machine
 
 
+class CombinationEstimate(Record, frozen=True):
+    """A linear combination of parameters that the readings determine.
+
+    terms      coefficient of each parameter, SI over SI; 1 at the first that has its unit
+    value      of the combination's departure from nominal
+    tolerance  its standard deviation before the readings
+    """
+
+    terms: dict[str, float]
+    value: float
+    sd: float
+    tolerance: float
+    unit: str
+
+
 class EstimateSection(Record, frozen=True):
     """Least squares with tolerance priors. rms and residuals are in the fine unit of
     their channel, `units`.
@@ -37,6 +52,7 @@ class EstimateSection(Record, frozen=True):
     residuals: list[float]  # of each reading, after
     residuals_before: list[float]
     covariance: list[list[float]] = []  # of `parameters`, in their units
+    combinations: list[CombinationEstimate] = []
     commands: list[dict[str, float]] = []  # that were read, each once, where recorded
 
 
@@ -55,6 +71,19 @@ class Marginal(Record, frozen=True):
     unit: str
 
 
+class PredictiveCheckRecord(Record, frozen=True):
+    """A discrepancy of the residuals, in units of the stated noise.
+
+    low, high  95 % of the draws of the noise lie between
+    p_high     share of draws in which the noise has the larger one
+    """
+
+    observed: float
+    low: float
+    high: float
+    p_high: float
+
+
 class PosteriorSection(Record, frozen=True):
     """Sampler summary. `posterior.nc` holds the draws."""
 
@@ -67,3 +96,4 @@ class PosteriorSection(Record, frozen=True):
     corner: list[
         list[float]
     ]  # thinned draws [draw][direction], in prior standard deviations
+    checks: dict[str, PredictiveCheckRecord] = {}  # posterior predictive

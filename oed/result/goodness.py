@@ -41,6 +41,23 @@ class NoiseRecord(Record, frozen=True):
     departs: bool = False
 
 
+class LeftOutRun(Record, frozen=True):
+    """A run against what all other runs predict of it.
+
+    values     number of its values
+    ratio      its errors over what is predicted
+    p_high     probability of larger errors
+    log_score  log predictive density, readings in units of their noise
+    """
+
+    setup: str
+    run: str
+    values: int
+    ratio: float
+    p_high: float
+    log_score: float
+
+
 class GoodnessSection(Record, frozen=True):
     """Goodness of fit against the stated noise, and what a check of the readings says.
 
@@ -49,6 +66,8 @@ class GoodnessSection(Record, frozen=True):
     noise     the noise law as estimated, by the names of its numbers; empty where the
               noise is as stated
     noise_words  how it departs from the stated noise, as sentences
+    left_out  each run predicted from the others; their log score with its standard
+              deviation in `left_out_score` and `left_out_sd`
     """
 
     chi2: Number
@@ -61,3 +80,6 @@ class GoodnessSection(Record, frozen=True):
     findings: list[str] = []
     noise: dict[str, NoiseRecord] = {}
     noise_words: list[str] = []
+    left_out: list[LeftOutRun] = []
+    left_out_score: Number = None
+    left_out_sd: Number = None

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from oed.correction import CorrectedEstimate
 
 
+#: degrees of freedom from which on readings say something of their noise
+LEAST_FREEDOM = 10
+
+
 class Stream(enum.IntEnum):
     """Independent random streams: more draws in one leave the others as they are."""
 
@@ -49,6 +53,7 @@ class Stream(enum.IntEnum):
     CORRECTED = 13
     ACCEPTANCE = 14
     HISTORY = 15
+    PREDICTIVE = 16
 
 
 class HeldOut(NamedTuple):
@@ -126,6 +131,23 @@ class RunState:
     def fit_is_bad(self) -> bool:
         """Whether nothing fitted to the readings can be trusted."""
         return self.checked is not None and self.checked.bad_fit
+
+    @property
+    def estimates_noise(self) -> bool:
+        """Whether the noise law is estimated from the readings.
+
+        As [noise] says; by default for recorded readings that leave at least
+        `LEAST_FREEDOM` degrees of freedom. The noise of a virtual machine is known.
+        """
+        stated = self.study.noise.estimate
+        if stated is not None or self.resolved.dataset is None:
+            return bool(stated)
+        if self.readings is None or self.readings.y is None:
+            return False
+        determined = int(self.measurement.free.sum())
+        if self.identifiability is not None:
+            determined = self.identifiability.identifiability.rank
+        return len(self.readings.y) - determined >= LEAST_FREEDOM
 
     def rng(self, stream: Stream) -> np.random.Generator:
         """Random numbers of one stream."""

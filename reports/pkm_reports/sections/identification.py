@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from oed.result import (
+    CombinationEstimate,
     EstimateSection,
     GoodnessSection,
     ParameterEstimate,
@@ -24,6 +25,7 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     number_columns,
+    wide_column,
 )
 from pkm_reports.figures import parameters, residuals
 from pkm_reports.missing import or_nan
@@ -33,6 +35,8 @@ Estimates = Mapping[str, ParameterEstimate]
 MARKS: Final = {"weak": "chosen", "prior": "bad"}
 #: standard deviations of chi-square beyond which it disagrees with the stated noise
 DISAGREEMENT: Final = 3.0
+#: terms of a combination that are written
+TERMS: Final = 5
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -46,6 +50,7 @@ def blocks(result: StudyResult) -> list[Block]:
         *[Notice(warning) for warning in text.sentences(estimate.warnings)],
         Picture("residuals", lambda: residuals.draw(estimate), caption),
         *noise.blocks(result.goodness),
+        *noise.left_out(result.goodness),
     ]
     values = estimate.parameters
     if values:
@@ -53,6 +58,7 @@ def blocks(result: StudyResult) -> list[Block]:
         caption = _parameters_caption(values)
         picture = Picture("parameters", lambda: parameters.draw(values), caption)
         chapter += [_table(values), picture]
+    chapter += _combinations(estimate.combinations)
     return chapter + _iterations(estimate.iterations)
 
 
@@ -185,6 +191,30 @@ def _row(name: str, estimate: ParameterEstimate, *, with_truth: bool) -> list[st
         cells.append(text.fixed(estimate.truth, decimals))
         cells.append(text.fixed(_pull(estimate), 1))
     return cells
+
+
+def _combinations(combinations: Sequence[CombinationEstimate]) -> list[Block]:
+    """Combinations of several parameters; single ones are in the table before."""
+    several = [one for one in combinations if len(one.terms) > 1]
+    if not several:
+        return []
+    columns = [
+        wide_column("Combination"),
+        *number_columns("Value", "sd", "Tolerance"),
+        TableColumn("Unit"),
+    ]
+    rows = []
+    for one in several:
+        decimals = text.decimals_for(one.sd)
+        cells = [text.fixed(one.value, decimals), text.fixed(one.sd, decimals)]
+        name = text.linear_combination(one.terms, TERMS)
+        tolerance = text.trimmed(one.tolerance, 3)
+        rows.append([name, *cells, tolerance, text.unit_symbol(one.unit)])
+    caption = (
+        "Combinations whose parameters the readings do not determine one by one:"
+        " departure from nominal."
+    )
+    return [Table(columns, rows, caption)]
 
 
 def _iterations(iterations: Sequence[Mapping[str, float]]) -> list[Block]:

@@ -11,6 +11,8 @@ from pkm_reports.missing import or_nan
 
 #: probability of a tail below which residuals disagree with the stated noise
 ALARM: Final = 1e-3
+#: runs that the table shows
+SHOWN: Final = 8
 MEANING: Final = {
     "reading": "Scatter of single readings",
     "run": "Error that a run shares",
@@ -61,6 +63,37 @@ def blocks(checked: GoodnessSection | None) -> list[Block]:
     )
     departures: list[Block] = [Notice(text.sentence(w)) for w in checked.noise_words]
     return [*departures, Table(columns, rows, caption, marks)]
+
+
+def left_out(checked: GoodnessSection | None) -> list[Block]:
+    """Runs as predicted from all others, the worst first; nothing for a single run."""
+    if checked is None or not checked.left_out:
+        return []
+    columns = [
+        TableColumn("Set-up"),
+        TableColumn("Run"),
+        *number_columns("Values", "Errors / predicted", "p", "Log score"),
+    ]
+    worst = sorted(checked.left_out, key=lambda run: run.p_high)[:SHOWN]
+    rows = [
+        [
+            run.setup,
+            run.run,
+            str(run.values),
+            text.number(run.ratio, 2),
+            _probability(run.p_high),
+            text.fixed(run.log_score, 1),
+        ]
+        for run in worst
+    ]
+    score = text.fixed(checked.left_out_score, 1)
+    sd = text.fixed(checked.left_out_sd, 1)
+    count = text.count(len(checked.left_out), "run")
+    caption = (
+        f"Each of {count} predicted from all others, the most surprising first. Their"
+        f" log score, which compares models of the same readings, is {score} ± {sd}."
+    )
+    return [Table(columns, rows, caption)]
 
 
 def _row(record: NoiseRecord) -> list[str]:

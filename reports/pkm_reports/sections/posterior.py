@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from oed.result import Marginal, PosteriorSection, StudyResult
+from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -29,6 +29,12 @@ LARGEST_RHAT: Final = 1.01
 SMALLEST_ESS: Final = 1000.0
 #: sd, in prior standard deviations, above which the readings say little
 WIDE: Final = 0.7
+COMPARED: Final = {
+    "rms": "Root mean square",
+    "largest": "Largest",
+    "neighbours": "Correlation of neighbours",
+    "run_means": "Means of the runs, rms",
+}
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -43,6 +49,7 @@ def blocks(result: StudyResult) -> list[Block]:
         Picture("corner", lambda: corner.draw(posterior), caption),
         *_directions(posterior),
         *_marginals(posterior.marginals),
+        *_checks(posterior.checks),
     ]
 
 
@@ -152,6 +159,31 @@ def _marginals(marginals: Mapping[str, Marginal]) -> list[Block]:
     caption = (
         "Marginals of the posterior with sampler diagnostics (ESS: effective sample"
         " size)."
+    )
+    return [Table(columns, rows, caption)]
+
+
+def _checks(checks: Mapping[str, PredictiveCheckRecord]) -> list[Block]:
+    """Residuals against those that the posterior predicts."""
+    if not checks:
+        return []
+    columns = [
+        TableColumn("Of the residuals"),
+        *number_columns("Observed", "2.5 %", "97.5 %", "Probability of more"),
+    ]
+    rows = [
+        [
+            text.meaning(name, COMPARED),
+            text.number(check.observed),
+            text.number(check.low),
+            text.number(check.high),
+            text.number(check.p_high, 2),
+        ]
+        for name, check in checks.items()
+    ]
+    caption = (
+        "Posterior predictive checks, in units of the stated noise. A probability near 0"
+        " or 1 says that the readings contradict the posterior."
     )
     return [Table(columns, rows, caption)]
 

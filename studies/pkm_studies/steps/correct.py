@@ -56,7 +56,7 @@ def correct_for_effects(state: RunState) -> RunState:
         effects,
         estimate.theta,
         stages=state.resolved.identification_stages,
-        estimate_noise=state.study.noise.estimate,
+        estimate_noise=state.estimates_noise,
         max_iterations=state.study.identify.max_iterations,
     )
     if corrected is None:

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from oed import identification, posterior
+import msgspec
+
+from oed import identification, posterior, posterior_checks, run_prediction
 from oed.arrays import Array
 from oed.assembly_mode import mode_jumps
 from oed.checks.goodness import goodness_of_estimate
 from oed.result import GoodnessSection
 from pkm_studies.run_state import RunState, Stream
+from pkm_studies.stages.fit.combinations import combination_estimates
 from pkm_studies.stages.fit.estimate import estimate_section
+from pkm_studies.stages.fit.left_out import surprises, with_left_out
 from pkm_studies.stages.fit.noise import unchecked_section, with_noise
-from pkm_studies.stages.fit.posterior import posterior_section, sampling_warnings
+from pkm_studies.stages.fit.posterior import (
+    contradictions,
+    posterior_section,
+    sampling_warnings,
+    with_checks,
+)
 
 
 def fit_parameters(state: RunState) -> RunState:
@@ -25,7 +34,7 @@ def fit_parameters(state: RunState) -> RunState:
         series,
         y,
         stages=state.resolved.identification_stages,
-        estimate_noise=state.study.noise.estimate,
+        estimate_noise=state.estimates_noise,
         max_iterations=state.study.identify.max_iterations,
     )
     _refuse_mode_jump(state, estimate.theta)
@@ -33,8 +42,15 @@ def fit_parameters(state: RunState) -> RunState:
         state.measurement, series, estimate, state.readings.truth
     )
     state = state.replace(estimate=estimate).with_sections(estimate=section)
-    state = state.with_sections(goodness=_goodness(state, estimate))
-    return state.with_warnings(*section.warnings)
+    if state.identifiability is not None:
+        verdict = state.identifiability.identifiability
+        combinations = combination_estimates(state.measurement, estimate, verdict)
+        section = msgspec.structs.replace(section, combinations=combinations)
+        state = state.with_sections(estimate=section)
+    runs = run_prediction.predict_runs(state.measurement, series, estimate)
+    goodness = with_left_out(_goodness(state, estimate), runs)
+    state = state.with_sections(goodness=goodness)
+    return state.with_warnings(*section.warnings, *surprises(runs))
 
 
 def _goodness(state: RunState, estimate: identification.Estimate) -> GoodnessSection:
@@ -89,5 +105,15 @@ def sample_posterior(state: RunState) -> RunState:
     )
     corner = state.study.report.corner
     section = posterior_section(state.measurement, state.estimate, draws, corner)
+    checks = posterior_checks.predictive_checks(
+        state.measurement,
+        state.readings.series,
+        state.readings.y,
+        state.estimate,
+        draws,
+        state.rng(Stream.PREDICTIVE),
+    )
+    section = with_checks(section, checks)
     state = state.replace(posterior=draws).with_sections(posterior=section)
+    state = state.with_warnings(*contradictions(checks))
     return state.with_warnings(*sampling_warnings(draws, table.ess))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import msgspec
 import numpy as np
 
 from oed import units
@@ -9,7 +12,8 @@ from oed.arrays import Array
 from oed.identification import Estimate
 from oed.measurement import Measurement
 from oed.posterior import MIXED_RHAT, Posterior
-from oed.result import Marginal, PosteriorSection
+from oed.posterior_checks import PredictiveCheck
+from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord
 
 #: draws shown in the corner plot
 CORNER_DRAWS = 1500
@@ -41,6 +45,37 @@ def posterior_section(
         directions=directions,
         corner=table,
     )
+
+
+#: what a predictive check compares
+COMPARED = {
+    "rms": "the rms residual",
+    "largest": "the largest residual",
+    "neighbours": "the correlation of neighbours along a run",
+    "run_means": "the rms of the runs' mean residuals",
+}
+
+
+def with_checks(
+    section: PosteriorSection, checks: Mapping[str, PredictiveCheck]
+) -> PosteriorSection:
+    """The section with its posterior predictive checks."""
+    records = {
+        name: PredictiveCheckRecord(c.observed, c.low, c.high, c.p_high)
+        for name, c in checks.items()
+    }
+    return msgspec.structs.replace(section, checks=records)
+
+
+def contradictions(checks: Mapping[str, PredictiveCheck]) -> list[str]:
+    """Checks that the readings fail, as sentences."""
+    return [
+        f"the readings contradict the posterior: {COMPARED[name]} is"
+        f" {check.observed:.2g}, predicted are {check.low:.2g} to {check.high:.2g} (in"
+        " units of the stated noise)"
+        for name, check in checks.items()
+        if check.alarming
+    ]
 
 
 def sampling_warnings(posterior: Posterior, ess: int) -> list[str]:

@@ -57,14 +57,15 @@ class SetupTable(StudyTable, frozen=True, kw_only=True):
 class NoiseTable(StudyTable, frozen=True, kw_only=True):
     """[noise]: standard deviation of one reading.
 
-    estimate   whether the fit scales it by what the residuals show; up to ten times the
-               stated noise is then no bad fit
+    estimate   whether the noise law is estimated from the readings and integrated over; by
+               default where recorded readings leave enough degrees of freedom. Where it
+               is true, up to ten times the stated noise is no bad fit
     further    channels with their unit, as in `length_um = 0.5`, for all set-ups, or in
                a table with the set-up's name for that one
     """
 
     free_keys = "sigma"
-    estimate: bool = False
+    estimate: bool | None = None
     sigma: dict[str, float | dict[str, float]] = {}
 
 
