@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -48,27 +49,43 @@ def error_maps(
     `further` are twists (n + 1, 6, m) per unit of m coefficients, raw and remaining,
     the home pose last; the maps are then over them in place of the parameters.
     """
+    maps = maps_by_reference(kinematics, command, (reference,), tool, further)
+    return maps[reference]
+
+
+def maps_by_reference(
+    kinematics: Kinematics,
+    command: Array,
+    references: Sequence[Reference],
+    tool: Array = NO_TOOL,
+    further: tuple[Array, Array] | None = None,
+    parameters: Array | None = None,
+) -> dict[Reference, ErrorMaps]:
+    """Error maps against several references, as `error_maps`.
+
+    tool        tool point in the platform's frame; home is home with this tool
+    parameters  (np,) of the machine about which the maps hold; nominal by default
+    """
     machine = kinematics.machine
-    model = error_model(kinematics, command, tool)
-    home = error_model(kinematics, machine.home_command[None], tool)
+    home_command = machine.with_tool(machine.home_command[None], tool)
+    model = error_model(kinematics, command, tool, parameters)
+    home = error_model(kinematics, home_command, tool, parameters)
     slope = kinematics.error_components_jacobian(command)
-
-    def components(twist: Array, home_twist: Array) -> Array:
-        lever = machine.alignment_lever
-        relative = _relative(twist, home_twist, model, home, reference, lever)
-        return np.asarray(slope @ relative)
-
     raw, raw_home = model.raw, home.raw
     remaining, remaining_home = model.remaining, home.remaining
     if further is not None:
         raw, raw_home = further[0][:-1], further[0][-1:]
         remaining, remaining_home = further[1][:-1], further[1][-1:]
-    return ErrorMaps(
-        command=command,
-        names=tuple(c.name for c in machine.components),
-        raw=components(raw, raw_home),
-        remaining=components(remaining, remaining_home),
-    )
+    maps: dict[Reference, ErrorMaps] = {}
+    for reference in references:
+        frame = (model, home, reference, machine.alignment_lever)
+        maps[reference] = ErrorMaps(
+            command=command,
+            names=tuple(c.name for c in machine.components),
+            raw=slope @ _relative(raw, raw_home, *frame),
+            remaining=slope @ _relative(remaining, remaining_home, *frame),
+        )
+    return maps
 
 
 def relative_to_reference(

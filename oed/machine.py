@@ -286,6 +286,12 @@ class Machine:
         shift = dict(zip("xyz", tool, strict=True))
         return tuple(_shifted(c, shift.get(c.name, 0.0)) for c in self.command)
 
+    def with_tool(self, command: Array, tool: Array) -> Array:
+        """Commands (n, n_dof) whose x, y and z are moved with the tool point (3,)."""
+        shift = dict(zip("xyz", tool.tolist(), strict=True))
+        by_coordinate = [shift.get(c.name, 0.0) for c in self.command]
+        return np.asarray(command + np.array(by_coordinate))
+
 
 def _exceeds(values: Array, coordinate: Coordinate) -> Mask:
     """Mask (n,) of values outside a coordinate's range, rounding aside."""

@@ -43,13 +43,18 @@ class ErrorModel:
 
 
 def error_model(
-    kinematics: Kinematics, command: Array, tool: Array = NO_TOOL
+    kinematics: Kinematics,
+    command: Array,
+    tool: Array = NO_TOOL,
+    parameters: Array | None = None,
 ) -> ErrorModel:
-    """Error model at commands (n, n_dof), SI, about the nominal machine.
+    """Error model at commands (n, n_dof), SI.
+
+    parameters  (np,) of the machine about which it holds; nominal by default
 
     Raises AssemblyError for commands out of reach.
     """
-    p = kinematics.machine.nominal
+    p = kinematics.machine.nominal if parameters is None else parameters
     x, q = kinematics.inverse(command, p, tool)
     by_joint = kinematics.joint_sensitivity(x, q, p)
     by_parameter = kinematics.parameter_sensitivity(x, q, p)

@@ -10,6 +10,7 @@ from oed.result.acceptance import (
     VerdictRecord,
     VerificationSection,
 )
+from oed.result.budget import BudgetLine, BudgetSection, UnmodelledLine
 from oed.result.corrected import CorrectedSection, EffectEstimate
 from oed.result.design import (
     CriterionComparison,
@@ -75,6 +76,7 @@ from oed.result.prediction import (
     MapPoint,
     PredictionSection,
     SpreadRecord,
+    ToolAccuracy,
 )
 from oed.result.record import Record
 from oed.result.study import (
@@ -93,6 +95,8 @@ __all__ = [
     "AcceptanceSection",
     "AlternativePlan",
     "AnswerRecord",
+    "BudgetLine",
+    "BudgetSection",
     "ChosenRun",
     "ChosenRuns",
     "Claim",
@@ -150,7 +154,9 @@ __all__ = [
     "SpreadRecord",
     "StageRecord",
     "StudyResult",
+    "ToolAccuracy",
     "Trace",
+    "UnmodelledLine",
     "VerdictRecord",
     "VerificationSection",
     "WorkingOrder",

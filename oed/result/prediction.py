@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from oed.result.budget import BudgetSection
 from oed.result.record import Record
+
+#: lower and upper end
+Interval = tuple[float, float]
 
 
 class SpreadRecord(Record, frozen=True):
     """Error of one pose component over the workspace: rms, 95th percentile, largest, in
     `unit`.
+
+    An interval holds that figure of 95 % of the machines, each over its workspace.
     """
 
     rms: float
     p95: float
     max: float
     unit: str
+    rms_interval: Interval | None = None
+    p95_interval: Interval | None = None
+    max_interval: Interval | None = None
 
 
 class ComponentAccuracy(Record, frozen=True):
@@ -40,6 +49,14 @@ class MapPoint(Record, frozen=True):
     at: list[float] = []
 
 
+class ToolAccuracy(Record, frozen=True):
+    """Accuracy after compensation at a tool point, `length` beyond the reference one."""
+
+    length: float
+    unit: str
+    components: dict[str, SpreadRecord]
+
+
 class PredictionSection(Record, frozen=True):
     """Residual accuracy over the workspace, against a stated reference (absolute, home
     or best_fit).
@@ -55,6 +72,13 @@ class PredictionSection(Record, frozen=True):
         None  # of virtual machines after compensation
     )
     realised_share: dict[str, float] = {}  # their rms over the predicted one
+    budget: BudgetSection | None = None
+    # after compensation against each reference, by reference and component
+    references: dict[str, dict[str, SpreadRecord]] = {}
+    # commands at which each component is predicted worst
+    worst: dict[str, MapPoint] = {}
+    # after compensation at tools of other lengths
+    tools: list[ToolAccuracy] = []
 
 
 class HeldOutSection(Record, frozen=True):

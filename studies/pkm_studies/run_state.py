@@ -54,6 +54,9 @@ class Stream(enum.IntEnum):
     ACCEPTANCE = 14
     HISTORY = 15
     PREDICTIVE = 16
+    UNMODELLED = 17
+    REFERENCES = 18
+    TOOLS = 19
 
 
 class HeldOut(NamedTuple):

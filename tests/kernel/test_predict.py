@@ -183,70 +183,6 @@ def test_zeroing_at_home_removes_a_wrong_place_and_a_wrong_mount() -> None:
     assert np.abs(maps.raw @ lift)[:, :3].max() < 1e-12
 
 
-def test_the_budget_adds_up(passage: tuple) -> None:
-    h, tolerance, covariance = passage
-    names = a3_plans.measurement(taught=False).names
-    sources = prediction.budget_sources(h, tolerance, names, 24)
-    kinds = ("dq", "db", "da", "beta", "cup")
-    assert [n for n, _ in sources] == [
-        "readings' noise",
-        *(f"tolerance of {k}" for k in kinds),
-    ]
-    total = sum(part for _, part in sources)
-    assert total == pytest.approx(
-        covariance[:24, :24], rel=1e-9, abs=1e-9 * covariance.max()
-    )
-    assert all(
-        np.linalg.eigvalsh(part)[0] > -1e-9 * np.linalg.eigvalsh(part)[-1]
-        for _, part in sources
-    )
-    told = predicted(
-        prediction.error_maps(A3, a3_plans.workspace()), passage, sources=sources
-    )
-    for shares in told.budget.values():
-        assert sum(shares.values()) == pytest.approx(1.0)
-        assert min(shares.values()) >= 0.0
-
-
-def test_each_source_is_what_its_spread_alone_would_leave(passage: tuple) -> None:
-    """Law of total variance: error = S H^T noise - S prior errors; each source's part
-    from its own random numbers.
-    """
-    h, tolerance, _ = passage
-    names, n = a3_plans.measurement(taught=False).names, h.shape[1]
-    gain = (
-        np.linalg.solve(np.eye(n) + h.T @ h, np.hstack([h.T, -np.eye(n)]))
-        * tolerance[:, None]
-    )
-    for label, part in prediction.budget_sources(h, tolerance, names, 24):
-        mine = np.zeros(gain.shape[1], dtype=bool)
-        if label == "readings' noise":
-            mine[: len(h)] = True
-        else:
-            mine[len(h) :] = [
-                f"tolerance of {prediction.parameter_kind(name)}" == label
-                for name in names
-            ]
-        assert part == pytest.approx(
-            (gain[:24, mine] @ gain[:24, mine].T), rel=1e-5, abs=1e-7 * part.max()
-        )
-
-
-@pytest.mark.parametrize(
-    ("name", "told"),
-    [
-        ("da1x", "da"),
-        ("cup_220.cup_x", "cup"),
-        ("dq3", "dq"),
-        ("beta1", "beta"),
-        ("radius", "radius"),
-        ("arm2", "arm"),
-    ],
-)
-def test_kinds_of_parameters(name: str, told: str) -> None:
-    assert prediction.parameter_kind(name) == told
-
-
 def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
     """Plan mode against 4000 machines drawn here: rms to 4 %, the percentiles of its
     own 400 draws to 12 %.
@@ -278,6 +214,25 @@ def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
                 (want.p95, want.largest), rel=0.12
             )
             assert got.rms < got.p95 < got.largest
+            ends = [
+                (got.rms_interval, want.rms_interval),
+                (got.p95_interval, want.p95_interval),
+                (got.largest_interval, want.largest_interval),
+            ]
+            for (low, high), (wanted_low, wanted_high) in ends:
+                assert high == pytest.approx(wanted_high, rel=0.15)
+                assert low == pytest.approx(wanted_low, abs=0.05 * wanted_high)
+
+
+def test_a_known_variance_replaces_that_of_the_maps(passage: tuple) -> None:
+    maps = prediction.error_maps(A3, a3_plans.workspace()[::5])
+    plain = predicted(maps, passage)
+    linear = plain.sd_after**2
+    doubled = predicted(maps, passage, variance=4.0 * linear)
+    for name, component in zip(maps.names, A3.machine.components, strict=True):
+        if component.compensatable:
+            assert doubled.after[name].rms == pytest.approx(2 * plain.after[name].rms)
+            assert doubled.after[name].p95 == pytest.approx(2 * plain.after[name].p95)
 
 
 def test_after_identification_known_errors_stay_where_they_are(passage: tuple) -> None:

@@ -26,6 +26,8 @@ from pkm_reports.blocks import (
     number_columns,
 )
 from pkm_reports.figures import accuracy, budget, map_layout, workspace
+from pkm_reports.sections import accuracy_ranges
+from pkm_reports.sections import budget as budget_lines
 
 Components = Mapping[str, ComponentAccuracy]
 REFERENCES: Final = {
@@ -52,12 +54,15 @@ def blocks(result: StudyResult) -> list[Block]:
             "accuracy", lambda: accuracy.draw(prediction), _bars_caption(components)
         ),
         _table(components),
+        *accuracy_ranges.blocks(prediction),
     ]
     if prediction.realised:
         chapter.append(_realised(prediction, prediction.realised))
     if any(component.budget for component in components.values()):
         caption = _budget_caption(components)
         chapter.append(Picture("budget", lambda: budget.draw(components), caption))
+    if prediction.budget is not None:
+        chapter += budget_lines.blocks(prediction.budget, components)
     if prediction.map:
         caption = _map_caption(prediction)
         chapter.append(

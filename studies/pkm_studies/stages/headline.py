@@ -20,6 +20,7 @@ from oed.result import (
     PredictionSection,
 )
 from pkm_studies.stages.plan.summary import plan_sentences
+from pkm_studies.stages.predict.budget import unmodelled_sentence
 
 MAX_SENTENCES = 5
 REFERENCES = {
@@ -41,6 +42,7 @@ def sentences(sections: Mapping[str, Any], recorded: bool = False) -> list[str]:
         *_separation(sections.get("gap_before")),
         *_corrected(sections.get("corrected")),
         *([] if "corrected" in sections else _accuracy(sections.get("prediction"))),
+        *_unmodelled(sections.get("prediction")),
         *_held_out(sections.get("held_out") or []),
         *_rank(sections.get("identifiability")),
         *_gain(chosen),
@@ -104,6 +106,18 @@ def _accuracy(section: PredictionSection | None) -> list[str]:
         f"Compensation is predicted to reduce the rms error over the workspace,"
         f" {reference}: {'; '.join(changes)}."
     ]
+
+
+def _unmodelled(section: PredictionSection | None) -> list[str]:
+    """What an effect outside the model would do to a planned machine."""
+    if section is None or section.budget is None:
+        return []
+    driven = {
+        n: section.unit[n] for n, c in section.components.items() if c.compensatable
+    }
+    after = {name: section.components[name].after.rms for name in driven}
+    sentence = unmodelled_sentence(section.budget, after, driven)
+    return [] if sentence is None else [sentence]
 
 
 def _held_out(sections: Sequence[HeldOutSection]) -> list[str]:

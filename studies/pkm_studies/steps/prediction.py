@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import get_args
+
+import msgspec
+import numpy as np
+
+from oed.arrays import Array
+from oed.budget import ExpectedEffect, budget_of
+from oed.error_maps import Reference
+from oed.prediction import Spread
+from oed.result import PredictionSection, SpreadRecord, ToolAccuracy
+from oed.units import MM
+from pkm_studies.resolve.gap import gap_request
 from pkm_studies.run_state import RunState, Stream
-from pkm_studies.stages.predict.accuracy import prediction_section
+from pkm_studies.stages.predict import accuracy, knowledge
+from pkm_studies.stages.predict.budget import budget_section
 from pkm_studies.stages.predict.held_out import held_out_sections
+from pkm_studies.stages.predict.knowledge import Accuracy, ParameterKnowledge
+from pkm_studies.stages.predict.unmodelled import expected_unmodelled
 from pkm_studies.stages.predict.virtual_machines import realised_accuracy
 
 
@@ -21,10 +37,28 @@ def predict_accuracy(state: RunState) -> RunState:
     if state.fit_is_bad:
         return state.with_warnings(_withheld(state))
     state.progress.stage("prediction")
-    series, virtual = state.readings.series, state.readings.truth is not None
-    realised = realised_accuracy(
+    realised = _realised(state, command)
+    known = _knowledge(state)
+    rng = state.rng(Stream.PREDICT)
+    by_reference = knowledge.accuracy(known, command, [table.reference], rng)
+    main = by_reference[table.reference]
+    section = _section(state, known, main)
+    section = msgspec.structs.replace(
+        section,
+        references=_references(state, known, main),
+        tools=_tools(state, known, command),
+    )
+    return state.with_sections(prediction=accuracy.with_realised(section, realised))
+
+
+def _realised(state: RunState, command: Array) -> Mapping[str, Spread] | None:
+    """Accuracy of virtual machines; None where the study asks for none."""
+    table = state.study.prediction
+    assert table is not None
+    assert state.readings is not None
+    return realised_accuracy(
         state.measurement,
-        series,
+        state.readings.series,
         command,
         table.reference,
         table.virtual_machines,
@@ -32,17 +66,83 @@ def predict_accuracy(state: RunState) -> RunState:
         state.resolved.identification_stages,
         state.progress.share,
     )
-    section = prediction_section(
-        state.measurement,
-        series,
-        command,
-        table.reference,
-        state.rng(Stream.PREDICT),
-        None if virtual else state.estimate,
-        None if virtual else state.posterior,
-        realised,
+
+
+def _knowledge(state: RunState) -> ParameterKnowledge:
+    """What the prediction rests on: real readings, or the plan."""
+    assert state.readings is not None
+    series = state.readings.series
+    if state.estimate is None or state.readings.truth is not None:
+        return knowledge.planned(state.measurement, series)
+    return knowledge.identified(
+        state.measurement, series, state.estimate, state.posterior
     )
-    return state.with_sections(prediction=section)
+
+
+def _section(
+    state: RunState, known: ParameterKnowledge, main: Accuracy
+) -> PredictionSection:
+    """The section with its budget."""
+    machine, planned = state.measurement.machine, known.mean is None
+    budget = budget_of(
+        known.model, main.maps, estimated=known.estimated, predicted=main.variance
+    )
+    mode = "plan" if planned else "identified"
+    section = accuracy.accuracy_section(
+        state.measurement.kinematics, main.prediction, mode, budget
+    )
+    expected = _expected_effects(state, main) if planned else []
+    lines = budget_section(machine, main.prediction, budget, expected)
+    return msgspec.structs.replace(section, budget=lines)
+
+
+def _expected_effects(state: RunState, main: Accuracy) -> list[ExpectedEffect]:
+    """Effects that usually go unmodelled, at the sizes that are expected of them."""
+    assert state.readings is not None
+    request = state.resolved.gap
+    if request is None:
+        request = gap_request(state.study, state.resolved.machine, always=True)
+    assert request is not None
+    return expected_unmodelled(
+        state.measurement,
+        state.readings.series,
+        main.maps,
+        request,
+        main.prediction.reference,
+        state.rng(Stream.UNMODELLED),
+    )
+
+
+def _references(
+    state: RunState, known: ParameterKnowledge, main: Accuracy
+) -> dict[str, dict[str, SpreadRecord]]:
+    """Accuracy after compensation against each reference."""
+    machine, predicted = state.measurement.machine, main.prediction
+    others = [r for r in get_args(Reference) if r != predicted.reference]
+    rng = state.rng(Stream.REFERENCES)
+    further = knowledge.accuracy(known, predicted.command, others, rng)
+    records: dict[str, dict[str, SpreadRecord]] = {}
+    records[predicted.reference] = accuracy.after_records(machine, predicted)
+    for reference, result in further.items():
+        records[reference] = accuracy.after_records(machine, result.prediction)
+    return records
+
+
+def _tools(
+    state: RunState, known: ParameterKnowledge, command: Array
+) -> list[ToolAccuracy]:
+    """Accuracy after compensation at tools of the lengths that the study names."""
+    table, machine = state.study.prediction, state.measurement.machine
+    assert table is not None
+    rng = state.rng(Stream.TOOLS)
+    records = []
+    for length in table.tools:
+        tool = np.array([0.0, 0.0, length * MM])
+        moved = machine.with_tool(command, tool)
+        result = knowledge.accuracy(known, moved, [table.reference], rng, tool)
+        predicted = result[table.reference].prediction
+        records.append(accuracy.tool_accuracy(machine, predicted, length * MM))
+    return records
 
 
 def _withheld(state: RunState) -> str:

@@ -1,44 +1,33 @@
-"""Predicts the residual accuracy over the workspace: the section `prediction`."""
+"""Reports the predicted accuracy over the workspace: the section `prediction`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import msgspec
 import numpy as np
 
-from oed import information, prediction, units
+from oed import units
 from oed.arrays import Array
-from oed.identification import Estimate
+from oed.budget import Budget
+from oed.budget.lines import shares
 from oed.kinematics import Kinematics
-from oed.measurement import Measurement, Series
-from oed.posterior import Posterior
-from oed.prediction import Prediction, Reference, Spread
-from oed.result import ComponentAccuracy, MapPoint, PredictionSection, SpreadRecord
+from oed.machine import Machine
+from oed.prediction import Prediction, Spread
+from oed.result import (
+    ComponentAccuracy,
+    MapPoint,
+    PredictionSection,
+    SpreadRecord,
+    ToolAccuracy,
+)
 from pkm_studies.stages import describe
 
 
-def prediction_section(
-    measurement: Measurement,
-    series: Sequence[Series],
-    command: Array,
-    reference: Reference,
-    rng: np.random.Generator,
-    estimate: Estimate | None,
-    posterior: Posterior | None,
-    realised: Mapping[str, Spread] | None,
+def with_realised(
+    section: PredictionSection, realised: Mapping[str, Spread] | None
 ) -> PredictionSection:
-    """Accuracy before and after compensation, and the share of virtual machines in it.
-
-    Without an `estimate`, the tolerances and the planned readings predict it; with a
-    `posterior`, its draws do, which follow directions that no reading determines.
-    `realised` is the accuracy of virtual machines, by component.
-    """
-    prediction = _predict(
-        measurement, series, command, reference, rng, estimate, posterior
-    )
-    mode = "plan" if estimate is None else "identified"
-    section = accuracy_section(measurement.kinematics, prediction, mode)
+    """The section with the accuracy of virtual machines, by component, if any."""
     if realised is None:
         return section
     spreads = {n: spread_record(s, section.unit[n]) for n, s in realised.items()}
@@ -46,49 +35,15 @@ def prediction_section(
     return msgspec.structs.replace(section, realised=spreads, realised_share=shares)
 
 
-def _predict(
-    measurement: Measurement,
-    series: Sequence[Series],
-    command: Array,
-    reference: Reference,
-    rng: np.random.Generator,
-    estimate: Estimate | None,
-    posterior: Posterior | None,
-) -> Prediction:
-    """The kernel's prediction over commands (n, n_dof)."""
-    count = len(measurement.machine.parameters)
-    tolerance = measurement.tolerance
-    theta, noise, mean = measurement.nominal, measurement.noise(series), None
-    if estimate is not None:
-        theta, noise = estimate.theta, estimate.noise
-        mean = (estimate.theta - measurement.nominal)[:count]
-    h = noise.whiten(measurement.jacobian(series, theta)) * tolerance
-    draws = None
-    if estimate is None:
-        scale = np.outer(tolerance[:count], tolerance[:count])
-        covariance = information.posterior_covariance(h)[:count, :count] * scale
-    elif posterior is None:
-        covariance = estimate.covariance[:count, :count]
-    else:
-        draws = posterior.pooled[:, :count] - estimate.theta[:count]
-        covariance = draws.T @ draws / len(draws)
-    return prediction.predict(
-        prediction.error_maps(measurement.kinematics, command, reference),
-        np.diag(tolerance[:count] ** 2),
-        covariance,
-        rng,
-        mean=mean,
-        draws=draws,
-        reference=reference,
-        sources=prediction.budget_sources(h, tolerance, measurement.names, count),
-    )
-
-
 def accuracy_section(
-    kinematics: Kinematics, prediction: Prediction, mode: str
+    kinematics: Kinematics,
+    prediction: Prediction,
+    mode: str,
+    budget: Budget | None = None,
 ) -> PredictionSection:
     """A prediction in the components' fine units; `mode` says what it rests on."""
     machine = kinematics.machine
+    of_sources = {} if budget is None else shares(budget)
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
     compensatable = {c.name: c.compensatable for c in machine.components}
     components = {
@@ -97,7 +52,7 @@ def accuracy_section(
             before=spread_record(prediction.before[name], fine[name]),
             after=spread_record(prediction.after[name], fine[name]),
             known=spread_record(prediction.fully_corrected[name], fine[name]),
-            budget=prediction.budget[name],
+            budget=of_sources.get(name, {}),
         )
         for name in prediction.names
     }
@@ -118,7 +73,28 @@ def accuracy_section(
         poses=len(prediction.command),
         map=points,
         mode=mode,
+        worst={
+            name: points[int(np.argmax(prediction.sd_after[:, k]))]
+            for k, name in enumerate(prediction.names)
+        },
     )
+
+
+def after_records(machine: Machine, prediction: Prediction) -> dict[str, SpreadRecord]:
+    """Spread after compensation by component, in its fine unit."""
+    return {
+        c.name: spread_record(prediction.after[c.name], units.FINE[c.unit])
+        for c in machine.components
+    }
+
+
+def tool_accuracy(
+    machine: Machine, prediction: Prediction, length: float
+) -> ToolAccuracy:
+    """Accuracy after compensation at a tool of a length, m."""
+    unit = units.display("m")
+    records = after_records(machine, prediction)
+    return ToolAccuracy(units.number(length, unit), unit, records)
 
 
 def _by_component(
@@ -131,9 +107,18 @@ def _by_component(
 
 def spread_record(spread: Spread, unit: str) -> SpreadRecord:
     """A spread, SI, in a unit."""
+
+    def interval(ends: tuple[float, float]) -> tuple[float, float] | None:
+        if not np.isfinite(ends).all():
+            return None
+        return units.number(ends[0], unit), units.number(ends[1], unit)
+
     return SpreadRecord(
         rms=units.number(spread.rms, unit),
         p95=units.number(spread.p95, unit),
         max=units.number(spread.largest, unit),
         unit=unit,
+        rms_interval=interval(spread.rms_interval),
+        p95_interval=interval(spread.p95_interval),
+        max_interval=interval(spread.largest_interval),
     )

@@ -79,10 +79,13 @@ class PredictionTable(StudyTable, frozen=True, kw_only=True):
     reference         what errors refer to: home, the base frame ("absolute"), or the best
                       alignment ("best_fit")
     virtual_machines  number of machines that check the prediction
+    tools_mm          lengths of further tools at which accuracy is predicted; the grid
+                      moves with the tool point
     further           coordinates of the grid, as in [[design.candidates]]
     """
 
     free_keys = "coordinates"
     reference: PredictionReference = "home"
     virtual_machines: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
+    tools: list[float] = msgspec.field(name="tools_mm", default_factory=list)
     coordinates: dict[str, Axis] = {}

@@ -1,0 +1,60 @@
+"""Uncertainty budget: the section `budget` of a prediction in result.json."""
+
+from __future__ import annotations
+
+from oed.result.record import Record
+
+
+class BudgetLine(Record, frozen=True):
+    """A source of the errors of the compensated machine; values by pose component.
+
+    source   its name
+    kind     instrument, run, noise law, set-up, effects, prior, linearisation,
+             interpolation or rounding
+    share    of the predicted variance; below 0 where a linear calculation predicts too
+             much
+    size     root of its variance, in the component's unit, with the sign of its share
+    without  rms error without it, the estimate adapted; null where nobody can remove it
+    halved   rms error with half its standard deviation, or null
+    """
+
+    source: str
+    kind: str
+    share: dict[str, float]
+    size: dict[str, float]
+    without: dict[str, float] | None = None
+    halved: dict[str, float] | None = None
+
+
+class UnmodelledLine(Record, frozen=True):
+    """Expected errors by an effect that the model lacks; values by pose component.
+
+    size          rms error that it adds through calibration to the workspace
+    with_it       rms error of the compensated machine with it
+    expected      its expected size, in words
+    not_testable  why the readings cannot find it; null where they can
+    """
+
+    effect: str
+    about: str
+    expected: str
+    size: dict[str, float]
+    with_it: dict[str, float]
+    remedy: str
+    not_testable: str | None = None
+
+
+class BudgetSection(Record, frozen=True):
+    """Sources of the errors that remain, each component in its fine unit.
+
+    predicted   rms error that the lines add up to
+    lines       of what the prediction contains
+    unmodelled  effects that it does not contain, at their expected sizes, the one that
+                adds most first
+    advice      what to improve first, in sentences
+    """
+
+    predicted: dict[str, float]
+    lines: list[BudgetLine]
+    unmodelled: list[UnmodelledLine] = []
+    advice: list[str] = []

@@ -1,0 +1,170 @@
+"""Reports the uncertainty budget, and what to improve first: `prediction.budget`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from oed import units
+from oed.arrays import Array
+from oed.budget import Budget, ExpectedEffect, Line
+from oed.machine import Machine
+from oed.prediction import Prediction
+from oed.result import BudgetLine, BudgetSection, UnmodelledLine
+
+#: share of the error below which an improvement is not worth a sentence
+WORTH = 0.02
+#: sentences on what to improve
+MOST_ADVICE = 2
+
+Values = Mapping[str, float]
+
+
+def budget_section(
+    machine: Machine,
+    prediction: Prediction,
+    budget: Budget,
+    expected: Sequence[ExpectedEffect] = (),
+) -> BudgetSection:
+    """The budget in the components' fine units, with effects that are not modelled."""
+    fine = {c.name: units.FINE[c.unit] for c in machine.components}
+    driven = {c.name: fine[c.name] for c in machine.components if c.compensatable}
+    lines = [_line(budget, line, fine) for line in budget.lines]
+    predicted = _in_units(budget.names, np.sqrt(budget.variance), fine)
+    after = np.array([prediction.after[name].rms for name in budget.names])
+    unmodelled = [_unmodelled(effect, budget.names, after, fine) for effect in expected]
+    geometry = _in_units(budget.names, after, fine)
+    unmodelled.sort(key=lambda line: -_ratio(line.with_it, geometry, driven))
+    return BudgetSection(
+        predicted=dict(predicted),
+        lines=lines,
+        unmodelled=unmodelled,
+        advice=_advice(lines, predicted, driven or fine),
+    )
+
+
+def unmodelled_sentence(
+    section: BudgetSection, after: Values, driven: Mapping[str, str]
+) -> str | None:
+    """What the effect that adds most does to the accuracy, and the remedy.
+
+    after   rms error of each component with geometry alone
+    driven  {component: unit} of those that the controller corrects
+    """
+    if not section.unmodelled:
+        return None
+    worst = section.unmodelled[0]
+    geometry = _quantities(after, driven)
+    whole = _quantities(worst.with_it, driven)
+    return (
+        f"This is geometry alone ({geometry}). {worst.effect} of its expected size"
+        f" ({worst.expected}) would bring {whole}, as calibration takes a part of it for"
+        f" geometry: {worst.remedy}."
+    )
+
+
+def _in_units(names: Sequence[str], values: Array, fine: Mapping[str, str]) -> Values:
+    pairs = zip(names, values, strict=True)
+    return {name: units.number(value, fine[name]) for name, value in pairs}
+
+
+def _line(budget: Budget, line: Line, fine: Mapping[str, str]) -> BudgetLine:
+    names = budget.names
+    share = np.zeros_like(budget.variance)
+    np.divide(line.variance, budget.variance, out=share, where=budget.variance > 0.0)
+    size = np.sign(line.variance) * np.sqrt(np.abs(line.variance))
+    without, halved = (
+        None if values is None else dict(_in_units(names, values, fine))
+        for values in (line.without, line.halved)
+    )
+    return BudgetLine(
+        source=line.source,
+        kind=line.kind,
+        share=dict(zip(names, share.tolist(), strict=True)),
+        size=dict(_in_units(names, size, fine)),
+        without=without,
+        halved=halved,
+    )
+
+
+def _unmodelled(
+    expected: ExpectedEffect,
+    names: Sequence[str],
+    after: Array,
+    fine: Mapping[str, str],
+) -> UnmodelledLine:
+    variance = expected.variance.mean(axis=0)
+    effect = expected.effect
+    return UnmodelledLine(
+        effect=effect.name,
+        about=effect.about,
+        expected=_expected_size(expected),
+        size=dict(_in_units(names, np.sqrt(variance), fine)),
+        with_it=dict(_in_units(names, np.sqrt(after**2 + variance), fine)),
+        remedy=effect.remedy,
+        not_testable=expected.not_testable,
+    )
+
+
+def _expected_size(expected: ExpectedEffect) -> str:
+    """Prior standard deviations of the coefficients: `3 C`, or the range of several."""
+    sizes: dict[str, list[float]] = {}
+    for name, scale in expected.sizes.items():
+        unit, factor = units.coefficient_unit(expected.effect.unit(name))
+        sizes.setdefault(unit, []).append(scale / factor)
+    parts = []
+    for unit, values in sizes.items():
+        low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+        span = low if low == high else f"{low} to {high}"
+        parts.append(f"{span} {unit}")
+    return ", ".join(parts)
+
+
+# -- what to improve -------------------------------------------------------------------
+
+
+def _ratio(changed: Values, whole: Values, components: Mapping[str, str]) -> float:
+    """Geometric mean of changed over whole errors of some components."""
+    logs = [
+        math.log(changed[name] / whole[name])
+        for name in components
+        if whole[name] > 0.0 and changed[name] > 0.0
+    ]
+    return math.exp(sum(logs) / len(logs)) if logs else 1.0
+
+
+def _advice(
+    lines: Sequence[BudgetLine], predicted: Values, components: Mapping[str, str]
+) -> list[str]:
+    """The improvements that bring most, in sentences."""
+    ranked = []
+    for line in lines:
+        better = line.halved or line.without
+        if better is not None:
+            ranked.append((_ratio(better, predicted, components), line, better))
+    ranked.sort(key=lambda entry: entry[0])
+    worthwhile = [entry for entry in ranked if entry[0] < 1.0 - WORTH]
+    sentences = []
+    for number, (_, line, better) in enumerate(worthwhile[:MOST_ADVICE]):
+        order = "Improve first" if number == 0 else "Then"
+        before, after = (_quantities(v, components) for v in (predicted, better))
+        sentences.append(
+            f"{order}: {_improvement(line)} brings {after} instead of {before}."
+        )
+    return sentences
+
+
+def _improvement(line: BudgetLine) -> str:
+    """An improvement in words."""
+    if line.kind == "prior":
+        return "half the tolerances of the machine's parameters"
+    if line.halved is None:
+        return "a known set-up" if line.kind == "set-up" else f"known {line.source}"
+    return f"half the {line.source}"
+
+
+def _quantities(values: Values, components: Mapping[str, str]) -> str:
+    parts = [f"{name} {values[name]:.3g} {unit}" for name, unit in components.items()]
+    return ", ".join(parts)

@@ -1,0 +1,125 @@
+"""What is known of the parameters when accuracy is predicted: from a plan or from a fit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed import information, prediction
+from oed.arrays import Array
+from oed.budget import BudgetModel, budget_model, variance_over_machines
+from oed.compensate import NO_TOOL
+from oed.error_maps import ErrorMaps, Reference, maps_by_reference
+from oed.estimate import Estimate
+from oed.measurement import Measurement, Series
+from oed.noise.process_noise import ProcessNoise
+from oed.posterior import Posterior
+from oed.prediction import Prediction
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ParameterKnowledge:
+    """Knowledge of the machine's np parameters, SI.
+
+    measurement, series  what is read
+    model                of the readings, for the budget
+    covariance           (np, np) of the parameters after identification
+    mean                 (np,) identified errors; None before any reading
+    draws                (m, np) posterior draws about the estimate; None without them
+    estimated            (np, np) of the estimate, where it holds more than the model
+    """
+
+    measurement: Measurement
+    series: tuple[Series, ...]
+    model: BudgetModel
+    covariance: Array
+    mean: Array | None = None
+    draws: Array | None = None
+    estimated: Array | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Accuracy:
+    """A prediction, the maps that it rests on, and its mean variances (k,), SI."""
+
+    prediction: Prediction
+    maps: ErrorMaps
+    variance: Array
+
+
+def planned(measurement: Measurement, series: Sequence[Series]) -> ParameterKnowledge:
+    """Before any reading: tolerances and planned readings."""
+    count = len(measurement.machine.parameters)
+    h = information.scaled(measurement, series, measurement.nominal, "tolerance")
+    scale = measurement.tolerance[:count]
+    covariance = information.posterior_covariance(h)[:count, :count]
+    return ParameterKnowledge(
+        measurement,
+        tuple(series),
+        budget_model(measurement, series, measurement.nominal),
+        covariance * np.outer(scale, scale),
+    )
+
+
+def identified(
+    measurement: Measurement,
+    series: Sequence[Series],
+    estimate: Estimate,
+    posterior: Posterior | None,
+) -> ParameterKnowledge:
+    """After a fit: the estimate, and its posterior draws where there are any."""
+    count = len(measurement.machine.parameters)
+    laws = estimate.noise.law.laws if isinstance(estimate.noise, ProcessNoise) else None
+    estimated = estimate.covariance[:count, :count]
+    covariance, draws = estimated, None
+    if posterior is not None:
+        draws = posterior.pooled[:, :count] - estimate.theta[:count]
+        covariance = draws.T @ draws / len(draws)
+    return ParameterKnowledge(
+        measurement,
+        tuple(series),
+        budget_model(measurement, series, estimate.theta, laws=laws),
+        covariance,
+        mean=(estimate.theta - measurement.nominal)[:count],
+        draws=draws,
+        estimated=estimated,
+    )
+
+
+def accuracy(
+    known: ParameterKnowledge,
+    command: Array,
+    references: Sequence[Reference],
+    rng: np.random.Generator,
+    tool: Array = NO_TOOL,
+) -> dict[Reference, Accuracy]:
+    """Accuracy at commands (n, n_dof) against each reference.
+
+    Before any reading the variance is the mean over machines as they may be built.
+    """
+    measurement = known.measurement
+    maps = maps_by_reference(measurement.kinematics, command, references, tool)
+    variances: dict[Reference, Array] = {}
+    if known.mean is None:
+        variances = variance_over_machines(
+            measurement, known.series, command, references, rng, tool
+        )
+    count = len(measurement.machine.parameters)
+    result = {}
+    for reference in references:
+        predicted = prediction.predict(
+            maps[reference],
+            np.diag(measurement.tolerance[:count] ** 2),
+            known.covariance,
+            rng,
+            mean=known.mean,
+            draws=known.draws,
+            reference=reference,
+            variance=variances.get(reference),
+        )
+        spreads = predicted.fully_corrected
+        variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
+        result[reference] = Accuracy(predicted, maps[reference], variance)
+    return result
