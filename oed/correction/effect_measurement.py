@@ -79,5 +79,5 @@ class MeasurementWithEffects(Measurement):
 
     def _jacobian(self, series: Series, theta: Array) -> Array:
         rows = super()._jacobian(series, theta)
-        rows[:, self._size :] = self._columns[id(series.q)]
+        rows[..., self._size :] = self._columns[id(series.q)]
         return rows
