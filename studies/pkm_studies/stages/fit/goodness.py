@@ -24,7 +24,7 @@ def check_dataset(
         data.columns,
     )
     alternatives = checks.Alternatives(resolved.measurement_with(resolved.setups))
-    guess = resolved.study.noise.estimate
+    guess = resolved.study.noise.estimate is True
     return checks.check_session(session, alternatives, rng, noise_is_a_guess=guess)
 
 
