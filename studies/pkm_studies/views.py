@@ -12,6 +12,7 @@ from pkm_studies.run_state import RunState
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+    from matplotlib.axes import Axes
 
 #: rows that a notebook shows of a table
 ROWS_SHOWN = 30
@@ -85,6 +86,12 @@ class DesignView(View):
             rows.append({**place, **pose.command, **pose.reading})
         return pd.DataFrame(rows)
 
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """The chosen readings over two commands, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.design(self.section, axes)
+
 
 class PlanView(View):
     """The plan of stages: which measurement first, which next."""
@@ -112,6 +119,12 @@ class PlanView(View):
             }
             rows.append({**summary, **stage.predicted})
         return pd.DataFrame(rows)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """What remains of each error stage by stage, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.stages(self.section, axes)
 
 
 class ReadingsView(View):
@@ -168,6 +181,12 @@ class EstimateView(View):
         parameters = msgspec.to_builtins(self.section.parameters)
         return pd.DataFrame.from_dict(parameters, orient="index")
 
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Residuals after the fit, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.residuals(self.section, axes)
+
 
 class PosteriorView(View):
     """Draws of the parameters, and their summary."""
@@ -198,6 +217,17 @@ class PosteriorView(View):
         dims = ("chain", "draw", "parameter")
         names = list(posterior.names)
         return xr.Dataset({"theta": (dims, posterior.draws)}, {"parameter": names})
+
+    @property
+    def _parameters(self) -> dict[str, result.ParameterEstimate]:
+        estimate: result.EstimateSection = self.state.sections["estimate"]
+        return estimate.parameters
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """95 % intervals in tolerances, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.posterior(self.section, self._parameters, axes)
 
 
 class AccuracyView(View):
@@ -231,6 +261,12 @@ class AccuracyView(View):
             }
         return pd.DataFrame.from_dict(rows, orient="index")
 
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Errors before and after as bars, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.accuracy(self.section, axes)
+
 
 class DiagnosisView(View):
     """What calibration leaves: causes with probabilities, places, closure."""
@@ -256,3 +292,9 @@ class DiagnosisView(View):
             for answer in self.section.answers
         ]
         return pd.DataFrame(rows)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Probabilities of the causes, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.causes(self.section, axes)
