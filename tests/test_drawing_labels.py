@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import gap_fixture
@@ -73,3 +74,8 @@ def test_planned_readings_state_the_joints_of_the_nominal_machine(
     joints = [list(reading.joints.values()) for reading in readings]
     assert list(readings[0].joints) == ["q1_mm", "q2_mm", "q3_mm"]
     np.testing.assert_allclose(joints, 1e3 * expected, atol=1e-6)
+
+
+def test_a_machine_without_a_skeleton_has_no_labels() -> None:
+    """As most files of a user's own are at first."""
+    assert _labels(dataclasses.replace(delta.machine, skeleton=None)) == {}

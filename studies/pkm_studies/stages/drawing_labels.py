@@ -76,8 +76,10 @@ def _moved_point(
     changed = still.copy()
     changed[parameter] += STEP
     after = list(_points(kinematics, x, q, changed))
+    if not before:  # a machine without skeleton has no drawing
+        return None
     movement = np.linalg.norm(np.array(after) - np.array(before), axis=1)
-    if not movement.size or movement.max() < SAME_PLACE:
+    if movement.max() < SAME_PLACE:
         return None
     moved = np.array(before)[movement > TAKES_PART * movement.max()]
     distinct = np.unique(np.round(moved / SAME_PLACE), axis=0) * SAME_PLACE
