@@ -1,22 +1,60 @@
-"""An installed package adds machines, instruments and effects to the catalogue."""
+"""An installed package adds to each part of the catalogue, and a broken one does no harm."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from pkm_studies import catalogue
+from pkm_studies.cli import main
 
 MODULE = """
 import dataclasses
 from pkm_models.machines import planar_2dof
+from pkm_models.effects import backlash
+from pkm_models.instruments import camera
+from pkm_studies.compensation.content import ControllerFormat
+from pkm_studies.importers.base import ImportedSession
+
 arm = dataclasses.replace(planar_2dof.machine, name="shop_arm", about="the shop's arm")
+gauge = dataclasses.replace(camera.instrument, name="shop_gauge")
+play = dataclasses.replace(backlash.effect, name="shop_play")
+table = ControllerFormat(
+    name="shop_table", about="", source="", write=lambda content: {".txt": ""}
+)
+
+
+class Importer:
+    name = "shop_files"
+    about = "the shop's files"
+
+    def read(self, request):
+        row = {"setup": "a", "run": "1", "order": "1"}
+        return ImportedSession(study="schema = 1", rows=[row], statements=[])
+
+
+files = Importer()
 """
 ENTRY_POINTS = """
 [pkm_oed.machines]
 shop_arm = shop_models:arm
 broken = shop_models:absent
+[pkm_oed.instruments]
+shop_gauge = shop_models:gauge
+[pkm_oed.effects]
+shop_play = shop_models:play
+[pkm_oed.formats]
+shop_table = shop_models:table
+[pkm_oed.importers]
+shop_files = shop_models:files
+shop_broken = shop_models:absent
 """
+NAMES = {
+    "instruments": "shop_gauge",
+    "effects": "shop_play",
+    "formats": "shop_table",
+}
 
 
 @pytest.fixture
@@ -43,3 +81,31 @@ def test_machine_of_a_package_is_listed() -> None:
     assert entries["shop_arm"].where == "shop_models:arm"
     assert "a3_head" in entries
     assert "broken" not in entries
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("kind", NAMES)
+def test_other_parts_of_the_catalogue(kind: str) -> None:
+    assert NAMES[kind] in {entry.name for entry in catalogue.listing(kind)}
+
+
+@pytest.mark.usefixtures("installed")
+def test_importers_of_a_package(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A broken one is named, and only who asks for it is refused."""
+    with pytest.warns(UserWarning, match="shop_broken.*AttributeError"):
+        assert main(["list", "importers", "--json"]) == 0
+    listed = {
+        entry["name"]: entry["about"] for entry in json.loads(capsys.readouterr().out)
+    }
+    assert listed["shop_files"] == "the shop's files"
+    assert {"klipper", "columns"} < set(listed)
+    assert "shop_broken" not in listed
+    (tmp_path / "a.txt").write_text("1")
+    source, out = str(tmp_path / "a.txt"), str(tmp_path / "out")
+    assert main(["import", "shop_files", source, "--out", out]) == 0
+    assert main(["import", "klipper", source, "--out", out, "--name", "b"]) == 2
+    assert "rotation_distance: missing" in capsys.readouterr().err
+    assert main(["import", "shop_broken", source, "--out", out]) == 2
+    assert "mend or uninstall the package" in capsys.readouterr().err

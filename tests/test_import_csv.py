@@ -155,6 +155,14 @@ def test_columns_by_a_map_that_is_kept(tmp_path: Path) -> None:
         'machine = "linear_delta"\ninstrument = "height_probe"\n[columns]\n'
         'x_mm = "X set"\ny_mm = "Y set"\nz_mm = "Z set"\nheight_mm = "touch"\n'
     )
+    given = (tmp_path / "m.toml").read_text()
+    (tmp_path / "typo.toml").write_text(given.replace("x_mm", "xx_mm"))
+    with pytest.raises(
+        InputError, match=r"columns\.xx_mm: no column of readings.*x_mm"
+    ):
+        session.import_files(
+            "columns", [tmp_path / "a.csv"], tmp_path, column_map=tmp_path / "typo.toml"
+        )
     study, imported = session.import_files(
         "columns", [tmp_path / "a.csv"], tmp_path, column_map=tmp_path / "m.toml"
     )

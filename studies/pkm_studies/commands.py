@@ -63,6 +63,7 @@ class Kind(enum.StrEnum):
     effects = enum.auto()
     criteria = enum.auto()
     formats = enum.auto()
+    importers = enum.auto()
     studies = enum.auto()
 
 
@@ -286,9 +287,11 @@ def list_entries(
     kind: Annotated[Kind, typer.Argument(show_default=False)],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> int:
-    """List machines, instruments, effects, criteria, formats or shipped studies."""
+    """List the catalogue: machines, instruments, effects, importers and others."""
     if kind is Kind.studies:
         return _list_studies(as_json)
+    if kind is Kind.importers:
+        return _list_importers(as_json)
     import dataclasses
 
     from pkm_studies import catalogue
@@ -313,6 +316,17 @@ def _list_studies(as_json: bool) -> int:
         console.print_json(entries)
         return DONE
     _print_rows([(s.name, [s.title, s.question]) for s in studies])
+    return DONE
+
+
+def _list_importers(as_json: bool) -> int:
+    from pkm_studies.importers import registry
+
+    known = [(name, one.about) for name, one in registry.importers().items()]
+    if as_json:
+        console.print_json([{"name": name, "about": about} for name, about in known])
+        return DONE
+    _print_rows([(name, [about]) for name, about in known])
     return DONE
 
 

@@ -6,7 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
-from oed.dataset.columns import COVARIATES, LABELS, UNITLESS, is_covariate, parse_column
+from oed.dataset.columns import (
+    COVARIATES,
+    LABELS,
+    UNITLESS,
+    column_name,
+    is_covariate,
+    parse_column,
+)
 from oed.instrument import Instrument
 from oed.machine import Machine
 from oed.units import UnitError
@@ -113,7 +120,7 @@ def mapped_columns(
     at = place.key("columns")
     for name, source in columns.items():
         if not _is_known(name, known):
-            possible = [usual_column(stem, unit) for stem, unit in known.items()]
+            possible = [column_name(stem, unit) for stem, unit in known.items()]
             raise at.key(name).error("no column of readings", suggest(name, possible))
         if source not in table.header:
             remedy = suggest(source, table.header, "the file has")

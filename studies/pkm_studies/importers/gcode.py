@@ -52,7 +52,7 @@ class Command:
             raise self.line.error(
                 problem, "give the full command, as the printer has it"
             )
-        return float(text.split(":")[0])
+        return finite(text.split(":")[0], self.line)
 
 
 def read(paths: Sequence[Path]) -> list[TextLine]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import warnings
 from importlib import metadata
 
 from pkm_studies.errors import InputError, shorten, suggest
@@ -15,24 +16,37 @@ SHIPPED = ("klipper", "rrf", "marlin", "tracker", "ballbar", "columns")
 
 
 def importers() -> dict[str, Importer]:
-    """Every importer by its name. Raises InputError where an entry point fails."""
-    known: dict[str, Importer] = {}
-    for name in SHIPPED:
-        module = importlib.import_module(f"pkm_studies.importers.{name}")
-        known[name] = module.importer
-    for entry in metadata.entry_points(group=GROUP):
-        if entry.name not in known:
-            known[entry.name] = _load(entry)
+    """Every importer by its name; a warning names those that cannot be loaded."""
+    known = {name: _shipped(name) for name in SHIPPED}
+    for name, entry in _installed().items():
+        try:
+            known[name] = _load(entry)
+        except InputError as error:
+            warnings.warn(str(error), stacklevel=2)
     return known
 
 
 def importer(name: str) -> Importer:
-    """The importer of this name. Raises InputError."""
-    known = importers()
-    if name not in known:
-        remedy = suggest(name, known, "known")
-        raise InputError("no such kind of file", remedy, field="KIND", value=name)
-    return known[name]
+    """The importer of this name; no other one is loaded. Raises InputError."""
+    installed = _installed()
+    if name in SHIPPED:
+        return _shipped(name)
+    if name in installed:
+        return _load(installed[name])
+    remedy = suggest(name, [*SHIPPED, *installed], "known")
+    raise InputError("no such kind of file", remedy, field="KIND", value=name)
+
+
+def _shipped(name: str) -> Importer:
+    module = importlib.import_module(f"pkm_studies.importers.{name}")
+    loaded: Importer = module.importer
+    return loaded
+
+
+def _installed() -> dict[str, metadata.EntryPoint]:
+    """Entry points by name; those of this package's names are not used."""
+    entries = metadata.entry_points(group=GROUP)
+    return {entry.name: entry for entry in entries if entry.name not in SHIPPED}
 
 
 def _load(entry: metadata.EntryPoint) -> Importer:

@@ -48,8 +48,11 @@ importer = RrfImporter()
 
 def _geometry(lines: Sequence[TextLine]) -> DeltaGeometry:
     delta = gcode.merged(lines, "M665", "give config.g as well, with M665")
-    stops = dict(next(iter(_words(lines, "M666")), {}))
-    arms = [float(arm) for arm in delta.words.get("L", "").split(":") if arm]
+    arms = [
+        gcode.finite(arm, delta.line)
+        for arm in delta.words.get("L", "").split(":")
+        if arm
+    ]
     if len(arms) not in (1, 3):
         raise delta.line.error("M665 has no L, or not one or three", "give the rods")
     height = delta.number("H")
@@ -57,17 +60,16 @@ def _geometry(lines: Sequence[TextLine]) -> DeltaGeometry:
         radius=delta.number("R"),
         arms=tuple(arms * 3 if len(arms) == 1 else arms),
         angles=tuple(angle + delta.number(t, 0.0) for t, angle in ANGLES.items()),
-        endstops=tuple(height + float(stops.get(tower, 0.0)) for tower in ANGLES),
+        endstops=tuple(height + adjustment for adjustment in _adjustments(lines)),
     )
 
 
-def _words(lines: Sequence[TextLine], name: str) -> list[dict[str, str]]:
-    """The words of a setting command, if it is there, merged."""
-    given = list(gcode.commands(lines, name))
-    merged: dict[str, str] = {}
-    for command in given:
-        merged |= {letter: text for letter, text in command.words.items() if text}
-    return [merged] if given else []
+def _adjustments(lines: Sequence[TextLine]) -> list[float]:
+    """Endstop adjustments of M666 by tower, mm; 0 without the command."""
+    if not any(gcode.commands(lines, "M666")):
+        return [0.0] * len(ANGLES)
+    stops = gcode.merged(lines, "M666", "")
+    return [stops.number(tower, 0.0) for tower in ANGLES]
 
 
 def _points(lines: Sequence[TextLine]) -> list[ProbedPoint]:
