@@ -1,5 +1,6 @@
 """`oed identify --with`: parameters and effects together, and who takes them."""
 
+import csv
 import json
 from pathlib import Path
 
@@ -86,6 +87,37 @@ def test_compensation_takes_the_corrected_values(
     assert run("compensate", folder / "out", "--to", "json") == 0
     written = (folder / "out" / "compensation.json").read_text()
     assert "section corrected" in written
+
+
+def test_exports_hold_tables_of_the_effects_or_say_so(
+    folder: Path, result: StudyResult, capsys: pytest.CaptureFixture[str]
+) -> None:
+    corrected = result.corrected
+    assert corrected is not None
+    assert {t.state for t in corrected.tables} >= {"payload_N"}
+    out = folder / "out"
+    assert run("compensate", out, "--to", "csv") == 0
+    printed = capsys.readouterr().out
+    assert "joint corrections by" in printed.lower()
+    lines = (out / "compensation_effects.csv").read_text().splitlines()
+    written = csv.DictReader(lines)
+    for t in corrected.tables:
+        for value, of_value in zip(t.values, t.table, strict=True):
+            for joints in of_value:
+                row = next(written)
+                assert (row["effect"], row["state"]) == (t.effect, t.state)
+                assert float(row["value"]) == pytest.approx(value)
+                read = [float(row[name]) for name in t.joints]
+                assert read == pytest.approx(joints, abs=0.51e-6)
+    assert next(written, None) is None
+    assert run("compensate", out, "--to", "json") == 0
+    document = json.loads((out / "compensation.json").read_text())
+    assert [t["effect"] for t in document["effects"]] == [
+        t.effect for t in corrected.tables
+    ]
+    capsys.readouterr()
+    assert run("compensate", out, "--to", "gcode") in (0, 2)
+    assert "joint corrections by" not in capsys.readouterr().out.lower()
 
 
 def test_an_effect_that_the_readings_cannot_show_is_refused(

@@ -3,6 +3,7 @@
 from oed.correction.effect_measurement import MeasurementWithEffects
 from oed.correction.fit import CorrectedEstimate, EffectReadings, estimate_with_effects
 from oed.correction.senses import TurnedRuns, find_turned_runs
+from oed.correction.tables import StateTable, TabledEffects, tabled_effects
 from oed.correction.workspace import CorrectedAccuracy, predict_corrected
 
 __all__ = [
@@ -10,8 +11,11 @@ __all__ = [
     "CorrectedEstimate",
     "EffectReadings",
     "MeasurementWithEffects",
+    "StateTable",
+    "TabledEffects",
     "TurnedRuns",
     "estimate_with_effects",
     "find_turned_runs",
     "predict_corrected",
+    "tabled_effects",
 ]

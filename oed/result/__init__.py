@@ -11,7 +11,7 @@ from oed.result.acceptance import (
     VerificationSection,
 )
 from oed.result.budget import BudgetLine, BudgetSection, UnmodelledLine
-from oed.result.corrected import CorrectedSection, EffectEstimate
+from oed.result.corrected import CorrectedSection, EffectEstimate, EffectTable
 from oed.result.design import (
     CriterionComparison,
     DesignSection,
@@ -113,6 +113,7 @@ __all__ = [
     "DrawingLabel",
     "EffectEstimate",
     "EffectNote",
+    "EffectTable",
     "EstimateSection",
     "GapBeforeSection",
     "GapSection",

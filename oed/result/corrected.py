@@ -21,6 +21,27 @@ class EffectEstimate(Record, frozen=True):
     shape: bool = False
 
 
+class EffectTable(Record, frozen=True):
+    """Joint corrections of an effect over a state, for a controller to add.
+
+    state       `pose`, `direction`, `payload_N` or `temp_<body>_C`, a rise above the
+                session's start
+    joint_wise  whether each joint's correction is read at that joint's own state
+    values      of the state; between them corrections go in straight lines
+    joints      names of the joints with their unit
+    commands    at which the corrections hold
+    table       [value][command][joint]
+    """
+
+    effect: str
+    state: str
+    joint_wise: bool
+    values: list[float]
+    joints: list[str]
+    commands: list[dict[str, float]]
+    table: list[list[list[float]]]
+
+
 class CorrectedSection(Record, frozen=True):
     """What a compensation takes: estimates that the effects do not bend.
 
@@ -35,6 +56,8 @@ class CorrectedSection(Record, frozen=True):
     prediction       with parameters and effects compensated; null without a workspace
     parameters_only  {component: accuracy with the effects left uncompensated}
     posterior        {name: marginal}, where the study samples
+    tables           joint corrections of the effects by state, which add up
+    not_tabled       {effect: why no table holds it}
     warnings         sentences that a user must know
     """
 
@@ -52,4 +75,6 @@ class CorrectedSection(Record, frozen=True):
     prediction: PredictionSection | None = None
     parameters_only: dict[str, SpreadRecord] = {}
     posterior: dict[str, Marginal] = {}
+    tables: list[EffectTable] = []
+    not_tabled: dict[str, str] = {}
     warnings: list[str] = []

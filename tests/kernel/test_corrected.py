@@ -18,6 +18,7 @@ from oed.correction import (
     EffectReadings,
     estimate_with_effects,
     predict_corrected,
+    tabled_effects,
 )
 from oed.identification import Estimate, identify
 from oed.measurement import Measurement, Series
@@ -192,3 +193,32 @@ def test_deviations_of_many_machines_are_standard() -> None:
     table = np.array(values)
     assert 0.85 < np.sqrt(np.mean(table**2)) < 1.15
     assert np.mean(np.abs(table) > 3.0) < 0.02
+
+
+def test_tables_correct_the_machine_by_its_states(
+    measured: tuple[Measurement, Session],
+) -> None:
+    """A controller adds what the tables say; the oracle's machine, warm and with its
+    play, then errs as little as with the formula of the effects.
+    """
+    m, s = measured
+    command = a3_plans.workspace()[::7]
+    tabled = tabled_effects(s.corrected, command)
+    by_axis = {t.axis: t for t in tabled.tables}
+    assert set(by_axis) == {"temp_leg2", "direction"}
+    assert tabled.missing == {}
+    warm = by_axis["temp_leg2"]
+    correction = (
+        warm.joints[1] * (3.0 / warm.values[1]) + by_axis["direction"].joints[1]
+    )
+    believed = s.corrected.estimate.theta[:24]
+    actual = compensate.compensated_joints(m.kinematics, command, believed) + correction
+    actual[:, WARM_LEG] *= 1 + PER_KELVIN * 3.0
+    actual[:, PLAY_LEG] -= 0.5 * PLAY
+    tip, _ = a3.nominal_pose(*command.T)
+    by_tables = a3.forward(s.truth[:24], actual).tip - tip
+    # both take the coefficients; the tables hold the form as estimated as well
+    assert by_tables == pytest.approx(realised(m, s, command), abs=1.5e-6)
+    left_alone = actual - correction
+    error = a3.forward(s.truth[:24], left_alone).tip - tip
+    assert np.abs(error - by_tables)[:, 2].max() > 10e-6

@@ -25,10 +25,15 @@ from pkm_studies.study import Study
 PLACES = 5
 
 
-def compensation(result: StudyResult, study: Study, folder: Path) -> Compensation:
-    """The content of an export. Raises InputError where nothing was identified."""
+def compensation(
+    result: StudyResult, study: Study, folder: Path, *, tables: bool = False
+) -> Compensation:
+    """The content of an export. Raises InputError where nothing was identified.
+
+    `tables` says whether the file holds tables of effects.
+    """
     machine = study_machine(study)
-    parameters = identified.identified_parameters(result, machine)
+    parameters = identified.identified_parameters(result, machine, tables=tables)
     if parameters is None:
         raise InputError(
             "this result has no identified parameters",
@@ -48,6 +53,7 @@ def compensation(result: StudyResult, study: Study, folder: Path) -> Compensatio
         command=workspace_commands(study, kinematics),
         poses=_poses(result, machine),
         notes=(*notes, *parameters.conditions),
+        tables=tuple(result.corrected.tables) if result.corrected and tables else (),
     )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from oed.arrays import Array
 from oed.machine import Machine
+from oed.result import EffectTable
 
 if TYPE_CHECKING:
     from oed.kinematics import Kinematics
@@ -53,6 +54,7 @@ class Compensation:
     command     (n, n_dof) commands over the workspace, SI
     poses       to measure
     notes       sentences that go into every file as comments
+    tables      joint corrections of effects by state, for formats that hold them
     """
 
     study: str
@@ -63,6 +65,7 @@ class Compensation:
     command: Array
     poses: tuple[MeasuringPose, ...]
     notes: tuple[str, ...]
+    tables: tuple[EffectTable, ...] = ()
 
     def parameter(self, name: str) -> float:
         """An identified parameter, SI. Raises KeyError."""
@@ -81,6 +84,7 @@ class ControllerFormat:
                            texts; None where the file does not decide them
     unfit(machine)         why the controller cannot drive a machine, in words; None
                            where it can
+    tables                 whether the file holds tables of effects
     """
 
     name: str
@@ -89,3 +93,4 @@ class ControllerFormat:
     write: Callable[[Compensation], Texts]
     joints: Callable[[Texts, Compensation], Array] | None = None
     unfit: Callable[[Machine], str | None] = lambda machine: None
+    tables: bool = False

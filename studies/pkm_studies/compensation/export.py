@@ -69,7 +69,7 @@ def export(
             f"{'; '.join(objections)}: nothing is written; run `oed diagnose`, or"
             " give --force"
         )
-    content = build.compensation(result, study, folder)
+    content = build.compensation(result, study, folder, tables=controller.tables)
     notes = tuple(f"written by --force: {reason}" for reason in objections)
     content = dataclasses.replace(content, notes=(*content.notes, *notes))
     reason = controller.unfit(content.machine)

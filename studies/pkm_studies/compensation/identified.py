@@ -11,8 +11,12 @@ from oed.result import CorrectedSection, StudyResult
 from pkm_studies.compensation.content import Identified
 
 
-def identified_parameters(result: StudyResult, machine: Machine) -> Identified | None:
+def identified_parameters(
+    result: StudyResult, machine: Machine, *, tables: bool
+) -> Identified | None:
     """The parameters that everything downstream takes; None without an identification.
+
+    `tables` says whether the file holds tables of effects.
 
     Those of the section `corrected` come first: they are estimated together with the
     effects that a diagnosis found.
@@ -28,22 +32,40 @@ def identified_parameters(result: StudyResult, machine: Machine) -> Identified |
             values[k] = units.to_si(estimate.value, estimate.unit)
             sd[k] = units.to_si(estimate.sd, estimate.unit)
     origin = "estimate" if corrected is None else "corrected"
-    conditions = () if corrected is None else _what_the_effects_cost(corrected)
+    conditions = () if corrected is None else _of_effects(corrected, tables)
     return Identified(values, sd, origin, conditions)
 
 
-def _what_the_effects_cost(corrected: CorrectedSection) -> tuple[str, ...]:
-    """Sentences on the effects, which a file of parameters does not hold."""
-    names = ", ".join(corrected.constants)
-    left_out = f"not in this file: {names}; a controller corrects them by their states"
+def _of_effects(corrected: CorrectedSection, tables: bool) -> tuple[str, ...]:
+    """Sentences on the effects: which the file holds, and what the others cost."""
+    tabled = dict.fromkeys(t.effect for t in corrected.tables) if tables else {}
+    sentences = []
+    if tabled:
+        states = ", ".join(dict.fromkeys(t.state for t in corrected.tables))
+        sentences.append(
+            f"joint corrections by {states}: {', '.join(tabled)}; the controller adds"
+            " those of the states as they are"
+        )
+    left_out = [name for name in corrected.constants if name not in tabled]
+    if left_out:
+        sentences.append(f"not in this file: {_listed(corrected, left_out, tables)}")
     if corrected.prediction is None:
-        return (left_out,)
+        return tuple(sentences)
     parts = [
         f"{name} {alone.rms:.3g} {alone.unit}"
         f" ({corrected.prediction.components[name].after.rms:.3g} with them)"
         for name, alone in corrected.parameters_only.items()
     ]
-    return (left_out, f"predicted rms without them: {', '.join(parts)}")
+    return (*sentences, f"predicted rms without the effects: {', '.join(parts)}")
+
+
+def _listed(corrected: CorrectedSection, names: list[str], tables: bool) -> str:
+    """Effects that a file does not hold, with the reason where tables are possible."""
+    if not tables:
+        listed = ", ".join(names)
+        return f"{listed}; a controller corrects them by their states (csv, json)"
+    reasons = corrected.not_tabled
+    return "; ".join(f"{n} ({reasons[n]})" if n in reasons else n for n in names)
 
 
 def objections(result: StudyResult) -> list[str]:

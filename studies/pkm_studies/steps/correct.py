@@ -142,6 +142,7 @@ def _with_section(
         gap,
         accuracy,
         draws,
+        command,
     )
     turned = find_turned_runs(corrected)
     if turned is not None:

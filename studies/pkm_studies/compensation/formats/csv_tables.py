@@ -10,6 +10,7 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
+from oed.result import EffectTable
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats.json_file import table
 from pkm_studies.resolve.quantities import column
@@ -21,17 +22,22 @@ DIGITS = 12
 
 
 def write(compensation: Compensation) -> Texts:
-    """The commands first; the parameters in a second file."""
+    """The commands first; the parameters in a second file, effects in a third one."""
     columns = table(compensation)
     rows = zip(*columns.values(), strict=True)
     commands = ([f"{value:.{DECIMALS}f}" for value in row] for row in rows)
-    return {
+    texts = {
         ".csv": _text(list(columns), commands),
         "_parameters.csv": _text(
             ["name", "value", "sd", "nominal", "unit", "about"],
             _parameters(compensation),
         ),
     }
+    if compensation.tables:
+        first = compensation.tables[0]
+        header = ["effect", "state", "value", *first.commands[0], *first.joints]
+        texts["_effects.csv"] = _text(header, _effects(compensation.tables))
+    return texts
 
 
 def _parameters(compensation: Compensation) -> Iterable[list[str]]:
@@ -41,6 +47,16 @@ def _parameters(compensation: Compensation) -> Iterable[list[str]]:
         numbers = (identified.values[k], identified.sd[k], p.nominal)
         texts = [f"{units.number(value, unit):.{DIGITS}g}" for value in numbers]
         yield [p.name, *texts, unit, p.about]
+
+
+def _effects(tables: Sequence[EffectTable]) -> Iterable[list[str]]:
+    """One row for each effect, state and command: joint corrections to add."""
+    for t in tables:
+        for value, rows in zip(t.values, t.table, strict=True):
+            for command, offsets in zip(t.commands, rows, strict=True):
+                place = [f"{v:.{DECIMALS}f}" for v in command.values()]
+                corrections = [f"{v:.{DECIMALS}f}" for v in offsets]
+                yield [t.effect, t.state, f"{value:.{DIGITS}g}", *place, *corrections]
 
 
 def _text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -68,4 +84,5 @@ controller = ControllerFormat(
     source="this project",
     write=write,
     joints=joints,
+    tables=True,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from oed import units
@@ -25,6 +26,8 @@ def write(compensation: Compensation) -> Texts:
         "parameters": _parameters(compensation),
         "table": table(compensation),
     }
+    if compensation.tables:
+        document["effects"] = msgspec.to_builtins(compensation.tables)
     return {".json": json.dumps(document, indent=1) + "\n"}
 
 
@@ -84,4 +87,5 @@ controller = ControllerFormat(
     source="this project",
     write=write,
     joints=joints,
+    tables=True,
 )

@@ -8,7 +8,12 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
-from oed.correction import CorrectedAccuracy, CorrectedEstimate
+from oed.correction import (
+    CorrectedAccuracy,
+    CorrectedEstimate,
+    TabledEffects,
+    tabled_effects,
+)
 from oed.fit_warnings import chi2_is_large
 from oed.posterior import Posterior
 from oed.result import (
@@ -19,6 +24,7 @@ from oed.result import (
     SpreadRecord,
 )
 from pkm_studies.stages.corrected.conditions import conditions
+from pkm_studies.stages.corrected.tables import effect_table
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import marginal
 from pkm_studies.stages.predict.accuracy import accuracy_section, spread_record
@@ -31,8 +37,12 @@ def corrected_section(
     gap: GapSection | None,
     accuracy: CorrectedAccuracy | None,
     draws: Posterior | None,
+    command: Array,
 ) -> CorrectedSection:
-    """The section of an estimate; `truth` (n,) are a virtual machine's parameters, SI."""
+    """The section of an estimate, with tables of its effects at commands (n, n_dof).
+
+    `truth` (n,) are a virtual machine's parameters, SI.
+    """
     measurement, estimate = corrected.measurement, corrected.estimate
     count = corrected.parameters
     if truth is not None:
@@ -45,6 +55,9 @@ def corrected_section(
     if accuracy is not None:
         kinematics = measurement.kinematics
         predicted = accuracy_section(kinematics, accuracy.compensated, "corrected")
+    tabled = TabledEffects((), {})
+    if len(command):
+        tabled = tabled_effects(corrected, command)
     marginals = {} if draws is None else dict(_marginals(corrected, draws))
     return CorrectedSection(
         parameters=parameters,
@@ -61,6 +74,8 @@ def corrected_section(
         prediction=predicted,
         parameters_only=_parameters_only(corrected, accuracy) if accuracy else {},
         posterior=marginals,
+        tables=[effect_table(measurement.machine, t, command) for t in tabled.tables],
+        not_tabled=dict(tabled.missing),
         warnings=_warnings(corrected),
     )
 
