@@ -25,9 +25,13 @@ LAPLACE_SHARE, EVOLUTION_SHARE = 0.6, 0.4
 
 
 def ensemble_sizes(walkers: int | None, dimensions: int) -> list[int]:
-    """Walkers of each ensemble; `walkers` in all, as many as are needed by default."""
+    """Walkers of each ensemble; `walkers` in all, as many as are needed by default.
+
+    Fewer than twice the dimensions in all would not span them: these are taken then.
+    """
     if walkers is None:
         return [max(2 * (dimensions + 2), LEAST_WALKERS)] * ENSEMBLES
+    walkers = max(walkers, 2 * dimensions + 2)
     count = max(1, min(ENSEMBLES, walkers // (2 * dimensions)))
     return [len(part) for part in np.array_split(np.arange(walkers), count)]
 

@@ -264,6 +264,8 @@ def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> None:
     }
     tree = arviz_base.from_dict(
         groups,
+        # a chain of a single ensemble is a walker, and may be short
+        check_conventions=False,
         coords={
             "parameter": list(posterior.names),
             "noise_coordinate": list(posterior.noise_names),

@@ -162,10 +162,11 @@ def residual_weights(slopes: Array) -> Array:
 
 def half_covariance(slopes: Array) -> Array:
     """L (r, r) with L L^T = (1 + A^T A)^-1, A the slopes (N, r)."""
-    gram = np.eye(slopes.shape[1]) + slopes.T @ slopes
-    lower = linalg.cholesky(gram, lower=True)
-    identity = np.eye(len(gram))
-    return np.asarray(linalg.solve_triangular(lower, identity, lower=True).T)
+    # by singular values: a sum of large squares would lose the 1
+    _, singular, vectors = linalg.svd(slopes, full_matrices=True)
+    size = np.zeros(len(vectors))
+    size[: len(singular)] = singular
+    return np.asarray(vectors.T / np.hypot(1.0, size))
 
 
 def whitening_matrix(noise: Noise) -> sparse.csr_array:

@@ -45,6 +45,8 @@ ENCODING_REMEDY: Final = "save it as CSV in UTF-8"
 LEAST_VALUES: Final = {"time": 0, "feed": 0, "repeat": 1}
 #: orders stay below this
 MOST_ORDER: Final = 1e15
+#: size of a number in a cell beyond which it is a slip
+LARGEST: Final = 1e12
 #: characters of a name or value in an error
 SHOWN: Final = 40
 
@@ -307,6 +309,17 @@ def _numbers(
         raise ReadingsError(
             "not a finite number",
             remedy,
+            file=file,
+            row=int(rows[k]),
+            column=column.name,
+            value=text[k],
+        )
+    huge = np.flatnonzero(filled & (np.abs(values) > LARGEST))
+    if huge.size:
+        k = int(huge[0])
+        raise ReadingsError(
+            "no reading is so large",
+            "correct it, or leave the cell empty",
             file=file,
             row=int(rows[k]),
             column=column.name,

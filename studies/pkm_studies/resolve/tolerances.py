@@ -14,6 +14,10 @@ from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ToleranceTable
 
+#: least and largest noise of an instrument, and largest tolerance, SI: beyond them sums of
+#: squares lose all digits
+LEAST_SIGMA, LARGEST = 1e-12, 1e3
+
 
 def with_tolerances(
     study: Study, machine: Machine, setups: dict[str, Setup]
@@ -99,7 +103,14 @@ def _matching_tolerances(
     if sigma is None:
         key = quantities.column("sigma", unit)
         raise place.key(key).error("missing", "give the standard deviation")
-    check_not_negative(sigma, place.key(next(iter(table.sigma))))
+    key = next(iter(table.sigma))
+    check_not_negative(sigma, place.key(key))
+    if sigma > LARGEST:
+        raise place.key(key).error(
+            "no machine has such a tolerance",
+            f"check its unit; up to {LARGEST:g} {unit} is possible",
+            table.sigma[key],
+        )
     return dict.fromkeys(matched, sigma)
 
 
@@ -144,5 +155,13 @@ def _sigma(
                 "noise must be above 0",
                 "give the standard deviation of one reading",
                 value,
+            )
+    for key, (name, value) in zip(table, values.items(), strict=True):
+        if not LEAST_SIGMA <= value <= LARGEST:
+            raise place.key(key).error(
+                "no instrument has such a noise",
+                f"check its unit; {LEAST_SIGMA:g} to {LARGEST:g} {known[name]} are"
+                " possible",
+                table[key],
             )
     return values

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from oed import identification, posterior, posterior_checks, run_prediction
 from oed.arrays import Array
 from oed.assembly_mode import mode_jumps
 from oed.checks.goodness import goodness_of_estimate
+from oed.measurement import Series
 from oed.result import GoodnessSection
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.fit.combinations import combination_estimates
@@ -29,14 +32,7 @@ def fit_parameters(state: RunState) -> RunState:
     if y is None:
         return state
     state.progress.stage("identification")
-    estimate = identification.identify(
-        state.measurement,
-        series,
-        y,
-        stages=state.resolved.identification_stages,
-        estimate_noise=state.estimates_noise,
-        max_iterations=state.study.identify.max_iterations,
-    )
+    estimate = _identify(state, series, y)
     _refuse_mode_jump(state, estimate.theta)
     section = estimate_section(
         state.measurement, series, estimate, state.readings.truth
@@ -51,6 +47,27 @@ def fit_parameters(state: RunState) -> RunState:
     goodness = with_left_out(_goodness(state, estimate), runs)
     state = state.with_sections(goodness=goodness)
     return state.with_warnings(*section.warnings, *surprises(runs))
+
+
+def _identify(
+    state: RunState, series: Sequence[Series], y: Array
+) -> identification.Estimate:
+    """The fit; where it fails, the error opens with what the check of readings found."""
+    try:
+        return identification.identify(
+            state.measurement,
+            series,
+            y,
+            stages=state.resolved.identification_stages,
+            estimate_noise=state.estimates_noise,
+            max_iterations=state.study.identify.max_iterations,
+        )
+    except identification.IdentificationError as error:
+        checked = state.checked
+        if checked is None or not checked.findings:
+            raise
+        first = checked.findings[0].sentence
+        raise identification.IdentificationError(f"{first} {error}") from error
 
 
 def _goodness(state: RunState, estimate: identification.Estimate) -> GoodnessSection:

@@ -81,7 +81,13 @@ def contradictions(checks: Mapping[str, PredictiveCheck]) -> list[str]:
 def sampling_warnings(posterior: Posterior, ess: int) -> list[str]:
     """What a user must know of how the posterior was sampled."""
     sentences = []
-    least = float(np.nanmin(posterior.ess))
+    known = posterior.ess[np.isfinite(posterior.ess)]
+    least = float(known.min(initial=np.inf))
+    if not known.size:
+        sentences.append(
+            "the posterior has too few steps to tell its effective sample size; raise"
+            " [posterior] steps"
+        )
     if least < ess:
         sentences.append(
             f"the posterior has an effective sample size of {least:.0f}, short of"

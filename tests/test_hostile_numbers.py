@@ -1,0 +1,52 @@
+"""Numbers that no workshop has end in a sentence with file, field, value and remedy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import sample
+
+from pkm_studies import cli
+
+TOLERANCE = "[[prior.tolerance]]\nparameters = ['dq*']\nsigma_mm = 1e30\n[report]"
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "remedy"),
+    [
+        (("length_um = 0.5", "length_um = 1e300"), "noise.length_um", "check its unit"),
+        (("length_um = 0.5", "length_um = 1e-9"), "noise.length_um", "1e-12 to 1000 m"),
+        (("[report]", TOLERANCE), "prior.tolerance[1].sigma_mm", "up to 1000 m"),
+    ],
+)
+def test_noise_and_tolerances(change: tuple[str, str], field: str, remedy: str) -> None:
+    error = sample.refused(sample.STUDY, change)
+    assert error.field == field
+    assert error.value
+    assert remedy in error.remedy
+
+
+def test_a_huge_reading_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, readings = tmp_path / "s.study.toml", tmp_path / "r.csv"
+    study.write_text(sample.STUDY, encoding="utf-8")
+    text = sample.changed(sample.READINGS, ("300.002", "1e300"))
+    readings.write_text(text, encoding="utf-8")
+    assert cli.main(["check", str(study), str(readings)]) == 2
+    error = capsys.readouterr().err
+    assert "row 3, column length_mm = 1e300: no reading is so large" in error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("table", ["walkers = 5\nsteps = 10", "steps = 1", "thin = 9"])
+def test_a_posterior_of_few_steps_says_so(
+    table: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = tmp_path / "s.study.toml"
+    text = f"{sample.STUDY}[readings]\nsimulate = true\n[posterior]\n{table}\n"
+    study.write_text(text, encoding="utf-8")
+    assert cli.main(["run", str(study), "--out", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out
+    assert ("raise [posterior] steps" in out) == ("steps" in table)
