@@ -21,6 +21,9 @@ from oed.linear_algebra import right_singular
 from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise
 
+#: Gauss-Newton steps to the coordinates of exact readings
+STEPS = 6
+
 
 @dataclasses.dataclass(frozen=True)
 class IdentifiableCoordinates:
@@ -81,6 +84,30 @@ def identifiable_coordinates(
         null_basis=_at_rows(free, scale[free, None] * lost, len(scale)),
         dual=_at_rows(free, directions / scale[free, None], len(scale)).T,
     )
+
+
+def coordinates_of_readings(
+    measurement: Measurement,
+    series: Sequence[Series],
+    coordinates: IdentifiableCoordinates,
+    exact: Array,
+    start: Array,
+) -> Array:
+    """Coordinates z (r,) whose readings are exact ones (N,), SI, from a start (r,).
+
+    It is what readings can say of a machine: a lost direction of a millimetre moves
+    the machine's own coordinates by micrometres, to second order, and its readings not
+    at all. Gauss-Newton in units of the stated noise. Raises AssemblyError.
+    """
+    sigma = measurement.sigma(series)
+    z = start
+    for _ in range(STEPS):
+        theta = coordinates.to_theta(z)
+        slopes = measurement.jacobian(series, theta) @ coordinates.basis
+        missing = exact - measurement.readings(series, theta)
+        step = np.linalg.lstsq(slopes / sigma[:, None], missing / sigma, rcond=None)[0]
+        z = z + step
+    return z
 
 
 def _null_space(

@@ -76,7 +76,8 @@ def test_wheel_holds_exactly_the_four_packages_and_the_studies(
         for path in folder.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    studies = (ROOT / "studies").glob("*.study.toml")
+    folder = ROOT / "studies"
+    studies = [*folder.glob("*.study.toml"), *folder.glob("*.campaign.toml")]
     expected |= {f"pkm_studies/shipped/{path.name}" for path in studies}
     assert set(wheel) == expected
     assert len(wheel) == len(expected)

@@ -16,14 +16,13 @@ import numpy as np
 from benchmarks.coverage import noise
 from benchmarks.coverage.bench import Bench
 from oed import laplace
+from oed.coordinates import coordinates_of_readings
 from oed.error_draws import compensated_errors
 from oed.estimate import Estimate
 from oed.identification import identify
 
 #: posterior draws for intervals, those for bands, share that an interval holds
 DRAWS, BAND_DRAWS, LEVEL = 2000, 400, 0.95
-#: Gauss-Newton steps to the coordinates of exact readings
-STEPS = 6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,29 +85,15 @@ def _combinations(
     """Which combinations' intervals hold the truth (r,), and the joint error."""
     # In coordinates that are the same for every machine.
     turn = bench.coordinates.dual @ estimate.coordinates.basis
-    true = turn @ _true_coordinates(bench, estimate, exact)
+    true = turn @ coordinates_of_readings(
+        bench.measurement, bench.series, estimate.coordinates, exact, estimate.z
+    )
     draws = z @ turn.T
     mean = turn @ estimate.z
     error = true - mean
     covariance = np.cov(draws.T)
     nees = error @ np.linalg.solve(covariance, error) / len(error)
     return _holds(draws, true), float(nees)
-
-
-def _true_coordinates(
-    bench: Bench, estimate: Estimate, exact: np.ndarray
-) -> np.ndarray:
-    """Coordinates (r,) whose readings are the exact ones (N,)."""
-    m, coordinates = bench.measurement, estimate.coordinates
-    z = estimate.z
-    for _ in range(STEPS):
-        theta = coordinates.to_theta(z)
-        slopes = m.jacobian(bench.series, theta) @ coordinates.basis
-        missing = exact - m.readings(bench.series, theta)
-        unit = bench.layout.sigma
-        step = np.linalg.lstsq(slopes / unit[:, None], missing / unit, rcond=None)[0]
-        z = z + step
-    return z
 
 
 def _bands(

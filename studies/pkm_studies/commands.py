@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pkm_studies import (
+    campaign_command,
     compensate_command,
     console,
     history_command,
@@ -356,6 +357,7 @@ app.command(name="import")(import_command.import_files)
 app.command()(compensate_command.compensate)
 app.command()(verify_command.verify)
 app.command()(history_command.history)
+app.command()(campaign_command.campaign)
 
 
 # -- studies in, results out -----------------------------------------------------------

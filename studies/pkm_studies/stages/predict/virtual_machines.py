@@ -38,35 +38,54 @@ def realised_accuracy(
     """
     if not count:
         return None
-    kinematics = measurement.kinematics
     keep = len(measurement.machine.parameters)
-    home = measurement.machine.home_command[None]
-    model = compensate.error_model(kinematics, command)
-    home_model = compensate.error_model(kinematics, home)
     errors = []
     for start in range(0, count, TOGETHER):
         machines = min(TOGETHER, count - start)
         truth, y = _draw_machines(measurement, series, machines, rng)
         theta = fit_machines(measurement, series, y, stages=stages)
         identified, true = theta[:, :keep], truth[:, :keep]
-        twists = _remaining_twists(kinematics, command, identified, true)
-        home_twists = _remaining_twists(kinematics, home, identified, true)
-        for twist, home_twist in zip(twists, home_twists, strict=True):
-            referenced = prediction.relative_to_reference(
-                twist,
-                home_twist,
-                model,
-                home_model,
-                reference,
-                measurement.machine.alignment_lever,
-            )
-            errors.append(kinematics.error_components(command, referenced))
+        errors.append(errors_after(measurement, command, reference, identified, true))
         progress((start + machines) / count)
-    table = np.array(errors)
+    table = np.concatenate(errors)
     return {
         c.name: prediction.error_spread(table[:, :, k])
         for k, c in enumerate(measurement.machine.components)
     }
+
+
+def errors_after(
+    measurement: Measurement,
+    command: Array,
+    reference: Reference,
+    identified: Array,
+    true: Array,
+) -> Array:
+    """Exact pose errors (m, n, k), SI, of m machines driven with identified parameters.
+
+    command           (n, n_dof), SI
+    identified, true  (m, np) parameters, SI
+
+    Raises AssemblyError.
+    """
+    kinematics, machine = measurement.kinematics, measurement.machine
+    home = machine.home_command[None]
+    model = compensate.error_model(kinematics, command)
+    home_model = compensate.error_model(kinematics, home)
+    twists = _remaining_twists(kinematics, command, identified, true)
+    home_twists = _remaining_twists(kinematics, home, identified, true)
+    errors = []
+    for twist, home_twist in zip(twists, home_twists, strict=True):
+        referenced = prediction.relative_to_reference(
+            twist,
+            home_twist,
+            model,
+            home_model,
+            reference,
+            machine.alignment_lever,
+        )
+        errors.append(kinematics.error_components(command, referenced))
+    return np.array(errors)
 
 
 def _draw_machines(

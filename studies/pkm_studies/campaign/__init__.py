@@ -1,0 +1,1 @@
+"""Campaigns: a product of settings and seeds over virtual machines of one study."""

@@ -1,0 +1,169 @@
+"""One case of a campaign: a virtual machine, read, identified, compensated and judged."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from oed import units
+from oed.arrays import Array
+from oed.coordinates import coordinates_of_readings
+from oed.error_maps import error_maps
+from oed.estimate import Estimate
+from oed.identification import IdentificationError
+from oed.kinematics import AssemblyError
+from oed.measurement import Series
+from pkm_studies.progress import Silent
+from pkm_studies.run_state import Readings, RunState, start
+from pkm_studies.stages.predict.virtual_machines import errors_after
+from pkm_studies.steps import design as design_steps
+from pkm_studies.steps import fit as fit_steps
+from pkm_studies.steps import gap as gap_steps
+from pkm_studies.steps import readings as readings_steps
+from pkm_studies.study import Study, loader
+
+#: standard deviations to either side of a 95 % interval
+HALF_WIDTH = float(special.ndtri(0.975))
+#: prepared combinations that a process remembers
+REMEMBERED = 4
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Case:
+    """A virtual machine of a combination.
+
+    study, path    text of the varied study, and the file that its paths start from
+    setting        the varied values by field
+    seed           of the machine
+    diagnose       whether its readings are diagnosed
+    """
+
+    study: str
+    path: str
+    setting: Mapping[str, Any]
+    seed: int
+    diagnose: bool
+
+
+def work(case: Case) -> dict[str, Any]:
+    """The row of a case: its setting and seed, and what came of it.
+
+    A case that cannot be fitted has its reason in `error`, and no figures.
+    """
+    row: dict[str, Any] = {**case.setting, "seed": case.seed, "error": ""}
+    try:
+        return {**row, **_figures(case)}
+    except (IdentificationError, AssemblyError) as error:
+        return {**row, "error": str(error)}
+
+
+def _figures(case: Case) -> dict[str, Any]:
+    prepared, series = _prepared(case.study, case.path)
+    state = prepared.replace(seed=case.seed)
+    simulated = readings_steps.simulate_readings(state, series)
+    state = state.replace(readings=simulated.readings)
+    state = fit_steps.fit_parameters(state)
+    figures = {**_fit_figures(state), **_accuracy_figures(state)}
+    if case.diagnose:
+        figures |= _diagnosis_figures(state, simulated.effects)
+    return figures
+
+
+@functools.lru_cache(maxsize=REMEMBERED)
+def _prepared(text: str, path: str) -> tuple[RunState, tuple[Series, ...]]:
+    """The state with its plan, made once for all machines of a combination."""
+    study: Study = loader.parse(text, Path(path))
+    state = design_steps.select_design(start(study, None, Silent(), []))
+    state = design_steps.plan_stages(state)
+    series = readings_steps.planned_series(state)
+    state = state.replace(readings=Readings(series=series))
+    return design_steps.analyse_identifiability(state), series
+
+
+def _fit_figures(state: RunState) -> dict[str, Any]:
+    """Fit and intervals against the true parameters."""
+    estimate = state.estimate
+    assert estimate is not None
+    probability = special.chdtrc(estimate.dof, estimate.chi2)
+    inside, squared, rank = _interval_figures(state, estimate)
+    return {
+        "readings": len(estimate.residuals),
+        "rank": rank,
+        "chi2": estimate.chi2,
+        "dof": estimate.dof,
+        "p_value": float(probability),
+        "inside_95": inside,
+        "nees": squared,
+    }
+
+
+def _interval_figures(state: RunState, estimate: Estimate) -> tuple[float, float, int]:
+    """Share of 95 % intervals of identifiable combinations that hold the truth.
+
+    And the mean squared standardised error, the Mahalanobis distance over the rank:
+    1 on average where the covariance is right. A combination's true value is the one
+    that gives the exact readings with the lost directions at nominal.
+    """
+    assert state.readings is not None
+    measurement, series = state.measurement, state.readings.series
+    coordinates = estimate.coordinates
+    exact = measurement.readings(series, _truth(state))
+    true = coordinates_of_readings(measurement, series, coordinates, exact, estimate.z)
+    error = estimate.z - true
+    covariance = coordinates.dual @ estimate.covariance @ coordinates.dual.T
+    rank = len(error)
+    inside = np.abs(error) <= HALF_WIDTH * np.sqrt(np.diag(covariance))
+    squared = error @ np.linalg.solve(covariance, error) / rank
+    return float(inside.mean()), float(squared), rank
+
+
+def _accuracy_figures(state: RunState) -> dict[str, Any]:
+    """Predicted and realised rms error after compensation, by component."""
+    estimate, measurement = state.estimate, state.measurement
+    command = state.resolved.prediction_commands
+    table = state.study.prediction
+    assert estimate is not None
+    assert command is not None
+    assert table is not None
+    count = len(measurement.machine.parameters)
+    maps = error_maps(measurement.kinematics, command, table.reference)
+    covariance = estimate.covariance[:count, :count]
+    identified, true = estimate.theta[None, :count], _truth(state)[None, :count]
+    known = maps.remaining @ (identified[0] - measurement.machine.nominal)
+    unknown = np.einsum("nkp,pq,nkq->nk", maps.raw, covariance, maps.raw, optimize=True)
+    expected = np.sqrt(np.mean(known**2 + unknown, axis=0))
+    errors = errors_after(measurement, command, table.reference, identified, true)[0]
+    figures = {}
+    for k, component in enumerate(measurement.machine.components):
+        unit = units.FINE[component.unit]
+        realised = float(np.sqrt(np.mean(errors[:, k] ** 2)))
+        name = f"{component.name}_{unit}"
+        figures[f"predicted_{name}"] = units.number(float(expected[k]), unit)
+        figures[f"realised_{name}"] = units.number(realised, unit)
+    return figures
+
+
+def _diagnosis_figures(
+    state: RunState, effects: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """The verdict, and the effects that act."""
+    section = gap_steps.diagnose_always(state).sections["gap"]
+    answer = section.answers[0]
+    return {
+        "verdict": section.verdict,
+        "answer": "+".join(sorted(answer.effects)),
+        "probability": answer.probability,
+        "acting": "+".join(sorted(e["effect"] for e in effects)),
+    }
+
+
+def _truth(state: RunState) -> Array:
+    assert state.readings is not None
+    assert state.readings.truth is not None
+    return state.readings.truth

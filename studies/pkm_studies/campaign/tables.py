@@ -1,0 +1,176 @@
+"""Campaign files: TOML into frozen structs, and the studies that they vary."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+
+from oed.kinematics import AssemblyError
+from pkm_studies import files, shipped
+from pkm_studies.errors import InputError, Place, shorten, suggest
+from pkm_studies.resolve.resolved import resolve
+from pkm_studies.study import Study, decode, load, loader
+
+SCHEMA = 1
+SUFFIX = ".campaign.toml"
+#: bytes of the largest campaign file
+LIMIT = 200_000
+#: cases of the largest campaign
+MOST_CASES = 1_000_000
+
+Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+Scalar = float | int | str | bool
+
+
+class CampaignFile(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
+    """A campaign: every combination of the varied fields, and every seed.
+
+    schema      version of the format, 1
+    name        of the campaign and its folder
+    title       for the report
+    study       a study file, relative to this one, or the name of a shipped study
+    seeds       virtual machines of each combination
+    first_seed  the first machine's seed; the others follow
+    diagnose    whether each machine's readings are diagnosed as well
+    vary        values by the field of the study, as in "noise.length_um" = [0.3, 1.0];
+                an entry of a list is addressed by its name, as in "setup.cup.tool_mm"
+    """
+
+    free_keys: ClassVar[None] = None
+    schema: int
+    name: Name
+    study: str
+    seeds: Annotated[int, msgspec.Meta(ge=1, le=MOST_CASES)]
+    title: str = ""
+    first_seed: Annotated[int, msgspec.Meta(ge=0)] = 1
+    diagnose: bool = False
+    vary: dict[str, list[Any]] = {}
+
+
+class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A campaign as loaded, with the study that it varies."""
+
+    path: Path
+    text: str
+    varied: Study
+
+    @property
+    def place(self) -> Place:
+        """The file, for errors."""
+        return Place(str(self.path))
+
+    def settings(self) -> list[dict[str, Any]]:
+        """Every combination of the varied values, in the order of the file."""
+        values = itertools.product(*self.vary.values())
+        return [
+            dict(zip(self.vary, combination, strict=True)) for combination in values
+        ]
+
+    def study_with(self, setting: Mapping[str, Any]) -> Study:
+        """The study with other values of some fields. Raises InputError."""
+        tables = copy.deepcopy(tomllib.loads(self.varied.text))
+        for field, value in setting.items():
+            at = self.place.key("vary").key(field)
+            _assign(tables, field, value, at)
+        text = msgspec.toml.encode(tables).decode()
+        return loader.parse(text, self.varied.path)
+
+
+def load_campaign(path: Path) -> Campaign:
+    """Read and check a campaign file, its study and every combination of its fields.
+
+    A name without a suffix may be that of a shipped campaign.
+
+    Raises InputError that names file, field, value and remedy.
+    """
+    path = _shipped_or(path)
+    place = Place(str(path))
+    text = files.read_text(path, limit=LIMIT, what="campaign file")
+    try:
+        table = tomllib.loads(text)
+    except ValueError as error:
+        problem = f"this is no TOML: {shorten(str(error), 100)}"
+        raise place.error(problem, "mend it there") from None
+    decode.check_finite(table, place)
+    tables = decode.decode(CampaignFile, table, place)
+    if tables.schema != SCHEMA:
+        remedy = "this program reads schema = 1"
+        raise place.key("schema").error("unknown version", remedy, tables.schema)
+    study = _study(tables, path, place)
+    fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
+    campaign = Campaign(**fields, path=path, text=text, varied=study)
+    _check_settings(campaign)
+    return campaign
+
+
+def _shipped_or(path: Path) -> Path:
+    """A file as named; the shipped campaign of this name where there is none."""
+    file = shipped.folder() / f"{path.name}{SUFFIX}"
+    is_name = path.name == str(path) and not path.suffix
+    return file if is_name and not path.exists() and file.is_file() else path
+
+
+def _study(tables: CampaignFile, path: Path, place: Place) -> Study:
+    """The varied study, beside the campaign or shipped. Raises InputError."""
+    beside = path.parent / tables.study
+    study = load(beside if beside.is_file() else shipped.study_path(Path(tables.study)))
+    if study.prediction is None:
+        raise place.key("study").error(
+            "the study does not say where accuracy counts",
+            "add [prediction] with a workspace to it",
+            tables.study,
+        )
+    return study
+
+
+def _check_settings(campaign: Campaign) -> None:
+    """Raises InputError for no values, too many cases, and fields that do not fit."""
+    place = campaign.place
+    for field, values in campaign.vary.items():
+        if not values:
+            at = place.key("vary").key(field)
+            raise at.error("no values", "list the values to try")
+    settings = campaign.settings()
+    if len(settings) * campaign.seeds > MOST_CASES:
+        problem = f"{len(settings)} combinations with {campaign.seeds} machines each"
+        raise place.key("seeds").error(problem, f"stay below {MOST_CASES} cases")
+    for setting in settings:
+        try:
+            resolve(campaign.study_with(setting), readings=())
+        except (InputError, AssemblyError) as error:
+            words = ", ".join(
+                f"{k} = {shorten(repr(v), 40)}" for k, v in setting.items()
+            )
+            problem = f"with {words}: {error}"
+            raise place.key("vary").error(problem, "change this value") from error
+
+
+def _assign(tables: Any, field: str, value: Any, place: Place) -> None:
+    """Set a field of nested tables, addressed by keys and names of list entries."""
+    *way, last = field.split(".")
+    at = tables
+    for key in way:
+        at = _entry(at, key, place)
+    if not isinstance(at, dict):
+        raise place.error("this is no field of a table", "name a field of the study")
+    at[last] = value
+
+
+def _entry(at: Any, key: str, place: Place) -> Any:
+    """What a table or a list of named tables holds under a key."""
+    if isinstance(at, list):
+        named = {str(entry.get("name")): entry for entry in at}
+        if key not in named:
+            raise place.error(f"no entry {key!r}", suggest(key, named))
+        return named[key]
+    if isinstance(at, dict):
+        return at.setdefault(key, {})
+    raise place.error(f"{key!r} lies in no table", "name a field of the study")

@@ -1,0 +1,57 @@
+"""The subcommand `oed campaign`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def campaign(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CAMPAIGN.toml", help="The campaign.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the cases [out/NAME]."),
+    ] = None,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Processes [one for each core].")
+    ] = 0,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler, in place of processes."),
+    ] = None,
+    *,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print results only.")] = False,
+) -> int:
+    """Run settings x seeds over virtual machines; again: go on where it was."""
+    import os
+
+    from pkm_studies import display
+    from pkm_studies.campaign import report, results, runner, tables
+
+    loaded = tables.load_campaign(file)
+    folder = Path("out") / loaded.name if out is None else out
+    with display.progress(quiet=quiet) as progress:
+        progress.stage("virtual machines")
+        runner.run_cases(
+            loaded,
+            folder,
+            workers=workers or os.cpu_count() or 1,
+            scheduler=scheduler,
+            progress=progress.share,
+        )
+    table = results.read_table(loaded, folder)
+    paths = results.write_table(table, folder)
+    summary = results.summarise(loaded, table)
+    page = report.write_report(loaded, summary, folder)
+    for sentence in report.sentences(loaded, summary):
+        print(sentence)
+    print(f"Report: {', '.join(str(p) for p in page)}")
+    print(f"Table: {', '.join(str(p) for p in paths)}")
+    return 0

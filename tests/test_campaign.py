@@ -1,0 +1,210 @@
+"""Campaigns: every combination and seed once, resumed where they were interrupted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import sample
+
+from oed import compensate
+from pkm_studies import cli
+from pkm_studies.campaign import results, runner, tables
+from pkm_studies.errors import InputError
+
+STUDY = sample.changed(
+    sample.STUDY,
+    (
+        "[report]",
+        "[prediction]\nz_mm = [1166.0]\npsi_deg = [0.0, 120.0]\ntheta_deg = [20.0]\n\n[report]",
+    ),
+)
+CAMPAIGN = """\
+schema = 1
+name = "small_campaign"
+study = "small.study.toml"
+seeds = 3
+
+[vary]
+"noise.length_um" = [0.5, 2.0]
+"setup.cup.length_mm" = [300.0, 302.0]
+"""
+
+
+@pytest.fixture
+def campaign(tmp_path: Path) -> Path:
+    (tmp_path / "small.study.toml").write_text(STUDY, encoding="utf-8")
+    path = tmp_path / "small.campaign.toml"
+    path.write_text(CAMPAIGN, encoding="utf-8")
+    return path
+
+
+def run(path: Path, out: Path, *options: str) -> int:
+    return cli.main(
+        [
+            "campaign",
+            str(path),
+            "--out",
+            str(out),
+            "--workers",
+            "1",
+            "--quiet",
+            *options,
+        ]
+    )
+
+
+def test_a_campaign_interrupted_ends_as_an_unbroken_one(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert run(campaign, whole) == 0
+    printed = capsys.readouterr().out
+    assert "12 virtual machines in 4 combinations; 0 could not be fitted." in printed
+    loaded = tables.load_campaign(campaign)
+
+    def stop(share: float) -> None:
+        if share > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        runner.run_cases(loaded, broken, workers=1, progress=stop)
+    there = [path for path in runner.case_paths(loaded, broken) if path.is_file()]
+    assert 0 < len(there) < 12
+    times = {path: path.stat().st_mtime_ns for path in there}
+    assert run(campaign, broken) == 0
+    assert times == {path: path.stat().st_mtime_ns for path in there}
+    for name in ("cases.csv", "report.html"):
+        assert (whole / name).read_bytes() == (broken / name).read_bytes()
+    table = pd.read_parquet(whole / "cases.parquet")
+    assert len(table) == 12
+    assert len(table.drop_duplicates()) == 12
+    assert (table["seed"].to_numpy() == np.tile([1, 2, 3], 4)).all()
+    # Four times the noise: the truth is that of the same seed, the error is not.
+    quiet = table[table["noise.length_um"] == 0.5]["predicted_z_um"].mean()
+    noisy = table[table["noise.length_um"] == 2.0]["predicted_z_um"].mean()
+    assert quiet < noisy
+
+
+def test_the_realised_error_is_that_of_the_compensated_machine(
+    campaign: Path, tmp_path: Path
+) -> None:
+    """One case again, step by step, by the notebook's functions."""
+    import oed
+
+    loaded = tables.load_campaign(campaign)
+    runner.run_cases(loaded, tmp_path / "out", workers=1)
+    row = results.read_table(loaded, tmp_path / "out").iloc[0]
+    study = loaded.study_with(loaded.settings()[0])
+    design = oed.choose_design(study)
+    state = design.state.replace(seed=int(row["seed"]))
+    estimate = oed.identify(oed.simulate(type(design)(state))).state.estimate
+    readings = oed.simulate(type(design)(state)).state.readings
+    assert estimate is not None
+    assert row["chi2"] == pytest.approx(estimate.chi2, rel=1e-9)
+    measurement, command = state.measurement, state.resolved.prediction_commands
+    kinematics, count = measurement.kinematics, len(measurement.machine.parameters)
+    home = measurement.machine.home_command[None]
+    z = []
+    for at in (*command[:, None], home):
+        q = compensate.compensated_joints(kinematics, at, estimate.theta[:count])
+        z.append(compensate.pose_error(kinematics, at, q, readings.truth[:count])[0, 2])
+    expected = 1e6 * np.sqrt(np.mean((np.array(z[:-1]) - z[-1]) ** 2))
+    assert row["realised_z_um"] == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_summary_counts_failures_and_means(campaign: Path) -> None:
+    loaded = tables.load_campaign(campaign)
+    rows = []
+    for setting in loaded.settings():
+        cells = {
+            k: json.dumps(v) if isinstance(v, list) else v for k, v in setting.items()
+        }
+        for seed, inside in ((1, 0.9), (2, 1.0), (3, np.nan)):
+            failed = np.isnan(inside)
+            figures = {"inside_95": inside, "nees": inside, "p_value": 0.5}
+            figures |= {"predicted_z_um": 3.0, "realised_z_um": 4.0}
+            row = {k: np.nan if failed else v for k, v in figures.items()}
+            rows.append({**cells, "seed": seed, "error": "no" if failed else "", **row})
+    summary = results.summarise(loaded, pd.DataFrame(rows))
+    assert len(summary) == 4
+    first = summary.iloc[0]
+    assert (first["machines"], first["failed"]) == (3, 1)
+    assert first["inside_95"] == pytest.approx(0.95)
+    assert first["inside_95_low"] == pytest.approx(0.95 - 1.959964 * 0.05)
+    assert first["inside_95_high"] == 1.0
+    assert first["realised_z_um"] == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"noise.length_um"', '"noise.lenght_um"', "lenght_um"),
+        ("setup.cup.length", "setup.cap.length", "no entry 'cap'"),
+        ("[0.5, 2.0]", "[]", "no values"),
+        ("[0.5, 2.0]", "[0.5, -2.0]", "length_um"),
+        ("seeds = 3", "seeds = 0", "seeds"),
+        ("seeds = 3", "seeds = 900000", "stay below"),
+        ("small.study.toml", "none.study.toml", "none.study.toml"),
+        ("schema = 1", "schema = 2", "unknown version"),
+        ("[vary]", "[vary", "no TOML"),
+    ],
+)
+def test_bad_campaigns_are_refused_by_field(
+    campaign: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    old: str,
+    new: str,
+    words: str,
+) -> None:
+    campaign.write_text(sample.changed(CAMPAIGN, (old, new)), encoding="utf-8")
+    assert run(campaign, tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert "Traceback" not in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_of_another_campaign_is_left_alone(
+    campaign: Path, tmp_path: Path
+) -> None:
+    loaded = tables.load_campaign(campaign)
+    out = tmp_path / "out"
+    runner.run_cases(loaded, out, workers=1)
+    before = {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+    campaign.write_text(sample.changed(CAMPAIGN, ("2.0", "3.0")), encoding="utf-8")
+    with pytest.raises(InputError, match="another campaign"):
+        runner.run_cases(tables.load_campaign(campaign), out, workers=1)
+    assert before == {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+
+
+def test_a_scheduler_that_is_not_there_is_said(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("distributed", reason="Dask is not installed")
+    assert run(campaign, tmp_path / "out", "--scheduler", "no address") == 2
+    assert "--scheduler" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_processes_and_a_cluster_give_the_same_table(
+    campaign: Path, tmp_path: Path
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
+    loaded = tables.load_campaign(campaign)
+    runner.run_cases(loaded, tmp_path / "one", workers=1)
+    runner.run_cases(loaded, tmp_path / "two", workers=2)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
+        runner.run_cases(loaded, tmp_path / "dask", workers=1, scheduler=address)
+    one, two, dask = (
+        results.read_table(loaded, tmp_path / name) for name in ("one", "two", "dask")
+    )
+    pd.testing.assert_frame_equal(one, two)
+    pd.testing.assert_frame_equal(one, dask)
