@@ -258,7 +258,7 @@ def _integrated_stage(
     prior = noise_prior(structure)
     theta, noise, law = first.theta, stated, stated_laws(structure)
     robust = fit
-    mode = np.zeros(prior.dimensions)
+    mode = None
     for _ in range(NOISE_ROUNDS):
         coordinates = fit.coordinates(theta, stated, first.prior_sd)
         z, iterations = robust.solve(noise, coordinates, theta)
@@ -272,11 +272,10 @@ def _integrated_stage(
         change = structure.restore(replaced - residual)
         robust = dataclasses.replace(fit, y=fit.y + change)
         model = ResidualModel(structure, replaced, slopes, z)
-        before, mode = mode, most_probable(model, prior)
-        moved = np.abs(mode - before).max()
+        before, mode = mode, most_probable(model, prior, mode)
         law = prior.laws(mode[None])
         noise = process_noise(structure, law)
-        if moved < SETTLED:
+        if before is not None and np.abs(mode - before).max() < SETTLED:
             break
     posterior = integrate(model, prior, mode)
     theta = coordinates.to_theta(posterior.mean)

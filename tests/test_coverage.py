@@ -161,3 +161,34 @@ def test_intervals_hold_under_every_law(law: str) -> None:
     bands = np.array([o.bands.mean() for o in outcomes])
     assert bands.mean() > 0.93 - 4.0 * bands.std(ddof=1) / np.sqrt(60)
     assert np.mean([o.nees for o in outcomes]) < 1.6
+
+
+def test_ranks_of_uniform_values_pass_and_of_narrow_ones_fail() -> None:
+    calibration = module("ranks").calibration
+    rng = np.random.default_rng(8)
+    uniform = rng.integers(0, 100, (200, 6))
+    assert calibration("abcdef", uniform, 1).joint > 0.01
+    narrow = uniform.copy()
+    narrow[:, 2] = 30 + narrow[:, 2] * 2 // 5
+    assert calibration("abcdef", narrow, 1).joint < 1e-4
+    assert calibration("abcdef", uniform, 1).counts.sum() == 1200
+
+
+def test_a_calibration_goes_on_and_prints_its_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main = module("ranks").main
+    options = ["--configurations", "planar", "--out", str(tmp_path)]
+    main([*options, "--machines", "3"])
+    first = capsys.readouterr().out
+    # Six combinations, and six coordinates of the law: three scales, share, reach, level.
+    assert "| planar | 3 | 12 |" in first
+    main([*options, "--machines", "3"])
+    assert capsys.readouterr().out == first
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["a3_30", "delta"])
+def test_ranks_are_uniform(name: str, tmp_path: Path) -> None:
+    result = module("ranks").run(tmp_path, name, 100, 7, "laplace")
+    assert result.joint > 0.01

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,9 +40,14 @@ def _measure(path: Path, name: str, law: str, number: int, seed: int) -> None:
     begin = time.process_time()
     outcome = one_machine(bench, law, number, seed).as_json()
     outcome["cpu_s"] = round(time.process_time() - begin, 3)
+    store(path, outcome)
+
+
+def store(path: Path, result: Mapping[str, Any]) -> None:
+    """Write a machine's result, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(".part")
-    part.write_text(json.dumps(outcome), encoding="utf-8")
+    part.write_text(json.dumps(result), encoding="utf-8")
     part.replace(path)
 
 

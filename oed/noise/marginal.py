@@ -204,8 +204,11 @@ def _cost(model: ResidualModel, prior: NoisePrior, u: Array) -> Array:
     return np.asarray(0.5 * (u**2).sum(axis=1) - log_marginal)
 
 
-def most_probable(model: ResidualModel, prior: NoisePrior) -> Array:
-    """The most probable coordinates (d,), from several starts."""
+def most_probable(
+    model: ResidualModel, prior: NoisePrior, near: Array | None = None
+) -> Array:
+    """The most probable coordinates (d,), from several starts, or from one near them."""
+    starts = prior.starts() if near is None else near[None]
     steps = np.vstack([np.zeros(prior.dimensions), np.eye(prior.dimensions)])
     steps *= SLOPE_STEP
 
@@ -223,7 +226,7 @@ def most_probable(model: ResidualModel, prior: NoisePrior) -> Array:
             bounds=limits,
             options={"maxiter": 60, "ftol": 1e-6},
         )
-        for start in prior.starts()
+        for start in starts
     ]
     return np.asarray(min(minima, key=lambda minimum: minimum.fun).x)
 

@@ -22,8 +22,8 @@ SCALE_SD, HEAVY_FROM = 0.4, 4.0
 #: median, in units of the stated noise, of a run's level and of a renewed unknown, and
 #: sd of their logs: from a thirtieth of the noise to five times it
 SHARED_MEDIAN, SHARED_SD = 0.4, 1.3
-#: median of the share of the variance that is carried along, and sd of its logit
-CARRIED_MEDIAN, CARRIED_SD = 0.27, 1.8
+#: distance of the share that is carried along from 0 and 1, for the filter's sake
+LEAST_SHARE = 1e-6
 #: median of the reach, in readings, and sd of its log
 REACH_MEDIAN, REACH_SD = 8.0, 1.0
 
@@ -49,14 +49,13 @@ class NoisePrior:
     def laws(self, u: Array) -> Laws:
         """Laws at coordinates (L, d)."""
         g = self.groups
-        carried, reach, level = u[:, g], u[:, g + 1], u[:, g + 2]
+        reach, level = u[:, g + 1], u[:, g + 2]
         seat = np.zeros(len(u))
         if self.has_seat:
             seat = SHARED_MEDIAN * np.exp(SHARED_SD * u[:, g + 3])
-        middle = special.logit(CARRIED_MEDIAN)
         return Laws(
             scale=np.exp(SCALE_SD * _heavy(u[:, :g])),
-            carried=np.asarray(special.expit(middle + CARRIED_SD * carried)),
+            carried=_share(u[:, g]),
             reach=REACH_MEDIAN * np.exp(REACH_SD * reach),
             level=SHARED_MEDIAN * np.exp(SHARED_SD * level),
             seat=seat,
@@ -75,6 +74,16 @@ class NoisePrior:
 def _heavy(u: Array) -> Array:
     """Normal coordinates with a heavier upper tail: noise may be far above a data sheet."""
     return np.asarray(u * (1.0 + (np.maximum(u, 0.0) / HEAVY_FROM) ** 2))
+
+
+def _share(u: Array) -> Array:
+    """A share between 0 and 1 of normal coordinates, by the arcsine law.
+
+    It is Jeffreys' prior of a share: all is carried along, nothing is, or anything
+    between. A prior about a middle value made the intervals too narrow where all is.
+    """
+    share = np.sin(0.5 * np.pi * special.ndtr(u)) ** 2
+    return np.asarray(np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE))
 
 
 def noise_prior(structure: ReadingStructure) -> NoisePrior:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from scipy import special
 
 from kernel import a3_plans
 from kernel.cases import CASES
@@ -96,7 +97,7 @@ def test_an_unknown_noise_scale_has_the_posterior_of_the_quadrature() -> None:
     u = np.random.default_rng(7).standard_normal((40_000, 4))
     scale = np.exp(0.4 * u[:, 0] * (1.0 + (np.maximum(u[:, 0], 0.0) / 4.0) ** 2))
     level = 0.4 * np.exp(1.3 * u[:, 3])
-    share = 1.0 / (1.0 + np.exp(-(np.log(0.27 / 0.73) + 1.8 * u[:, 1])))
+    share = np.sin(0.25 * np.pi * (1.0 + special.erf(u[:, 1] / np.sqrt(2.0)))) ** 2
     reach = 8.0 * np.exp(u[:, 2])
     sigma = m.sigma(series)
     distance = np.abs(np.subtract.outer(np.arange(14), np.arange(14)))

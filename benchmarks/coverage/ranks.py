@@ -1,0 +1,188 @@
+"""Simulation-based calibration: ranks of the truth among posterior draws.
+
+    python -m benchmarks.coverage.ranks --machines 300
+    python -m benchmarks.coverage.ranks --page docs/benchmarks/coverage.md
+
+Parameters are drawn from the tolerances and a noise law from its prior; the oracle
+reads the machine and the law disturbs the readings. Then the rank of each truth among
+draws from the posterior is uniform (Talts et al. 2018, arXiv 1804.06788): of every
+identifiable combination, and of every coordinate of the noise law.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy import stats
+
+from benchmarks.coverage import campaign, measure, table
+from benchmarks.coverage.bench import Bench
+from benchmarks.coverage.configurations import CONFIGURATIONS, configuration
+from oed import laplace, posterior
+from oed.estimate import Estimate
+from oed.identification import identify
+from oed.noise.prior import noise_prior
+from oed.noise.process import Whitening
+from oed.noise.structure import reading_structure
+
+Sampler = Literal["laplace", "emcee"]
+SAMPLERS: tuple[Sampler, ...] = ("laplace", "emcee")
+#: configurations that the targets name, their machines, draws that a rank is among
+DEFAULT, MACHINES, DRAWS = ("a3_30", "delta"), 100, 99
+#: effective sample size and steps of the sampler
+EFFECTIVE, STEPS = 400.0, 3000
+BINS = 10
+#: probability below which ranks count as not uniform
+LEAST_PROBABILITY = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class Calibration:
+    """Ranks of q quantities over machines.
+
+    names          of the quantities
+    ranks          (machines, q) from 0 to DRAWS
+    probabilities  (q,) of ranks as far from uniform, by Kolmogorov and Smirnov
+    """
+
+    names: tuple[str, ...]
+    ranks: np.ndarray
+    probabilities: np.ndarray
+
+    @property
+    def joint(self) -> float:
+        """Probability of the farthest, for all quantities together (Bonferroni)."""
+        return min(1.0, len(self.names) * float(self.probabilities.min()))
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Ranks of all quantities in bins of equal width (BINS,)."""
+        edges = np.linspace(0.0, DRAWS + 1.0, BINS + 1)
+        return np.histogram(self.ranks, edges)[0]
+
+
+def calibration(names: Sequence[str], ranks: np.ndarray, seed: int) -> Calibration:
+    """Test of ranks (machines, q). Each rank stands for its bin, evenly."""
+    rng = np.random.default_rng(seed)
+    even = (ranks + rng.uniform(size=ranks.shape)) / (DRAWS + 1.0)
+    probabilities = [stats.kstest(values, "uniform").pvalue for values in even.T]
+    return Calibration(tuple(names), ranks, np.array(probabilities))
+
+
+def one_machine(
+    bench: Bench, number: int, seed: int, sampler: Sampler
+) -> dict[str, int]:
+    """Rank of each combination and of each coordinate of the noise law."""
+    m = bench.measurement
+    structure = reading_structure(m, bench.series, m.nominal)
+    prior = noise_prior(structure)
+    rng = measure.generator(seed, "ranks", bench.name, number)
+    truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
+    law = rng.standard_normal(prior.dimensions)
+    errors = Whitening(structure, prior.laws(law[None])).draw(rng)[0]
+    exact = bench.read(truth)
+    y = exact + structure.restore(errors)
+    estimate = identify(m, bench.series, y, stages=bench.stages, estimate_noise=True)
+    z, laws = _draws(bench, estimate, y, sampler, rng)
+    turn = bench.coordinates.dual @ estimate.coordinates.basis
+    true = turn @ measure.true_coordinates(bench, estimate, exact)
+    below = (z @ turn.T < true).sum(axis=0)
+    ranks = {f"combination {k + 1}": int(v) for k, v in enumerate(below)}
+    of_law = (laws < law).sum(axis=0)
+    return ranks | {n: int(v) for n, v in zip(prior.names, of_law, strict=True)}
+
+
+def _draws(
+    bench: Bench,
+    estimate: Estimate,
+    y: np.ndarray,
+    sampler: Sampler,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Independent draws of the coordinates (DRAWS, r) and of the law (DRAWS, d)."""
+    fitted = estimate.noise_posterior
+    assert fitted is not None
+    if sampler == "laplace":
+        z = laplace.draw_coordinates(estimate, rng, DRAWS)
+        number = rng.choice(len(fitted.weights), size=DRAWS, p=fitted.weights)
+        return z, fitted.draws[number]
+    sampled = posterior.sample(
+        bench.measurement,
+        bench.series,
+        y,
+        estimate,
+        rng,
+        ess=EFFECTIVE,
+        max_steps=STEPS,
+    )
+    z = sampled.z.reshape(-1, sampled.z.shape[-1])
+    laws = sampled.noise_law.reshape(-1, sampled.noise_law.shape[-1])
+    chosen = rng.choice(len(z), size=DRAWS, replace=False)
+    return z[chosen], laws[chosen]
+
+
+def run(
+    folder: Path, name: str, machines: int, seed: int, sampler: Sampler
+) -> Calibration:
+    """Ranks of a configuration's machines; those with a file are not made again."""
+    ranks = []
+    for number in range(machines):
+        path = folder / f"seed_{seed}" / sampler / name / f"{number:04d}.json"
+        if not path.is_file():
+            bench = configuration(name)
+            campaign.store(path, one_machine(bench, number, seed, sampler))
+        ranks.append(json.loads(path.read_text(encoding="utf-8")))
+    values = np.array([list(r.values()) for r in ranks])
+    return calibration([*ranks[0]], values, seed)
+
+
+def markdown(results: dict[str, Calibration]) -> str:
+    """One row a configuration: what the ranks are of, and how uniform they are."""
+    bins = " | ".join(str(k + 1) for k in range(BINS))
+    lines = [f"| readings | machines | quantities | joint p | {bins} |"]
+    lines.append(f"| --- | --: | --: | --: |{' --: |' * BINS}")
+    for name, result in results.items():
+        joint = f"{result.joint:.2g}"
+        if result.joint < LEAST_PROBABILITY:
+            joint = f"**{joint}**"
+        machines, quantities = result.ranks.shape
+        counts = " | ".join(str(count) for count in result.counts)
+        lines.append(f"| {name} | {machines} | {quantities} | {joint} | {counts} |")
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, and print or write the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage.ranks")
+    parser.add_argument("--machines", type=int, default=MACHINES)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("out/coverage/ranks"))
+    parser.add_argument("--page", type=Path, help="page to write the table into")
+    parser.add_argument("--sampler", choices=SAMPLERS, default="laplace")
+    parser.add_argument(
+        "--configurations", nargs="+", default=[*DEFAULT], choices=CONFIGURATIONS
+    )
+    options = parser.parse_args(arguments)
+    results = {
+        name: run(options.out, name, options.machines, options.seed, options.sampler)
+        for name in options.configurations
+    }
+    text = markdown(results)
+    if options.page is None:
+        print(text)
+    else:
+        table.write_block(options.page, "rank table", text)
+
+
+if __name__ == "__main__":
+    main()
