@@ -11,12 +11,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oed.arrays import Array
+from oed.compensate import NO_TOOL
 from oed.kinematics import AssemblyError, Kinematics
 from oed.measurement import NEAR_STEP_TOLERANCE
 
 
 def compensated_errors(
-    kinematics: Kinematics, command: Array, identified: Array, parameters: Array
+    kinematics: Kinematics,
+    command: Array,
+    identified: Array,
+    parameters: Array,
+    tool: Array = NO_TOOL,
 ) -> Array:
     """Errors (m, n, k) of pose components at commands (n, n_dof), zeroed at home; SI.
 
@@ -27,9 +32,9 @@ def compensated_errors(
     AssemblyError.
     """
     poses = np.vstack([command, kinematics.machine.home_command])
-    wanted_x, _ = kinematics.inverse(poses, kinematics.machine.nominal)
-    rotation, point, _ = kinematics.frames(wanted_x, np.zeros(3))
-    true_rotation, true_point = _frames(kinematics, poses, identified, parameters)
+    wanted_x, _ = kinematics.inverse(poses, kinematics.machine.nominal, tool)
+    rotation, point, _ = kinematics.frames(wanted_x, tool)
+    true_rotation, true_point = _frames(kinematics, poses, identified, parameters, tool)
     place = true_point - point
     turned = true_rotation[:, :-1] @ np.swapaxes(true_rotation[:, -1:], 2, 3)
     turned = turned @ rotation[-1] @ np.swapaxes(rotation[:-1], 1, 2)
@@ -41,10 +46,14 @@ def compensated_errors(
 
 
 def _frames(
-    kinematics: Kinematics, poses: Array, identified: Array, parameters: Array
+    kinematics: Kinematics,
+    poses: Array,
+    identified: Array,
+    parameters: Array,
+    tool: Array,
 ) -> tuple[Array, Array]:
     """Rotations (m, n, 3, 3) and points (m, n, 3) where the machine really stands."""
-    x, q = kinematics.inverse(poses, identified)
+    x, q = kinematics.inverse(poses, identified, tool)
     slope = kinematics.parameter_sensitivity(x, q, identified)
     change = parameters - identified
     start = x + np.einsum("nkp,mp->mnk", slope, change, optimize=True)
@@ -54,8 +63,6 @@ def _frames(
             f"{kinematics.machine.name}: a draw of the parameters cannot be assembled",
             np.flatnonzero(failed.any(axis=0)),
         )
-    rotation, point, _ = kinematics.frames(
-        reached.reshape(-1, reached.shape[2]), np.zeros(3)
-    )
+    rotation, point, _ = kinematics.frames(reached.reshape(-1, reached.shape[2]), tool)
     shape = reached.shape[:2]
     return rotation.reshape(*shape, 3, 3), point.reshape(*shape, 3)

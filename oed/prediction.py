@@ -104,6 +104,7 @@ def predict(
     rng: np.random.Generator,
     *,
     mean: Array | None = None,
+    known: Array | None = None,
     draws: Array | None = None,
     reference: Reference = "home",
     variance: Array | None = None,
@@ -111,6 +112,8 @@ def predict(
     """Predict the residual accuracy from prior and posterior covariances (np, np), SI.
 
     mean     (np,) identified errors p_hat - p_nominal; None before measuring
+    known    (n, k) exact errors that the compensated machine has if p_hat is right; R
+             dp_hat by default, which misses the squares of large errors
     draws    (m, np) draws of delta from the posterior of the parameters, SI, of which
              `posterior` is the second moment; normal draws by default
     variance (n, k) of the errors that delta causes, where it is known better than by
@@ -128,12 +131,17 @@ def predict(
         scale = np.ones_like(linear)
         np.divide(rms_undetermined, linear, out=scale, where=linear > 0.0)
         undetermined = undetermined * scale
+    remaining = _apply(maps.remaining, estimate) if known is None else known
     errors = {
         "before": _apply(maps.raw, estimate + delta),
-        "after": _apply(maps.remaining, estimate) + undetermined,
+        "after": remaining + undetermined,
         "fully_corrected": undetermined,
     }
-    rms_known = _rms(maps.remaining, unknown_estimate, centre)
+    rms_known = (
+        _rms(maps.remaining, unknown_estimate, centre)
+        if known is None
+        else np.abs(known)
+    )
     rms = {
         "before": _rms(maps.raw, posterior if measured else prior, centre),
         "after": np.sqrt(rms_known**2 + rms_undetermined**2),

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from oed import laplace
+from oed import laplace, prediction
 from oed.error_draws import compensated_errors
 from oed.identification import identify
 
@@ -146,6 +146,33 @@ def test_a_cell_knows_what_misses() -> None:
     assert figures.bands.mean == pytest.approx(0.75)
     assert figures.nees_holds
     assert figures.combinations.lowest == pytest.approx(0.87)
+
+
+def test_what_compensation_leaves_is_predicted_exactly() -> None:
+    """Against the oracle; to first order, x and y of the A3 are micrometres off."""
+    bench = module("configurations").configuration("a3_30")
+    m = bench.measurement
+    rng = np.random.default_rng(4)
+    identified = (m.tolerance * rng.standard_normal(len(m.nominal)))[:24]
+    exact = bench.errors(identified, identified)
+    known = compensated_errors(
+        m.kinematics, bench.command, identified, identified[None]
+    )[0]
+    maps = prediction.error_maps(m.kinematics, bench.command, "home")
+    nothing = np.zeros((24, 24))
+    figures = {
+        "exact": prediction.predict(
+            maps, nothing, nothing, rng, mean=identified, known=known
+        ),
+        "linear": prediction.predict(maps, nothing, nothing, rng, mean=identified),
+    }
+    off = {n: np.abs(f.sd_after - np.abs(exact)) for n, f in figures.items()}
+    assert off["exact"].max() < 1e-9
+    assert off["linear"][:, :2].max() > 5e-6
+    rms = np.sqrt(np.mean(exact[:, 0] ** 2))
+    assert figures["exact"].after["x"].rms == pytest.approx(rms, rel=1e-6)
+    largest = np.abs(exact[:, 0]).max()
+    assert figures["exact"].after["x"].largest == pytest.approx(largest, rel=1e-6)
 
 
 @pytest.mark.slow

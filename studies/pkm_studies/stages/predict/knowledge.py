@@ -11,8 +11,10 @@ from oed import information, prediction
 from oed.arrays import Array
 from oed.budget import BudgetModel, budget_model, variance_over_machines
 from oed.compensate import NO_TOOL
+from oed.error_draws import compensated_errors
 from oed.error_maps import ErrorMaps, Reference, maps_by_reference
 from oed.estimate import Estimate
+from oed.kinematics import AssemblyError
 from oed.measurement import Measurement, Series
 from oed.noise.process_noise import ProcessNoise
 from oed.posterior import Posterior
@@ -115,6 +117,7 @@ def accuracy(
             known.covariance,
             rng,
             mean=known.mean,
+            known=_remaining(known, command, reference, tool),
             draws=known.draws,
             reference=reference,
             variance=variances.get(reference),
@@ -123,3 +126,24 @@ def accuracy(
         variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
         result[reference] = Accuracy(predicted, maps[reference], variance)
     return result
+
+
+def _remaining(
+    known: ParameterKnowledge, command: Array, reference: Reference, tool: Array
+) -> Array | None:
+    """Exact errors (n, k) that compensation leaves if the estimate is right.
+
+    None where they are taken to first order: before any reading, for another reference,
+    and where an estimate is so far off that the machine cannot reach a pose.
+    """
+    if known.mean is None or reference != "home":
+        return None
+    kinematics = known.measurement.kinematics
+    identified = kinematics.machine.nominal + known.mean
+    try:
+        errors = compensated_errors(
+            kinematics, command, identified, identified[None], tool
+        )
+    except AssemblyError:
+        return None
+    return np.asarray(errors[0])
