@@ -316,7 +316,7 @@ def _law(law: NoiseLaw) -> dict[str, Any]:
     return {
         "repeat": law.run_sd,
         "wander": law.ar1_sd,
-        "sway": law.run_harmonic_sd,
+        "seat": law.seat_sd,
         "reach": law.ar1_length,
         "level": law.level,
         "tails": _known(law.student_dof),
@@ -333,7 +333,7 @@ def law_of(record: dict[str, Any], size: int) -> NoiseLaw:
     return NoiseLaw(
         run_sd=record["repeat"],
         ar1_sd=record["wander"],
-        run_harmonic_sd=record.get("sway", 0.0),
+        seat_sd=record.get("seat", 0.0),
         ar1_length=record["reach"],
         variance=np.array(variance, dtype=float),
         level=record["level"],

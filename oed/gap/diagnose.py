@@ -9,7 +9,7 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.effect import Effect
-from oed.gap.cause import advice, answers, closure, gate
+from oed.gap.cause import advice, answers, closure
 from oed.gap.cause.compare import compare, probabilities
 from oed.gap.cause.explained import explain
 from oed.gap.cause.hypothesis import Hypothesis
@@ -19,8 +19,7 @@ from oed.gap.data.diagnosis import UNKNOWN, Block, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
 from oed.gap.place import locate
-from oed.noise import estimate
-from oed.noise.law import NoiseLaw
+from oed.noise.law import NoiseLaw, describe
 
 #: forms that an unknown remainder is reported to be like, at most, and the least
 #: probability of each
@@ -45,13 +44,7 @@ def diagnose(
     """
     search_results = _searches(problem, effects, law)
     hypotheses = compare(search_results)
-    # a random stream of its own: what follows does not depend on the gate's draws
-    shares = gate.reweigh(
-        search_results, hypotheses, probabilities(hypotheses), rng.spawn(1)[0]
-    )
-    diagnosis, best = conclude(
-        problem, search_results, hypotheses, effects, shares=shares
-    )
+    diagnosis, best = conclude(problem, search_results, hypotheses, effects)
     clean = search_results[best.law].problem  # without outliers, where there are any
     where: tuple[Block, ...] = ()
     if diagnosis.verdict == "none":
@@ -80,15 +73,12 @@ def conclude(
     search_results: Sequence[Search],
     hypotheses: Sequence[Hypothesis],
     effects: Sequence[Effect],
-    *,
-    shares: Array | None = None,
 ) -> tuple[Diagnosis, Hypothesis]:
     """The diagnosis by searches under several noise laws, without places and closure.
 
-    `shares` are the probabilities of the hypotheses, by their evidence by default. The
-    second result is the hypothesis that the first answer stands for.
+    The second result is the hypothesis that the first answer stands for.
     """
-    shares = probabilities(hypotheses) if shares is None else shares
+    shares = probabilities(hypotheses)
     groups = answers.group(search_results, hypotheses, shares)
     ranked, best = answers.rank(groups)
     first = ranked[0]
@@ -106,7 +96,7 @@ def conclude(
         set95=answers.credible_set(groups),
         marginal=_marginal(search.library.effects, hypotheses, shares),
         law=law,
-        noise_words=estimate.describe(problem, law),
+        noise_words=describe(law),
         constants=_constants(search, best, [size.effect for size in parts.sizes]),
         coefficients=parts.coefficients,
         sizes=parts.sizes,

@@ -2,13 +2,14 @@
 
 In units of the stated noise, the readings of a run have the covariance
 
-    level^2 [ V^1/2 B V^1/2 + repeat^2 1 1^T + sway^2 cos(phi_k - phi_l)
-              + wander^2 exp(-|k - l| / reach) ],
+    level^2 [ V^1/2 B V^1/2 + run^2 1 1^T + seat^2 c c^T
+              + ar1^2 exp(-|k - l| / length) ],
 
 B the instrument's own correlation (often 1), V the variances of single readings (often
-1), `repeat` how well a run's level repeats and `sway` its first harmonic (a bar set up
-anew is centred anew, ISO 230-4), `wander` an error that is carried along a run over
-`reach` readings. Channels of one reading wander apart.
+1), `run` how well a run's level repeats, c the slopes over the unknowns that a run seats
+anew (a magnetic cup, ISO 230-4) and `seat` their size, `ar1` an error that is carried
+along a run over `length` readings, each channel's its own. It is one of the laws of
+`oed.noise.process`, written out run by run.
 """
 
 from __future__ import annotations
@@ -18,22 +19,26 @@ import dataclasses
 import numpy as np
 
 from oed.arrays import Array, Index
+from oed.noise.process import Laws
 from oed.noise.runs import RunBatch, Runs
+
+#: share of the stated noise from which a part of a law is described
+WORTH_SAYING = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
 class NoiseLaw:
     """A noise law, in units of the stated noise.
 
-    repeat, wander, reach, sway   see the module; reach in readings
+    run_sd, ar1_sd, ar1_length, seat_sd   see the module; length in readings
     variance (N,)           of single readings over the level's; ones where they are
                             alike
-    ratio (N,)              noise of each reading's channel over the first one's, both
+    channel_ratio (N,)      noise of each reading's channel over the first one's, both
                             over the stated; None: ones
     level                   factor on everything; 1 where it is marginalised elsewhere
-    tails                   degrees of freedom of the readings' Student t, inf where
+    student_dof             degrees of freedom of the readings' Student t, inf where
                             they are normal
-    strays                  share of readings that are far off, where the others are
+    outlier_share           share of readings that are far off, where the others are
                             normal
     """
 
@@ -45,7 +50,7 @@ class NoiseLaw:
     student_dof: float = np.inf
     outlier_share: float = 0.0
     channel_ratio: Array | None = None
-    run_harmonic_sd: float = 0.0
+    seat_sd: float = 0.0
 
     def block(self, runs: Runs, number: int, rows: Index | None = None) -> Array:
         """Covariance (k, k) of a run's readings, or of those of its `rows` (positions
@@ -64,7 +69,7 @@ class NoiseLaw:
         related = (
             self.run_sd**2
             + self.ar1_sd**2 * np.exp(batch.distance * (-1.0 / self.ar1_length))
-            + self.run_harmonic_sd**2 * batch.harmonic_cosine
+            + self.seat_sd**2 * batch.seat
         )
         covariance += np.where(batch.same_channel, related, 0.0)
         if self.channel_ratio is not None:
@@ -128,3 +133,45 @@ def _blocks(runs: Runs, law: NoiseLaw, rows: Index | None) -> list[tuple[Index, 
     return [
         (np.array(members), np.array(blocks)) for members, blocks in batches.values()
     ]
+
+
+def law_of(laws: Laws, row: int, channel: Index) -> NoiseLaw:
+    """One of some laws, for readings whose channels (N,) have a scale each."""
+    carried = float(laws.carried[row])
+    return NoiseLaw(
+        run_sd=float(laws.level[row]),
+        ar1_sd=float(np.sqrt(carried)),
+        ar1_length=float(laws.reach[row]),
+        variance=np.full(len(channel), 1.0 - carried),
+        channel_ratio=laws.scale[row, channel],
+        seat_sd=float(laws.seat[row]),
+    )
+
+
+def describe(law: NoiseLaw) -> tuple[str, ...]:
+    """A law as a person reads it."""
+    sentences = [f"single readings scatter by {law.level:.2g} times the stated noise"]
+    if law.run_sd > WORTH_SAYING:
+        sentences.append(
+            f"a run repeats to {law.level * law.run_sd:.2g} times the stated noise"
+        )
+    if law.seat_sd > WORTH_SAYING:
+        sentences.append(
+            f"what a run seats anew repeats to {law.level * law.seat_sd:.2g} times the"
+            " stated noise"
+        )
+    if law.ar1_sd > WORTH_SAYING:
+        sentences.append(
+            f"an error of {law.level * law.ar1_sd:.2g} times the stated noise is"
+            f" carried along over about {law.ar1_length:.0f} readings"
+        )
+    if np.isfinite(law.student_dof):
+        sentences.append(
+            f"readings far off are frequent (Student t with {law.student_dof:.2g}"
+            " degrees of freedom)"
+        )
+    if law.outlier_share > 0.0:
+        sentences.append(
+            f"about {100.0 * law.outlier_share:.2g} % of the readings are far off"
+        )
+    return tuple(sentences)

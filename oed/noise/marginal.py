@@ -17,9 +17,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg, optimize
 
 from oed.arrays import Array
+from oed.noise.law_mode import find_mode, root_about
 from oed.noise.prior import NoisePrior
 from oed.noise.process import Laws, Whitening
 from oed.noise.proposal import kernels_at, split_student
@@ -27,8 +27,6 @@ from oed.noise.structure import ReadingStructure
 
 #: laws drawn in each of two rounds
 DRAWS = 160
-#: step of numerical slopes and curvatures, and least curvature, in prior sd
-SLOPE_STEP, CURVATURE_STEP, LEAST_CURVATURE = 1e-4, 0.15, 0.5
 #: coordinates beyond which a law is not looked at, in prior sd
 FARTHEST = 8.0
 #: numbers in the largest array of one batch of laws
@@ -161,7 +159,7 @@ def integrate(
     def cost(u: Array) -> Array:
         return _cost(model, prior, u)
 
-    root = _root_about(model, prior, mode)
+    root = root_about(cost, mode)
     first = split_student(cost, mode, root)
     draws, solutions, target = _solve_at(model, prior, first.points(DRAWS))
     second = kernels_at(draws, target - first.log_density(draws))
@@ -209,41 +207,4 @@ def most_probable(
 ) -> Array:
     """The most probable coordinates (d,), from several starts, or from one near them."""
     starts = prior.starts() if near is None else near[None]
-    steps = np.vstack([np.zeros(prior.dimensions), np.eye(prior.dimensions)])
-    steps *= SLOPE_STEP
-
-    def cost_and_slope(u: Array) -> tuple[float, Array]:
-        costs = _cost(model, prior, u + steps)
-        return float(costs[0]), (costs[1:] - costs[0]) / SLOPE_STEP
-
-    limits = [(-FARTHEST, FARTHEST)] * prior.dimensions
-    minima = [
-        optimize.minimize(
-            cost_and_slope,
-            start,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=limits,
-            options={"maxiter": 60, "ftol": 1e-6},
-        )
-        for start in starts
-    ]
-    return np.asarray(min(minima, key=lambda minimum: minimum.fun).x)
-
-
-def _root_about(model: ResidualModel, prior: NoisePrior, mode: Array) -> Array:
-    """Root (d, d) of the inverse curvature at the mode, no wider than is sensible."""
-    d = prior.dimensions
-    unit = CURVATURE_STEP * np.eye(d)
-    pairs = [(i, j) for i in range(d) for j in range(i)]
-    both = [unit[i] + unit[j] for i, j in pairs]
-    points = np.vstack([np.zeros(d), unit, -unit, *both])
-    costs = _cost(model, prior, mode + points)
-    middle, ahead, behind = costs[0], costs[1 : d + 1], costs[d + 1 : 2 * d + 1]
-    curvature = np.diag(ahead + behind - 2.0 * middle)
-    for (i, j), value in zip(pairs, costs[2 * d + 1 :], strict=True):
-        mixed = value - ahead[i] - ahead[j] + middle
-        curvature[i, j] = curvature[j, i] = mixed
-    values, vectors = linalg.eigh(curvature / CURVATURE_STEP**2)
-    root: Array = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
-    return root
+    return find_mode(lambda u: _cost(model, prior, u), starts, FARTHEST)

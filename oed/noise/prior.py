@@ -8,6 +8,7 @@ along are stated by no data sheet, so their priors are wide and reach down to no
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from scipy import special
@@ -19,13 +20,54 @@ from oed.noise.structure import ReadingStructure
 #: sd of the log of a group's noise over the stated one, and sd from which on its tails
 #: are heavy: at four it is not 5 times the stated noise but 25 times
 SCALE_SD, HEAVY_FROM = 0.4, 4.0
-#: median, in units of the stated noise, of a run's level and of a renewed unknown, and
-#: sd of their logs: from a thirtieth of the noise to five times it
-SHARED_MEDIAN, SHARED_SD = 0.4, 1.3
 #: distance of the share that is carried along from 0 and 1, for the filter's sake
 LEAST_SHARE = 1e-6
+#: median of the share that is mostly small, and sd of its logit
+SMALL_SHARE, SMALL_SHARE_SD = 0.05, 2.5
 #: median of the reach, in readings, and sd of its log
 REACH_MEDIAN, REACH_SD = 8.0, 1.0
+
+#: names of the coordinates that all readings have, and of that of renewed unknowns
+COMMON, SEAT = ("share carried along", "reach", "level of a run"), ("seating",)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Amounts:
+    """How large the parts of the noise are that no data sheet states.
+
+    shared_median, shared_sd  median, in units of the stated noise, of a run's level and
+                              of a renewed unknown, and sd of their logs
+    carried                   share (L,) of the variance that is carried along, of
+                              normal coordinates (L,)
+    """
+
+    shared_median: float
+    shared_sd: float
+    carried: Callable[[Array], Array]
+
+
+def _share(u: Array) -> Array:
+    """A share between 0 and 1 of normal coordinates, by the arcsine law.
+
+    It is Jeffreys' prior of a share: all is carried along, nothing is, or anything
+    between. A prior about a middle value made the intervals too narrow where all is.
+    """
+    share = np.sin(0.5 * np.pi * special.ndtr(u)) ** 2
+    return np.asarray(np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE))
+
+
+def _small_share(u: Array) -> Array:
+    """A share between 0 and 1 that is mostly small: its logit is normal."""
+    middle = special.logit(SMALL_SHARE)
+    return np.asarray(special.expit(middle + SMALL_SHARE_SD * u))
+
+
+#: for estimates, where what is forgotten makes intervals too narrow: from a thirtieth of
+#: the noise to five times it
+CAUTIOUS = Amounts(0.4, 1.3, _share)
+#: for questions of cause, where what is assumed hides a gap: each part may as well be
+#: absent, two in five are below a tenth of the noise, one in seven exceeds it
+SPARSE = Amounts(0.15, 1.8, _small_share)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,11 +77,13 @@ class NoisePrior:
     names     of the coordinates
     groups    number of groups with a scale of their own
     has_seat  whether runs seat an unknown anew
+    amounts   of what no data sheet states
     """
 
     names: tuple[str, ...]
     groups: int
     has_seat: bool
+    amounts: Amounts = CAUTIOUS
 
     @property
     def dimensions(self) -> int:
@@ -48,16 +92,16 @@ class NoisePrior:
 
     def laws(self, u: Array) -> Laws:
         """Laws at coordinates (L, d)."""
-        g = self.groups
+        g, amounts = self.groups, self.amounts
         reach, level = u[:, g + 1], u[:, g + 2]
         seat = np.zeros(len(u))
         if self.has_seat:
-            seat = SHARED_MEDIAN * np.exp(SHARED_SD * u[:, g + 3])
+            seat = amounts.shared_median * np.exp(amounts.shared_sd * u[:, g + 3])
         return Laws(
             scale=np.exp(SCALE_SD * _heavy(u[:, :g])),
-            carried=_share(u[:, g]),
+            carried=amounts.carried(u[:, g]),
             reach=REACH_MEDIAN * np.exp(REACH_SD * reach),
-            level=SHARED_MEDIAN * np.exp(SHARED_SD * level),
+            level=amounts.shared_median * np.exp(amounts.shared_sd * level),
             seat=seat,
         )
 
@@ -76,20 +120,9 @@ def _heavy(u: Array) -> Array:
     return np.asarray(u * (1.0 + (np.maximum(u, 0.0) / HEAVY_FROM) ** 2))
 
 
-def _share(u: Array) -> Array:
-    """A share between 0 and 1 of normal coordinates, by the arcsine law.
-
-    It is Jeffreys' prior of a share: all is carried along, nothing is, or anything
-    between. A prior about a middle value made the intervals too narrow where all is.
-    """
-    share = np.sin(0.5 * np.pi * special.ndtr(u)) ** 2
-    return np.asarray(np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE))
-
-
 def noise_prior(structure: ReadingStructure) -> NoisePrior:
     """The prior that goes with readings of a structure."""
     has_seat = bool((structure.kinds == RENEWED).any())
     scales = tuple(f"noise of {name}" for name in structure.names)
-    common = ("share carried along", "reach", "level of a run")
-    seat = ("seating",) if has_seat else ()
-    return NoisePrior((*scales, *common, *seat), len(scales), has_seat)
+    seat = SEAT if has_seat else ()
+    return NoisePrior((*scales, *COMMON, *seat), len(scales), has_seat)

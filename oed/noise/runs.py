@@ -1,8 +1,8 @@
 """Readings grouped in runs: whose noise may be correlated, and how far apart they are.
 
 A run is a circle, a line, a series of poses read without a break. Noise is independent
-between runs; within a run it may share a level, a first harmonic or an error that is
-carried along.
+between runs; within a run it may share a level, a set-up unknown that was seated anew,
+or an error that is carried along.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ class RunBatch:
     correlation   (B, k, k) stated by the instrument
     same_channel  (B, k, k) whether two readings are of one channel
     distance      (B, k, k) how many readings lie between them
-    harmonic      (B, k, k) cosine of the phase between them
+    seat          (B, k, k) what a seating shift of unit variance does to both
     """
 
     members: Index
     stated_correlation: Array
     same_channel: Mask
     distance: Array
-    harmonic_cosine: Array
+    seat: Array
 
     def take(self, rows: Index) -> RunBatch:
         """The readings at positions `rows` (k',) of each run."""
@@ -41,7 +41,7 @@ class RunBatch:
             stated_correlation=self.stated_correlation[pairs],
             same_channel=self.same_channel[pairs],
             distance=self.distance[pairs],
-            harmonic_cosine=self.harmonic_cosine[pairs],
+            seat=self.seat[pairs],
         )
 
 
@@ -53,14 +53,15 @@ class Runs:
     blocks   index set of each run
     along    (N,) number of each reading in its run, from 0
     group    (N,) instrument channel of each reading: each has a noise level of its own
-    phase    (N,) angle of each reading along its circle, rad
+    seat     (N, s) slopes over the unknowns that a run seats anew, of one unit with the
+             readings; (N, 0) where there are none
     """
 
     stated_correlation: tuple[Array | None, ...]
     members: tuple[Index, ...]
     position: Array
     channel: Index
-    phase: Array
+    seat: Array
 
     def __len__(self) -> int:
         return len(self.position)
@@ -89,11 +90,11 @@ class Runs:
         size = members.shape[1]
         stated = [np.eye(size) if known is None else known for _, known in parts]
         channel, along = self.channel[members], self.position[members]
-        phase = self.phase[members]
+        seat = self.seat[members]
         return RunBatch(
             members=members,
             stated_correlation=np.array(stated),
             same_channel=channel[:, :, None] == channel[:, None, :],
             distance=np.abs(along[:, :, None] - along[:, None, :]),
-            harmonic_cosine=np.cos(phase[:, :, None] - phase[:, None, :]),
+            seat=seat @ seat.transpose(0, 2, 1),
         )

@@ -141,7 +141,7 @@ def reading_structure(
     decouple = sparse.csr_array(sparse.block_diag(blocks))
     diagonal = decouple.diagonal()
     independent = decouple.nnz == len(run)
-    renewed = _renewed_slopes(measurement, series, theta) / diagonal[:, None]
+    renewed = renewed_slopes(measurement, series, theta) / diagonal[:, None]
     shared = np.concatenate(parts.shared)
     columns, kinds = _columns(decouple, channel, shared, renewed)
     return ReadingStructure(
@@ -187,7 +187,7 @@ def _decoupling(covariances: Array) -> sparse.csr_array:
     return whitening
 
 
-def _renewed_slopes(
+def renewed_slopes(
     measurement: Measurement, series: Sequence[Series], theta: Array
 ) -> Array:
     """Slopes (N, s) over the unknowns that each run seats anew, by their names.

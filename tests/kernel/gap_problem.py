@@ -54,7 +54,7 @@ def circles(
 
 
 def law(problem: GapProblem) -> NoiseLaw:
-    """A law with everything: a run's level and first harmonic, an error carried along,
+    """A law with everything: a run's level and seating, an error carried along,
     readings of different scatter, a level.
     """
     return NoiseLaw(
@@ -63,7 +63,7 @@ def law(problem: GapProblem) -> NoiseLaw:
         5.0,
         np.random.default_rng(3).uniform(0.6, 1.8, len(problem)),
         level=1.3,
-        run_harmonic_sd=0.6,
+        seat_sd=0.6,
     )
 
 
@@ -71,7 +71,7 @@ def dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
     """Covariance (N, N) of readings without a gap, reading by reading from the law's
     formula.
     """
-    total, phase = np.diag(law.variance), problem.rows["phase"].to_numpy(dtype=float)
+    total = np.diag(law.variance)
     for members in problem.members:
         for i in members:
             for j in members:
@@ -79,7 +79,7 @@ def dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
                 total[i, j] += law.run_sd**2 + law.ar1_sd**2 * np.exp(
                     -lag / law.ar1_length
                 )
-                total[i, j] += law.run_harmonic_sd**2 * np.cos(phase[i] - phase[j])
+                total[i, j] += law.seat_sd**2 * problem.seat[i] @ problem.seat[j]
     return law.level**2 * total + problem.slopes @ problem.slopes.T
 
 

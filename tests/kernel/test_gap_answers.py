@@ -183,39 +183,19 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
         assert sum(a.probability for a in answers) == pytest.approx(1.0)
         return answers[0].effects
 
-    assert answering.EVEN < answering.SURE
-    assert first(answering.SURE + 0.01) == ()
-    assert first(answering.SURE - 0.01) == ("a",)
-    assert (
-        first(answering.EVEN + 0.01, answering.VAGUE) == ()
-    )  # what could be looked for is any of many
-    assert first(answering.EVEN - 0.01, answering.VAGUE) == ("a",)
-    assert first(0.45) == first(0.45, answering.VAGUE) == ("a",)
+    even = answering.MISSED / (answering.MISSED + answering.IN_VAIN)
+    assert 0.5 < even < 1.0  # a missed gap costs more than a search in vain
+    assert first(even + 0.01) == first(even + 0.01, answering.VAGUE) == ()
+    assert first(even - 0.01) == first(even - 0.01, answering.VAGUE) == ("a",)
 
 
-def test_explanations_are_weighed_a_little_flatter_than_their_evidence() -> None:
-    """With evidences e^a and powers of 0.9 among gaps, as summed by hand; whether there
-    is one is left alone.
-    """
-    blank = {
-        "atoms": (),
-        "sizes": (),
-        "process": None,
-        "process_size": 0.0,
-        "log_prior": 0.0,
-    }
-    stated = [
-        ((), False, 1.0),
-        (("a",), False, 3.0),
-        (("b",), False, -2.0),
-        ((), True, 0.5),
-    ]
+def test_probabilities_are_by_evidence_and_prior() -> None:
+    blank = {"atoms": (), "sizes": (), "process": None, "process_size": 0.0}
+    stated = [((), False, 1.0, -0.5), (("a",), False, 3.0, -2.0), ((), True, 0.5, -1.0)]
     hypotheses = [
-        Hypothesis(effects=e, unknown=u, log_evidence=s, **blank) for e, u, s in stated
+        Hypothesis(effects=e, unknown=u, log_evidence=s, log_prior=p, **blank)
+        for e, u, s, p in stated
     ]
-    shares = probabilities(hypotheses)
-    evidences = np.exp([s for _, _, s in stated])
-    assert shares[0] == pytest.approx(evidences[0] / evidences.sum())
-    assert shares[1] / shares[2] == pytest.approx(np.exp(0.9 * 5.0))
-    assert shares.sum() == pytest.approx(1.0)
+    weights = np.exp([0.5, 1.0, -0.5])
+    assert probabilities(hypotheses) == pytest.approx(weights / weights.sum())
     assert probabilities(hypotheses[:1]) == pytest.approx([1.0])

@@ -9,12 +9,16 @@ import dataclasses
 import numpy as np
 import pytest
 
+from kernel import gap_problem as case
 from kernel.gap_lines import readings
 from oed.gap.data.metric import Metric
-from oed.noise.law import NoiseLaw, Whitener
+from oed.noise.law import NoiseLaw, Whitener, describe, law_of
+from oed.noise.process import Laws
+from oed.noise.process_noise import dense_covariance
+from oed.noise.structure import reading_structure
 
 LAW = NoiseLaw(
-    0.7, 0.9, 6.0, np.ones(1), level=1.3, channel_ratio=np.ones(1), run_harmonic_sd=0.4
+    0.7, 0.9, 6.0, np.ones(1), level=1.3, channel_ratio=np.ones(1), seat_sd=0.4
 )
 
 
@@ -29,6 +33,8 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     problem = dataclasses.replace(
         problem, stated_correlation=tuple(wide) if related else (None,) * len(wide)
     )
+    # and each run seats two unknowns anew
+    problem = dataclasses.replace(problem, seat=rng.standard_normal((size, 2)))
     variance = rng.uniform(1.0, 3.0, size)
     law = dataclasses.replace(
         LAW, variance=variance, channel_ratio=1.0 + 0.5 * problem.channel
@@ -49,3 +55,24 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     assert {len(m) for batch in problem.batches for m in batch.members} == {
         len(problem.members[0]) // (1 if related else 2)
     }
+
+
+def test_a_law_of_the_noise_model_has_the_same_covariance_run_by_run() -> None:
+    """Against the covariance that the estimate of the parameters uses."""
+    problem = case.circles()
+    structure = reading_structure(problem.measurement, problem.series, problem.theta)
+    laws = Laws(*(np.array(v) for v in ([[1.4]], [0.3], [6.0], [0.8], [1.7])))
+    law, covariance = law_of(laws, 0, problem.channel), np.zeros((len(problem),) * 2)
+    for k, members in enumerate(problem.members):
+        covariance[np.ix_(members, members)] = law.block(problem, k)
+    assert problem.seat.any()
+    np.testing.assert_allclose(covariance, dense_covariance(structure, laws), atol=1e-9)
+
+
+def test_a_law_in_words_names_each_part_that_is_large() -> None:
+    law = NoiseLaw(0.0, 0.0, 1.0, np.ones(1), level=2.0, seat_sd=0.8)
+    assert [words for words in describe(law) if "seats anew" in words] == [
+        "what a run seats anew repeats to 1.6 times the stated noise"
+    ]
+    assert len(describe(law)) == 2
+    assert len(describe(dataclasses.replace(law, seat_sd=0.1))) == 1

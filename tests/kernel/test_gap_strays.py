@@ -15,8 +15,8 @@ from kernel.gap_lines import EFFECTS, SLIP, planted, readings, white_lines
 from oed.gap import diagnose as diagnosing
 from oed.gap.data import noise
 from oed.gap.data.problem import GapProblem
-from oed.noise import estimate, outliers
-from oed.noise.law import stated_law
+from oed.noise import outliers
+from oed.noise.law import describe, stated_law
 
 
 def alone(problem: GapProblem) -> GapProblem:
@@ -210,12 +210,12 @@ def test_an_effect_is_found_in_heavy_tails_and_none_without_it() -> None:
 def test_a_law_in_words_tells_how_many_are_far_off() -> None:
     problem = white_lines()
     law = stated_law(problem)
-    assert not any("far off" in words for words in estimate.describe(problem, law))
-    few = estimate.describe(problem, dataclasses.replace(law, outlier_share=0.02))
+    assert not any("far off" in words for words in describe(law))
+    few = describe(dataclasses.replace(law, outlier_share=0.02))
     assert few[-1] == "about 2 % of the readings are far off"
     assert (
         "Student t with 4 degrees"
-        in estimate.describe(problem, dataclasses.replace(law, student_dof=4.0))[-1]
+        in describe(dataclasses.replace(law, student_dof=4.0))[-1]
     )
 
 

@@ -60,7 +60,7 @@ def test_a_wave_in_words(unit: str, period: float, words: str) -> None:
 
 
 def test_what_is_unknown_is_told_by_its_likeliest_form() -> None:
-    problem = readings(5)
+    problem = readings(6)
     wave = 2.0 * np.sin(
         2.0 * np.pi * problem.rows["time"].to_numpy(dtype=float) / 173.0 + 1.0
     )

@@ -21,9 +21,9 @@ from oed.gap.data.diagnosis import UNKNOWN, Answer, Verdict
 REPORTED = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
 ALIVE = 5.5
-#: probability from which on no gap is reported, since a missed gap costs more than a
-#: search in vain; and the same where the gap could be any of many
-SURE, EVEN = 0.65, 0.5
+#: cost of a missed gap, and of a search in vain: no gap is reported where the odds for
+#: it are larger than the first over the second
+MISSED, IN_VAIN = 2.0, 1.0
 #: members from which on a class with a named effect is reported as unknown
 VAGUE = 6
 #: probability that the credible set has
@@ -91,17 +91,10 @@ def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[Answer, ...], Hypothesis]
     order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
     first = answers[order[0]]
     if len(order) > 1 and not first.effects:
-        threshold = EVEN if _is_vague(answers[order[1]]) else SURE
-        if first.probability < threshold:
+        loss_of_none = MISSED * (1.0 - first.probability)
+        if loss_of_none > IN_VAIN * first.probability:
             order[:2] = order[1::-1]
     return tuple(answers[k] for k in order), leading[order[0]]
-
-
-def _is_vague(answer: Answer) -> bool:
-    """Whether an answer's effect could be any of many."""
-    if answer.effects == (UNKNOWN,):
-        return True
-    return any(len(members) >= VAGUE for members in answer.classes)
 
 
 def _add(answers: list[Answer], entry: AnswerGroup) -> None:

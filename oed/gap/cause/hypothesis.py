@@ -42,10 +42,6 @@ class Hypothesis:
     log_evidence    of the readings, over all forms and sizes
     log_prior       log prior probability
     law             number of the noise law that suits it best
-    share           share of what the readings hold beyond noise that the effects
-                    explain, not the unknown remainder
-    least_share     share of what several effects explain that is lost without the least
-                    of them
     """
 
     effects: tuple[str, ...]
@@ -57,8 +53,6 @@ class Hypothesis:
     log_evidence: float
     log_prior: float
     law: int = 0
-    share: float = 1.0
-    least_share: float = 1.0
 
     @property
     def score(self) -> float:

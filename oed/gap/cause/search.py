@@ -55,11 +55,13 @@ class Search:
         law: NoiseLaw,
         log_prior: float,
         outliers: Outliers | None = None,
+        candidates: Sequence[Hypothesis] = (),
     ) -> None:
         """Compute the inner products of all columns.
 
         log_prior    of the noise law
         outliers     those that the problem's residuals are without, if any
+        candidates   hypotheses to evaluate in place of a search
         """
         self.problem = problem
         self.library = library
@@ -71,22 +73,24 @@ class Search:
         self._log_law = log_prior + log_outliers
         columns = np.hstack([library.columns, processes.columns])
         metric = Metric(problem, law)
-        self.grams: Grams = evidence.grams(problem, metric, columns)
+        self._columns = evidence.WhitenedColumns(problem, metric, columns)
         count = library.columns.shape[1]
-        self._effect_grams = self.grams.subset(np.arange(count))
+        #: of all columns of the effects
+        self.grams: Grams = self._columns.grams(np.arange(count))
         self._atoms = [atom.columns for atom in library.atoms]
         self._effect = np.array([atom.effect for atom in library.atoms])
         log_weights = np.array([atom.log_weight for atom in library.atoms])
-        log_sizes = log_size_prior(self.grams, self._atoms, SIZES)
+        log_sizes = log_size_prior(self._columns.diagonal, self._atoms, SIZES)
         #: (atoms, sizes) log prior of each form at each size
         self._log_prior = log_weights[:, None] + log_sizes
         self._atoms_of = {
             effect: np.array(library.atoms_of(effect), dtype=np.intp)
             for effect in library.effects
         }
-        self._remainders = Remainders(self.grams, processes, count)
+        self._remainders = Remainders(self._columns, processes, count)
         self._tables: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._hypotheses: list[Hypothesis] = []
+        self._candidates = candidates
 
     def columns_of(self, atom: int) -> Index:
         """Columns of a form."""
@@ -100,11 +104,12 @@ class Search:
 
     def noise_level(self, h: Hypothesis) -> float:
         """Noise level of what a hypothesis does not explain."""
-        grams = self.grams_with(h.atoms, h.sizes)
+        columns, sizes = [self._atoms[k] for k in h.atoms], list(h.sizes)
         if h.process is not None:
-            columns = self._remainders.columns_of(h.process)
-            grams = grams.select(columns, h.process_size)
-        return evidence.noise_level(grams)
+            columns.append(self._remainders.columns_of(h.process))
+            sizes.append(h.process_size)
+        grams = self._columns.grams(np.concatenate([_NONE, *columns]))
+        return evidence.noise_level(_select_in_order(grams, columns, sizes)[0])
 
     def law_at(self, level: float) -> NoiseLaw:
         """The law at a noise level, with the outliers' distribution."""
@@ -202,12 +207,8 @@ class Search:
             log_evidence=further_forms + self._log_law,
             log_prior=log_prior(len(effects), False, len(self.library.effects)),
         )
-        alone = self._grams_alone(h)
-        return dataclasses.replace(
-            h,
-            log_evidence=alone.base + h.log_evidence,
-            least_share=self._least_share(h, alone.energy),
-        )
+        base = self._grams_alone(h).base
+        return dataclasses.replace(h, log_evidence=base + h.log_evidence)
 
     def add_unknown(self, h: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
@@ -217,23 +218,11 @@ class Search:
             )
         selected, alone = self._columns_of_set(h), self._grams_alone(h)
         remainder = self._remainders.best(alone, selected)
-        variance = evidence.noise_level(alone) ** 2
-        level = np.sqrt(variance)
-        by_remainder = evidence.excess_energy(
-            remainder.gram / variance, remainder.b / variance, remainder.size * level
-        )
-        by_effects = evidence.excess_energy(
-            self.grams.gram[np.ix_(selected, selected)] / variance,
-            self.grams.b[selected] / variance,
-            self._sizes_of_columns(h) * level,
-        )
-        both = by_effects + by_remainder
         return dataclasses.replace(
             h,
             unknown=True,
             process=remainder.process,
             process_size=remainder.size,
-            share=by_effects / both if both > 0.0 else 0.5,
             log_evidence=h.log_evidence + remainder.log_evidence,
             log_prior=log_prior(len(h.effects), True, len(self.library.effects)),
         )
@@ -283,37 +272,11 @@ class Search:
         """Columns of all forms of a set of effects, one after the other."""
         return np.concatenate([_NONE, *[self._atoms[k] for k in h.atoms]])
 
-    def _sizes_of_columns(self, h: Hypothesis) -> Array:
-        """Size of each of these columns."""
-        sizes = [np.empty(0)]
-        for atom, size in zip(h.atoms, h.sizes, strict=True):
-            sizes.append(np.full(len(self._atoms[atom]), size))
-        return np.concatenate(sizes)
-
     def _grams_alone(self, h: Hypothesis) -> Grams:
         """Grams of the columns of a set of effects alone, these in the model."""
         columns = [self._atoms[k] for k in h.atoms]
         grams = self.grams.subset(self._columns_of_set(h))
         return _select_in_order(grams, columns, h.sizes)[0]
-
-    def _least_share(self, h: Hypothesis, energy: float) -> float:
-        """Share of what a set explains that is lost without the least of its effects.
-
-        `energy` of the residual is what the set does not explain.
-        """
-        explained = self.grams.energy - energy
-        if len(h.effects) < 2 or explained <= 0.0:
-            return 1.0
-        losses = []
-        for i in range(len(h.effects)):
-            others = h.others(i)
-            fewer = dataclasses.replace(
-                h,
-                atoms=tuple(h.atoms[j] for j in others),
-                sizes=tuple(h.sizes[j] for j in others),
-            )
-            losses.append(self._grams_alone(fewer).energy - energy)
-        return float(min(losses) / explained)
 
     # -- the search --------------------------------------------------------------------
 
@@ -323,8 +286,15 @@ class Search:
         No gap, single effects, pairs and triples, and these with an unknown.
         """
         if not self._hypotheses:
-            self._hypotheses = self._run()
+            chosen = self._candidates
+            found = [self._evaluate(h) for h in chosen] if chosen else self._run()
+            self._hypotheses = sorted(found, key=lambda h: -h.score)
         return self._hypotheses
+
+    def _evaluate(self, candidate: Hypothesis) -> Hypothesis:
+        """A hypothesis of another search under this one's law."""
+        h = self.fit(candidate.effects, candidate.atoms, candidate.sizes)
+        return self.add_unknown(h) if candidate.unknown else h
 
     def _run(self) -> list[Hypothesis]:
         empty = self.fit((), (), ())
@@ -339,13 +309,13 @@ class Search:
             likely.append(empty)
         extended = [h for h in likely if h in likely[:SETS] or h is empty]
         mixed = [self.add_unknown(h) for h in extended]
-        return sorted([*known, *mixed], key=lambda h: -h.score)
+        return [*known, *mixed]
 
     def _extend(self, bases: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Each base with one effect more: the best few fitted, best first."""
         tried: dict[frozenset[str], tuple[float, Hypothesis, str, Further]] = {}
         for base in bases:
-            grams = self._select(self._effect_grams, base.atoms, base.sizes)
+            grams = self._select(self.grams, base.atoms, base.sizes)
             for effect, further in self.screen(grams, base.effects).items():
                 key = frozenset((*base.effects, effect))
                 total = base.log_evidence + further.log_evidence

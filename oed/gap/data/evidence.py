@@ -15,6 +15,7 @@ each step of a search is of this form again.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -151,40 +152,55 @@ def explained_energy(
     return gain, np.log(inflation).sum(axis=2)
 
 
-def excess_energy(gram: Array, b: Array, sizes: Array | float) -> float:
-    """Energy that columns explain beyond what they explain of mere noise.
-
-    It is b^T C A C b - tr(C A) with C = (A + 1 / sizes^2)^-1, at least 0.
-    """
-    precision = np.eye(len(b)) / np.square(sizes)
-    covariance = np.linalg.inv(gram + precision)
-    mean = covariance @ b
-    noise = float(np.trace(covariance @ gram))
-    return max(float(mean @ gram @ mean) - noise, 0.0)
-
-
 class WhitenedColumns:
-    """Columns (N, K) in a metric, of which a slice at a time is wanted as Grams."""
+    """Columns (N, K) in a metric, of which some at a time are wanted as Grams."""
 
     def __init__(self, problem: GapProblem, metric: Metric, columns: Array) -> None:
         self._columns = metric.parts(columns)
         self._residual = metric.parts(problem.residual[:, None])
-        self._size = metric.size
+        self.size = metric.size
         white, absorbed = self._residual
-        self._energy = float((white**2).sum() - (absorbed**2).sum())
-        self._base = _log_student(metric.log_det, self._energy, metric.size)
+        self.energy = float((white**2).sum() - (absorbed**2).sum())
+        self.base = _log_student(metric.log_det, self.energy, metric.size)
+        #: (K,) projections of the residual
+        self.b = self._products(self._residual)[:, 0]
 
-    def grams(self, columns: slice = slice(None)) -> Grams:
-        """Grams of a slice of the columns; `base` is the log evidence of no gap."""
-        white, absorbed = (part[:, columns] for part in self._columns)
-        white_residual, absorbed_residual = self._residual
+    @functools.cached_property
+    def diagonal(self) -> Array:
+        """Energy (K,) of each column."""
+        white, absorbed = self._columns
+        energy = np.einsum("nk,nk->k", white, white)
+        return np.asarray(energy - np.einsum("nk,nk->k", absorbed, absorbed))
+
+    def grams(self, columns: slice | Index = slice(None)) -> Grams:
+        """Grams of some columns; `base` is the log evidence of no gap."""
         return Grams(
-            gram=white.T @ white - absorbed.T @ absorbed,
-            b=(white.T @ white_residual - absorbed.T @ absorbed_residual)[:, 0],
-            energy=self._energy,
-            size=self._size,
-            base=self._base,
+            gram=self.cross(columns, columns),
+            b=self.b[columns],
+            energy=self.energy,
+            size=self.size,
+            base=self.base,
         )
+
+    def cross(self, rows: slice | Index, columns: slice | Index) -> Array:
+        """Inner products (k, l) of some columns with others."""
+        parts = (part[:, columns] for part in self._columns)
+        return self._products(tuple(parts), rows)
+
+    def blocks(self, choices: Index) -> Array:
+        """Gram matrices (a, d, d) of choices (a, d) of columns."""
+        white, absorbed = (
+            part[:, choices].transpose(1, 2, 0) for part in self._columns
+        )
+        gram = white @ white.transpose(0, 2, 1)
+        return np.asarray(gram - absorbed @ absorbed.transpose(0, 2, 1))
+
+    def _products(
+        self, values: tuple[Array, ...], rows: slice | Index = slice(None)
+    ) -> Array:
+        """Inner products (k, l) of some columns with values (N, l), in their parts."""
+        white, absorbed = (part[:, rows] for part in self._columns)
+        return np.asarray(white.T @ values[0] - absorbed.T @ values[1])
 
 
 def grams(problem: GapProblem, metric: Metric, columns: Array) -> Grams:

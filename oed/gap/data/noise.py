@@ -1,33 +1,13 @@
-"""Noise law and outliers of the residuals while columns in the model hold any gap."""
+"""Outliers of the residuals while columns in the model hold any gap."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from oed.arrays import Array
-from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
-from oed.noise import estimate
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import Outliers, detect
-
-
-def fit_law(
-    problem: GapProblem,
-    columns: Array,
-    start: NoiseLaw | None = None,
-    size: float | Array = 1.0,
-) -> tuple[NoiseLaw, float]:
-    """The law of largest posterior density, and the log of the prior mass about it.
-
-    Columns (N, k) are in the model, their coefficients N(0, size^2).
-    """
-    compressed = evidence.compress(problem, columns * size)
-
-    def log_evidence(law: NoiseLaw) -> float:
-        return evidence.log_evidence(problem, law, compressed)
-
-    return estimate.fit(problem, log_evidence, start)
 
 
 def detect_outliers(

@@ -26,6 +26,7 @@ from oed.gap.data.signature import Signature, signature
 from oed.measurement import Measurement, Response, Series
 from oed.noise.covariance import Noise
 from oed.noise.runs import Runs
+from oed.noise.structure import renewed_slopes
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -153,7 +154,7 @@ def assemble(
         members=blocks,
         position=_numbers_in_runs(rows, blocks),
         channel=pd.factorize(kinds)[0].astype(np.intp),
-        phase=rows["phase"].to_numpy(dtype=float),
+        seat=renewed_slopes(measurement, series, theta),
         rows=rows,
     )
 

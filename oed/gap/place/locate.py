@@ -85,27 +85,6 @@ def locate(
     return tuple(candidate.block for candidate in blocks)
 
 
-def least_p_value(
-    problem: GapProblem,
-    law: NoiseLaw,
-    rng: np.random.Generator,
-    *,
-    draws: int = 500,
-) -> float:
-    """The least p-value of all regions, corrected for how many are tested.
-
-    Of readings without a gap it is uniform; larger where the law was estimated from the
-    same readings.
-    """
-    embedding = Embedding(problem, law)
-    scan = Scan(embedding, list(all_regions(problem)))
-    energy = scan.energy_of(embedding.scores(problem.residual))
-    log_p = log_tail(energy, scan.rank)
-    drawn = rng.standard_normal((len(problem), draws))
-    one_family = np.zeros(len(log_p), dtype=bool)
-    return float(corrected_p_values(log_p, scan, drawn, one_family).min())
-
-
 def _sharpen(
     problem: GapProblem,
     embedding: Embedding,

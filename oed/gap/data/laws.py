@@ -1,0 +1,130 @@
+"""Noise laws that all hypotheses share, weighted so that sums over them integrate.
+
+The noise law is not known before the gap is, and the evidence of a hypothesis is an
+integral over laws u with the prior p(u) of `oed.noise.prior`:
+
+    p(r | h) = integral p(r | h, u) p(u) du.
+
+Laws are drawn from the posteriors p(u | r, a) of a few models a: no gap, any gap, the
+gaps that look best. With Z_a = p(r | a), draws u_l, l = 1 ... L, as many of each model,
+give (Veach and Guibas 1995, balance heuristic)
+
+    p(r | h) = sum_l W_l p(r | h, u_l),    1 / W_l = (L / A) sum_a p(r | a, u_l) / Z_a.
+
+It is exact for h = a alone, and the same laws serve every hypothesis. A common factor
+on the noise is integrated over in closed form (`evidence`); the laws hold the rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import special
+
+from oed.arrays import Array
+from oed.gap.data import evidence
+from oed.gap.data.problem import GapProblem
+from oed.noise.law import NoiseLaw, law_of
+from oed.noise.law_mode import find_mode, root_about
+from oed.noise.prior import COMMON, SEAT, SPARSE, NoisePrior
+from oed.noise.proposal import split_student
+
+#: points of a model's posterior, by which its evidence is computed
+POINTS = 48
+#: coordinates beyond which a law is not looked at, in prior sd: what a run shares is
+#: below some hundred times the noise, and single readings keep some of it
+FARTHEST = 4.5
+#: laws that are drawn of each model
+EACH = 4
+
+#: a noise law, and the log of its weight
+WeighedLaw = tuple[NoiseLaw, float]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LawPosterior:
+    """Posterior of the noise law with some columns in the model.
+
+    columns       (N, k') compressed, the parameters' slopes among them
+    mode          the most probable law
+    draws         (EACH, d) coordinates of laws drawn from it
+    log_evidence  of the readings, over all laws
+    """
+
+    columns: Array
+    mode: NoiseLaw
+    draws: Array
+    log_evidence: float
+
+
+def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
+    """The law's posterior with columns (N, k) of prior N(0, 1) in the model."""
+    compressed = evidence.compress(problem, columns)
+    prior = _prior(problem)
+
+    def cost(u: Array) -> Array:
+        values = [
+            evidence.log_evidence(problem, law, compressed) for law in _laws(problem, u)
+        ]
+        log_prior = -0.5 * (u**2).sum(axis=1) - 0.5 * u.shape[1] * np.log(2.0 * np.pi)
+        return np.asarray(-np.array(values) - log_prior)
+
+    mode = find_mode(cost, prior.starts()[:, 1:], FARTHEST)
+    proposal = split_student(cost, mode, root_about(cost, mode))
+    points = proposal.points(POINTS)
+    points = points[np.abs(points).max(axis=1) < FARTHEST]
+    log_weights = -cost(points) - proposal.log_density(points)
+    total = float(special.logsumexp(log_weights))
+    rows = _systematic(points, np.exp(log_weights - total))
+    return LawPosterior(
+        columns=compressed,
+        mode=_laws(problem, mode[None])[0],
+        draws=points[rows],
+        log_evidence=total - float(np.log(POINTS)),
+    )
+
+
+def mixture(
+    problem: GapProblem, posteriors: Sequence[LawPosterior]
+) -> list[WeighedLaw]:
+    """Laws drawn from several posteriors, with the logs of their weights W."""
+    laws = _laws(problem, np.vstack([p.draws for p in posteriors]))
+    table = np.array(
+        [
+            [
+                evidence.log_evidence(problem, law, p.columns) - p.log_evidence
+                for p in posteriors
+            ]
+            for law in laws
+        ]
+    )
+    each = len(laws) / len(posteriors)
+    log_weights = -special.logsumexp(table, axis=1) - np.log(each)
+    return list(zip(laws, map(float, log_weights), strict=True))
+
+
+def _systematic(points: Array, weights: Array) -> list[int]:
+    """Numbers (EACH,) of points drawn by their weights, spread along the widest axis."""
+    offsets = points - weights @ points
+    _, vectors = np.linalg.eigh((offsets * weights[:, None]).T @ offsets)
+    order = np.argsort(offsets @ vectors[:, -1])
+    levels = (np.arange(EACH) + 0.5) / EACH
+    places = np.searchsorted(np.cumsum(weights[order]), levels)
+    return [int(k) for k in order[np.minimum(places, len(order) - 1)]]
+
+
+def _prior(problem: GapProblem) -> NoisePrior:
+    """The prior of the laws; its first scale, the common factor, is kept at 1."""
+    groups = int(problem.channel.max()) + 1
+    scales = tuple(f"noise of channel {k + 1}" for k in range(groups))
+    has_seat = bool(problem.seat.any())
+    names = (*scales, *COMMON, *(SEAT if has_seat else ()))
+    return NoisePrior(names, groups, has_seat, SPARSE)
+
+
+def _laws(problem: GapProblem, u: Array) -> list[NoiseLaw]:
+    """Laws at coordinates (L, d), all but the first scale's."""
+    laws = _prior(problem).laws(np.column_stack([np.zeros(len(u)), u]))
+    return [law_of(laws, k, problem.channel) for k in range(len(u))]

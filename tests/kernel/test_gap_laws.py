@@ -1,0 +1,62 @@
+"""Laws that stand for all: evidence against the mean over laws drawn from the prior."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import linalg, special
+
+from kernel.gap_lines import white_lines
+from oed.gap.data import evidence, laws
+from oed.gap.data.problem import GapProblem
+from oed.noise.law import NoiseLaw
+
+
+def _readings(problem: GapProblem, law: NoiseLaw, seed: int) -> GapProblem:
+    """Readings of a machine without a gap under a law."""
+    rng = np.random.default_rng(seed)
+    y = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
+    for k, members in enumerate(problem.members):
+        root = linalg.cholesky(law.block(problem, k), lower=True)
+        y[members] += root @ rng.standard_normal(len(members))
+    return problem.with_residual(y)
+
+
+@pytest.mark.parametrize("repeat", [0.0, 2.0])
+def test_evidence_over_laws_is_the_mean_over_the_prior(repeat: float) -> None:
+    """By many laws drawn from the prior; the mixture serves both models at once."""
+    lines = white_lines(3, runs=6, length=12)
+    true = NoiseLaw(repeat, 0.0, 1.0, np.ones(len(lines)))
+    problem, rng = _readings(lines, true, 5), np.random.default_rng(6)
+    models = [np.zeros((len(problem), 0)), 0.8 * rng.standard_normal((len(problem), 2))]
+    posteriors = [laws.posterior(problem, columns) for columns in models]
+    mixture = laws.mixture(problem, posteriors)
+    drawn = rng.standard_normal((3000, posteriors[0].draws.shape[1]))
+    every = laws._laws(problem, drawn)
+    for model in posteriors:
+        values = [evidence.log_evidence(problem, law, model.columns) for law in every]
+        exact = float(special.logsumexp(values)) - np.log(len(drawn))
+        assert model.log_evidence == pytest.approx(exact, abs=0.25)
+        terms = [
+            evidence.log_evidence(problem, law, model.columns) + weight
+            for law, weight in mixture
+        ]
+        assert special.logsumexp(terms) == pytest.approx(exact, abs=0.5)
+
+
+@pytest.mark.parametrize(("repeat", "wander"), [(0.0, 0.0), (2.0, 0.0), (0.0, 3.0)])
+def test_the_most_probable_law_is_near_the_true_one(
+    repeat: float, wander: float
+) -> None:
+    problem = white_lines(7, runs=12, length=40)
+    true = NoiseLaw(repeat, wander, 6.0, np.ones(len(problem)))
+    readings = _readings(problem, true, 8)
+    mode = laws.posterior(readings, np.zeros((len(problem), 0))).mode
+    level = mode.channel_ratio[0] if mode.channel_ratio is not None else 1.0
+    assert level == pytest.approx(1.0, abs=0.1)
+    single = np.sqrt(mode.variance[0])
+    # the reference reading of RM 5 is shared already: repeat comes on top
+    assert mode.run_sd / single == pytest.approx(repeat, abs=0.5 + 0.4 * repeat)
+    assert mode.ar1_sd / single == pytest.approx(wander, abs=0.5 + 0.3 * wander)
+    if wander:
+        assert 2.5 < mode.ar1_length < 15.0
