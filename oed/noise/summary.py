@@ -69,12 +69,13 @@ def _numbers(
     seated: dict[str, NoiseNumber] = {}
     for g, name in enumerate(posterior.structure.names):
         setup = setups[name.rpartition(".")[0]]
-        sigma, unit = _stated(setup, name.rpartition(".")[2])
+        sigma, shared, unit = _stated(setup, name.rpartition(".")[2])
         scale = laws.scale[:, g]
         far = (scale > SCATTER) if weights @ scale > 1.0 else (scale < 1.0 / SCATTER)
         yield number("reading", name, unit, sigma * scale, sigma, far)
         level = scale * laws.level
-        yield number("run", name, unit, sigma * level, 0.0, level > SHARED)
+        whole = sigma * np.hypot(level, shared * scale)
+        yield number("run", name, unit, whole, sigma * shared, level > SHARED)
         if setup.instrument.renewed and posterior.prior.has_seat:
             seat = scale * laws.seat
             seated[setup.name] = number(
@@ -86,8 +87,9 @@ def _numbers(
     yield number("reach", "", "readings", laws.reach, None, never)
 
 
-def _stated(setup: Setup, channel: str) -> tuple[float, str]:
-    """Stated standard deviation, SI, and SI unit of a channel."""
+def _stated(setup: Setup, channel: str) -> tuple[float, float, str]:
+    """Stated standard deviation, SI, error of a run over it, and SI unit of a channel."""
     names = [c.name for c in setup.instrument.channels]
     k = names.index(channel)
-    return setup.sigma[k], setup.instrument.channels[k].unit
+    stated = setup.instrument.channels[k]
+    return setup.sigma[k], stated.shared, stated.unit

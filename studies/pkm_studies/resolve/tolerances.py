@@ -17,6 +17,8 @@ from pkm_studies.study.tables import ToleranceTable
 #: least and largest noise of an instrument, and largest tolerance, SI: beyond them sums of
 #: squares lose all digits
 LEAST_SIGMA, LARGEST = 1e-12, 1e3
+#: end of the name of an error that all readings of a run share
+RUN = "_run"
 
 
 def with_tolerances(
@@ -38,16 +40,14 @@ def with_tolerances(
         frame = tuple(p.name for p in machine.parameters if p.name in fixed)
         machine = dataclasses.replace(machine, frame=frame)
         prior |= {name: 0.0 for name in fixed}
-    noise = _noise(study, setups)
+    setups = _with_noise(study, setups)
     stated = {s.name: _stems(s.tolerance) for s in study.setup}
     changed = {}
     for name, setup in setups.items():
         nuisances = [
             _with_tolerance(n, name, stated[name], prior) for n in setup.nuisances
         ]
-        changed[name] = dataclasses.replace(
-            setup, nuisances=tuple(nuisances), sigma=noise[name]
-        )
+        changed[name] = dataclasses.replace(setup, nuisances=tuple(nuisances))
     return machine, changed
 
 
@@ -121,8 +121,8 @@ def _fixed_parameters(study: Study, names: Mapping[str, str]) -> set[str] | None
     return set(lookup.matching_names(study.machine.fixed, names, place))
 
 
-def _noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, tuple[float, ...]]:
-    """Standard deviations, SI, of each channel, by set-up.
+def _with_noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, Setup]:
+    """Set-ups with the standard deviations of each channel, and of what a run shares.
 
     A number for one set-up goes before one for all, and that before the instrument's.
     """
@@ -131,23 +131,40 @@ def _noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, tuple[float, 
     for name in special:
         if name not in setups:
             raise place.key(name).error("no such set-up", suggest(name, setups))
-    channels = [c for s in setups.values() for c in s.instrument.channels]
-    general = _sigma(common, channels, place)
-    noise = {}
+    every = [c for s in setups.values() for c in s.instrument.channels]
+    general = _sigma(common, every, place)
+    noisy = {}
     for name, setup in setups.items():
-        channels = list(setup.instrument.channels)
-        stated = _sigma(special.get(name, {}), channels, place.key(name))
-        sigma = {c.name: c.sigma for c in channels} | general | stated
-        protocol = setup.protocol
-        root = math.sqrt(len(protocol.pass_names)) if protocol.average else 1.0
-        noise[name] = tuple(sigma[c.name] / root for c in channels)
-    return noise
+        stated = _sigma(
+            special.get(name, {}), list(setup.instrument.channels), place.key(name)
+        )
+        noisy[name] = _with_sigma(setup, general | stated)
+    return noisy
+
+
+def _with_sigma(setup: Setup, stated: Mapping[str, float]) -> Setup:
+    """A set-up with stated noise, SI, by channel, and `channel_run` for a run's error."""
+    channels = setup.instrument.channels
+    protocol = setup.protocol
+    root = math.sqrt(len(protocol.pass_names)) if protocol.average else 1.0
+    sigma = [stated.get(c.name, c.sigma) for c in channels]
+    noisy = [
+        dataclasses.replace(c, shared=stated[f"{c.name}{RUN}"] / value)
+        if f"{c.name}{RUN}" in stated
+        else c
+        for c, value in zip(channels, sigma, strict=True)
+    ]
+    instrument = dataclasses.replace(setup.instrument, channels=tuple(noisy))
+    return dataclasses.replace(
+        setup, instrument=instrument, sigma=tuple(value / root for value in sigma)
+    )
 
 
 def _sigma(
     table: Mapping[str, float], channels: list[Channel], place: Place
 ) -> dict[str, float]:
     known = {c.name: c.unit for c in channels}
+    known |= {f"{c.name}{RUN}": c.unit for c in channels}
     values = quantities.read_values(table, known, place)
     for key, value in table.items():
         if value <= 0.0:

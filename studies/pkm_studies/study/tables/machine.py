@@ -61,7 +61,8 @@ class NoiseTable(StudyTable, frozen=True, kw_only=True):
                default where recorded readings leave enough degrees of freedom. Where it
                is true, up to ten times the stated noise is no bad fit
     further    channels with their unit, as in `length_um = 0.5`, for all set-ups, or in
-               a table with the set-up's name for that one
+               a table with the set-up's name for that one; `length_run_um` is the error
+               that all readings of a run share, such as that of a bar put up anew
     """
 
     free_keys = "sigma"
