@@ -18,12 +18,15 @@ class Channel:
     sigma   default standard deviation of its noise, SI
     shared  standard deviation, over sigma, of an error common to all readings of a run;
             1 where all are differences from one reference reading
+    resolution  step of its display, SI; a set-up's sigma holds its variance, a twelfth
+                of the square; 0 for fine ones
     """
 
     name: str
     unit: str
     sigma: float
     shared: float = 0.0
+    resolution: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

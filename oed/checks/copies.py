@@ -149,11 +149,28 @@ def _rounding(session: SessionReadings) -> Array:
 
 
 def coarse_columns(session: SessionReadings) -> list[tuple[str, float]]:
-    """Channels whose rounding step exceeds the stated noise by far, with the step, SI."""
+    """Channels whose rounding step exceeds the stated noise by far, with the step, SI.
+
+    A step that a set-up states is part of its noise.
+    """
     sigma = session.measurement.sigma(session.series)
     coarse = []
     for channel, rows in session.values.groupby("channel", sort=False).indices.items():
         step = resolution(session, rows)
+        if step <= _stated_resolution(session, str(channel)):
+            continue
         if step > COARSE * float(np.median(sigma[rows])):
             coarse.append((str(channel), step))
     return coarse
+
+
+def _stated_resolution(session: SessionReadings, channel: str) -> float:
+    """Largest step, SI, that a set-up states for a channel, and a rounding more."""
+    setups = session.measurement.setups
+    stated = [
+        c.resolution
+        for s in session.series
+        for c in setups[s.setup].instrument.channels
+        if c.name == channel
+    ]
+    return 1.000001 * max(stated, default=0.0)

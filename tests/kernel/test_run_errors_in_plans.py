@@ -15,7 +15,8 @@ from oracles import a3_geometry as a3
 from reference import tian_2016 as paper
 
 from kernel import a3_plans
-from oed import information, prediction, units
+from oed import checks, information, prediction, units
+from oed.checks import copies
 from oed.measurement import Measurement, Series
 
 NOISE, RUN = 0.5e-6, 1.0e-6
@@ -74,7 +75,7 @@ def toolkit(m: Measurement, series: Series, run_error: float) -> np.ndarray:
     return information.posterior_covariance(h) * scale
 
 
-def test_a_study_states_the_error_of_a_run() -> None:
+def test_a_study_states_the_error_of_a_run_and_the_step_of_a_display() -> None:
     text = sample.changed(
         sample.STUDY, ("length_um = 0.5", "length_um = 0.5\nlength_run_um = 1.0")
     )
@@ -82,7 +83,25 @@ def test_a_study_states_the_error_of_a_run() -> None:
     (channel,) = setup.instrument.channels
     assert setup.sigma == (pytest.approx(0.5e-6),)
     assert channel.shared * setup.sigma[0] == pytest.approx(1.0e-6)
+    text = sample.changed(
+        sample.STUDY, ("length_um = 0.5", "length_um = 0.5\nlength_resolution_um = 6.0")
+    )
+    (setup,) = sample.resolved(text).setups.values()
+    uniform = 6e-6 * (np.arange(10001) / 10000 - 0.5)
+    assert setup.sigma[0] ** 2 == pytest.approx(0.25e-12 + uniform.var(), rel=1e-3)
     error = sample.refused(
         sample.STUDY, ("length_um = 0.5", "length_um = 0.5\nlenght_run_um = 1.0")
     )
     assert "length_run" in error.remedy
+
+
+def test_a_stated_step_is_no_coarse_column() -> None:
+    m = a3_plans.measurement()
+    series = [a3_plans.circles(m, 10)]
+    y = np.round(m.readings(series, m.nominal) + 3e-6 * np.arange(20), 5)
+    assert copies.coarse_columns(checks.session(m, series, y))
+    setup = m.setups["cup"]
+    channel = dataclasses.replace(setup.instrument.channels[0], resolution=1e-5)
+    instrument = dataclasses.replace(setup.instrument, channels=(channel,))
+    stated = m.with_setups([dataclasses.replace(setup, instrument=instrument)])
+    assert not copies.coarse_columns(checks.session(stated, series, y))

@@ -17,8 +17,8 @@ from pkm_studies.study.tables import ToleranceTable
 #: least and largest noise of an instrument, and largest tolerance, SI: beyond them sums of
 #: squares lose all digits
 LEAST_SIGMA, LARGEST = 1e-12, 1e3
-#: end of the name of an error that all readings of a run share
-RUN = "_run"
+#: ends of the names of an error that all readings of a run share, and of a display's step
+RUN, RESOLUTION = "_run", "_resolution"
 
 
 def with_tolerances(
@@ -143,28 +143,33 @@ def _with_noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, Setup]:
 
 
 def _with_sigma(setup: Setup, stated: Mapping[str, float]) -> Setup:
-    """A set-up with stated noise, SI, by channel, and `channel_run` for a run's error."""
-    channels = setup.instrument.channels
+    """A set-up with stated noise, SI, by channel.
+
+    `channel_run` is a run's error, `channel_resolution` the step of its display, whose
+    rounding has a twelfth of its square as variance (Sheppard 1898).
+    """
     protocol = setup.protocol
     root = math.sqrt(len(protocol.pass_names)) if protocol.average else 1.0
-    sigma = [stated.get(c.name, c.sigma) for c in channels]
-    noisy = [
-        dataclasses.replace(c, shared=stated[f"{c.name}{RUN}"] / value)
-        if f"{c.name}{RUN}" in stated
-        else c
-        for c, value in zip(channels, sigma, strict=True)
-    ]
-    instrument = dataclasses.replace(setup.instrument, channels=tuple(noisy))
-    return dataclasses.replace(
-        setup, instrument=instrument, sigma=tuple(value / root for value in sigma)
-    )
+    channels, sigma = [], []
+    for channel in setup.instrument.channels:
+        step = stated.get(f"{channel.name}{RESOLUTION}", 0.0)
+        single = stated.get(channel.name, channel.sigma)
+        single = math.hypot(single, step / math.sqrt(12.0))
+        run = stated.get(f"{channel.name}{RUN}", channel.shared * single)
+        channels.append(
+            dataclasses.replace(channel, shared=run / single, resolution=step)
+        )
+        sigma.append(single / root)
+    instrument = dataclasses.replace(setup.instrument, channels=tuple(channels))
+    return dataclasses.replace(setup, instrument=instrument, sigma=tuple(sigma))
 
 
 def _sigma(
     table: Mapping[str, float], channels: list[Channel], place: Place
 ) -> dict[str, float]:
     known = {c.name: c.unit for c in channels}
-    known |= {f"{c.name}{RUN}": c.unit for c in channels}
+    ends = (RUN, RESOLUTION)
+    known |= {f"{c.name}{end}": c.unit for c in channels for end in ends}
     values = quantities.read_values(table, known, place)
     for key, value in table.items():
         if value <= 0.0:

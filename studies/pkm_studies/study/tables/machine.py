@@ -62,7 +62,8 @@ class NoiseTable(StudyTable, frozen=True, kw_only=True):
                is true, up to ten times the stated noise is no bad fit
     further    channels with their unit, as in `length_um = 0.5`, for all set-ups, or in
                a table with the set-up's name for that one; `length_run_um` is the error
-               that all readings of a run share, such as that of a bar put up anew
+               that all readings of a run share, such as that of a bar put up anew, and
+               `length_resolution_um` the step of a display that rounds
     """
 
     free_keys = "sigma"
