@@ -3,17 +3,14 @@
 from oed.budget.linearisation import variance_over_machines
 from oed.budget.lines import Budget, Line, budget_of, mean_variance
 from oed.budget.model import BudgetModel, Part, budget_model
-from oed.budget.unmodelled import ExpectedEffect, expected_effects
 
 __all__ = [
     "Budget",
     "BudgetModel",
-    "ExpectedEffect",
     "Line",
     "Part",
     "budget_model",
     "budget_of",
-    "expected_effects",
     "mean_variance",
     "variance_over_machines",
 ]

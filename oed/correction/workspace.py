@@ -14,7 +14,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from oed import prediction
-from oed.arrays import Array
+from oed.arrays import Array, Index
+from oed.budget import Budget, budget_model, budget_of
 from oed.correction.effect_maps import (
     ActingForm,
     SessionStates,
@@ -23,6 +24,7 @@ from oed.correction.effect_maps import (
 )
 from oed.correction.fit import CorrectedEstimate
 from oed.error_maps import ErrorMaps, Reference, error_maps
+from oed.noise.process_noise import ProcessNoise
 from oed.prediction import Prediction, Spread
 
 
@@ -32,10 +34,12 @@ class CorrectedAccuracy:
 
     compensated      with parameters and effects compensated
     parameters_only  {component: Spread} with the effects left as they are
+    budget           sources of the errors that remain
     """
 
     compensated: Prediction
     parameters_only: Mapping[str, Spread]
+    budget: Budget
 
 
 def predict_corrected(
@@ -85,7 +89,30 @@ def predict_corrected(
     compensated = predicted(both)
     effects_stay = np.concatenate([maps.remaining, of_effects.raw], axis=2)
     uncorrected = predicted(dataclasses.replace(both, remaining=effects_stay))
-    return CorrectedAccuracy(compensated, uncorrected.after)
+    budget = _budget(corrected, both, compensated, used)
+    return CorrectedAccuracy(compensated, uncorrected.after, budget)
+
+
+def _budget(
+    corrected: CorrectedEstimate, maps: ErrorMaps, predicted: Prediction, used: Index
+) -> Budget:
+    """Sources of what remains, over the `used` entries of theta."""
+    estimate = corrected.estimate
+    noise = estimate.noise
+    model = budget_model(
+        corrected.measurement,
+        corrected.series,
+        estimate.theta,
+        laws=noise.law.laws if isinstance(noise, ProcessNoise) else None,
+        coefficients=len(corrected.scales),
+    )
+    spreads = predicted.fully_corrected
+    return budget_of(
+        model,
+        maps,
+        estimated=estimate.covariance[np.ix_(used, used)],
+        predicted=np.array([spreads[name].rms ** 2 for name in predicted.names]),
+    )
 
 
 def _effect_maps(

@@ -17,7 +17,7 @@ from oed.measurement import Measurement, Series
 from pkm_models.instruments import camera
 from pkm_models.machines import hexapod, linear_delta, planar_2dof
 
-#: readings of a closed run, and the noise of one, m
+#: readings of a closed run, and the noise of one by a camera, m
 POINTS, SIGMA = 24, 2e-6
 
 

@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 import pandas as pd
 
-from kernel.corrected_cases import SIGMA, MachineCase
+from kernel.corrected_cases import MachineCase
 from oed import compensate
 from oed.correction import (
     CorrectedEstimate,
@@ -133,7 +133,7 @@ def outcome(
     shown = series.q[series.index[:, 0]]
     driven = acting.drive(shown, warmth, travel_sense(series))
     y = case.read(truth, series, driven)
-    y = y + SIGMA * rng.standard_normal(len(y))
+    y = y + m.sigma([series]) * rng.standard_normal(len(y))
     plain = identify(m, [series], y)
     readings = EffectReadings(m, (series,), y, rows)
     corrected = estimate_with_effects(readings, effects, plain.theta)

@@ -195,6 +195,27 @@ def test_deviations_of_many_machines_are_standard() -> None:
     assert np.mean(np.abs(table) > 3.0) < 0.02
 
 
+def test_the_budget_of_the_corrected_accuracy_adds_up(
+    measured: tuple[Measurement, Session],
+) -> None:
+    """It has the effects' sizes; without them, covariances are those of known effects."""
+    _, s = measured
+    command = a3_plans.workspace()[::12]
+    accuracy = predict_corrected(s.corrected, command, "home", np.random.default_rng(1))
+    budget = accuracy.budget
+    total = np.sum([line.variance for line in budget.lines], axis=0)
+    spreads = accuracy.compensated.fully_corrected
+    predicted = np.array([spreads[name].rms ** 2 for name in budget.names])
+    assert total == pytest.approx(predicted, rel=0.01)
+    lines = {line.source: line for line in budget.lines}
+    effects = lines["sizes of the effects"]
+    assert effects.kind == "effects"
+    assert effects.without is not None
+    assert (effects.without <= np.sqrt(predicted) * (1.0 + 1e-9)).all()
+    z = budget.names.index("z")
+    assert effects.variance[z] > 0.01 * predicted[z]
+
+
 def test_tables_correct_the_machine_by_its_states(
     measured: tuple[Measurement, Session],
 ) -> None:

@@ -17,6 +17,7 @@ from pkm_reports.blocks import (
     headed_list,
     number_columns,
 )
+from pkm_reports.sections import budget
 
 #: coefficients in standard deviations from which on they are listed
 CLEAR: Final = 2.0
@@ -34,6 +35,9 @@ def blocks(result: StudyResult) -> list[Block]:
     chapter.append(_effects(corrected.effects))
     if corrected.prediction is not None:
         chapter.append(_accuracy(corrected))
+        section = corrected.prediction
+        if section.budget is not None:
+            chapter += budget.blocks(section.budget, section.components)
     return chapter
 
 

@@ -9,7 +9,8 @@ import msgspec
 import numpy as np
 
 from oed.arrays import Array
-from oed.budget import ExpectedEffect, budget_of
+from oed.budget import budget_of
+from oed.correction import ExpectedEffect
 from oed.error_maps import Reference
 from oed.prediction import Spread
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import msgspec
 import numpy as np
 
 from oed import units
@@ -15,12 +16,14 @@ from oed.correction import (
     tabled_effects,
 )
 from oed.fit_warnings import chi2_is_large
+from oed.measurement import Measurement
 from oed.posterior import Posterior
 from oed.result import (
     CorrectedSection,
     EffectEstimate,
     GapSection,
     Marginal,
+    PredictionSection,
     SpreadRecord,
 )
 from pkm_studies.stages.corrected.conditions import conditions
@@ -28,6 +31,7 @@ from pkm_studies.stages.corrected.tables import effect_table
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import marginal
 from pkm_studies.stages.predict.accuracy import accuracy_section, spread_record
+from pkm_studies.stages.predict.budget import budget_section
 
 
 def corrected_section(
@@ -51,10 +55,7 @@ def corrected_section(
     names = measurement.names[:count]
     parameters = {n: p for n, p in whole.parameters.items() if n in names}
     size = len(parameters)
-    predicted = None
-    if accuracy is not None:
-        kinematics = measurement.kinematics
-        predicted = accuracy_section(kinematics, accuracy.compensated, "corrected")
+    predicted = None if accuracy is None else _predicted(measurement, accuracy)
     tabled = TabledEffects((), {})
     if len(command):
         tabled = tabled_effects(corrected, command)
@@ -78,6 +79,16 @@ def corrected_section(
         not_tabled=dict(tabled.missing),
         warnings=_warnings(corrected),
     )
+
+
+def _predicted(
+    measurement: Measurement, accuracy: CorrectedAccuracy
+) -> PredictionSection:
+    """The predicted accuracy with its budget."""
+    compensated, budget = accuracy.compensated, accuracy.budget
+    section = accuracy_section(measurement.kinematics, compensated, "corrected", budget)
+    lines = budget_section(measurement.machine, compensated, budget)
+    return msgspec.structs.replace(section, budget=lines)
 
 
 def _warnings(corrected: CorrectedEstimate) -> list[str]:

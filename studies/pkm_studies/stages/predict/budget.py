@@ -9,7 +9,8 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
-from oed.budget import Budget, ExpectedEffect, Line
+from oed.budget import Budget, Line
+from oed.correction import ExpectedEffect
 from oed.machine import Machine
 from oed.prediction import Prediction
 from oed.result import BudgetLine, BudgetSection, UnmodelledLine

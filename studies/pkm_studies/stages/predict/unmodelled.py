@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.budget import ExpectedEffect, budget_model, expected_effects
+from oed.budget import budget_model
+from oed.correction import ExpectedEffect, expected_effects
 from oed.correction.effect_maps import SessionStates
 from oed.error_maps import ErrorMaps, Reference
 from oed.gap.data import problem as problems
