@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import hashlib
 import html
 import json
@@ -279,3 +280,14 @@ def test_text_of_the_study_is_never_markup(tmp_path: Path) -> None:
     assert '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$' in html.unescape(source)
     assert not Tags(source).open
     assert book.read_bytes().startswith(b"%PDF")
+
+
+def test_the_book_is_short_without_its_appendix(result: StudyResult) -> None:
+    """At most 12 pages and 3 MB for a whole study of a spindle head."""
+    report = document.build(result)
+    sections_of = report.page.sections[: report.page.appendix]
+    page = dataclasses.replace(report.page, sections=sections_of)
+    book = pdf_writer.render(dataclasses.replace(report, page=page))
+    pages = max(int(n) for n in re.findall(rb"/Count (\d+)", book))
+    assert 6 <= pages <= 12
+    assert len(book) < 3_000_000

@@ -38,17 +38,18 @@ COMPARED: Final = {
 
 
 def blocks(result: StudyResult) -> list[Block]:
-    """Sampler, corner plot, directions, marginals."""
+    """Sampler, marginals, corner plot, directions, checks."""
     posterior = result.posterior
     if posterior is None:
         return []
     caption = _caption(posterior)
+    # The long table breaks over pages; after it, the tall picture leaves no gap.
     return [
         Paragraph(_sampler(posterior)),
         *_diagnostics(posterior.marginals),
+        *_marginals(posterior.marginals),
         Picture("corner", lambda: corner.draw(posterior), caption),
         *_directions(posterior),
-        *_marginals(posterior.marginals),
         *_checks(posterior.checks),
     ]
 
