@@ -189,7 +189,9 @@ class SceneView {
   }
 
   drawReadings() {
-    const size = this.data.readings.length > 300 ? 2.5 : 4;
+    // Below an error map, readings are small.
+    const small = this.data.readings.length > 300 || document.getElementById('field').value !== '';
+    const size = small ? 2.5 : 4;
     const far = this.data.readings.map((r, k) => [this.camera.project(r.at)[2], k]).sort((a, b) => a[0] - b[0]);
     for (const [, k] of far) this.dot(this.data.readings[k].at, this.colourOf(this.data.readings[k].setup), size);
   }
@@ -206,6 +208,7 @@ class SceneView {
     const reading = this.data.readings[this.picked];
     if (!reading) return;
     if (reading.far) this.path([reading.far, reading.at], page.colour('pick'), 2.5);
+    this.dot(reading.at, page.colour('paper'), 10);
     this.dot(reading.at, page.colour('pick'), 7);
     const [x, y] = this.camera.project(reading.at);
     this.write(String(this.picked + 1), x + 10, y - 8, page.colour('pick'));
