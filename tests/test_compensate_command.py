@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import compensation_sample as sample
+import msgspec
 import numpy as np
 import pytest
 from oracles import delta_trilateration as delta
@@ -285,3 +286,23 @@ def test_a_format_of_the_users_own(
     )
     assert oed("compensate", delta_folder, "--to", file)[0] == 0
     assert (delta_folder / "compensation.txt").read_text() == f"{DELTA[0]:.4f}"
+
+
+def test_a_machine_in_a_file_of_the_user_is_found_by_the_study_nearby(
+    oed: Run, tmp_path: Path
+) -> None:
+    """Paths in a study start at its folder; the result lies below it."""
+    (tmp_path / "my.py").write_text(
+        "from pkm_models.machines.linear_delta import machine\n", "utf-8"
+    )
+    text = sample.study_text("linear_delta").replace("linear_delta", "../my.py")
+    values = linear_delta.machine.nominal
+    content = msgspec.structs.replace(
+        sample.result(linear_delta.machine, values), study_text=text
+    )
+    folder = sample.save(tmp_path / "session" / "report", content)
+    code, _, error = oed("compensate", folder, "--to", "csv")
+    assert code == 2
+    assert "../my.py, named from its study's folder; give the study: --study" in error
+    (tmp_path / "session" / "sample.study.toml").write_text(text, "utf-8")
+    assert oed("compensate", folder, "--to", "csv")[0] == 0

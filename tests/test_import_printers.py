@@ -75,6 +75,11 @@ def test_reprapfirmware(tmp_path: Path) -> None:
         session.import_files("rrf", [config, log], tmp_path / "b")
     with pytest.raises(InputError, match="with the answer of a last G30"):
         session.import_files("rrf", [config, bed], tmp_path / "b")
+    points = bed.read_text()
+    bed.write_text(points.replace("G30 P1 ", "G30 P1e999 "))
+    with pytest.raises(InputError, match=r"bed\.g: line \d+.*not a finite number"):
+        session.import_files("rrf", [config, bed, log], tmp_path / "b")
+    bed.write_text(points)
     log.write_text("G32 bed probe heights: 0.1 0.2, mean 0\n")
     with pytest.raises(InputError, match=r"line 1.*2 heights for 7 probe points"):
         session.import_files("rrf", [config, bed, log], tmp_path / "b")

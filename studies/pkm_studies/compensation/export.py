@@ -14,7 +14,7 @@ from pkm_studies import catalogue, files, result_folder
 from pkm_studies.compensation import build, identified
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.errors import InputError, Place
-from pkm_studies.study import Study, load
+from pkm_studies.study import SUFFIX, Study, load
 from pkm_studies.study.loader import parse
 
 
@@ -113,13 +113,36 @@ def cost(
 
 
 def result_study(result: StudyResult, folder: Path) -> Study:
-    """The study of a result. Raises InputError where the result does not hold it."""
-    path = folder / f"{result.study}.study.toml"
+    """The study of a result, at its file where that is near.
+
+    Raises InputError where the result does not hold it, and where its machine is a file
+    of the user's that is not found without it.
+    """
+    place = Place(str(folder / "result.json"))
     if not result.study_text:
-        raise Place(str(folder / "result.json")).error(
-            "this result holds no study", "give it: --study STUDY"
+        raise place.error("this result holds no study", "give it: --study STUDY")
+    study = parse(result.study_text, _study_path(result, folder))
+    model = study.machine.model.rpartition(":")[0] or study.machine.model
+    if model.endswith(".py") and not (study.folder / model).is_file():
+        raise place.error(
+            f"the machine is the file {model}, named from its study's folder",
+            "give the study: --study STUDY",
         )
-    return parse(result.study_text, path)
+    return study
+
+
+def _study_path(result: StudyResult, folder: Path) -> Path:
+    """The study's file, if it is in the result's folder, up to two above, or here."""
+    name = f"{result.study}{SUFFIX}"
+    for place in (folder, *folder.resolve().parents[:2], Path()):
+        path = place / name
+        if path.is_file() and _text(path) == result.study_text:
+            return path
+    return folder / name
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace")
 
 
 def _write(texts: Texts, folder: Path, out: Path | None) -> tuple[Path, ...]:
