@@ -17,6 +17,7 @@ from oracles import delta_trilateration as delta
 
 from oed.compensate import compensated_joints
 from oed.kinematics import Kinematics
+from oed.result import GoodnessSection, NoiseRecord
 from pkm_models.machines import a3_head, hexapod, linear_delta, micro_cmm
 from pkm_studies import cli
 
@@ -249,6 +250,18 @@ def test_a_failed_fit_is_refused_unless_forced(oed: Run, tmp_path: Path) -> None
     assert oed("compensate", folder, "--to", "klipper", "--force")[0] == 0
     text = (folder / "compensation.cfg").read_text("utf-8")
     assert "written by --force: the residuals are 10.0 times" in text
+
+
+@pytest.mark.parametrize(("chi2", "code"), [(180.0, 0), (20e3, 1)])
+def test_an_estimated_noise_may_exceed_its_guess(
+    chi2: float, code: int, oed: Run, tmp_path: Path
+) -> None:
+    """3 times the guess is the noise; 30 times it is no noise."""
+    law = NoiseRecord("reading", "s.height", 30.0, 3.0, "um", stated=10.0)
+    checked = GoodnessSection(chi2, 20.0, 1.0, 0.0, noise={"reading s.height": law})
+    content = sample.result(linear_delta.machine, DELTA, chi2=chi2, goodness=checked)
+    folder = sample.save(tmp_path / "noisy", content)
+    assert oed("compensate", folder, "--to", "klipper")[0] == code
 
 
 def test_a_file_of_the_user_stays(oed: Run, delta_folder: Path, tmp_path: Path) -> None:

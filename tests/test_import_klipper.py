@@ -209,6 +209,21 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     assert readings.read_text() == "mine"
 
 
+def test_nominal_numbers_of_another_printer_are_exit_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The readings fit, but only 30 mm from the endstops that the file states."""
+    text = printer(readings_of_truth()).replace("= 251.0", "= 221.0")
+    (tmp_path / "printer.cfg").write_text(text)
+    path, _ = session.import_files("klipper", [tmp_path / "printer.cfg"], tmp_path)
+    readings = str(tmp_path / "printer.readings.csv")
+    plain = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
+    path.write_text(path.read_text() + plain)
+    out = str(tmp_path / "out")
+    assert main(["identify", str(path), "--readings", readings, "--out", out]) == 1
+    assert "numbers are those of another machine" in capsys.readouterr().err
+
+
 class _Points:
     """An importer as another package would provide it."""
 

@@ -56,7 +56,13 @@ def refusal(folder: Path, old: str, new: str) -> str:
         (
             GUESS,
             "return target(c), [INWARD[i] for i in LIMBS]",
-            "the home pose fails: my_machine: 1 of 1",
+            # rods of 220 mm between ends that stand 50 mm apart
+            "at its guess, the closure's equations 1 to 3 are -0.17, -0.17, -0.17",
+        ),
+        (
+            'p[f"rod{i}"] for i in LIMBS]',
+            'p[f"rod{i}"] * (3 if i == 2 else 1) for i in LIMBS]',
+            "a large one names the strut whose ends or length are wrong",
         ),
         ('[tip[0], tip[1], x["phi"]]', "[tip[0], tip[1]]", "commanded gives 2, not 3"),
         (

@@ -12,6 +12,7 @@ import numpy as np
 from oed.expressions import symbols
 from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Machine
+from oed.machine_start import closure_at_guess
 from pkm_studies.errors import Place, shorten
 
 #: the machine's default for `read_error`, which reads translations
@@ -33,9 +34,19 @@ def check_machine(machine: Machine, place: Place) -> None:
         Kinematics(machine).inverse(machine.home_command)
     except AssemblyError as error:
         raise place.error(
-            f"the home pose fails: {error}",
-            "check the closure there by hand, and guess",
+            f"the home pose does not assemble; at its guess, {_equations(machine)}",
+            "a large one names the strut whose ends or length are wrong; where all are"
+            " large, guess is wrong or a length common to all; see My machine does not assemble in the documentation",
         ) from error
+
+
+def _equations(machine: Machine) -> str:
+    """The closure's equations at the guess for home, as words."""
+    start = closure_at_guess(machine, machine.home_command)
+    values = [f"{value:.3g}" for value in start.equations.values()]
+    return (
+        f"the closure's equations 1 to {len(values)} are {', '.join(values)} (m, rad)"
+    )
 
 
 def _check_closure(machine: Machine, place: Place) -> None:

@@ -32,9 +32,30 @@ def report_outcome(result: StudyResult, folder: Path, quiet: bool) -> int:
     failing = [claim for claim in result.claims if not claim.met]
     for claim in failing:
         console.print_error(f"claim {_verdict(claim)}")
+    doubts = _doubts(result)
+    for doubt in doubts:
+        console.print_error(doubt)
+    return FAILED if failing or doubts else DONE
+
+
+def _doubts(result: StudyResult) -> list[str]:
+    """Why nothing should rest on the fit of recorded readings."""
+    from pkm_studies.compensation import identified
+
+    doubts = []
     if _fit_is_bad(result):
-        console.print_error("the fit is bad: nothing that rests on it can be trusted")
-    return FAILED if failing or _fit_is_bad(result) else DONE
+        doubts.append("the fit is bad: nothing that rests on it can be trusted")
+    if result.estimate is None or result.corrected is not None:
+        return doubts
+    if identified.is_virtual(result):
+        return doubts
+    far = identified.far_parameters(result.estimate)
+    if far:
+        doubts.append(
+            f"these ended far beyond their tolerances: {', '.join(far)}; the nominal"
+            " numbers are those of another machine, or [prior] is too narrow"
+        )
+    return doubts
 
 
 def _fit_is_bad(result: StudyResult) -> bool:

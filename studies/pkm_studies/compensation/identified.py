@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from oed import units
+from oed.checks.check import GUESS
 from oed.fit_warnings import FAR, chi2_is_large
 from oed.machine import Machine
-from oed.result import CorrectedSection, StudyResult
+from oed.result import CorrectedSection, EstimateSection, StudyResult
 from pkm_studies.compensation.content import Identified
 
 
@@ -68,6 +69,21 @@ def _listed(corrected: CorrectedSection, names: list[str], tables: bool) -> str:
     return "; ".join(f"{n} ({reasons[n]})" if n in reasons else n for n in names)
 
 
+def _explained(result: StudyResult, ratio: float) -> bool:
+    """Whether a noise that was stated as a guess, and estimated, explains the residuals."""
+    is_estimated = result.goodness is not None and bool(result.goodness.noise)
+    return is_estimated and ratio <= GUESS
+
+
+def far_parameters(estimate: EstimateSection) -> list[str]:
+    """Parameters that ended more than FAR tolerances from nominal."""
+    return [
+        name
+        for name, p in estimate.parameters.items()
+        if abs(p.value - p.nominal) > FAR * p.prior_sd
+    ]
+
+
 def objections(result: StudyResult) -> list[str]:
     """Why the parameters should not go into a controller; none where the fit is good."""
     corrected, estimate = result.corrected, result.estimate
@@ -76,16 +92,12 @@ def objections(result: StudyResult) -> list[str]:
     if estimate is None:
         return []
     sentences = []
-    if chi2_is_large(estimate.chi2, estimate.dof):
-        ratio = (estimate.chi2 / estimate.dof) ** 0.5
+    ratio = (estimate.chi2 / max(estimate.dof, 1.0)) ** 0.5
+    if chi2_is_large(estimate.chi2, estimate.dof) and not _explained(result, ratio):
         sentences.append(
             f"the residuals are {ratio:.1f} times the stated noise: the fit failed"
         )
-    far = [
-        name
-        for name, p in estimate.parameters.items()
-        if abs(p.value - p.nominal) > FAR * p.prior_sd
-    ]
+    far = far_parameters(estimate)
     if far:
         sentences.append(
             f"these ended more than {FAR:.0f} tolerances from nominal: {', '.join(far)}"
