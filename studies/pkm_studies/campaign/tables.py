@@ -120,8 +120,10 @@ def _shipped_or(path: Path) -> Path:
 
 def _study(tables: CampaignFile, path: Path, place: Place) -> Study:
     """The varied study, beside the campaign or shipped. Raises InputError."""
-    beside = path.parent / tables.study
-    study = load(beside if beside.is_file() else shipped.study_path(Path(tables.study)))
+    neighbour = path.parent / tables.study
+    study = load(
+        neighbour if neighbour.is_file() else shipped.study_path(Path(tables.study))
+    )
     if study.prediction is None:
         raise place.key("study").error(
             "the study does not say where accuracy counts",
