@@ -18,7 +18,7 @@ from oed.prediction import Prediction
 
 #: virtual machines of a test; the slow tests take the larger number
 MACHINES = pytest.mark.parametrize(
-    "machines", [80, pytest.param(200, marks=pytest.mark.slow)]
+    "machines", [40, pytest.param(200, marks=pytest.mark.slow)]
 )
 TILT = "rotation of the platform joints about the TCP, {} axis"
 COMPENSATED = ("z", "psi", "theta")
@@ -298,7 +298,7 @@ def rough_then_fine(
     return fine, changes
 
 
-@pytest.mark.parametrize("machines", [20, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("machines", [10, pytest.param(40, marks=pytest.mark.slow)])
 def test_a_home_error_of_8_mm_converges(
     grid: np.ndarray, d_optimal: exchange.Choice, taught: Measurement, machines: int
 ) -> None:

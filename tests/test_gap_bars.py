@@ -146,7 +146,7 @@ def held(diagnosis: Diagnosis, names: set[str]) -> list[bool]:
 @pytest.mark.parametrize(
     ("truth", "seed", "law"),
     [
-        ("encoder_scale", 1, "white"),
+        pytest.param("encoder_scale", 1, "white", marks=SLOW),
         pytest.param("encoder_scale", 2, "run", marks=SLOW),
         ("bar_length", 3, "correlated"),
         pytest.param("bar_length", 4, "heavy", marks=SLOW),
@@ -170,8 +170,15 @@ def test_one_tool_never_tells_scale_from_bar(
     assert "tool length" in said
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=SLOW)])
-@pytest.mark.parametrize("truth", sorted(TWO))
+@pytest.mark.parametrize(
+    ("truth", "seed"),
+    [
+        ("encoder_scale", 1),
+        pytest.param("encoder_scale", 2, marks=SLOW),
+        pytest.param("bar_length", 1, marks=SLOW),
+        pytest.param("bar_length", 2, marks=SLOW),
+    ],
+)
 def test_two_known_tools_tell_scale_from_bar(
     blind: SimpleNamespace, tmp_path: Path, truth: str, seed: int
 ) -> None:
@@ -196,7 +203,7 @@ def test_two_known_tools_tell_scale_from_bar(
 @pytest.mark.parametrize(
     ("truth", "seed"),
     [
-        ("encoder_scale", 5),
+        pytest.param("encoder_scale", 5, marks=SLOW),
         pytest.param("encoder_scale", 8, marks=SLOW),
         ("bar_length", 5),
     ],
@@ -243,7 +250,9 @@ def test_without_time_nothing_thermal_is_absent(
 
 
 @pytest.mark.parametrize(
-    "rows", ["", "direction == '1'"], ids=["no direction", "one direction"]
+    "rows",
+    ["", pytest.param("direction == '1'", marks=SLOW)],
+    ids=["no direction", "one direction"],
 )
 def test_without_both_directions_backlash_is_not_absent(
     blind: SimpleNamespace, tmp_path: Path, rows: str
@@ -277,9 +286,9 @@ def test_with_all_columns_all_is_tested(blind: SimpleNamespace, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
-        ("gravity", 3),
+        pytest.param("gravity", 3, marks=SLOW),
         ("servo_lag", 4),
-        ("pitch_accumulation", 1),
+        pytest.param("pitch_accumulation", 1, marks=SLOW),
         ("step", 1),
         pytest.param("step", 2, marks=SLOW),
     ],
