@@ -39,8 +39,7 @@ class Share:
     @property
     def mean_may_hold(self) -> bool:
         """Whether the mean's interval reaches into its limits."""
-        low, high = self.mean - self.half, self.mean + self.half
-        return low <= MEAN_LIMITS[1] and high >= MEAN_LIMITS[0]
+        return _reaches(self.mean, self.half, MEAN_LIMITS)
 
     @property
     def worst_holds(self) -> bool:
@@ -71,6 +70,15 @@ class Cell:
     def nees_holds(self) -> bool:
         """Whether the joint error is within its limits."""
         return NEES_LIMITS[0] <= self.nees <= NEES_LIMITS[1]
+
+    @property
+    def nees_may_hold(self) -> bool:
+        """Whether the joint error's interval reaches into its limits."""
+        return _reaches(self.nees, self.nees_half, NEES_LIMITS)
+
+
+def _reaches(value: float, half: float, limits: tuple[float, float]) -> bool:
+    return value - half <= limits[1] and value + half >= limits[0]
 
 
 def summarise(results: Sequence[dict[str, Any]]) -> Cell:

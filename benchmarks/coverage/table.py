@@ -16,14 +16,16 @@ HEAD = (
 
 
 def markdown(cells: Mapping[tuple[str, str], Cell]) -> str:
-    """One row a cell; what misses its target is bold."""
+    """One row a cell; what misses its target is bold, or italic where it may hold."""
     lines = [HEAD, "| --- | --- | --: | --: | --: | --: | --: | --: |"]
     lines += [_row(name, law, cell) for (name, law), cell in cells.items()]
     return "\n".join(lines)
 
 
 def _row(name: str, law: str, cell: Cell) -> str:
-    nees = _mark(f"{cell.nees:.2f} ± {cell.nees_half:.2f}", cell.nees_holds)
+    nees = _mark(
+        f"{cell.nees:.2f} ± {cell.nees_half:.2f}", cell.nees_holds, cell.nees_may_hold
+    )
     columns = [
         name,
         law,
@@ -36,13 +38,17 @@ def _row(name: str, law: str, cell: Cell) -> str:
 
 
 def _columns(share: Share) -> list[str]:
-    mean = _mark(f"{share.mean:.3f} ± {share.half:.3f}", share.mean_holds)
-    worst = _mark(f"{share.worst:.2f} ({share.lowest:.2f})", share.worst_holds)
+    mean = _mark(
+        f"{share.mean:.3f} ± {share.half:.3f}", share.mean_holds, share.mean_may_hold
+    )
+    worst = _mark(f"{share.worst:.2f} ({share.lowest:.2f})", share.worst_holds, False)
     return [mean, worst]
 
 
-def _mark(text: str, holds: bool) -> str:
-    return text if holds else f"**{text}**"
+def _mark(text: str, holds: bool, may_hold: bool) -> str:
+    if holds:
+        return text
+    return f"*{text}*" if may_hold else f"**{text}**"
 
 
 def order(names: Sequence[str], laws: Sequence[str]) -> list[tuple[str, str]]:
