@@ -29,6 +29,8 @@ from oed.noise.structure import ReadingStructure
 DRAWS = 160
 #: coordinates beyond which a law is not looked at, in prior sd
 FARTHEST = 8.0
+#: share of the points drawn that must be nearer
+LEAST_SHARE = 0.2
 #: numbers in the largest array of one batch of laws
 BATCH_NUMBERS = 20_000_000
 
@@ -190,8 +192,15 @@ def integrate(
 def _solve_at(
     model: ResidualModel, prior: NoisePrior, points: Array
 ) -> tuple[Array, Solutions, Array]:
-    """Points (L, d) that are not too far, their solutions, their log posteriors (L,)."""
-    draws = points[np.abs(points).max(axis=1) < FARTHEST]
+    """Points (L, d) that are not too far, their solutions, their log posteriors (L,).
+
+    Where readings fit far better than any noise, nearly all are too far: these are drawn
+    in to the limit.
+    """
+    near = np.abs(points).max(axis=1) < FARTHEST
+    draws = points[near]
+    if len(draws) < LEAST_SHARE * len(points):
+        draws = np.clip(points, -FARTHEST, FARTHEST)
     solutions = model.solve(prior.laws(draws))
     return draws, solutions, solutions.log_marginal - 0.5 * (draws**2).sum(axis=1)
 
