@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from oed.result import StudyResult
-from pkm_studies import cli, result_folder
+from pkm_studies import cli, outcome, result_folder
 
 
 def run(*arguments: str | Path) -> int:
@@ -120,6 +120,22 @@ def test_exports_hold_tables_of_the_effects_or_say_so(
     assert "joint corrections by" not in capsys.readouterr().out.lower()
 
 
+def test_the_terminal_says_what_to_improve_first(
+    folder: Path, result: StudyResult, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert result.corrected is not None
+    assert result.corrected.prediction is not None
+    budget = result.corrected.prediction.budget
+    assert budget is not None
+    assert budget.advice
+    outcome.report_outcome(result, folder / "out", quiet=False)
+    assert "Improve first" in capsys.readouterr().out
+    for name, rms in budget.predicted.items():
+        total = sum(line.share[name] for line in budget.lines)
+        assert total == pytest.approx(1.0, abs=0.01)
+        assert rms > 0.0
+
+
 def test_an_effect_that_the_readings_cannot_show_is_refused(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -200,7 +216,8 @@ def test_the_report_has_the_corrected_model_and_the_acceptance_test(
     bad = fill_in(planned, tmp_path / "bad.csv", 1.5)
     assert run("verify", planned.parent, "--readings", bad) == 1
     page = (planned.parent / "report.html").read_text(encoding="utf-8")
-    for text in ("Corrected model", "Without effects", "Acceptance test"):
+    headings = ("Corrected model", "Without effects", "Acceptance test")
+    for text in (*headings, "Uncertainty budget", "sizes of the effects"):
         assert text in page
     assert "The acceptance test is failed" in page
 

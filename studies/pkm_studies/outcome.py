@@ -16,7 +16,7 @@ DONE, FAILED, BAD_INPUT = 0, 1, 2
 def report_outcome(result: StudyResult, folder: Path, quiet: bool) -> int:
     """Print headline, files and claims; the exit code."""
     if not quiet:
-        for sentence in result.headline:
+        for sentence in (*result.headline, *_advice(result)):
             print(sentence)
         for warning in result.warnings:
             if warning not in result.headline:
@@ -56,6 +56,16 @@ def _doubts(result: StudyResult) -> list[str]:
             " numbers are those of another machine, or [prior] is too narrow"
         )
     return doubts
+
+
+def _advice(result: StudyResult) -> list[str]:
+    """What to improve first, of the accuracy that compensation reaches."""
+    prediction = result.prediction
+    if result.corrected is not None:
+        prediction = result.corrected.prediction
+    if prediction is None or prediction.budget is None:
+        return []
+    return prediction.budget.advice
 
 
 def _fit_is_bad(result: StudyResult) -> bool:

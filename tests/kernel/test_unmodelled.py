@@ -1,0 +1,70 @@
+"""What an effect outside the model does, through calibration, on the oracle's A3 head."""
+
+import numpy as np
+import pytest
+from oracles import a3_geometry as a3
+
+from kernel import a3_plans
+from kernel.test_corrected import PER_KELVIN, WARM_LEG, planned
+from oed import compensate, prediction
+from oed.budget import budget_model
+from oed.correction import expected_effects
+from oed.correction.effect_maps import SessionStates, workspace_state
+from oed.gap.data.problem import assemble
+from oed.gap.data.state import DOWN
+from oed.identification import identify
+from pkm_models.effects import gravity, leg_thermal, servo_lag
+
+
+def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -> None:
+    """A nominal head whose leg 2 grows by 11.5 ppm a kelvin: no noise, no statistics."""
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    model = budget_model(m, problem.series, m.nominal)
+    command = a3_plans.workspace()[::9]
+    maps = prediction.error_maps(m.kinematics, command, "absolute")
+    session = SessionStates(m, rows, problem.states, DOWN)
+    (expected,) = expected_effects(
+        problem,
+        session,
+        model,
+        maps,
+        [leg_thermal.effect, servo_lag.effect],  # no feed is stated
+        "absolute",
+        np.random.default_rng(3),
+    )
+    assert expected.not_testable is None
+    assert expected.sizes["leg 2 per kelvin"] == PER_KELVIN
+    q = series.q[series.index[:, 0]].copy()
+    q[:, WARM_LEG] *= 1.0 + PER_KELVIN * rows["temp_leg2"].to_numpy()
+    cup = a3.forward(np.zeros(24), series.q[series.index[:1, 1]]).tip
+    believed = identify(m, [series], a3.ball_bar_reading(np.zeros(24), q, cup)).theta
+    drawn = np.random.default_rng(3)
+    state = workspace_state(session, m.nominal, command, drawn)
+    joints = compensate.compensated_joints(m.kinematics, command, believed[:24])
+    warm = state.temperature["leg2"][:-1]
+    joints[:, WARM_LEG] *= 1.0 + PER_KELVIN * warm
+    z = a3.forward(np.zeros(24), joints).tip[:, 2] - command[:, 0]
+    wanted = np.sqrt(expected.variance[:, maps.names.index("z")])
+    assert np.abs(z) == pytest.approx(wanted, rel=0.05, abs=0.02 * wanted.max())
+    assert np.sqrt(np.mean(z**2)) > 1e-6
+
+
+def test_effects_that_need_what_no_plan_states_are_left_out() -> None:
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    model = budget_model(m, problem.series, m.nominal)
+    maps = prediction.error_maps(m.kinematics, a3_plans.workspace()[::30])
+    session = SessionStates(m, rows, problem.states, DOWN)
+    expected = expected_effects(
+        problem,
+        session,
+        model,
+        maps,
+        [gravity.effect, servo_lag.effect],
+        "home",
+        np.random.default_rng(3),
+    )
+    assert [e.effect.name for e in expected] == ["gravity"]
