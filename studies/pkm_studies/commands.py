@@ -15,6 +15,7 @@ from pkm_studies import (
     history_command,
     import_command,
     new_command,
+    next_command,
     verify_command,
 )
 from pkm_studies.errors import InputError
@@ -358,6 +359,7 @@ app.command()(compensate_command.compensate)
 app.command()(verify_command.verify)
 app.command()(history_command.history)
 app.command()(campaign_command.campaign)
+app.command(name="next")(next_command.next_reading)
 
 
 # -- studies in, results out -----------------------------------------------------------

@@ -1,0 +1,130 @@
+"""The best next reading from a posterior: which candidate makes a goal most accurate.
+
+With the posterior covariance C of the columns, a candidate block H (k, n) of whitened
+rows leaves, by the Kalman update,
+
+    C - C H^T (I + H C H^T)^-1 H C.
+
+The variance of the combinations F (r, n) falls by tr[F C H^T (I + H C H^T)^-1 H C F^T].
+A step takes the candidate with the smallest sum of log variances over the goal's
+components: each counts by the share that it loses, whatever its unit.
+
+One reading alone is a short-sighted choice. So the readings that remain are planned
+together, by exchange (Fedorov, Theory of Optimal Experiments, 1972, chapter 3), and the
+one among them that gains most by itself is taken first.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.arrays import Array
+
+#: weight of the sum of log variances beside what is lacking to the limits
+BEYOND = 1e-2
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Belief:
+    """What is known, and what should become accurate.
+
+    covariance  (n, n) of the columns, as scaled in the candidates' blocks
+    factors     (K, r, n) each component's combinations; its variance is the trace
+                of F C F^T
+    """
+
+    covariance: Array
+    factors: Array
+
+    @property
+    def variances(self) -> Array:
+        """Variance (K,) of each component."""
+        operands = (self.factors, self.covariance, self.factors)
+        return np.asarray(np.einsum("krn,nm,krm->k", *operands, optimize=True))
+
+    def after(self, block: Array) -> Belief:
+        """The belief after a candidate (k, n) is read."""
+        gain = self.covariance @ block.T
+        spread = np.eye(len(block)) + block @ gain
+        covariance = self.covariance - gain @ np.linalg.solve(spread, gain.T)
+        return dataclasses.replace(self, covariance=(covariance + covariance.T) / 2.0)
+
+    def variances_after(self, blocks: Array) -> Array:
+        """Variances (C, K) after each of the candidates (C, k, n) alone."""
+        gain = blocks @ self.covariance
+        spread = np.eye(blocks.shape[1]) + gain @ blocks.swapaxes(1, 2)
+        weights = np.einsum("krn,krm->knm", self.factors, self.factors)
+        seen_by = np.einsum("cin,knm,cjm->ckij", gain, weights, gain, optimize=True)
+        fall = np.einsum("ckij,cji->ck", seen_by, np.linalg.inv(spread))
+        return np.asarray(self.variances - fall)
+
+
+def best_candidate(belief: Belief, blocks: Array, limits: Array | None = None) -> int:
+    """The candidate of (C, k, n) that lowers the components' variances most.
+
+    limits  (K,) wanted standard deviations, NaN where none is; see `_scores`
+    """
+    return int(np.argmin(_scores(belief.variances_after(blocks), limits)))
+
+
+def _scores(variances: Array, limits: Array | None) -> Array:
+    """Score (C,) of variances (C, K), the smaller the better: the sum of their logs.
+
+    With limits, what a component lacks counts, and all logs a little: once all limits
+    are reached, everything is improved.
+    """
+    logs = np.log(np.maximum(variances, np.finfo(float).tiny))
+    total = logs.sum(axis=1)
+    if limits is None or not np.isfinite(limits).any():
+        return np.asarray(total)
+    wanted = np.isfinite(limits)
+    lack = np.maximum(logs[:, wanted] - 2.0 * np.log(limits[wanted]), 0.0)
+    return np.asarray(lack.sum(axis=1) + BEYOND * total)
+
+
+def best_remaining(
+    belief: Belief,
+    blocks: Array,
+    count: int,
+    limits: Array | None = None,
+    sweeps: int = 2,
+) -> list[int]:
+    """`count` candidates, planned together by exchange, the best by itself first.
+
+    Each sweep replaces every reading by the best candidate given all others, and sweeps
+    stop where nothing changes.
+    """
+    chosen: list[int] = []
+    known = belief
+    for _ in range(count):
+        chosen.append(best_candidate(known, blocks, limits))
+        known = known.after(blocks[chosen[-1]])
+    for _ in range(sweeps):
+        before = list(chosen)
+        for place in range(count):
+            others = [*chosen[:place], *chosen[place + 1 :]]
+            known = after_all(belief, blocks, others)
+            chosen[place] = best_candidate(known, blocks, limits)
+        if chosen == before:
+            break
+    first = best_candidate(belief, blocks[chosen], limits)
+    return [chosen[first], *chosen[:first], *chosen[first + 1 :]]
+
+
+def after_all(belief: Belief, blocks: Array, indices: Sequence[int]) -> Belief:
+    """The belief after several candidates, in one update."""
+    if not len(indices):
+        return belief
+    columns = blocks.shape[2]
+    return belief.after(blocks[list(indices)].reshape(-1, columns))
+
+
+def open_components(belief: Belief, limits: Array | None) -> list[int]:
+    """Components whose standard deviation is above its limit; without limits, all."""
+    if limits is None or not np.isfinite(limits).any():
+        return list(range(len(belief.factors)))
+    missed = np.sqrt(belief.variances) > np.where(np.isfinite(limits), limits, np.inf)
+    return np.flatnonzero(missed).tolist()

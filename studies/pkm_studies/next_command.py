@@ -1,0 +1,45 @@
+"""The subcommand `oed next`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def next_reading(
+    study: Annotated[
+        Path,
+        typer.Argument(
+            metavar="STUDY",
+            help="A study file, or the name of a shipped study.",
+            show_default=False,
+        ),
+    ],
+    readings: Annotated[
+        Path,
+        typer.Option(metavar="CSV", help="Readings so far.", show_default=False),
+    ],
+    wanted: Annotated[
+        str,
+        typer.Option(
+            metavar="z_um=30,...", help="Rms errors at which to stop [the study's]."
+        ),
+    ] = "",
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Stay open, and follow the file.")
+    ] = False,
+) -> int:
+    """Advise at the machine: what is known now, the best next reading, when to stop."""
+    from pkm_studies import next_reading as advice
+    from pkm_studies import shipped
+    from pkm_studies.study import load
+
+    adviser = advice.Adviser(load(shipped.study_path(study)), wanted)
+    if not follow:
+        print("\n".join(advice.sentences(adviser, adviser.advise(readings))))
+        return 0
+    for lines in advice.watch(adviser, readings):
+        print("\n".join([*lines, ""]), flush=True)
+    return 0

@@ -1,0 +1,342 @@
+"""Advises at the machine: what is known now, the best next reading, when to stop."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from oed import identification, prediction, units
+from oed.arrays import Array
+from oed.design import candidates, next_reading
+from oed.design.candidates import Candidates
+from oed.design.next_reading import Belief
+from oed.estimate import Estimate
+from oed.measurement import Measurement, Series
+from pkm_studies.errors import InputError
+from pkm_studies.progress import Silent
+from pkm_studies.resolve import roles
+from pkm_studies.resolve.component_values import component_values
+from pkm_studies.run_state import RunState, start
+from pkm_studies.stages import describe
+from pkm_studies.stages.headline import format_number
+from pkm_studies.steps import readings as readings_steps
+from pkm_studies.study import Study
+
+#: how a file is refused whose cells for readings are all empty
+NO_READING = "no reading was taken"
+#: readings that are thought ahead, to say how many reach what is wanted
+MOST_AHEAD = 100
+#: share of the error below which a further reading is not worth its time
+LEAST_GAIN = 0.01
+#: time between two looks at the file, s
+PAUSE = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Advice:
+    """What a user at the machine needs to know after a reading.
+
+    readings   number taken
+    known      rms (K,) of each component over the workspace, SI, its unknown part
+    after      the same after the next reading
+    limits     wanted rms (K,), SI; NaN where none is
+    more       readings that reach what is wanted, one after another; None where
+               `MOST_AHEAD` do not, or nothing is wanted
+    planned    readings of the study's plan, if it states a number
+    candidate  number of the next reading among the candidates, which is in a row of a
+               series; `expected` is what it should read, SI
+    """
+
+    names: tuple[str, ...]
+    readings: int
+    known: Array
+    after: Array
+    limits: Array
+    candidate: int
+    series: Series
+    row: int
+    expected: Array
+    more: int | None
+    planned: int | None
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether every wanted accuracy is reached."""
+        wanted = np.isfinite(self.limits)
+        return bool(wanted.any() and (self.known <= self.limits)[wanted].all())
+
+    @property
+    def gain(self) -> float:
+        """Share by which the next reading lowers the errors, on average."""
+        positive = self.known > 0.0
+        ratios = self.after[positive] / self.known[positive]
+        return float(1.0 - np.exp(np.mean(np.log(ratios)))) if ratios.size else 0.0
+
+
+class Adviser:
+    """A study whose candidates, workspace and set-ups are resolved once.
+
+    Raises InputError where the study has no candidates or no workspace.
+    """
+
+    def __init__(self, study: Study, wanted: str = "") -> None:
+        self.base = start(study, None, Silent(), [])
+        if not self.base.resolved.candidates:
+            raise study.place.key("design").error(
+                "the study has no candidates to choose the next reading from",
+                "add [[design.candidates]]",
+            )
+        commands = self.base.resolved.prediction_commands
+        if study.prediction is None or commands is None:
+            raise study.place.key("prediction").error(
+                "the study does not say where accuracy counts",
+                "add [prediction] with a workspace, see `oed schema study`",
+            )
+        resolved = self.base.resolved
+        self.maps = prediction.error_maps(
+            resolved.measurement.kinematics, commands, study.prediction.reference
+        )
+        self.limits = _limits(study, self.base, self.maps.names, wanted)
+
+    def advise(self, readings: Path) -> Advice:
+        """The advice after the readings of a file. Raises InputError as they are read."""
+        state = self._with_readings(readings)
+        taken = state.readings
+        if taken is None or taken.y is None:
+            return self.advise_after(state.measurement, (), np.zeros(0))
+        return self.advise_after(state.measurement, taken.series, taken.y)
+
+    def advise_after(
+        self, measurement: Measurement, series: Sequence[Series], y: Array
+    ) -> Advice:
+        """The advice after readings y (N,), SI. Raises IdentificationError."""
+        resolved = self.base.resolved
+        theta, estimate = measurement.nominal, None
+        if len(y):
+            estimate = _fit(self.base, measurement, series, y)
+            theta = estimate.theta
+        pool = candidates.build(measurement, resolved.candidates, theta, "tolerance")
+        belief = self._belief(measurement, pool, estimate)
+        count = sum(map(len, series))
+        return self._advice(measurement, pool, belief, theta, count)
+
+    def prior(self, measurement: Measurement, pool: Candidates) -> Belief:
+        """What the tolerances alone say, before any reading."""
+        return self._belief(measurement, pool, None)
+
+    def _with_readings(self, path: Path) -> RunState:
+        """The state with the readings of a file; with none where it has only poses."""
+        study, resolved = self.base.study, self.base.resolved
+        everything = resolved.measurement_with(resolved.setups)
+        try:
+            data = roles.dataset(study, everything, [path])
+        except InputError as error:
+            if error.problem != NO_READING:
+                raise
+            return self.base
+        state = self.base.replace(
+            resolved=dataclasses.replace(resolved, dataset=data), readings_given=True
+        )
+        state = readings_steps.take_readings(state)
+        # Candidates may need set-ups that no reading has used yet.
+        used = {*state.measurement.setups, *self.base.measurement.setups}
+        return state.replace(measurement=resolved.measurement_with(used))
+
+    def _belief(
+        self, measurement: Measurement, pool: Candidates, estimate: Estimate | None
+    ) -> Belief:
+        """Covariance in tolerances; errors that runs share have variance 1."""
+        free = measurement.free
+        scale = measurement.tolerance[free]
+        columns = len(scale) + pool.shared_errors
+        covariance = np.eye(columns)
+        if estimate is not None:
+            known = estimate.covariance[np.ix_(free, free)]
+            covariance[: len(scale), : len(scale)] = known / np.outer(scale, scale)
+        count = len(measurement.machine.parameters)
+        poses, components, _ = self.maps.raw.shape
+        slopes = np.zeros((components, poses, len(free)))
+        slopes[:, :, :count] = self.maps.raw.swapaxes(0, 1) / np.sqrt(poses)
+        factors = np.zeros((components, poses, columns))
+        factors[:, :, : len(scale)] = slopes[:, :, free] * scale
+        return Belief(covariance, factors)
+
+    def _advice(
+        self,
+        measurement: Measurement,
+        pool: Candidates,
+        belief: Belief,
+        theta: Array,
+        count: int,
+    ) -> Advice:
+        table = self.base.study.design
+        planned = None if table is None else table.size
+        remaining = 1 if planned is None else max(planned - count, 1)
+        plan, more = self._plan(belief, pool.blocks, remaining)
+        after = belief.after(pool.blocks[plan[0]])
+        series, row = _reading(pool, plan[0])
+        return Advice(
+            names=self.maps.names,
+            readings=count,
+            known=np.sqrt(belief.variances),
+            after=np.sqrt(after.variances),
+            limits=self.limits,
+            candidate=plan[0],
+            series=series,
+            row=row,
+            expected=measurement.readings([series.take(np.array([row]))], theta),
+            more=more,
+            planned=planned,
+        )
+
+    def _plan(
+        self, belief: Belief, blocks: Array, remaining: int
+    ) -> tuple[list[int], int | None]:
+        """Readings to come, the next one first, and how many reach what is wanted.
+
+        Where fewer than the remaining ones do, the plan is made again for so many.
+        """
+        plan = next_reading.best_remaining(belief, blocks, remaining, self.limits)
+        more = self._more(belief, blocks, plan)
+        if more is None or not 0 < more < remaining:
+            return plan, more
+        shorter = next_reading.best_remaining(belief, blocks, more, self.limits)
+        return shorter, min(more, self._more(belief, blocks, shorter) or more)
+
+    def _more(self, belief: Belief, blocks: Array, plan: list[int]) -> int | None:
+        """Readings until every wanted accuracy is reached; None where too many are.
+
+        Those of the plan count first, the best of them first, then single best ones.
+        """
+        if not np.isfinite(self.limits).any():
+            return None
+        rest = list(plan)
+        for number in range(MOST_AHEAD + 1):
+            if not next_reading.open_components(belief, self.limits):
+                return number
+            pool = blocks[rest] if rest else blocks
+            best = next_reading.best_candidate(belief, pool, self.limits)
+            belief = belief.after(pool[best])
+            if rest:
+                rest.pop(best)
+        return None
+
+
+def _limits(
+    study: Study, state: RunState, names: tuple[str, ...], wanted: str
+) -> Array:
+    """Wanted rms (K,), SI: of the option, else of the study; NaN where none is."""
+    option = "--wanted"
+    if not wanted and study.design is not None and study.design.how_many is not None:
+        table = study.design.how_many.wanted
+        wanted = ",".join(f"{key}={value!r}" for key, value in table.items())
+        option = "[design.how_many] wanted"
+    values = component_values(wanted, option, state.resolved.machine)
+    return np.array([values.get(name, np.nan) for name in names])
+
+
+def _fit(
+    state: RunState, measurement: Measurement, series: Sequence[Series], y: Array
+) -> Estimate:
+    return identification.identify(
+        measurement,
+        series,
+        y,
+        stages=state.resolved.identification_stages,
+        max_iterations=state.study.identify.max_iterations,
+    )
+
+
+def _reading(pool: Candidates, index: int) -> tuple[Series, int]:
+    """The series of a candidate, and its row there."""
+    first = int(pool.members[index, 0])
+    for series in pool.series:
+        if first < len(series):
+            return series, first
+        first -= len(series)
+    raise IndexError(f"candidate {index} of {len(pool)}")
+
+
+# -- words -----------------------------------------------------------------------------
+
+
+def sentences(adviser: Adviser, advice: Advice) -> list[str]:
+    """The advice in lines: what is known, the next reading, when to stop."""
+    machine = adviser.base.resolved.machine
+    fine = {c.name: units.FINE[c.unit] for c in machine.components}
+    lines = [
+        f"{advice.readings} readings taken. Rms error over the workspace, unknown part:"
+    ]
+    for k, name in enumerate(advice.names):
+        unit = fine[name]
+        now, then = (units.number(v[k], unit) for v in (advice.known, advice.after))
+        sizes = f"{format_number(now):>8} {unit:<7} {format_number(then):>8}"
+        line = f"  {name:<6} {sizes} after the next reading"
+        if np.isfinite(advice.limits[k]):
+            line += f"   wanted {format_number(units.number(advice.limits[k], unit))}"
+        lines.append(line)
+    return [*lines, *_stop(advice), *_next(adviser, advice)]
+
+
+def _next(adviser: Adviser, advice: Advice) -> list[str]:
+    """Set-up, command, joints and the value that the reading should have."""
+    machine = adviser.base.resolved.machine
+    series, row = advice.series, advice.row
+    command = describe.displayed_command(machine, series.reading_commands()[row])
+    joints = describe.displayed_joints(machine, series.q[series.index[row, 0]])
+    setup = adviser.base.resolved.setups[series.setup]
+    expected = [
+        f"{channel.name} {describe.displayed(float(value), channel.unit):.6g}"
+        f" {units.display(channel.unit)}"
+        for channel, value in zip(
+            setup.instrument.channels, advice.expected, strict=True
+        )
+    ]
+    return [
+        f"Next: {series.setup}, {_values(command)}; joints {_values(joints)}.",
+        f"It should read {', '.join(expected)} and lowers the errors by"
+        f" {100.0 * advice.gain:.2g} % on average.",
+    ]
+
+
+def _values(numbers: dict[str, float]) -> str:
+    return ", ".join(f"{key} = {value:.7g}" for key, value in numbers.items())
+
+
+def _stop(advice: Advice) -> list[str]:
+    """Whether to stop now, and how far it is."""
+    if advice.is_reached:
+        return ["Stop: every wanted accuracy is reached."]
+    if np.isfinite(advice.limits).any():
+        if advice.more is None:
+            return [f"{MOST_AHEAD} more readings would not reach what is wanted."]
+        return [f"About {advice.more} more readings reach what is wanted."]
+    if advice.planned is not None and advice.readings >= advice.planned:
+        return [f"Stop: the {advice.planned} readings of the plan are taken."]
+    if advice.readings and advice.gain < LEAST_GAIN:
+        return [f"Stop: a further reading gains less than {100 * LEAST_GAIN:.0f} %."]
+    if advice.planned is None:
+        return []
+    return [f"The plan has {advice.planned} readings."]
+
+
+def watch(adviser: Adviser, readings: Path) -> Iterator[list[str]]:
+    """Lines of advice, now and after each change of the file; without end.
+
+    A file that is being written and cannot be read is looked at again.
+    """
+    last: tuple[int, int] | None = None
+    while True:
+        status = readings.stat()
+        stamp = (status.st_mtime_ns, status.st_size)
+        if stamp != last:
+            last = stamp
+            try:
+                yield sentences(adviser, adviser.advise(readings))
+            except InputError as error:
+                yield [str(error)]
+        time.sleep(PAUSE)

@@ -1,0 +1,201 @@
+"""The best next reading: against direct inversion, and as the command tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sample
+
+from oed.design import candidates, next_reading
+from oed.design.next_reading import Belief
+from pkm_studies import cli, shipped
+from pkm_studies import next_reading as advice
+from pkm_studies.errors import InputError
+from pkm_studies.stages.design.select import select_design
+from pkm_studies.study import load
+
+STUDY = sample.changed(
+    sample.STUDY, ("[design]", "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n\n[design]")
+)  # fmt: skip
+
+
+@pytest.fixture
+def belief() -> Belief:
+    """Six columns, three components of two combinations each."""
+    rng = np.random.default_rng(5)
+    root = rng.standard_normal((6, 6))
+    return Belief(root @ root.T + np.eye(6), rng.standard_normal((3, 2, 6)))
+
+
+@pytest.fixture
+def blocks() -> np.ndarray:
+    return np.random.default_rng(6).standard_normal((20, 2, 6))
+
+
+def test_a_reading_adds_its_information(belief: Belief, blocks: np.ndarray) -> None:
+    """By inverting the sum of informations, which the update never does."""
+    information = np.linalg.inv(belief.covariance) + blocks[3].T @ blocks[3]
+    expected = np.linalg.inv(information)
+    np.testing.assert_allclose(belief.after(blocks[3]).covariance, expected, rtol=1e-9)
+
+
+def test_variances_of_all_candidates_are_those_one_by_one(
+    belief: Belief, blocks: np.ndarray
+) -> None:
+    together = belief.variances_after(blocks)
+    for k, block in enumerate(blocks):
+        covariance = belief.after(block).covariance
+        expected = [np.trace(f @ covariance @ f.T) for f in belief.factors]
+        np.testing.assert_allclose(together[k], expected, rtol=1e-9)
+
+
+def test_the_best_is_better_than_all_others(belief: Belief, blocks: np.ndarray) -> None:
+    def score(block: np.ndarray) -> float:
+        covariance = belief.after(block).covariance
+        traces = [np.trace(f @ covariance @ f.T) for f in belief.factors]
+        return float(np.sum(np.log(traces)))
+
+    scores = [score(block) for block in blocks]
+    assert next_reading.best_candidate(belief, blocks) == int(np.argmin(scores))
+
+
+def test_components_that_are_reached_hardly_count(
+    belief: Belief, blocks: np.ndarray
+) -> None:
+    limits = np.array([1e-9, np.nan, 1e9])
+    assert next_reading.open_components(belief, limits) == [0]
+    index = next_reading.best_candidate(belief, blocks, limits)
+    covariances = [belief.after(block).covariance for block in blocks]
+    first = belief.factors[0]
+    traces = [np.trace(first @ c @ first.T) for c in covariances]
+    assert index == int(np.argmin(traces))
+
+
+def test_planning_together_is_no_worse_than_one_by_one(
+    belief: Belief, blocks: np.ndarray
+) -> None:
+    def score(known: Belief) -> float:
+        return float(np.log(known.variances).sum())
+
+    greedy = belief
+    for _ in range(4):
+        greedy = greedy.after(blocks[next_reading.best_candidate(greedy, blocks)])
+    plan = next_reading.best_remaining(belief, blocks, 4)
+    together = next_reading.after_all(belief, blocks, plan)
+    assert score(together) <= score(greedy) + 1e-12
+    alone = [score(belief.after(blocks[k])) for k in plan]
+    assert alone[0] == min(alone)
+    one_more = score(together.after(blocks[0]))
+    assert one_more < score(together)
+
+
+# -- command ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.study.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def readings(study: Path, tmp_path: Path) -> Callable[[int], Path]:
+    """A file with the first readings of a virtual machine."""
+    whole = tmp_path / "whole.readings.csv"
+    assert cli.main(["simulate", str(study), "--out", str(whole)]) == 0
+    lines = whole.read_text(encoding="utf-8").splitlines()
+
+    def first(count: int) -> Path:
+        path = tmp_path / f"first_{count}.readings.csv"
+        path.write_text("\n".join(lines[: count + 1]) + "\n", encoding="utf-8")
+        return path
+
+    return first
+
+
+def test_each_reading_makes_the_machine_better_known(
+    study: Path, readings: Callable[[int], Path]
+) -> None:
+    adviser = advice.Adviser(load(study))
+    few, more = (adviser.advise(readings(count)) for count in (4, 9))
+    assert (few.readings, more.readings) == (4, 9)
+    assert (more.known <= few.known).all()
+    assert (few.after <= few.known * (1.0 + 1e-9)).all()
+    assert 0.0 < more.gain < 1.0
+
+
+def test_the_command_says_what_is_next_and_when_to_stop(
+    study: Path,
+    readings: Callable[[int], Path],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    arguments = ["next", str(study), "--readings", str(readings(6))]
+    assert cli.main([*arguments, "--wanted", "z_um=1e7"]) == 0
+    assert "Stop: every wanted accuracy is reached." in capsys.readouterr().out
+    assert cli.main([*arguments, "--wanted", "z_um=1e-6"]) == 0
+    out = capsys.readouterr().out
+    assert "more readings would not reach what is wanted" in out
+    assert "6 readings taken" in out
+    assert "z_mm = " in out
+    assert "q1_mm = " in out
+    assert "It should read length" in out
+
+
+def test_the_file_is_followed(study: Path, readings: Callable[[int], Path]) -> None:
+    path = readings(5)
+    following = advice.watch(advice.Adviser(load(study)), path)
+    assert next(following)[0].startswith("5 readings taken")
+    path.write_text(readings(7).read_text(encoding="utf-8"), encoding="utf-8")
+    assert next(following)[0].startswith("7 readings taken")
+    path.write_text("nonsense\n1\n", encoding="utf-8")
+    assert "column setup is missing" in next(following)[0]
+
+
+def test_before_the_first_reading_the_plan_begins(study: Path, tmp_path: Path) -> None:
+    """A sheet of poses whose cells are still empty."""
+    sheet = tmp_path / "poses.csv"
+    sheet.write_text(
+        "setup,run,order,z_mm,psi_deg,theta_deg,length_mm\ncup,1,1,1146,15,20,\n",
+        encoding="utf-8",
+    )
+    lines = advice.sentences(*_advised(study, sheet))
+    assert lines[0].startswith("0 readings taken")
+    assert any(line.startswith("Next: ") for line in lines)
+
+
+def _advised(study: Path, readings: Path) -> tuple[advice.Adviser, advice.Advice]:
+    adviser = advice.Adviser(load(study))
+    return adviser, adviser.advise(readings)
+
+
+def test_what_is_missing_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "bare.study.toml"
+    path.write_text(sample.STUDY, encoding="utf-8")
+    with pytest.raises(InputError, match="where accuracy counts"):
+        advice.Adviser(load(path))
+    with pytest.raises(InputError, match="no candidates"):
+        advice.Adviser(load(shipped.study_path(Path("planar_step_calibration"))))
+
+
+@pytest.mark.slow
+def test_a_plan_for_the_goal_takes_fewer_readings_than_the_volume_s() -> None:
+    """27 readings reach, on the nominal head, what 30 D-optimal ones do, throughout."""
+    adviser = advice.Adviser(load(shipped.study_path(Path("a3_ball_bar"))))
+    resolved = adviser.base.resolved
+    measurement = resolved.measurement
+    chosen = select_design(resolved, np.random.default_rng(resolved.study.seed))
+    assert chosen is not None
+    pool = candidates.build(
+        measurement, resolved.candidates, measurement.nominal, "tolerance"
+    )
+    prior = adviser.prior(measurement, pool)
+    fixed = next_reading.after_all(prior, pool.blocks, chosen.choice.indices.tolist())
+    goal = np.sqrt(fixed.variances) * (1.0 + 1e-9)
+    assert len(chosen.choice.indices) == 30
+    plan = next_reading.best_remaining(prior, pool.blocks, 27, goal)
+    reached = next_reading.after_all(prior, pool.blocks, plan)
+    assert next_reading.open_components(reached, goal) == []
