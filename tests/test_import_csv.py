@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -232,6 +233,37 @@ def test_points_of_a_machine_of_any_size(
     kept = tmp_path / "out" / "points.map.toml"
     again = session.import_files("tracker", [path], tmp_path / "b", column_map=kept)[1]
     assert again.rows == imported.rows
+
+
+@pytest.mark.parametrize(
+    ("registration", "words", "tolerance", "errors"),
+    [
+        ("free", "free within 10 mm and 20 mrad", 10.0, "best_fit"),
+        ("best_fit", "held there", 0.0, "best_fit"),
+        ("known", "taken to be in the machine's frame", 0.0, "home"),
+    ],
+)
+def test_a_frame_is_free_held_or_known(
+    registration: str, words: str, tolerance: float, errors: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "points.csv"
+    write_large_points(path, np.zeros((18, 3)))
+    text = f'registration = "{registration}"\n' + LARGE_MAP
+    (tmp_path / "m.toml").write_text(text)
+    study, imported = session.import_files(
+        "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
+    )
+    assert any(words in sentence for sentence in imported.statements)
+    loaded = oed.load_study(study)
+    assert loaded.setup[0].tolerance["shift_z_mm"] == tolerance
+    assert loaded.prediction.reference == errors
+    measured = [[float(row[f"read_{a}_mm"]) for a in "xyz"] for row in imported.rows]
+    moved = np.abs(np.array(measured) - _commanded(imported.rows)).max()
+    assert (moved > 1000.0) == (registration == "known")  # mm
+
+
+def _commanded(rows: Sequence[Mapping[str, str]]) -> np.ndarray:
+    return np.array([[float(row[f"{a}_mm"]) for a in "xyz"] for row in rows])
 
 
 @pytest.mark.parametrize(

@@ -117,6 +117,18 @@ def test_marlin_calibration_report(tmp_path: Path) -> None:
     log.write_text(text)
     with pytest.raises(InputError, match=r"line 6.*probe_radius_mm"):
         session.import_files("marlin", [log], tmp_path / "b")
+    prefixed = "".join(f"Recv: {line}\n" for line in text.splitlines())
+    printed = prefixed.replace(
+        "G33 Auto", "Checking... AC at radius:60.00\nRecv: G33 Auto"
+    )
+    log.write_text(printed)
+    _, imported = session.import_files("marlin", [log], tmp_path / "host")
+    assert {round(float(row["y_mm"]), 6) for row in imported.rows} >= {60.0, -60.0}
+    log.write_text(
+        printed + "Recv: M665 L215.00 R106.50 H239.00\nRecv: M666 X0 Y0 Z0\n"
+    )
+    path, _ = session.import_files("marlin", [log], tmp_path / "after")
+    assert oed.load_study(path).machine.nominal["radius_mm"] == 105.0  # while it probed
     log.write_text(text + "probe_radius_mm = 80\n")
     _, imported = session.import_files("marlin", [log], tmp_path / "out")
     points = {float(row["z_mm"]): row for row in imported.rows}

@@ -1,8 +1,9 @@
 """Marlin: M665 and M666 of a delta, and the points of G30, G29 or G33.
 
 `M503` prints M665 and M666. G30 and G29 print "Bed X: .. Y: .. Z: .." a point. G33 V0
-prints the heights c, x, y, z, yz, zx, xy at the middle and every 60 degrees from 210, but
-not their radius: a line `probe_radius_mm = 80`, added to the log, says it.
+prints the heights c, x, y, z, yz, zx, xy at the middle and every 60 degrees from 210.
+Newer versions print their radius as well, "at radius:80.00"; a line `probe_radius_mm =
+80`, added to the log of others, says it. Lines may have the prefixes of a host's log.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from pkm_studies.importers.gcode import NUMBER, TextLine
 BED = re.compile(rf"Bed\s+X:\s*({NUMBER})\s+Y:\s*({NUMBER})\s+Z:\s*({NUMBER})")
 ITERATION = re.compile(rf"\b(c|x|y|z|yz|zx|xy):\s*({NUMBER})")
 RADIUS = re.compile(rf"probe_radius_mm\s*=\s*({NUMBER})")
+PRINTED_RADIUS = re.compile(rf"\bat radius:\s*({NUMBER})")
+#: a line of G33's report, after the prefix of a host or a time
+REPORT = re.compile(r"(?:[^.]*?(?:Recv|RX)\S*\s+|<+\s*|\d[\d:.]*\s*:\s+)?\.\s")
 ANGLES = {"X": 210.0, "Y": 330.0, "Z": 90.0}
 #: angles of G33's points, deg
 POINTS = {"x": 210.0, "xy": 270.0, "y": 330.0, "yz": 30.0, "z": 90.0, "zx": 150.0}
@@ -40,12 +44,28 @@ class MarlinImporter:
             name=request.name,
             firmware="Marlin",
             files=", ".join(path.name for path in request.files),
-            geometry=_geometry(lines),
+            geometry=_geometry(_before_probing(lines)),
             points=_points(lines),
         )
 
 
 importer = MarlinImporter()
+
+
+def _before_probing(lines: Sequence[TextLine]) -> Sequence[TextLine]:
+    """The lines above the last probed point, where they have the geometry; all if not.
+
+    G33 changes the geometry, and M503 below it prints the new one.
+    """
+    probed = [
+        k
+        for k, line in enumerate(lines)
+        if BED.search(line.text)
+        or (REPORT.match(line.text) and ITERATION.search(line.text))
+    ]
+    above = lines[: probed[-1]] if probed else []
+    complete = all(any(gcode.commands(above, name)) for name in ("M665", "M666"))
+    return above if complete else lines
 
 
 def _geometry(lines: Sequence[TextLine]) -> DeltaGeometry:
@@ -81,7 +101,7 @@ def _calibration_points(lines: Sequence[TextLine]) -> list[ProbedPoint]:
     heights: dict[str, float] = {}
     last: TextLine | None = None
     for line in lines:
-        if not line.text.startswith("."):
+        if not REPORT.match(line.text):
             continue
         for name, value in ITERATION.findall(line.text):
             if name == "c":
@@ -89,13 +109,13 @@ def _calibration_points(lines: Sequence[TextLine]) -> list[ProbedPoint]:
             heights[name], last = float(value), line
     if last is None:
         return []
-    radii = [m for line in lines if (m := RADIUS.search(line.text))]
+    radii = _numbers(RADIUS, lines) or _numbers(PRINTED_RADIUS, lines)
     if not radii:
         raise last.error(
             "G33 does not print the radius at which it probed",
             "add a line probe_radius_mm = 80 to the log, or probe with G30",
         )
-    radius = float(radii[-1][1])
+    radius = radii[-1]
     points = [ProbedPoint(0.0, 0.0, heights["c"])] if "c" in heights else []
     for name, angle in POINTS.items():
         if name in heights:
@@ -103,3 +123,8 @@ def _calibration_points(lines: Sequence[TextLine]) -> list[ProbedPoint]:
             y = radius * math.sin(math.radians(angle))
             points.append(ProbedPoint(x, y, heights[name]))
     return points
+
+
+def _numbers(pattern: re.Pattern[str], lines: Sequence[TextLine]) -> list[float]:
+    matches = ((line, pattern.search(line.text)) for line in lines)
+    return [gcode.finite(match[1], line) for line, match in matches if match]
