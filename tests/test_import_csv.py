@@ -1,20 +1,16 @@
-"""`oed import` of ball-bar traces, tracker points and any CSV, against the oracles."""
+"""`oed import` of ball-bar traces and any CSV, against the oracles."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from oracles import planar_cables
 from oracles.delta_trilateration import nozzle, travel_to
-from scipy.spatial.transform import Rotation
 
 import oed
-from oed import units
 from pkm_studies import csv_table
-from pkm_studies.cli import main
 from pkm_studies.errors import InputError
 from pkm_studies.importers import session, thinning
 
@@ -108,45 +104,6 @@ def test_means_have_the_noise_that_correlation_leaves(rng: np.random.Generator) 
     )  # not that of white noise
 
 
-def test_tracker_points_in_a_frame_of_their_own(tmp_path: Path) -> None:
-    """The true delta, seen by a tracker 3 m away and turned by 70 degrees."""
-    grid = np.linspace(-80.0, 80.0, 4)
-    mesh = np.meshgrid(grid, grid, [20.0, 150.0], indexing="ij")
-    commanded = np.column_stack([m.ravel() for m in mesh])
-    turned = Rotation.from_euler("zyx", [70.0, 5.0, -3.0], degrees=True)
-    shift = np.array([3000.0, -500.0, 800.0])
-    seen = turned.apply(true_points(commanded)) + shift
-    lines = ["x_mm,y_mm,z_mm,X,Y,Z"]
-    pairs = np.hstack([commanded, seen])
-    lines += [",".join(f"{value:.6f}" for value in row) for row in pairs]
-    path = tmp_path / "points.csv"
-    path.write_text("\n".join(lines))
-    study, imported = session.import_files(
-        "tracker", [path], tmp_path / "out", machine="linear_delta"
-    )
-    assert any("best fit to the nominal poses" in s for s in imported.statements)
-    estimate = oed.identify(oed.read_readings(oed.load_study(study))).section
-    assert max(estimate.rms_after.values()) < 2.0  # um
-    # lengths of arms are seen whatever the frame
-    entry = estimate.parameters["arm1"]
-    arm = units.number(float(units.to_si(entry.value, entry.unit)), "mm")
-    assert arm == pytest.approx(TRUE[1][0], abs=0.02)
-    path.write_text("\n".join(lines).replace("X,Y,Z", "X,Z,Y"))
-    with pytest.raises(InputError, match="left-handed"):
-        session.import_files("tracker", [path], tmp_path / "b", machine="linear_delta")
-    shuffled = [lines[0], *lines[20:], *lines[1:20]]
-    poses = [",".join(line.split(",")[:3]) for line in lines]
-    (tmp_path / "poses.csv").write_text("\n".join(poses))
-    path.write_text("\n".join(",".join(line.split(",")[3:]) for line in shuffled))
-    with pytest.raises(InputError, match="in one order"):
-        session.import_files(
-            "tracker",
-            [path, tmp_path / "poses.csv"],
-            tmp_path / "c",
-            machine="linear_delta",
-        )
-
-
 def test_columns_by_a_map_that_is_kept(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(
         "# made by hand\nname|X set|Y set|Z set|touch|remark\n"
@@ -172,134 +129,6 @@ def test_columns_by_a_map_that_is_kept(tmp_path: Path) -> None:
     readings = oed.read_readings(oed.load_study(study))
     assert readings.state.readings is not None
     np.testing.assert_allclose(readings.state.readings.y, [2e-5, -1e-5])
-
-
-LARGE = (1200.0, [2600.0] * 3, np.radians([210.0, 330.0, 90.0]), [1900.0] * 3)
-LARGE_MAP = """\
-[machine]
-model = "delta"
-
-[machine.geometry]
-radius_mm = 1200
-arm_mm = 2600
-endstop_mm = 1900
-"""
-LARGE_STUDY = (
-    'schema = 1\nname = "large"\n'
-    + LARGE_MAP
-    + """
-[[setup]]
-name = "tracker"
-instrument = "pose_tracker_position"
-"""
-)
-
-
-def write_large_points(path: Path, noise: np.ndarray) -> None:
-    """Points of a delta of 1.2 m with endstops 1 mm off, in a frame of their own."""
-    grid = np.meshgrid([-500.0, 0.0, 500.0], [-500.0, 0.0, 500.0], [100.0, 600.0])
-    commanded = np.column_stack([axis.ravel() for axis in grid])
-    true = (*LARGE[:3], [1901.0, 1900.0, 1899.0])
-    points = nozzle(travel_to(commanded, *LARGE), *true)
-    turned = Rotation.from_euler("zyx", [130.0, 4.0, -7.0], degrees=True)
-    seen = turned.apply(points) + np.array([4210.0, -1533.0, 612.0]) + noise
-    rows = np.hstack([commanded, seen])
-    lines = [",".join(f"{v:.6f}" for v in row) for row in rows]
-    path.write_text("\n".join(["x_mm,y_mm,z_mm,X,Y,Z", *lines]))
-
-
-@pytest.mark.parametrize("by_map", [True, False])
-def test_points_of_a_machine_of_any_size(
-    by_map: bool, tmp_path: Path, rng: np.random.Generator
-) -> None:
-    """The map has the machine's table, or --machine a study with it."""
-    path = tmp_path / "points.csv"
-    write_large_points(path, 0.01 * rng.standard_normal((18, 3)))
-    (tmp_path / "m.toml").write_text(LARGE_MAP)
-    (tmp_path / "large.study.toml").write_text(LARGE_STUDY)
-    study, imported = session.import_files(
-        "tracker",
-        [path],
-        tmp_path / "out",
-        machine=None if by_map else str(tmp_path / "large.study.toml"),
-        column_map=tmp_path / "m.toml" if by_map else None,
-    )
-    loaded = oed.load_study(study)
-    assert loaded.machine.geometry["arm_mm"] == 2600
-    assert loaded.prediction.reference == "best_fit"  # the machine's place is unknown
-    estimate = oed.identify(oed.read_readings(loaded)).section
-    assert max(estimate.rms_after.values()) < 20.0  # um
-    # the map that was written is complete
-    kept = tmp_path / "out" / "points.map.toml"
-    again = session.import_files("tracker", [path], tmp_path / "b", column_map=kept)[1]
-    assert again.rows == imported.rows
-
-
-@pytest.mark.parametrize(
-    ("registration", "words", "tolerance", "errors"),
-    [
-        ("free", "free within 10 mm and 20 mrad", 10.0, "best_fit"),
-        ("best_fit", "held there", 0.0, "best_fit"),
-        ("known", "taken to be in the machine's frame", 0.0, "home"),
-    ],
-)
-def test_a_frame_is_free_held_or_known(
-    registration: str, words: str, tolerance: float, errors: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "points.csv"
-    write_large_points(path, np.zeros((18, 3)))
-    text = f'registration = "{registration}"\n' + LARGE_MAP
-    (tmp_path / "m.toml").write_text(text)
-    study, imported = session.import_files(
-        "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
-    )
-    assert any(words in sentence for sentence in imported.statements)
-    loaded = oed.load_study(study)
-    assert loaded.setup[0].tolerance["shift_z_mm"] == tolerance
-    assert loaded.prediction.reference == errors
-    measured = [[float(row[f"read_{a}_mm"]) for a in "xyz"] for row in imported.rows]
-    moved = np.abs(np.array(measured) - _commanded(imported.rows)).max()
-    assert (moved > 1000.0) == (registration == "known")  # mm
-
-
-def _commanded(rows: Sequence[Mapping[str, str]]) -> np.ndarray:
-    return np.array([[float(row[f"{a}_mm"]) for a in "xyz"] for row in rows])
-
-
-@pytest.mark.parametrize(
-    ("noise", "code", "words"),
-    [(0.03, 0, "the noise was understated"), (0.5, 1, "The fit is bad")],
-)
-def test_a_tracker_noisier_than_its_data_sheet(
-    noise: float,
-    code: int,
-    words: str,
-    tmp_path: Path,
-    rng: np.random.Generator,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """The importer states 10 um as a guess: more is estimated, far more is refused."""
-    path = tmp_path / "points.csv"
-    write_large_points(path, noise * rng.standard_normal((18, 3)))
-    (tmp_path / "m.toml").write_text(LARGE_MAP)
-    study, _ = session.import_files(
-        "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
-    )
-    readings = tmp_path / "out" / "points.readings.csv"
-    assert main(["check", str(study), str(readings)]) == code
-    assert words in "".join(capsys.readouterr())
-
-
-def test_a_machine_table_that_does_not_fit_names_its_field(tmp_path: Path) -> None:
-    path = tmp_path / "points.csv"
-    write_large_points(path, np.zeros((18, 3)))
-    (tmp_path / "m.toml").write_text(LARGE_MAP.replace("arm_mm", "arms_mm"))
-    with pytest.raises(
-        InputError, match=r"m\.toml: machine\.geometry\.arms_mm.*arm_mm"
-    ):
-        session.import_files(
-            "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
-        )
 
 
 CABLES_MAP = """\
