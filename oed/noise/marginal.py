@@ -29,8 +29,9 @@ from oed.noise.structure import ReadingStructure
 DRAWS = 160
 #: coordinates beyond which a law is not looked at, in prior sd
 FARTHEST = 8.0
-#: share of the points drawn that must be nearer
-LEAST_SHARE = 0.2
+#: how far the mode stays from there, prior sd: readings without noise have theirs at the
+#: end, and draws must fit beyond it
+ROOM = 1.0
 #: numbers in the largest array of one batch of laws
 BATCH_NUMBERS = 20_000_000
 
@@ -192,15 +193,8 @@ def integrate(
 def _solve_at(
     model: ResidualModel, prior: NoisePrior, points: Array
 ) -> tuple[Array, Solutions, Array]:
-    """Points (L, d) that are not too far, their solutions, their log posteriors (L,).
-
-    Where readings fit far better than any noise, nearly all are too far: these are drawn
-    in to the limit.
-    """
-    near = np.abs(points).max(axis=1) < FARTHEST
-    draws = points[near]
-    if len(draws) < LEAST_SHARE * len(points):
-        draws = np.clip(points, -FARTHEST, FARTHEST)
+    """Points (L, d) that are not too far, their solutions, their log posteriors (L,)."""
+    draws = points[np.abs(points).max(axis=1) < FARTHEST]
     solutions = model.solve(prior.laws(draws))
     return draws, solutions, solutions.log_marginal - 0.5 * (draws**2).sum(axis=1)
 
@@ -216,4 +210,4 @@ def most_probable(
 ) -> Array:
     """The most probable coordinates (d,), from several starts, or from one near them."""
     starts = prior.starts() if near is None else near[None]
-    return find_mode(lambda u: _cost(model, prior, u), starts, FARTHEST)
+    return find_mode(lambda u: _cost(model, prior, u), starts, FARTHEST - ROOM)
