@@ -86,8 +86,15 @@ def _machines(rows: list[dict[str, Any]]) -> int:
 
 
 def _name(campaign: Campaign, row: dict[str, Any]) -> str:
-    """A combination in words; the study itself where nothing varies."""
-    parts = [f"{field} = {row[field]}" for field in campaign.vary]
+    """A combination in words; the study itself where nothing varies.
+
+    Fields go by the last part of their address, where it is theirs alone.
+    """
+    short = [field.rpartition(".")[2] for field in campaign.vary]
+    unique = len(set(short)) == len(short)
+    names = short if unique else list(campaign.vary)
+    pairs = zip(names, campaign.vary, strict=True)
+    parts = [f"{name} = {row[field]}" for name, field in pairs]
     return ", ".join(parts) or "the study as it is"
 
 
