@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -16,17 +16,25 @@ NOMINAL = 0.95
 ROW, AXIS, NAME_LENGTH = 0.28, 0.8, 40
 
 
-def draw_coverage(rows: Mapping[str, Mapping[str, Any]]) -> Figure:
+@dataclasses.dataclass(frozen=True, slots=True)
+class Coverage:
+    """Share of intervals that hold the truth, with its interval (NaN without one)."""
+
+    share: float
+    low: float
+    high: float
+
+
+def draw_coverage(rows: Mapping[str, Coverage]) -> Figure:
     """Coverage with its interval, a row each combination."""
     if not rows:
         return style.empty("no machine could be fitted")
     drawn = style.figure(AXIS + ROW * len(rows))
     axes = drawn.subplots()
     for k, row in enumerate(rows.values()):
-        low, high = row["inside_95_low"], row["inside_95_high"]
-        if not math.isnan(low):
-            axes.plot([low, high], [k, k], color="C0", linewidth=1.5)
-        axes.plot(row["inside_95"], k, "o", color="C0", markersize=4)
+        if not math.isnan(row.low):
+            axes.plot([row.low, row.high], [k, k], color="C0", linewidth=1.5)
+        axes.plot(row.share, k, "o", color="C0", markersize=4)
     axes.axvline(NOMINAL, color="0.5", linewidth=0.8)
     axes.set_yticks(range(len(rows)), [style.label(n, NAME_LENGTH) for n in rows])
     axes.set_ylim(len(rows) - 0.5, -0.5)

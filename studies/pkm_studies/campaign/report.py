@@ -133,7 +133,13 @@ def _intervals(campaign: Campaign, rows: list[dict[str, Any]]) -> list[Block]:
         " squared error over its predicted covariance (NEES, 1 where it is right); share"
         " of machines whose fit has p < 0.001 against the stated noise."
     )
-    named = {_name(campaign, row): row for row in rows if "inside_95" in row}
+    named = {
+        _name(campaign, row): figures.Coverage(
+            row["inside_95"], row["inside_95_low"], row["inside_95_high"]
+        )
+        for row in rows
+        if not math.isnan(row.get("inside_95", math.nan))
+    }
     drawn = "Coverage by combination, with its 95 % interval; the line is 0.95."
     return [
         Table(columns, cells, caption),
