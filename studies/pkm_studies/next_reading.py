@@ -242,13 +242,17 @@ def _limits(
 def _fit(
     state: RunState, measurement: Measurement, series: Sequence[Series], y: Array
 ) -> Estimate:
-    return identification.identify(
-        measurement,
-        series,
-        y,
-        stages=state.resolved.identification_stages,
-        max_iterations=state.study.identify.max_iterations,
-    )
+    """The fit; all parameters at once where few readings fail to find a start."""
+    most = state.study.identify.max_iterations
+    stages = state.resolved.identification_stages
+    try:
+        return identification.identify(
+            measurement, series, y, stages=stages, max_iterations=most
+        )
+    except identification.IdentificationError:
+        if len(stages) == 1:
+            raise
+        return identification.identify(measurement, series, y, max_iterations=most)
 
 
 def _reading(pool: Candidates, index: int) -> tuple[Series, int]:
