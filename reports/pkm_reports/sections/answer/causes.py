@@ -16,6 +16,7 @@ from pkm_reports.blocks import (
     number_columns,
     wide_column,
 )
+from pkm_reports.figures.gap import effects
 from pkm_reports.figures.gap.effects import spoken
 from pkm_reports.sections.gap import explanations
 
@@ -86,7 +87,7 @@ def _table(
                 "an effect of unknown form" if name == "unknown" else spoken(name),
                 rms or text.MISSING,
                 own_size(name, corrected) or text.MISSING,
-                text.percent(chance),
+                _probability(chance),
             ]
         )
     caption = (
@@ -96,6 +97,13 @@ def _table(
     )
     marks = ["chosen" if name in gap.selected else "" for name in ranked]
     return Table(columns, rows, caption, marks)
+
+
+def _probability(chance: float) -> str:
+    """In percent; never certainty."""
+    if chance > effects.NEARLY_CERTAIN:
+        return f"> {text.percent(effects.NEARLY_CERTAIN)}"
+    return text.percent(chance)
 
 
 def own_size(effect: str, corrected: CorrectedSection | None) -> str:
