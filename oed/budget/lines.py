@@ -114,11 +114,13 @@ def _with_remainder(lines: Sequence[Line], variance: Array) -> tuple[Line, ...]:
 def _line(model: BudgetModel, maps: Array, part: Part) -> Line:
     """A line with the rms errors of the linear model without it and with half."""
     variance = mean_variance(maps, part.covariance)
+
+    def rms(covariance: Array) -> Array:
+        # the difference of two large covariances may be negative by its rounding
+        return np.asarray(np.sqrt(np.maximum(mean_variance(maps, covariance), 0.0)))
+
     changed = _alternatives(model, part)
-    without, halved = (
-        None if change is None else np.sqrt(mean_variance(maps, change()))
-        for change in changed
-    )
+    without, halved = (None if change is None else rms(change()) for change in changed)
     return Line(part.source, part.kind, variance, without, halved)
 
 
