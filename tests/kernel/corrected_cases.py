@@ -28,7 +28,7 @@ class MachineCase:
     measurement  with one set-up
     runs         (r, n, n_dof) commands of closed runs
     command      (m, n_dof) workspace at which errors are compared
-    read         (theta, series, joints as driven (n, nq)) -> readings (N,), no noise
+    read         (theta, series, joints as driven at its poses) -> readings (N,), no noise
     errors       (p, joints as driven (m, nq), command) -> (m, k), of the components
     components   names (k,) that are compared
     """
@@ -53,9 +53,9 @@ def a3_case() -> MachineCase:
     runs = [a3_plans.bar_commands(m, np.full(POINTS, s), psi) for s in strokes]
 
     def read(theta: np.ndarray, series: Series, driven: np.ndarray) -> np.ndarray:
-        taught = series.q[series.index[:1, 1]]
+        read, taught = driven[series.index[:, 0]], driven[series.index[:1, 1]]
         cup = a3.forward(theta[:24], taught).tip + theta[24:]
-        return a3.ball_bar_reading(theta[:24], driven, cup)
+        return a3.ball_bar_reading(theta[:24], read, cup)
 
     def errors(p: np.ndarray, q: np.ndarray, command: np.ndarray) -> np.ndarray:
         real = a3.forward(p, q)

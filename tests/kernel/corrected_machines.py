@@ -130,8 +130,10 @@ def outcome(
     acting, effects = draw_acting(len(m.machine.joints), rng)
     if not free_form:
         effects = tuple(textbook(e) for e in effects)
-    shown = series.q[series.index[:, 0]]
-    driven = acting.drive(shown, warmth, travel_sense(series))
+    warm, sense = np.zeros_like(series.q), np.zeros_like(series.q)
+    warm[series.index[:, 0]] = warmth  # a cup was taught cold and at rest
+    sense[series.index[:, 0]] = travel_sense(series)
+    driven = acting.drive(series.q, warm, sense)
     y = case.read(truth, series, driven)
     y = y + m.sigma([series]) * rng.standard_normal(len(y))
     plain = identify(m, [series], y)
