@@ -21,7 +21,7 @@ from benchmarks.coverage.configurations import CONFIGURATIONS
 from benchmarks.coverage.noise import LAWS
 
 #: machines of each cell, so that the whole table takes 40 minutes on one core
-MACHINES = 100
+MACHINES = 200
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
