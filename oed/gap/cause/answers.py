@@ -21,9 +21,10 @@ from oed.gap.data.diagnosis import UNKNOWN, Answer, Verdict
 REPORTED = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
 ALIVE = 5.5
-#: cost of a missed gap, and of a search in vain: no gap is reported where the odds for
-#: it are larger than the first over the second
-MISSED, IN_VAIN = 2.0, 1.0
+#: cost of a missed gap, of a search in vain for a named effect, and of one for what
+#: could be any of many, which nothing confines: no gap is reported where the odds for it
+#: are larger than the first over the other
+MISSED, IN_VAIN, VAGUELY_IN_VAIN = 2.0, 1.0, 2.0
 #: members from which on a class with a named effect is reported as unknown
 VAGUE = 6
 #: probability that the credible set has
@@ -92,9 +93,17 @@ def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[Answer, ...], Hypothesis]
     first = answers[order[0]]
     if len(order) > 1 and not first.effects:
         loss_of_none = MISSED * (1.0 - first.probability)
-        if loss_of_none > IN_VAIN * first.probability:
+        cost = VAGUELY_IN_VAIN if _is_vague(answers[order[1]]) else IN_VAIN
+        if loss_of_none > cost * first.probability:
             order[:2] = order[1::-1]
     return tuple(answers[k] for k in order), leading[order[0]]
+
+
+def _is_vague(answer: Answer) -> bool:
+    """Whether an answer's effect could be any of many."""
+    if answer.effects == (UNKNOWN,):
+        return True
+    return any(len(members) >= VAGUE for members in answer.classes)
 
 
 def _add(answers: list[Answer], entry: AnswerGroup) -> None:
