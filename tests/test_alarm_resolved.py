@@ -66,6 +66,7 @@ def test_without_effects_the_alarm_stays(
     assert "the fit is bad" in printed.err
 
 
+@pytest.mark.slow
 def test_one_effect_of_two_resolves_nothing(
     session: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

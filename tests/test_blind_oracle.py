@@ -128,6 +128,7 @@ def test_oracle_of_generated_cases(blind, blind_case_set, tmp_path):
         assert whole["same_law"] is None  # there is no result yet
 
 
+@pytest.mark.slow
 def test_oracle_of_two_effects_is_that_of_the_dense_metric(
     blind, blind_case_set, tmp_path
 ):

@@ -235,6 +235,7 @@ def test_lists_name_cases_and_what_is_withheld(blind, blind_case_set, tmp_path):
         blind.listing.write(blind_case_set, listed, kinds=["sngle"])
 
 
+@pytest.mark.slow
 def test_lists_keep_effects_that_can_be_told_from_every_rival(
     blind, blind_case_set, tmp_path
 ):

@@ -149,7 +149,10 @@ def shortfalls(
 
 @pytest.fixture(
     scope="module",
-    params=[FEW, pytest.param(WHOLE, marks=pytest.mark.slow)],
+    params=[
+        pytest.param(FEW, marks=pytest.mark.slow),
+        pytest.param(WHOLE, marks=pytest.mark.slow),
+    ],
     ids=["few", "whole"],
 )
 def shares(request: pytest.FixtureRequest) -> Sequence[tuple[str, str, int]]:

@@ -8,8 +8,10 @@ in which they were read, from -82 to +76 um, with an rms of 54 um against 30 um 
 A drift of the probe, a step, or a field over the bed would all look so: without a time
 column the first two cannot be tested, and seven heights do not tell a field. Distances
 scatter by 65 um about zero without order (stated 60 um); by place, neighbouring points
-have small and large residuals side by side. The verdict, no gap at 0.5 to 0.6, then a
-wrong calliper at 0.4 with everything static that could pass for it, says as much.
+have small and large residuals side by side. The fit has p = 0.01 against the stated
+noise, which is a guess. The verdict, a static error that could be any of many at odds of
+some six to one, with no gap as a rival, says as much: prior odds are two to one, so that
+the readings themselves raise them threefold.
 
 Hangprinter HP4 (nine poses). x and y scatter by 0.6 and 0.7 mm, z by 0.4 mm (1 mm
 stated), the lines by 0.2 mm (0.5 mm stated), with no order in the readings or in place.
@@ -77,14 +79,19 @@ def test_nothing_is_named_that_the_covariates_cannot_support(
 
 
 def test_the_verdict_is_what_the_plots_can_bear(gap: dict[str, Any]) -> None:
-    """No gap is claimed, and no certainty on the delta: see the module."""
+    """No cause is claimed, and no certainty on the delta: see the module."""
+    if gap["study"] == "delta_v400":
+        (answer, *_) = gap["answers"]
+        assert gap["verdict"] == "class"
+        assert answer["probability"] < 0.7
+        assert len(answer["classes"][0]) >= 5
+        none = [a["probability"] for a in gap["answers"] if not a["effects"]]
+        assert 0.1 < none[0] < 0.9
+        assert 25.0 < gap["rms_before"]["height"] < 65.0
+        assert 50.0 < gap["rms_before"]["length"] < 80.0
+        return
     assert gap["verdict"] == "none"
     assert gap["where"] == []
-    if gap["study"] == "delta_v400":
-        assert gap["answers"][0]["probability"] < 0.9
-        assert len(gap["answers"]) > 1
-        assert 40.0 < gap["rms_before"]["height"] < 65.0
-        assert 50.0 < gap["rms_before"]["length"] < 80.0
     assert gap["rms_after"] == gap["rms_before"]
 
 

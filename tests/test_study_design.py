@@ -116,7 +116,8 @@ def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
     plan, given = result.design.plans
     for name, component in result.prediction.components.items():
         key = f"{name}_{result.prediction.unit[name]}"
-        assert plan.predicted[key] == pytest.approx(component.known.rms, rel=1e-9)
+        # The prediction is the mean over drawn machines, the plan's of the nominal one.
+        assert plan.predicted[key] == pytest.approx(component.known.rms, rel=5e-3)
         assert plan.gain[key] == pytest.approx(
             given.predicted[key] / plan.predicted[key]
         )

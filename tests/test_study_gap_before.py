@@ -231,7 +231,7 @@ def test_the_chapter_states_runs_pairs_and_sizes(
 ) -> None:
     raw = report_fixture.bare() | {"gap_before": ran[0]["gap_before"]}
     result = report_fixture.result_of(raw)
-    assert sections.chapters(result)[0].anchor == "gap-before"
+    assert "gap-before" in [c.anchor for c in sections.chapters(result)]
     shown = report_fixture.shown_text(result)
     assert "What these readings could detect" in shown
     for run in ran[0]["gap_before"]["chosen"]["runs"]:

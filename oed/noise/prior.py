@@ -108,10 +108,12 @@ class NoisePrior:
     def starts(self) -> Array:
         """Coordinates (s, d) from which the most probable law is sought.
 
-        The middle of the prior, and an error that is carried far.
+        The middle of the prior, an error that is carried far, and one that is carried
+        over a few readings alone: each may be a mode of its own.
         """
-        starts = np.zeros((2, self.dimensions))
+        starts = np.zeros((3, self.dimensions))
         starts[1, self.groups : self.groups + 2] = 1.5, 0.5
+        starts[2, self.groups : self.groups + 2] = 2.5, -1.5
         return starts
 
 

@@ -277,6 +277,7 @@ def _cubed(column: Column) -> dict[int, np.ndarray]:
     return {i: change**3 for i, change in column.joints.items()}
 
 
+@pytest.mark.slow
 def test_a_step_within_a_run_is_neither_missed_nor_taken_for_outliers() -> None:
     """A joint's zero lost for ten readings, by 3 and by 12 times the noise."""
     effects = (*EFFECTS, step.effect)

@@ -186,6 +186,7 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     assert np.abs(detected.pseudo_residual - y)[far].max() < 5.0
 
 
+@pytest.mark.slow
 def test_an_effect_is_found_in_heavy_tails_and_none_without_it() -> None:
     """With 2 % of the readings ten times as far off; the law tells of them."""
     rng = np.random.default_rng(21)

@@ -59,6 +59,7 @@ def test_a_wave_in_words(unit: str, period: float, words: str) -> None:
     assert waves._in_words(unit, period, "leg 2") == words
 
 
+@pytest.mark.slow
 def test_what_is_unknown_is_told_by_its_likeliest_form() -> None:
     problem = readings(6)
     wave = 2.0 * np.sin(

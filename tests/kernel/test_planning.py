@@ -313,7 +313,9 @@ def solved(problem: SmallProblem) -> catalogues.PlanSearchResult:
     return searched(problem.options, problem.goal, problem.budget, stages=3)
 
 
-@pytest.mark.parametrize("equal_times", [True, False])
+@pytest.mark.parametrize(
+    "equal_times", [True, pytest.param(False, marks=pytest.mark.slow)]
+)
 def test_the_plan_is_the_best_of_all(equal_times: bool) -> None:
     """Within 2 % of all sets of readings within the budget.
 
@@ -334,6 +336,7 @@ def test_the_plan_is_the_best_of_all(equal_times: bool) -> None:
     assert max(losses) < 0.06
 
 
+@pytest.mark.slow
 def test_the_cheapest_plan_that_is_accurate_enough() -> None:
     excess = []
     for seed in range(6):

@@ -21,7 +21,9 @@ def bound_of(
     return bound_goal(options, goal, np.eye(3), budget, stages, value, rng)
 
 
-@pytest.mark.parametrize("equal_times", [True, False])
+@pytest.mark.parametrize(
+    "equal_times", [True, pytest.param(False, marks=pytest.mark.slow)]
+)
 def test_no_plan_of_thirty_catalogues_is_below_the_bound(equal_times: bool) -> None:
     """All sets of readings, under budgets that bind or not, of two stages or three."""
     gaps, certified = [], 0
@@ -41,6 +43,7 @@ def test_no_plan_of_thirty_catalogues_is_below_the_bound(equal_times: bool) -> N
     assert np.median(gaps) < 0.03
 
 
+@pytest.mark.slow
 def test_the_worst_component_is_bounded_as_well() -> None:
     gaps = []
     for seed in range(8):

@@ -81,6 +81,7 @@ def test_the_same_seed_gives_the_same_draws() -> None:
     assert not np.array_equal(first.draws[:, :50], other.draws[:, :50])
 
 
+@pytest.mark.slow
 def test_an_unknown_noise_scale_has_the_posterior_of_the_quadrature() -> None:
     """Means of emcee's draws against importance sampling of the exact marginal
     likelihood, written out here with dense matrices.

@@ -93,6 +93,7 @@ def test_plans_keep_the_quotas_and_no_subset_exceeds_the_bound(
     assert choice.duality_gap < 2e-3
 
 
+@pytest.mark.slow
 def test_most_plans_are_the_best_of_all() -> None:
     """D of 5 of 11 under random quotas: nine in ten are the best subset."""
     best = 0
