@@ -121,13 +121,4 @@ def _shared(
 
 def _dense(structure: ReadingStructure, laws: Laws, members: Index) -> Array:
     """Covariance (k, k) of one run, as the noise model has it."""
-    part = dataclasses.replace(
-        structure,
-        group=structure.group[members],
-        chain=structure.chain[members],
-        position=structure.position[members],
-        unit=structure.unit[members],
-        decouple=None,
-        columns=structure.columns[members],
-    )
-    return dense_covariance(part, laws)
+    return dense_covariance(structure.take(members), laws)

@@ -8,8 +8,6 @@ machine is taken for an outlier.
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from oed.arrays import Array, Index
@@ -33,7 +31,7 @@ def robust_residuals(
     """
     clean = residual.copy()
     for members in _together(structure):
-        part = _take(structure, members)
+        part = structure.take(members)
         h = slopes[members]
         covariance = dense_covariance(part, laws) + h @ h.T
         result = outliers.detect(
@@ -50,16 +48,3 @@ def _together(structure: ReadingStructure) -> list[Index]:
     parts = -(-len(order) // MOST_TOGETHER)
     groups = np.array_split(order, parts)
     return [np.sort(group) for group in groups if len(group) >= FEWEST]
-
-
-def _take(structure: ReadingStructure, members: Index) -> ReadingStructure:
-    """The readings `members` of a structure; the numbers of chains stay."""
-    return dataclasses.replace(
-        structure,
-        group=structure.group[members],
-        chain=structure.chain[members],
-        position=structure.position[members],
-        unit=structure.unit[members],
-        decouple=None,
-        columns=structure.columns[members],
-    )

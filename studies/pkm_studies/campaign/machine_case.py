@@ -59,7 +59,7 @@ def work(case: Case) -> dict[str, Any]:
     row: dict[str, Any] = {**case.setting, "seed": case.seed, "error": ""}
     try:
         return {**row, **_figures(case)}
-    except (IdentificationError, AssemblyError) as error:
+    except (IdentificationError, AssemblyError, np.linalg.LinAlgError) as error:
         return {**row, "error": str(error)}
 
 
