@@ -20,8 +20,8 @@ def campaign(
         typer.Option(metavar="DIR", help="Folder of the cases [out/NAME]."),
     ] = None,
     workers: Annotated[
-        int, typer.Option(min=1, help="Processes [one for each core].")
-    ] = 0,
+        int | None, typer.Option(min=1, help="Processes [one for each core].")
+    ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Dask scheduler, in place of processes."),
