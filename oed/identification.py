@@ -9,7 +9,6 @@ mean over laws, its covariance holds what is not known of the noise.
 from __future__ import annotations
 
 import dataclasses
-import fnmatch
 from collections.abc import Sequence
 
 import numpy as np
@@ -111,10 +110,8 @@ class _Fit:
     def tolerances(self, patterns: Sequence[str]) -> Array:
         """Prior standard deviations (n,), 0 where no pattern frees a parameter."""
         names = self.measurement.names
-        freed = np.array(
-            [any(fnmatch.fnmatchcase(n, p) for p in patterns) for n in names]
-        )
-        if not (freed & self.measurement.free).any():
+        freed = self.measurement.freed(patterns)
+        if not freed.any():
             raise IdentificationError(
                 f"the patterns {list(patterns)} free no parameter of {list(names)}"
             )

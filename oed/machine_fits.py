@@ -13,7 +13,6 @@ Machines that do not converge go to `oed.identification`, which says what is wro
 from __future__ import annotations
 
 import dataclasses
-import fnmatch
 from collections.abc import Sequence
 
 import numpy as np
@@ -65,22 +64,13 @@ def _fit_together(
     theta = np.repeat(measurement.nominal[None], len(y), axis=0)
     converged = np.ones(len(y), dtype=bool)
     for patterns in stages:
-        free = _freed(measurement, patterns)
+        free = np.flatnonzero(measurement.freed(patterns))
         problem = _Problem(measurement, series, noise, y, free)
         theta, settled = problem.solve(theta)
         converged &= settled
     for row in np.flatnonzero(~converged):
         theta[row] = identify(measurement, series, y[row], stages=stages).theta
     return theta
-
-
-def _freed(measurement: Measurement, patterns: Sequence[str]) -> Index:
-    """Places in theta of the parameters that patterns free."""
-    free = [
-        is_free and any(fnmatch.fnmatchcase(name, p) for p in patterns)
-        for name, is_free in zip(measurement.names, measurement.free, strict=True)
-    ]
-    return np.flatnonzero(free)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ theta = [machine parameters, unknowns of set-up 1, of set-up 2, ...].
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
 from collections.abc import Sequence
 
 import numpy as np
@@ -61,6 +62,11 @@ class ParameterVector:
     def free(self) -> Mask:
         """Mask (n,) of the entries of theta that are unknown."""
         return np.asarray(self.tolerance > 0.0)
+
+    def freed(self, patterns: Sequence[str]) -> Mask:
+        """Mask (n,) of the unknown entries whose name fits a pattern, as in "dq*"."""
+        fits = [any(fnmatch.fnmatchcase(n, p) for p in patterns) for n in self.names]
+        return np.asarray(self.free & np.array(fits))
 
     @property
     def length_factors(self) -> Array:

@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oed.whole_file import whole_file
+from pkm_studies.campaign.machine_case import HALF_WIDTH
 from pkm_studies.campaign.runner import case_paths
 from pkm_studies.campaign.tables import Campaign
 
 if TYPE_CHECKING:
     import pandas as pd
-
-#: standard normal quantile of a two-sided 95 % interval
-Z_95 = 1.959964
 
 
 def read_table(campaign: Campaign, out: Path) -> pd.DataFrame:
@@ -90,7 +88,7 @@ def _mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     n = len(values)
     if n < 2:
         return math.nan, math.nan
-    mean, half = np.mean(values), Z_95 * np.std(values, ddof=1) / np.sqrt(n)
+    mean, half = np.mean(values), HALF_WIDTH * np.std(values, ddof=1) / np.sqrt(n)
     return float(max(0.0, mean - half)), float(min(1.0, mean + half))
 
 
