@@ -134,6 +134,8 @@ class GapSection(Record, frozen=True):
               together, whatever is beside them
     constants  of each selected effect, SI
     selected  effects of the best answer, `unknown` aside
+    rms_before, rms_after  rms residual of all readings by channel, without and with
+              the selected effects, as a fit by the stated noise leaves it
     spots     rms residual by place of the tool, in `spots_unit` ("sigma": in units of
               the stated noise)
     unknown   what a remainder of unknown form is like, in words, with probabilities,

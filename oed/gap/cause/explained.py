@@ -15,6 +15,7 @@ from oed.gap.data.diagnosis import Coefficient, Size
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
+from oed.noise.law import stated_law
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +27,8 @@ class Explained:
     explained       (N,) by the named effects
     unexplained     (N,) by what else is in the hypothesis
     before          (N,) residuals of the calibration without the effects
-    after           (N,) residuals of the calibration with the named effects
+    after           (N,) residuals of the calibration with the named effects, both fitted
+                    by the stated noise, as an identification leaves them
     level           noise level
     """
 
@@ -73,14 +75,15 @@ def explain(
         detectability = float(np.sqrt(max(energy, 0.0))) / level
         sizes.append(Size(effect, _rms_by_channel(problem, signal), detectability))
     outlying = problem.residual - residual
+    stated = Metric(search.problem, stated_law(problem))
     corrected = residual - by_effects
     return Explained(
         coefficients=tuple(coefficients),
         sizes=tuple(sizes),
         explained=by_effects,
         unexplained=columns @ mean - by_effects,
-        before=_after_fit(problem, metric, residual) + outlying,
-        after=_after_fit(problem, metric, corrected) + outlying,
+        before=_after_fit(problem, stated, residual) + outlying,
+        after=_after_fit(problem, stated, corrected) + outlying,
         level=level,
     )
 

@@ -89,10 +89,10 @@ class Remainders:
         root = evidence.visible_root(whitened.cross(selected, selected))
         projected = root.T @ whitened.b[selected]
         groups = []
-        for (numbers, rows), own in zip(self._groups, self._blocks, strict=True):
+        for (numbers, rows), alone in zip(self._groups, self._blocks, strict=True):
             cross = whitened.cross(selected, rows.ravel())
             over = (root.T @ cross).reshape(-1, *rows.shape)
-            grams = own - np.einsum("kad,kae->ade", over, over, optimize=True)
+            grams = alone - np.einsum("kad,kae->ade", over, over, optimize=True)
             projections = whitened.b[rows] - np.einsum("kad,k->ad", over, projected)
             groups.append((numbers, grams, projections))
         return groups

@@ -287,8 +287,8 @@ class Search:
         """
         if not self._hypotheses:
             chosen = self._candidates
-            found = [self._evaluate(h) for h in chosen] if chosen else self._run()
-            self._hypotheses = sorted(found, key=lambda h: -h.score)
+            unsorted = [self._evaluate(h) for h in chosen] if chosen else self._run()
+            self._hypotheses = sorted(unsorted, key=lambda h: -h.score)
         return self._hypotheses
 
     def _evaluate(self, candidate: Hypothesis) -> Hypothesis:

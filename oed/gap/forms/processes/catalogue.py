@@ -83,7 +83,7 @@ PROCESSES: Sequence[Effect] = (
         within=time.MOUNTED,
     ),
     _process(
-        "tool time.settling in set-ups",
+        "tool settling in set-ups",
         "the tool's place settles in each set-up",
         time.tool_settling_mounted,
         within=time.MOUNTED,
