@@ -36,6 +36,14 @@ class ComponentAccuracy(Record, frozen=True):
     known: SpreadRecord
     budget: dict[str, float]  # share of the variance of `known`, by source
 
+    @property
+    def judged(self) -> SpreadRecord:
+        """What is compared with the wanted accuracy.
+
+        Of a component that no drive corrects, the unknown part, as criteria judge it.
+        """
+        return self.after if self.compensatable else self.known
+
 
 class MapPoint(Record, frozen=True):
     """1-sigma prediction at one workspace pose (user units), by component.
@@ -79,6 +87,8 @@ class PredictionSection(Record, frozen=True):
     worst: dict[str, MapPoint] = {}
     # after compensation at tools of other lengths
     tools: list[ToolAccuracy] = []
+    # rms error to reach, by component, in its unit
+    wanted: dict[str, float] = {}
 
 
 class HeldOutSection(Record, frozen=True):

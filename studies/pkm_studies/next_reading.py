@@ -18,7 +18,7 @@ from oed.estimate import Estimate
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import InputError
 from pkm_studies.progress import Silent
-from pkm_studies.resolve import roles
+from pkm_studies.resolve import quantities, roles
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.run_state import RunState, start
 from pkm_studies.stages import describe
@@ -229,13 +229,19 @@ class Adviser:
 def _limits(
     study: Study, state: RunState, names: tuple[str, ...], wanted: str
 ) -> Array:
-    """Wanted rms (K,), SI: of the option, else of the study; NaN where none is."""
-    option = "--wanted"
-    if not wanted and study.design is not None and study.design.how_many is not None:
-        table = study.design.how_many.wanted
-        wanted = ",".join(f"{key}={value!r}" for key, value in table.items())
-        option = "[design.how_many] wanted"
-    values = component_values(wanted, option, state.resolved.machine)
+    """Wanted rms (K,), SI: of the option, else of the study; NaN where none is.
+
+    Of one component, [prediction] goes before [design.how_many].
+    """
+    machine = state.resolved.machine
+    values = component_values(wanted, "--wanted", machine)
+    if not wanted:
+        if study.design is not None and study.design.how_many is not None:
+            table = study.design.how_many.wanted
+            place = study.place.key("design").key("how_many").key("wanted")
+            known = {c.name: c.unit for c in machine.components}
+            values = quantities.read_values(table, known, place)
+        values |= state.resolved.wanted_accuracy
     return np.array([values.get(name, np.nan) for name in names])
 
 
@@ -281,7 +287,9 @@ def sentences(adviser: Adviser, advice: Advice) -> list[str]:
         sizes = f"{format_number(now):>8} {unit:<7} {format_number(then):>8}"
         line = f"  {name:<6} {sizes} after the next reading"
         if np.isfinite(advice.limits[k]):
-            line += f"   wanted {format_number(units.number(advice.limits[k], unit))}"
+            wanted = format_number(units.number(advice.limits[k], unit))
+            reached = advice.known[k] <= advice.limits[k]
+            line += f"   wanted {wanted}: {'pass' if reached else 'not yet'}"
         lines.append(line)
     return [*lines, *_stop(advice), *_next(adviser, advice)]
 

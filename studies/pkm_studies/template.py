@@ -226,10 +226,17 @@ draw = true  # the virtual machine's errors come from the tolerances
 def prediction_table(machine: Machine, errors: PredictionReference = "home") -> str:
     """The table [prediction]; `errors`, what the errors refer to."""
     axes = "\n".join(_axis(c, machine) for c in machine.command)
+    driven = next((c for c in machine.components if c.compensatable), None)
+    limit = ""
+    if driven is not None:
+        key = f"{driven.name}_{units.FINE[driven.unit]}"
+        limit = (
+            f"# wanted = {{ {key} = 50 }}  # rms error to reach, judged in the report\n"
+        )
     return f"""\
 [prediction]
 reference = "{errors}"  # home, absolute or best_fit
-{axes}
+{limit}{axes}
 """
 
 

@@ -23,6 +23,7 @@ from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
 from pkm_studies.resolve.grids import Circles, ReferencePlan
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.resolve.plan import PlanRequest, plan_request
+from pkm_studies.resolve.wanted import wanted_accuracy
 from pkm_studies.study import Study
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ class ResolvedStudy:
     held_out_setups         set-ups whose readings are predicted, not fitted
     identification_stages   patterns of the parameters freed in turn
     prediction_commands     (n, n_dof) commands at which accuracy is predicted
+    wanted_accuracy         rms error to reach by component, SI
     warnings                sentences about candidates that were dropped
     """
 
@@ -71,6 +73,7 @@ class ResolvedStudy:
     held_out_setups: tuple[str, ...]
     identification_stages: tuple[tuple[str, ...], ...]
     prediction_commands: Array | None
+    wanted_accuracy: Mapping[str, float]
     gap: GapRequest | None
     gap_design: GapDesignRequest | None
     warnings: tuple[str, ...]
@@ -112,6 +115,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         held_out_setups=held_out,
         identification_stages=tuple(tuple(s) for s in study.identify.stages),
         prediction_commands=prediction_commands(study, machine),
+        wanted_accuracy=wanted_accuracy(study, machine),
         gap=gap_request(study, machine),
         gap_design=gap_design_request(study, references, everything),
         warnings=warnings,

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from oed.result import (
+    ComponentAccuracy,
     CorrectedSection,
     DesignSection,
     EstimateSection,
@@ -42,6 +43,7 @@ def sentences(sections: Mapping[str, Any], recorded: bool = False) -> list[str]:
         *_separation(sections.get("gap_before")),
         *_corrected(sections.get("corrected")),
         *([] if "corrected" in sections else _accuracy(sections.get("prediction"))),
+        *_wanted(sections),
         *_unmodelled(sections.get("prediction")),
         *_held_out(sections.get("held_out") or []),
         *_rank(sections.get("identifiability")),
@@ -106,6 +108,33 @@ def _accuracy(section: PredictionSection | None) -> list[str]:
         f"Compensation is predicted to reduce the rms error over the workspace,"
         f" {reference}: {'; '.join(changes)}."
     ]
+
+
+def _wanted(sections: Mapping[str, Any]) -> list[str]:
+    """Each wanted accuracy against the predicted one, of the last prediction."""
+    section: PredictionSection | None = sections.get("prediction")
+    corrected: CorrectedSection | None = sections.get("corrected")
+    if corrected is not None:
+        section = corrected.prediction
+    if section is None or not section.wanted:
+        return []
+    judged = {name: section.components[name] for name in section.wanted}
+    verdicts = [_verdict(n, c, section.wanted[n]) for n, c in judged.items()]
+    rules = [
+        f" {name} has no drive and is judged by its unknown part."
+        for name, component in judged.items()
+        if not component.compensatable
+    ]
+    sentence = f"Wanted accuracy, predicted against wanted: {'; '.join(verdicts)}."
+    return [sentence + "".join(rules)]
+
+
+def _verdict(name: str, component: ComponentAccuracy, wanted: float) -> str:
+    reached, unit = component.judged.rms, component.judged.unit
+    verdict = "pass" if reached <= wanted else "fail"
+    return (
+        f"{name} {format_number(reached)} of {format_number(wanted)} {unit}, {verdict}"
+    )
 
 
 def _unmodelled(section: PredictionSection | None) -> list[str]:

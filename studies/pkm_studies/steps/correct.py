@@ -143,6 +143,7 @@ def _with_section(
         accuracy,
         draws,
         command,
+        state.resolved.wanted_accuracy,
     )
     turned = find_turned_runs(corrected)
     if turned is not None:

@@ -49,6 +49,7 @@ def predict_accuracy(state: RunState) -> RunState:
         references=_references(state, known, main),
         tools=_tools(state, known, command),
     )
+    section = accuracy.with_wanted(section, state.resolved.wanted_accuracy)
     return state.with_sections(prediction=accuracy.with_realised(section, realised))
 
 

@@ -94,20 +94,19 @@ def wanted(result: StudyResult) -> dict[str, float]:
         accuracies |= result.design.how_many.wanted
     if result.plan is not None:
         accuracies |= result.plan.goal
+    prediction = final_prediction(result)
+    if prediction is not None:
+        unit = prediction.unit
+        accuracies |= {f"{n}_{unit[n]}": v for n, v in prediction.wanted.items()}
     return accuracies
 
 
 def verdict(
     name: str, component: ComponentAccuracy, limits: dict[str, float]
 ) -> AgainstGoal:
-    """The rms that matters of a component against its limit; NaN where none is stated.
-
-    What the controller cannot correct is judged by its unknown part, as the criteria
-    of the design judge it.
-    """
+    """The rms that matters of a component against its limit; NaN where none is stated."""
     key = f"{name}_{component.after.unit}"
-    reached = component.known if not component.compensatable else component.after
-    return AgainstGoal(reached.rms, missing.entry(limits, key))
+    return AgainstGoal(component.judged.rms, missing.entry(limits, key))
 
 
 # -- the components --------------------------------------------------------------------

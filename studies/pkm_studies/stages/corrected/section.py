@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import msgspec
 import numpy as np
@@ -30,7 +30,11 @@ from pkm_studies.stages.corrected.conditions import conditions
 from pkm_studies.stages.corrected.tables import effect_table
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import marginal
-from pkm_studies.stages.predict.accuracy import accuracy_section, spread_record
+from pkm_studies.stages.predict.accuracy import (
+    accuracy_section,
+    spread_record,
+    with_wanted,
+)
 from pkm_studies.stages.predict.budget import budget_section
 
 
@@ -42,10 +46,11 @@ def corrected_section(
     accuracy: CorrectedAccuracy | None,
     draws: Posterior | None,
     command: Array,
+    wanted: Mapping[str, float],
 ) -> CorrectedSection:
     """The section of an estimate, with tables of its effects at commands (n, n_dof).
 
-    `truth` (n,) are a virtual machine's parameters, SI.
+    `truth` (n,) are a virtual machine's parameters, `wanted` the errors to reach, SI.
     """
     measurement, estimate = corrected.measurement, corrected.estimate
     count = corrected.parameters
@@ -55,7 +60,9 @@ def corrected_section(
     names = measurement.names[:count]
     parameters = {n: p for n, p in whole.parameters.items() if n in names}
     size = len(parameters)
-    predicted = None if accuracy is None else _predicted(measurement, accuracy)
+    predicted = None
+    if accuracy is not None:
+        predicted = with_wanted(_predicted(measurement, accuracy), wanted)
     tabled = TabledEffects((), {})
     if len(command):
         tabled = tabled_effects(corrected, command)

@@ -80,6 +80,14 @@ def accuracy_section(
     )
 
 
+def with_wanted(
+    section: PredictionSection, wanted: Mapping[str, float]
+) -> PredictionSection:
+    """The section with the rms errors to reach, given in SI by component."""
+    fine = {name: units.number(v, section.unit[name]) for name, v in wanted.items()}
+    return msgspec.structs.replace(section, wanted=fine)
+
+
 def after_records(machine: Machine, prediction: Prediction) -> dict[str, SpreadRecord]:
     """Spread after compensation by component, in its fine unit."""
     return {

@@ -8,6 +8,7 @@ import msgspec
 
 from pkm_studies.study.tables.base import (
     Count,
+    Positive,
     StudyTable,
 )
 from pkm_studies.study.tables.grids import Axis
@@ -81,6 +82,8 @@ class PredictionTable(StudyTable, frozen=True, kw_only=True):
     virtual_machines  number of machines that check the prediction
     tools_mm          lengths of further tools at which accuracy is predicted; the grid
                       moves with the tool point
+    wanted            rms error to reach, by component, `{ z_um = 30, theta_arcsec = 2 }`;
+                      reported beside the predicted one. A claim of [expect] tests it
     further           coordinates of the grid, as in [[design.candidates]]
     """
 
@@ -88,4 +91,5 @@ class PredictionTable(StudyTable, frozen=True, kw_only=True):
     reference: PredictionReference = "home"
     virtual_machines: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
     tools: list[float] = msgspec.field(name="tools_mm", default_factory=list)
+    wanted: dict[str, Positive] = {}
     coordinates: dict[str, Axis] = {}

@@ -1,0 +1,104 @@
+"""The accuracy that [prediction] wants: beside the predicted one, with pass or fail."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import report_fixture
+import sample
+from report_fixture import result_of
+
+from oed.result import StudyResult
+from pkm_reports.blocks import Table
+from pkm_reports.sections.answer import accuracy
+from pkm_studies import cli
+from pkm_studies import next_reading as advice
+from pkm_studies.study import load
+
+WANTED = "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n"
+
+
+def _study(folder: Path, wanted: str) -> Path:
+    path = folder / "mine.study.toml"
+    table = f"{WANTED}wanted = {{ {wanted} }}\n\n[posterior]\nenabled = false\n\n"
+    text = sample.changed(sample.STUDY, ("[design]", f"{table}[design]"))
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _result(folder: Path) -> StudyResult:
+    raw = (folder / "result.json").read_bytes()
+    return msgspec.json.decode(raw, type=StudyResult)
+
+
+def test_pass_and_fail_stand_beside_the_predicted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """z has a drive and is judged as it remains, x has none: its unknown part counts.
+
+    A limit that is missed leaves the exit code as it is.
+    """
+    study = _study(tmp_path, "z_mm = 100, theta_arcsec = 1e-6, x_um = 1e6")
+    out = tmp_path / "out"
+    assert cli.main(["run", str(study), "--out", str(out), "--quiet"]) == 0
+    capsys.readouterr()
+    result = _result(out)
+    section = result.prediction
+    assert section is not None
+    assert section.wanted == pytest.approx({"z": 1e5, "theta": 1e-6, "x": 1e6})
+    (sentence,) = [s for s in result.headline if s.startswith("Wanted accuracy")]
+    z, x = section.components["z"], section.components["x"]
+    assert f"z {z.after.rms:.3g} of 100000 um, pass" in sentence
+    assert f"x {x.known.rms:.3g} of 1e+06 um, pass" in sentence
+    assert "arcsec, fail" in sentence
+    assert sentence.endswith("x has no drive and is judged by its unknown part.")
+    (table, *_) = accuracy.blocks(result)
+    assert isinstance(table, Table)
+    verdicts = {row[0].split()[0]: row[-2] for row in table.rows}
+    assert verdicts["z"] == verdicts["x"] == "✓ yes"
+    assert verdicts["theta"] == "✗ no"
+
+
+def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:
+    study = _study(tmp_path, "z_mm = 0.02")
+    adviser = advice.Adviser(load(study))
+    limits = dict(zip(adviser.maps.names, adviser.limits, strict=True))
+    assert limits.pop("z") == pytest.approx(2e-5)
+    assert np.isnan(list(limits.values())).all()
+    sheet = tmp_path / "poses.csv"
+    sheet.write_text(
+        "setup,run,order,z_mm,psi_deg,theta_deg,length_mm\ncup,1,1,1146,15,20,\n",
+        encoding="utf-8",
+    )
+    lines = advice.sentences(adviser, adviser.advise(sheet))
+    assert [line for line in lines if line.endswith("wanted 20: not yet")]
+    option = advice.Adviser(load(study), "z_um=5")
+    assert np.nanmin(option.limits) == pytest.approx(5e-6)
+
+
+def test_the_prediction_s_limit_wins_over_that_of_a_design() -> None:
+    raw = report_fixture.sample()
+    raw["prediction"]["wanted"] = {"z": 3.0}
+    raw["design"]["how_many"]["wanted"] = {"z_um": 9.0, "x_um": 8.0}
+    assert accuracy.wanted(result_of(raw)) == {"z_um": 3.0, "x_um": 8.0}
+
+
+@pytest.mark.parametrize(
+    ("wanted", "words"),
+    [
+        ("q_um = 3", "unknown field"),
+        ("z_arcsec = 3", "no unit for z"),
+        ("z_um = -3", "> 0"),
+        ("z_um = 3, z_mm = 1", "given twice"),
+    ],
+)
+def test_a_limit_that_makes_no_sense_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], wanted: str, words: str
+) -> None:
+    assert cli.main(["check", str(_study(tmp_path, wanted))]) == 2
+    error = capsys.readouterr().err
+    assert "prediction.wanted" in error
+    assert words in error
