@@ -64,6 +64,7 @@ class State:
     payload                (m,) N
     direction              (m,) +1 or -1
     temperature            {body: (m,)} K
+    tension                (m, nq) tension of the cable that each joint pays out, N
     max_payload            largest payload of the session, N; 0 where unknown
     session_times          (k,) sorted times of all readings of the session, s; empty
                            where unknown
@@ -103,6 +104,7 @@ class State:
     payload: Array
     direction: Array
     temperature: Mapping[str, Array]
+    tension: Array
     max_payload: float
     session_times: Array
     session_progress: Array
@@ -183,7 +185,7 @@ class Effect:
     columns              function of a State and the constants by name: the effect's
                          columns in one set-up
     needs                covariates without which it cannot be tested: `time`, `feed`,
-                         `payload`, `time or temp_leg`; `direction: both`, `payload: 2`
+                         `payload`, `tension`, `time or temp_leg`; `direction: both`, `payload: 2`
                          and `feed: 2` need as many different values
     constants            nonlinear constants, each with the values to marginalise over
     remedy               what a machine builder does about it

@@ -177,6 +177,9 @@ class Machine:
     drawn                the machine as drawn, where `nominal` or `home` are those of
                          another; its home pose states the assembly mode that is meant
     family               what made the machine from a table of geometry, if anything did
+    cable_stiffness      E A of the cable that each joint pays out, N: recorded tensions
+                         stretch it; inf where it is not known. None where the struts
+                         are no cables
     """
 
     name: str
@@ -201,6 +204,7 @@ class Machine:
     about: str = ""
     drawn: Machine | None = None
     family: Family | None = None
+    cable_stiffness: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]

@@ -52,6 +52,10 @@ class ObservationModel:
         self._sources_shape = sources.shape
         self._value = BatchedFunction("read", inputs, [y])
         self._slopes = BatchedFunction("slope", inputs, slopes)
+        self._joint_slopes = None
+        if self.uses_closure:
+            by_joint = [ca.jacobian(y, q) for q in joints]
+            self._joint_slopes = BatchedFunction("joint_slope", inputs, by_joint)
         self._sources = BatchedFunction("sources", [*poses, s], [ca.vec(sources)])
 
     def read(self, inputs: Sequence[Array]) -> Array:
@@ -81,6 +85,17 @@ class ObservationModel:
         ]
         by_pose, by_setup = slopes[: self._arity], slopes[self._arity]
         return by_pose, by_setup, slopes[-1] if self.uses_closure else None
+
+    def joint_slopes(self, inputs: Sequence[Array]) -> list[Array] | None:
+        """Slopes (n, channels, nq) over the joints of each pose, at fixed poses.
+
+        None unless g uses the closure.
+        """
+        if self._joint_slopes is None:
+            return None
+        n = inputs[0].shape[0]
+        slopes = self._joint_slopes(*inputs)
+        return [slope.reshape(n, self._channels, -1) for slope in slopes]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

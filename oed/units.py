@@ -70,6 +70,7 @@ EFFECT: Final[dict[str, tuple[str, float]]] = {
     "K": ("C", 1.0),
     "1": ("ppm", PPM),
     "1/K": ("ppm/K", PPM),
+    "1/N": ("ppm/N", PPM),
 }
 
 #: finer unit for residuals and predicted errors, by SI unit

@@ -24,6 +24,7 @@ NAMES = (
     "friction",
     "servo_lag",
     "encoder_scale",
+    "cable_stretch",
     "pitch_accumulation",
     "screw_cyclic",
     "encoder_subdivision",
@@ -42,6 +43,7 @@ CARRIAGES = {
     "prs_spindle",
     "prs_spindle_struts",
 }
+CABLES = {"cable_robot"}
 HERE = Place("x.study.toml", "gap.effects")
 ROUND, FEED, HOURS = 24, 0.03, 7200.0
 COVARIATES = ("time", "direction", "feed", "payload")
@@ -87,8 +89,17 @@ def session(machine: str, known: tuple[str, ...] = COVARIATES) -> SimpleNamespac
         "payload": np.repeat([0.0, 150.0], rows // 2),
         "temp_leg": np.linspace(20.0, 22.0, rows),
     }
+    if machine in CABLES:
+        covariates |= {
+            f"tension_{k}": 40.0 + 20.0 * np.sin(0.3 * k * np.arange(rows))
+            for k in range(1, 1 + len(case.machine.joints))
+        }
     frame = pd.DataFrame(
-        {n: v for n, v in covariates.items() if n == "order" or n in known}
+        {
+            n: v
+            for n, v in covariates.items()
+            if n == "order" or n in known or (known and n.startswith("tension_"))
+        }
     )
     return SimpleNamespace(
         case=case,

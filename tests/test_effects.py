@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from effects_sample import (
+    CABLES,
     CARRIAGES,
     HERE,
     NAMES,
@@ -27,6 +28,8 @@ from pkm_studies.errors import InputError
 def fits(machine: str, name: str) -> bool:
     if name == "guideway":
         return machine in CARRIAGES
+    if name == "cable_stretch":
+        return machine in CABLES
     return not (
         machine == "cable_robot" and name in ("screw_cyclic", "encoder_subdivision")
     )
@@ -148,8 +151,10 @@ def test_without_covariates_it_is_not_testable_or_does_without(name: str) -> Non
         "backlash": "direction: both",
         "friction": "direction: both",
         "servo_lag": "feed",
+        "cable_stretch": "tension",
     }
-    bare, full = session("planar_2dof", ()), session("planar_2dof")
+    machine = "cable_robot" if name == "cable_stretch" else "planar_2dof"
+    bare, full = session(machine, ()), session(machine)
     assert untestable(effect_of(name), full.states) is None
     reason = untestable(effect_of(name), bare.states)
     if name in wanted:

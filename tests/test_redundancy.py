@@ -115,6 +115,30 @@ def test_the_misfits_are_the_residuals_that_no_pose_removes(
         assert np.linalg.norm(gap) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("module", [cables_planar, cables_spatial])
+def test_a_joint_that_errs_changes_the_misfits_as_its_slope_says(
+    module: object, rng: np.random.Generator
+) -> None:
+    """By central differences of the exact readings; effects of joints rest on it."""
+    machine = module.machine  # type: ignore[attr-defined]
+    instrument = redundancy.instrument.for_machine(machine)
+    m = Measurement(machine, [mount(instrument, "cables")])
+    q = m.kinematics.inverse(machine.home_command[None])[1]
+    series = m.series_from_joints("cables", q + 1e-3 * rng.standard_normal(q.shape))
+    (slopes,) = m.response(series, m.nominal).joints
+    step, still = 1e-6, np.zeros((1, len(m.nominal)))
+    for k in range(q.shape[1]):
+        change = np.zeros_like(q)
+        change[0, k] = step
+        ahead, behind = (
+            m.perturbed_readings(series, m.nominal, sign * change, still, still[:, :0])
+            for sign in (1.0, -1.0)
+        )
+        numeric = (ahead - behind) / (2.0 * step)
+        np.testing.assert_allclose(slopes[0, :, k], numeric, rtol=1e-6, atol=1e-8)
+        assert np.abs(numeric).max() > 1e-3
+
+
 def test_slopes_of_the_misfits_are_those_of_the_exact_readings(
     rng: np.random.Generator,
 ) -> None:

@@ -5,9 +5,10 @@ out (1 + scale_i) q_i of it:
 
     |A_i - (x + R E_i)| = l_i + (1 + scale_i) q_i.
 
-Without points E_i all cables end in the tool point and the mover is a point. Cables
-neither sag nor stretch. More cables than coordinates are redundant: see
-`oed.kinematics` for where such a machine settles.
+Without points E_i all cables end in the tool point and the mover is a point. Cables do
+not sag; they stretch where readings record their tensions, see `oed.dataset.stretch`.
+More cables than coordinates are redundant: see `oed.kinematics` for where such a
+machine settles.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from pkm_models.rotation import about_z, tilt_torsion
 #: prior standard deviation of the drums' scales
 SCALE_SD = 0.5e-3
 ATTACH = "the cables' points on the mover, from the tool point; all 0 for a point"
+STIFFNESS = "E A of each cable, which recorded tensions stretch; none: not known"
 TURNS = {2: ("spin",), 3: ("rx", "ry", "spin")}
 ERRORS = {2: ("az",), 3: ("ax", "ay", "az")}
 
@@ -41,6 +43,7 @@ def dimensions(
         Dimension("home", "m", (axes,), tuple(home), "tool point at home"),
         Dimension("reach", "m", (), reach, "half the workspace's width about home"),
         Dimension("turn", "rad", (), math.radians(10.0), "largest turn, either way"),
+        Dimension("stiffness", "N", (None,), None, STIFFNESS),
         families.tolerance_dimension(),
     )
 
@@ -96,6 +99,7 @@ def build(name: str, source: str, table: Geometry, axes: int) -> dict[str, Any]:
         "target": mover.target,
         "guess": mover.guess,
         "read_error": mover.read_error,
+        "cable_stiffness": _stiffness(table, count),
         "skeleton": lambda x, q, p: [list(mover.ends(x, p, i)) for i in mover.cables],
         "struts": lambda x, q, p: [mover.ends(x, p, i) for i in mover.cables],
     }
@@ -104,6 +108,18 @@ def build(name: str, source: str, table: Geometry, axes: int) -> dict[str, Any]:
 def _scales(count: int) -> list[Parameter]:
     about = "relative error of the drum's scale of cable"
     return families.numbers("scale", [0.0] * count, SCALE_SD, "1", about)
+
+
+def _stiffness(table: Geometry, count: int) -> tuple[float, ...]:
+    """E A of each cable, N; inf where it is not known. Raises ValueError."""
+    if table["stiffness"] is None:
+        return (math.inf,) * count
+    families.positive(table, "stiffness")
+    if np.size(table["stiffness"]) not in (1, count):
+        raise ValueError(
+            "stiffness must have one number for each cable, or one for all"
+        )
+    return tuple(families.as_rows(table["stiffness"], count).tolist())
 
 
 def _lever(attach: Any, span: float) -> float:

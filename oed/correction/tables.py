@@ -80,12 +80,14 @@ def tabled_effects(corrected: CorrectedEstimate, command: Array) -> TabledEffect
         if np.abs(rest).max() > NOTHING:
             tables.append(StateTable(name, POSE, False, np.zeros(1), rest[None]))
         if not any(t.effect == name for t in tables):
-            missing[name] = "it moves no joint of the machine, or follows the feed"
+            missing[name] = (
+                "it moves no joint of the machine, or follows the feed or tensions"
+            )
     return TabledEffects(tuple(tables), missing)
 
 
 def _neutral_state(corrected: CorrectedEstimate, command: Array) -> State:
-    """The machine at commands, at rest, without payload, as warm as at the start."""
+    """The machine at commands, at rest, without payload or tension, as warm as at first."""
     readings = corrected.readings
     session = SessionStates(
         readings.measurement, readings.covariates, corrected.states, readings.gravity
@@ -102,6 +104,7 @@ def _neutral_state(corrected: CorrectedEstimate, command: Array) -> State:
         acceleration=still,
         direction=np.zeros(count),
         payload=np.zeros(count),
+        tension=np.zeros_like(still),
         time=started,
         session_progress=np.zeros(count),
         temperature={

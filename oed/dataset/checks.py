@@ -16,6 +16,7 @@ from oed.dataset.columns import (
     column_name,
     column_names,
     is_temperature,
+    tension_columns,
 )
 from oed.dataset.table import ReadingsError, ReadingsFile
 from oed.instrument import Setup
@@ -35,7 +36,8 @@ def expected_columns(measurement: Measurement) -> dict[str, str]:
     expected = {c.name: c.unit for c in (*machine.command, *machine.joints)}
     for setup in measurement.setups.values():
         expected |= {c.name: c.unit for c in setup.instrument.channels}
-    return {**expected, **COVARIATES}
+    tensions = dict.fromkeys(tension_columns(machine), "N")
+    return {**expected, **COVARIATES, **tensions}
 
 
 def check_columns(table: ReadingsFile, measurement: Measurement) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from oed import units
+from oed.machine import Machine
 
 #: columns of text
 LABELS: Final = ("setup", "run")
@@ -24,6 +25,8 @@ COVARIATES: Final[Mapping[str, str]] = {
     "repeat": "1",
 }
 TEMPERATURE: Final = "temp_"
+#: tension of a cable, `tension_<k>_N`, k from 1 as its joint
+TENSION: Final = "tension_"
 #: unit of a feed: the only one with an underscore of its own
 FEED_UNIT: Final = "mm_min"
 #: unit in which a quantity is written, where it is not its SI unit
@@ -76,8 +79,8 @@ def column_names(stem: str, si: str) -> list[str]:
 
 
 def is_covariate(stem: str) -> bool:
-    """Whether a column is a covariate, temperatures included."""
-    return stem in COVARIATES or stem.startswith(TEMPERATURE)
+    """Whether a column is a covariate, temperatures and tensions included."""
+    return stem in COVARIATES or stem.startswith((TEMPERATURE, TENSION))
 
 
 def is_temperature(stem: str) -> bool:
@@ -85,6 +88,15 @@ def is_temperature(stem: str) -> bool:
     return stem.startswith(TEMPERATURE) and len(stem) > len(TEMPERATURE)
 
 
+def tension_columns(machine: Machine) -> list[str]:
+    """Stems of the tensions of a machine's cables; none where it has no cables."""
+    if machine.cable_stiffness is None:
+        return []
+    return [f"{TENSION}{k + 1}" for k in range(len(machine.joints))]
+
+
 def covariate_unit(stem: str) -> str:
     """SI unit of a covariate."""
+    if stem.startswith(TENSION):
+        return "N"
     return COVARIATES.get(stem, "K")

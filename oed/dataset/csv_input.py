@@ -11,11 +11,18 @@ import pandas as pd
 
 from oed.arrays import Array, Index, Mask
 from oed.dataset import checks, table
-from oed.dataset.columns import ReadingsColumn, column_name, is_covariate
+from oed.dataset.columns import (
+    ReadingsColumn,
+    column_name,
+    is_covariate,
+    tension_columns,
+)
 from oed.dataset.data import Dataset, column_layouts
+from oed.dataset.stretch import with_stretch
 from oed.dataset.table import ORDER_REMEDY, ROW, ReadingsError, ReadingsFile
 from oed.instrument import Instrument
 from oed.kinematics import AssemblyError
+from oed.machine import Machine
 from oed.measurement import Measurement, Series
 
 
@@ -158,12 +165,15 @@ def _series(
     run = [str(label) for label in merged.frame["run"].iloc[rows]]
     stems = [c.name for c in machine.joints]
     joints = checks.filled_columns(merged, stems, rows)
+    tension = _tensions(merged, machine, rows)
     try:
         if joints is None:
             command = _commands(merged, measurement, name, rows)
-            return measurement.series(name, command, run)
-        checks.check_range(merged, machine.joints, joints, rows, "joint range")
-        return measurement.series_from_joints(name, joints, run)
+            series = measurement.series(name, command, run)
+        else:
+            checks.check_range(merged, machine.joints, joints, rows, "joint range")
+            series = measurement.series_from_joints(name, joints, run)
+        return with_stretch(measurement, series, tension)
     except AssemblyError as error:
         first = int(np.min(error.indices)) if len(error.indices) else 0
         row = int(rows[min(first, len(rows) - 1)])
@@ -171,6 +181,19 @@ def _series(
         problem = f"{machine.name} cannot reach this pose"
         remedy = "check the values and their unit"
         raise merged.error(problem, remedy, row, stem) from error
+
+
+def _tensions(merged: ReadingsFile, machine: Machine, rows: Index) -> Array:
+    """Tensions (n, nq) of the cables in rows of the table, N; NaN where not recorded.
+
+    Raises ReadingsError where a cable's tension is recorded in some rows alone.
+    """
+    tension = np.full((len(rows), len(machine.joints)), np.nan)
+    for k, stem in enumerate(tension_columns(machine)):
+        values = checks.filled_columns(merged, [stem], rows)
+        if values is not None:
+            tension[:, k] = values[:, 0]
+    return tension
 
 
 def _commands(

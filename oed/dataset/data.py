@@ -39,8 +39,8 @@ class Dataset:
     y           (N,) readings as in `Measurement.readings`: series after series,
                 channels innermost
     covariates  one row a reading of the series, in their order: setup, run, order; what
-                the file gave of time, direction, feed, payload, temp_<body> and repeat,
-                SI, NaN where unknown; and the row in the file
+                the file gave of time, direction, feed, payload, temp_<body>,
+                tension_<k> and repeat, SI, NaN where unknown; and the row in the file
     layouts     columns of each set-up
     dropped     number of rows whose reading was not taken
     columns     columns of the files, by stem; empty for a plan

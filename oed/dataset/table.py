@@ -23,6 +23,7 @@ from oed.dataset import dialect
 from oed.dataset.columns import (
     LABELS,
     REQUIRED,
+    TENSION,
     UNITLESS,
     ReadingsColumn,
     column_names,
@@ -353,8 +354,10 @@ def _check_direction(table: ReadingsFile) -> None:
 
 
 def _check_not_negative(table: ReadingsFile) -> None:
-    """Times count from the session's start, feeds are speeds, repeats count from 1."""
-    for stem, least in LEAST_VALUES.items():
+    """Times count from the session's start, feeds are speeds, cables do not push."""
+    least_values = dict(LEAST_VALUES)
+    least_values |= {s: 0 for s in table.columns if s.startswith(TENSION)}
+    for stem, least in least_values.items():
         if stem in table.frame:
             below = table.frame[stem].to_numpy() < least
             remedy = "correct it, or leave the cell empty where it is unknown"

@@ -23,10 +23,14 @@ class Robot:
     zeros: Array
     scales: Array
 
-    def lengths(self, at: Array) -> Array:
-        """What the drums read (n, 4) with the mover at points (n, 2)."""
+    def lengths(self, at: Array, strain: Array | float = 0.0) -> Array:
+        """What the drums read (n, 4) with the mover at points (n, 2).
+
+        strain  (n, 4) of the cables: tension over E A, of their free length
+        """
         away = np.hypot(*np.moveaxis(at[:, None] - self.anchors, -1, 0))
-        return np.asarray((away - self.zeros) / (1.0 + self.scales))
+        free = away / (1.0 + strain)
+        return np.asarray((free - self.zeros) / (1.0 + self.scales))
 
     def by_name(self) -> dict[str, float]:
         """Parameters by the names that a calibration uses."""

@@ -90,6 +90,7 @@ machine = Machine(
     components=tuple(Component(n, "m", compensatable=True) for n in "xyz"),
     home={"x": 0.0, "y": 0.0, "z": 0.0},
     lever=1.6,
+    cable_stiffness=(math.inf,) * len(LINES),
     closure=closure,
     platform=lambda x: (ca.SX.eye(3), _mover(x)),
     commanded=lambda x, tip: [tip[0], tip[1], tip[2]],

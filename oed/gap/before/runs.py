@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from oed.arrays import Array, Index
+from oed.dataset.columns import TEMPERATURE
 from oed.gap.data import state
 from oed.gap.data.problem import GapProblem, assemble
 from oed.measurement import Measurement, Series
@@ -55,7 +56,7 @@ class Run:
 
 
 def _is_condition(covariate: str) -> bool:
-    return covariate in CONDITIONS or covariate.startswith(state.TEMPERATURE)
+    return covariate in CONDITIONS or covariate.startswith(TEMPERATURE)
 
 
 def lay_out(

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 
 from oed.arrays import Array, Index
+from oed.dataset.columns import TEMPERATURE, TENSION
 from oed.effect import State
 from oed.gap.data.motion import motion
 from oed.gap.data.phase import phase_along_runs
 from oed.measurement import Measurement, Series
 
-TEMPERATURE = "temp_"
 DOWN = (0.0, 0.0, -1.0)
 #: covariates of a reading that a State has under the same name
 COVARIATES = ("time", "session_progress", "feed", "payload", "direction")
@@ -127,6 +127,7 @@ def _state(
     for column in _temperature_columns(rows):
         body = column.removeprefix(TEMPERATURE)
         temperature[body] = _column(rows, column)[owner]
+    tensions = [f"{TENSION}{k + 1}" for k in range(series.q.shape[1])]
     order = _order(series, rows, owner, referred)
     tip, feed = geometry["tool"], covariates["feed"]
     moved = motion(series.q, tip, run, order, feed, taught)
@@ -143,6 +144,7 @@ def _state(
         run=run,
         order=order,
         temperature=temperature,
+        tension=np.column_stack([_column(rows, name)[owner] for name in tensions]),
         home=kinematics.inverse(machine.home_command[None])[0][0],
         channels=tuple(c.name for c in setup.instrument.channels),
         settings=setup.settings,

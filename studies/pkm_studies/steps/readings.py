@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from oed import simulation
 from oed.arrays import Array
 from oed.dataset import Dataset
+from oed.dataset.columns import tension_columns
+from oed.machine import Machine
 from oed.measurement import Series
 from pkm_studies.run_state import HeldOut, Readings, RunState, Stream
 from pkm_studies.stages.gap import virtual_readings
@@ -26,6 +30,7 @@ def take_readings(state: RunState) -> RunState:
     if data is not None:
         state = _with_setups_of(state, data)
         state = state.replace(readings=_recorded(state, data))
+        state = state.with_warnings(*_stretch_warnings(state.measurement.machine, data))
         if data.dropped:
             return state.with_warnings(
                 f"{data.dropped} rows without a reading were left out"
@@ -51,6 +56,18 @@ def _with_setups_of(state: RunState, data: Dataset) -> RunState:
         f"the design has no readings of {', '.join(absent)}: it is not reported with"
         " these readings"
     )
+
+
+def _stretch_warnings(machine: Machine, data: Dataset) -> list[str]:
+    """Cables of known stiffness whose stretch no recorded tension corrects."""
+    stiffness = machine.cable_stiffness or ()
+    columns = tension_columns(machine)
+    known = [c for c, s in zip(columns, stiffness, strict=True) if np.isfinite(s)]
+    absent = [c for c in known if c not in data.columns]
+    if not absent:
+        return []
+    names = ", ".join(f"{stem}_N" for stem in absent)
+    return [f"the stretch of cables is not corrected: there is no column {names}"]
 
 
 def _recorded(state: RunState, data: Dataset) -> Readings:

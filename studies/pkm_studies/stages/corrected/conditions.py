@@ -14,6 +14,7 @@ KNOWN = {
     "direction": "the direction of travel of each joint is known",
     "feed": "the feed is known",
     "payload": "the payload is known",
+    "tension": "the tension of each cable is known",
 }
 
 #: effects that change with the payload, where readings have several

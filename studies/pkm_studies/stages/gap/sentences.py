@@ -29,6 +29,7 @@ COLUMNS = {
     "time": "time_s",
     "feed": "feed_mm_min",
     "payload": "payload_N",
+    "tension": "tension_1_N and those of the other cables",
     "direction": "direction, with runs both ways (+1 and -1)",
 }
 SPLITS = {
