@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -117,19 +117,26 @@ def text(column_map: ColumnMap) -> str:
     if isinstance(column_map.machine, MachineTable):
         table["machine"] = _stated(column_map.machine)
     if column_map.circle is not None:
-        table["circle"] = {k: v for k, v in plain["circle"].items() if v is not None}
+        table["circle"] = _given(plain["circle"])
+    if column_map.circles:
+        table["circles"] = [_given(circle) for circle in plain["circles"]]
     return "# Which column is what; use it again with --map.\n" + tomli_w.dumps(table)
+
+
+def _given(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a circle that have a value."""
+    return {k: v for k, v in table.items() if v is not None and v != []}
 
 
 def imported_study(
     request: ImportRequest,
     model: Model,
     title: str,
-    setup: Mapping[str, object],
+    setups: Sequence[Mapping[str, object]],
     noise: Mapping[str, object],
     errors: PredictionReference = "home",
 ) -> str:
-    """The study of one set-up with its readings; the noise law is estimated.
+    """The study of set-ups with their readings; the noise law is estimated.
 
     errors  what the predicted errors refer to
     """
@@ -138,7 +145,7 @@ def imported_study(
         "name": request.name,
         "title": title,
         "machine": _stated(model.table),
-        "setup": [setup],
+        "setup": list(setups),
         "noise": {**noise, "estimate": True},
         "readings": {"files": [readings_name(request.name)]},
     }

@@ -79,7 +79,7 @@ def session(
     title = f"{model.machine.name} read by {tool.name}"
     return ImportedSession(
         study=column_map.imported_study(
-            request, model, title, setup, complete.noise, errors
+            request, model, title, [setup], complete.noise, errors
         ),
         rows=rows,
         statements=statements,

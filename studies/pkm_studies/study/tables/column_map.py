@@ -43,6 +43,21 @@ class CircleFacts(StudyTable, frozen=True, kw_only=True):
     readings: Count = 120
 
 
+class CircleOfFiles(CircleFacts, frozen=True, kw_only=True):
+    """One of several circles, `[[circles]]`: the fields of [circle], and
+
+    files  names of the files that hold it; by default, the first circle is in the first
+           file, the second in the second
+    runs   numbers of its runs in each of these files, from 1; all by default
+    setup  name of the set-up: circles of one mounting of the cup share it. By default
+           circles with the same cup and bar do
+    """
+
+    files: list[str] = []
+    runs: list[Count] = []
+    setup: str | None = None
+
+
 class ColumnMap(StudyTable, frozen=True, kw_only=True):
     """A column map file.
 
@@ -57,6 +72,7 @@ class ColumnMap(StudyTable, frozen=True, kw_only=True):
     noise         standard deviations of the channels, with their unit
     fixed         coordinates with one value for all readings, with their unit
     circle        what a ball-bar trace does not say
+    circles       the same for each of several circles
     """
 
     machine: str | MachineTable | None = None
@@ -69,3 +85,4 @@ class ColumnMap(StudyTable, frozen=True, kw_only=True):
     noise: dict[str, float] = {}
     fixed: dict[str, float] = {}
     circle: CircleFacts | None = None
+    circles: list[CircleOfFiles] = []
