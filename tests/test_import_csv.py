@@ -217,7 +217,7 @@ def test_runs_that_belong_to_no_circle_or_two_are_refused(
 def test_a_run_of_a_file_must_not_be_forgotten(
     tmp_path: Path, circles: list[Path]
 ) -> None:
-    with pytest.raises(InputError, match="run 2 of .* belongs to no circle"):
+    with pytest.raises(InputError, match=r"run 2 of .* belongs to no circle"):
         _import_circles(tmp_path, circles, CIRCLES[: CIRCLES.rindex("[[circles]]")])
 
 

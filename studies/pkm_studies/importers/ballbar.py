@@ -38,7 +38,7 @@ from pkm_studies.study.tables.column_map import CircleFacts, ColumnMap
 INSTRUMENT = "ball_bar_free_cup"
 
 
-class _Run(NamedTuple):
+class _CircleRun(NamedTuple):
     """A run with its number in the import, as read and thinned."""
 
     number: int
@@ -69,7 +69,7 @@ class BallbarImporter:
         columns = trace_columns(given, tables[0], place)
         circles = measured_circles(given, tables, columns, place)
         runs = [
-            _Run(number, circle, trace, thin(*trace, circle.facts.readings))
+            _CircleRun(number, circle, trace, thin(*trace, circle.facts.readings))
             for number, (circle, trace) in enumerate(_pairs(circles), start=1)
         ]
         complete = msgspec.structs.replace(
@@ -94,7 +94,7 @@ def _study(
     given: ColumnMap,
     circles: Sequence[MeasuredCircle],
     model: Model,
-    runs: Sequence[_Run],
+    runs: Sequence[_CircleRun],
 ) -> str:
     setups: dict[str, dict[str, object]] = {}
     for circle in circles:
@@ -114,7 +114,7 @@ def _study(
 
 
 def _rows(
-    runs: Sequence[_Run], given: ColumnMap, model: Model, place: Place
+    runs: Sequence[_CircleRun], given: ColumnMap, model: Model, place: Place
 ) -> list[Row]:
     """One row a mean, commanded where the circle has its angle."""
     machine = model.machine
@@ -130,7 +130,7 @@ def _rows(
     return rows
 
 
-def _row(run: _Run, i: int, command: Array, machine: Machine) -> Row:
+def _row(run: _CircleRun, i: int, command: Array, machine: Machine) -> Row:
     """Mean i of a run."""
     facts, mean = run.circle.facts, run.mean
     row = {
@@ -160,7 +160,7 @@ def _points(angle: Array, circle: CircleFacts) -> Array:
     return units.to_si(centre + circle.radius_mm * points, "mm")
 
 
-def _statements(runs: Sequence[_Run], columns: dict[str, str]) -> list[str]:
+def _statements(runs: Sequence[_CircleRun], columns: dict[str, str]) -> list[str]:
     taken = ", ".join(f"{source} as {name}" for name, source in columns.items())
     sentences = [f"Columns: {taken}."]
     for run in runs:

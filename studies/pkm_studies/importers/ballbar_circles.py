@@ -70,10 +70,10 @@ def _several(
     for k, facts in enumerate(given.circles):
         runs: list[BarTrace] = []
         for table in _tables_of(k, given.circles, tables, place.item(k)):
-            found = traces(table, columns, facts, facts.runs or None)
-            _check_runs(facts, found, taken[table.file], table, place.item(k))
-            taken[table.file] |= set(found)
-            runs += found.values()
+            measured = traces(table, columns, facts, facts.runs or None)
+            _check_runs(facts, measured, taken[table.file], table, place.item(k))
+            taken[table.file] |= set(measured)
+            runs += measured.values()
         circles.append(MeasuredCircle(facts, names[k], runs))
     _check_all_taken(given.circles[-1], tables, columns, taken, place)
     return circles
@@ -103,7 +103,7 @@ def _tables_of(
 
 def _check_runs(
     facts: CircleOfFiles,
-    found: dict[int, BarTrace],
+    measured: dict[int, BarTrace],
     taken: set[int],
     table: CsvTable,
     place: Place,
@@ -111,11 +111,11 @@ def _check_runs(
     """Raises InputError for runs that the file lacks, or another circle has."""
     name = Path(table.file).name
     for number in facts.runs:
-        if number not in found:
+        if number not in measured:
             raise place.key("runs").error(
                 f"{name} has no such run", "a run ends where the angle turns", number
             )
-    for number in sorted(taken & set(found)):
+    for number in sorted(taken & set(measured)):
         raise place.key("runs").error(
             f"run {number} of {name} belongs to another circle as well",
             "name the runs of each circle: runs = [1, 2]",
