@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 from oed.machine import Expr, Machine, Parameter, Values
+from oed.noise.statement import NOTHING_STATED, NoiseStatement
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -208,6 +209,7 @@ class Setup:
                 m
     teach       command (n_dof,) of the teach pose, SI; for reference "teach" only
     protocol    how often each planned reading is taken
+    statement   what is stated of its noise beyond sigma
     """
 
     name: str
@@ -218,6 +220,7 @@ class Setup:
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
     teach: tuple[float, ...] | None = None
     protocol: Protocol = Protocol()
+    statement: NoiseStatement = NOTHING_STATED
 
     def __post_init__(self) -> None:
         expected = {s.name for s in self.instrument.settings}
@@ -234,6 +237,15 @@ class Setup:
         if len(self.sigma) != len(self.instrument.channels):
             channels = [c.name for c in self.instrument.channels]
             raise ValueError(f"set-up {self.name}: one sigma for each of {channels}")
+
+    def check_fit(self, machine: Machine) -> None:
+        """Raises ValueError where the instrument cannot read a machine."""
+        reason = self.instrument.unfit(machine)
+        if reason is not None:
+            raise ValueError(
+                f"set-up {self.name}: {self.instrument.name} cannot read"
+                f" {machine.name}: {reason}"
+            )
 
 
 def mount(

@@ -24,7 +24,7 @@ from oed.noise.covariance import Noise, concatenate_noise
 from oed.observation import ObservationModel, Response
 from oed.parameter_vector import ParameterVector
 from oed.pose_cache import PoseCache
-from oed.series import Series, index_poses
+from oed.series import Series, index_poses, run_labels
 
 __all__ = ["Measurement", "Response", "Series"]
 
@@ -49,7 +49,7 @@ class Measurement(ParameterVector):
     ) -> None:
         super().__init__(machine, setups)
         for setup in setups:
-            _check_fit(machine, setup)
+            setup.check_fit(machine)
         self.kinematics = kinematics or Kinematics(machine)
         self.setups = {setup.name: setup for setup in setups}
         self._models = {s.name: ObservationModel(machine, s) for s in setups}
@@ -78,7 +78,7 @@ class Measurement(ParameterVector):
         """
         mounted = self.setups[setup]
         command = np.atleast_2d(np.asarray(command, dtype=float))
-        labels = _labels(run, len(command))
+        labels = run_labels(run, len(command))
         if mounted.teach is not None:
             command = np.vstack([command, np.array(mounted.teach)[None]])
         x, q = self.kinematics.inverse(command, controller, np.array(mounted.tool))
@@ -91,7 +91,7 @@ class Measurement(ParameterVector):
         """As `series`, from recorded joints (n, nq), SI; their commands are NaN."""
         mounted = self.setups[setup]
         q = np.atleast_2d(np.asarray(q, dtype=float))
-        labels = _labels(run, len(q))
+        labels = run_labels(run, len(q))
         x = self.kinematics.start_poses(q)
         command = np.full((len(q), len(self.machine.command)), np.nan)
         if mounted.teach is not None:
@@ -257,11 +257,27 @@ class Measurement(ParameterVector):
         return concatenate_noise(
             [
                 reading_noise.stated_noise(
-                    self.setups[s.setup], self._models[s.setup], s
+                    self.setups[s.setup], self._models[s.setup], s, self.run_errors(s)
                 )
                 for s in series
             ]
         )
+
+    def run_errors(self, series: Series) -> Array:
+        """Slopes (n, channels, k), SI, over the k stated errors that a run shares.
+
+        Each error is standard normal: levels of channels, then unknowns that the run
+        seats anew. Slopes are those at the nominal poses.
+        """
+        setup = self.setups[series.setup]
+        levels = reading_noise.level_errors(setup, len(series))
+        if not setup.statement.seating:
+            return levels
+        p, s = self._split(self.nominal, series.setup)
+        by_setup = self._slopes(series, series.start[None], p[None], s[None])[1]
+        renewed = [n.name in setup.instrument.renewed for n in setup.nuisances]
+        seated = by_setup[:, :, renewed] * setup.statement.seating
+        return np.concatenate([levels, seated], axis=2)
 
     def sigma(self, series: Sequence[Series]) -> Array:
         """Standard deviation (N,) of each reading's stated noise, SI."""
@@ -383,17 +399,3 @@ class Measurement(ParameterVector):
         """Slopes of a series' readings, as `ObservationModel.slopes`, m times n."""
         inputs = self._inputs(series, x, p, s)
         return self._models[series.setup].slopes(inputs)
-
-
-def _check_fit(machine: Machine, setup: Setup) -> None:
-    reason = setup.instrument.unfit(machine)
-    if reason is not None:
-        raise ValueError(
-            f"set-up {setup.name}: {setup.instrument.name} cannot read {machine.name}:"
-            f" {reason}"
-        )
-
-
-def _labels(run: Sequence[str] | None, count: int) -> np.ndarray:
-    """Run (count,) of each pose; `1` for all by default."""
-    return np.array(["1"] * count if run is None else list(run), dtype=np.str_)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +84,11 @@ class Series:
         return dataclasses.replace(
             self, q=self.q[poses], start=self.start[poses], command=self.command[poses]
         )
+
+
+def run_labels(run: Sequence[str] | None, count: int) -> np.ndarray:
+    """Run (count,) of each pose; `1` for all by default."""
+    return np.array(["1"] * count if run is None else list(run), dtype=np.str_)
 
 
 def index_poses(

@@ -13,6 +13,8 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.measurement import Measurement, Series
+from oed.noise.process import Whitening, stated_laws
+from oed.noise.structure import common_statement, reading_structure
 
 
 def draw_parameters(
@@ -36,4 +38,20 @@ def draw_readings(
     Raises AssemblyError where a pose cannot be assembled.
     """
     exact = measurement.readings(series, truth)
-    return exact + measurement.noise(series).draw(rng, exact.shape)
+    return exact + draw_errors(measurement, series, rng, exact.shape)
+
+
+def draw_errors(
+    measurement: Measurement,
+    series: Sequence[Series],
+    rng: np.random.Generator,
+    shape: tuple[int, ...],
+) -> Array:
+    """Errors (..., N), SI, of the stated noise with the tails that are stated."""
+    tails = common_statement(measurement, series)
+    if tails.student_dof is None and not tails.outlier_share:
+        return measurement.noise(series).draw(rng, shape)
+    structure = reading_structure(measurement, series, measurement.nominal)
+    laws = stated_laws(structure, int(np.prod(shape[:-1])))
+    errors = Whitening(structure, laws).draw(rng, tails)
+    return structure.restore(errors).reshape(shape)

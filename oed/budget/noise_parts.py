@@ -17,9 +17,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.noise.process import LEVEL, RENEWED, STATED, Laws
+from oed.noise.process import Laws
 from oed.noise.process_noise import dense_covariance
-from oed.noise.structure import ReadingStructure
+from oed.noise.structure import (
+    KNOWN,
+    LEVEL,
+    RENEWED,
+    STATED_LEVEL,
+    STATED_SEAT,
+    ReadingStructure,
+)
 
 #: names of the errors of readings
 BEYOND = "noise beyond the stated one"
@@ -27,6 +34,12 @@ LEVELS = "run-to-run level"
 SHARED = "error shared by a run"
 SEAT = "set-up seated anew"
 CARRIED = "error carried along a run"
+#: kinds of the errors that a run shares, by name
+SHARED_KINDS = {
+    LEVELS: (LEVEL,),
+    SHARED: (KNOWN, STATED_LEVEL),
+    SEAT: (RENEWED, STATED_SEAT),
+}
 
 
 def instrument_source(name: str) -> str:
@@ -108,13 +121,12 @@ def _shared(
     structure: ReadingStructure, laws: Laws, members: Index, scale: Array
 ) -> dict[str, Array]:
     """Covariances (k, k) of what the readings of a run share."""
-    shared = {}
-    sizes = ((LEVELS, LEVEL, laws.level), (SHARED, STATED, None))
-    for name, kind, size in (*sizes, (SEAT, RENEWED, laws.seat)):
-        amount = 1.0 if size is None else float(size[0])
-        columns = structure.columns[members][:, structure.kinds == kind]
-        if amount > 0.0 and columns.any():
-            columns = columns * amount * scale[:, None]
+    shared: dict[str, Array] = {}
+    errors = structure.columns[members] * laws.sizes[0, structure.kinds]
+    errors *= scale[:, None]
+    for name, kinds in SHARED_KINDS.items():
+        columns = errors[:, np.isin(structure.kinds, kinds)]
+        if columns.any():
             shared[name] = columns @ columns.T
     return shared
 

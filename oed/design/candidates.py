@@ -2,13 +2,15 @@
 
 A candidate is one reading with all its channels, or a whole run (a circle) with the
 covariance of its readings. The readings of a run may share an error e, that of the
-reference they are relative to (`Channel.shared`):
+reference they are relative to, or of a cup that each run seats anew
+(`Measurement.run_errors`):
 
-    y_i = h_i theta + sigma e_i + shared sigma e        with e ~ N(0, 1).
+    y_i = h_i theta + sigma e_i + shared_i e        with e ~ N(0, 1).
 
 Such readings are not independent when chosen one by one. But e is one more unknown with
 prior variance 1, so it gets a column of its own, which every criterion profiles out:
-the whitened row is [h_i / sigma, shared], the prior information 1.
+the whitened row is [h_i, shared_i] / sigma, the prior information 1. An error that is
+carried along a run depends on the order, and counts where whole runs are candidates.
 """
 
 from __future__ import annotations
@@ -285,16 +287,13 @@ def _series_blocks(
 
 def _shared_columns(measurement: Measurement, series: Series) -> Array:
     """Slopes (n, k, r) of the readings by the errors that their runs share."""
-    setup = measurement.setups[series.setup]
-    channels, sigma = setup.instrument.channels, np.asarray(setup.sigma)
-    sharing = [c for c in range(len(channels)) if channels[c].shared > 0]
+    errors = measurement.run_errors(series)
+    count, channels, k = errors.shape
     runs = list(dict.fromkeys(series.run))
-    columns = np.zeros((len(series), len(channels), len(runs) * len(sharing)))
+    columns = np.zeros((count, channels, len(runs) * k))
     for j, run in enumerate(runs):
         in_run = series.run == run
-        for i, c in enumerate(sharing):
-            slope = channels[c].shared * sigma[c]
-            columns[in_run, c, j * len(sharing) + i] = slope
+        columns[in_run, :, j * k : (j + 1) * k] = errors[in_run]
     return columns
 
 

@@ -90,10 +90,11 @@ def symbolic_reading(
     Raises ValueError for noise that a run shares.
     """
     machine, instrument = measurement.machine, setup.instrument
-    if scaling == "tolerance" and any(c.shared for c in instrument.channels):
+    shares = any(c.shared for c in instrument.channels) or setup.statement.seating
+    if scaling == "tolerance" and shares:
         raise ValueError(
-            f"set-up {setup.name}: readings relative to a run's reference share its"
-            " noise: polish others"
+            f"set-up {setup.name}: the readings of a run share an error (that of a"
+            " reference, of a bar put up anew or of a seat): polish others"
         )
     p, ps = symbols("p", machine.parameters)
     s, ss = symbols("s", setup.nuisances)

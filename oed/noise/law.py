@@ -67,7 +67,7 @@ class NoiseLaw:
         root = np.sqrt(self.variance[members])
         covariance = batch.stated_correlation * (root[:, :, None] * root[:, None, :])
         related = (
-            self.run_sd**2
+            self.run_sd**2 * batch.level
             + self.ar1_sd**2 * np.exp(batch.distance * (-1.0 / self.ar1_length))
             + self.seat_sd**2 * batch.seat
         )

@@ -20,6 +20,7 @@ from scipy import linalg, optimize, special
 
 from oed.arrays import Array, Index
 from oed.noise.law import NoiseLaw
+from oed.noise.statement import NOTHING_STATED, NoiseStatement
 
 #: degrees of freedom of the Student t that are tried
 DEGREES = (3.0, 4.0, 6.0, 10.0)
@@ -101,6 +102,26 @@ ROBUST_DENSITIES = (
 )
 
 
+#: of readings a stated share of which is far off, how many times the ordinary noise
+#: these are
+STATED_WILD = (*WILD, 30.0, 100.0)
+
+
+def stated_densities(statement: NoiseStatement) -> tuple[ErrorDensity, ...] | None:
+    """The densities that a statement leaves; none where no reading is far off.
+
+    None where nothing is stated of the tails.
+    """
+    if statement.student_dof is not None:
+        return (StudentT(statement.student_dof),)
+    share = statement.outlier_share
+    if share is None:
+        return None
+    if share == 0.0:
+        return ()
+    return tuple(ContaminatedNormal(share, wild) for wild in STATED_WILD)
+
+
 @functools.cache
 def fisher_information(shape: ErrorDensity) -> float:
     """Fisher information of an error, over that of a normal one of the same unit."""
@@ -144,13 +165,21 @@ def detect(
     residual: Array,
     covariance: Array,
     densities: Sequence[ErrorDensity] = CANDIDATE_DENSITIES,
+    statement: NoiseStatement = NOTHING_STATED,
 ) -> Outliers | None:
     """Outliers of residuals (N,) whose covariance (N, N) is wide enough to hold any
     gap, so that no gap is taken for one; None where tails are light.
 
+    densities  that are tried; stated tails go before them, and need no evidence
+
     By e_i = (C^-1 r)_i / (C^-1)_ii, the error of predicting a reading from all others,
     these without their outliers.
     """
+    stated = stated_densities(statement)
+    least = WORTH if stated is None else -np.inf
+    densities = densities if stated is None else stated
+    if not densities:
+        return None
     inverse = linalg.inv(covariance, check_finite=False)
     precision = np.diag(inverse)
     clean = residual
@@ -159,7 +188,7 @@ def detect(
         errors = (residual - predicted) * np.sqrt(precision)
         fits = [(shape, *_fitted(shape, errors)) for shape in (NORMAL, *densities)]
         shape, scale, height = max(fits[1:], key=lambda fit: fit[2])
-        if height < fits[0][2] + WORTH:
+        if height < fits[0][2] + least:
             return None
         e = errors / scale
         normal = shape.weight(e) * e / fisher_information(shape)
@@ -167,11 +196,11 @@ def detect(
         clean = clean + (step if turn == 0 else 0.5 * step)
         if np.abs(step).max() < STILL:
             break
-    least = fisher_information(shape)
+    information = fisher_information(shape)
     odds = (
         shape.log_density(e)
-        - NORMAL.log_density(normal * np.sqrt(least))
-        - 0.5 * np.log(least)
+        - NORMAL.log_density(normal * np.sqrt(information))
+        - 0.5 * np.log(information)
     )
     return Outliers(
         pseudo_residual=clean,

@@ -1,8 +1,9 @@
 """What is known of the noise before the readings: a prior over its laws.
 
 The stated noise is the anchor: single readings scatter by it within a factor exp(0.4).
-A data sheet tells of repeatability within a run; what a run shares and what is carried
-along are stated by no data sheet, so their priors are wide and reach down to nothing.
+A data sheet tells of repeatability within a run. Few state what a run shares and what is
+carried along; where nothing is stated, their priors are wide and reach down to nothing.
+A stated amount is the middle of a narrow prior, and 0 takes the part out of the model.
 """
 
 from __future__ import annotations
@@ -14,8 +15,15 @@ import numpy as np
 from scipy import special
 
 from oed.arrays import Array
-from oed.noise.process import RENEWED, Laws
-from oed.noise.structure import ReadingStructure
+from oed.noise.process import Laws
+from oed.noise.statement import NOTHING_STATED, NoiseStatement
+from oed.noise.structure import (
+    LEVEL,
+    RENEWED,
+    STATED_LEVEL,
+    STATED_SEAT,
+    ReadingStructure,
+)
 
 #: sd of the log of a group's noise over the stated one, and sd from which on its tails
 #: are heavy: at four it is not 5 times the stated noise but 25 times
@@ -24,11 +32,15 @@ SCALE_SD, HEAVY_FROM = 0.4, 4.0
 LEAST_SHARE = 1e-6
 #: median of the share that is mostly small, and sd of its logit
 SMALL_SHARE, SMALL_SHARE_SD = 0.05, 2.5
-#: median of the reach, in readings, and sd of its log
-REACH_MEDIAN, REACH_SD = 8.0, 1.0
+#: sd of the log of the reach, in readings
+REACH_SD = 1.0
+#: what is stated: sd of the logs of a run's level and seating over it, of the logit of
+#: the share that is carried along, of the log of the reach
+STATED_SD, STATED_SHARE_SD, STATED_REACH_SD = 0.4, 0.7, 0.3
 
-#: names of the coordinates that all readings have, and of that of renewed unknowns
-COMMON, SEAT = ("share carried along", "reach", "level of a run"), ("seating",)
+#: names of coordinates: of the error that is carried along a run, of what it shares
+CARRIED, REACH, RUN, SEAT = "share carried along", "reach", "level of a run", "seating"
+STATED_RUN, STATED_SEATING = "stated level of a run", "stated seating"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -56,6 +68,17 @@ def _share(u: Array) -> Array:
     return np.asarray(np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE))
 
 
+def share_about(stated: float) -> Callable[[Array], Array]:
+    """A share of normal coordinates whose logit is normal about a stated one's."""
+    middle = special.logit(np.clip(stated, LEAST_SHARE, 1.0 - LEAST_SHARE))
+
+    def share(u: Array) -> Array:
+        values = special.expit(middle + STATED_SHARE_SD * u)
+        return np.asarray(np.clip(values, LEAST_SHARE, 1.0 - LEAST_SHARE))
+
+    return share
+
+
 def _small_share(u: Array) -> Array:
     """A share between 0 and 1 that is mostly small: its logit is normal."""
     middle = special.logit(SMALL_SHARE)
@@ -74,16 +97,17 @@ SPARSE = Amounts(0.15, 1.8, _small_share)
 class NoisePrior:
     """A prior over laws: coordinates u (d,) are standard normal.
 
-    names     of the coordinates
-    groups    number of groups with a scale of their own
-    has_seat  whether runs seat an unknown anew
-    amounts   of what no data sheet states
+    names      of the coordinates: the groups' scales, then those of the parts of the
+               noise that are in the model
+    groups     number of groups with a scale of their own
+    amounts    of what is not stated
+    statement  what is stated
     """
 
     names: tuple[str, ...]
     groups: int
-    has_seat: bool
     amounts: Amounts = CAUTIOUS
+    statement: NoiseStatement = NOTHING_STATED
 
     @property
     def dimensions(self) -> int:
@@ -91,19 +115,39 @@ class NoisePrior:
         return len(self.names)
 
     def laws(self, u: Array) -> Laws:
-        """Laws at coordinates (L, d)."""
-        g, amounts = self.groups, self.amounts
-        reach, level = u[:, g + 1], u[:, g + 2]
-        seat = np.zeros(len(u))
-        if self.has_seat:
-            seat = amounts.shared_median * np.exp(amounts.shared_sd * u[:, g + 3])
+        """Laws at coordinates (L, d); parts that are not in the model are 0."""
+        of_name = dict(zip(self.names, u.T, strict=True))
+        nothing = np.zeros(len(u))
+
+        def size(name: str) -> Array:
+            if name not in of_name:
+                return nothing
+            spread = np.exp(self.amounts.shared_sd * of_name[name])
+            return np.asarray(self.amounts.shared_median * spread)
+
+        def factor(name: str) -> Array:
+            return np.asarray(np.exp(STATED_SD * of_name.get(name, nothing)))
+
         return Laws(
-            scale=np.exp(SCALE_SD * _heavy(u[:, :g])),
-            carried=amounts.carried(u[:, g]),
-            reach=REACH_MEDIAN * np.exp(REACH_SD * reach),
-            level=amounts.shared_median * np.exp(amounts.shared_sd * level),
-            seat=seat,
+            scale=np.exp(SCALE_SD * _heavy(u[:, : self.groups])),
+            carried=self._share(of_name[CARRIED]) if CARRIED in of_name else nothing,
+            reach=self._reach(of_name.get(REACH, nothing)),
+            level=size(RUN),
+            seat=size(SEAT),
+            stated_level=factor(STATED_RUN),
+            stated_seat=factor(STATED_SEATING),
         )
+
+    def _share(self, u: Array) -> Array:
+        """Share (L,) of the variance that is carried along."""
+        stated = self.statement.carried
+        share = self.amounts.carried if stated is None else share_about(stated)
+        return share(u)
+
+    def _reach(self, u: Array) -> Array:
+        """Reach (L,) of what is carried along, in readings."""
+        sd = REACH_SD if self.statement.reach is None else STATED_REACH_SD
+        return np.asarray(self.statement.reach_median * np.exp(sd * u))
 
     def starts(self) -> Array:
         """Coordinates (s, d) from which the most probable law is sought.
@@ -111,9 +155,12 @@ class NoisePrior:
         The middle of the prior, an error that is carried far, and one that is carried
         over a few readings alone: each may be a mode of its own.
         """
+        if CARRIED not in self.names:
+            return np.zeros((1, self.dimensions))
         starts = np.zeros((3, self.dimensions))
-        starts[1, self.groups : self.groups + 2] = 1.5, 0.5
-        starts[2, self.groups : self.groups + 2] = 2.5, -1.5
+        place = [self.names.index(CARRIED), self.names.index(REACH)]
+        starts[1, place] = 1.5, 0.5
+        starts[2, place] = 2.5, -1.5
         return starts
 
 
@@ -124,7 +171,14 @@ def _heavy(u: Array) -> Array:
 
 def noise_prior(structure: ReadingStructure) -> NoisePrior:
     """The prior that goes with readings of a structure."""
-    has_seat = bool((structure.kinds == RENEWED).any())
     scales = tuple(f"noise of {name}" for name in structure.names)
-    seat = SEAT if has_seat else ()
-    return NoisePrior((*scales, *COMMON, *seat), len(scales), has_seat)
+    statement = structure.statement
+    carried = () if statement.carried == 0.0 else (CARRIED, REACH)
+    of_kind = {
+        LEVEL: RUN,
+        RENEWED: SEAT,
+        STATED_LEVEL: STATED_RUN,
+        STATED_SEAT: STATED_SEATING,
+    }
+    shared = tuple(name for kind, name in of_kind.items() if kind in structure.kinds)
+    return NoisePrior((*scales, *carried, *shared), len(scales), statement=statement)

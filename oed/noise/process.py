@@ -6,7 +6,7 @@ In units of the stated noise, a chain of readings (one channel of a run) has the
 
 with white_k and level independent standard normal, carried_k an Ornstein-Uhlenbeck
 process with correlation exp(-|k - l| / reach), seat the set-up's unknowns that the run
-seated anew, with slopes c, and shared the error that the instrument states.
+seated anew, with slopes c, and shared the errors that instrument and study state.
 
 White and carried error are whitened by a Kalman filter along the chains; what a run
 shares is a matrix of a few columns, taken out by the Woodbury identity. Both are linear
@@ -21,10 +21,11 @@ import functools
 import numpy as np
 
 from oed.arrays import Array
+from oed.noise.statement import NOTHING_STATED, NoiseStatement
 from oed.noise.structure import ReadingStructure
 
-#: kinds of the columns of a structure
-LEVEL, STATED, RENEWED = 0, 1, 2
+#: least and largest size of an error that is far off, where one is drawn
+FAR = (5.0, 50.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -36,6 +37,7 @@ class Laws:
     reach    (L,) of what is carried along, in readings
     level    (L,) standard deviation of a run's level
     seat     (L,) standard deviation of a renewed unknown
+    stated_level, stated_seat  (L,) factors on those that are stated; ones by default
     """
 
     scale: Array
@@ -43,9 +45,23 @@ class Laws:
     reach: Array
     level: Array
     seat: Array
+    stated_level: Array = dataclasses.field(default_factory=lambda: np.ones(0))
+    stated_seat: Array = dataclasses.field(default_factory=lambda: np.ones(0))
+
+    def __post_init__(self) -> None:
+        for name in ("stated_level", "stated_seat"):
+            if not getattr(self, name).size:
+                object.__setattr__(self, name, np.ones(len(self)))
 
     def __len__(self) -> int:
         return len(self.carried)
+
+    @property
+    def sizes(self) -> Array:
+        """Sizes (L, 5) of the errors that a run shares, by their kinds."""
+        known = np.ones(len(self))
+        kinds = (self.level, known, self.seat, self.stated_level, self.stated_seat)
+        return np.stack(kinds, axis=1)
 
     def take(self, rows: Array | slice | list[int]) -> Laws:
         """The laws of these rows."""
@@ -55,8 +71,14 @@ class Laws:
 
 def stated_laws(structure: ReadingStructure, count: int = 1) -> Laws:
     """The stated noise, `count` times."""
-    zero = np.zeros(count)
-    return Laws(np.ones((count, len(structure.names))), zero, zero + 1.0, zero, zero)
+    zero, statement = np.zeros(count), structure.statement
+    return Laws(
+        scale=np.ones((count, len(structure.names))),
+        carried=zero + statement.carried_share,
+        reach=zero + statement.reach_median,
+        level=zero,
+        seat=zero,
+    )
 
 
 class Whitening:
@@ -98,8 +120,7 @@ class Whitening:
     @functools.cached_property
     def _columns(self) -> Array:
         """Filtered errors that a run shares (L, C, T, K)."""
-        sizes = np.stack([self.laws.level, np.ones(len(self.laws)), self.laws.seat], 1)
-        amounts = sizes[:, self.structure.kinds]
+        amounts = self.laws.sizes[:, self.structure.kinds]
         filtered = self._filter(self.structure.columns[None])
         return np.asarray(filtered * amounts[:, None, None, :])
 
@@ -146,8 +167,13 @@ class Whitening:
         whitened = filtered + self._columns @ of_chain
         return np.asarray(whitened[:, *self.structure.slot])
 
-    def draw(self, rng: np.random.Generator) -> Array:
-        """One draw of the errors (L, N) for each law, in units of the stated noise."""
+    def draw(
+        self, rng: np.random.Generator, tails: NoiseStatement = NOTHING_STATED
+    ) -> Array:
+        """One draw of the errors (L, N) for each law, in units of the stated noise.
+
+        tails  of single readings; normal by default
+        """
         count, chains, length = self._decay.shape
         white = rng.standard_normal((2, count, chains, length))
         carried, state = np.empty_like(self._decay), np.zeros((count, chains))
@@ -156,11 +182,30 @@ class Whitening:
             state = decay * state + np.sqrt(1.0 - decay**2) * white[0, :, :, t]
             carried[:, :, t] = state
         share = self.laws.carried[:, None, None]
-        single = np.sqrt(1.0 - share) * white[1] + np.sqrt(share) * carried
-        sizes = np.stack([self.laws.level, np.ones(count), self.laws.seat], 1)
+        alone = _with_tails(white[1], tails, rng)
+        single = np.sqrt(1.0 - share) * alone + np.sqrt(share) * carried
         runs = int(self.structure.run[-1]) + 1
         amounts = rng.standard_normal((count, runs, len(self.structure.kinds)))
-        amounts *= sizes[:, None, self.structure.kinds]
+        amounts *= self.laws.sizes[:, None, self.structure.kinds]
         of_reading = amounts[:, self.structure.run[self.structure.chain]]
         common = np.einsum("lnk,nk->ln", of_reading, self.structure.columns)
         return np.asarray(self._scale * (single[:, *self.structure.slot] + common))
+
+
+def _with_tails(
+    errors: Array, tails: NoiseStatement, rng: np.random.Generator
+) -> Array:
+    """Independent normal errors of unit variance with the tails that are stated.
+
+    Student t keep the variance. Errors far off come on top, from 5 to 50.
+    """
+    if tails.student_dof is not None:
+        dof = tails.student_dof
+        chi2 = rng.chisquare(dof, errors.shape)
+        return np.asarray(errors * np.sqrt((dof - 2.0) / chi2))
+    if tails.outlier_share:
+        size = np.exp(rng.uniform(np.log(FAR[0]), np.log(FAR[1]), errors.shape))
+        size *= rng.choice([-1.0, 1.0], errors.shape)
+        far = rng.uniform(size=errors.shape) < tails.outlier_share
+        return errors + np.where(far, size, 0.0)
+    return errors

@@ -46,8 +46,7 @@ class ProcessNoise(Noise):
 def process_noise(structure: ReadingStructure, laws: Laws) -> ProcessNoise:
     """Noise under the first of the laws."""
     law = laws.take([0])
-    sizes = np.array([law.level[0], 1.0, law.seat[0]])[structure.kinds]
-    shared = (structure.columns * sizes) ** 2
+    shared = (structure.columns * law.sizes[0, structure.kinds]) ** 2
     sd = law.scale[0, structure.group] * np.sqrt(1.0 + shared.sum(axis=1))
     return ProcessNoise(
         sigma=structure.unit * sd, structure=structure, law=Whitening(structure, law)
@@ -61,8 +60,7 @@ def dense_covariance(structure: ReadingStructure, laws: Laws) -> Array:
     distance = np.abs(structure.position[:, None] - structure.position)
     carried = np.exp(-distance / laws.reach[0]) * same_chain
     single = (1.0 - laws.carried[0]) * np.eye(len(structure))
-    sizes = np.array([laws.level[0], 1.0, laws.seat[0]])[structure.kinds]
-    columns = structure.columns * sizes
+    columns = structure.columns * laws.sizes[0, structure.kinds]
     shared = (columns @ columns.T) * (run[:, None] == run)
     scale = laws.scale[0, structure.group]
     unit = single + laws.carried[0] * carried + shared

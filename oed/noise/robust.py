@@ -35,7 +35,10 @@ def robust_residuals(
         h = slopes[members]
         covariance = dense_covariance(part, laws) + h @ h.T
         result = outliers.detect(
-            residual[members], covariance, outliers.ROBUST_DENSITIES
+            residual[members],
+            covariance,
+            outliers.ROBUST_DENSITIES,
+            structure.statement,
         )
         if result is not None:
             clean[members] = result.pseudo_residual

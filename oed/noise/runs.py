@@ -24,6 +24,7 @@ class RunBatch:
     correlation   (B, k, k) stated by the instrument
     same_channel  (B, k, k) whether two readings are of one channel
     distance      (B, k, k) how many readings lie between them
+    level         (B, k, k) 1 where a run's level of unknown size moves both, or 0
     seat          (B, k, k) what a seating shift of unit variance does to both
     """
 
@@ -31,6 +32,7 @@ class RunBatch:
     stated_correlation: Array
     same_channel: Mask
     distance: Array
+    level: Array
     seat: Array
 
     def take(self, rows: Index) -> RunBatch:
@@ -41,6 +43,7 @@ class RunBatch:
             stated_correlation=self.stated_correlation[pairs],
             same_channel=self.same_channel[pairs],
             distance=self.distance[pairs],
+            level=self.level[pairs],
             seat=self.seat[pairs],
         )
 
@@ -55,6 +58,8 @@ class Runs:
     group    (N,) instrument channel of each reading: each has a noise level of its own
     seat     (N, s) slopes over the unknowns that a run seats anew, of one unit with the
              readings; (N, 0) where there are none
+    level    (N,) 1 where the level of a run may move a reading by an unknown size, or 0;
+             None: ones
     """
 
     stated_correlation: tuple[Array | None, ...]
@@ -62,6 +67,7 @@ class Runs:
     position: Array
     channel: Index
     seat: Array
+    level: Array | None = None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -91,10 +97,13 @@ class Runs:
         stated = [np.eye(size) if known is None else known for _, known in parts]
         channel, along = self.channel[members], self.position[members]
         seat = self.seat[members]
+        level = np.ones(len(self)) if self.level is None else self.level
+        moved = level[members]
         return RunBatch(
             members=members,
             stated_correlation=np.array(stated),
             same_channel=channel[:, :, None] == channel[:, None, :],
             distance=np.abs(along[:, :, None] - along[:, None, :]),
+            level=moved[:, :, None] * moved[:, None, :],
             seat=seat @ seat.transpose(0, 2, 1),
         )

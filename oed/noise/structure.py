@@ -9,15 +9,20 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from oed.arrays import Array, Index
+from oed.arrays import Array, Index, Mask
 from oed.measurement import Measurement, Series
 from oed.noise.covariance import block_noise
+from oed.noise.statement import NOTHING_STATED, NoiseStatement
+
+#: kinds of errors that a run shares: level of unknown size, known level (that of a
+#: reference reading), renewed unknown of unknown size; stated level, stated seating
+LEVEL, KNOWN, RENEWED, STATED_LEVEL, STATED_SEAT = range(5)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,9 +37,9 @@ class ReadingStructure:
     unit       (N,) standard deviation of the stated noise that is not shared, SI
     decouple   (N, N) sparse: readings whose channels have common sources, made
                independent and of unit noise; None where division by `unit` does it
-    columns    (N, K) errors that a run shares, in units of the stated noise: level of
-               each chain, stated shared error, set-up unknowns renewed with the run
-    kinds      (K,) 0 level, 1 stated, 2 renewed
+    columns    (N, K) errors that a run shares, in units of the stated noise
+    kinds      (K,) LEVEL, KNOWN, RENEWED, STATED_LEVEL or STATED_SEAT
+    statement  of the parts that all readings have: what is carried along, tails
     """
 
     names: tuple[str, ...]
@@ -46,6 +51,7 @@ class ReadingStructure:
     decouple: sparse.csr_array | None
     columns: Array
     kinds: Index
+    statement: NoiseStatement = NOTHING_STATED
 
     def __len__(self) -> int:
         return len(self.group)
@@ -123,7 +129,7 @@ def reading_structure(
 ) -> ReadingStructure:
     """Structure of readings, with the slopes of renewed unknowns taken at theta (n,)."""
     names: dict[str, int] = {}
-    parts = _Parts([], [], [], [], [])
+    parts = _Parts([], [], [], [], [], [])
     blocks: list[sparse.csr_array] = []
     runs = 0
     for s in series:
@@ -141,6 +147,8 @@ def reading_structure(
         parts.position.append(np.repeat(place, count))
         common = [c.shared * sd for c, sd in zip(channels, setup.sigma, strict=True)]
         parts.shared.append(np.tile(common, len(s)))
+        stated = [c.name in setup.statement.levels for c in channels]
+        parts.stated.append(np.tile(stated, len(s)))
         blocks.append(_decoupling(measurement.reading_covariances(s)))
         runs += len(number)
     run, channel = (
@@ -153,9 +161,15 @@ def reading_structure(
     decouple = sparse.csr_array(sparse.block_diag(blocks))
     diagonal = decouple.diagonal()
     independent = decouple.nnz == len(run)
-    renewed = renewed_slopes(measurement, series, theta) / diagonal[:, None]
-    shared = np.concatenate(parts.shared)
-    columns, kinds = _columns(decouple, channel, shared, renewed)
+    errors = _RunErrors(
+        decouple=decouple,
+        channel=channel,
+        shared=np.concatenate(parts.shared),
+        stated=np.concatenate(parts.stated),
+        renewed=renewed_slopes(measurement, series, theta) / diagonal[:, None],
+        seated=seated_slopes(measurement, series, theta),
+    )
+    columns, kinds = errors.columns()
     return ReadingStructure(
         names=tuple(names),
         group=np.concatenate(parts.group).astype(np.intp),
@@ -166,6 +180,7 @@ def reading_structure(
         decouple=None if independent else decouple,
         columns=columns,
         kinds=kinds,
+        statement=common_statement(measurement, series),
     )
 
 
@@ -178,6 +193,26 @@ class _Parts:
     group: list[Array]
     position: list[Array]
     shared: list[Array]
+    stated: list[Array]
+
+
+def common_statement(
+    measurement: Measurement, series: Sequence[Series]
+) -> NoiseStatement:
+    """What is stated of the noise of all set-ups together.
+
+    Raises ValueError where set-ups state different shares, reaches or tails.
+    """
+    used = [measurement.setups[s.setup].statement for s in series]
+    common = {
+        dataclasses.replace(s, levels=frozenset(), seating=None) for s in used
+    } or {NOTHING_STATED}
+    if len(common) > 1:
+        raise ValueError(
+            "one law holds for all readings: give each set-up the same carried share,"
+            " reach and tails"
+        )
+    return common.pop()
 
 
 def _places(run: Index) -> Index:
@@ -204,34 +239,89 @@ def renewed_slopes(
 ) -> Array:
     """Slopes (N, s) over the unknowns that each run seats anew, by their names.
 
-    One column serves the unknown of that name in every set-up: no reading sees two.
+    Set-ups that state their seating are left out. One column serves the unknown of a
+    name in every set-up: no reading sees two.
     """
-    columns: dict[str, list[int]] = {}
+    sizes = {
+        name: 1.0
+        for name, setup in measurement.setups.items()
+        if setup.statement.seating is None
+    }
+    return _slopes_over_unknowns(measurement, series, theta, sizes)
+
+
+def seated_slopes(
+    measurement: Measurement, series: Sequence[Series], theta: Array
+) -> Array:
+    """The same (N, s) of the set-ups that state their seating, times it, SI."""
+    sizes = {
+        name: setup.statement.seating
+        for name, setup in measurement.setups.items()
+        if setup.statement.seating
+    }
+    return _slopes_over_unknowns(measurement, series, theta, sizes)
+
+
+def _slopes_over_unknowns(
+    measurement: Measurement,
+    series: Sequence[Series],
+    theta: Array,
+    sizes: Mapping[str, float],
+) -> Array:
+    """Slopes (N, s) over the renewed unknowns of some set-ups, times a size of each."""
+    columns: dict[str, list[tuple[int, float]]] = {}
     for name in dict.fromkeys(s.setup for s in series):
+        if name not in sizes:
+            continue
         for unknown in measurement.setups[name].instrument.renewed:
             full = measurement.names.index(f"{name}.{unknown}")
-            columns.setdefault(unknown, []).append(full)
+            columns.setdefault(unknown, []).append((full, sizes[name]))
     if not columns:
         return np.zeros((len(measurement.setup_of_readings(series)), 0))
     slopes = measurement.jacobian(series, theta)
-    summed = [slopes[:, members].sum(axis=1) for members in columns.values()]
+    summed = [
+        np.sum([size * slopes[:, k] for k, size in members], axis=0)
+        for members in columns.values()
+    ]
     return np.column_stack(summed)
 
 
-def _columns(
-    decouple: sparse.csr_array, channel: Index, shared: Array, renewed: Array
-) -> tuple[Array, Index]:
-    """Errors common to a run (N, K), and their kinds (K,).
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _RunErrors:
+    """What the errors that runs share follow from, for N readings.
 
-    renewed  (N, s) slopes times the stated noise; what one set-up does not have is 0
+    decouple  (N, N) sparse
+    channel   (N,)
+    shared    (N,) error of a run's level, SI
+    stated    (N,) whether it is stated, and is all that the level moves by
+    renewed   (N, s) slopes times the stated noise; what one set-up does not have is 0
+    seated    (N, s) slopes times the stated seating, SI
     """
-    of_channel = (channel[:, None] == np.arange(channel.max() + 1)).astype(float)
-    blocks = [(of_channel, 0)]
-    if shared.any():
-        blocks.append((np.asarray(decouple @ (of_channel * shared[:, None])), 1))
-    if renewed.any():
-        blocks.append((np.asarray(decouple @ renewed), 2))
-    columns = np.hstack([values for values, _ in blocks])
-    kinds = np.concatenate([np.full(values.shape[1], kind) for values, kind in blocks])
-    used = columns.any(axis=0)
-    return columns[:, used], kinds[used].astype(np.intp)
+
+    decouple: sparse.csr_array
+    channel: Index
+    shared: Array
+    stated: Mask
+    renewed: Array
+    seated: Array
+
+    def columns(self) -> tuple[Array, Index]:
+        """Errors common to a run (N, K), and their kinds (K,)."""
+        channels = np.arange(self.channel.max() + 1)
+        of_channel = (self.channel[:, None] == channels).astype(float)
+        stated = self.stated[:, None]
+        level = of_channel * self.shared[:, None]
+        errors = (
+            (KNOWN, level * ~stated),
+            (RENEWED, self.renewed),
+            (STATED_LEVEL, level * stated),
+            (STATED_SEAT, self.seated),
+        )
+        blocks = [(of_channel * ~stated, LEVEL)]
+        for kind, values in errors:
+            if values.any():
+                blocks.append((np.asarray(self.decouple @ values), kind))
+        columns = np.hstack([values for values, _ in blocks])
+        kinds = np.concatenate([np.full(v.shape[1], kind) for v, kind in blocks])
+        used = columns.any(axis=0)
+        return columns[:, used], kinds[used].astype(np.intp)

@@ -15,12 +15,14 @@ import numpy as np
 from oed.arrays import Array, Mask
 from oed.instrument import Setup
 from oed.noise.marginal import NoisePosterior
+from oed.noise.prior import CARRIED, RUN
+from oed.noise.process import Laws
 
 #: probability from which on a departure is reported
 SURE = 0.95
 #: factor on the stated noise, share of it that a run shares, and share of the variance
 #: carried along, beyond which a law is another than the stated one
-SCATTER, SHARED, CARRIED = 1.2, 0.5, 0.25
+SCATTER, SHARED, MOST_CARRIED = 1.2, 0.5, 0.25
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -68,28 +70,68 @@ def _numbers(
 
     seated: dict[str, NoiseNumber] = {}
     for g, name in enumerate(posterior.structure.names):
-        setup = setups[name.rpartition(".")[0]]
-        sigma, shared, unit = _stated(setup, name.rpartition(".")[2])
+        setup_name, _, channel = name.rpartition(".")
+        setup = setups[setup_name]
+        stated = _stated(setup, channel)
+        sigma, unit = stated.sigma, stated.unit
         scale = laws.scale[:, g]
         far = (scale > SCATTER) if weights @ scale > 1.0 else (scale < 1.0 / SCATTER)
         yield number("reading", name, unit, sigma * scale, sigma, far)
-        level = scale * laws.level
-        whole = sigma * np.hypot(level, shared * scale)
-        yield number("run", name, unit, whole, sigma * shared, level > SHARED)
-        if setup.instrument.renewed and posterior.prior.has_seat:
-            seat = scale * laws.seat
-            seated[setup.name] = number(
-                "seat", setup.name, unit, sigma * seat, 0.0, seat > SHARED
-            )
+        level, known = _run_errors(stated, scale, laws)
+        if stated.shared > 0.0 if stated.is_level else RUN in posterior.prior.names:
+            whole = sigma * np.hypot(level, known)
+            grown = known - stated.shared if stated.is_level else level
+            expected = sigma * stated.shared
+            yield number("run", name, unit, whole, expected, grown > SHARED)
+        if setup.instrument.renewed and setup.statement.seating != 0.0:
+            seat, expected = _seating(setup, sigma, scale, laws)
+            far = seat - expected > SHARED * sigma
+            seated[setup.name] = number("seat", setup.name, unit, seat, expected, far)
     yield from seated.values()
-    yield number("carried", "", "1", laws.carried, 0.0, laws.carried > CARRIED)
-    never = np.zeros(len(laws), dtype=bool)
-    yield number("reach", "", "readings", laws.reach, None, never)
+    if CARRIED in posterior.prior.names:
+        statement = posterior.structure.statement
+        share = statement.carried_share
+        far = laws.carried - share > MOST_CARRIED
+        yield number("carried", "", "1", laws.carried, share, far)
+        never = np.zeros(len(laws), dtype=bool)
+        yield number("reach", "", "readings", laws.reach, statement.reach, never)
 
 
-def _stated(setup: Setup, channel: str) -> tuple[float, float, str]:
-    """Stated standard deviation, SI, error of a run over it, and SI unit of a channel."""
+@dataclasses.dataclass(frozen=True, slots=True)
+class _StatedChannel:
+    """What is stated of a channel: sd, SI, error of a run over it, SI unit.
+
+    is_level  whether that error is all that the level of a run moves by
+    """
+
+    sigma: float
+    shared: float
+    unit: str
+    is_level: bool
+
+
+def _stated(setup: Setup, channel: str) -> _StatedChannel:
     names = [c.name for c in setup.instrument.channels]
     k = names.index(channel)
     stated = setup.instrument.channels[k]
-    return setup.sigma[k], stated.shared, stated.unit
+    is_level = channel in setup.statement.levels
+    return _StatedChannel(setup.sigma[k], stated.shared, stated.unit, is_level)
+
+
+def _run_errors(
+    stated: _StatedChannel, scale: Array, laws: Laws
+) -> tuple[Array, Array]:
+    """Errors (L,) of a run's level, of unknown and of known size, over the stated noise."""
+    if stated.is_level:
+        return np.zeros(len(laws)), scale * stated.shared * laws.stated_level
+    return scale * laws.level, scale * stated.shared
+
+
+def _seating(
+    setup: Setup, sigma: float, scale: Array, laws: Laws
+) -> tuple[Array, float]:
+    """Errors (L,) of what a run seats anew, SI, and what is stated of them."""
+    seating = setup.statement.seating
+    if seating is None:
+        return sigma * scale * laws.seat, 0.0
+    return scale * laws.stated_seat * seating, seating

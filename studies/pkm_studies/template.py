@@ -184,6 +184,10 @@ def _noise(instrument: Instrument) -> str:
     for channel in instrument.channels:
         unit = units.FINE[channel.unit]
         lines.append(f"{channel.name}_{unit} = {_in_unit(channel.sigma, unit)}")
+    if instrument.renewed:
+        lines.append(
+            "# seating_um = 0.3  # of a cup that each run seats anew, if known"
+        )
     return "\n".join(lines) + "\n"
 
 

@@ -18,7 +18,7 @@ on the noise is integrated over in closed form (`evidence`); the laws hold the r
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import special
@@ -28,7 +28,7 @@ from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw, law_of
 from oed.noise.law_mode import find_mode, root_about
-from oed.noise.prior import COMMON, SEAT, SPARSE, NoisePrior
+from oed.noise.prior import CARRIED, REACH, RUN, SEAT, SPARSE, NoisePrior
 from oed.noise.proposal import split_student
 
 #: points of a model's posterior, by which its evidence is computed
@@ -71,6 +71,8 @@ def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
         log_prior = -0.5 * (u**2).sum(axis=1) - 0.5 * u.shape[1] * np.log(2.0 * np.pi)
         return np.asarray(-np.array(values) - log_prior)
 
+    if prior.dimensions == 1:
+        return _only_law(problem, compressed, cost)
     mode = find_mode(cost, prior.starts()[:, 1:], FARTHEST)
     proposal = split_student(cost, mode, root_about(cost, mode))
     points = proposal.points(POINTS)
@@ -83,6 +85,19 @@ def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
         mode=_laws(problem, mode[None])[0],
         draws=points[rows],
         log_evidence=total - float(np.log(POINTS)),
+    )
+
+
+def _only_law(
+    problem: GapProblem, columns: Array, cost: Callable[[Array], Array]
+) -> LawPosterior:
+    """The posterior where all is stated but the common factor: one law."""
+    points = np.zeros((EACH, 0))
+    return LawPosterior(
+        columns=columns,
+        mode=_laws(problem, points[:1])[0],
+        draws=points,
+        log_evidence=-float(cost(points[:1])[0]),
     )
 
 
@@ -116,12 +131,19 @@ def _systematic(points: Array, weights: Array) -> list[int]:
 
 
 def _prior(problem: GapProblem) -> NoisePrior:
-    """The prior of the laws; its first scale, the common factor, is kept at 1."""
+    """The prior of the laws; its first scale, the common factor, is kept at 1.
+
+    What is stated is in the stated correlation, and no part of the laws.
+    """
     groups = int(problem.channel.max()) + 1
-    scales = tuple(f"noise of channel {k + 1}" for k in range(groups))
-    has_seat = bool(problem.seat.any())
-    names = (*scales, *COMMON, *(SEAT if has_seat else ()))
-    return NoisePrior(names, groups, has_seat, SPARSE)
+    names = [f"noise of channel {k + 1}" for k in range(groups)]
+    if problem.statement.carried is None:
+        names += [CARRIED, REACH]
+    if problem.level is None or problem.level.any():
+        names.append(RUN)
+    if problem.seat.any():
+        names.append(SEAT)
+    return NoisePrior(tuple(names), groups, SPARSE, problem.statement)
 
 
 def _laws(problem: GapProblem, u: Array) -> list[NoiseLaw]:

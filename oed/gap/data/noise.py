@@ -17,7 +17,7 @@ def detect_outliers(
     covariance = columns @ columns.T + problem.slopes @ problem.slopes.T
     for number, members in enumerate(problem.members):
         covariance[np.ix_(members, members)] += law.block(problem, number)
-    return detect(problem.residual, covariance)
+    return detect(problem.residual, covariance, statement=problem.statement)
 
 
 def without_outliers(problem: GapProblem, outliers: Outliers | None) -> GapProblem:

@@ -26,7 +26,8 @@ from oed.gap.data.signature import Signature, signature
 from oed.measurement import Measurement, Response, Series
 from oed.noise.covariance import Noise
 from oed.noise.runs import Runs
-from oed.noise.structure import renewed_slopes
+from oed.noise.statement import NoiseStatement
+from oed.noise.structure import common_statement, renewed_slopes
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -44,6 +45,7 @@ class GapProblem(Runs):
     names          (n,) of those parameters
     rows           one row a reading of a channel: setup, run, order, channel,
                    covariates, phase
+    statement      of the noise; the parts that it states are in `stated_correlation`
     """
 
     measurement: Measurement
@@ -56,6 +58,7 @@ class GapProblem(Runs):
     slopes: Array
     names: tuple[str, ...]
     rows: pd.DataFrame
+    statement: NoiseStatement
 
     def signature(
         self,
@@ -155,8 +158,21 @@ def assemble(
         position=_numbers_in_runs(rows, blocks),
         channel=pd.factorize(kinds)[0].astype(np.intp),
         seat=renewed_slopes(measurement, series, theta),
+        level=_unknown_levels(measurement, series),
         rows=rows,
+        statement=common_statement(measurement, series),
     )
+
+
+def _unknown_levels(measurement: Measurement, series: Sequence[Series]) -> Array:
+    """1 for readings (N,) whose set-up does not state what a run's level moves by."""
+    parts = []
+    for s in series:
+        setup = measurement.setups[s.setup]
+        names = [c.name for c in setup.instrument.channels]
+        unknown = [float(n not in setup.statement.levels) for n in names]
+        parts.append(np.tile(unknown, len(s)))
+    return np.concatenate(parts)
 
 
 def _stated_correlations(

@@ -1,24 +1,18 @@
-"""Tolerances, fixed parameters and noise of machine and set-ups, as the study gives."""
+"""Tolerances and fixed parameters of machine and set-ups, as the study gives them."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 
-from oed.instrument import Channel, Setup
+from oed.instrument import Setup
 from oed.machine import Machine, Parameter
-from pkm_studies.errors import Place, suggest
+from pkm_studies.errors import Place
 from pkm_studies.resolve import lookup, quantities
+from pkm_studies.resolve.noise import LARGEST, with_noise
 from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ToleranceTable
-
-#: least and largest noise of an instrument, and largest tolerance, SI: beyond them sums of
-#: squares lose all digits
-LEAST_SIGMA, LARGEST = 1e-12, 1e3
-#: ends of the names of an error that all readings of a run share, and of a display's step
-RUN, RESOLUTION = "_run", "_resolution"
 
 
 def with_tolerances(
@@ -40,7 +34,7 @@ def with_tolerances(
         frame = tuple(p.name for p in machine.parameters if p.name in fixed)
         machine = dataclasses.replace(machine, frame=frame)
         prior |= {name: 0.0 for name in fixed}
-    setups = _with_noise(study, setups)
+    setups = with_noise(study, setups)
     stated = {s.name: _stems(s.tolerance) for s in study.setup}
     changed = {}
     for name, setup in setups.items():
@@ -119,71 +113,3 @@ def _fixed_parameters(study: Study, names: Mapping[str, str]) -> set[str] | None
         return None
     place = study.place.key("machine").key("fixed")
     return set(lookup.matching_names(study.machine.fixed, names, place))
-
-
-def _with_noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, Setup]:
-    """Set-ups with the standard deviations of each channel, and of what a run shares.
-
-    A number for one set-up goes before one for all, and that before the instrument's.
-    """
-    place = study.place.key("noise")
-    common, special = quantities.split_tables(study.noise.sigma)
-    for name in special:
-        if name not in setups:
-            raise place.key(name).error("no such set-up", suggest(name, setups))
-    every = [c for s in setups.values() for c in s.instrument.channels]
-    general = _sigma(common, every, place)
-    noisy = {}
-    for name, setup in setups.items():
-        stated = _sigma(
-            special.get(name, {}), list(setup.instrument.channels), place.key(name)
-        )
-        noisy[name] = _with_sigma(setup, general | stated)
-    return noisy
-
-
-def _with_sigma(setup: Setup, stated: Mapping[str, float]) -> Setup:
-    """A set-up with stated noise, SI, by channel.
-
-    `channel_run` is a run's error, `channel_resolution` the step of its display, whose
-    rounding has a twelfth of its square as variance (Sheppard 1898).
-    """
-    protocol = setup.protocol
-    root = math.sqrt(len(protocol.pass_names)) if protocol.average else 1.0
-    channels, sigma = [], []
-    for channel in setup.instrument.channels:
-        step = stated.get(f"{channel.name}{RESOLUTION}", 0.0)
-        single = stated.get(channel.name, channel.sigma)
-        single = math.hypot(single, step / math.sqrt(12.0))
-        run = stated.get(f"{channel.name}{RUN}", channel.shared * single)
-        channels.append(
-            dataclasses.replace(channel, shared=run / single, resolution=step)
-        )
-        sigma.append(single / root)
-    instrument = dataclasses.replace(setup.instrument, channels=tuple(channels))
-    return dataclasses.replace(setup, instrument=instrument, sigma=tuple(sigma))
-
-
-def _sigma(
-    table: Mapping[str, float], channels: list[Channel], place: Place
-) -> dict[str, float]:
-    known = {c.name: c.unit for c in channels}
-    ends = (RUN, RESOLUTION)
-    known |= {f"{c.name}{end}": c.unit for c in channels for end in ends}
-    values = quantities.read_values(table, known, place)
-    for key, value in table.items():
-        if value <= 0.0:
-            raise place.key(key).error(
-                "noise must be above 0",
-                "give the standard deviation of one reading",
-                value,
-            )
-    for key, (name, value) in zip(table, values.items(), strict=True):
-        if not LEAST_SIGMA <= value <= LARGEST:
-            raise place.key(key).error(
-                "no instrument has such a noise",
-                f"check its unit; {LEAST_SIGMA:g} to {LARGEST:g} {known[name]} are"
-                " possible",
-                table[key],
-            )
-    return values

@@ -115,10 +115,12 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedRea
     exact, effects = virtual_readings.exact_readings(
         measurement, planned, truth, request, state.rng(Stream.EFFECTS)
     )
-    noise = measurement.noise(planned.series)
+    errors = simulation.draw_errors(
+        measurement, planned.series, state.rng(Stream.NOISE), exact.shape
+    )
     readings = Readings(
         series=planned.series,
-        y=exact + noise.draw(state.rng(Stream.NOISE), exact.shape),
+        y=exact + errors,
         truth=truth,
         covariates=planned.covariates,
     )

@@ -57,7 +57,7 @@ _ERRORS = {
 
 def _words(numbers: Sequence[NoiseNumber]) -> list[str]:
     """Departures from the stated noise, as one sentence; none where there is none."""
-    reach = next(n for n in numbers if n.kind == "reach")
+    reach = [n.value for n in numbers if n.kind == "reach"]
     phrases = []
     for number in numbers:
         if not number.departs:
@@ -67,7 +67,7 @@ def _words(numbers: Sequence[NoiseNumber]) -> list[str]:
         if number.kind == "carried":
             phrases.append(
                 f"a share of {size} of the variance of single readings is carried along"
-                f" a run, over about {reach.value:.0f} readings"
+                f" a run, over about {reach[0]:.0f} readings"
             )
             continue
         stated = (

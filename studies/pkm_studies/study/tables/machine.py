@@ -2,7 +2,20 @@
 
 from __future__ import annotations
 
-from pkm_studies.study.tables.base import Count, Name, Numbers, Pair, StudyTable, Triple
+from typing import Annotated
+
+import msgspec
+
+from pkm_studies.study.tables.base import (
+    Count,
+    Name,
+    Numbers,
+    Pair,
+    Positive,
+    Share,
+    StudyTable,
+    Triple,
+)
 
 
 class MachineTable(StudyTable, frozen=True, kw_only=True):
@@ -55,19 +68,34 @@ class SetupTable(StudyTable, frozen=True, kw_only=True):
 
 
 class NoiseTable(StudyTable, frozen=True, kw_only=True):
-    """[noise]: standard deviation of one reading.
+    """[noise]: standard deviation of one reading, and what else is stated of its noise.
 
-    estimate   whether the noise law is estimated from the readings and integrated over; by
-               default where recorded readings leave enough degrees of freedom. Where it
-               is true, up to ten times the stated noise is no bad fit
-    further    channels with their unit, as in `length_um = 0.5`, for all set-ups, or in
-               a table with the set-up's name for that one; `length_run_um` is the error
-               that all readings of a run share, such as that of a bar put up anew, and
-               `length_resolution_um` the step of a display that rounds
+    An estimated law is close to what is stated, lacks what is stated as 0, and may have
+    much or little of what is not stated.
+
+    estimate        whether the noise law is estimated from the readings and integrated
+                    over; by default where recorded readings leave enough degrees of
+                    freedom. Where it is true, up to ten times the stated noise is no bad
+                    fit
+    carried         share (0 to 1) of the variance of single readings that is carried
+                    along a run, as by a slow drift
+    reach_readings  readings over which it is carried: 8 where none is stated
+    student_dof     degrees of freedom (above 2) of a Student t of single readings
+    outlier_share   share (0 to 0.5) of readings that are far off
+    further         channels with their unit, as in `length_um = 0.5`, for all set-ups, or
+                    in a table with the set-up's name for that one; `length_run_um` is the
+                    error that all readings of a run share, such as that of a bar put up
+                    anew, `length_resolution_um` the step of a display that rounds, and
+                    `seating_um` what each coordinate moves by of a cup that each run seats
+                    anew
     """
 
     free_keys = "sigma"
     estimate: bool | None = None
+    carried: Share | None = None
+    reach_readings: Positive | None = None
+    student_dof: Annotated[float, msgspec.Meta(gt=2)] | None = None
+    outlier_share: Annotated[float, msgspec.Meta(ge=0, le=0.5)] | None = None
     sigma: dict[str, float | dict[str, float]] = {}
 
 

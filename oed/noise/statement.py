@@ -1,0 +1,47 @@
+"""What a data sheet or a test states of the noise beyond the scatter of readings."""
+
+from __future__ import annotations
+
+import dataclasses
+
+#: reach of an error that is carried along a run, in readings, where none is stated
+REACH_MEDIAN = 8.0
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class NoiseStatement:
+    """Stated parts of the noise; None (or absent) for a part that nothing is known of.
+
+    A stated amount is the middle of a narrow prior, exactly 0 takes the part out of the
+    model, and what is not stated has a wide prior (`oed.noise.prior`).
+
+    levels         names of the channels whose `Channel.shared` is all that the level of
+                   a run moves by
+    seating        standard deviation of each unknown that a run seats anew, SI
+    carried        share (0 to 1) of the variance of single readings that is carried along
+                   a run
+    reach          of what is carried along, in readings
+    student_dof    degrees of freedom of single readings' Student t
+    outlier_share  share (0 to 1) of the readings that are far off; 0: none is
+    """
+
+    levels: frozenset[str] = frozenset()
+    seating: float | None = None
+    carried: float | None = None
+    reach: float | None = None
+    student_dof: float | None = None
+    outlier_share: float | None = None
+
+    @property
+    def carried_share(self) -> float:
+        """The stated share that is carried along, 0 where none is stated."""
+        return self.carried or 0.0
+
+    @property
+    def reach_median(self) -> float:
+        """The stated reach, or what is usual, in readings."""
+        return self.reach or REACH_MEDIAN
+
+
+#: nothing is stated but the scatter of readings
+NOTHING_STATED = NoiseStatement()

@@ -1,0 +1,225 @@
+"""What is stated of the noise: in the stated covariance, in laws, designs, estimates.
+
+The covariance is written out from the oracle's slopes over the cup, reading by reading.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+from oracles import a3_geometry as a3
+from reference import tian_2016 as paper
+from scipy import stats
+
+from kernel import a3_plans
+from oed import simulation
+from oed.budget import budget_model
+from oed.design import candidates
+from oed.gap.data import laws as gap_laws
+from oed.gap.data.problem import assemble
+from oed.identification import identify
+from oed.measurement import Measurement, Series
+from oed.noise import prior
+from oed.noise.outliers import detect
+from oed.noise.process import Whitening, stated_laws
+from oed.noise.process_noise import dense_covariance
+from oed.noise.statement import NOTHING_STATED, NoiseStatement
+from oed.noise.structure import reading_structure
+
+SIGMA, SEATING, SHARE, REACH, RUN = 0.5e-6, 0.8e-6, 0.4, 3.0, 0.7e-6
+STATED = NoiseStatement(seating=SEATING, carried=SHARE, reach=REACH)
+NOTHING_ELSE = NoiseStatement(
+    levels=frozenset({"length"}), seating=0.0, carried=0.0, outlier_share=0.0
+)
+
+
+def stating(statement: NoiseStatement, run: float = 0.0) -> Measurement:
+    """The head with a bar of which something is stated."""
+    m = a3_plans.measurement()
+    setup = m.setups["cup"]
+    channel = dataclasses.replace(setup.instrument.channels[0], shared=run / SIGMA)
+    instrument = dataclasses.replace(setup.instrument, channels=(channel,))
+    changed = dataclasses.replace(setup, instrument=instrument, statement=statement)
+    return m.with_setups([changed])
+
+
+def circles(m: Measurement) -> Series:
+    """Three circles of eight readings, each a run."""
+    plan = a3_plans.circles(m, 8, strokes=(0.05, 0.1, 0.2)).reading_commands()
+    return m.series("cup", plan, [f"circle {k // 8}" for k in range(24)])
+
+
+def expected(series: Series, run: float = 0.0) -> np.ndarray:
+    """Covariance (24, 24), SI, of the oracle's cup and what STATED says."""
+    cup = np.array([0.0, 0.0, paper.TEACH_Z])
+    over_cup = a3.bar_rows(*series.reading_commands().T, cup)[:, 24:]
+    total = np.zeros((24, 24))
+    for i in range(24):
+        for j in range(24):
+            if series.run[i] == series.run[j]:
+                carried = SHARE * np.exp(-abs(i - j) / REACH)
+                alone = 1.0 - SHARE if i == j else 0.0
+                total[i, j] = SIGMA**2 * (alone + carried) + run**2
+                total[i, j] += SEATING**2 * over_cup[i] @ over_cup[j]
+    return total
+
+
+@pytest.mark.parametrize("run", [0.0, RUN])
+def test_the_stated_covariance_holds_what_is_stated(run: float) -> None:
+    levels = frozenset({"length"}) if run else frozenset()
+    m = stating(dataclasses.replace(STATED, levels=levels), run)
+    series = circles(m)
+    exact = expected(series, run)
+    noise = m.noise([series])
+    assert noise.root is not None
+    covariance = (noise.root @ noise.root.T).toarray()
+    assert covariance == pytest.approx(exact, rel=1e-9, abs=1e-9 * SIGMA**2)
+    assert noise.sigma == pytest.approx(np.sqrt(np.diag(exact)))
+    structure = reading_structure(m, [series], m.nominal)
+    law = stated_laws(structure)
+    process = SIGMA**2 * dense_covariance(structure, law)
+    assert process == pytest.approx(exact, rel=1e-9, abs=1e-9 * SIGMA**2)
+    y = np.random.default_rng(0).standard_normal((24, 2))
+    gram = Whitening(structure, law).gram(structure.standardise(y))[0]
+    assert gram == pytest.approx(y.T @ np.linalg.solve(exact, y), rel=1e-9)
+    of_runs = budget_model(m, [series], m.nominal).runs
+    for part in of_runs:
+        block = exact[np.ix_(part.members, part.members)] / SIGMA**2
+        assert part.covariance({}) == pytest.approx(block, rel=1e-8, abs=1e-9)
+
+
+def test_designs_take_the_seating_as_unknowns_of_each_run() -> None:
+    m = stating(dataclasses.replace(NOTHING_STATED, seating=SEATING))
+    series = circles(m)
+    chosen = candidates.build(m, [series], m.nominal, "tolerance")
+    rows = chosen.blocks.reshape(24, -1)
+    total = rows.T @ rows + chosen.prior_information
+    n = chosen.columns
+    inner = total[:n, :n] - total[:n, n:] @ np.linalg.solve(
+        total[n:, n:], total[n:, :n]
+    )
+    exact = expected(series) - SIGMA**2 * np.where(
+        series.run[:, None] == series.run,
+        SHARE * np.exp(-np.abs(np.subtract.outer(range(24), range(24))) / REACH),
+        0.0,
+    )
+    exact += SHARE * SIGMA**2 * np.eye(24)
+    h = (m.jacobian([series], m.nominal) * m.tolerance)[:, m.free]
+    information = h.T @ np.linalg.solve(exact, h)
+    scale = np.abs(information).max()
+    assert inner == pytest.approx(information, rel=1e-6, abs=1e-8 * scale)
+
+
+def law_coordinates(statement: NoiseStatement, run: float = 0.0) -> prior.NoisePrior:
+    m = stating(statement, run)
+    return prior.noise_prior(reading_structure(m, [circles(m)], m.nominal))
+
+
+def test_what_is_stated_narrows_the_prior_and_nought_takes_it_out() -> None:
+    wide = law_coordinates(NOTHING_STATED)
+    assert wide.names == (
+        "noise of cup.length", prior.CARRIED, prior.REACH, prior.RUN, prior.SEAT,
+    )  # fmt: skip
+    assert law_coordinates(NOTHING_ELSE).names == ("noise of cup.length",)
+    levels = frozenset({"length"})
+    stated = law_coordinates(dataclasses.replace(STATED, levels=levels), RUN)
+    assert stated.names[1:] == (
+        prior.CARRIED, prior.REACH, prior.STATED_RUN, prior.STATED_SEATING,
+    )  # fmt: skip
+    rng = np.random.default_rng(1)
+    drawn = stated.laws(rng.standard_normal((20_000, stated.dimensions)))
+    before = wide.laws(rng.standard_normal((20_000, wide.dimensions)))
+    assert np.median(drawn.carried) == pytest.approx(SHARE, abs=0.01)
+    assert drawn.carried.std() < 0.6 * before.carried.std()
+    assert np.median(drawn.reach) == pytest.approx(REACH, rel=0.02)
+    assert np.log(drawn.reach).std() < 0.5 * np.log(before.reach).std()
+    for factor in (drawn.stated_level, drawn.stated_seat):
+        assert np.median(factor) == pytest.approx(1.0, rel=0.02)
+        assert np.log(factor).std() < 0.5 * np.log(before.level).std()
+    assert not drawn.level.any()
+    assert not drawn.seat.any()
+
+
+def test_a_cup_that_is_stated_to_stay_gives_narrower_intervals() -> None:
+    free = a3_plans.measurement()
+    series = circles(free)
+    rng = np.random.default_rng(3)
+    truth = simulation.draw_parameters(free, rng)
+    y = simulation.draw_readings(free, [series], truth, rng)
+    sizes = []
+    for statement in (NOTHING_STATED, NOTHING_ELSE):
+        m = stating(statement)
+        estimate = identify(m, [series], y, estimate_noise=True)
+        root = np.linalg.slogdet(estimate.coordinates.dual @ estimate.covariance
+                                 @ estimate.coordinates.dual.T)[1]  # fmt: skip
+        sizes.append(root / (2.0 * len(estimate.z)))
+    assert sizes[1] < sizes[0] - 0.05
+
+
+def test_set_ups_state_one_law() -> None:
+    m = a3_plans.measurement(tools=(0.0, 0.1))
+    first, second = m.setups.values()
+    other = dataclasses.replace(second, statement=NoiseStatement(carried=0.2))
+    m = m.with_setups([first, other])
+    series = [a3_plans.circles(m, 4, name) for name in m.setups]
+    with pytest.raises(ValueError, match="same carried share"):
+        reading_structure(m, series, m.nominal)
+
+
+@pytest.mark.parametrize("dof", [3.0, 5.0])
+def test_stated_tails_are_drawn(dof: float) -> None:
+    m = stating(NoiseStatement(student_dof=dof))
+    series = circles(m)
+    rng = np.random.default_rng(4)
+    e = simulation.draw_errors(m, [series], rng, (2000, 24)).ravel() / SIGMA
+    unit = np.sqrt((dof - 2.0) / dof)
+    assert stats.kstest(e / unit, stats.t(dof).cdf).pvalue > 1e-3
+    m = stating(NoiseStatement(outlier_share=0.1))
+    e = simulation.draw_errors(m, [series], rng, (2000, 24)).ravel() / SIGMA
+    beyond = np.mean(np.abs(e) > 4.5)
+    assert beyond == pytest.approx(0.1, abs=4.0 * np.sqrt(0.1 * 0.9 / e.size) + 0.003)
+
+
+def test_stated_tails_go_before_those_that_are_tried() -> None:
+    residual = np.random.default_rng(5).standard_normal(60)
+    residual[17] += 50.0
+    assert detect(residual, np.eye(60), statement=NOTHING_ELSE) is None
+    share = detect(residual, np.eye(60), statement=NoiseStatement(outlier_share=0.02))
+    assert share is not None
+    assert share.density.outlier_share == 0.02
+    assert list(share.rows) == [17]
+    student = detect(residual, np.eye(60), statement=NoiseStatement(student_dof=3.0))
+    assert student is not None
+    assert student.density.dof == 3.0
+    light = detect(residual[:17], np.eye(17))
+    assert light is None
+
+
+def test_the_diagnosis_takes_what_is_stated_as_known() -> None:
+    """With all stated, the law is the stated covariance, up to a common factor."""
+    statement = dataclasses.replace(
+        STATED, levels=frozenset({"length"}), outlier_share=0.0
+    )
+    m = stating(statement, RUN)
+    series = circles(m)
+    rows = {"setup": "cup", "run": series.run, "order": np.tile(np.arange(8), 3)}
+    problem = assemble(m, [series], pd.DataFrame(rows))
+    law = gap_laws.posterior(problem, problem.slopes[:, :0])
+    assert law.draws.shape[1] == 0
+    for k, members in enumerate(problem.members):
+        block = law.mode.block(problem, k) * np.outer(*2 * [problem.sigma[members]])
+        exact = expected(series, RUN)[np.ix_(members, members)]
+        assert block == pytest.approx(exact, rel=1e-9)
+    assert len(gap_laws.mixture(problem, [law])) == gap_laws.EACH
+
+
+def test_a_diagnosis_without_statement_has_all_parts() -> None:
+    m = a3_plans.measurement()
+    series = circles(m)
+    rows = {"setup": "cup", "run": series.run, "order": np.tile(np.arange(8), 3)}
+    problem = assemble(m, [series], pd.DataFrame(rows))
+    law = gap_laws.posterior(problem, problem.slopes[:, :0])
+    assert law.draws.shape[1] == 4
