@@ -23,11 +23,15 @@ STUDY = sample.changed(
 
 
 @pytest.fixture
-def belief() -> Belief:
-    """Six columns, three components of two combinations each."""
-    rng = np.random.default_rng(5)
-    root = rng.standard_normal((6, 6))
-    return Belief(root @ root.T + np.eye(6), rng.standard_normal((3, 2, 6)))
+def factors() -> np.ndarray:
+    """Three components of two combinations each, of six columns."""
+    return np.random.default_rng(4).standard_normal((3, 2, 6))
+
+
+@pytest.fixture
+def belief(factors: np.ndarray) -> Belief:
+    root = np.random.default_rng(5).standard_normal((6, 6))
+    return Belief(root @ root.T + np.eye(6), next_reading.weights_of(factors))
 
 
 @pytest.fixture
@@ -43,19 +47,21 @@ def test_a_reading_adds_its_information(belief: Belief, blocks: np.ndarray) -> N
 
 
 def test_variances_of_all_candidates_are_those_one_by_one(
-    belief: Belief, blocks: np.ndarray
+    belief: Belief, factors: np.ndarray, blocks: np.ndarray
 ) -> None:
     together = belief.variances_after(blocks)
     for k, block in enumerate(blocks):
         covariance = belief.after(block).covariance
-        expected = [np.trace(f @ covariance @ f.T) for f in belief.factors]
+        expected = [np.trace(f @ covariance @ f.T) for f in factors]
         np.testing.assert_allclose(together[k], expected, rtol=1e-9)
 
 
-def test_the_best_is_better_than_all_others(belief: Belief, blocks: np.ndarray) -> None:
+def test_the_best_is_better_than_all_others(
+    belief: Belief, factors: np.ndarray, blocks: np.ndarray
+) -> None:
     def score(block: np.ndarray) -> float:
         covariance = belief.after(block).covariance
-        traces = [np.trace(f @ covariance @ f.T) for f in belief.factors]
+        traces = [np.trace(f @ covariance @ f.T) for f in factors]
         return float(np.sum(np.log(traces)))
 
     scores = [score(block) for block in blocks]
@@ -63,13 +69,13 @@ def test_the_best_is_better_than_all_others(belief: Belief, blocks: np.ndarray) 
 
 
 def test_components_that_are_reached_hardly_count(
-    belief: Belief, blocks: np.ndarray
+    belief: Belief, factors: np.ndarray, blocks: np.ndarray
 ) -> None:
     limits = np.array([1e-9, np.nan, 1e9])
     assert next_reading.open_components(belief, limits) == [0]
     index = next_reading.best_candidate(belief, blocks, limits)
     covariances = [belief.after(block).covariance for block in blocks]
-    first = belief.factors[0]
+    first = factors[0]
     traces = [np.trace(first @ c @ first.T) for c in covariances]
     assert index == int(np.argmin(traces))
 
@@ -172,6 +178,44 @@ def _advised(study: Path, readings: Path) -> tuple[advice.Adviser, advice.Advice
     return adviser, adviser.advise(readings)
 
 
+def test_the_plan_s_accuracy_can_be_wanted(
+    study: Path, readings: Callable[[int], Path]
+) -> None:
+    """Reached by the plan's own readings, and promised by no more than those."""
+    adviser = advice.Adviser(load(study), advice.AS_PLANNED)
+    measurement = adviser.base.measurement
+    before = adviser.advise_after(measurement, (), np.zeros(0))
+    assert len(adviser.plan) == 21
+    assert before.more is not None
+    assert before.more <= 21
+    chosen = adviser.base.resolved.candidates
+    pool = candidates.build(measurement, chosen, measurement.nominal, "tolerance")
+    rows = pool.blocks[list(adviser.plan)].reshape(-1, pool.blocks.shape[2])
+    covariance = np.linalg.inv(np.eye(rows.shape[1]) + rows.T @ rows)
+    planned = np.einsum(
+        "knm,mn->k", adviser.prior(measurement, pool).weights, covariance
+    )
+    np.testing.assert_allclose(before.limits, np.sqrt(planned), rtol=2e-6)
+    assert not before.is_reached
+    assert adviser.advise(readings(21)).is_reached
+
+
+def test_the_plan_is_one_of_the_fewest(study: Path) -> None:
+    """One reading fewer, planned for the same goal, misses it."""
+    adviser = advice.Adviser(load(study))
+    measurement = adviser.base.measurement
+    chosen = adviser.base.resolved.candidates
+    pool = candidates.build(measurement, chosen, measurement.nominal, "tolerance")
+    prior = adviser.prior(measurement, pool)
+    every = next_reading.best_remaining(prior, pool.blocks, 21)
+    adviser.limits = adviser.accuracy(measurement, pool, every[:12])
+    more = adviser.advise_after(measurement, (), np.zeros(0)).more
+    assert more is not None
+    assert more <= 12
+    fewer = next_reading.best_remaining(prior, pool.blocks, more - 1, adviser.limits)
+    assert (adviser.accuracy(measurement, pool, fewer) > adviser.limits).any()
+
+
 def test_what_is_missing_is_said(tmp_path: Path) -> None:
     path = tmp_path / "bare.study.toml"
     path.write_text(sample.STUDY, encoding="utf-8")
@@ -192,10 +236,9 @@ def test_a_plan_for_the_goal_takes_fewer_readings_than_the_volume_s() -> None:
     pool = candidates.build(
         measurement, resolved.candidates, measurement.nominal, "tolerance"
     )
-    prior = adviser.prior(measurement, pool)
-    fixed = next_reading.after_all(prior, pool.blocks, chosen.choice.indices.tolist())
-    goal = np.sqrt(fixed.variances) * (1.0 + 1e-9)
+    goal = adviser.accuracy(measurement, pool, chosen.choice.indices) * (1.0 + 1e-9)
     assert len(chosen.choice.indices) == 30
+    prior = adviser.prior(measurement, pool)
     plan = next_reading.best_remaining(prior, pool.blocks, 27, goal)
-    reached = next_reading.after_all(prior, pool.blocks, plan)
-    assert next_reading.open_components(reached, goal) == []
+    reached = adviser.accuracy(measurement, pool, plan)
+    assert (reached <= goal).all()

@@ -5,7 +5,9 @@ rows leaves, by the Kalman update,
 
     C - C H^T (I + H C H^T)^-1 H C.
 
-The variance of the combinations F (r, n) falls by tr[F C H^T (I + H C H^T)^-1 H C F^T].
+The variance of the combinations F (r, n) is tr(W C) with W = F^T F. With the Cholesky
+factor L of I + H C H^T and G = L^-1 H C it falls by tr(G W G^T).
+
 A step takes the candidate with the smallest sum of log variances over the goal's
 components: each counts by the share that it loses, whatever its unit.
 
@@ -32,18 +34,17 @@ class Belief:
     """What is known, and what should become accurate.
 
     covariance  (n, n) of the columns, as scaled in the candidates' blocks
-    factors     (K, r, n) each component's combinations; its variance is the trace
-                of F C F^T
+    weights     (K, n, n) W = F^T F of each component's combinations F (r, n); its
+                variance is tr(W C)
     """
 
     covariance: Array
-    factors: Array
+    weights: Array
 
     @property
     def variances(self) -> Array:
         """Variance (K,) of each component."""
-        operands = (self.factors, self.covariance, self.factors)
-        return np.asarray(np.einsum("krn,nm,krm->k", *operands, optimize=True))
+        return np.asarray(np.tensordot(self.weights, self.covariance, axes=2))
 
     def after(self, block: Array) -> Belief:
         """The belief after a candidate (k, n) is read."""
@@ -56,9 +57,16 @@ class Belief:
         """Variances (C, K) after each of the candidates (C, k, n) alone."""
         gain = blocks @ self.covariance
         spread = np.eye(blocks.shape[1]) + gain @ blocks.swapaxes(1, 2)
-        weights = np.einsum("krn,krm->knm", self.factors, self.factors)
-        seen_by = np.einsum("cin,knm,cjm->ckij", gain, weights, gain, optimize=True)
-        fall = np.einsum("ckij,cji->ck", seen_by, np.linalg.inv(spread))
+        count, rows, columns = gain.shape
+        # A thousand systems of one equation are slow to solve as systems.
+        white = (
+            gain / np.sqrt(spread)
+            if rows == 1
+            else np.linalg.solve(np.linalg.cholesky(spread), gain)
+        )
+        flat = white.reshape(count * rows, columns)
+        falls = [np.einsum("ij,ij->i", flat @ w, flat) for w in self.weights]
+        fall = np.column_stack(falls).reshape(count, rows, -1).sum(axis=1)
         return np.asarray(self.variances - fall)
 
 
@@ -114,6 +122,11 @@ def best_remaining(
     return [chosen[first], *chosen[:first], *chosen[first + 1 :]]
 
 
+def weights_of(factors: Array) -> Array:
+    """Weights (K, n, n) of each component's combinations (K, r, n)."""
+    return np.asarray(factors.swapaxes(1, 2) @ factors)
+
+
 def after_all(belief: Belief, blocks: Array, indices: Sequence[int]) -> Belief:
     """The belief after several candidates, in one update."""
     if not len(indices):
@@ -125,6 +138,6 @@ def after_all(belief: Belief, blocks: Array, indices: Sequence[int]) -> Belief:
 def open_components(belief: Belief, limits: Array | None) -> list[int]:
     """Components whose standard deviation is above its limit; without limits, all."""
     if limits is None or not np.isfinite(limits).any():
-        return list(range(len(belief.factors)))
+        return list(range(len(belief.weights)))
     missed = np.sqrt(belief.variances) > np.where(np.isfinite(limits), limits, np.inf)
     return np.flatnonzero(missed).tolist()

@@ -24,7 +24,8 @@ def next_reading(
     wanted: Annotated[
         str,
         typer.Option(
-            metavar="z_um=30,...", help="Rms errors at which to stop [the study's]."
+            metavar="z_um=30,...",
+            help="Rms errors at which to stop [the study's]; plan: those of its plan.",
         ),
     ] = "",
     follow: Annotated[

@@ -22,6 +22,7 @@ from pkm_studies.resolve import quantities, roles
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.run_state import RunState, start
 from pkm_studies.stages import describe
+from pkm_studies.stages.design.select import select_design
 from pkm_studies.stages.headline import format_number
 from pkm_studies.steps import readings as readings_steps
 from pkm_studies.study import Study
@@ -32,6 +33,10 @@ NO_READING = "no reading was taken"
 MOST_AHEAD = 100
 #: share of the error below which a further reading is not worth its time
 LEAST_GAIN = 0.01
+#: what `wanted` is where a session should reach what the study's plan would
+AS_PLANNED = "plan"
+#: share by which a session with the plan's readings may miss the plan's accuracy
+ROUNDING = 1e-6
 #: time between two looks at the file, s
 PAUSE = 0.5
 
@@ -80,6 +85,9 @@ class Advice:
 class Adviser:
     """A study whose candidates, workspace and set-ups are resolved once.
 
+    wanted  rms errors as in "z_um=30"; AS_PLANNED: what the study's plan would reach on
+            this machine, as far as it is known after each reading
+
     Raises InputError where the study has no candidates or no workspace.
     """
 
@@ -100,6 +108,10 @@ class Adviser:
         self.maps = prediction.error_maps(
             resolved.measurement.kinematics, commands, study.prediction.reference
         )
+        self.plan: Sequence[int] = ()
+        if wanted == AS_PLANNED:
+            self.plan = _planned_candidates(self.base)
+            wanted = ""
         self.limits = _limits(study, self.base, self.maps.names, wanted)
 
     def advise(self, readings: Path) -> Advice:
@@ -121,8 +133,19 @@ class Adviser:
             theta = estimate.theta
         pool = candidates.build(measurement, resolved.candidates, theta, "tolerance")
         belief = self._belief(measurement, pool, estimate)
+        if self.plan:
+            planned = self.accuracy(measurement, pool, self.plan)
+            self.limits = planned * (1.0 + ROUNDING)
         count = sum(map(len, series))
         return self._advice(measurement, pool, belief, theta, count)
+
+    def accuracy(
+        self, measurement: Measurement, pool: Candidates, indices: Sequence[int]
+    ) -> Array:
+        """Rms (K,) that candidates of a pool reach, without any other reading."""
+        prior = self.prior(measurement, pool)
+        after = next_reading.after_all(prior, pool.blocks, indices)
+        return np.asarray(np.sqrt(after.variances))
 
     def prior(self, measurement: Measurement, pool: Candidates) -> Belief:
         """What the tolerances alone say, before any reading."""
@@ -163,7 +186,7 @@ class Adviser:
         slopes[:, :, :count] = self.maps.raw.swapaxes(0, 1) / np.sqrt(poses)
         factors = np.zeros((components, poses, columns))
         factors[:, :, : len(scale)] = slopes[:, :, free] * scale
-        return Belief(covariance, factors)
+        return Belief(covariance, next_reading.weights_of(factors))
 
     def _advice(
         self,
@@ -198,14 +221,26 @@ class Adviser:
     ) -> tuple[list[int], int | None]:
         """Readings to come, the next one first, and how many reach what is wanted.
 
-        Where fewer than the remaining ones do, the plan is made again for so many.
+        Where fewer than the remaining ones can, the plan is one of the fewest.
         """
         plan = next_reading.best_remaining(belief, blocks, remaining, self.limits)
-        more = self._more(belief, blocks, plan)
-        if more is None or not 0 < more < remaining:
-            return plan, more
-        shorter = next_reading.best_remaining(belief, blocks, more, self.limits)
-        return shorter, min(more, self._more(belief, blocks, shorter) or more)
+        if not self._reaches(belief, blocks, plan):
+            return plan, self._more(belief, blocks, plan)
+        too_few, enough = 0, remaining
+        while enough - too_few > 1:
+            count = (too_few + enough) // 2
+            shorter = next_reading.best_remaining(belief, blocks, count, self.limits)
+            if self._reaches(belief, blocks, shorter):
+                plan, enough = shorter, count
+            else:
+                too_few = count
+        return plan, self._more(belief, blocks, plan)
+
+    def _reaches(self, belief: Belief, blocks: Array, plan: list[int]) -> bool:
+        """Whether a plan reaches every wanted accuracy, if any is wanted."""
+        after = next_reading.after_all(belief, blocks, plan)
+        wanted = bool(np.isfinite(self.limits).any())
+        return wanted and not next_reading.open_components(after, self.limits)
 
     def _more(self, belief: Belief, blocks: Array, plan: list[int]) -> int | None:
         """Readings until every wanted accuracy is reached; None where too many are.
@@ -224,6 +259,20 @@ class Adviser:
             if rest:
                 rest.pop(best)
         return None
+
+
+def _planned_candidates(state: RunState) -> list[int]:
+    """The candidates of the study's plan. Raises InputError where it chooses none."""
+    rng = np.random.default_rng(state.study.seed)
+    chosen = select_design(state.resolved, rng)
+    if chosen is None:
+        raise InputError(
+            "the study chooses no plan to compare with",
+            "add [design] with a number of readings, or state accuracies",
+            field="--wanted",
+            value=AS_PLANNED,
+        )
+    return [int(index) for index in chosen.choice.indices]
 
 
 def _limits(
