@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -96,6 +97,33 @@ def test_planning_together_is_no_worse_than_one_by_one(
     assert alone[0] == min(alone)
     one_more = score(together.after(blocks[0]))
     assert one_more < score(together)
+
+
+def test_the_fewest_readings_reach_the_goal(belief: Belief, blocks: np.ndarray) -> None:
+    """Against all sets of the size below, none of which does."""
+    rng = np.random.default_rng(8)
+    blocks = blocks[:9]
+    some = [int(k) for k in rng.choice(9, size=3, replace=False)]
+    reached = next_reading.after_all(belief, blocks, some)
+    limits = np.sqrt(reached.variances) * (1.0 + 1e-9)
+    answer = next_reading.fewest_remaining(belief, blocks, 9, limits)
+    assert answer is not None
+    plan, count = answer
+    assert len(plan) == count - 1
+    assert _reaching(belief, blocks, limits, count)
+    assert not _reaching(belief, blocks, limits, count - 1)
+    assert next_reading.fewest_remaining(belief, blocks, count - 1, limits) is None
+    wide = np.sqrt(belief.variances) * 2.0
+    assert next_reading.fewest_remaining(belief, blocks, 9, wide) == ([], 0)
+
+
+def _reaching(
+    belief: Belief, blocks: np.ndarray, limits: np.ndarray, count: int
+) -> bool:
+    """Whether any set of so many candidates reaches all limits."""
+    sets = itertools.combinations_with_replacement(range(len(blocks)), count)
+    after = (next_reading.after_all(belief, blocks, chosen) for chosen in sets)
+    return any(not next_reading.open_components(known, limits) for known in after)
 
 
 # -- command ---------------------------------------------------------------------------

@@ -113,11 +113,79 @@ def best_remaining(
     for _ in range(sweeps):
         before = list(chosen)
         for place in range(count):
-            others = [*chosen[:place], *chosen[place + 1 :]]
-            known = after_all(belief, blocks, others)
-            chosen[place] = best_candidate(known, blocks, limits)
+            _exchange(belief, blocks, chosen, place, limits)
         if chosen == before:
             break
+    return _best_first(belief, blocks, chosen, limits)
+
+
+def fewest_remaining(
+    belief: Belief,
+    blocks: Array,
+    most: int,
+    limits: Array,
+    sweeps: int = 2,
+) -> tuple[list[int], int] | None:
+    """A plan for the fewest readings that reach all limits, and their number n.
+
+    Single best ones until the limits are reached; then one after the other is left out,
+    and exchanges make up for it. The plan is the first that fails, of n - 1 readings:
+    the one that lacks least. What the next readings show may make it suffice, so that a
+    session which follows it ends sooner than with n readings that just reach. None where
+    `most` candidates do not reach the limits; an empty plan where they are reached.
+    """
+    chosen: list[int] = []
+    known = belief
+    while open_components(known, limits) and len(chosen) < most:
+        chosen.append(best_candidate(known, blocks, limits))
+        known = known.after(blocks[chosen[-1]])
+    if not _exchange_until_reached(belief, blocks, chosen, limits, sweeps):
+        return None
+    fewer = chosen
+    while len(chosen) > 1:
+        fewer = _without_least(belief, blocks, chosen, limits)
+        if not _exchange_until_reached(belief, blocks, fewer, limits, sweeps):
+            break
+        chosen = fewer
+    plan = _best_first(belief, blocks, fewer, limits) if fewer else []
+    return plan, len(chosen)
+
+
+def _exchange(
+    belief: Belief, blocks: Array, chosen: list[int], place: int, limits: Array | None
+) -> Belief:
+    """Replace a chosen candidate by the best one given all others; what is then known."""
+    others = [*chosen[:place], *chosen[place + 1 :]]
+    known = after_all(belief, blocks, others)
+    chosen[place] = best_candidate(known, blocks, limits)
+    return known.after(blocks[chosen[place]])
+
+
+def _exchange_until_reached(
+    belief: Belief, blocks: Array, chosen: list[int], limits: Array, sweeps: int
+) -> bool:
+    """Exchange until all limits are reached; False where the sweeps do not suffice."""
+    known = after_all(belief, blocks, chosen)
+    for _ in range(sweeps):
+        for place in range(len(chosen)):
+            if not open_components(known, limits):
+                return True
+            known = _exchange(belief, blocks, chosen, place, limits)
+    return not open_components(known, limits)
+
+
+def _without_least(
+    belief: Belief, blocks: Array, chosen: list[int], limits: Array
+) -> list[int]:
+    """The chosen candidates without the one that is missed least."""
+    rests = [[*chosen[:k], *chosen[k + 1 :]] for k in range(len(chosen))]
+    variances = [after_all(belief, blocks, rest).variances for rest in rests]
+    return rests[int(np.argmin(_scores(np.array(variances), limits)))]
+
+
+def _best_first(
+    belief: Belief, blocks: Array, chosen: list[int], limits: Array | None
+) -> list[int]:
     first = best_candidate(belief, blocks[chosen], limits)
     return [chosen[first], *chosen[:first], *chosen[first + 1 :]]
 

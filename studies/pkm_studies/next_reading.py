@@ -221,26 +221,16 @@ class Adviser:
     ) -> tuple[list[int], int | None]:
         """Readings to come, the next one first, and how many reach what is wanted.
 
-        Where fewer than the remaining ones can, the plan is one of the fewest.
+        Where fewer than the remaining ones can, the plan is one for the fewest.
         """
+        if np.isfinite(self.limits).any():
+            fewest = next_reading.fewest_remaining(
+                belief, blocks, remaining, self.limits
+            )
+            if fewest is not None and fewest[0]:
+                return fewest
         plan = next_reading.best_remaining(belief, blocks, remaining, self.limits)
-        if not self._reaches(belief, blocks, plan):
-            return plan, self._more(belief, blocks, plan)
-        too_few, enough = 0, remaining
-        while enough - too_few > 1:
-            count = (too_few + enough) // 2
-            shorter = next_reading.best_remaining(belief, blocks, count, self.limits)
-            if self._reaches(belief, blocks, shorter):
-                plan, enough = shorter, count
-            else:
-                too_few = count
         return plan, self._more(belief, blocks, plan)
-
-    def _reaches(self, belief: Belief, blocks: Array, plan: list[int]) -> bool:
-        """Whether a plan reaches every wanted accuracy, if any is wanted."""
-        after = next_reading.after_all(belief, blocks, plan)
-        wanted = bool(np.isfinite(self.limits).any())
-        return wanted and not next_reading.open_components(after, self.limits)
 
     def _more(self, belief: Belief, blocks: Array, plan: list[int]) -> int | None:
         """Readings until every wanted accuracy is reached; None where too many are.
