@@ -17,6 +17,27 @@ from oed.estimate import Estimate
 from oed.log_density import LogDensity
 from oed.measurement import Measurement, Series
 
+#: draws of the parameters: their covariance is known to 2 %
+DRAWS = 2000
+
+
+def draw_approximation(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    estimate: Estimate,
+    rng: np.random.Generator,
+    count: int = DRAWS,
+) -> Array:
+    """Parameters (m, n), SI, from the approximation; m is `count`, or few less.
+
+    y  (N,) the readings, SI. Draws that cannot be assembled are left out. Raises
+    AssemblyError at the estimate.
+    """
+    z = draw_coordinates(estimate, rng, count)
+    theta = draw_parameters(measurement, series, y, estimate, z, rng)
+    return np.asarray(theta[np.isfinite(theta).all(axis=1)])
+
 
 def draw_coordinates(estimate: Estimate, rng: np.random.Generator, count: int) -> Array:
     """Draws (count, r) of the identifiable coordinates."""

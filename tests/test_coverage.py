@@ -12,6 +12,8 @@ import pytest
 from oed import laplace, prediction
 from oed.error_draws import compensated_errors
 from oed.identification import identify
+from oed.noise.prior import noise_prior
+from oed.noise.structure import reading_structure
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ("a3_30", "a3_60", "a3_circles", "planar", "delta", "hexapod")
@@ -105,6 +107,21 @@ def test_intervals_hold_where_runs_are_off() -> None:
     assert 0.4 < np.mean([o.nees for o in estimated]) < 2.0
     assert np.mean([o.combinations for o in stated]) < 0.85
     assert np.mean([o.nees for o in stated]) > 3.0
+
+
+def test_a_stated_seat_is_of_the_same_machines_and_no_part_of_the_law() -> None:
+    configuration = module("configurations").configuration
+    one_machine = module("measure").one_machine
+    stated, free = configuration("a3_30_stated"), configuration("a3_30")
+    truth = free.measurement.nominal + 1e-4
+    assert stated.read(truth) == pytest.approx(free.read(truth), abs=0.0)
+    # the machine and the errors are drawn by the name
+    assert stated.name == free.name
+    m = stated.measurement
+    structure = reading_structure(m, stated.series, m.nominal)
+    assert "seating" not in noise_prior(structure).names
+    outcomes = [one_machine(bench, "white", 0, 1) for bench in (stated, free)]
+    assert outcomes[0].nees > outcomes[1].nees
 
 
 def test_a_campaign_goes_on_and_writes_its_table(tmp_path: Path) -> None:

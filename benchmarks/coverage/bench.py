@@ -12,13 +12,15 @@ from scipy.spatial.transform import Rotation
 from benchmarks.coverage.noise import Layout
 from oed.coordinates import IdentifiableCoordinates, identifiable_coordinates
 from oed.measurement import Measurement, Series
+from oed.noise.statement import NoiseStatement
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Bench:
     """One configuration.
 
-    name, about  for the table
+    name         of the machines and errors that are drawn
+    about        for the table
     measurement  the toolkit's
     series       its planned readings, N in all
     stages       of the identification
@@ -36,6 +38,16 @@ class Bench:
     command: np.ndarray
     read: Callable[[np.ndarray], np.ndarray]
     errors: Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+    def stating(self, statement: NoiseStatement, about: str) -> Bench:
+        """The same machines with the same errors, of which the study states something."""
+        mounted = self.measurement.setups.values()
+        setups = [dataclasses.replace(s, statement=statement) for s in mounted]
+        return dataclasses.replace(
+            self,
+            about=f"{self.about}; {about}",
+            measurement=self.measurement.with_setups(setups),
+        )
 
     @functools.cached_property
     def coordinates(self) -> IdentifiableCoordinates:

@@ -57,6 +57,7 @@ class Stream(enum.IntEnum):
     UNMODELLED = 17
     REFERENCES = 18
     TOOLS = 19
+    LAPLACE = 20
 
 
 class HeldOut(NamedTuple):

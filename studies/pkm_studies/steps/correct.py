@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from oed import posterior
+from oed import laplace, posterior
 from oed.arrays import Array
 from oed.correction import (
     CorrectedEstimate,
@@ -131,10 +131,10 @@ def _with_section(
     kinematics = state.measurement.kinematics
     command = regular_commands(study, kinematics)
     reference = "home" if table is None else table.reference
-    pooled: Array | None = None if draws is None else draws.pooled
     accuracy = None
     if len(command):
-        accuracy = predict_corrected(corrected, command, reference, rng, pooled)
+        theta = _approximate(corrected, rng) if draws is None else draws.pooled
+        accuracy = predict_corrected(corrected, command, reference, rng, theta)
     section = sections.corrected_section(
         corrected,
         truth,
@@ -178,6 +178,17 @@ def _with_true_alarms(state: RunState, section: CorrectedSection) -> RunState:
         true[warning] = f"without effects in the model, {warning}"
     state = state.with_sections(goodness=goodness)
     return state.replace(warnings=tuple(true.get(w, w) for w in state.warnings))
+
+
+def _approximate(corrected: CorrectedEstimate, rng: np.random.Generator) -> Array:
+    """Draws (m, n) of parameters and effects without a posterior."""
+    return laplace.draw_approximation(
+        corrected.measurement,
+        corrected.series,
+        corrected.readings.y,
+        corrected.estimate,
+        rng,
+    )
 
 
 def _sample(

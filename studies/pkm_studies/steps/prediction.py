@@ -8,6 +8,7 @@ from typing import get_args
 import msgspec
 import numpy as np
 
+from oed import laplace
 from oed.arrays import Array
 from oed.budget import budget_of
 from oed.correction import ExpectedEffect
@@ -77,7 +78,27 @@ def _knowledge(state: RunState) -> ParameterKnowledge:
     if state.estimate is None or state.readings.truth is not None:
         return knowledge.planned(state.measurement, series)
     return knowledge.identified(
-        state.measurement, series, state.estimate, state.posterior
+        state.measurement, series, state.estimate, _draws(state)
+    )
+
+
+def _draws(state: RunState) -> Array:
+    """Draws (m, n) of theta: of the posterior, or of its approximation without one.
+
+    Both follow directions that no reading determines; a covariance does not.
+    """
+    if state.posterior is not None:
+        return state.posterior.pooled
+    readings, estimate = state.readings, state.estimate
+    assert readings is not None
+    assert readings.y is not None
+    assert estimate is not None
+    return laplace.draw_approximation(
+        state.measurement,
+        readings.series,
+        readings.y,
+        estimate,
+        state.rng(Stream.LAPLACE),
     )
 
 

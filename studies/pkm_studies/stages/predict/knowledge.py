@@ -17,7 +17,6 @@ from oed.estimate import Estimate
 from oed.kinematics import AssemblyError
 from oed.measurement import Measurement, Series
 from oed.noise.process_noise import ProcessNoise
-from oed.posterior import Posterior
 from oed.prediction import Prediction
 
 
@@ -29,7 +28,8 @@ class ParameterKnowledge:
     model                of the readings, for the budget
     covariance           (np, np) of the parameters after identification
     mean                 (np,) identified errors; None before any reading
-    draws                (m, np) posterior draws about the estimate; None without them
+    draws                (m, np) draws of the posterior, or of its approximation, about
+                         the estimate; None before any reading
     estimated            (np, np) of the estimate, where it holds more than the model
     """
 
@@ -69,21 +69,18 @@ def identified(
     measurement: Measurement,
     series: Sequence[Series],
     estimate: Estimate,
-    posterior: Posterior | None,
+    theta: Array,
 ) -> ParameterKnowledge:
-    """After a fit: the estimate, and its posterior draws where there are any."""
+    """After a fit: the estimate, and draws (m, n) of what is known of theta, SI."""
     count = len(measurement.machine.parameters)
     laws = estimate.noise.law.laws if isinstance(estimate.noise, ProcessNoise) else None
     estimated = estimate.covariance[:count, :count]
-    covariance, draws = estimated, None
-    if posterior is not None:
-        draws = posterior.pooled[:, :count] - estimate.theta[:count]
-        covariance = draws.T @ draws / len(draws)
+    draws = theta[:, :count] - estimate.theta[:count]
     return ParameterKnowledge(
         measurement,
         tuple(series),
         budget_model(measurement, series, estimate.theta, laws=laws),
-        covariance,
+        draws.T @ draws / len(draws),
         mean=(estimate.theta - measurement.nominal)[:count],
         draws=draws,
         estimated=estimated,

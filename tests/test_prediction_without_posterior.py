@@ -1,0 +1,70 @@
+"""Without a posterior, predictions rest on draws that follow the lost directions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import blunders
+import numpy as np
+import pytest
+import test_bad_fit
+from oracles import a3_geometry as a3
+
+import oed
+from oed.linear_algebra import covariance_root
+from pkm_studies.steps import prediction
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> oed.EstimateView:
+    """Circles with two tools: one direction of the A3 head stays undetermined."""
+    folder: Path = tmp_path_factory.mktemp("fit")
+    path, table = test_bad_fit.write(folder, blunders.a3_readings(0))
+    study = oed.load_study(path)
+    return oed.identify(oed.read_readings(study, table))
+
+
+def test_draws_give_the_readings_that_were_taken(fitted: oed.EstimateView) -> None:
+    """By the oracle: normal draws of the covariance move them by micrometres more."""
+    state = fitted.state
+    assert state.posterior is None
+    assert state.estimate is not None
+    assert state.readings is not None
+    m, estimate = state.measurement, state.estimate
+    theta = prediction._draws(state)[:200]
+    root = covariance_root(estimate.covariance)
+    rng = np.random.default_rng(1)
+    straight = estimate.theta + rng.standard_normal((200, root.shape[1])) @ root.T
+    off = {}
+    for name, draws in (("followed", theta), ("straight", straight)):
+        read = np.array([exact_readings(state, t) for t in draws])
+        off[name] = np.sqrt(
+            np.mean((read - exact_readings(state, estimate.theta)) ** 2)
+        )
+    noise = m.sigma(state.readings.series)[0]
+    assert off["followed"] < 2.0 * noise
+    assert off["straight"] > 2.0 * off["followed"]
+    spread = theta.std(axis=0)[:24]
+    sd = np.sqrt(np.diag(estimate.covariance))[:24]
+    assert spread == pytest.approx(sd, rel=0.25)
+
+
+def exact_readings(state: object, theta: np.ndarray) -> np.ndarray:
+    """Readings (N,) of the oracle's machine at theta."""
+    parts = []
+    m = state.measurement  # type: ignore[attr-defined]
+    for s in state.readings.series:  # type: ignore[attr-defined]
+        tool = m.setups[s.setup].tool[2]
+        poses, teach = s.q[s.index[:, 0]], s.q[s.index[:, 1]]
+        offset = theta[m.nuisance_slice(s.setup)]
+        cup = a3.forward(theta[:24], teach, tool).tip + offset
+        parts.append(a3.ball_bar_reading(theta[:24], poses, cup, tool))
+    return np.concatenate(parts)
+
+
+def test_the_prediction_is_that_of_the_posterior(fitted: oed.EstimateView) -> None:
+    without = oed.predict(fitted).section.components
+    sampled = oed.predict(oed.sample(fitted)).section.components
+    for name, spread in without.items():
+        exact = sampled[name].after.rms
+        assert spread.after.rms == pytest.approx(exact, rel=0.08), name
