@@ -60,14 +60,19 @@ def listing(kind: str) -> list[CatalogueEntry]:
     ]
 
 
-def machine(reference: str, folder: Path, place: Place) -> Any:
-    """The `oed.machine.Machine` that `reference` names. Raises InputError."""
+def machine(
+    reference: str, folder: Path, place: Place, *, assembled: bool = True
+) -> Any:
+    """The `oed.machine.Machine` that `reference` names. Raises InputError.
+
+    assembled  whether the home pose of a user's own must assemble
+    """
     from oed.machine import Machine
     from pkm_studies import machine_check as soundness
 
     machine = _lookup(reference, "machines", Machine, folder, place)
     if ":" in reference or reference.endswith(".py"):
-        soundness.check_machine(machine, place)
+        soundness.check_machine(machine, place, assembled=assembled)
     return machine
 
 

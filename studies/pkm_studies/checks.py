@@ -13,8 +13,8 @@ from oed import checks
 from oed.checks import Severity, blind
 from oed.dataset import Dataset
 from oed.kinematics import AssemblyError
-from pkm_studies import shipped, sources
-from pkm_studies.errors import InputError, SourceAbsentError
+from pkm_studies import catalogue, shipped, sources
+from pkm_studies.errors import InputError, Place, SourceAbsentError
 from pkm_studies.resolve.machine import has_own_numbers, unreachable
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve, with_readings
 from pkm_studies.run_state import Stream
@@ -43,7 +43,9 @@ def check(paths: Sequence[Path]) -> Iterator[tuple[Path, Verdict | InputError]]:
     """
     resolved: list[ResolvedStudy] = []
     alone = all(p.suffix != ".csv" for p in paths)
-    for path in [p for p in paths if p.suffix != ".csv"]:
+    for path in [p for p in paths if p.suffix == ".py"]:
+        yield path, _verdict(partial(_check_machine, path))
+    for path in [p for p in paths if p.suffix not in (".csv", ".py")]:
         yield path, _verdict(partial(_check_study, path, resolved, alone=alone))
     for path in [p for p in paths if p.suffix == ".csv"]:
         yield path, _verdict(partial(_check_readings, path, resolved))
@@ -54,6 +56,15 @@ def _verdict(check_file: Callable[[], Verdict]) -> Verdict | InputError:
         return check_file()
     except InputError as error:
         return error
+
+
+def _check_machine(path: Path) -> Verdict:
+    """A machine's file: its functions fit one another, and its home pose assembles."""
+    machine = catalogue.machine(path.name, path.parent, Place(str(path)))
+    return Verdict(
+        f"sound: {machine.name} has {len(machine.joints)} joints and"
+        f" {len(machine.parameters)} parameters, and closes at its home pose"
+    )
 
 
 def _check_study(path: Path, resolved: list[ResolvedStudy], *, alone: bool) -> Verdict:

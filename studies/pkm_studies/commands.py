@@ -105,14 +105,25 @@ def check(
     paths: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...", help="Studies and readings.", show_default=False
+            metavar="FILE...",
+            help="Studies, readings, and machines of your own (my.py).",
+            show_default=False,
         ),
     ],
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            help="Draw the machine of the first file at its home pose: png, svg or pdf.",
+        ),
+    ] = None,
 ) -> int:
     """Check studies, and readings against what they predict; run nothing."""
-    from pkm_studies import checks
+    from pkm_studies import checks, closure_picture
 
     code = DONE
+    if picture is not None:
+        print(f"Picture: {closure_picture.draw(paths[0], picture)}")
     for path, verdict in checks.check(paths):
         if isinstance(verdict, InputError):
             console.print_error(str(verdict))

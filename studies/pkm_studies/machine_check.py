@@ -21,22 +21,28 @@ DEFAULT_READ_ERROR = {f.name: f.default for f in dataclasses.fields(Machine)}[
 ]
 
 
-def check_machine(machine: Machine, place: Place) -> None:
+def check_machine(machine: Machine, place: Place, *, assembled: bool = True) -> None:
     """Raises InputError that names the function that does not fit.
 
-    Also where the home pose does not assemble.
+    Also where the home pose does not assemble, if it must be `assembled`.
     """
     _check_closure(machine, place)
     _check_sizes(machine, place)
     _check_read_error(machine, place)
     _check_numbers(machine, place)
+    if assembled:
+        _check_home(machine, place)
+
+
+def _check_home(machine: Machine, place: Place) -> None:
     try:
         Kinematics(machine).inverse(machine.home_command)
     except AssemblyError as error:
         raise place.error(
             f"the home pose does not assemble; at its guess, {_equations(machine)}",
             "a large one names the strut whose ends or length are wrong; where all are"
-            " large, guess is wrong or a length common to all; see My machine does not assemble in the documentation",
+            " large, guess is wrong or a length common to all; look at it: oed check FILE"
+            " --picture home.png",
         ) from error
 
 

@@ -25,26 +25,34 @@ TRIED = 3
 MOST_TRIED = 729
 REACH_REMEDY = (
     "check the numbers and their units; give [machine] home and workspace, where they"
-    " are not the model's"
+    " are not the model's; look at it: oed check STUDY --picture home.png"
 )
 
 
-def study_machine(study: Study) -> Machine:
-    """The model with the study's numbers, assembled at home. Raises InputError."""
-    return described_machine(study.machine, study.folder, study.place.key("machine"))
+def study_machine(study: Study, *, assembled: bool = True) -> Machine:
+    """The model with the study's numbers. Raises InputError.
 
-
-def described_machine(table: MachineTable, folder: Path, place: Place) -> Machine:
-    """The machine of a table [machine], assembled at home. Raises InputError.
-
-    folder  that a model's file is relative to
-    place   of the table, for errors
+    assembled  whether it must assemble at home
     """
-    model = catalogue.machine(table.model, folder, place.key("model"))
+    place = study.place.key("machine")
+    return described_machine(study.machine, study.folder, place, assembled=assembled)
+
+
+def described_machine(
+    table: MachineTable, folder: Path, place: Place, *, assembled: bool = True
+) -> Machine:
+    """The machine of a table [machine]. Raises InputError.
+
+    folder     that a model's file is relative to
+    place      of the table, for errors
+    assembled  whether it must assemble at home
+    """
+    at = place.key("model")
+    model: Machine = catalogue.machine(table.model, folder, at, assembled=assembled)
     machine = _of_family(table, model, place)
     machine = _with_nominal(table, machine, place)
     machine = _with_ranges(table, machine, place)
-    if machine is not model:
+    if assembled and machine is not model:
         _check_home(machine, place)
     return machine
 
