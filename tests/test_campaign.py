@@ -140,7 +140,7 @@ def test_a_summary_counts_failures_and_means(campaign: Path) -> None:
     summary = results.summarise(loaded, pd.DataFrame(rows))
     assert len(summary) == 4
     first = summary.iloc[0]
-    assert (first["machines"], first["failed"]) == (3, 1)
+    assert (first["cases"], first["failed"]) == (3, 1)
     assert first["inside_95"] == pytest.approx(0.95)
     assert first["inside_95_low"] == pytest.approx(0.95 - 1.959964 * 0.05)
     assert first["inside_95_high"] == 1.0
@@ -175,6 +175,118 @@ def test_bad_campaigns_are_refused_by_field(
     assert words in error
     assert "Traceback" not in error
     assert not (tmp_path / "out").exists()
+
+
+FUNCTION = """\
+import numpy as np
+
+def figures(setting, seed):
+    if setting["case"] == "bug" and seed == 3:
+        raise KeyError("nothing there")
+    if setting["case"] == "singular" and seed == 3:
+        raise np.linalg.LinAlgError("singular")
+    if setting["case"] == "taken":
+        return {"seed": 1}
+    rng = np.random.default_rng([setting["stream"], seed])
+    return {"value": rng.normal(), "positive": np.True_, "text": "abc"}
+
+def spread(cases, setting):
+    return {"sd": float(cases["value"].std()), "case of": setting["case"]}
+"""
+OWN = """\
+schema = 1
+name = "own"
+case = "own.py:figures"
+seeds = 6
+first_seed = 2
+
+[vary]
+case = ["plain", "singular"]
+stream = [4]
+"""
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A campaign whose cases are those of a function."""
+    (tmp_path / "own.py").write_text(FUNCTION, encoding="utf-8")
+    path = tmp_path / "own.campaign.toml"
+    path.write_text(OWN, encoding="utf-8")
+    return path
+
+
+def test_cases_of_a_function_have_their_rows_and_means(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert run(own, out) == 0
+    assert "12 cases in 2 combinations; 1 failed." in capsys.readouterr().out
+    table = pd.read_parquet(out / "cases.parquet")
+    values = [np.random.default_rng([4, seed]).normal() for seed in range(2, 8)]
+    plain = table[table["case"] == "plain"]
+    assert plain["seed"].to_list() == [2, 3, 4, 5, 6, 7]
+    np.testing.assert_allclose(plain["value"], values)
+    failed = table[table["error"] != ""]
+    assert failed[["case", "seed", "error"]].to_numpy().tolist() == [
+        ["singular", 3, "singular"]
+    ]
+    summary = pd.read_csv(out / "summary.csv")
+    assert summary["failed"].to_list() == [0, 1]
+    half = 1.959964 * np.std(values, ddof=1) / np.sqrt(6)
+    assert summary["value"][0] == pytest.approx(np.mean(values))
+    assert summary["value_low"][0] == pytest.approx(np.mean(values) - half)
+    assert summary["positive"][0] == 1.0
+    # The first seeds only, from what is there already.
+    assert run(own, out, "--seeds", "2") == 0
+    assert len(pd.read_csv(out / "cases.csv")) == 4
+
+
+def test_a_summary_of_a_user_s_own(own: Path, tmp_path: Path) -> None:
+    text = sample.changed(OWN, ("seeds = 6", 'summary = "own.py:spread"\nseeds = 6'))
+    own.write_text(text, encoding="utf-8")
+    assert run(own, tmp_path / "out") == 0
+    summary = pd.read_csv(tmp_path / "out" / "summary.csv")
+    assert summary["case of"].to_list() == ["plain", "singular"]
+    values = [np.random.default_rng([4, seed]).normal() for seed in range(2, 8)]
+    assert summary["sd"][0] == pytest.approx(np.std(values, ddof=1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("own.py:figures", "own.py:figure", "did you mean figures"),
+        ("own.py:figures", "other.py:figures", "no such file"),
+        ("own.py:figures", "no_such_module:figures", "was not found"),
+        ("own.py:figures", "own.py", "names no function"),
+        ("seeds = 6", 'study = "a3_ball_bar"\nseeds = 6', "one of them"),
+        ('case = "own.py:figures"\n', "", "one of them"),
+        ("seeds = 6", "diagnose = true\nseeds = 6", "only machines of a study"),
+        ("stream = [4]", "seed = [4]", "names another column"),
+        ('"singular"', '"bug"', "case = 'bug', stream = 4, seed = 3"),
+        ('"singular"', '"taken"', "'seed', which names another column"),
+    ],
+)
+def test_bad_case_functions_are_refused(
+    own: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    old: str,
+    new: str,
+    words: str,
+) -> None:
+    own.write_text(sample.changed(OWN, (old, new)), encoding="utf-8")
+    assert run(own, tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert "Traceback" not in error
+
+
+def test_a_failure_in_another_process_is_the_user_s_too(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own.write_text(sample.changed(OWN, ('"singular"', '"bug"')), encoding="utf-8")
+    assert run(own, tmp_path / "out", "--workers", "2") == 2
+    assert "KeyError" in capsys.readouterr().err
 
 
 def test_a_folder_of_another_campaign_is_left_alone(

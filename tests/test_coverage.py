@@ -1,12 +1,13 @@
 """Coverage on readings of the oracles: a small campaign of `benchmarks.coverage`."""
 
 import importlib
-import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from oed import laplace, prediction
@@ -14,6 +15,7 @@ from oed.error_draws import compensated_errors
 from oed.identification import identify
 from oed.noise.prior import noise_prior
 from oed.noise.structure import reading_structure
+from pkm_studies import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ("a3_30", "a3_60", "a3_circles", "planar", "delta", "hexapod")
@@ -124,37 +126,49 @@ def test_a_stated_seat_is_of_the_same_machines_and_no_part_of_the_law() -> None:
     assert outcomes[0].nees > outcomes[1].nees
 
 
-def test_a_campaign_goes_on_and_writes_its_table(tmp_path: Path) -> None:
-    main = module("__main__").main
+def run_campaign(name: str, tmp_path: Path, changes: dict[str, str]) -> Path:
+    """The shipped campaign of this name, reduced; the folder of its cases."""
+    text = (ROOT / "benchmarks" / f"{name}.campaign.toml").read_text(encoding="utf-8")
+    for field, values in changes.items():
+        line = rf"^{field} = .*$"
+        text, count = re.subn(line, f"{field} = {values}", text, flags=re.MULTILINE)
+        assert count == 1
+    path = tmp_path / f"{name}.campaign.toml"
+    path.write_text(text, encoding="utf-8")
+    options = ["--out", str(tmp_path / name), "--workers", "1", "--quiet"]
+    assert cli.main(["campaign", str(path), *options]) == 0
+    return tmp_path / name
+
+
+def test_the_campaign_of_intervals_writes_the_page_s_table(tmp_path: Path) -> None:
+    few = {"seeds": "2", "configuration": '["planar"]', "law": '["white"]'}
+    folder = run_campaign("coverage", tmp_path, few)
+    cases = pd.read_parquet(folder / "cases.parquet")
+    bench = module("configurations").configuration("planar")
+    for number, row in enumerate(cases.to_dict("records")):
+        outcome = module("measure").one_machine(bench, "white", number, 1)
+        assert outcome.as_json().items() <= row.items()
     page = tmp_path / "page.md"
     page.write_text(
         "# Coverage\n\n<!-- begin coverage table -->\nold\n<!-- end coverage table -->\n"
         "\nafter\n",
         encoding="utf-8",
     )
-    options = ["--configurations", "planar", "--laws", "white", "--out", str(tmp_path)]
-    main([*options, "--machines", "2", "--page", str(page)])
+    options = ["intervals", "--out", str(folder), "--page", str(page)]
+    module("__main__").main(options)
     text = page.read_text(encoding="utf-8")
     assert "old" not in text
     assert "| planar | white | 2 |" in text
     assert text.endswith("\nafter\n")
-    folder = tmp_path / "seed_1" / "planar" / "white"
-    first = folder / "0000.json"
-    before = json.loads(first.read_text(encoding="utf-8"))
-    first.write_text(json.dumps({**before, "nees": 5.0}), encoding="utf-8")
-    (folder / "0001.json").unlink()
-    main([*options, "--machines", "2"])
-    assert json.loads(first.read_text(encoding="utf-8"))["nees"] == 5.0
-    first.unlink()
-    main([*options, "--machines", "1"])
-    again = json.loads(first.read_text(encoding="utf-8"))
-    assert again | {"cpu_s": 0.0} == before | {"cpu_s": 0.0}
+    summary = pd.read_csv(folder / "summary.csv").iloc[0]
+    inside = [[mark == "1" for mark in marks] for marks in cases["combinations"]]
+    assert summary["combinations mean"] == pytest.approx(np.mean(inside))
 
 
 def test_a_cell_knows_what_misses() -> None:
     summarise = module("cell").summarise
-    good = {"combinations": "1" * 20, "bands": "11", "nees": 1.0, "cpu_s": 1.0}
-    bad = {"combinations": "0" + "1" * 19, "bands": "10", "nees": 1.0, "cpu_s": 1.0}
+    good = {"combinations": "1" * 20, "bands": "11", "nees": 1.0}
+    bad = {"combinations": "0" + "1" * 19, "bands": "10", "nees": 1.0}
     figures = summarise([good] * 50 + [bad] * 50)
     assert figures.combinations.mean == pytest.approx(0.975)
     assert not figures.combinations.mean_holds
@@ -218,21 +232,29 @@ def test_ranks_of_uniform_values_pass_and_of_narrow_ones_fail() -> None:
     assert calibration("abcdef", uniform, 1).counts.sum() == 1200
 
 
-def test_a_calibration_goes_on_and_prints_its_table(
+def test_the_campaign_of_ranks_prints_its_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    main = module("ranks").main
-    options = ["--configurations", "planar", "--out", str(tmp_path)]
-    main([*options, "--machines", "3"])
-    first = capsys.readouterr().out
+    few = {"seeds": "3", "configuration": '["planar", "delta"]'}
+    folder = run_campaign("ranks", tmp_path, few)
+    capsys.readouterr()
+    module("__main__").main(["ranks", "--out", str(folder)])
+    printed = capsys.readouterr().out
     # Six combinations, and six coordinates of the law: three scales, share, reach, level.
-    assert "| planar | 3 | 12 |" in first
-    main([*options, "--machines", "3"])
-    assert capsys.readouterr().out == first
+    assert "| planar | 3 | 12 |" in printed
+    bench = module("configurations").configuration("delta")
+    expected = module("ranks").one_machine(bench, 2, 1, "laplace")
+    row = pd.read_parquet(folder / "cases.parquet").iloc[5]
+    assert {name: int(row[name]) for name in expected} == expected
+    summary = pd.read_csv(folder / "summary.csv")
+    assert summary["quantities"].to_list() == [12, len(expected)]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["a3_30", "delta"])
-def test_ranks_are_uniform(name: str, tmp_path: Path) -> None:
-    result = module("ranks").run(tmp_path, name, 100, 7, "laplace")
-    assert result.joint > 0.01
+def test_ranks_are_uniform(name: str) -> None:
+    bench = module("configurations").configuration(name)
+    ranks = module("ranks")
+    rows = [ranks.one_machine(bench, number, 7, "laplace") for number in range(100)]
+    values = np.array([list(row.values()) for row in rows])
+    assert ranks.calibration([*rows[0]], values, 7).joint > 0.01

@@ -1,63 +1,64 @@
-"""Coverage of intervals and bands on virtual machines that the toolkit did not make.
+"""Tables of the campaigns on virtual machines that the toolkit did not simulate.
 
-    python -m benchmarks.coverage --machines 300 --out out/coverage
-    python -m benchmarks.coverage --page docs/benchmarks/coverage.md
+    oed campaign benchmarks/coverage.campaign.toml
+    python -m benchmarks.coverage intervals --page docs/benchmarks/coverage.md
+    oed campaign benchmarks/ranks.campaign.toml
+    python -m benchmarks.coverage ranks --page docs/benchmarks/coverage.md
 
-The second form writes the table of what is there, and measures what is missing.
+Each prints the table of a campaign's cases, or writes it into a page.
 """
 
 from __future__ import annotations
-
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.coverage import campaign, cell, table
-from benchmarks.coverage.configurations import CONFIGURATIONS
-from benchmarks.coverage.noise import LAWS
+import pandas as pd
 
-#: machines of each cell, so that the whole table takes 40 minutes on one core
-MACHINES = 200
+from benchmarks.coverage import case, cell, ranks, table
+
+#: folder of each campaign's cases, and the block of the page
+FOLDER = {"intervals": Path("out/coverage"), "ranks": Path("out/ranks")}
+BLOCK = {"intervals": "coverage table", "ranks": "rank table"}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the campaign and print or write its table."""
+    """Print or write the table."""
     options = _parser().parse_args(arguments)
-    cells = table.order(options.configurations, options.laws)
-    campaign.run(
-        options.out,
-        options.configurations,
-        options.laws,
-        options.machines,
-        options.seed,
-    )
-    figures = {}
-    for name, law in cells:
-        results = campaign.load(options.out, name, law, options.seed, options.machines)
-        figures[name, law] = cell.summarise(results)
-    text = table.markdown(figures)
-    minutes = sum(c.cpu_s for c in figures.values()) / 60.0
-    text += f"\n\nProcessor time: {minutes:.0f} minutes."
+    folder = options.out or FOLDER[options.kind]
+    cases = pd.read_parquet(folder / "cases.parquet")
+    fitted = cases[cases["error"] == ""]
+    text = (intervals if options.kind == "intervals" else rank_table)(fitted)
     if options.page is None:
         print(text)
     else:
-        table.write_block(options.page, "coverage table", text)
+        table.write_block(options.page, BLOCK[options.kind], text)
+
+
+def intervals(cases: pd.DataFrame) -> str:
+    """One row a configuration and law."""
+    figures = {}
+    for key, machines in cases.groupby(["configuration", "law"], sort=False):
+        name, law = key
+        figures[str(name), str(law)] = cell.summarise(machines.to_dict("records"))
+    return table.markdown(figures)
+
+
+def rank_table(cases: pd.DataFrame) -> str:
+    """One row a configuration."""
+    results = {}
+    for name, machines in cases.groupby("configuration", sort=False):
+        setting = dict(machines.iloc[0][["configuration", "sampler", "stream"]])
+        results[str(name)] = case.calibration(machines, setting)
+    return ranks.markdown(results)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage")
-    parser.add_argument("--machines", type=int, default=MACHINES, help="of each cell")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("out/coverage"))
+    parser.add_argument("kind", choices=[*FOLDER], help="which table")
+    parser.add_argument("--out", type=Path, help="folder of the campaign's cases")
     parser.add_argument("--page", type=Path, help="page to write the table into")
-    parser.add_argument(
-        "--configurations", nargs="+", default=[*CONFIGURATIONS], choices=CONFIGURATIONS
-    )
-    parser.add_argument("--laws", nargs="+", default=[*LAWS], choices=LAWS)
     return parser
 
 

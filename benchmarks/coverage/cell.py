@@ -56,7 +56,6 @@ class Cell:
     bands         of pose components over the workspace
     nees          mean squared error over all combinations, over their number
     nees_half     half its 95 % interval
-    cpu_s         processor time of all machines
     """
 
     machines: int
@@ -64,7 +63,6 @@ class Cell:
     bands: Share
     nees: float
     nees_half: float
-    cpu_s: float
 
     @property
     def nees_holds(self) -> bool:
@@ -90,7 +88,6 @@ def summarise(results: Sequence[dict[str, Any]]) -> Cell:
         bands=_share([r["bands"] for r in results]),
         nees=float(nees.mean()),
         nees_half=_half(nees),
-        cpu_s=sum(r["cpu_s"] for r in results),
     )
 
 

@@ -1,7 +1,7 @@
 """Simulation-based calibration: ranks of the truth among posterior draws.
 
-    python -m benchmarks.coverage.ranks --machines 300
-    python -m benchmarks.coverage.ranks --page docs/benchmarks/coverage.md
+    oed campaign benchmarks/ranks.campaign.toml
+    python -m benchmarks.coverage ranks --page docs/benchmarks/coverage.md
 
 Parameters are drawn from the tolerances and a noise law from its prior; the oracle
 reads the machine and the law disturbs the readings. Then the rank of each truth among
@@ -11,23 +11,15 @@ identifiable combination, and of every coordinate of the noise law.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
-import argparse
 import dataclasses
-import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from scipy import stats
 
-from benchmarks.coverage import campaign, measure, table
+from benchmarks.coverage import measure
 from benchmarks.coverage.bench import Bench
-from benchmarks.coverage.configurations import CONFIGURATIONS, configuration
 from oed import laplace, posterior
 from oed.estimate import Estimate
 from oed.identification import identify
@@ -36,9 +28,8 @@ from oed.noise.process import Whitening
 from oed.noise.structure import reading_structure
 
 Sampler = Literal["laplace", "emcee"]
-SAMPLERS: tuple[Sampler, ...] = ("laplace", "emcee")
-#: configurations that the targets name, their machines, draws that a rank is among
-DEFAULT, MACHINES, DRAWS = ("a3_30", "delta"), 100, 99
+#: draws that a rank is among
+DRAWS = 99
 #: effective sample size and steps of the sampler
 EFFECTIVE, STEPS = 400.0, 3000
 BINS = 10
@@ -131,21 +122,6 @@ def _draws(
     return z[chosen], laws[chosen]
 
 
-def run(
-    folder: Path, name: str, machines: int, seed: int, sampler: Sampler
-) -> Calibration:
-    """Ranks of a configuration's machines; those with a file are not made again."""
-    ranks = []
-    for number in range(machines):
-        path = folder / f"seed_{seed}" / sampler / name / f"{number:04d}.json"
-        if not path.is_file():
-            bench = configuration(name)
-            campaign.store(path, one_machine(bench, number, seed, sampler))
-        ranks.append(json.loads(path.read_text(encoding="utf-8")))
-    values = np.array([list(r.values()) for r in ranks])
-    return calibration([*ranks[0]], values, seed)
-
-
 def markdown(results: dict[str, Calibration]) -> str:
     """One row a configuration: what the ranks are of, and how uniform they are."""
     bins = " | ".join(str(k + 1) for k in range(BINS))
@@ -159,30 +135,3 @@ def markdown(results: dict[str, Calibration]) -> str:
         counts = " | ".join(str(count) for count in result.counts)
         lines.append(f"| {name} | {machines} | {quantities} | {joint} | {counts} |")
     return "\n".join(lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, and print or write the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage.ranks")
-    parser.add_argument("--machines", type=int, default=MACHINES)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("out/coverage/ranks"))
-    parser.add_argument("--page", type=Path, help="page to write the table into")
-    parser.add_argument("--sampler", choices=SAMPLERS, default="laplace")
-    parser.add_argument(
-        "--configurations", nargs="+", default=[*DEFAULT], choices=CONFIGURATIONS
-    )
-    options = parser.parse_args(arguments)
-    results = {
-        name: run(options.out, name, options.machines, options.seed, options.sampler)
-        for name in options.configurations
-    }
-    text = markdown(results)
-    if options.page is None:
-        print(text)
-    else:
-        table.write_block(options.page, "rank table", text)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from benchmarks.coverage.cell import Cell, Share
-from benchmarks.coverage.noise import LAWS
 
 BEGIN, END = "<!-- begin {} -->", "<!-- end {} -->"
 HEAD = (
@@ -49,11 +48,6 @@ def _mark(text: str, holds: bool, may_hold: bool) -> str:
     if holds:
         return text
     return f"*{text}*" if may_hold else f"**{text}**"
-
-
-def order(names: Sequence[str], laws: Sequence[str]) -> list[tuple[str, str]]:
-    """Cells in the table's order."""
-    return [(name, law) for name in names for law in LAWS if law in laws]
 
 
 def write_block(page: Path, name: str, text: str) -> None:

@@ -23,22 +23,27 @@ def campaign(
         int | None, typer.Option(min=1, help="Processes [one for each core].")
     ] = None,
     scheduler: Annotated[
-        str | None,
+        str,
         typer.Option(metavar="ADDRESS", help="Dask scheduler, in place of processes."),
+    ] = "",
+    seeds: Annotated[
+        int | None,
+        typer.Option(min=1, help="First seeds of each combination only [all]."),
     ] = None,
     *,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print results only.")] = False,
 ) -> int:
-    """Run settings x seeds over virtual machines; again: go on where it was."""
+    """Run settings x seeds over cases; again: go on where it was."""
     import os
 
     from pkm_studies import display
     from pkm_studies.campaign import report, results, runner, tables
 
     loaded = tables.load_campaign(file)
+    loaded = loaded if seeds is None else loaded.first(seeds)
     folder = Path("out") / loaded.name if out is None else out
     with display.progress(quiet=quiet) as progress:
-        progress.stage("virtual machines")
+        progress.stage("cases")
         runner.run_cases(
             loaded,
             folder,
@@ -47,11 +52,13 @@ def campaign(
             progress=progress.share,
         )
     table = results.read_table(loaded, folder)
-    paths = results.write_table(table, folder)
     summary = results.summarise(loaded, table)
+    paths = results.write_table(table, summary, folder)
     page = report.write_report(loaded, summary, folder)
     for sentence in report.sentences(loaded, summary):
         print(sentence)
+    seconds = results.processor_time(loaded, folder)
+    print(f"Processor time of the cases: {seconds:.0f} s.")
     print(f"Report: {', '.join(str(p) for p in page)}")
     print(f"Table: {', '.join(str(p) for p in paths)}")
     return 0

@@ -15,10 +15,11 @@ import functools
 import hashlib
 import importlib
 import importlib.util
+import inspect
 import pkgutil
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -98,6 +99,27 @@ def controller_format(reference: str, folder: Path) -> Any:
     from pkm_studies.compensation.content import ControllerFormat
 
     return _lookup(reference, "formats", ControllerFormat, folder, Place("--to"))
+
+
+def function(reference: str, folder: Path, place: Place) -> Callable[..., Any]:
+    """The function that `package.module:name` or `path/to/file.py:name` names.
+
+    Raises InputError.
+    """
+    module_name, _, name = reference.rpartition(":")
+    if not module_name or name.endswith(".py"):
+        remedy = "write package.module:function or path/to/file.py:function"
+        raise place.error("this names no function", remedy, reference)
+    module = _module(module_name, folder, place)
+    item: Callable[..., Any] | None = getattr(module, name, None)
+    if callable(item):
+        return item
+    there = [n for n, v in vars(module).items() if inspect.isfunction(v)]
+    raise place.error(
+        f"there is no function {name} in it",
+        suggest(name, there, "there is"),
+        reference,
+    )
 
 
 def criterion(name: str, place: Place) -> str:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from oed.whole_file import whole_file
-from pkm_studies.campaign.machine_case import HALF_WIDTH
+from pkm_studies.campaign import jobs
+from pkm_studies.campaign.case import ERROR, PROCESSOR_TIME
+from pkm_studies.campaign.machine_summary import summarise_machines
+from pkm_studies.campaign.mean_summary import summarise_means
 from pkm_studies.campaign.runner import case_paths
 from pkm_studies.campaign.tables import Campaign
 
@@ -20,76 +22,72 @@ if TYPE_CHECKING:
 
 
 def read_table(campaign: Campaign, out: Path) -> pd.DataFrame:
-    """One row a case, in the order of the campaign, however it was run."""
-    import pandas as pd
+    """One row a case, in the order of the campaign, however it was run.
 
-    paths = case_paths(campaign, out)
-    rows = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
-    return pd.DataFrame([{k: _cell(v) for k, v in row.items()} for row in rows])
-
-
-def write_table(table: pd.DataFrame, out: Path) -> tuple[Path, Path]:
-    """Write `cases.parquet` and `cases.csv`, whole."""
-    parquet, csv = out / "cases.parquet", out / "cases.csv"
-    with whole_file(parquet) as part:
-        table.to_parquet(part, index=False)
-    with whole_file(csv) as part:
-        table.to_csv(part, index=False, lineterminator="\n")
-    return parquet, csv
-
-
-def summarise(campaign: Campaign, table: pd.DataFrame) -> pd.DataFrame:
-    """One row a combination: failures, coverage, and predicted over realised accuracy.
-
-    inside_95  share of intervals of identifiable combinations that hold the truth, with
-               the 95 % interval of its mean over machines
-    nees       mean squared error over the predicted covariance, a combination
-    predicted, realised   rms over machines, by component
+    Without processor times, so that the same campaign gives the same table.
     """
     import pandas as pd
 
+    rows = [jobs.read_row(path) for path in case_paths(campaign, out)]
+    cells = [
+        {k: _cell(v) for k, v in row.items() if k != PROCESSOR_TIME} for row in rows
+    ]
+    return pd.DataFrame(cells)
+
+
+def processor_time(campaign: Campaign, out: Path) -> float:
+    """Processor time of all cases, s, wherever they ran."""
+    rows = (jobs.read_row(path) for path in case_paths(campaign, out))
+    return float(sum(row.get(PROCESSOR_TIME, 0.0) for row in rows))
+
+
+def write_table(
+    table: pd.DataFrame, summary: pd.DataFrame, out: Path
+) -> tuple[Path, ...]:
+    """Write `cases.parquet`, `cases.csv` and `summary.csv`, whole."""
+    parquet = out / "cases.parquet"
+    with whole_file(parquet) as part:
+        table.to_parquet(part, index=False)
+    texts = {out / "cases.csv": table, out / "summary.csv": summary}
+    for path, frame in texts.items():
+        with whole_file(path) as part:
+            frame.to_csv(part, index=False, lineterminator="\n")
+    return parquet, *texts
+
+
+def summarise(campaign: Campaign, table: pd.DataFrame) -> pd.DataFrame:
+    """One row a combination: its setting, cases, failures, and figures of the others.
+
+    The figures are those of virtual machines, or those of the campaign's own `summary`,
+    or means with intervals.
+    """
+    import pandas as pd
+
+    figures = _summary_function(campaign)
     rows = []
     for setting in campaign.settings():
         cells = {k: _cell(v) for k, v in setting.items()}
         chosen = np.ones(len(table), dtype=bool)
         for field, value in cells.items():
             chosen &= (table[field] == value).to_numpy()
-        rows.append({**cells, **_summary(table[chosen])})
+        cases = table[chosen]
+        fitted = cases[cases[ERROR] == ""].infer_objects()
+        row = {**cells, "cases": len(cases), "failed": len(cases) - len(fitted)}
+        if len(fitted):
+            row |= figures(fitted, cells)
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
-def _summary(cases: pd.DataFrame) -> dict[str, Any]:
-    fitted = cases[cases["error"] == ""]
-    row: dict[str, Any] = {
-        "machines": len(cases),
-        "failed": len(cases) - len(fitted),
-    }
-    if fitted.empty:
-        return row
-    low, high = _mean_interval(fitted["inside_95"].to_numpy())
-    row |= {
-        "inside_95": float(fitted["inside_95"].mean()),
-        "inside_95_low": low,
-        "inside_95_high": high,
-        "nees": float(fitted["nees"].mean()),
-        "misfit_alarms": float((fitted["p_value"] < 0.001).mean()),
-    }
-    for column in fitted.columns:
-        if column.startswith(("predicted_", "realised_")):
-            row[column] = float(np.sqrt(np.mean(fitted[column] ** 2)))
-    if "verdict" in fitted:
-        exact = fitted["answer"] == fitted["acting"]
-        row["effects_named"] = float(exact.mean())
-    return row
-
-
-def _mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """95 % interval of a mean over machines; no interval from one machine."""
-    n = len(values)
-    if n < 2:
-        return math.nan, math.nan
-    mean, half = np.mean(values), HALF_WIDTH * np.std(values, ddof=1) / np.sqrt(n)
-    return float(max(0.0, mean - half)), float(min(1.0, mean + half))
+def _summary_function(
+    campaign: Campaign,
+) -> Callable[[pd.DataFrame, dict[str, Any]], Mapping[str, Any]]:
+    """What summarises the cases of a combination that have no error."""
+    if campaign.varied is not None:
+        return lambda fitted, setting: summarise_machines(fitted)
+    if campaign.summary:
+        return campaign.user_function(campaign.summary).load("summary")
+    return summarise_means
 
 
 def _cell(value: Any) -> Any:

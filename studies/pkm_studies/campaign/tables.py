@@ -1,4 +1,4 @@
-"""Campaign files: TOML into frozen structs, and the studies that they vary."""
+"""Campaign files: TOML into frozen structs, and the studies or functions that they run."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ import msgspec
 
 from oed.kinematics import AssemblyError
 from pkm_studies import files, shipped
+from pkm_studies.campaign.case import COLUMNS, Figures
+from pkm_studies.campaign.case_function import CaseFunction, UserFunction
+from pkm_studies.campaign.virtual_machine import VirtualMachine
 from pkm_studies.errors import InputError, Place, shorten, suggest
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import Study, decode, load, loader
@@ -36,18 +39,26 @@ class CampaignFile(
     schema      version of the format, 1
     name        of the campaign and its folder
     title       for the report
-    study       a study file, relative to this one, or the name of a shipped study
-    seeds       virtual machines of each combination
-    first_seed  the first machine's seed; the others follow
+    study       a study file, relative to this one, or the name of a shipped study; its
+                virtual machines are the cases
+    case        in place of a study: a function (setting, seed) -> figures of a case, as
+                "package.module:function" or "path/to/file.py:function"
+    summary     a function (cases of a combination, setting) -> its figures; means of a
+                case function's figures by default
+    seeds       cases of each combination
+    first_seed  the first case's seed; the others follow
     diagnose    whether each machine's readings are diagnosed as well
     vary        values by the field of the study, as in "noise.length_um" = [0.3, 1.0];
-                an entry of a list is addressed by its name, as in "setup.cup.tool_mm"
+                an entry of a list is addressed by its name, as in "setup.cup.tool_mm";
+                for a case function, by any name
     """
 
     free_keys: ClassVar[None] = None
     schema: int
     name: Name
-    study: str
+    study: str = ""
+    case: str = ""
+    summary: str = ""
     seeds: Annotated[int, msgspec.Meta(ge=1, le=MOST_CASES)]
     title: str = ""
     first_seed: Annotated[int, msgspec.Meta(ge=0)] = 1
@@ -56,11 +67,11 @@ class CampaignFile(
 
 
 class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A campaign as loaded, with the study that it varies."""
+    """A campaign as loaded, with the study that it varies, if its cases are machines."""
 
     path: Path
     text: str
-    varied: Study
+    varied: Study | None
 
     @property
     def place(self) -> Place:
@@ -74,8 +85,41 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             dict(zip(self.vary, combination, strict=True)) for combination in values
         ]
 
+    def all_seeds(self) -> range:
+        """The seeds of each combination."""
+        return range(self.first_seed, self.first_seed + self.seeds)
+
+    def words(self, setting: Mapping[str, Any]) -> str:
+        """A combination in words; fields with a single value in all go without saying.
+
+        Fields go by the last part of their address, where it is theirs alone.
+        """
+        varied = [field for field, values in self.vary.items() if len(values) > 1]
+        short = [field.rpartition(".")[2] for field in varied]
+        names = short if len(set(short)) == len(short) else varied
+        pairs = zip(names, varied, strict=True)
+        parts = [f"{name} = {setting[field]}" for name, field in pairs]
+        return ", ".join(parts) or "as it is"
+
+    def first(self, seeds: int) -> Campaign:
+        """The campaign with at most so many cases of each combination."""
+        return msgspec.structs.replace(self, seeds=min(seeds, self.seeds))
+
+    def figures(self, setting: Mapping[str, Any]) -> Figures:
+        """What computes the figures of a combination's cases."""
+        if self.varied is None:
+            return CaseFunction(self.user_function(self.case))
+        study = self.study_with(setting)
+        return VirtualMachine(study.text, str(self.varied.path), self.diagnose)
+
+    def user_function(self, reference: str) -> UserFunction:
+        """A function that the file names."""
+        folder, root = str(self.path.parent.resolve()), str(Path.cwd())
+        return UserFunction(reference, folder, root, str(self.path))
+
     def study_with(self, setting: Mapping[str, Any]) -> Study:
         """The study with other values of some fields. Raises InputError."""
+        assert self.varied is not None
         tables = copy.deepcopy(tomllib.loads(self.varied.text))
         for field, value in setting.items():
             at = self.place.key("vary").key(field)
@@ -104,7 +148,7 @@ def load_campaign(path: Path) -> Campaign:
     if tables.schema != SCHEMA:
         remedy = "this program reads schema = 1"
         raise place.key("schema").error("unknown version", remedy, tables.schema)
-    study = _study(tables, path, place)
+    study = _study(tables, path, place) if _is_of_study(tables, place) else None
     fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
     campaign = Campaign(**fields, path=path, text=text, varied=study)
     _check_settings(campaign)
@@ -116,6 +160,24 @@ def _shipped_or(path: Path) -> Path:
     file = shipped.folder() / f"{path.name}{SUFFIX}"
     is_name = path.name == str(path) and not path.suffix
     return file if is_name and not path.exists() and file.is_file() else path
+
+
+def _is_of_study(tables: CampaignFile, place: Place) -> bool:
+    """Whether the cases are machines of a study. Raises InputError where both, or none."""
+    if bool(tables.study) == bool(tables.case):
+        problem = "give study, or case for a function of your own; one of them"
+        raise place.key("study").error(
+            "no study and no case" if not tables.study else "study and case", problem
+        )
+    if tables.study and tables.summary:
+        remedy = "leave it out, or give a function as case"
+        raise place.key("summary").error("a study has its own summary", remedy)
+    if tables.case and tables.diagnose:
+        remedy = "leave it out: the case function does what it likes"
+        raise place.key("diagnose").error(
+            "only machines of a study are diagnosed", remedy
+        )
+    return bool(tables.study)
 
 
 def _study(tables: CampaignFile, path: Path, place: Place) -> Study:
@@ -144,6 +206,9 @@ def _check_settings(campaign: Campaign) -> None:
     if len(settings) * campaign.seeds > MOST_CASES:
         problem = f"{len(settings)} combinations with {campaign.seeds} machines each"
         raise place.key("seeds").error(problem, f"stay below {MOST_CASES} cases")
+    if campaign.varied is None:
+        _check_functions(campaign)
+        return
     for setting in settings:
         try:
             resolve(campaign.study_with(setting), readings=())
@@ -153,6 +218,17 @@ def _check_settings(campaign: Campaign) -> None:
             )
             problem = f"with {words}: {error}"
             raise place.key("vary").error(problem, "change this value") from error
+
+
+def _check_functions(campaign: Campaign) -> None:
+    """Raises InputError for functions that are not there, and names of other columns."""
+    for name in campaign.vary:
+        if name in COLUMNS:
+            at = campaign.place.key("vary").key(name)
+            raise at.error("this names another column", "choose another name")
+    campaign.user_function(campaign.case).load("case")
+    if campaign.summary:
+        campaign.user_function(campaign.summary).load("summary")
 
 
 def _assign(tables: Any, field: str, value: Any, place: Place) -> None:

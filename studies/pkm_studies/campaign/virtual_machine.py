@@ -1,4 +1,4 @@
-"""One case of a campaign: a virtual machine, read, identified, compensated and judged."""
+"""A virtual machine of a study: read, identified, compensated and compared."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from oed.arrays import Array
 from oed.coordinates import coordinates_of_readings
 from oed.error_maps import error_maps
 from oed.estimate import Estimate
-from oed.identification import IdentificationError
-from oed.kinematics import AssemblyError
 from oed.measurement import Series
+from pkm_studies.campaign.interval import HALF_WIDTH
 from pkm_studies.progress import Silent
 from pkm_studies.run_state import Readings, RunState, start
 from pkm_studies.stages.predict.virtual_machines import errors_after
@@ -28,51 +27,36 @@ from pkm_studies.steps import gap as gap_steps
 from pkm_studies.steps import readings as readings_steps
 from pkm_studies.study import Study, loader
 
-#: standard deviations to either side of a 95 % interval
-HALF_WIDTH = float(special.ndtri(0.975))
 #: prepared combinations that a process remembers
 REMEMBERED = 4
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Case:
-    """A virtual machine of a combination.
+class VirtualMachine:
+    """Computes the figures of a virtual machine of a combination.
 
     study, path    text of the varied study, and the file that its paths start from
-    setting        the varied values by field
-    seed           of the machine
     diagnose       whether its readings are diagnosed
     """
 
     study: str
     path: str
-    setting: Mapping[str, Any]
-    seed: int
     diagnose: bool
 
+    def __call__(self, setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
+        """The figures of the machine of this seed.
 
-def work(case: Case) -> dict[str, Any]:
-    """The row of a case: its setting and seed, and what came of it.
-
-    A case that cannot be fitted has its reason in `error`, and no figures.
-    """
-    row: dict[str, Any] = {**case.setting, "seed": case.seed, "error": ""}
-    try:
-        return {**row, **_figures(case)}
-    except (IdentificationError, AssemblyError, np.linalg.LinAlgError) as error:
-        return {**row, "error": str(error)}
-
-
-def _figures(case: Case) -> dict[str, Any]:
-    prepared, series = _prepared(case.study, case.path)
-    state = prepared.replace(seed=case.seed)
-    simulated = readings_steps.simulate_readings(state, series)
-    state = state.replace(readings=simulated.readings)
-    state = fit_steps.fit_parameters(state)
-    figures = {**_fit_figures(state), **_accuracy_figures(state)}
-    if case.diagnose:
-        figures |= _diagnosis_figures(state, simulated.effects)
-    return figures
+        Raises IdentificationError, AssemblyError, numpy.linalg.LinAlgError.
+        """
+        prepared, series = _prepared(self.study, self.path)
+        state = prepared.replace(seed=seed)
+        simulated = readings_steps.simulate_readings(state, series)
+        state = state.replace(readings=simulated.readings)
+        state = fit_steps.fit_parameters(state)
+        figures = {**_fit_figures(state), **_accuracy_figures(state)}
+        if self.diagnose:
+            figures |= _diagnosis_figures(state, simulated.effects)
+        return figures
 
 
 @functools.lru_cache(maxsize=REMEMBERED)

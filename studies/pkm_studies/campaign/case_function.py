@@ -1,0 +1,110 @@
+"""Functions of a user that compute the figures of a case, or summarise cases.
+
+A function is named by `package.module:function` or by `path/to/file.py:function`, as
+machines are. Files are relative to the campaign; modules are looked for in the working
+folder too. Every process looks its function up by itself.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oed.identification import IdentificationError
+from oed.kinematics import AssemblyError
+from pkm_studies import catalogue
+from pkm_studies.campaign.case import COLUMNS
+from pkm_studies.errors import Place, shorten
+
+#: failures of a case that are no fault of its function
+EXPECTED = (IdentificationError, AssemblyError, np.linalg.LinAlgError)
+#: characters of a failure that are shown
+LONGEST_REASON = 150
+
+
+class CaseFunctionError(RuntimeError):
+    """A case function failed, or returns what no table can hold."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class UserFunction:
+    """A function by name.
+
+    reference  its name, see the module
+    folder     of the campaign
+    root       working folder of the command
+    file       of the campaign, for errors
+    """
+
+    reference: str
+    folder: str
+    root: str
+    file: str
+
+    def load(self, field: str) -> Callable[..., Any]:
+        """The function itself. Raises InputError about a field of the campaign."""
+        return _loaded(self, field)
+
+
+@functools.cache
+def _loaded(function: UserFunction, field: str) -> Callable[..., Any]:
+    if function.root not in sys.path:
+        sys.path.append(function.root)
+    place = Place(function.file, field)
+    return catalogue.function(function.reference, Path(function.folder), place)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class CaseFunction:
+    """Computes the figures of a case by a user's function."""
+
+    function: UserFunction
+
+    def __call__(self, setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
+        """The figures, as JSON holds them.
+
+        Raises CaseFunctionError, and the failures of a case as they are.
+        """
+        try:
+            figures = self.function.load("case")(setting, seed)
+        except EXPECTED:
+            raise
+        except Exception as error:
+            raise CaseFunctionError(
+                f"with {_words(setting, seed)} it ends with {type(error).__name__}:"
+                f" {shorten(str(error), LONGEST_REASON)}"
+            ) from error
+        return _checked(figures, setting, seed)
+
+
+def _words(setting: Mapping[str, Any], seed: int) -> str:
+    values = [f"{name} = {value!r}" for name, value in setting.items()]
+    return ", ".join([*values, f"seed = {seed}"])
+
+
+def _checked(figures: Any, setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Figures whose names are their own and whose values JSON can hold."""
+    where = f"with {_words(setting, seed)} it returns"
+    if not isinstance(figures, Mapping):
+        raise CaseFunctionError(f"{where} {type(figures).__name__}, no dictionary")
+    taken = [name for name in figures if name in setting or name in COLUMNS]
+    if taken:
+        raise CaseFunctionError(f"{where} {taken[0]!r}, which names another column")
+    try:
+        return dict(json.loads(json.dumps(dict(figures), default=_plain)))
+    except (TypeError, ValueError) as error:
+        raise CaseFunctionError(f"{where} what no table can hold: {error}") from None
+
+
+def _plain(value: Any) -> Any:
+    """A NumPy number as Python's."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"a value of type {type(value).__name__}")
