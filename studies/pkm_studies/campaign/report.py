@@ -30,14 +30,14 @@ def write_report(
         machine = campaign.varied.machine.model
         asked = f"{count} virtual machines of {campaign.varied.name}"
         chapters = machine_report.chapters(campaign, rows)
-    found = [Items(sentences(campaign, summary))]
+    blocks = [Items(sentences(campaign, summary))]
     content = Content(
         title=campaign.title or f"Campaign {campaign.name}",
         question=f"What do {asked} show?",
         study=campaign.name,
         machine=machine,
         foot=f"{campaign.name} · pkm-oed {oed.__version__}",
-        answer=[Section("found", "What the cases show", found)],
+        answer=[Section("found", "What the cases show", blocks)],
         chapters=chapters,
         appendix=[Section("file", "Campaign file", [Code(campaign.text)])],
     )
