@@ -4,10 +4,12 @@ import csv
 import json
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from oed.result import StudyResult
 from pkm_studies import cli, outcome, result_folder
+from pkm_studies.stages.corrected.section import implausible_sizes
 
 
 def run(*arguments: str | Path) -> int:
@@ -70,6 +72,21 @@ def test_coefficients_have_a_readers_unit(result: StudyResult) -> None:
     struts = result.corrected.effects["gravity: struts"]
     assert struts.unit == "um"
     assert abs(struts.value - 60.0) < 4.0 * struts.sd
+
+
+def test_a_coefficient_far_beyond_its_expected_size_is_implausible(
+    result: StudyResult,
+) -> None:
+    """60 um where 10 were expected; of the usual 20 um, it is three times as much."""
+    assert result.corrected is not None
+    assert not implausible_sizes(result.corrected)
+    effects = dict(result.corrected.effects)
+    name = "gravity: struts"
+    effects[name] = msgspec.structs.replace(effects[name], prior_sd=10.0)
+    section = msgspec.structs.replace(result.corrected, effects=effects)
+    (warning,) = implausible_sizes(section)
+    assert warning.startswith(f"{name} is {effects[name].value:.3g} um")
+    assert "(10 um)" in warning
 
 
 def test_the_prediction_states_its_conditions(result: StudyResult) -> None:

@@ -65,8 +65,8 @@ class EffectNote(Record, frozen=True):
 
 
 class CoefficientRecord(Record, frozen=True):
-    """A coefficient of a selected effect, SI; `prior_sd` is the size that was expected
-    of it.
+    """A coefficient of a selected effect, in its SI unit `unit`; `prior_sd` is the size
+    that was expected of it.
     """
 
     effect: str

@@ -10,6 +10,7 @@ from oed import compensate, prediction
 from oed.budget import budget_model
 from oed.correction import expected_effects
 from oed.correction.effect_maps import SessionStates, workspace_state
+from oed.expected_size import with_expected_size
 from oed.gap.data.problem import assemble
 from oed.gap.data.state import DOWN
 from oed.identification import identify
@@ -49,6 +50,18 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     wanted = np.sqrt(expected.variance[:, maps.names.index("z")])
     assert np.abs(z) == pytest.approx(wanted, rel=0.05, abs=0.02 * wanted.max())
     assert np.sqrt(np.mean(z**2)) > 1e-6
+    smaller = with_expected_size(leg_thermal.effect, "1/K", PER_KELVIN / 4.0)
+    (quarter,) = expected_effects(
+        problem,
+        session,
+        model,
+        maps,
+        [smaller],
+        "absolute",
+        np.random.default_rng(3),
+    )
+    assert quarter.sizes["leg 2 per kelvin"] == pytest.approx(PER_KELVIN / 4.0)
+    assert 16.0 * quarter.variance == pytest.approx(expected.variance, rel=1e-9)
 
 
 def test_effects_that_need_what_no_plan_states_are_left_out() -> None:

@@ -11,6 +11,7 @@ from oed.effect import Effect
 from oed.machine import Machine
 from pkm_studies import catalogue
 from pkm_studies.errors import InputError, Place, suggest
+from pkm_studies.resolve.effect_sizes import check_sizes, sized
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ActingTable, ConditionsTable, GapTable
 
@@ -40,7 +41,7 @@ class ActingEffect:
 class GapRequest:
     """What [gap] means to the kernel.
 
-    effects     effects that the diagnosis tries
+    effects     effects that the diagnosis tries, with the sizes expected of them
     gravity     direction of gravity in the base frame
     acting      effects that the virtual machine has
     conditions  how the virtual machine is read
@@ -62,6 +63,7 @@ def gap_request(
     table = study.gap
     if table is None:
         if not always:
+            check_sizes(study, ())
             return None
         table = GapTable()
     place = study.place.key("gap")
@@ -96,7 +98,10 @@ def _tried_effects(study: Study, table: GapTable, place: Place) -> tuple[Effect,
         if name not in effects:
             at = place.key("without").item(i)
             raise at.error("no such effect is tried", suggest(name, effects), name)
-    tried = tuple(e for name, e in effects.items() if name not in table.without)
+    check_sizes(study, effects.values())
+    tried = tuple(
+        sized(e, study) for name, e in effects.items() if name not in table.without
+    )
     if not tried:
         raise place.key("effects").error(
             "no effect is left to try", 'name some, or "all"'
@@ -118,7 +123,7 @@ def _acting_effect(
             at = place.key("constants").key(name)
             raise at.error("no such constant", suggest(name, effect.constants))
     return ActingEffect(
-        effect=effect,
+        effect=sized(effect, study),
         constants=_usual_constants(effect) | table.constants,
         size=table.size,
         draw=table.draw,

@@ -22,6 +22,7 @@ from oed.effect import Effect
 from oed.gap.data.signature import untestable
 from pkm_studies import catalogue
 from pkm_studies.compensation.build import regular_commands
+from pkm_studies.resolve.effect_sizes import sized
 from pkm_studies.resolve.gap import GapRequest, gap_request
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.corrected import alarm
@@ -79,7 +80,9 @@ def _effects(
         place = state.study.place.key("--with")
         folder = state.study.folder
         names = dict.fromkeys(state.with_effects)
-        return [catalogue.effect(name, folder, place) for name in names]
+        return [
+            sized(catalogue.effect(name, folder, place), state.study) for name in names
+        ]
     if gap is None or gap.verdict == "none":
         return []
     by_name = {effect.name: effect for effect in request.effects}
@@ -149,6 +152,7 @@ def _with_section(
     if turned is not None:
         return _with_turned_runs(state, section, turned)
     state = state.with_sections(corrected=section)
+    state = state.with_warnings(*sections.implausible_sizes(section))
     return _with_true_alarms(state, section)
 
 

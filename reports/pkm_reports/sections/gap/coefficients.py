@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from oed import units
 from oed.result import CoefficientRecord, GapSection
 from pkm_reports import text
 from pkm_reports.blocks import (
@@ -28,11 +29,11 @@ def blocks(gap: GapSection) -> list[Block]:
     columns = [
         TableColumn("Effect"),
         wide_column("Coefficient"),
-        *number_columns("Value [SI]", "Sd [SI]", "In expected sizes"),
+        *number_columns("Value", "Sd", "In expected sizes"),
     ]
     caption = (
-        "Coefficients of the effects found, in SI units and in units of the size that"
-        " was expected of each"
+        "Coefficients of the effects found, and in units of the size that was expected"
+        " of each"
     )
     if len(ranked) > len(shown):
         caption += f"; the {len(shown)} largest of {len(ranked)}"
@@ -42,11 +43,12 @@ def blocks(gap: GapSection) -> list[Block]:
 def _row(coefficient: CoefficientRecord) -> list[str]:
     value = in_expected_sizes(coefficient, coefficient.value)
     sd = in_expected_sizes(coefficient, coefficient.sd)
+    unit, factor = units.coefficient_unit(coefficient.unit)
     return [
         spoken(coefficient.effect),
-        coefficient.name,
-        text.number(coefficient.value),
-        text.number(coefficient.sd, 2),
+        f"{coefficient.name} [{text.unit_symbol(unit)}]",
+        text.number(coefficient.value / factor),
+        text.number(coefficient.sd / factor, 2),
         f"{text.fixed(value, 2)} ± {text.fixed(sd, 2)}",
     ]
 

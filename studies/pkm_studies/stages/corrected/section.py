@@ -15,6 +15,7 @@ from oed.correction import (
     TabledEffects,
     tabled_effects,
 )
+from oed.expected_size import IMPLAUSIBLE
 from oed.fit_warnings import chi2_is_large
 from oed.measurement import Measurement
 from oed.posterior import Posterior
@@ -107,6 +108,23 @@ def _warnings(corrected: CorrectedEstimate) -> list[str]:
     return [
         f"the residuals are {ratio:.1f} times the stated noise even with the effects in"
         " the model"
+    ]
+
+
+def implausible_sizes(section: CorrectedSection) -> list[str]:
+    """One sentence for each effect with a coefficient far beyond its expected size."""
+    worst: dict[str, tuple[float, str, EffectEstimate]] = {}
+    for name, estimate in section.effects.items():
+        ratio = abs(estimate.value) / estimate.prior_sd
+        known = worst.get(estimate.effect)
+        if not estimate.shape and ratio > (known[0] if known else IMPLAUSIBLE):
+            worst[estimate.effect] = (ratio, name, estimate)
+    return [
+        f"{name} is {e.value:.3g} {e.unit} (sd {e.sd:.2g}), {ratio:.3g} times what is"
+        f" expected of it ({e.prior_sd:.3g} {e.unit}): implausible, so another cause"
+        f" may look like it. Check {effect} at the machine, or state its expected size"
+        " in [effects]"
+        for effect, (ratio, name, e) in worst.items()
     ]
 
 

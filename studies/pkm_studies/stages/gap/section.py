@@ -159,6 +159,7 @@ def _coefficients(
 ) -> list[CoefficientRecord]:
     """Coefficients, SI, with the prior standard deviation of each."""
     selected = _selected(diagnosis)
+    by_name = {effect.name: effect for effect in effects}
     prior_sds = {
         (effect.name, column.name): column.scale
         for effect in effects
@@ -172,7 +173,7 @@ def _coefficients(
             label=c.label,
             value=float(c.mean),
             sd=float(c.sd),
-            unit="SI",
+            unit=by_name[c.effect].unit(c.name) if c.effect in by_name else "SI",
             prior_sd=prior_sds.get((c.effect, c.name)),
         )
         for c in diagnosis.coefficients

@@ -9,6 +9,7 @@ import msgspec
 from pkm_studies.study.tables.base import (
     Count,
     Name,
+    Positive,
     StudyTable,
     Whole,
 )
@@ -78,6 +79,8 @@ class StudyFile(StudyTable, frozen=True, kw_only=True):
     identify   [identify]: how parameters are fitted
     posterior  [posterior]: how long to sample
     prediction [prediction]: accuracy over the workspace
+    effects    [effects]: expected sizes of effects, the unit in the name:
+               `leg_thermal_C = 1`
     gap        [gap]: effects that a diagnosis tries
     report     [report]: what the report holds
     expect     [expect]: claims that the result must meet
@@ -100,6 +103,7 @@ class StudyFile(StudyTable, frozen=True, kw_only=True):
     identify: IdentifyTable = IdentifyTable()
     posterior: PosteriorTable = PosteriorTable()
     prediction: PredictionTable | None = None
+    effects: dict[str, Positive] = {}
     gap: GapTable | None = None
     report: ReportTable = ReportTable()
     expect: dict[Name, ClaimTable] = {}

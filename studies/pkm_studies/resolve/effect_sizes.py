@@ -1,0 +1,75 @@
+"""Expected sizes of effects as a study states them: [effects], `leg_thermal_C = 1`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from oed import units
+from oed.effect import Effect
+from oed.expected_size import coefficient_units, with_expected_size
+from pkm_studies import catalogue
+from pkm_studies.errors import suggest
+from pkm_studies.study import Study
+
+#: how a quotient is written in the name of a field: `ppm_per_C`
+PER = "_per_"
+
+
+def check_sizes(study: Study, effects: Iterable[Effect]) -> None:
+    """Raise InputError for a field of [effects] that names no effect or wrong unit.
+
+    `effects` are those of the study; all of the catalogue are known as well.
+    """
+    known = {e.name: e for e in effects}
+    place = study.place.key("effects")
+    for entry in catalogue.listing("effects"):
+        if entry.name not in known:
+            known[entry.name] = catalogue.effect(entry.name, study.folder, place)
+    for field in study.effects:
+        name = _effect_of(field, known)
+        at = place.key(field)
+        if name is None:
+            remedy = suggest(field, [f"{n}_{_names(e)[0]}" for n, e in known.items()])
+            raise at.error("this begins with the name of no effect", remedy)
+        unit = field.removeprefix(f"{name}_")
+        if unit not in _factors(known[name]):
+            names = ", ".join(f"{name}_{u}" for u in _names(known[name]))
+            raise at.error(f"{name} is not measured in {unit}", f"write {names}")
+
+
+def sized(effect: Effect, study: Study) -> Effect:
+    """The effect with the sizes that the study expects of it."""
+    factors = _factors(effect)
+    for field, value in study.effects.items():
+        unit = field.removeprefix(f"{effect.name}_")
+        if unit != field and unit in factors:
+            si, factor = factors[unit]
+            effect = with_expected_size(effect, si, value * factor)
+    return effect
+
+
+def _effect_of(field: str, known: Iterable[str]) -> str | None:
+    """The longest name of an effect that begins a field."""
+    matching = [name for name in known if field.startswith(f"{name}_")]
+    return max(matching, key=len, default=None)
+
+
+def _names(effect: Effect) -> list[str]:
+    """Units in which reports state coefficients of an effect, as ends of fields."""
+    return [_spelt(units.coefficient_unit(si)[0]) for si in coefficient_units(effect)]
+
+
+def _factors(effect: Effect) -> Mapping[str, tuple[str, float]]:
+    """{end of a field: (SI unit, factor to SI)} of an effect's coefficients."""
+    table: dict[str, tuple[str, float]] = {}
+    for si in coefficient_units(effect):
+        name, factor = units.coefficient_unit(si)
+        table[_spelt(name)] = (si, factor)
+        for unit, (kind, to_si) in units.UNITS.items():
+            if kind == si:
+                table[unit] = (si, to_si)
+    return table
+
+
+def _spelt(unit: str) -> str:
+    return unit.replace("/K", f"{PER}C").replace("/", PER)
