@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -84,6 +84,12 @@ class CorrectedEstimate:
         """Names (k,) of the coefficients, `effect: coefficient`."""
         return self.measurement.names[self.parameters :]
 
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Coefficients by name, in prior standard deviations of their effect."""
+        values = self.estimate.theta[self.parameters :].tolist()
+        return dict(zip(self.coefficient_names, values, strict=True))
+
 
 def estimate_with_effects(
     readings: EffectReadings,
@@ -101,29 +107,76 @@ def estimate_with_effects(
     forms = choose_forms(readings.problem(theta), effects)
     if not forms:
         return None
-    sizes = np.concatenate([np.full(len(f.signature.names), f.size) for f in forms])
-    beta = np.zeros(len(sizes))
     patterns = [list(p) for p in stages[:-1]] + [["*"]]
-    for _ in range(ROUNDS):
-        problem = readings.problem(theta)
-        measurement = _linearised(readings, problem, forms, sizes, beta)
-        estimate = identification.identify(
-            measurement,
-            problem.series,
-            readings.y,
-            stages=patterns,
-            estimate_noise=estimate_noise,
-            max_iterations=max_iterations,
+    fit = _JointFit(readings, estimate_noise, max_iterations)
+    corrected = fit.settle(forms, theta, {}, patterns)
+    clean = corrected.estimate.robust_readings
+    if clean is None:
+        return corrected
+    # Few readings far off inflate the noise level, and sizes look too small next to it.
+    theta = corrected.estimate.theta[: corrected.parameters]
+    cleaned = dataclasses.replace(readings, y=clean)
+    again = choose_forms(cleaned.problem(theta), effects)
+    if not again or _same_forms(forms, again):
+        return corrected
+    return fit.settle(again, theta, corrected.coefficients, [["*"]])
+
+
+@dataclasses.dataclass(frozen=True)
+class _JointFit:
+    """How parameters and effects are estimated together."""
+
+    readings: EffectReadings
+    estimate_noise: bool
+    max_iterations: int
+
+    def settle(
+        self,
+        forms: Sequence[ChosenForm],
+        theta: Array,
+        coefficients: Mapping[str, float],
+        patterns: Sequence[Sequence[str]],
+    ) -> CorrectedEstimate:
+        """Estimate and linearise in turn, from theta (n,) and coefficients by name."""
+        names = [n for form in forms for n in _coefficient_names(form)]
+        beta = np.array([coefficients.get(name, 0.0) for name in names])
+        sizes = np.concatenate([np.full(len(f.signature.names), f.size) for f in forms])
+        for _ in range(ROUNDS):
+            problem = self.readings.problem(theta)
+            measurement = _linearised(self.readings, problem, forms, sizes, beta)
+            estimate = identification.identify(
+                measurement,
+                problem.series,
+                self.readings.y,
+                stages=patterns,
+                estimate_noise=self.estimate_noise,
+                max_iterations=self.max_iterations,
+            )
+            patterns = [["*"]]
+            moved = np.abs(estimate.theta - np.concatenate([theta, beta]))
+            theta, beta = np.split(estimate.theta, [len(theta)])
+            if np.all(moved <= SETTLED * np.maximum(estimate.sd, 1e-12)):
+                break
+        return CorrectedEstimate(
+            readings=self.readings,
+            measurement=measurement,
+            series=problem.series,
+            estimate=estimate,
+            forms=tuple(forms),
+            scales=np.concatenate([f.signature.scales for f in forms]),
+            states=problem.states,
         )
-        patterns = [["*"]]
-        moved = np.abs(estimate.theta - np.concatenate([theta, beta]))
-        theta, beta = np.split(estimate.theta, [len(theta)])
-        if np.all(moved <= SETTLED * np.maximum(estimate.sd, 1e-12)):
-            break
-    scales = np.concatenate([f.signature.scales for f in forms])
-    return CorrectedEstimate(
-        readings, measurement, problem.series, estimate, forms, scales, problem.states
-    )
+
+
+def _coefficient_names(form: ChosenForm) -> list[str]:
+    return [f"{form.effect.name}{SEPARATOR}{name}" for name in form.signature.names]
+
+
+def _same_forms(one: Sequence[ChosenForm], other: Sequence[ChosenForm]) -> bool:
+    """Whether two choices agree in effects, constants and sizes."""
+    return [(f.effect.name, f.constants, f.size) for f in one] == [
+        (f.effect.name, f.constants, f.size) for f in other
+    ]
 
 
 def _linearised(
@@ -146,7 +199,7 @@ def _linearised(
             if name in place:
                 table[:, k] = signature.columns[:, place[name]]
         columns.append(table)
-        names += [f"{form.effect.name}{SEPARATOR}{name}" for name in wanted]
+        names += _coefficient_names(form)
         values = beta[start : start + len(wanted)]
         factors = dict(zip(wanted, values.tolist(), strict=True))
         acting.append((form.effect, form.constants, factors))

@@ -17,8 +17,9 @@ from oed.measurement import Measurement, Series
 from pkm_models.instruments import camera
 from pkm_models.machines import hexapod, linear_delta, planar_2dof
 
-#: readings of a closed run, and the noise of one by a camera, m
-POINTS, SIGMA = 24, 2e-6
+#: readings of a closed run, commands on its way from one to the next, and the noise of
+#: one reading by a camera, m
+POINTS, FINE, SIGMA = 24, 50, 2e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +27,7 @@ class MachineCase:
     """A machine of the toolkit and its oracle.
 
     measurement  with one set-up
-    runs         (r, n, n_dof) commands of closed runs
+    paths        (r, n FINE, n_dof) commands along closed runs; every FINE-th is read
     command      (m, n_dof) workspace at which errors are compared
     read         (theta, series, joints as driven at its poses) -> readings (N,), no noise
     errors       (p, joints as driven (m, nq), command) -> (m, k), of the components
@@ -35,7 +36,7 @@ class MachineCase:
 
     name: str
     measurement: Measurement
-    runs: np.ndarray
+    paths: np.ndarray
     command: np.ndarray
     read: Callable[[np.ndarray, Series, np.ndarray], np.ndarray]
     errors: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -48,9 +49,9 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 
 def a3_case() -> MachineCase:
     m = a3_plans.measurement()
-    psi = 2 * np.pi * np.arange(POINTS) / POINTS
+    psi = turns()
     strokes = (0.04, 0.12, 0.20)
-    runs = [a3_plans.bar_commands(m, np.full(POINTS, s), psi) for s in strokes]
+    paths = [a3_plans.bar_commands(m, np.full(len(psi), s), psi) for s in strokes]
 
     def read(theta: np.ndarray, series: Series, driven: np.ndarray) -> np.ndarray:
         read, taught = driven[series.index[:, 0]], driven[series.index[:1, 1]]
@@ -65,17 +66,22 @@ def a3_case() -> MachineCase:
 
     command = a3_plans.workspace()[::3]
     names = ("z", "psi", "theta")
-    return MachineCase("a3_head", m, np.array(runs), command, read, errors, names)
+    return MachineCase("a3_head", m, np.array(paths), command, read, errors, names)
+
+
+def turns() -> np.ndarray:
+    """Angles (POINTS FINE,) once around."""
+    return np.asarray(2 * np.pi * np.arange(POINTS * FINE) / (POINTS * FINE))
 
 
 def circles(centres: np.ndarray, radius: float, tilt: np.ndarray) -> np.ndarray:
-    """Closed runs (r, POINTS, dof) about centres, in the plane of x and y."""
-    angle = 2 * np.pi * np.arange(POINTS) / POINTS
-    runs = np.repeat(centres[:, None], POINTS, axis=1)
-    runs[:, :, 0] += radius * np.cos(angle)
-    runs[:, :, 1] += radius * np.sin(angle)
+    """Paths (r, POINTS FINE, dof) around centres, in the plane of x and y."""
+    angle = turns()
+    paths = np.repeat(centres[:, None], len(angle), axis=1)
+    paths[:, :, 0] += radius * np.cos(angle)
+    paths[:, :, 1] += radius * np.sin(angle)
     wave = np.sin(2 * angle[None] + np.arange(len(centres))[:, None])
-    return np.asarray(runs + wave[:, :, None] * tilt)
+    return np.asarray(paths + wave[:, :, None] * tilt)
 
 
 def delta_case() -> MachineCase:
@@ -83,7 +89,7 @@ def delta_case() -> MachineCase:
     m = Measurement(linear_delta.machine, [setup])
     heights = (0.05, 0.2, 0.35)
     centres = np.array([[0.0, 0.0, z] for z in heights])
-    runs = circles(centres, 0.12, np.array([0.0, 0.0, 0.03]))
+    paths = circles(centres, 0.12, np.array([0.0, 0.0, 0.03]))
 
     def pose(p: np.ndarray, q: np.ndarray) -> np.ndarray:
         return delta.nozzle(q, p[0], p[1:4], p[4:7], p[7:10])
@@ -96,7 +102,7 @@ def delta_case() -> MachineCase:
     return MachineCase(
         "linear_delta",
         m,
-        runs,
+        paths,
         np.array(grid),
         read,
         lambda p, q, command: pose(p, q) - command,
@@ -114,17 +120,17 @@ def planar_case() -> MachineCase:
     m = Measurement(
         planar_2dof.machine, [mount(instrument, "camera", sigma=[SIGMA] * 2)]
     )
-    angle = 2 * np.pi * np.arange(POINTS) / POINTS
+    angle = turns()
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     centres = [(-0.7, 0.7), (0.7, 0.7), (0.0, 0.7)]
     sizes = [(0.6, 0.6), (0.6, 0.6), (1.4, 0.7)]
-    runs = [np.array(c) + circle * s for c, s in zip(centres, sizes, strict=True)]
+    paths = [np.array(c) + circle * s for c, s in zip(centres, sizes, strict=True)]
     places = np.linspace(-1.2, 1.2, 7)
     grid = [(y, z) for y in places for z in (0.2, 0.75, 1.3)]
     return MachineCase(
         "planar_2dof",
         m,
-        np.array(runs),
+        np.array(paths),
         np.array(grid),
         lambda theta, series, driven: planar.forward(driven, theta).ravel(),
         lambda p, q, command: planar.forward(q, p) - command,
@@ -139,7 +145,7 @@ def hexapod_case() -> MachineCase:
     rise = np.array([-0.05, 0.0, 0.05])
     centres = home + rise[:, None] * (np.arange(6) == 2)
     tilt = np.array([0.0, 0.0, 0.03, 0.15, -0.12, 0.1])
-    runs = circles(centres, 0.06, tilt)
+    paths = circles(centres, 0.06, tilt)
 
     def tips(p: np.ndarray, q: np.ndarray) -> np.ndarray:
         base = np.array(list(hexapod.B.values())) + p[:18].reshape(6, 3)
@@ -154,7 +160,7 @@ def hexapod_case() -> MachineCase:
     return MachineCase(
         "hexapod",
         m,
-        runs,
+        paths,
         command,
         lambda theta, series, driven: tips(theta, driven).ravel(),
         lambda p, q, command: tips(p, q) - command[:, :3],

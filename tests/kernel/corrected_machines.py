@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 import pandas as pd
 
-from kernel.corrected_cases import MachineCase
+from kernel.corrected_cases import FINE, MachineCase
 from oed import compensate
 from oed.correction import (
     CorrectedEstimate,
@@ -63,39 +63,52 @@ def draw_acting(
 # -- the session -----------------------------------------------------------------------
 
 
-def planned(case: MachineCase) -> tuple[Series, pd.DataFrame, np.ndarray]:
-    """All runs to and fro while the legs warm up: series, rows, warmth (n, nq)."""
+@dataclasses.dataclass(frozen=True)
+class Session:
+    """Readings as planned.
+
+    rows    one row a reading
+    warmth  (n, nq) of each leg, K
+    sense   (n, nq) in which each joint last moved
+    """
+
+    series: Series
+    rows: pd.DataFrame
+    warmth: np.ndarray
+    sense: np.ndarray
+
+
+def planned(case: MachineCase) -> Session:
+    """All runs to and fro while the legs warm up."""
     joints = len(case.measurement.machine.joints)
-    commands, rows, warmth, clock = [], [], [], 0.0
+    commands, rows, warmth, senses, clock = [], [], [], [], 0.0
     for turn in range(PASSES):
-        sense = 1 if turn % 2 == 0 else -1
-        for number, run in enumerate(case.runs):
-            commands.append(run[::sense])
-            for k in range(len(run)):
+        way = 1 if turn % 2 == 0 else -1
+        for number, path in enumerate(case.paths):
+            commands.append(path[::FINE][::way])
+            senses.append(arrival(case, path, way)[::way])
+            for k in range(len(commands[-1])):
                 clock += SECONDS
                 share = -np.expm1(-clock / WARMING)
                 warm = WARMTH * share * np.linspace(1.0, 0.3, joints)
                 warmth.append(warm)
-                rows.append((f"{number}-{turn}", k, clock, sense, *warm))
+                rows.append((f"{number}-{turn}", k, clock, way, *warm))
     names = ["run", "order", "time", "direction"]
     names += [f"temp_leg{k + 1}" for k in range(joints)]
     setup = next(iter(case.measurement.setups))
     table = pd.DataFrame(rows, columns=names).assign(setup=setup)
     labels = table["run"].tolist()
     series = case.measurement.series(setup, np.vstack(commands), labels)
-    return series.separate_poses(), table, np.array(warmth)
+    return Session(series.separate_poses(), table, np.array(warmth), np.vstack(senses))
 
 
-def travel_sense(series: Series) -> np.ndarray:
-    """Sense (n, nq) in which each joint moves along its closed run."""
-    q = series.q[series.index[:, 0]]
-    sense = np.zeros_like(q)
-    for run in dict.fromkeys(series.run):
-        members = np.flatnonzero(np.asarray(series.run) == run)
-        around = q[members]
-        ahead, behind = np.roll(around, -1, axis=0), np.roll(around, 1, axis=0)
-        sense[members] = np.sign(ahead - behind)
-    return sense
+def arrival(case: MachineCase, path: np.ndarray, way: int) -> np.ndarray:
+    """Sense (n, nq) in which each joint arrives at the readings of a closed path.
+
+    It is that of the last small step, so also where the joint turns back at a reading.
+    """
+    _, q = case.measurement.kinematics.inverse(path)
+    return np.asarray(np.sign(q - np.roll(q, way, axis=0))[::FINE])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,19 +138,20 @@ def outcome(
     """
     m = case.measurement
     count = len(m.machine.parameters)
-    series, rows, warmth = planned(case)
+    session = planned(case)
+    series = session.series
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
     acting, effects = draw_acting(len(m.machine.joints), rng)
     if not free_form:
         effects = tuple(textbook(e) for e in effects)
     warm, sense = np.zeros_like(series.q), np.zeros_like(series.q)
-    warm[series.index[:, 0]] = warmth  # a cup was taught cold and at rest
-    sense[series.index[:, 0]] = travel_sense(series)
+    warm[series.index[:, 0]] = session.warmth  # a cup was taught cold and at rest
+    sense[series.index[:, 0]] = session.sense
     driven = acting.drive(series.q, warm, sense)
     y = case.read(truth, series, driven)
     y = y + m.sigma([series]) * rng.standard_normal(len(y))
     plain = identify(m, [series], y)
-    readings = EffectReadings(m, (series,), y, rows)
+    readings = EffectReadings(m, (series,), y, session.rows)
     corrected = estimate_with_effects(readings, effects, plain.theta)
     assert corrected is not None
     seed = int(rng.integers(2**31))

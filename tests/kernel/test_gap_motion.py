@@ -55,6 +55,25 @@ def test_a_closed_circle_is_entered_rolling(
     )
 
 
+@pytest.mark.parametrize("late", [-1e-5, 0.0, 1e-5])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_where_a_joint_turns_back_its_sense_is_that_of_arrival(
+    way: float, late: float
+) -> None:
+    """Readings at the extrema of a cosine, up to rounding: the joint last moved outward
+    at its farthest, inward at its nearest, and half a circle ago it last turned.
+    """
+    at = way * 2.0 * np.pi * np.arange(24) / 24
+    tip = np.column_stack([RADIUS * np.cos(at), RADIUS * np.sin(at), np.zeros(24)])
+    motion = _moved(SWING[:1] * np.cos(at[:, None] - late), tip)
+    assert motion.sense[0, 0] == 1.0
+    assert motion.sense[12, 0] == -1.0
+    assert (motion.sense[1:12, 0] == -1.0).all()
+    assert (motion.sense[13:, 0] == 1.0).all()
+    gone = motion.reversal[[0, 12], 0]
+    assert gone == pytest.approx(np.full(2, 2.0 * SWING[0]), rel=1e-3)
+
+
 def test_an_open_run_has_no_turn_before_its_first() -> None:
     """A line past one extremum: far away before it, from the extremum, not from the
     last reading, after it.

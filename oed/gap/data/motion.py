@@ -2,7 +2,9 @@
 
 A run is a smooth path through its poses. It is closed where it ends as near to its
 start as one pose is to the next; a closed run is entered rolling. A joint may turn back
-between two readings, so that the path locates the reversal, not the steps.
+between two readings, so that the path locates the reversal, not the steps. At a reading
+where a joint turns back, its sense is that in which it arrived: play is not yet taken up
+there, and the slope, zero but for rounding, has no sign to go by.
 """
 
 from __future__ import annotations
@@ -22,13 +24,15 @@ LEAST = 4
 CORNER = np.deg2rad(50.0)
 #: distance from end to start of a closed run, in steps between its poses
 CLOSED = 1.5
+#: last part of a step between poses over which the sense of arrival is taken
+ARRIVAL = 0.02
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Motion:
     """Motion of the joints at every pose, (m, nq) each, as in `State`.
 
-    sense           sign of the joint's motion
+    sense           sign of the joint's last motion
     rate            per second; NaN where the feed is not known
     acceleration    per second squared; NaN where the feed is not known
     reversal        distance since the joint last turned back
@@ -75,8 +79,10 @@ def motion(
         else:
             slope = path(places, 1)
             curvature = path(places, 2)
-            sense[at] = _sense(slope)
-            reversal[at] = _since_reversal(path, length, len(at), closed)
+            approach = ARRIVAL * _steps_before(length, len(at))
+            arriving = path(places) - path(places - approach)
+            sense[at] = _sense(arriving / approach[:, None])
+            reversal[at] = _since_reversal(path, length, places - approach / 2, closed)
         speed = feed[at, None]
         rate[at] = slope * speed
         acceleration[at] = curvature * speed**2
@@ -118,6 +124,17 @@ def _path(
     return CubicSpline(length, q)
 
 
+def _steps_before(length: Array, count: int) -> Array:
+    """Length of path (count,) from the pose before to each pose.
+
+    A closed run's first pose follows its last; before that of an open run nothing is
+    known, so the first step stands in.
+    """
+    steps = np.diff(length)
+    first = steps[-1] if len(length) > count else steps[0]
+    return np.concatenate([[first], steps])[:count]
+
+
 def _sense(slope: Array) -> Array:
     """Sign of each joint's motion (k, nq); where it stands still, of its last motion."""
     size = np.abs(slope)
@@ -139,23 +156,23 @@ def _fill(sign: Array, k: int, neighbour: int) -> None:
 def _since_reversal(
     path: CubicSpline,
     length: Array,
-    count: int,
+    arrival: Array,
     closed: bool,
 ) -> Array:
-    """Distance (count, nq) since the path last turned back.
+    """Distance (k, nq) since the path last turned back, before it arrives at k poses.
+
+    arrival  (k,) lengths of path up to which a turn counts
 
     Before an open run's first turn it is infinite.
     """
-    places = length[:count]
-    q = path(places)
+    q = path(length[: len(arrival)])
     distance = np.full(q.shape, np.inf)
     roots = path.derivative().roots(extrapolate=False)
     for joint, turns in enumerate(roots):
         turns = np.unique(turns[np.isfinite(turns)])
-        if closed and turns.size:
-            before_start = turns[-1] - length[-1]
-            turns = np.concatenate([[before_start], turns])
-        last = np.searchsorted(turns, places, side="right") - 1
+        if closed:
+            turns = np.concatenate([turns - length[-1], turns])
+        last = np.searchsorted(turns, arrival, side="right") - 1
         turned = last >= 0
         at_turn = path(turns[last[turned]])[:, joint]
         distance[turned, joint] = np.abs(q[turned, joint] - at_turn)
