@@ -236,9 +236,8 @@ class Measurement(ParameterVector):
         sensitivity = self.kinematics.parameter_sensitivity(x, series.q, p)
         pairs = list(zip(by_pose, series.pose_indices(), strict=True))
         joints = [slope @ by_joint[k] for slope, k in pairs]
-        model = self._models[series.setup]
         inputs = self._inputs(series, x[None], p[None], s[None])
-        at_fixed_poses = model.joint_slopes(inputs)
+        at_fixed_poses = self._models[series.setup].joint_slopes(inputs)
         if at_fixed_poses is not None:
             joints = [a + b for a, b in zip(joints, at_fixed_poses, strict=True)]
         parameters = [slope @ sensitivity[k] for slope, k in pairs]
