@@ -75,3 +75,19 @@ def test_an_unknown_path_says_what_there_is() -> None:
         LookupError, match=r"no such result: design.plan.0: .* did you mean plans"
     ):
         claims.lookup(RESULT, "design.plan.0")
+
+
+def test_a_claim_has_the_unit_of_its_figure_alone() -> None:
+    """A share that stands in one table with a unit has none."""
+    result = {"held_out": [{"name": "S1", "rms": 58.2, "coverage": 0.93, "unit": "um"}]}
+    expect = (
+        '[expect]\nrms = { of = "held_out.S1.rms", max = 50 }\n'
+        'share = { of = "held_out.S1.coverage", min = 0.95 }\n'
+    )
+    text = sample.STUDY[: sample.STUDY.index("[expect]")] + expect
+    rms, share = claims.check_claims(study.parse(text, Path("a.study.toml")), result)
+    where = "a.study.toml:3 [expect]"
+    expected = f"rms: measured 58.2 um, claimed held_out.S1.rms <= 50 um ({where})"
+    assert claims.failure(rms, where) == expected
+    expected = f"share: measured 0.93, claimed held_out.S1.coverage >= 0.95 ({where})"
+    assert claims.failure(share, where) == expected

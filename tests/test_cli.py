@@ -375,7 +375,10 @@ def test_each_claim_is_a_test(tmp_path: Path) -> None:
     )
     assert "1 passed, 1 skipped, 1 deselected, 1 error" in done.stdout
     assert "2 failed" in done.stdout
-    assert "wanted   identifiability.n = 20\n  measured 21" in done.stdout
+    line = 1 + (PLAN + claims).splitlines().index(claims.splitlines()[0])
+    where = f"good.study.toml:{line} [expect]"
+    expected = f"wrong: measured 21, claimed identifiability.n = 20 ({where})"
+    assert expected in done.stdout
     assert "no such result" in done.stdout
     assert "name: missing" in done.stdout
     assert "looked in" in done.stdout

@@ -23,12 +23,13 @@ SCHEMA = 1
 
 
 class Claim(Record, frozen=True):
-    """A claim of the study's [expect] table, measured."""
+    """A claim of the study's [expect] table, measured, in `unit` where it has one."""
 
     claim: str
     measured: float | str
     wanted: str
     met: bool
+    unit: str = ""
 
 
 class Polyline(Record, frozen=True):

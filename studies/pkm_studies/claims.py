@@ -17,6 +17,8 @@ from oed.result import Claim
 from pkm_studies.errors import shorten, suggest
 from pkm_studies.study.tables import ClaimTable, StudyFile
 
+#: numbers of result.json that are in the `unit` which stands beside them
+IN_UNIT = ("rms", "rms_raw", "p95", "max", "value", "sd", "mean", "q025", "q975")
 #: most characters of a measured text
 LONGEST = 200
 
@@ -32,11 +34,21 @@ def check_claims(
     for name, table in study.expect.items():
         section = re.split(r"[.\[]", table.of)[0]
         if only is None or section in only:
-            claims.append(_check(name, table, result))
+            claims.append(check_claim(name, table, result))
     return claims
 
 
-def _check(name: str, table: ClaimTable, result: Mapping[str, Any]) -> Claim:
+def failure(claim: Claim, where: str) -> str:
+    """What a claim that is not met says: measured against claimed, and where it stands."""
+    measured = claim.measured
+    if isinstance(measured, float):
+        measured = f"{measured:.6g}"
+    unit = f" {claim.unit}" if claim.unit else ""
+    return f"{claim.claim}: measured {measured}{unit}, claimed {claim.wanted}{unit} ({where})"
+
+
+def check_claim(name: str, table: ClaimTable, result: Mapping[str, Any]) -> Claim:
+    """A claim on a result as plain tables and lists."""
     wanted = f"{table.of} {_wanted(table)}"
     try:
         value = lookup(result, table.of)
@@ -48,7 +60,20 @@ def _check(name: str, table: ClaimTable, result: Mapping[str, Any]) -> Claim:
         measured=_measured(value, table.contains),
         wanted=wanted,
         met=_is_met(table, value),
+        unit=_unit(result, table.of, value),
     )
+
+
+def _unit(result: Mapping[str, Any], path: str, value: object) -> str:
+    """Unit that stands beside a number and belongs to it; empty where there is none."""
+    table, _, name = path.rpartition(".")
+    if not isinstance(value, float) or name not in IN_UNIT:
+        return ""
+    try:
+        unit = _table(lookup(result, table)).get("unit", "")
+    except LookupError:  # the name holds a dot
+        return ""
+    return unit if isinstance(unit, str) else ""
 
 
 # -- the value at a path ---------------------------------------------------------------

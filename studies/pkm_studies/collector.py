@@ -2,6 +2,9 @@
 
     pytest studies/a3_ball_bar.study.toml::rank
 
+Tests of a user's own sweep over varied studies with the mark `study_sweep` and the
+fixture `varied_study`: see `pkm_studies.sweep`.
+
 A study runs once a session, into a folder of its own that is removed afterwards.
 Studies with `slow = true` carry the mark `slow`. Where the data that a study reads is
 absent, its claims are skipped with the place where it was looked for.
@@ -21,26 +24,50 @@ import pytest
 if TYPE_CHECKING:
     from oed.result import Claim
     from pkm_studies.study import Study
+    from pkm_studies.sweep import VariedStudy
 
 SUFFIX = ".study.toml"
+#: fixture of the studies of a sweep
+FIXTURE = "varied_study"
 
 
 class ClaimNotMet(Exception):  # noqa: N818 - pytest shows the claim, not the class
     """A claim of a study that its result does not meet."""
 
-    def __init__(self, claim: Claim) -> None:
-        """State what is wanted and what was measured."""
-        measured = claim.measured
-        if isinstance(measured, float):
-            measured = f"{measured:.9g}"
-        super().__init__(
-            f"claim {claim.claim}\n  wanted   {claim.wanted}\n  measured {measured}"
-        )
+    def __init__(self, claim: Claim, where: str) -> None:
+        """State what was measured and what is claimed."""
+        from pkm_studies import claims
+
+        super().__init__(claims.failure(claim, where))
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Declare the mark of slow studies."""
+    """Declare the marks of slow studies and of sweeps."""
     config.addinivalue_line("markers", "slow: a study that says it takes minutes")
+    config.addinivalue_line(
+        "markers",
+        "study_sweep(base, vary): run the test for every combination of a study's fields,"
+        " with the fixture varied_study",
+    )
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """One test for each study of a sweep."""
+    if FIXTURE in metafunc.fixturenames:
+        from pkm_studies import sweep
+
+        sweep.parametrize(metafunc, FIXTURE)
+
+
+@pytest.fixture
+def varied_study(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> VariedStudy:
+    """A study of the sweep, which runs at most once a session: at its first figure."""
+    from pkm_studies import sweep
+
+    folder = sweep.shared_folder(tmp_path_factory)
+    return sweep.VariedStudy(request.param, folder)
 
 
 def pytest_collect_file(
@@ -102,7 +129,8 @@ class ClaimItem(pytest.Item):
         except SourceAbsentError as absent:
             pytest.skip(str(absent))
         if not claim.met:
-            raise ClaimNotMet(claim)
+            line = _line(self.study.text, self.name) + 1
+            raise ClaimNotMet(claim, f"{self.path.name}:{line} [expect]")
 
     def repr_failure(
         self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import itertools
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,9 +14,9 @@ from pkm_studies import files, shipped
 from pkm_studies.campaign.case import COLUMNS, Figures
 from pkm_studies.campaign.case_function import CaseFunction, UserFunction
 from pkm_studies.campaign.virtual_machine import VirtualMachine
-from pkm_studies.errors import InputError, Place, shorten, suggest
+from pkm_studies.errors import InputError, Place, shorten
 from pkm_studies.resolve.resolved import resolve
-from pkm_studies.study import Study, decode, load, loader
+from pkm_studies.study import Study, decode, load, vary
 
 SCHEMA = 1
 SUFFIX = ".campaign.toml"
@@ -80,10 +78,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     def settings(self) -> list[dict[str, Any]]:
         """Every combination of the varied values, in the order of the file."""
-        values = itertools.product(*self.vary.values())
-        return [
-            dict(zip(self.vary, combination, strict=True)) for combination in values
-        ]
+        return vary.combinations(self.vary)
 
     def all_seeds(self) -> range:
         """The seeds of each combination."""
@@ -120,12 +115,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def study_with(self, setting: Mapping[str, Any]) -> Study:
         """The study with other values of some fields. Raises InputError."""
         assert self.varied is not None
-        tables = copy.deepcopy(tomllib.loads(self.varied.text))
-        for field, value in setting.items():
-            at = self.place.key("vary").key(field)
-            _assign(tables, field, value, at)
-        text = msgspec.toml.encode(tables).decode()
-        return loader.parse(text, self.varied.path)
+        return vary.with_setting(self.varied, setting, self.place.key("vary"))
 
 
 def load_campaign(path: Path) -> Campaign:
@@ -229,26 +219,3 @@ def _check_functions(campaign: Campaign) -> None:
     campaign.user_function(campaign.case).load("case")
     if campaign.summary:
         campaign.user_function(campaign.summary).load("summary")
-
-
-def _assign(tables: Any, field: str, value: Any, place: Place) -> None:
-    """Set a field of nested tables, addressed by keys and names of list entries."""
-    *way, last = field.split(".")
-    at = tables
-    for key in way:
-        at = _entry(at, key, place)
-    if not isinstance(at, dict):
-        raise place.error("this is no field of a table", "name a field of the study")
-    at[last] = value
-
-
-def _entry(at: Any, key: str, place: Place) -> Any:
-    """What a table or a list of named tables holds under a key."""
-    if isinstance(at, list):
-        named = {str(entry.get("name")): entry for entry in at}
-        if key not in named:
-            raise place.error(f"no entry {key!r}", suggest(key, named))
-        return named[key]
-    if isinstance(at, dict):
-        return at.setdefault(key, {})
-    raise place.error(f"{key!r} lies in no table", "name a field of the study")

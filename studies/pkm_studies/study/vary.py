@@ -1,0 +1,57 @@
+"""Studies that differ from a base in some fields, as campaigns and test sweeps vary it."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from pkm_studies.errors import Place, suggest
+from pkm_studies.study import loader
+from pkm_studies.study.loader import Study
+
+
+def combinations(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """Every value of each field with every value of the others, in their order."""
+    values = itertools.product(*vary.values())
+    return [dict(zip(vary, combination, strict=True)) for combination in values]
+
+
+def with_setting(study: Study, setting: Mapping[str, Any], place: Place) -> Study:
+    """The study with other values of some fields. Raises InputError.
+
+    A field is addressed by its table and name; an entry of a list by its own name, as in
+    `setup.cup.length_mm`.
+    """
+    tables = copy.deepcopy(tomllib.loads(study.text))
+    for field, value in setting.items():
+        _assign(tables, field, value, place.key(field))
+    text = msgspec.toml.encode(tables).decode()
+    return loader.parse(text, study.path)
+
+
+def _assign(tables: Any, field: str, value: Any, place: Place) -> None:
+    """Set a field of nested tables, addressed by keys and names of list entries."""
+    *way, last = field.split(".")
+    at = tables
+    for key in way:
+        at = _entry(at, key, place)
+    if not isinstance(at, dict):
+        raise place.error("this is no field of a table", "name a field of the study")
+    at[last] = value
+
+
+def _entry(at: Any, key: str, place: Place) -> Any:
+    """What a table or a list of named tables holds under a key."""
+    if isinstance(at, list):
+        named = {str(entry.get("name")): entry for entry in at}
+        if key not in named:
+            raise place.error(f"no entry {key!r}", suggest(key, named))
+        return named[key]
+    if isinstance(at, dict):
+        return at.setdefault(key, {})
+    raise place.error(f"{key!r} lies in no table", "name a field of the study")
