@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 from collections.abc import Callable
@@ -112,10 +111,8 @@ def test_oracle_of_generated_cases(blind, blind_case_set, tmp_path):
     for kind in ("single", "pair", "exact"):
         name = next(n for n, label in labels.items() if label["kind"] == kind)
         names = tuple(e["name"] for e in labels[name]["effects"])
-        figures = json.loads(
-            blind.oracle.work(
-                blind.oracle.OracleJob(blind_case_set, tmp_path, cases[name], names)
-            )
+        figures = blind.oracle.work(
+            blind.oracle.OracleJob(blind_case_set, tmp_path, cases[name], names)
         )
         for e, label in zip(figures["effects"], labels[name]["effects"], strict=True):
             assert e["sqrt_lambda"] == pytest.approx(label["sqrt_lambda"], rel=1e-3)
@@ -142,10 +139,8 @@ def test_oracle_of_two_effects_is_that_of_the_dense_metric(
         c for c in blind.loading.manifest(blind_case_set) if c.id == label["id"]
     )
     names = tuple(e["name"] for e in label["effects"])
-    figures = json.loads(
-        blind.oracle.work(
-            blind.oracle.OracleJob(blind_case_set, tmp_path, chosen, names)
-        )
+    figures = blind.oracle.work(
+        blind.oracle.OracleJob(blind_case_set, tmp_path, chosen, names)
     )["effects"]
     problem = blind.loading.prepare(blind_case_set, chosen)
     library = library_of.build(problem, blind.loading.bench(chosen.study).effects)

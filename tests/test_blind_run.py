@@ -10,7 +10,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,7 +30,6 @@ NAMES = (
     "listing",
     "loading",
     "oracle",
-    "pool",
     "run",
     "stepwise",
     "generator.severity",
@@ -46,7 +45,7 @@ def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
 
 def test_the_runner_cannot_know_labels():
     """Neither imports nor names what only the scorer may open."""
-    for name in ("run", "loading", "harmonic", "stepwise", "pool"):
+    for name in ("run", "loading", "harmonic", "stepwise"):
         tree = ast.parse((BLIND / f"{name}.py").read_text(encoding="utf-8"))
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
@@ -308,28 +307,3 @@ def test_bad_options_are_told_with_what_there_is(
         == 2
     )
     assert message in capsys.readouterr().err
-
-
-def test_jobs_go_to_a_cluster_and_come_back_with_their_results(blind, monkeypatch):
-    class Client:
-        def __init__(self, address: str) -> None:
-            assert address == "tcp://there:8786"
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            return None
-
-        def map(self, work, jobs, pure):
-            assert not pure
-            return [
-                SimpleNamespace(key=f"k{j}", result=lambda j=j: work(j)) for j in jobs
-            ]
-
-    cluster = ModuleType("distributed")
-    cluster.Client, cluster.as_completed = Client, lambda futures: reversed(futures)
-    monkeypatch.setitem(sys.modules, "distributed", cluster)
-    assert list(
-        blind.pool.results(lambda j: j * j, [2, 3], dask="tcp://there:8786")
-    ) == [(3, 9), (2, 4)]

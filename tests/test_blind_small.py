@@ -8,7 +8,6 @@ whole benchmark; the slow test here looks at false alarms, noise law by noise la
 from __future__ import annotations
 
 import itertools
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -59,7 +58,7 @@ def diagnosed(blind: SimpleNamespace, folder: Path, case: Any) -> Mapping[str, A
     job = blind.run.DiagnosisJob(
         folder, blind.loading.Case(case.id, case.stage.plan.study, f"{case.id}.csv")
     )
-    result = json.loads(blind.run.work(job))
+    result = blind.run.work(job)
     assert "error" not in result, result.get("traceback")
     return result
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,7 +14,7 @@ import sample
 
 from oed import compensate
 from pkm_studies import cli
-from pkm_studies.campaign import results, runner, tables
+from pkm_studies.campaign import pool, results, runner, tables
 from pkm_studies.errors import InputError
 
 STUDY = sample.changed(
@@ -308,6 +310,32 @@ def test_a_scheduler_that_is_not_there_is_said(
     pytest.importorskip("distributed", reason="Dask is not installed")
     assert run(campaign, tmp_path / "out", "--scheduler", "no address") == 2
     assert "--scheduler" in capsys.readouterr().err
+
+
+def test_items_go_to_a_cluster_and_come_back_with_their_results(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Client:
+        def __init__(self, address: str, timeout: str) -> None:
+            assert address == "tcp://there:8786"
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            return None
+
+        def map(self, work, items, pure):
+            assert not pure
+            return [
+                SimpleNamespace(key=f"k{i}", result=lambda i=i: work(i)) for i in items
+            ]
+
+    cluster = ModuleType("distributed")
+    cluster.Client, cluster.as_completed = Client, lambda futures: reversed(futures)
+    monkeypatch.setitem(sys.modules, "distributed", cluster)
+    come = pool.results(lambda item: item**2, [2, 3], scheduler="tcp://there:8786")
+    assert list(come) == [(3, 9), (2, 4)]
 
 
 @pytest.mark.slow

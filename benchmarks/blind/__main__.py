@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 
 from benchmarks.blind import commands as other
+from pkm_studies.errors import InputError
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -35,7 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         return int(options.run(options))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, InputError) as error:
         print(error, file=sys.stderr)
         return 2
 

@@ -41,16 +41,12 @@ def run_all(
     out = results / FOLDER
     every = run.select_jobs(folder, listed=listed, limit=limit, seed=seed)
     jobs = [j for j in every if not j.without]
-    jobs = [j for j in jobs if again or not run.is_done(j.file(out))]
-    jobs.sort(key=lambda j: j.case.study)
-    return run.carry_out(
-        work, jobs, lambda j: j.file(out), workers=workers, report=report
-    )
+    return run.carry_out(work, jobs, out, workers=workers, again=again, report=report)
 
 
-def work(job: run.DiagnosisJob) -> str:
-    """The text of a case's result: JSON, with `error` where the diagnosis fails."""
-    return run.result_text(job, _diagnose)
+def work(job: run.DiagnosisJob) -> dict[str, Any]:
+    """The record of a case's diagnosis, with `error` where it fails."""
+    return run.stored_record(job, _diagnose)
 
 
 def _diagnose(job: run.DiagnosisJob) -> dict[str, Any]:

@@ -16,8 +16,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.blind import entries, loading, oracle, pool
+from benchmarks.blind import entries, loading, oracle
 from benchmarks.blind.selection import reaches
+from pkm_studies.campaign import pool
 
 
 def write(

@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind import loading, pool
+from benchmarks.blind import loading
 from benchmarks.blind.generator import write as truth_of
 from benchmarks.blind.generator.severity import Metric as TrueMetric
 from benchmarks.blind.loading import Case
@@ -43,6 +43,7 @@ from oed.gap.forms import library as library_of
 from oed.gap.forms.library import Atom, Library
 from oed.noise.law import NoiseLaw
 from oed.noise.runs import RunBatch
+from pkm_studies.campaign.jobs import Job, run_jobs
 
 #: size of a rival against its physical prior scale
 RIVAL = 3.0
@@ -94,9 +95,9 @@ def run(
     jobs = [OracleJob(folder, results, c, tuple(acting[c.id])) for c in cases]
     due = [j for j in jobs if again or _stale(j)]
     due.sort(key=lambda j: j.case.study)
-    results_of_jobs = pool.results(work, due, workers=workers)
-    for number, (job, text) in enumerate(results_of_jobs, start=1):
-        loading.write(job.file, text)
+    files = [Job(job.file, job) for job in due]
+    figures = run_jobs(work, files, workers=workers)
+    for number, _ in enumerate(figures, start=1):
         if number % 50 == 0 or number == len(due):
             report(f"oracle: {number} of {len(due)} cases")
     return {j.case.id: json.loads(j.file.read_text(encoding="utf-8")) for j in jobs}
@@ -109,8 +110,8 @@ def _stale(job: OracleJob) -> bool:
     return result.is_file() and result.stat().st_mtime > job.file.stat().st_mtime
 
 
-def work(job: OracleJob) -> str:
-    """The oracle's figures of a case as JSON.
+def work(job: OracleJob) -> dict[str, Any]:
+    """The oracle's figures of a case, as JSON holds them.
 
     Raises ValueError where readings and truth do not belong together.
     """
@@ -120,7 +121,8 @@ def work(job: OracleJob) -> str:
     closures = []
     if job.effects:
         closures = _closures(problem, sigma, truth, _result(job))
-    return json.dumps({**figures, "closure": closures}, allow_nan=False)
+    text = json.dumps({**figures, "closure": closures}, allow_nan=False)
+    return dict(json.loads(text))
 
 
 def distances(job: OracleJob) -> dict[str, Any]:

@@ -18,11 +18,11 @@ import traceback
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from benchmarks.blind import loading, pool
+from benchmarks.blind import loading
 from benchmarks.blind.harmonic import harmonic
 from benchmarks.blind.loading import Case
 from benchmarks.blind.stepwise import stepwise
@@ -32,8 +32,8 @@ from oed.gap.data.diagnosis import Answer, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.noise.law import NoiseLaw
+from pkm_studies.campaign.jobs import Job, Row, run_jobs
 
-J = TypeVar("J")
 EACH = "each"
 #: most answers that are stored, if the 95 % set has no more
 ANSWERS = 20
@@ -81,43 +81,46 @@ def run(
     limit      at most so many cases
     without    an effect withheld from the library; `each`: every one in turn, and the
                whole library not at all
-    workers    see `pool.results`
-    dask       see `pool.results`
+    workers    processes; 0: one a core, 1: this process alone
+    dask       address of a scheduler, in place of processes here; its workers need the
+               project and the set's folder
     again      diagnose again what has a result
     report     takes a line of progress
 
-    Raises ValueError, OSError.
+    Raises ValueError, OSError, InputError.
     """
     jobs = select_jobs(
         folder, only=only, listed=listed, limit=limit, without=without, seed=seed
     )
-    if not again:
-        jobs = [j for j in jobs if not is_done(j.file(out))]
-    jobs.sort(key=lambda j: j.case.study)  # a process compiles few machines
     return carry_out(
-        work, jobs, lambda j: j.file(out), workers=workers, dask=dask, report=report
+        work, jobs, out, workers=workers, dask=dask, again=again, report=report
     )
 
 
 def carry_out(
-    work: Callable[[J], str],
-    jobs: Sequence[J],
-    file: Callable[[J], Path],
+    work: Callable[[DiagnosisJob], Row],
+    jobs: Sequence[DiagnosisJob],
+    out: Path,
     *,
     workers: int = 0,
     dask: str = "",
+    again: bool = False,
     report: Callable[[str], None] = print,
 ) -> int:
-    """Write each job's result to its file, as they come; how many have an `error`."""
+    """Store the record of each job that has none, as they come; how many have an `error`.
+
+    Records of failures count as none.
+    """
+    due = [Job(j.file(out), j) for j in jobs if again or not is_done(j.file(out))]
+    due.sort(key=lambda job: job.case.case.study)  # a process compiles few machines
     failed, start = 0, time.perf_counter()
-    results = pool.results(work, jobs, workers=workers, dask=dask)
-    for number, (job, text) in enumerate(results, start=1):
-        loading.write(file(job), text)
-        failed += "error" in json.loads(text)
-        if number % 20 == 0 or number == len(jobs):
+    records = run_jobs(work, due, workers=workers, scheduler=dask)
+    for number, record in enumerate(records, start=1):
+        failed += "error" in record
+        if number % 20 == 0 or number == len(due):
             seconds = time.perf_counter() - start
             report(
-                f"{number} of {len(jobs)} diagnoses, {failed} failed, {seconds:.0f} s"
+                f"{number} of {len(due)} diagnoses, {failed} failed, {seconds:.0f} s"
             )
     return failed
 
@@ -199,18 +202,18 @@ def is_done(file: Path) -> bool:
         return False
 
 
-def work(job: DiagnosisJob) -> str:
-    """The text of a case's result: JSON, with `error` where the diagnosis fails.
+def work(job: DiagnosisJob) -> Row:
+    """The record of a case's diagnosis, with `error` where it fails.
 
     No failure may stop the others.
     """
-    return result_text(job, _diagnose)
+    return stored_record(job, _diagnose)
 
 
-def result_text(
+def stored_record(
     job: DiagnosisJob, diagnose_case: Callable[[DiagnosisJob], dict[str, Any]]
-) -> str:
-    """The record of a case's diagnosis, or the `error` that it ends with, as JSON."""
+) -> Row:
+    """The record of a case's diagnosis, or of the `error` it ends with, as JSON holds it."""
     record: dict[str, Any] = {
         "id": job.case.id,
         "study": job.case.study,
@@ -223,7 +226,8 @@ def result_text(
             "error": f"{type(error).__name__}: {error}",
             "traceback": traceback.format_exc(limit=-4),
         }
-    return json.dumps(record, default=float, allow_nan=False)
+    text = json.dumps(record, default=float, allow_nan=False)
+    return dict(json.loads(text))
 
 
 def _diagnose(job: DiagnosisJob) -> dict[str, Any]:
