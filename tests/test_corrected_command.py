@@ -137,6 +137,33 @@ def test_exports_hold_tables_of_the_effects_or_say_so(
     assert "joint corrections by" not in capsys.readouterr().out.lower()
 
 
+def test_a_file_without_the_effects_has_them_in_its_budget(
+    folder: Path, result: StudyResult
+) -> None:
+    """Its accuracy is then that with the parameters alone; with tables nothing lacks."""
+    assert result.corrected is not None
+    (folder / "plain.py").write_text(
+        "import dataclasses\n"
+        "from pkm_studies.compensation.formats import json_file\n"
+        "controller = dataclasses.replace(json_file.controller, tables=False)\n"
+    )
+    out = folder / "out"
+    for to, kinds in (
+        (f"{folder}/plain.py:controller", ["rounding", "left out"]),
+        ("json", ["rounding"]),
+    ):
+        assert run("compensate", out, "--to", to) == 0
+        budget = json.loads((out / "compensation_budget.json").read_text())
+        added = [line for line in budget["lines"] if line["kind"] in kinds]
+        assert [line["kind"] for line in added] == kinds
+        if len(kinds) == 2:
+            for name, alone in result.corrected.parameters_only.items():
+                assert budget["predicted"][name] == pytest.approx(alone.rms, rel=0.01)
+        for name in budget["predicted"]:
+            total = sum(line["share"][name] for line in budget["lines"])
+            assert total == pytest.approx(1.0, abs=0.01)
+
+
 def test_the_terminal_says_what_to_improve_first(
     folder: Path, result: StudyResult, capsys: pytest.CaptureFixture[str]
 ) -> None:

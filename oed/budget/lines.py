@@ -24,7 +24,7 @@ LINEARISATION = "linearisation"
 #: name of what is not known of the noise
 NOISE_LAW = "estimated noise"
 
-LineKind = Kind | Literal["linearisation", "unmodelled", "interpolation", "rounding"]
+LineKind = Kind | Literal["linearisation"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -47,9 +47,13 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
     return np.angle(np.exp(1j * angle))
 
 
-def a3_case() -> MachineCase:
+def a3_case(start: float = 1 / 3) -> MachineCase:
+    """Ball-bar circles that begin a share of a step after psi = 0.
+
+    There and every 60 degrees a leg turns back; with `start` 0 readings are taken there.
+    """
     m = a3_plans.measurement()
-    psi = turns()
+    psi = turns() + 2 * np.pi / POINTS * start
     strokes = (0.04, 0.12, 0.20)
     paths = [a3_plans.bar_commands(m, np.full(len(psi), s), psi) for s in strokes]
 
@@ -66,7 +70,8 @@ def a3_case() -> MachineCase:
 
     command = a3_plans.workspace()[::3]
     names = ("z", "psi", "theta")
-    return MachineCase("a3_head", m, np.array(paths), command, read, errors, names)
+    name = "a3_head" if start else "a3_turning"
+    return MachineCase(name, m, np.array(paths), command, read, errors, names)
 
 
 def turns() -> np.ndarray:
@@ -170,6 +175,7 @@ def hexapod_case() -> MachineCase:
 
 CASES: dict[str, Callable[[], MachineCase]] = {
     "a3_head": a3_case,
+    "a3_turning": lambda: a3_case(0.0),
     "linear_delta": delta_case,
     "planar_2dof": planar_case,
     "hexapod": hexapod_case,

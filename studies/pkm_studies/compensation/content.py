@@ -85,6 +85,8 @@ class ControllerFormat:
     unfit(machine)         why the controller cannot drive a machine, in words; None
                            where it can
     tables                 whether the file holds tables of effects
+    interpolated           whether the controller interpolates between the file's
+                           commands
     """
 
     name: str
@@ -94,3 +96,4 @@ class ControllerFormat:
     joints: Callable[[Texts, Compensation], Array] | None = None
     unfit: Callable[[Machine], str | None] = lambda machine: None
     tables: bool = False
+    interpolated: bool = False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from oed.compensate import ParameterCompensator, component_errors
@@ -12,6 +13,7 @@ from oed.result import StudyResult
 from oed.text import quantity
 from pkm_studies import catalogue, files, result_folder
 from pkm_studies.compensation import build, identified
+from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.errors import InputError, Place
 from pkm_studies.study import SUFFIX, Study, load
@@ -80,8 +82,14 @@ def export(
             value=f"--to {controller.name}",
         )
     texts = controller.write(content)
-    paths = _write(texts, folder, out)
-    return Export(paths, (*content.notes, *cost(controller, texts, content)))
+    sentences = (*content.notes, *cost(controller, texts, content))
+    whole = complete_budget(controller, content, result)
+    if whole is not None:
+        document = msgspec.json.format(msgspec.json.encode(whole.section), indent=1)
+        texts = {**texts, BUDGET_FILE: document.decode() + "\n"}
+        advice = [words.rstrip(".") for words in whole.section.advice[:1]]
+        sentences = (*sentences, whole.sentence, *advice)
+    return Export(_write(texts, folder, out), sentences)
 
 
 def cost(

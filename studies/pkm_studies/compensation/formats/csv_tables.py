@@ -85,4 +85,5 @@ controller = ControllerFormat(
     write=write,
     joints=joints,
     tables=True,
+    interpolated=True,
 )

@@ -19,6 +19,13 @@ from oed.result import BudgetLine, BudgetSection, UnmodelledLine
 WORTH = 0.02
 #: sentences on what to improve
 MOST_ADVICE = 2
+#: improvements in words, by kind of line
+IMPROVEMENTS = {
+    "prior": "half the tolerances of the machine's parameters",
+    "interpolation": "a fine enough table",
+    "rounding": "half the step of the printed digits, and of what the model misses,",
+    "left out": "a file that holds the effects",
+}
 
 Values = Mapping[str, float]
 
@@ -42,7 +49,7 @@ def budget_section(
         predicted=dict(predicted),
         lines=lines,
         unmodelled=unmodelled,
-        advice=_advice(lines, predicted, driven or fine),
+        advice=advice_on(lines, predicted, driven or fine),
     )
 
 
@@ -57,8 +64,8 @@ def unmodelled_sentence(
     if not section.unmodelled:
         return None
     worst = section.unmodelled[0]
-    geometry = _quantities(after, driven)
-    whole = _quantities(worst.with_it, driven)
+    geometry = quantities(after, driven)
+    whole = quantities(worst.with_it, driven)
     return (
         f"This is geometry alone ({geometry}). {worst.effect} of its expected size"
         f" ({worst.expected}) would bring {whole}, as calibration takes a part of it for"
@@ -136,10 +143,10 @@ def _ratio(changed: Values, whole: Values, components: Mapping[str, str]) -> flo
     return math.exp(sum(logs) / len(logs)) if logs else 1.0
 
 
-def _advice(
+def advice_on(
     lines: Sequence[BudgetLine], predicted: Values, components: Mapping[str, str]
 ) -> list[str]:
-    """The improvements that bring most, in sentences."""
+    """The improvements of components {name: unit} that bring most, in sentences."""
     ranked = []
     for line in lines:
         better = line.halved or line.without
@@ -150,7 +157,7 @@ def _advice(
     sentences = []
     for number, (_, line, better) in enumerate(worthwhile[:MOST_ADVICE]):
         order = "Improve first" if number == 0 else "Then"
-        before, after = (_quantities(v, components) for v in (predicted, better))
+        before, after = (quantities(v, components) for v in (predicted, better))
         sentences.append(
             f"{order}: {_improvement(line)} brings {after} instead of {before}."
         )
@@ -159,13 +166,14 @@ def _advice(
 
 def _improvement(line: BudgetLine) -> str:
     """An improvement in words."""
-    if line.kind == "prior":
-        return "half the tolerances of the machine's parameters"
+    if line.kind in IMPROVEMENTS:
+        return IMPROVEMENTS[line.kind]
     if line.halved is None:
         return "a known set-up" if line.kind == "set-up" else f"known {line.source}"
     return f"half the {line.source}"
 
 
-def _quantities(values: Values, components: Mapping[str, str]) -> str:
+def quantities(values: Values, components: Mapping[str, str]) -> str:
+    """Values of components {name: unit} in words."""
     parts = [f"{name} {values[name]:.3g} {unit}" for name, unit in components.items()]
     return ", ".join(parts)

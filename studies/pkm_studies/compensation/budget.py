@@ -1,0 +1,193 @@
+"""The budget of a machine that is driven by a compensation file: all that it errs by.
+
+The predicted budget holds for exact compensation. The file adds what its digits, the
+controller's model and interpolation cost, and effects that it does not hold. These are
+fixed errors of mean square V_j over the workspace, and the predicted ones have mean 0:
+the mean squares add up.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import msgspec
+import numpy as np
+
+from oed import units
+from oed.arrays import Array
+from oed.export_errors import interpolation_errors, joint_errors, table_knots
+from oed.kinematics import AssemblyError
+from oed.result import BudgetLine, BudgetSection, PredictionSection, StudyResult
+from pkm_studies.compensation.content import Compensation, ControllerFormat
+from pkm_studies.stages.predict.budget import advice_on, quantities
+
+#: end of the name of the file with the budget
+BUDGET_FILE = "_budget.json"
+#: names of the lines that a file adds
+INTERPOLATION = "interpolation between the poses of the table"
+LEFT_OUT = "effects that the file does not hold"
+
+#: rms errors by pose component, in its fine unit
+Values = Mapping[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class FileLine:
+    """A source that the file adds; `rms` of each component that the joints drive."""
+
+    source: str
+    kind: str
+    rms: Values
+
+
+@dataclasses.dataclass(frozen=True)
+class FileBudget:
+    """A budget with the lines of a file, and what it amounts to, in a sentence."""
+
+    section: BudgetSection
+    sentence: str
+
+
+def complete_budget(
+    controller: ControllerFormat, content: Compensation, result: StudyResult
+) -> FileBudget | None:
+    """The budget with the lines of a file; None where no accuracy was predicted.
+
+    It has the components that the joints drive.
+    """
+    corrected = result.corrected
+    prediction = result.prediction if corrected is None else corrected.prediction
+    if prediction is None or prediction.budget is None or controller.joints is None:
+        return None
+    lines = [_rounding(controller, content, prediction)]
+    if controller.interpolated:
+        lines += _interpolation(content, prediction)
+    if corrected is not None and not controller.tables:
+        alone = {n: s.rms for n, s in corrected.parameters_only.items()}
+        lines.append(_left_out(content, prediction, alone))
+    section = with_lines(prediction.budget, lines)
+    driven = driven_units(content)
+    section = msgspec.structs.replace(
+        section, advice=advice_on(section.lines, section.predicted, driven)
+    )
+    return FileBudget(
+        section,
+        f"with this file the predicted rms is {quantities(section.predicted, driven)};"
+        f" exact compensation leaves {quantities(prediction.budget.predicted, driven)}",
+    )
+
+
+def with_lines(budget: BudgetSection, added: Sequence[FileLine]) -> BudgetSection:
+    """A budget with further lines, of the components that these have."""
+    names = list(added[0].rms)
+    extra = {n: sum(line.rms[n] ** 2 for line in added) for n in names}
+    total = {n: (budget.predicted[n] ** 2 + extra[n]) ** 0.5 for n in names}
+
+    def grown(values: Values) -> dict[str, float]:
+        return {n: (values[n] ** 2 + extra[n]) ** 0.5 for n in names}
+
+    lines = [
+        BudgetLine(
+            source=line.source,
+            kind=line.kind,
+            share={n: line.size[n] * abs(line.size[n]) / total[n] ** 2 for n in names},
+            size={n: line.size[n] for n in names},
+            without=None if line.without is None else grown(line.without),
+            halved=None if line.halved is None else grown(line.halved),
+        )
+        for line in budget.lines
+    ]
+    lines += [_added(line, total) for line in added]
+    unmodelled = [
+        msgspec.structs.replace(
+            line, size={n: line.size[n] for n in names}, with_it=grown(line.with_it)
+        )
+        for line in budget.unmodelled
+    ]
+    return BudgetSection(predicted=total, lines=lines, unmodelled=unmodelled)
+
+
+def _added(line: FileLine, total: Values) -> BudgetLine:
+    """A line of the file among all errors."""
+
+    def with_share(share: float) -> dict[str, float]:
+        """The rms errors with a share of the line's mean square."""
+        gone = {n: (1.0 - share) * line.rms[n] ** 2 for n in total}
+        return {n: max(total[n] ** 2 - gone[n], 0.0) ** 0.5 for n in total}
+
+    return BudgetLine(
+        source=line.source,
+        kind=line.kind,
+        share={n: line.rms[n] ** 2 / total[n] ** 2 for n in total},
+        size=dict(line.rms),
+        without=with_share(0.0),
+        halved=with_share(0.25) if line.kind == "rounding" else None,
+    )
+
+
+def driven_units(content: Compensation) -> dict[str, str]:
+    """{component: fine unit} of those that the joints drive."""
+    components = content.machine.components
+    return {c.name: units.FINE[c.unit] for c in components if c.compensatable}
+
+
+def _rounding(
+    controller: ControllerFormat, content: Compensation, prediction: PredictionSection
+) -> FileLine:
+    """Printed digits and the controller's model, at the commands of the workspace."""
+    assert controller.joints is not None
+    command = content.command
+    home = content.machine.home_command[None]
+    whole = dataclasses.replace(content, command=np.vstack([command, home]))
+    joints = controller.joints(controller.write(whole), whole)
+    errors = joint_errors(
+        content.kinematics,
+        command,
+        joints,
+        content.identified.values,
+        prediction.reference,  # type: ignore[arg-type]
+    )
+    source = f"printed digits and the controller's model ({controller.name})"
+    return FileLine(source, "rounding", _rms(content, errors))
+
+
+def _interpolation(
+    content: Compensation, prediction: PredictionSection
+) -> list[FileLine]:
+    """What corrections lose between the table's commands; none where they are no grid."""
+    knots = table_knots(content.command)
+    if knots is None:
+        return []
+    try:
+        errors = interpolation_errors(
+            content.kinematics,
+            knots,
+            content.identified.values,
+            prediction.reference,  # type: ignore[arg-type]
+            np.random.default_rng(0),
+        )
+    except AssemblyError:
+        return []
+    return [FileLine(INTERPOLATION, "interpolation", _rms(content, errors))]
+
+
+def _left_out(
+    content: Compensation, prediction: PredictionSection, alone: Values
+) -> FileLine:
+    """The effects, from the accuracy with the parameters alone."""
+    rms = {}
+    for name in driven_units(content):
+        with_them = prediction.components[name].after.rms
+        rms[name] = max(alone[name] ** 2 - with_them**2, 0.0) ** 0.5
+    return FileLine(LEFT_OUT, "left out", rms)
+
+
+def _rms(content: Compensation, errors: Array) -> dict[str, float]:
+    """Rms errors by driven component, from errors (n, k), SI."""
+    size = np.sqrt(np.mean(errors**2, axis=0))
+    names = [c.name for c in content.machine.components]
+    return {
+        name: units.number(float(size[names.index(name)]), unit)
+        for name, unit in driven_units(content).items()
+    }

@@ -1,0 +1,156 @@
+"""`oed compensate` on a budget: what a file costs, on the oracle's A3 heads."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import compensation_sample as sample
+import msgspec
+import numpy as np
+import pytest
+from oracles import a3_geometry as a3
+from scipy.interpolate import RegularGridInterpolator
+
+from oed.compensate import compensated_joints
+from oed.kinematics import Kinematics
+from oed.result import BudgetLine, BudgetSection, PredictionSection
+from pkm_models.machines import a3_head
+from pkm_studies import cli
+
+GRID = """
+[prediction]
+reference = "absolute"
+z_mm = [1066.0, 1166.0, 1266.0]
+psi_deg = { from = 0.0, to = 180.0, count = 7 }
+theta_deg = [15.0, 25.0, 35.0]
+"""
+NAMES = ("z", "psi", "theta")
+ARCSEC = np.pi / 648000.0
+FINE = np.array([1e-6, ARCSEC, ARCSEC])
+#: a controller that reads joints in steps of 50 um
+COARSE = """
+import dataclasses
+
+import numpy as np
+
+from pkm_studies.compensation.content import ControllerFormat
+from pkm_studies.compensation.formats import json_file
+
+
+def joints(texts, content):
+    return 50e-6 * np.round(json_file.joints(texts, content) / 50e-6)
+
+
+controller = ControllerFormat(
+    name="coarse", about="", source="", write=json_file.write, joints=joints
+)
+"""
+SD = np.r_[np.full(3, 20e-6), np.zeros(21)]
+TABLE3 = a3.errors(
+    *(a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")),
+)
+
+
+def errors(p: np.ndarray, q: np.ndarray, command: np.ndarray) -> np.ndarray:
+    """Errors (n, 3) of z, psi and theta of the oracle's machine, in um and arcsec."""
+    real = a3.forward(p, q)
+    psi, theta, _ = a3.euler(real.R)
+    turned = np.angle(np.exp(1j * (psi - command[:, 1])))
+    found = np.column_stack([real.tip[:, 2] - command[:, 0], turned])
+    return np.column_stack([found, theta - command[:, 2]]) / FINE
+
+
+def rms(values: list[np.ndarray]) -> np.ndarray:
+    return np.sqrt(np.mean(np.array(values) ** 2, axis=(0, 1)))
+
+
+def commands() -> np.ndarray:
+    z, psi = [1.066, 1.166, 1.266], np.deg2rad(np.linspace(0.0, 180.0, 7))
+    mesh = np.meshgrid(z, psi, np.deg2rad([15.0, 25.0, 35.0]), indexing="ij")
+    return np.column_stack([axis.ravel() for axis in mesh])
+
+
+def exported(folder: Path, base: np.ndarray, to: str) -> BudgetSection:
+    """The budget that the command writes, of a machine predicted to err by `base`."""
+    predicted = dict(zip(NAMES, base.tolist(), strict=True))
+    line = BudgetLine("readings", "instrument", dict.fromkeys(NAMES, 1.0), predicted)
+    section = PredictionSection(
+        reference="absolute",
+        components={},
+        unit={},
+        poses=0,
+        map=[],
+        mode="identified",
+        budget=BudgetSection(predicted, [line]),
+    )
+    content = sample.result(a3_head.machine, TABLE3, prediction=section)
+    text = content.study_text + GRID
+    sample.save(folder, msgspec.structs.replace(content, study_text=text))
+    assert cli.main(["compensate", str(folder), "--to", to]) == 0
+    written = (folder / "compensation_budget.json").read_bytes()
+    return msgspec.json.decode(written, type=BudgetSection)
+
+
+def test_rounding_costs_what_its_line_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Machines drawn about the identified one, with joints in steps and without."""
+    rng, command = np.random.default_rng(3), commands()
+    machines = TABLE3 + SD * rng.standard_normal((60, 24))
+    exact = compensated_joints(Kinematics(a3_head.machine), command, TABLE3)
+    steps = 50e-6 * np.round(exact / 50e-6)
+    base = rms([errors(p, exact, command) for p in machines])
+    whole = rms([errors(p, steps, command) for p in machines])
+    (tmp_path / "coarse.py").write_text(COARSE)
+    budget = exported(tmp_path / "out", base, f"{tmp_path}/coarse.py:controller")
+    values = np.array([budget.predicted[n] for n in NAMES])
+    assert (whole > 1.05 * base).all()
+    assert values == pytest.approx(whole, rel=0.03)
+    rounding = budget.lines[-1]
+    assert rounding.kind == "rounding"
+    alone = rms([errors(TABLE3, steps, command)])
+    assert [rounding.size[n] for n in NAMES] == pytest.approx(alone, rel=1e-3)
+    assert rounding.without is not None
+    assert [rounding.without[n] for n in NAMES] == pytest.approx(base, rel=1e-9)
+    for name in NAMES:
+        assert sum(line.share[name] for line in budget.lines) == pytest.approx(1.0)
+    assert "with this file the predicted rms is" in capsys.readouterr().out.lower()
+
+
+def test_interpolation_costs_what_its_line_says(tmp_path: Path) -> None:
+    """A nominal controller interpolates the table's corrections, by other code."""
+    budget = exported(tmp_path, np.full(3, 1.0), "csv")
+    with (tmp_path / "compensation.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    keys = ("z_mm", "psi_deg", "theta_deg")
+    factor = np.array([1e-3, np.pi / 180.0, np.pi / 180.0])
+    places, sent = (
+        np.array([[float(r[f"{start}{k}"]) for k in keys] for r in rows]) * factor
+        for start in ("", "corrected_")
+    )
+    knots = [np.unique(column) for column in places.T]
+    shape = [len(axis) for axis in knots]
+    assert np.prod(shape) == len(rows)
+    added = (sent - places).reshape(*shape, 3)
+    rng = np.random.default_rng(8)
+    command = rng.uniform(places.min(axis=0), places.max(axis=0), (4000, 3))
+    command += 1e-12 * (places.mean(axis=0) - command)
+    q = a3.inverse_nominal(
+        *(command + RegularGridInterpolator(knots, added)(command)).T
+    )
+    realised = rms([errors(TABLE3, q, command)])
+    lines = {line.kind: line for line in budget.lines}
+    sizes = [lines["interpolation"].size[n] for n in NAMES]
+    assert sizes == pytest.approx(realised, rel=0.15)
+    assert realised.min() > 1.0
+
+
+def test_without_a_prediction_or_a_formula_there_is_no_budget(tmp_path: Path) -> None:
+    folder = sample.save(tmp_path, sample.result(a3_head.machine, TABLE3))
+    assert cli.main(["compensate", str(folder), "--to", "csv"]) == 0
+    assert not (folder / "compensation_budget.json").exists()
+    exported(tmp_path / "with", np.full(3, 1.0), "json")
+    document = json.loads((tmp_path / "with/compensation_budget.json").read_text())
+    assert {line["kind"] for line in document["lines"]} == {"instrument", "rounding"}
