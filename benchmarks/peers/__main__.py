@@ -1,6 +1,7 @@
 """Runs one task of one package in that package's environment.
 
-Call it in the folder `benchmarks`: `python -m peers NAME TASK`. It prints one line of
+Call it in the folder `benchmarks`: `python -m peers NAME TASK`, for problem A, or
+`python -m peers NAME TASK FILE SIZE`, for rows (C, n) in a .npy file. It prints one line of
 JSON with `indices` (row numbers), `seconds` (processor time of the choice alone) and
 `version`. Output of the package itself goes to the error stream.
 """
@@ -30,7 +31,10 @@ def main() -> None:
     random.seed(1)
     np.random.seed(1)  # noqa: NPY002 - packages that draw from the global generator
     adapter = importlib.import_module(f"peers.{name}")
-    choose = adapter.TASKS[number].prepare(candidates())
+    prepare = adapter.TASKS[number].prepare
+    by_file = len(sys.argv) > 3
+    arguments = (np.load(sys.argv[3]), int(sys.argv[4])) if by_file else (candidates(),)
+    choose = prepare(*arguments)
     start = processor_seconds()
     indices = choose()
     seconds = processor_seconds() - start

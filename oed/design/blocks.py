@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from oed.arrays import Array
+from oed.arrays import Array, Mask
 
 #: rows beyond which a QR factorisation precedes the singular value decomposition
 MANY_ROWS = 20000
+#: share of the largest singular value, a row or column, up to which one is rounding
+RANK = float(np.finfo(float).eps)
 
 
 def as_blocks(rows: Array) -> Array:
@@ -37,6 +41,33 @@ def information(blocks: Array, weights: Array | None = None) -> Array:
     return np.asarray((rows * row_weights).T @ rows)
 
 
+class Spectrum(NamedTuple):
+    """Singular values (r,), largest first, and directions (n, r) of candidates and prior."""
+
+    values: Array
+    directions: Array
+
+    def visible(self, tolerance: float) -> Mask:
+        """Directions (r,) above the tolerance, a share of the largest."""
+        return np.asarray(self.values > tolerance * self.values[0])
+
+    def weak(self, tolerance: float) -> int:
+        """Number of directions that are not above the tolerance, and not rounding."""
+        rounding = RANK * max(self.directions.shape)
+        return int(np.sum(self.visible(rounding) & ~self.visible(tolerance)))
+
+
+def spectrum(blocks: Array, prior: Array | None) -> Spectrum:
+    """Singular values and directions of all rows, and of a root of the prior."""
+    rows = blocks.reshape(-1, blocks.shape[2])
+    if len(rows) > MANY_ROWS:
+        rows = np.asarray(np.linalg.qr(rows, mode="r"), dtype=float)
+    if prior is not None:
+        rows = np.vstack([rows, _root(prior)])
+    _, values, vt = np.linalg.svd(rows, full_matrices=False)
+    return Spectrum(values, vt.T)
+
+
 def project_on_estimable(
     blocks: Array, prior: Array | None, tolerance: float = 1e-6
 ) -> tuple[Array, Array]:
@@ -45,13 +76,14 @@ def project_on_estimable(
     The subspace holds the directions that the candidates or the prior determine. No
     plan out of the candidates determines more, and determinants keep their value.
     """
-    rows = blocks.reshape(-1, blocks.shape[2])
-    if len(rows) > MANY_ROWS:
-        rows = np.asarray(np.linalg.qr(rows, mode="r"), dtype=float)
-    if prior is not None:
-        rows = np.vstack([rows, _root(prior)])
-    _, singular_values, vt = np.linalg.svd(rows, full_matrices=False)
-    basis = vt[singular_values > tolerance * singular_values[0]].T
+    return in_orthonormal_basis(blocks, spectrum(blocks, prior), tolerance)
+
+
+def in_orthonormal_basis(
+    blocks: Array, of_all: Spectrum, tolerance: float
+) -> tuple[Array, Array]:
+    """Blocks in the directions above the tolerance, and these (n, r)."""
+    basis = of_all.directions[:, of_all.visible(tolerance)]
     if basis.shape[1] == blocks.shape[2]:
         return blocks, np.eye(blocks.shape[2])
     return blocks @ basis, basis

@@ -17,6 +17,7 @@ from oed.design import condition, relaxation
 from oed.design.criterion import Criterion, ExtremeEigenvalues
 from oed.design.relaxation import Relaxation
 from oed.design.rules import RelaxedRules, Rules
+from oed.design.whitening import EXACT, Rounding, quotient_error
 
 #: duality gap from which a conic solver's answer counts as inexact, in log phi
 INEXACT = 1e-3
@@ -44,8 +45,11 @@ def bound(
     rules: Rules,
     prior: Array,
     tolerance: float = 1e-8,
+    rounding: Rounding = EXACT,
 ) -> Bound:
     """Bound over all plans under the rules, for a concave criterion.
+
+    It allows for the rounding of blocks and prior, except under quotas.
 
     Raises ValueError under quotas for a criterion without a conic form.
     """
@@ -53,7 +57,7 @@ def bound(
         return _bound_under_quotas(blocks, criterion, rules, prior)
     by_candidates: dict[bytes, Bound] = {}
     for problem in rules.relaxations(len(blocks)):
-        optimum = _relax(blocks, criterion, problem, prior, tolerance)
+        optimum = _relax(blocks, criterion, problem, prior, tolerance, rounding)
         new = _over_all_candidates(optimum, problem, len(blocks))
         key = problem.candidates.tobytes()
         # number and budget both hold: the lower of their bounds does
@@ -93,6 +97,7 @@ def _relax(
     problem: RelaxedRules,
     prior: Array,
     tolerance: float,
+    rounding: Rounding,
 ) -> Relaxation:
     """The relaxation, over v = cost w where there is a cost."""
     candidates, total, cost = problem
@@ -101,12 +106,14 @@ def _relax(
     if cost is not None:
         scaled = scaled / np.sqrt(cost)[:, None, None]
         cap = cost
+        errors = rounding.rows / float(np.sqrt(cost.min())) + quotient_error(scaled)
+        rounding = rounding._replace(rows=errors)
     if isinstance(criterion, ExtremeEigenvalues):
         optimum = condition.e_optimal(scaled, total, prior, cap)
         ends = np.log([max(optimum.value, 1e-300), optimum.bound])
         value, upper = criterion.least * ends
         return Relaxation(optimum.weights, float(value), float(upper), optimum.slopes)
-    return relaxation.relax(scaled, total, prior, cap, tolerance, criterion)
+    return relaxation.relax(scaled, total, prior, cap, tolerance, criterion, rounding)
 
 
 def _over_all_candidates(

@@ -7,8 +7,9 @@ M' = M0 + sum_i w'_i A_i,
 
 and the sum is at most the knapsack value of the slopes tr(M^-1 A_i). M need not belong
 to a feasible or a converged plan: the bound only gets looser. Homogeneous criteria have
-tighter lines through the origin (`oed.design.criterion.protocol`). The only error left
-is the rounding of one factorisation, and it is added on the safe side.
+tighter lines through the origin (`oed.design.criterion.protocol`). What rounding can
+change is added on the safe side: of the slopes (`oed.design.objective`), of their sum,
+and of the line's logarithms.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 from oed.arrays import Array
 
-#: allowance for the rounding of one factorisation, in log phi
+#: allowance for the rounding of a line's logarithms, in log phi
 ROUNDING = 1e-12
 
 

@@ -14,12 +14,13 @@ import dataclasses
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.design.blocks import as_blocks, project_on_estimable
+from oed.design.blocks import Spectrum, as_blocks, in_orthonormal_basis, spectrum
 from oed.design.bounds import Bound, bound, condition_bound
 from oed.design.criterion import Criterion, Determinant, Variance, named
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
+from oed.design.whitening import EXACT, WhiteCandidates, whiten
 
 #: a plan whose log phi is within this of the bound is proven optimal
 PROVEN = 1e-7
@@ -38,6 +39,8 @@ class Choice:
     value        of the plan
     directions   dimension of the estimable subspace, over which the criterion is stated
     columns      number of columns
+    weak         directions that are left out although candidates or prior see them,
+                 worse than the best one by more than the tolerance
     bound        of all plans
     duality_gap  how much too high the bound can be, as a bound of the relaxation, log phi
     efficiency   phi(plan) / phi(bound): the share of the readings that the best plan
@@ -50,6 +53,7 @@ class Choice:
     value: float
     directions: int
     columns: int
+    weak: int = 0
     bound: float | None = None
     duality_gap: float | None = None
     efficiency: float | None = None
@@ -97,16 +101,14 @@ def choose(
     rules = Rules(size=size) if rules is None else rules
     goal = named(criterion, columns) if isinstance(criterion, str) else criterion
     _check(blocks, rules)
-    blocks, basis = project_on_estimable(blocks, prior, tolerance)
+    of_all = spectrum(blocks, prior)
+    blocks, basis, base, rounding = _estimable(blocks, goal, prior, tolerance, of_all)
     goal = goal.restrict(basis)
     directions = blocks.shape[2]
-    base = np.zeros((directions, directions))
     if prior is None:
         _check_size(blocks, rules)
-    else:
-        base = basis.T @ prior @ basis
     guiding = _guiding_criterion(goal, directions, rules)
-    guide = bound(blocks, guiding, rules, base)
+    guide = bound(blocks, guiding, rules, base, rounding=rounding)
     evaluator = CriterionEvaluator(blocks, goal, base)
     starts = _greedy_plans(evaluator, rules, guide.weights)
     best = search(evaluator, rules, guide.weights, guide.slopes, starts, rng, rounds)
@@ -127,6 +129,7 @@ def choose(
         value=goal.conventional_value(value, len(best)),
         directions=directions,
         columns=columns,
+        weak=of_all.weak(tolerance),
     )
     upper = None
     if guiding is goal:
@@ -136,6 +139,26 @@ def choose(
     if upper is None:
         return choice
     return choice.with_bound(goal, value, upper.value, upper.duality_gap)
+
+
+def _estimable(
+    blocks: Array,
+    goal: Criterion,
+    prior: Array | None,
+    tolerance: float,
+    of_all: Spectrum,
+) -> WhiteCandidates:
+    """The candidates over the directions that they or the prior determine.
+
+    For D they are well conditioned there; other criteria need an orthonormal basis.
+    """
+    if isinstance(goal, Determinant) and goal.interest is None:
+        return whiten(blocks, prior, tolerance, of_all)
+    projected, basis = in_orthonormal_basis(blocks, of_all, tolerance)
+    base = np.zeros((basis.shape[1],) * 2)
+    if prior is not None:
+        base = basis.T @ prior @ basis
+    return WhiteCandidates(projected, basis, base, EXACT)
 
 
 def greedy_d(blocks: Array, size: int, base: Array) -> Index:

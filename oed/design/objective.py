@@ -3,11 +3,19 @@
 `CriterionObjective` is log phi(M0 + sum w_i A_i) of one information matrix.
 `oed.design.robust` has the objectives of several machines at once. An objective gives
 the relaxation values, slopes, curvatures, and the bound that a tangent implies.
+
+A line is above the criterion whatever its root R is, so that only the products X_i R
+bring rounding into the bound. A block's product has an error of at most
+
+    d_i = gamma |X_i| |R| + e_i |R|            (Frobenius norms; e_i: of the block itself)
+
+and its slope |X_i R|^2 one of at most 2 |X_i R| d_i + d_i^2.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +23,7 @@ import numpy as np
 from oed.arrays import Array, Index
 from oed.design.blocks import information
 from oed.design.criterion.protocol import Criterion, slopes
+from oed.design.whitening import EXACT, Rounding, gamma
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,6 +37,7 @@ class Tangent:
     base_term  the line's term of the prior information M0
     offset     constant of the line
     linear     whether the line bounds the objective itself, instead of its exponential
+    rounding   by how much a slope can be too low
     """
 
     value: float
@@ -35,6 +45,7 @@ class Tangent:
     base_term: float
     offset: float
     linear: bool = False
+    rounding: float = 0.0
 
     def bound(self, weighted_slopes: float) -> float:
         """The line's height at a plan with sum_i w'_i slopes_i = `weighted_slopes`.
@@ -97,6 +108,7 @@ class CriterionObjective:
     criterion: Criterion
     blocks: Array
     base: Array
+    rounding: Rounding = EXACT
 
     @property
     def count(self) -> int:
@@ -120,9 +132,35 @@ class CriterionObjective:
         """The criterion's supporting line."""
         m = self.information_at(active, weights)
         offset, root = self.criterion.support(m)
-        base_term = float(np.sum((self.base @ root) * root))
         line_slopes = slopes(self.blocks, root)
-        return Tangent(self.criterion.value(m), line_slopes, base_term, offset)
+        return Tangent(
+            value=self.criterion.value(m),
+            slopes=line_slopes,
+            base_term=self._base_term(root),
+            offset=offset,
+            rounding=self._slope_rounding(root, float(line_slopes.max())),
+        )
+
+    def _base_term(self, root: Array) -> float:
+        """tr(M0 R R^T), rounded up."""
+        square = float(np.sum(root * root))
+        size = gamma(2 * len(root) + 2) * float(np.linalg.norm(self.base))
+        term = float(np.sum((self.base @ root) * root))
+        return term + (size + self.rounding.prior) * square
+
+    def _slope_rounding(self, root: Array, largest: float) -> float:
+        """By how much a slope can be too low; `largest` is the largest of all."""
+        size = float(np.linalg.norm(root))
+        product = gamma(len(root) + 1) * self._largest_block + self.rounding.rows
+        error = 2.0 * product * size
+        of_sum = gamma(self.blocks.shape[1] * root.shape[1] + 1) * largest
+        return 2.0 * float(np.sqrt(largest)) * error + error**2 + of_sum
+
+    @functools.cached_property
+    def _largest_block(self) -> float:
+        """Largest Frobenius norm of a block."""
+        squares = np.einsum("ckn,ckn->c", self.blocks, self.blocks)
+        return float(np.sqrt(squares.max()))
 
     def slopes_and_curvature(
         self, active: Index, weights: Array

@@ -22,11 +22,13 @@ import dataclasses
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.design.blocks import as_blocks
+from oed.design.blocks import as_blocks, information
 from oed.design.certificate import ROUNDING, knapsack_value
 from oed.design.criterion import Criterion, Determinant
+from oed.design.criterion.determinant import log_det_of_gram
 from oed.design.newton import newton_steps, scale_to_size
 from oed.design.objective import CriterionObjective, Objective, Tangent
+from oed.design.whitening import EXACT, Rounding, gamma, is_ill_conditioned, whiten
 
 #: rounds of adding candidates
 ROUNDS = 200
@@ -72,6 +74,7 @@ def relax(
     cap: Array | float = 1.0,
     tolerance: float = 1e-8,
     criterion: Criterion | None = None,
+    rounding: Rounding = EXACT,
 ) -> Relaxation:
     """Optimal weights of candidates for a concave criterion.
 
@@ -81,6 +84,7 @@ def relax(
     cap        largest weight, (C,) or one number
     tolerance  duality gap to reach, in log phi
     criterion  D by default; one that is not smooth is approached by its continuation
+    rounding   of rows and prior information
 
     Raises ValueError where the caps cannot carry `size`, or where candidates and prior
     leave directions undetermined.
@@ -93,12 +97,14 @@ def relax(
         raise ValueError(
             f"{goal.name} is not concave: see oed.design.condition for its bound"
         )
+    if isinstance(goal, Determinant) and goal.interest is None:
+        return _relax_determinant(blocks, size, base, cap, tolerance, rounding)
     smooth = [c for c in goal.continuation() if c.smooth]
     start: Array | None = None
     for level in smooth[:-1]:
         objective = CriterionObjective(level, blocks, base)
         start = solve(objective, size, cap, 1e-3, start).weights
-    last = CriterionObjective(smooth[-1], blocks, base)
+    last = CriterionObjective(smooth[-1], blocks, base, rounding)
     optimum = solve(last, size, cap, tolerance, start)
     if goal.smooth:
         return optimum
@@ -106,6 +112,32 @@ def relax(
     exact = CriterionObjective(goal, blocks, base)
     value = exact.value(active, optimum.weights[active])
     return dataclasses.replace(optimum, value=value)
+
+
+def _relax_determinant(
+    blocks: Array,
+    size: float,
+    base: Array,
+    cap: Array | float,
+    tolerance: float,
+    rounding: Rounding,
+) -> Relaxation:
+    """Optimal weights for D, in coordinates where the candidates are well conditioned.
+
+    The determinant changes by that of the coordinates.
+    """
+    n, shift = blocks.shape[2], 0.0
+    if is_ill_conditioned(base + information(blocks)):
+        white = whiten(blocks, base if base.any() else None, 0.0)
+        if white.basis.shape[1] == n:
+            blocks, base = white.blocks, white.prior
+            shift = -log_det_of_gram(white.basis) / n
+            rounding = rounding.in_basis(white.basis).plus(white.rounding)
+    objective = CriterionObjective(Determinant(n), blocks, base, rounding)
+    optimum = solve(objective, size, cap, tolerance)
+    return dataclasses.replace(
+        optimum, value=optimum.value + shift, bound=optimum.bound + shift
+    )
 
 
 def solve(
@@ -130,8 +162,7 @@ def solve(
     for k in range(ROUNDS):
         weights = newton_steps(objective, active, weights, caps[active])
         tangent = objective.tangent(active, weights)
-        carried = knapsack_value(tangent.slopes, size, common_cap) * (1.0 + 1e-13)
-        bound_here = tangent.bound(carried) + ROUNDING
+        bound_here = bound_by(tangent, size, common_cap)
         bound = min(bound, bound_here)
         if bound - tangent.value < tolerance:
             break
@@ -151,6 +182,12 @@ def solve(
     all_weights = np.zeros(count)
     all_weights[active] = weights
     return Relaxation(all_weights, tangent.value, bound, tangent.slopes)
+
+
+def bound_by(tangent: Tangent, size: float, cap: Array | float) -> float:
+    """The bound of all plans that a line gives, rounded up."""
+    carried = knapsack_value(tangent.slopes, size, cap) + size * tangent.rounding
+    return tangent.bound(carried * (1.0 + gamma(len(tangent.slopes)))) + ROUNDING
 
 
 def check_caps(caps: Array, size: float, cap: Array | float) -> None:
@@ -177,8 +214,7 @@ def _multiplicative_steps(
     best: tuple[Array, Tangent] | None = None
     for _ in range(MULTIPLICATIVE_ONLY):
         tangent = objective.tangent(everything, weights)
-        carried = knapsack_value(tangent.slopes, size, caps)
-        bound = min(bound, tangent.bound(carried) + ROUNDING)
+        bound = min(bound, bound_by(tangent, size, caps))
         if best is None or tangent.value > best[1].value:
             best = weights, tangent
         if bound - best[1].value < max(tolerance, MULTIPLICATIVE_GAP):
@@ -199,7 +235,7 @@ def eliminate(tangent: Tangent, value: float, size: float, caps: Array) -> Index
     carried = np.cumsum(caps[order])
     last_place = min(int(np.searchsorted(carried, size)), len(order) - 1)
     multiplier = tangent.slopes[order[last_place]]
-    best = knapsack_value(tangent.slopes, size, caps)
+    best = knapsack_value(tangent.slopes, size, caps) + size * tangent.rounding
     loss = np.maximum(multiplier - tangent.slopes, 0.0) * caps
     if tangent.linear:
         bounds = np.array([tangent.bound(best - x) for x in loss])
@@ -229,8 +265,7 @@ def _begin(
     for _ in range(MULTIPLICATIVE_START):
         tangent = part.tangent(everything, weights)
         if len(sample) == count:
-            carried = knapsack_value(tangent.slopes, size, caps)
-            bound = min(bound, tangent.bound(carried) + ROUNDING)
+            bound = min(bound, bound_by(tangent, size, caps))
         # the exponent 1/2 never lowers D, A, c and I (Silvey, Titterington and Torsney
         # 1978; Yu 2010)
         weights = weights * np.sqrt(tangent.slopes)

@@ -33,7 +33,8 @@ class Determinant:
     """D over `directions`, or Ds of the columns of `interest` (n, s).
 
     Its conventional value is log det of the information on what is of interest; with
-    the name "O1" it is O1 of the readings.
+    the name "O1" it is O1 of the readings. `log_volume` is what coordinates that are
+    not orthonormal add to the log det.
     """
 
     directions: int
@@ -41,6 +42,7 @@ class Determinant:
     name: str = "D"
     concave: bool = True
     smooth: bool = True
+    log_volume: float = 0.0
 
     @property
     def size(self) -> int:
@@ -59,22 +61,27 @@ class Determinant:
         return -float(log_det) / self.size if sign > 0 else -np.inf
 
     def support(self, m: Array) -> Support:
-        """Root M^-1 K P^-1/2 / sqrt(s)."""
-        half = np.linalg.inv(np.linalg.cholesky(m)).T
+        """Root M^-1 K P^-1/2 / sqrt(s).
+
+        For every G (n, s), det(P')^(-1/s) <= tr(G^T M' G) / s / det(G^T K)^(2/s), and
+        the line's height is computed from the root: rounding of the root itself never
+        brings the line below phi.
+        """
+        half = _half(m)
         if self.interest is None:
             log_det = 2.0 * float(-np.log(np.diag(half)).sum())
             root = half / np.sqrt(self.directions)
             return Support(log_det / self.directions, root)
         projected = half.T @ self.interest  # M^-1 K = half half^T K
         triangle = np.linalg.qr(projected, mode="r")  # P = triangle^T triangle
-        log_det = -2.0 * float(np.log(np.abs(np.diag(triangle))).sum())
-        root = half @ projected @ np.linalg.inv(triangle) / np.sqrt(self.size)
-        return Support(log_det / self.size, root)
+        side = half @ projected @ np.linalg.inv(triangle)
+        log_det = -2.0 * float(np.linalg.slogdet(side.T @ self.interest)[1])
+        return Support(log_det / self.size, side / np.sqrt(self.size))
 
     def curvature(self, m: Array, blocks: Array) -> Array:
         """2 tr(A_i M^-1 A_j S) - s tr(A_i S A_j S)."""
         if self.interest is None:
-            half = np.linalg.inv(np.linalg.cholesky(m)).T
+            half = _half(m)
             rows = blocks.reshape(-1, blocks.shape[2]) @ half
             whitened = rows.reshape(blocks.shape)
             identity = np.eye(len(m))
@@ -96,21 +103,38 @@ class Determinant:
 
     def conventional_value(self, value: float, readings: int) -> float:
         """log det, or O1 = exp(value / 2) / sqrt(m)."""
+        log_det = value * self.size + self.log_volume
         if self.name == "O1":
-            return float(np.exp(value / 2.0) / np.sqrt(readings))
-        return value * self.size
+            return float(np.exp(log_det / self.size / 2.0) / np.sqrt(readings))
+        return log_det
 
     def restrict(self, basis: Array) -> Criterion:
-        """The directions of interest that lie in the basis."""
+        """The directions of interest that lie in the basis.
+
+        For D the basis need not be orthonormal.
+        """
         directions = basis.shape[1]
         if self.interest is None:
-            return dataclasses.replace(self, directions=directions)
+            volume = self.log_volume - log_det_of_gram(basis)
+            return dataclasses.replace(self, directions=directions, log_volume=volume)
         interest = estimable_part(self.interest, basis)
         return dataclasses.replace(self, directions=directions, interest=interest)
 
     def continuation(self) -> tuple[Criterion, ...]:
         """Itself alone."""
         return (self,)
+
+
+def log_det_of_gram(basis: Array) -> float:
+    """log det(B^T B) of columns B (n, r) that are orthogonal but for rounding."""
+    lengths = np.linalg.norm(basis, axis=0)
+    angles = np.linalg.svd(basis / lengths, compute_uv=False)
+    return 2.0 * float(np.log(lengths).sum() + np.log(angles).sum())
+
+
+def _half(m: Array) -> Array:
+    """The upper triangle R with R R^T = M^-1."""
+    return np.asarray(np.triu(np.linalg.inv(np.linalg.cholesky(m)).T))
 
 
 def estimable_part(interest: Array, basis: Array) -> Array:

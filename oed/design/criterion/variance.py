@@ -45,11 +45,17 @@ class Variance:
         return -float(np.log(np.sum((self.factor @ inverse(m)) * self.factor)))
 
     def support(self, m: Array) -> Support:
-        """Root M^-1 F^T / sqrt(t)."""
+        """Root M^-1 F^T / sqrt(t).
+
+        For every R (n, r), 1 / t' <= tr(R^T M' R) / tr(F R)^2 (Cauchy and Schwarz), and
+        the line's height is computed from the root: rounding of the root itself never
+        brings the line below phi.
+        """
         half = np.linalg.inv(np.linalg.cholesky(m))
         projected = half @ self.factor.T
         t = float(np.sum(projected * projected))
-        return Support(-float(np.log(t)), half.T @ projected / np.sqrt(t))
+        root = half.T @ projected / np.sqrt(t)
+        return Support(-2.0 * float(np.log(np.sum(self.factor.T * root))), root)
 
     def curvature(self, m: Array, blocks: Array) -> Array:
         """2 tr(A_i M^-1 A_j S) - g_i g_j."""

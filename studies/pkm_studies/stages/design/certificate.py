@@ -64,10 +64,16 @@ def _directions(chosen: ChosenDesign, shared: int) -> str:
     columns = chosen.choice.columns - shared
     if visible >= columns:
         return ""
-    return (
+    text = (
         f", over the {visible} of {columns} directions that the candidates see (the"
         " identifiable subspace)"
     )
+    if chosen.choice.weak:
+        text += (
+            f"; {chosen.choice.weak} of the directions left out are seen, but at least a"
+            " million times worse than the best one: they count as not seen"
+        )
+    return text
 
 
 def _shortfall(chosen: ChosenDesign) -> str:

@@ -1,0 +1,110 @@
+"""The bound in exact arithmetic: it holds however ill-conditioned the candidates are."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from oed.design import exchange, relaxation
+from oed.design.criterion import named
+from oed.design.whitening import whiten
+
+DIRECTIONS, SIZE, COUNT = 8, 14, 200
+
+
+def _exact_log_det(rows: np.ndarray, weights: np.ndarray) -> float:
+    """log det(sum w x x^T) of the numbers as they are stored, by fractions."""
+    exact = [[Fraction(float(x)) for x in row] for row in rows]
+    w = [Fraction(float(x)) for x in weights]
+    n = rows.shape[1]
+    m = [
+        [sum(c * x[i] * x[j] for c, x in zip(w, exact, strict=True)) for j in range(n)]
+        for i in range(n)
+    ]
+    determinant = Fraction(1)
+    for k in range(n):
+        determinant *= m[k][k]
+        for i in range(k + 1, n):
+            factor = m[i][k] / m[k][k]
+            m[i] = [a - factor * b for a, b in zip(m[i], m[k], strict=True)]
+    return math.log(determinant.numerator) - math.log(determinant.denominator)
+
+
+def _candidates(kappa: float, mixed: bool) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    rows = rng.standard_normal((COUNT, DIRECTIONS))
+    rows = rows * np.logspace(0.0, -np.log10(kappa), DIRECTIONS)
+    if mixed:
+        rows = rows @ np.linalg.qr(rng.standard_normal((DIRECTIONS, DIRECTIONS)))[0]
+    return rows
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("kappa", [1e2, 1e5, 1e7, 1e9])
+def test_bound_lies_above_the_exact_optimum_and_near_it(
+    kappa: float, mixed: bool
+) -> None:
+    rows = _candidates(kappa, mixed)
+    optimum = relaxation.relax(rows, float(SIZE))
+    used = optimum.weights > 0
+    # the stored weights add up to the size but for rounding
+    weights = optimum.weights[used] * (1.0 - 1e-15)
+    exact = _exact_log_det(rows[used], weights) / DIRECTIONS
+    allowed = 1e-8 + 1e-13 * kappa
+    assert 0.0 <= optimum.bound - exact < 2.0 * allowed
+    assert optimum.duality_gap >= 0.0
+    assert optimum.value == pytest.approx(exact, abs=allowed)
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("kappa", [1e5, 1e7, 1e9])
+def test_value_of_a_plan_is_exact(kappa: float, mixed: bool) -> None:
+    rows = _candidates(kappa, mixed)
+    rng = np.random.default_rng(1)
+    choice = exchange.choose(rows, SIZE, rng, tolerance=1e-12)
+    assert choice.directions == DIRECTIONS
+    exact = _exact_log_det(rows[choice.indices], np.ones(SIZE))
+    assert choice.value == pytest.approx(exact, abs=1e-14 * kappa + 1e-10)
+    assert choice.bound is not None
+    assert choice.bound >= exact
+
+
+@pytest.mark.parametrize("name", ["A", "c", "I", "Ds"])
+def test_lines_lie_above_other_criteria_by_their_height(name: str) -> None:
+    """phi(M') <= exp(height) <R R^T, M'> by fractions' accuracy, with a crude root."""
+    rng = np.random.default_rng(4)
+    factor = rng.standard_normal((1 if name == "c" else 3, 5))
+    interest = np.linalg.qr(factor.T)[0]
+    goal = named(name, 5, interest=interest, factor=factor)
+    for kappa in (1e2, 1e5):
+        rows = rng.standard_normal((12, 5)) * np.logspace(0.0, -np.log10(kappa), 5)
+        line = goal.support(rows.T @ rows)
+        touch = line.value + np.log(np.sum((rows @ line.root) ** 2))
+        assert touch >= goal.value(rows.T @ rows) - 1e-15 * kappa**2
+        other = rng.standard_normal((12, 5))
+        above = line.value + np.log(np.sum((other @ line.root) ** 2))
+        assert above >= goal.value(other.T @ other) - 1e-12
+
+
+def test_directions_below_the_tolerance_are_counted() -> None:
+    rows = _candidates(1e7, True)
+    rng = np.random.default_rng(1)
+    choice = exchange.choose(rows, SIZE, rng)
+    values = np.linalg.svd(rows, compute_uv=False)
+    assert choice.weak == int(np.sum(values <= 1e-6 * values[0])) == 2
+    unseen = np.column_stack([rows[:, :3], rows[:, 0] + rows[:, 1]])
+    assert exchange.choose(unseen, SIZE, rng).weak == 0
+
+
+def test_white_candidates_are_within_their_stated_rounding() -> None:
+    rows = _candidates(1e8, True)
+    prior = np.diag(np.linspace(0.0, 1e-9, DIRECTIONS))
+    white = whiten(rows[:, None], prior, 0.0)
+    exact = rows.astype(np.longdouble) @ white.basis.astype(np.longdouble)
+    error = np.linalg.norm(np.asarray(exact - white.blocks[:, 0], dtype=float), axis=1)
+    assert 0.0 < error.max() <= white.rounding.rows
+    information = white.blocks[:, 0].T @ white.blocks[:, 0] + white.prior
+    np.testing.assert_allclose(information, np.eye(DIRECTIONS), atol=1e-6)
