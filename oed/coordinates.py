@@ -4,6 +4,7 @@ With T = diag(tolerances) and the whitened, tolerance-scaled H = U S V^T,
 
     theta = origin + T V_r z,        z ~ N(0, I) a priori,
 
+(T S in place of T where tolerances are correlated, S the root of their correlation)
 where V_r spans the directions that some reading determines. The others keep their
 prior: to first order no reading says anything about them.
 """
@@ -70,20 +71,56 @@ def identifiable_coordinates(
     """
     scale = measurement.tolerance if tolerance is None else tolerance
     free = np.flatnonzero(scale > 0)
+    units = _PriorUnits(scale[free], measurement.correlation_root(free))
     jacobian = measurement.jacobian(series, theta)
-    whitened = information.whiten(jacobian, noise)[:, free] * scale[free]
+    whitened = units.slopes(information.whiten(jacobian, noise)[:, free])
     null_space = _null_space(measurement, series, jacobian, free)
-    lost, determined = _split_directions(null_space / scale[free])
+    lost, determined = _split_directions(units.changes(null_space))
     # The right singular vectors of H, strongest first, decouple the sampler's
     # coordinates.
     _, vectors = right_singular(whitened @ determined)
     directions = determined @ vectors.T
     return IdentifiableCoordinates(
         origin=np.where(scale > 0, measurement.nominal, theta),
-        basis=_at_rows(free, scale[free, None] * directions, len(scale)),
-        null_basis=_at_rows(free, scale[free, None] * lost, len(scale)),
-        dual=_at_rows(free, directions / scale[free, None], len(scale)).T,
+        basis=_at_rows(free, units.directions(directions), len(scale)),
+        null_basis=_at_rows(free, units.directions(lost), len(scale)),
+        dual=_at_rows(free, units.duals(directions), len(scale)).T,
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class _PriorUnits:
+    """Units z of k free parameters: their changes are tolerance * S z.
+
+    scale  (k,) tolerances, SI
+    shape  (k, k) S, symmetric; None: 1
+    """
+
+    scale: Array
+    shape: Array | None
+
+    def slopes(self, rows: Array) -> Array:
+        """Slopes (N, k) over the parameters as slopes over z."""
+        scaled = rows * self.scale
+        return scaled if self.shape is None else np.asarray(scaled @ self.shape)
+
+    def changes(self, rows: Array) -> Array:
+        """Changes (m, k) of the parameters as changes of z."""
+        scaled = rows / self.scale
+        if self.shape is None:
+            return scaled
+        return np.asarray(np.linalg.solve(self.shape, scaled.T).T, dtype=float)
+
+    def directions(self, columns: Array) -> Array:
+        """Directions (k, m) of z as changes of the parameters, SI."""
+        shaped = columns if self.shape is None else self.shape @ columns
+        return np.asarray(self.scale[:, None] * shaped)
+
+    def duals(self, columns: Array) -> Array:
+        """Slopes (k, m) over the parameters of the shares of directions (k, m) of z."""
+        if self.shape is not None:
+            columns = np.asarray(np.linalg.solve(self.shape, columns), dtype=float)
+        return np.asarray(columns / self.scale[:, None])
 
 
 def coordinates_of_readings(

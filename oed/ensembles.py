@@ -82,7 +82,7 @@ class Ensembles:
         import emcee
 
         target, shape = self._target, (size, self._target.dimensions)
-        start = target.centre + rng.standard_normal(shape) @ target.root.T
+        start = target.starts(rng, size)
         random: Any = np.random.RandomState(rng.integers(2**31)).get_state()
         if checkpoint is not None:
             folder = checkpoint.folder / str(number)

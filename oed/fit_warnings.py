@@ -10,6 +10,8 @@ from oed.measurement import Measurement
 
 #: tolerances from nominal from which on an estimate is far off
 FAR = 4.0
+#: standard deviations from a bound within which an estimate is near it
+NEAR = 2.0
 #: chi2 is too large beyond its expectation by so many of its standard deviations, where
 #: there are enough degrees of freedom
 EXCESS, LEAST_DOF = 5.0, 3
@@ -35,6 +37,12 @@ def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
         sentences.append(
             f"these ended more than {FAR:.0f} tolerances from where they began; widen"
             f" [prior] or doubt the model: {', '.join(far)}"
+        )
+    near = _near_bounds(measurement, estimate)
+    if near:
+        sentences.append(
+            "these lie near a bound of theirs, which estimate and sd ignore; draws of the"
+            f" posterior and predictions keep to it: {', '.join(near)}"
         )
     if chi2_is_large(estimate.chi2, estimate.dof):
         sentences.append(_large_residuals(estimate))
@@ -73,6 +81,16 @@ def _far_parameters(measurement: Measurement, estimate: Estimate) -> list[str]:
     free = estimate.prior_sd > 0
     far = np.flatnonzero(free & (deviation > FAR * estimate.prior_sd))
     return [measurement.names[k] for k in far]
+
+
+def _near_bounds(measurement: Measurement, estimate: Estimate) -> list[str]:
+    """Parameters whose bound is within two standard deviations, or was passed."""
+    margin = NEAR * estimate.sd
+    bounds = measurement.bounds
+    near = (estimate.theta - margin < bounds[:, 0]) | (
+        estimate.theta + margin > bounds[:, 1]
+    )
+    return [measurement.names[k] for k in measurement.bounded if near[k]]
 
 
 def chi2_is_large(chi2: float, dof: float) -> bool:

@@ -173,10 +173,12 @@ class _Fit:
 
         The leverage is the share of a reading that the fit uses up.
         """
-        h = noise.whiten(self.measurement.jacobian(self.series, theta)) * tolerance
+        freed = tolerance > 0.0
+        white = noise.whiten(self.measurement.jacobian(self.series, theta))
+        h = self.measurement.in_prior_units(white, freed)
         scaled = information.posterior_covariance(h)
         leverage = np.einsum("ij,jk,ik->i", h, scaled, h)
-        return scaled * np.outer(tolerance, tolerance), leverage
+        return self.measurement.from_prior_units(scaled, freed), leverage
 
 
 def _preliminary_stage(

@@ -63,6 +63,25 @@ def fisher(h: Array) -> Array:
     return np.asarray(h.T @ h)
 
 
+def prior_information(measurement: Measurement) -> Array:
+    """Information (k, k) of the prior on the k free parameters, in tolerance units."""
+    free = np.flatnonzero(measurement.free)
+    correlation = measurement.correlation
+    if correlation is None:
+        return np.eye(len(free))
+    block = correlation[np.ix_(free, free)]
+    return np.asarray(np.linalg.inv(block), dtype=float)
+
+
+def parameter_covariance(
+    measurement: Measurement, series: Sequence[Series], at: Array
+) -> Array:
+    """Posterior covariance (n, n), SI, of theta from readings at theta `at` (n,)."""
+    white = measurement.noise(series).whiten(measurement.jacobian(series, at))
+    scaled = posterior_covariance(measurement.in_prior_units(white))
+    return measurement.from_prior_units(scaled)
+
+
 def posterior_covariance(h: Array) -> Array:
     """Covariance (I + H^T H)^-1 (n, n), in units of the tolerances.
 

@@ -14,11 +14,11 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.estimate import Estimate
-from oed.log_density import LogDensity
+from oed.log_density import LogDensity, OutOfBoundsError
 from oed.measurement import Measurement, Series
 
-#: draws of the parameters: their covariance is known to 2 %
-DRAWS = 2000
+#: draws of the parameters: their covariance is known to 2 %; rounds of them at most
+DRAWS, MOST_ROUNDS = 2000, 30
 
 
 def draw_approximation(
@@ -31,12 +31,24 @@ def draw_approximation(
 ) -> Array:
     """Parameters (m, n), SI, from the approximation; m is `count`, or few less.
 
-    y  (N,) the readings, SI. Draws that cannot be assembled are left out. Raises
-    AssemblyError at the estimate.
+    y  (N,) the readings, SI
+
+    Draws that cannot be assembled, or are out of bounds, are left out; in place of the
+    latter others are drawn. Raises AssemblyError at the estimate, OutOfBoundsError where
+    hardly any draw keeps to the bounds.
     """
-    z = draw_coordinates(estimate, rng, count)
-    theta = draw_parameters(measurement, series, y, estimate, z, rng)
-    return np.asarray(theta[np.isfinite(theta).all(axis=1)])
+    parts: list[Array] = []
+    missing = count
+    for _ in range(MOST_ROUNDS):
+        z = draw_coordinates(estimate, rng, count)
+        theta = draw_parameters(measurement, series, y, estimate, z, rng)
+        theta = theta[np.isfinite(theta).all(axis=1)]
+        inside = measurement.in_bounds(theta)
+        parts.append(theta[inside][:missing])
+        missing -= int(inside.sum())
+        if missing <= 0 or inside.all():
+            return np.concatenate(parts)
+    raise OutOfBoundsError(measurement, theta)
 
 
 def draw_coordinates(estimate: Estimate, rng: np.random.Generator, count: int) -> Array:

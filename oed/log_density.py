@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.arrays import Array, Mask
 from oed.estimate import Estimate
 from oed.measurement import Measurement, Series
 from oed.noise.process import Whitening
@@ -25,9 +25,36 @@ PROPOSAL_DOF = 20.0
 CORRECTIONS = 2
 
 
+#: movement by a lost direction, in tolerances, that is rounding
+STILL = 1e-9
+#: draws of a start at most, until it keeps to the bounds
+MOST_STARTS = 2000
+
+
+class OutOfBoundsError(RuntimeError):
+    """Readings and bounds contradict each other."""
+
+    def __init__(self, measurement: Measurement, theta: Array) -> None:
+        """Name the parameters of theta (m, n) that are out of their bounds most often."""
+        bounded = measurement.bounded
+        shares = [
+            np.mean(~measurement.in_bounds(theta, np.array([k]))) for k in bounded
+        ]
+        names = [
+            measurement.names[k]
+            for k, share in zip(bounded, shares, strict=True)
+            if share > 0.5 * max(shares)
+        ]
+        super().__init__(
+            f"the readings contradict the bounds of {', '.join(names)}: hardly any value"
+            " that they allow is within; check units and signs, or widen [[prior.bounds]]"
+        )
+
+
 class LogDensity:
     """Log density over points (z, u), for all walkers at once.
 
+    measurement   of the readings
     coordinates   identifiable coordinates of the estimate
     noise_names   coordinates u of the noise law; none where the noise is known
     r             number of identifiable coordinates
@@ -36,6 +63,9 @@ class LogDensity:
     centre, root  (dimensions,) and (dimensions, dimensions): mean of the Laplace
                   approximation, and a root of its covariance
     interrupted   whether Ctrl-C arrived during an evaluation
+
+    Bounds of parameters hold here where no lost direction moves a parameter; of others
+    draws are left out once lost directions are drawn (`in_bounds`).
     """
 
     def __init__(
@@ -51,6 +81,11 @@ class LogDensity:
         self.noise_names = self._posterior.prior.names if self._posterior else ()
         self.r = self.coordinates.basis.shape[1]
         self.dimensions = self.r + len(self.noise_names)
+        self.measurement = measurement
+        lost = np.abs(self.coordinates.null_basis).max(axis=1, initial=0.0)
+        bounded = measurement.bounded
+        moved = lost > STILL * measurement.tolerance
+        self._bounded = bounded[~moved[bounded]]
         largest = np.abs(self.coordinates.basis).max(axis=1)
         self.moving = np.flatnonzero(largest > 0)
         self.interrupted = False
@@ -77,10 +112,33 @@ class LogDensity:
 
     def _log_density(self, points: Array) -> Array:
         z, u = points[:, : self.r], points[:, self.r :]
-        residual = self._readings(self.coordinates.to_theta(z)) - self._y
+        theta = self.coordinates.to_theta(z)
+        residual = self._readings(theta) - self._y
         prior = np.sum(points**2, axis=1)
         value = -0.5 * (self._misfit(residual, u) + prior)
-        return np.where(np.isfinite(value), value, -np.inf)
+        possible = np.isfinite(value) & self.measurement.in_bounds(theta, self._bounded)
+        return np.where(possible, value, -np.inf)
+
+    def starts(self, rng: np.random.Generator, count: int) -> Array:
+        """Points (count, dimensions) from the Laplace approximation, within bounds.
+
+        Raises OutOfBoundsError where there are hardly any.
+        """
+        points = (
+            self.centre + rng.standard_normal((count, self.dimensions)) @ self.root.T
+        )
+        for _ in range(MOST_STARTS):
+            theta = self.coordinates.to_theta(points[:, : self.r])
+            outside = np.flatnonzero(~self.measurement.in_bounds(theta, self._bounded))
+            if not outside.size:
+                return np.asarray(points)
+            normal = rng.standard_normal((len(outside), self.dimensions))
+            points[outside] = self.centre + normal @ self.root.T
+        raise OutOfBoundsError(self.measurement, self.coordinates.to_theta(points))
+
+    def in_bounds(self, theta: Array) -> Mask:
+        """Which draws theta (..., n) keep to the bounds of all parameters."""
+        return self.measurement.in_bounds(theta)
 
     def _misfit(self, residual: Array, u: Array) -> Array:
         """r^T C^-1 r + log |C| (walkers,) of residuals (walkers, N); infinite for NaN."""

@@ -41,6 +41,7 @@ class Parameter:
     tolerance  prior standard deviation, SI
     unit       SI unit: m, rad, s, N, K or 1
     about      what it is, for tables
+    bounds     least and largest value that it can have, SI
     """
 
     name: str
@@ -48,6 +49,7 @@ class Parameter:
     tolerance: float
     unit: str
     about: str = ""
+    bounds: tuple[float, float] = (-np.inf, np.inf)
 
     def __post_init__(self) -> None:
         if self.unit not in units.DISPLAY:
@@ -61,6 +63,8 @@ class Parameter:
                 f"parameter {self.name}: nominal and tolerance must be finite,"
                 " tolerance >= 0"
             )
+        if not self.bounds[0] <= self.nominal <= self.bounds[1]:
+            raise ValueError(f"parameter {self.name}: nominal is out of its bounds")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -141,6 +145,18 @@ class Family:
     build: Callable[[Mapping[str, Any]], Machine]
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class CommonTolerance:
+    """Parameters whose errors are correlated: parts of one batch, holes of one jig.
+
+    names        of the parameters
+    correlation  between each two of them, below 1
+    """
+
+    names: tuple[str, ...]
+    correlation: float
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Machine:
     """A parallel machine, defined by its closure.
@@ -155,6 +171,7 @@ class Machine:
     home                 command of the home pose, by coordinate
     lever                m; turns angles into lengths in the publications' scalings
     frame                parameters held at nominal: they only choose the base frame
+    correlated           parameters whose errors have a common cause
     groups               joint centres that belong to one body
     closure(x, q, p)     scalars that are zero when assembled; as many as pose plus
                          joint coordinates less the degrees of freedom, more where the
@@ -200,6 +217,7 @@ class Machine:
     skeleton: Callable[[Values, Values, Values], Sequence[Sequence[Expr]]] | None = None
     struts: Callable[[Values, Values, Values], Sequence[Strut]] | None = None
     frame: tuple[str, ...] = ()
+    correlated: tuple[CommonTolerance, ...] = ()
     groups: tuple[PointGroup, ...] = ()
     about: str = ""
     drawn: Machine | None = None

@@ -4,7 +4,7 @@ It minimises what `oed.identification` minimises with known noise,
 
     |W (y - f(theta))|^2 + |u|^2,        theta = nominal + T u,
 
-W whitening the noise, T the tolerances. The minimum is the same: where the gradient is
+W whitening the noise, T the root of the prior covariance. The minimum is the same: where the gradient is
 zero, u has no part in the directions that no reading determines. All machines take their
 damped Gauss-Newton step together (Levenberg 1944), each with a damping of its own.
 Machines that do not converge go to `oed.identification`, which says what is wrong.
@@ -13,6 +13,7 @@ Machines that do not converge go to `oed.identification`, which says what is wro
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -98,7 +99,7 @@ class _Problem:
                 break
             step = self._step(theta[active], residual[active], slopes, damping[active])
             trial = theta[active].copy()
-            trial[:, self.free] += step * self._tolerance
+            trial[:, self.free] += step @ self._root.T
             new_residual, new_cost = self._evaluate(trial, active)
             better = new_cost <= cost[active] * (1.0 + NO_DECREASE)
             accepted = active[better]
@@ -112,14 +113,17 @@ class _Problem:
             active = active[~done]
         return theta, converged
 
-    @property
-    def _tolerance(self) -> Array:
-        return self.measurement.tolerance[self.free]
+    @functools.cached_property
+    def _root(self) -> Array:
+        """Root (free, free) of the prior covariance, SI."""
+        freed = np.zeros(len(self.measurement.nominal), dtype=bool)
+        freed[self.free] = True
+        return self.measurement.prior_root(freed)[np.ix_(self.free, self.free)]
 
     def _deviation(self, theta: Array) -> Array:
-        """u (m, free): deviations from nominal in tolerances."""
+        """u (m, free): deviations from nominal, standard normal a priori."""
         change = theta[:, self.free] - self.measurement.nominal[self.free]
-        return np.asarray(change / self._tolerance)
+        return np.asarray(np.linalg.solve(self._root, change.T).T, dtype=float)
 
     def _evaluate(self, theta: Array, rows: Index) -> tuple[Array, Array]:
         """Whitened residuals (m, N) and costs (m,), infinite where not assembled."""
@@ -135,7 +139,7 @@ class _Problem:
             rows = self.measurement.jacobian(self.series, theta)
         except AssemblyError:
             return None
-        scaled = rows[:, :, self.free] * self._tolerance
+        scaled = rows[:, :, self.free] @ self._root
         return (
             self.noise.whiten(scaled.swapaxes(0, 1).reshape(rows.shape[1], -1))
             .reshape(rows.shape[1], len(theta), -1)

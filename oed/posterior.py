@@ -6,7 +6,8 @@ Differential evolution (ter Braak 2006) needs no such shape. (emcee's snooker mo
 left out: on an 18-dimensional standard normal it returns a standard deviation of 0.91.)
 Sampling goes on until every coordinate has the wanted effective sample size, by emcee's
 and by ArviZ's estimate, and independent ensembles agree (R-hat), or until the steps are
-used up. Directions that no reading determines are drawn from their prior.
+used up. Directions that no reading determines are drawn from their prior. Draws out of
+the bounds of parameters are left out: what stays are draws of the truncated posterior.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.arrays import Array, Mask
 from oed.checkpoint import Checkpoint
 from oed.ensembles import Ensembles, ensemble_sizes
 from oed.estimate import Estimate
-from oed.log_density import LogDensity
+from oed.log_density import LogDensity, OutOfBoundsError
 from oed.measurement import Measurement, Series
 from oed.whole_file import whole_file
 
@@ -118,11 +119,11 @@ def sample(
     resumed     called with the steps of a chain that is resumed
 
     Raises KeyboardInterrupt where Ctrl-C arrives, OSError where the checkpoint cannot
-    be written.
+    be written, OutOfBoundsError where readings and bounds contradict each other.
     """
     target = LogDensity(measurement, series, y, estimate)
     sizes = ensemble_sizes(walkers, target.dimensions)
-    determining = (y, target.centre, target.root)
+    determining = (y, target.centre, target.root, *_bounds(measurement))
     ensembles = Ensembles(target, sizes, rng, checkpoint, determining)
     if ensembles.saved > 0 and resumed is not None:
         resumed(ensembles.saved)
@@ -131,6 +132,11 @@ def sample(
     return _posterior(
         measurement.names, target, ensembles, autocorrelation, burn_in, draws, thin, rng
     )
+
+
+def _bounds(measurement: Measurement) -> tuple[Array, ...]:
+    """The bounds, where there are any."""
+    return (measurement.bounds,) if measurement.bounded.size else ()
 
 
 def _run(
@@ -215,13 +221,18 @@ def _posterior(
     theta = coordinates.to_theta(thinned[..., :r])
     theta = target.move_along_null(theta, change)
     ess, rhat = _diagnostics(target, ensembles, chain, theta)
+    draws, points = ensembles.by_ensemble(theta), ensembles.by_ensemble(thinned)
+    inside = target.in_bounds(draws)
+    draws, points = _accepted(draws, inside), _accepted(points, inside)
+    if not draws.size:
+        raise OutOfBoundsError(target.measurement, theta.reshape(-1, theta.shape[2]))
     return Posterior(
         names=names,
-        draws=ensembles.by_ensemble(theta),
-        z=ensembles.by_ensemble(thinned[..., :r]),
-        noise_law=ensembles.by_ensemble(thinned[..., r:]),
+        draws=draws,
+        z=points[..., :r],
+        noise_law=points[..., r:],
         noise_names=target.noise_names,
-        ess=ess,
+        ess=ess * inside.mean(),
         rhat=rhat,
         acceptance=ensembles.acceptance,
         autocorrelation=autocorrelation,
@@ -229,6 +240,18 @@ def _posterior(
         steps=ensembles.iteration,
         burn_in=burn_in,
     )
+
+
+def _accepted(values: Array, inside: Mask) -> Array:
+    """Values (chains, k, m) of those (chains, draws) inside, as many of each chain.
+
+    All in one chain where that would leave out half of them.
+    """
+    least = int(inside.sum(axis=1).min())
+    if least * len(values) < 0.5 * inside.sum():
+        return np.asarray(values[inside][None])
+    chains = zip(values, inside, strict=True)
+    return np.stack([chain[within][:least] for chain, within in chains])
 
 
 def _diagnostics(

@@ -86,7 +86,8 @@ def predict_runs(
     residual = _residuals(measurement, series, estimate)
     about_nominal = residual + jacobian @ (estimate.theta - origin)
     white = estimate.noise.whiten(about_nominal)
-    slopes = estimate.noise.whiten(jacobian * estimate.prior_sd)
+    freed = estimate.prior_sd > 0.0
+    slopes = estimate.noise.whiten(measurement.in_prior_units(jacobian, freed))
     gram = np.eye(slopes.shape[1]) + slopes.T @ slopes
     root = linalg.cholesky(gram, lower=True)
     shared = linalg.solve_triangular(root, slopes.T, lower=True).T

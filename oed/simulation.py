@@ -16,6 +16,9 @@ from oed.measurement import Measurement, Series
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.structure import common_statement, reading_structure
 
+#: draws of a machine at most, until it keeps to the bounds of its parameters
+MOST_DRAWS = 1000
+
 
 def draw_parameters(
     measurement: Measurement, rng: np.random.Generator, machines: int | None = None
@@ -23,8 +26,39 @@ def draw_parameters(
     """Draw true parameters theta (n,) or (machines, n), SI, about nominal."""
     n = len(measurement.parameters)
     shape = (n,) if machines is None else (machines, n)
-    deviation = measurement.tolerance * rng.standard_normal(shape)
-    return np.asarray(measurement.nominal + deviation)
+    theta = measurement.nominal + draw_deviations(measurement, rng, shape)
+    if not measurement.bounded.size:
+        return np.asarray(theta)
+    return _redraw_outside(measurement, np.atleast_2d(theta), rng).reshape(shape)
+
+
+def _redraw_outside(
+    measurement: Measurement, theta: Array, rng: np.random.Generator
+) -> Array:
+    """Parameters (m, n), those out of bounds drawn anew until none is left.
+
+    Raises ValueError where hardly any keep to the bounds.
+    """
+    for _ in range(MOST_DRAWS):
+        outside = np.flatnonzero(~measurement.in_bounds(theta))
+        if not outside.size:
+            return theta
+        shape = (len(outside), theta.shape[1])
+        theta[outside] = measurement.nominal + draw_deviations(measurement, rng, shape)
+    raise ValueError(
+        f"{measurement.machine.name}: hardly any machine drawn from the tolerances keeps"
+        " to the bounds of its parameters; widen the bounds, or narrow the tolerances"
+    )
+
+
+def draw_deviations(
+    measurement: Measurement, rng: np.random.Generator, shape: tuple[int, ...]
+) -> Array:
+    """Deviations (..., n) from nominal, SI, drawn from the tolerances."""
+    normal = rng.standard_normal(shape)
+    if measurement.correlation is None:
+        return measurement.tolerance * normal
+    return np.asarray(normal @ measurement.prior_root().T)
 
 
 def draw_readings(

@@ -54,9 +54,9 @@ class BudgetModel:
     """Readings of n parameters, linear, with normal errors.
 
     structure    of the readings
-    slopes       (N, n) in units of stated noise and tolerances
+    slopes       (N, n) in units of stated noise, over z ~ N(0, I) a priori
     runs         errors of the readings
-    tolerance    (n,) SI
+    root         (n, n) of the prior covariance, SI: parameters deviate by root z
     names        (n,) of the parameters
     instruments  of the readings, each once
     used         (k,) the parameters that move the pose
@@ -67,7 +67,7 @@ class BudgetModel:
     structure: ReadingStructure
     slopes: Array
     runs: tuple[ErrorsOfRun, ...]
-    tolerance: Array
+    root: Array
     names: tuple[str, ...]
     instruments: tuple[str, ...]
     used: Index
@@ -121,7 +121,7 @@ class BudgetModel:
             rows = self.slopes[run.members]
             total += rows.T @ run.weigh(standard[run.members], {})
         change = _posterior(self.information(), None) @ total
-        return np.asarray((change * self.tolerance[:, None])[self.used])
+        return np.asarray((self.root @ change)[self.used])
 
     def parts(self) -> list[Part]:
         """Parts that add up to `covariance()`; those that are nothing are absent."""
@@ -185,10 +185,9 @@ class BudgetModel:
         return parts
 
     def _in_si(self, covariance: Array) -> Array:
-        """The used parameters' block (k, k), SI, of a covariance in tolerance units."""
-        block = covariance[np.ix_(self.used, self.used)]
-        scale = self.tolerance[self.used]
-        return np.asarray(block * np.outer(scale, scale))
+        """The used parameters' block (k, k), SI, of a covariance (n, n) of z."""
+        rows = self.root[self.used]
+        return np.asarray(rows @ covariance @ rows.T)
 
 
 def _posterior(information: Array, known: Mask | None) -> Array:
@@ -207,31 +206,28 @@ def budget_model(
     theta: Array,
     *,
     laws: Laws | None = None,
-    tolerance: Array | None = None,
     coefficients: int = 0,
 ) -> BudgetModel:
     """The model of readings linearised at theta (n,), SI.
 
     laws          noise law, the first of which counts; as stated by default
-    tolerance     (n,) prior standard deviations, SI; the measurement's by default
     coefficients  number of coefficients of effects at the end of theta
     """
     structure = reading_structure(measurement, series, theta)
     laws = stated_laws(structure) if laws is None else laws
-    tolerance = measurement.tolerance if tolerance is None else tolerance
     setups = measurement.setup_of_readings(series)
     instruments = [measurement.setups[s].instrument.name for s in setups]
-    slopes = structure.standardise(measurement.jacobian(series, theta)) * tolerance
+    standard = structure.standardise(measurement.jacobian(series, theta))
     index, machine = np.arange(len(theta)), len(measurement.machine.parameters)
     effect = index >= len(theta) - coefficients
     return BudgetModel(
         structure=structure,
-        slopes=slopes,
+        slopes=measurement.in_prior_units(standard),
         runs=errors_of_runs(structure, laws, instruments),
-        tolerance=tolerance,
+        root=measurement.prior_root(),
         names=tuple(measurement.names),
         instruments=tuple(dict.fromkeys(instruments)),
         used=np.flatnonzero((index < machine) | effect),
-        setup=(index >= machine) & ~effect & (tolerance > 0.0),
-        effect=effect & (tolerance > 0.0),
+        setup=(index >= machine) & ~effect & measurement.free,
+        effect=effect & measurement.free,
     )

@@ -78,13 +78,11 @@ def fit(session: SessionReadings, start: Array | None = None) -> Fit | None:
     measurement, series = session.measurement, session.series
     noise = measurement.noise(series)
     free = np.flatnonzero(measurement.free)
-    tolerance = measurement.tolerance[free]
+    root = measurement.prior_root()[:, free]
     nominal = measurement.nominal
 
     def theta_at(z: Array) -> Array:
-        theta = nominal.copy()
-        theta[free] += tolerance * z
-        return theta
+        return np.asarray(nominal + root @ z)
 
     def residuals(z: Array) -> Array:
         predicted = measurement.try_readings(series, theta_at(z))
@@ -92,12 +90,12 @@ def fit(session: SessionReadings, start: Array | None = None) -> Fit | None:
         return np.concatenate([white, z])
 
     def slopes(z: Array) -> Array:
-        h = measurement.jacobian(series, theta_at(z))[:, free] * tolerance
+        h = measurement.jacobian(series, theta_at(z)) @ root
         return np.vstack([-noise.whiten(h), np.eye(len(free))])
 
-    first = np.zeros(len(free))
+    first: Array = np.zeros(len(free))
     if start is not None:
-        first = (start[free] - nominal[free]) / tolerance
+        first = linalg.solve(root[free], start[free] - nominal[free])
     try:
         solution = optimize.least_squares(
             residuals, first, slopes, xtol=1e-10, ftol=1e-8, max_nfev=MOST_EVALUATIONS
@@ -145,10 +143,10 @@ def linear_model(session: SessionReadings) -> LinearModel | None:
     nominal, noise = measurement.nominal, measurement.noise(series)
     try:
         predicted = measurement.readings(series, nominal)
-        h = measurement.jacobian(series, nominal)[:, free]
+        h = measurement.in_prior_units(measurement.jacobian(series, nominal))[:, free]
     except (ArithmeticError, ValueError, RuntimeError):
         return None
-    slopes = noise.whiten(h * measurement.tolerance[free])
+    slopes = noise.whiten(h)
     half = half_covariance(slopes)
     return LinearModel(predicted, noise, slopes @ half)
 

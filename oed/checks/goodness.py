@@ -60,7 +60,8 @@ def goodness_of_estimate(
     measurement: Measurement, series: Sequence[Series], estimate: Estimate
 ) -> Goodness:
     """Goodness of an estimate's fit against the noise that the set-ups state."""
-    slopes = measurement.jacobian(series, estimate.theta) * estimate.prior_sd
+    jacobian = measurement.jacobian(series, estimate.theta)
+    slopes = measurement.in_prior_units(jacobian, estimate.prior_sd > 0.0)
     white = measurement.noise(series).whiten(slopes)
     return goodness_of(estimate.chi2, residual_weights(white))
 

@@ -101,7 +101,7 @@ def _on_all(session: SessionReadings, solution: Fit) -> Fit | None:
     free = np.flatnonzero(measurement.free)
     try:
         difference = session.y - measurement.readings(series, solution.theta)
-        h = measurement.jacobian(series, solution.theta)[:, free]
+        jacobian = measurement.jacobian(series, solution.theta)
     except AssemblyError:
         return None
     residual = noise.whiten(difference)
@@ -109,7 +109,7 @@ def _on_all(session: SessionReadings, solution: Fit) -> Fit | None:
         solution,
         session=session,
         residual=residual,
-        slopes=noise.whiten(h * measurement.tolerance[free]),
+        slopes=noise.whiten(measurement.in_prior_units(jacobian)[:, free]),
         whitening=whitening_matrix(noise),
     )
 

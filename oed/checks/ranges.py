@@ -62,7 +62,7 @@ def predict_ranges(session: SessionReadings, rng: np.random.Generator) -> Ranges
     middle = measurement.readings(series, nominal)
     noise = measurement.sigma(series)
     slopes = measurement.jacobian(series, nominal)
-    spread = np.linalg.norm(slopes * measurement.tolerance, axis=1)
+    spread = np.linalg.norm(measurement.in_prior_units(slopes), axis=1)
     factor = float(-special.ndtri(0.5 * FALSE_ALARM / len(middle)))
     machines = simulation.draw_parameters(measurement, rng, TRIAL)
     exact = measurement.try_readings(series, machines)

@@ -73,12 +73,12 @@ def predict_corrected(
     if draws is not None:
         changes = (draws - theta)[:, used]
         covariance = changes.T @ changes / len(changes)
-    tolerance = corrected.measurement.tolerance[used]
+    prior = corrected.measurement.prior_covariance[np.ix_(used, used)]
 
     def predicted(of: ErrorMaps) -> Prediction:
         return prediction.predict(
             of,
-            np.diag(tolerance**2),
+            prior,
             covariance,
             rng,
             mean=mean,

@@ -23,6 +23,7 @@ KERNEL_ERRORS = {
     "oed.kinematics": "AssemblyError",
     "oed.dataset.table": "ReadingsError",
     "oed.identification": "IdentificationError",
+    "oed.log_density": "OutOfBoundsError",
 }
 
 

@@ -177,6 +177,9 @@ class Adviser:
         scale = measurement.tolerance[free]
         columns = len(scale) + pool.shared_errors
         covariance = np.eye(columns)
+        correlation = measurement.correlation
+        if correlation is not None:
+            covariance[: len(scale), : len(scale)] = correlation[np.ix_(free, free)]
         if estimate is not None:
             known = estimate.covariance[np.ix_(free, free)]
             covariance[: len(scale), : len(scale)] = known / np.outer(scale, scale)

@@ -120,7 +120,7 @@ def realised(
     estimate = np.zeros_like(truth)
     estimate[:, free] = np.linalg.solve(inner, weighed.T @ y.T).T
     estimate[:, ~free] = truth[:, ~free]
-    delta = ((truth - estimate) * model.tolerance)[:, model.used]
+    delta = ((truth - estimate) @ model.root.T)[:, model.used]
     poses = np.einsum("nkp,dp->dnk", maps.raw, delta)
     return np.asarray(np.sqrt(np.mean(poses**2, axis=(0, 1))))
 

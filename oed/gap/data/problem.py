@@ -142,7 +142,6 @@ def assemble(
     runs = rows.groupby(["setup", "run"], sort=False).indices.values()
     blocks = tuple(np.asarray(members, dtype=np.intp) for members in runs)
     kinds = rows["instrument"] + "." + rows["channel"]
-    tolerance = measurement.tolerance[free]
     return GapProblem(
         measurement=measurement,
         series=series,
@@ -151,7 +150,7 @@ def assemble(
         responses=tuple(measurement.response(s, theta) for s in series),
         sigma=sigma,
         residual=residual / sigma,
-        slopes=jacobian[:, free] * tolerance / sigma[:, None],
+        slopes=measurement.in_prior_units(jacobian)[:, free] / sigma[:, None],
         names=tuple(measurement.names[k] for k in free),
         stated_correlation=_stated_correlations(noise, blocks),
         members=blocks,

@@ -68,7 +68,7 @@ def _likely(
         )
     if measurement.setups[series.setup].instrument.fixed_reading is None:
         return np.ones(len(series), dtype=bool)
-    covariance = np.diag(measurement.tolerance**2)
+    covariance = measurement.prior_covariance
     travel = _metres(table.travel_mm)
     chance = feasible.within_travel(measurement, series, covariance, travel)
     return np.asarray(chance >= (table.travel_chance or 0.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from pkm_studies.errors import Place, suggest
 
@@ -32,3 +32,24 @@ def matching_names(
             remedy = suggest(pattern.strip("*"), names)
             raise place.item(i).error("no parameter has this name", remedy, pattern)
     return [n for n in names if any(fnmatch.fnmatchcase(n, p) for p in patterns)]
+
+
+def names_of_one_unit(
+    patterns: Sequence[str], units: Mapping[str, str], place: Place
+) -> tuple[list[str], str]:
+    """Known names that match any of the patterns, and their unit.
+
+    units  of the known names
+
+    Raises InputError for no name, and for names of several units.
+    """
+    matched = matching_names(patterns, units, place)
+    if not matched:
+        raise place.error("the list is empty", 'name parameters or patterns: ["dq*"]')
+    example = {units[name]: name for name in matched}  # one for each unit
+    if len(example) > 1:
+        kinds = " and ".join(f"{name} ({unit})" for unit, name in example.items())
+        raise place.error(
+            f"parameters of different kinds: {kinds}", "make one table for each kind"
+        )
+    return matched, next(iter(example))

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from oed.instrument import Setup
 from oed.machine import Machine, Parameter
 from pkm_studies.errors import Place
-from pkm_studies.resolve import lookup, quantities
+from pkm_studies.resolve import bounds, correlation, lookup, quantities
 from pkm_studies.resolve.noise import LARGEST, with_noise
 from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
@@ -34,6 +34,8 @@ def with_tolerances(
         frame = tuple(p.name for p in machine.parameters if p.name in fixed)
         machine = dataclasses.replace(machine, frame=frame)
         prior |= {name: 0.0 for name in fixed}
+    machine = bounds.with_bounds(study, machine)
+    machine = correlation.with_correlation(study, machine)
     setups = with_noise(study, setups)
     stated = {s.name: _stems(s.tolerance) for s in study.setup}
     changed = {}
@@ -80,19 +82,9 @@ def _prior_tolerances(study: Study, names: Mapping[str, str]) -> dict[str, float
 def _matching_tolerances(
     table: ToleranceTable, names: Mapping[str, str], place: Place
 ) -> dict[str, float]:
-    patterns = place.key("parameters")
-    matched = lookup.matching_names(table.parameters, names, patterns)
-    if not matched:
-        raise patterns.error(
-            "the list is empty", 'name parameters or patterns: ["dq*"]'
-        )
-    example = {names[name]: name for name in matched}  # one for each unit
-    if len(example) > 1:
-        kinds = " and ".join(f"{name} ({unit})" for unit, name in example.items())
-        raise patterns.error(
-            f"parameters of different kinds: {kinds}", "make one table for each kind"
-        )
-    unit = next(iter(example))
+    matched, unit = lookup.names_of_one_unit(
+        table.parameters, names, place.key("parameters")
+    )
     sigma = quantities.read_values(table.sigma, {"sigma": unit}, place).get("sigma")
     if sigma is None:
         key = quantities.column("sigma", unit)

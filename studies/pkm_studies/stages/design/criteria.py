@@ -136,7 +136,7 @@ class StudyCriteria:
     def information(self, measurement: Measurement, series: Sequence[Series]) -> Array:
         """Information (n, n) of readings, with the tolerances where they count."""
         rows = self._rows(measurement, series)
-        prior = np.eye(rows.shape[1]) if self.table.prior else 0.0
+        prior = information.prior_information(measurement) if self.table.prior else 0.0
         return np.asarray(rows.T @ rows + prior)
 
     def score(
@@ -165,10 +165,9 @@ class StudyCriteria:
         maps = self.error_maps
         if maps is None:
             return {}
-        count, tolerance = len(measurement.machine.parameters), measurement.tolerance
-        h = information.scaled(measurement, series, measurement.nominal, "tolerance")
-        scale = np.outer(tolerance[:count], tolerance[:count])
-        covariance = information.posterior_covariance(h)[:count, :count] * scale
+        count, nominal = len(measurement.machine.parameters), measurement.nominal
+        whole = information.parameter_covariance(measurement, series, nominal)
+        covariance = whole[:count, :count]
         total = np.einsum(
             "nkp,pq,nkq->k", maps.raw, covariance, maps.raw, optimize=True
         )

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from oed import criteria
+from oed import criteria, information
+from oed.arrays import Array
 from oed.assessment import Assessment, assess
 from oed.measurement import Measurement
 from oed.result import PlanScore
@@ -103,18 +104,26 @@ def _score(plan: _Plan, judge: StudyCriteria, value: float) -> PlanScore:
     table, series = judge.table, plan.identifiability.series
     s = plan.identifiability.identifiability.identifiable_singular_values
     n = sum(len(x) for x in series)
-    prior = 1.0 if table.prior else 0.0
+    logdet = float(np.log(s**2).sum())
+    if table.prior:
+        logdet = _gain(judge.information(plan.measurement, series), plan.measurement)
     return PlanScore(
         name=plan.name,
         n=n,
         criterion=table.judged_by,
         value=value,
-        logdet=float(np.log(s**2 + prior).sum()),
+        logdet=logdet,
         efficiency=1.0,
         kappa=criteria.kappa(s),
         observability=criteria.observability(s, n),
         predicted=judge.predicted_accuracy(plan.measurement, series),
     )
+
+
+def _gain(total: Array, measurement: Measurement) -> float:
+    """Log determinant of an information (n, n) over that of the prior in it."""
+    prior = information.prior_information(measurement)
+    return float(np.linalg.slogdet(total)[1] - np.linalg.slogdet(prior)[1])
 
 
 def _compared(

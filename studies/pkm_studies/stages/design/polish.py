@@ -5,9 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-import numpy as np
-
-from oed import units
+from oed import information, units
 from oed.arrays import Array
 from oed.design import polish, symbolic_criterion
 from oed.measurement import Measurement, Series
@@ -112,7 +110,7 @@ def _prior_information(
     if retained:
         return study_criteria.information(measurement, retained)
     if study_criteria.table.prior:
-        return np.eye(int(measurement.free.sum()))
+        return information.prior_information(measurement)
     return None
 
 

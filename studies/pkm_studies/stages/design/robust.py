@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from oed import simulation
 from oed.arrays import Array, Index
 from oed.design import candidates, robust
 from oed.design.criterion import Criterion
@@ -95,8 +96,7 @@ def _scenarios(
     blocks = [c.blocks]
     failures = 0
     while len(blocks) < count:
-        errors = rng.standard_normal(len(measurement.nominal))
-        theta = measurement.nominal + measurement.tolerance * errors
+        theta = simulation.draw_parameters(measurement, rng)
         try:
             scenario = candidates.build(
                 measurement,

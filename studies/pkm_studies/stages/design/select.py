@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed import criteria
+from oed import criteria, information
 from oed.arrays import Array
 from oed.assessment import assess
 from oed.design import candidates
@@ -167,7 +167,7 @@ def _prior_information(
     retained = study_criteria.request.retained
     if retained:
         return study_criteria.information(measurement, retained)
-    return np.eye(int(measurement.free.sum()))
+    return information.prior_information(measurement)
 
 
 def _best(

@@ -18,7 +18,7 @@ def combination_estimates(
     places = [measurement.names.index(name) for name in verdict.names]
     departure = (estimate.theta - measurement.nominal)[places]
     covariance = estimate.covariance[np.ix_(places, places)]
-    tolerance = estimate.prior_sd[places]
+    prior_root = measurement.prior_root(estimate.prior_sd > 0.0)[places]
     terms = verdict.coefficients_by_name(verdict.combinations)
     records = []
     for named, row in zip(terms, verdict.combinations, strict=True):
@@ -29,7 +29,7 @@ def combination_estimates(
                 terms=named,
                 value=units.number(float(row @ departure), unit),
                 sd=units.number(float(np.sqrt(row @ covariance @ row)), unit),
-                tolerance=units.number(float(np.linalg.norm(row * tolerance)), unit),
+                tolerance=units.number(float(np.linalg.norm(row @ prior_root)), unit),
                 unit=unit,
             )
         )

@@ -54,14 +54,13 @@ class Accuracy:
 def planned(measurement: Measurement, series: Sequence[Series]) -> ParameterKnowledge:
     """Before any reading: tolerances and planned readings."""
     count = len(measurement.machine.parameters)
-    h = information.scaled(measurement, series, measurement.nominal, "tolerance")
-    scale = measurement.tolerance[:count]
-    covariance = information.posterior_covariance(h)[:count, :count]
+    nominal = measurement.nominal
+    covariance = information.parameter_covariance(measurement, series, nominal)
     return ParameterKnowledge(
         measurement,
         tuple(series),
-        budget_model(measurement, series, measurement.nominal),
-        covariance * np.outer(scale, scale),
+        budget_model(measurement, series, nominal),
+        covariance[:count, :count],
     )
 
 
@@ -110,7 +109,7 @@ def accuracy(
     for reference in references:
         predicted = prediction.predict(
             maps[reference],
-            np.diag(measurement.tolerance[:count] ** 2),
+            measurement.prior_covariance[:count, :count],
             known.covariance,
             rng,
             mean=known.mean,

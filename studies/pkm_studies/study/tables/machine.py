@@ -111,10 +111,40 @@ class ToleranceTable(StudyTable, frozen=True, kw_only=True):
     sigma: dict[str, float] = {}
 
 
+class CorrelatedTable(StudyTable, frozen=True, kw_only=True):
+    """[[prior.correlated]]: parameters of the machine whose errors have a common cause.
+
+    parameters   names or patterns, as in `["dq*"]`
+    correlation  between each two of them, below 1: 0.9 for legs of one batch, below 0
+                 where one is long if another is short
+    """
+
+    parameters: list[str]
+    correlation: Annotated[float, msgspec.Meta(gt=-1, lt=1)]
+
+
+class BoundsTable(StudyTable, frozen=True, kw_only=True):
+    """[[prior.bounds]]: values that parameters of the machine cannot pass; later tables win.
+
+    parameters   names or patterns, as in `["dq*"]`
+    further      `lower` and `upper`, or one of them, with their unit, as in
+                 `lower_mm = 0`: ends of the parameter's value
+    """
+
+    free_keys = "ends"
+    parameters: list[str]
+    ends: dict[str, float] = {}
+
+
 class PriorTable(StudyTable, frozen=True, kw_only=True):
-    """[prior]: tolerances in place of the model's.
+    """[prior]: tolerances in place of the model's, what they have in common, bounds.
 
     tolerance   [[prior.tolerance]] tables
+    correlated  [[prior.correlated]] tables; later ones win
+    bounds      [[prior.bounds]] tables; draws of the posterior, of virtual machines and of
+                predictions keep to them, estimates and plans ignore them
     """
 
     tolerance: list[ToleranceTable] = []
+    correlated: list[CorrelatedTable] = []
+    bounds: list[BoundsTable] = []
