@@ -61,10 +61,13 @@ def predictive_checks(
     predicted = measurement.readings_near(series, estimate.theta)(theta[chosen])
     residuals = structure.standardise((y - predicted).T).T
     laws = stated_laws(structure, len(chosen))
+    estimated = estimate.noise_posterior is not None
     if estimate.noise_posterior is not None:
         flat = posterior.noise_law.reshape(-1, posterior.noise_law.shape[2])
         laws = estimate.noise_posterior.prior.laws(flat[chosen])
-    noise = Whitening(structure, laws).draw(rng)
+    noise = Whitening(structure, laws).draw(
+        rng, structure.statement, estimated=estimated
+    )
     checks = {}
     for name, discrepancy in DISCREPANCIES.items():
         observed, drawn = (discrepancy(structure, e) for e in (residuals, noise))

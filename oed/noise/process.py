@@ -168,11 +168,17 @@ class Whitening:
         return np.asarray(whitened[:, *self.structure.slot])
 
     def draw(
-        self, rng: np.random.Generator, tails: NoiseStatement = NOTHING_STATED
+        self,
+        rng: np.random.Generator,
+        tails: NoiseStatement = NOTHING_STATED,
+        *,
+        estimated: bool = False,
     ) -> Array:
         """One draw of the errors (L, N) for each law, in units of the stated noise.
 
-        tails  of single readings; normal by default
+        tails      of single readings; normal by default
+        estimated  whether the laws are estimates: these rest on pseudo-values, which are
+                   as informative as errors of such tails (`oed.noise.outliers`)
         """
         count, chains, length = self._decay.shape
         white = rng.standard_normal((2, count, chains, length))
@@ -183,6 +189,8 @@ class Whitening:
             carried[:, :, t] = state
         share = self.laws.carried[:, None, None]
         alone = _with_tails(white[1], tails, rng)
+        if estimated and tails.student_dof is not None:
+            alone *= _student_over_pseudo(tails.student_dof)
         single = np.sqrt(1.0 - share) * alone + np.sqrt(share) * carried
         runs = int(self.structure.run[-1]) + 1
         amounts = rng.standard_normal((count, runs, len(self.structure.kinds)))
@@ -190,6 +198,15 @@ class Whitening:
         of_reading = amounts[:, self.structure.run[self.structure.chain]]
         common = np.einsum("lnk,nk->ln", of_reading, self.structure.columns)
         return np.asarray(self._scale * (single[:, *self.structure.slot] + common))
+
+
+def _student_over_pseudo(dof: float) -> float:
+    """Standard deviation of a Student t error over that of its pseudo-value.
+
+    Of unit scale they are dof / (dof - 2) and the inverse of the Fisher information,
+    (dof + 3) / (dof + 1), in squares.
+    """
+    return float(np.sqrt(dof / (dof - 2.0) * (dof + 1.0) / (dof + 3.0)))
 
 
 def _with_tails(

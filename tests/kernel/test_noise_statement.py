@@ -23,7 +23,7 @@ from oed.gap.data.problem import assemble
 from oed.identification import identify
 from oed.measurement import Measurement, Series
 from oed.noise import prior
-from oed.noise.outliers import detect
+from oed.noise.outliers import StudentT, detect, fisher_information
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.process_noise import dense_covariance
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -176,6 +176,13 @@ def test_stated_tails_are_drawn(dof: float) -> None:
     rng = np.random.default_rng(4)
     e = simulation.draw_errors(m, [series], rng, (2000, 24)).ravel() / SIGMA
     unit = np.sqrt((dof - 2.0) / dof)
+    assert stats.kstest(e / unit, stats.t(dof).cdf).pvalue > 1e-3
+    structure = reading_structure(m, [series], m.nominal)
+    whitening = Whitening(structure, stated_laws(structure, 2000))
+    e = whitening.draw(rng, structure.statement, estimated=True).ravel()
+    # in units of the pseudo-values' scatter, whose square is 1 / I
+    information = fisher_information(StudentT(dof))
+    unit = np.sqrt(information)
     assert stats.kstest(e / unit, stats.t(dof).cdf).pvalue > 1e-3
     m = stating(NoiseStatement(outlier_share=0.1))
     e = simulation.draw_errors(m, [series], rng, (2000, 24)).ravel() / SIGMA

@@ -127,7 +127,10 @@ def _noise_draws(
             if kind in kinds:
                 scale[:, k] = law.scale[:, kinds.index(kind)]
         laws = dataclasses.replace(law, scale=scale)
-    return structure.restore(Whitening(structure, laws).draw(rng))
+    errors = Whitening(structure, laws).draw(
+        rng, structure.statement, estimated=fitted is not None
+    )
+    return structure.restore(errors)
 
 
 def _channel_kind(measurement: Measurement, name: str) -> tuple[str, str]:
