@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+import time
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
@@ -325,17 +327,40 @@ def test_items_go_to_a_cluster_and_come_back_with_their_results(
         def __exit__(self, *_):
             return None
 
-        def map(self, work, items, pure):
-            assert not pure
-            return [
-                SimpleNamespace(key=f"k{i}", result=lambda i=i: work(i)) for i in items
-            ]
+        def scheduler_info(self, n_workers):
+            return {"workers": {"one": {}, "two": {}}}
 
+        def map(self, work, items, pure, workers, allow_other_workers):
+            assert not pure
+            assert allow_other_workers
+            stretches[workers[0]] = items
+            return [Future(work, item) for item in items]
+
+    class Future:
+        def __init__(self, work, item) -> None:
+            self.result = lambda: work(item)
+
+    stretches: dict[str, list[int]] = {}
     cluster = ModuleType("distributed")
     cluster.Client, cluster.as_completed = Client, lambda futures: reversed(futures)
     monkeypatch.setitem(sys.modules, "distributed", cluster)
-    come = pool.results(lambda item: item**2, [2, 3], scheduler="tcp://there:8786")
-    assert list(come) == [(3, 9), (2, 4)]
+    come = pool.results(lambda item: item**2, [2, 3, 4], scheduler="tcp://there:8786")
+    assert list(come) == [(4, 16), (3, 9), (2, 4)]
+    assert stretches == {"one": [2], "two": [3, 4]}
+
+
+def test_processes_share_items_and_take_those_of_others() -> None:
+    items = [0.02] * 2 + [0.0] * 7
+    come = list(pool.results(_nap, items, workers=2))
+    assert sorted(item for item, _ in come) == sorted(items)
+    assert all(process != os.getpid() for _, process in come)
+    assert len({process for _, process in come}) == 2
+
+
+def _nap(seconds: float) -> int:
+    """The process that rested so long."""
+    time.sleep(seconds)
+    return os.getpid()
 
 
 @pytest.mark.slow

@@ -1,19 +1,25 @@
-"""The same work on many items: in this process, on processes, or on a Dask cluster."""
+"""The same work on many items: in this process, on processes, or on a Dask cluster.
+
+Neighbouring items may share what is expensive to prepare. So each process starts with a
+stretch of neighbours, and takes others' items only once its own are done.
+"""
 
 from __future__ import annotations
 
 import importlib
+import itertools
 import multiprocessing
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
 from typing import Any, TypeVar
 
 from pkm_studies.errors import InputError
 
-#: items that wait for each process, so that none runs dry
-QUEUE = 4
+#: items that each process has at once, so that none waits for the next
+AHEAD = 2
 #: seconds in which a scheduler has to answer
 PATIENCE = "10s"
 
@@ -51,23 +57,42 @@ def _on_processes(
 ) -> Iterator[tuple[Item, Outcome]]:
     """From processes that are spawned, as on every system."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # inherited: a core each
-    pool = futures.ProcessPoolExecutor(
-        count,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_end_with_parent,
-    )
+    shares = [deque(share) for share in _stretches(items, count)]
+    context = multiprocessing.get_context("spawn")
+    processes = [
+        futures.ProcessPoolExecutor(1, context, _end_with_parent) for _ in shares
+    ]
+    waiting: dict[futures.Future[Outcome], tuple[int, Item]] = {}
+
+    def submit(number: int) -> None:
+        """Give a process the next item of its share, or another's last one."""
+        largest = max(shares, key=len)
+        if not largest:
+            return
+        own = shares[number]
+        item = own.popleft() if own else largest.pop()
+        waiting[processes[number].submit(work, item)] = number, item
+
     try:
-        waiting: dict[futures.Future[Outcome], Item] = {}
-        for item in items:
-            waiting[pool.submit(work, item)] = item
-            if len(waiting) >= QUEUE * count:
-                done, _ = futures.wait(waiting, return_when=futures.FIRST_COMPLETED)
-                for future in done:
-                    yield waiting.pop(future), future.result()
-        for future in futures.as_completed(waiting):
-            yield waiting[future], future.result()
+        for number in [*range(len(processes))] * AHEAD:
+            submit(number)
+        while waiting:
+            done, _ = futures.wait(waiting, return_when=futures.FIRST_COMPLETED)
+            for future in done:
+                number, item = waiting.pop(future)
+                submit(number)
+                yield item, future.result()
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        for process in processes:
+            process.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.shutdown(wait=True)
+
+
+def _stretches(items: Sequence[Item], count: int) -> list[Sequence[Item]]:
+    """The items in so many parts of neighbours, as equal as they can be."""
+    ends = [len(items) * k // count for k in range(count + 1)]
+    return [items[i:j] for i, j in itertools.pairwise(ends)]
 
 
 def _end_with_parent() -> None:
@@ -108,7 +133,16 @@ def _on_cluster(
             value=scheduler,
         ) from error
     with client:
-        begun = client.map(work, list(items), pure=False)
-        item_of = {future.key: item for future, item in zip(begun, items, strict=True)}
-        for future in distributed.as_completed(begun):
-            yield item_of[future.key], future.result()
+        addresses = [*client.scheduler_info(n_workers=-1)["workers"]]
+        item_of: dict[Any, Item] = {}
+        for number, stretch in enumerate(_stretches(items, max(len(addresses), 1))):
+            begun = client.map(
+                work,
+                list(stretch),
+                pure=False,
+                workers=addresses[number : number + 1] or None,
+                allow_other_workers=bool(addresses),
+            )
+            item_of |= dict(zip(begun, stretch, strict=True))
+        for future in distributed.as_completed(list(item_of)):
+            yield item_of.pop(future), future.result()

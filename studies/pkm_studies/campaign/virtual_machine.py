@@ -13,6 +13,7 @@ from scipy import special
 
 from oed import units
 from oed.arrays import Array
+from oed.assessment import assess
 from oed.coordinates import coordinates_of_readings
 from oed.error_maps import error_maps
 from oed.estimate import Estimate
@@ -67,7 +68,9 @@ def _prepared(text: str, path: str) -> tuple[RunState, tuple[Series, ...]]:
     state = design_steps.plan_stages(state)
     series = readings_steps.planned_series(state)
     state = state.replace(readings=Readings(series=series))
-    return design_steps.analyse_identifiability(state), series
+    scaling = study.design.scaling if study.design else "length"
+    verdict = assess(state.measurement, series, scaling)
+    return state.replace(identifiability=verdict), series
 
 
 def _fit_figures(state: RunState) -> dict[str, Any]:
