@@ -96,12 +96,13 @@ def test_an_open_run_has_no_turn_before_its_first() -> None:
 
 
 def test_points_in_any_order_are_no_path(rng: np.random.Generator) -> None:
-    """Between scattered points the way turns sharply: distances are told by the steps
-    alone.
+    """Between scattered points the way turns sharply: sense and distance are those of
+    the steps.
     """
     tip = rng.uniform(-0.1, 0.1, (30, 3))
     q = tip[:, :2].copy()
     motion = _moved(q, tip)
+    assert (motion.sense[1:] == np.sign(np.diff(q, axis=0))).all()
     for k in range(1, 30):
         step = np.abs(q[k] - q[k - 1])
         same = motion.sense[k] == motion.sense[k - 1]

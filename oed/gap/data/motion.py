@@ -4,7 +4,8 @@ A run is a smooth path through its poses. It is closed where it ends as near to 
 start as one pose is to the next; a closed run is entered rolling. A joint may turn back
 between two readings, so that the path locates the reversal, not the steps. At a reading
 where a joint turns back, its sense is that in which it arrived: play is not yet taken up
-there, and the slope, zero but for rounding, has no sign to go by.
+there, and the slope, zero but for rounding, has no sign to go by. Between poses that
+are points and no path, joints move straight, and the last step has their sense.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def motion(
         if path is None:
             slope = np.gradient(q[at], places, axis=0)
             curvature = np.gradient(slope, places, axis=0)
-            sense[at] = _sense(slope)
+            sense[at] = _sense(np.diff(q[at], axis=0, prepend=q[at][:1]))
             reversal[at] = _since_reversal_by_steps(q[at], sense[at])
         else:
             slope = path(places, 1)
@@ -135,11 +136,11 @@ def _steps_before(length: Array, count: int) -> Array:
     return np.concatenate([[first], steps])[:count]
 
 
-def _sense(slope: Array) -> Array:
-    """Sign of each joint's motion (k, nq); where it stands still, of its last motion."""
-    size = np.abs(slope)
+def _sense(moved: Array) -> Array:
+    """Signs of the joints' motion (k, nq); where one stands still, of its last motion."""
+    size = np.abs(moved)
     least = 1e-6 * max(float(size.max()), 1e-12)
-    sign = np.where(size > least, np.sign(slope), 0.0)
+    sign = np.where(size > least, np.sign(moved), 0.0)
     count = len(sign)
     for k in range(1, count):
         _fill(sign, k, k - 1)
