@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from oed.arrays import Array
 from oed.compensate import NO_TOOL
 from oed.kinematics import AssemblyError, Kinematics
-from oed.measurement import NEAR_STEP_TOLERANCE
+from oed.nearby_poses import NearbyPoses
 
 
 def compensated_errors(
@@ -54,10 +54,8 @@ def _frames(
 ) -> tuple[Array, Array]:
     """Rotations (m, n, 3, 3) and points (m, n, 3) where the machine really stands."""
     x, q = kinematics.inverse(poses, identified, tool)
-    slope = kinematics.parameter_sensitivity(x, q, identified)
-    change = parameters - identified
-    start = x + np.einsum("nkp,mp->mnk", slope, change, optimize=True)
-    reached, failed = kinematics.try_forward(q, parameters, start, NEAR_STEP_TOLERANCE)
+    reached = NearbyPoses(kinematics, q, identified, x).solve(parameters)
+    failed = np.isnan(reached).any(axis=2)
     if failed.any():
         raise AssemblyError(
             f"{kinematics.machine.name}: a draw of the parameters cannot be assembled",

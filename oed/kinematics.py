@@ -20,6 +20,8 @@ All functions run over many poses and many parameter vectors at once.
 
 from __future__ import annotations
 
+import functools
+
 import casadi as ca
 import numpy as np
 
@@ -57,7 +59,7 @@ class Kinematics:
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
-        e = machine_expressions(machine)
+        self._expressions = e = machine_expressions(machine)
         x, q, p = e.x, e.q, e.p
         balance = e.balance
         by_x = ca.jacobian(balance, x)
@@ -151,14 +153,7 @@ class Kinematics:
 
     def forward_per_pose(self, q: Array, p: Array, start: Array) -> Array:
         """As `forward`, with one parameter vector a pose: p (n, np), result (n, nx)."""
-
-        def equations(x: Array, rows: Index) -> list[Array]:
-            return self._forward(x, q[rows], p[rows])
-
-        longest = newton.longest_step(self.machine.lever)
-        x, failed = newton.solve(
-            equations, np.array(start, dtype=float), longest=longest
-        )
+        x, failed = self.try_forward_per_pose(q, p, start)
         if failed.any():
             poses = np.flatnonzero(failed)
             raise AssemblyError(
@@ -168,6 +163,22 @@ class Kinematics:
                 poses,
             )
         return x
+
+    def try_forward_per_pose(
+        self,
+        q: Array,
+        p: Array,
+        start: Array,
+        step_tolerance: float = newton.STEP_TOLERANCE,
+    ) -> tuple[Array, Mask]:
+        """As `forward_per_pose`, with a mask (n,) of failed poses in place of an error."""
+
+        def equations(x: Array, rows: Index) -> list[Array]:
+            return self._forward(x, q[rows], p[rows])
+
+        longest = newton.longest_step(self.machine.lever)
+        z = np.array(start, dtype=float)
+        return newton.solve(equations, z, step_tolerance, longest=longest)
 
     def struts(self, x: Array, q: Array, p: Array) -> tuple[Array, Array, Array]:
         """Ends of the struts at base and platform, each (n, nq, 3), m, and joint change.
@@ -230,6 +241,22 @@ class Kinematics:
         """
         slopes = self._slopes(x[None], q[None], self.machine.nominal)
         return np.asarray(slopes[1][0])
+
+    @functools.cached_property
+    def _balance(self) -> BatchedFunction:
+        e = self._expressions
+        return BatchedFunction("balance", [e.x, e.q, e.p], [e.balance])
+
+    def misfit(self, x: Array, q: Array, p: Array) -> Array:
+        """phi (n, nx) at poses, joints and parameters, one a row; 0 when assembled.
+
+        Of a redundant machine, the balanced equations.
+        """
+        return self._balance(x, q, p)[0]
+
+    def closure_slopes(self, x: Array, q: Array, p: Array) -> list[Array]:
+        """Slopes of phi (n, nx, ...) over pose, parameters and joints."""
+        return self._slopes(x, q, p)
 
     def parameter_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dp (n, nx, np) at fixed joints."""

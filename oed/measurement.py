@@ -8,7 +8,6 @@ pose obeys the closure at the joints that the controller sent. Its identificatio
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -19,7 +18,7 @@ from oed.arrays import Array, Mask
 from oed.instrument import Setup
 from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Machine
-from oed.newton import STEP_TOLERANCE
+from oed.nearby_poses import NearbyPoses
 from oed.noise.covariance import Noise, concatenate_noise
 from oed.observation import ObservationModel, Response
 from oed.parameter_vector import ParameterVector
@@ -27,9 +26,6 @@ from oed.pose_cache import PoseCache
 from oed.series import Series, index_poses, run_labels
 
 __all__ = ["Measurement", "Response", "Series"]
-
-#: last Newton step (m, rad) for parameters near known ones: leaves an error of 1e-11 m
-NEAR_STEP_TOLERANCE = 2e-6
 
 
 class Measurement(ParameterVector):
@@ -168,23 +164,18 @@ class Measurement(ParameterVector):
     ) -> Callable[[Array], Array]:
         """A faster `try_readings` for vectors (m, n) near theta (n,).
 
-        Newton starts from the pose predicted to first order, x(theta) + dx/dp (p -
-        p(theta)), and needs fewer iterations.
+        Poses take the slopes at theta (`oed.nearby_poses`).
         """
         size = len(self.machine.parameters)
-        expansions = []
-        for s in series:
-            x = self.poses(s, theta)
-            slope = self.kinematics.parameter_sensitivity(x, s.q, theta[:size])
-            expansions.append((s, x, slope))
+        nearby = [
+            NearbyPoses(self.kinematics, s.q, theta[:size], self.poses(s, theta))
+            for s in series
+        ]
 
         def readings(vectors: Array) -> Array:
-            change = vectors[:, :size] - theta[:size]
-            y = []
-            for s, x, slope in expansions:
-                start = x + np.einsum("mkp,dp->dmk", slope, change)
-                predicted = dataclasses.replace(s, start=start)
-                y.append(self._read(predicted, vectors, NEAR_STEP_TOLERANCE))
+            p = vectors[:, :size]
+            pairs = zip(series, nearby, strict=True)
+            y = [self._read_at(s, poses.solve(p), vectors) for s, poses in pairs]
             return np.hstack(y)
 
         return readings
@@ -314,23 +305,14 @@ class Measurement(ParameterVector):
         p = theta[..., : len(self.machine.parameters)]
         return p, theta[..., self.nuisance_slice(setup)]
 
-    def _poses(
-        self,
-        series: Series,
-        theta: Array,
-        *,
-        strict: bool,
-        step_tolerance: float = STEP_TOLERANCE,
-    ) -> Array:
+    def _poses(self, series: Series, theta: Array, *, strict: bool) -> Array:
         """Poses (m, poses, nx) at theta (m, n); NaN for failures unless `strict`."""
         p = theta[:, : len(self.machine.parameters)]
-        if len(p) == 1 and step_tolerance == STEP_TOLERANCE:
+        if len(p) == 1:
             return self._poses_at_one(series, p, strict=strict)
         if strict:
             return self.kinematics.forward(series.q, p, series.start)
-        x, failed = self.kinematics.try_forward(
-            series.q, p, series.start, step_tolerance
-        )
+        x, failed = self.kinematics.try_forward(series.q, p, series.start)
         return np.where(failed[..., None], np.nan, x)
 
     def _poses_at_one(self, series: Series, p: Array, *, strict: bool) -> Array:
@@ -348,11 +330,12 @@ class Measurement(ParameterVector):
         self._poses_at.store(series.setup, x, *arguments)
         return x
 
-    def _read(
-        self, series: Series, theta: Array, step_tolerance: float = STEP_TOLERANCE
-    ) -> Array:
+    def _read(self, series: Series, theta: Array) -> Array:
         """Readings (m, N of the series) at theta (m, n), NaN where not assembled."""
-        x = self._poses(series, theta, strict=False, step_tolerance=step_tolerance)
+        return self._read_at(series, self._poses(series, theta, strict=False), theta)
+
+    def _read_at(self, series: Series, x: Array, theta: Array) -> Array:
+        """Readings (m, N of the series) at poses x (m, poses, nx) and theta (m, n)."""
         p, s = self._split(theta, series.setup)
         inputs = self._inputs(series, x, p, s)
         return self._models[series.setup].read(inputs).reshape(len(theta), -1)

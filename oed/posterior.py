@@ -28,7 +28,7 @@ from oed.measurement import Measurement, Series
 from oed.whole_file import whole_file
 
 #: steps between checks of convergence
-CHECK_STEPS = 100
+CHECK_STEPS = 50
 #: checks before sampling may end
 LEAST_CHECKS = 2
 #: steps, in autocorrelation times, that must be run, and that are discarded first

@@ -17,7 +17,6 @@ import numpy as np
 from oed.arrays import Array
 from oed.machine import Parameter
 from oed.measurement import Measurement, Series
-from oed.newton import STEP_TOLERANCE
 
 #: name of a coefficient in theta: `effect: coefficient`
 SEPARATOR = ": "
@@ -69,11 +68,9 @@ class MeasurementWithEffects(Measurement):
         machine_and_setups = super().length_factors[: self._size]
         return np.concatenate([machine_and_setups, self._lengths])
 
-    def _read(
-        self, series: Series, theta: Array, step_tolerance: float = STEP_TOLERANCE
-    ) -> Array:
-        """Readings (m, N of the series) at theta (m, n), NaN where not assembled."""
-        y = super()._read(series, theta, step_tolerance)
+    def _read_at(self, series: Series, x: Array, theta: Array) -> Array:
+        """Readings (m, N of the series) at poses x (m, poses, nx) and theta (m, n)."""
+        y = super()._read_at(series, x, theta)
         change = theta[:, self._size :] @ self._columns[id(series.q)].T
         return np.asarray(y + change + self._offset[id(series.q)])
 
