@@ -11,8 +11,9 @@ from oed.dataset.columns import (
     LABELS,
     UNITLESS,
     column_name,
-    is_covariate,
+    is_temperature,
     parse_column,
+    tension_columns,
 )
 from oed.instrument import Instrument
 from oed.machine import Machine
@@ -116,6 +117,7 @@ def mapped_columns(
     """
     known = {c.name: c.unit for c in (*machine.command, *machine.joints)}
     known |= {c.name: c.unit for c in tool.channels} | dict(COVARIATES)
+    known |= dict.fromkeys(tension_columns(machine), "N")
     columns = dict(given.columns)
     at = place.key("columns")
     for name, source in columns.items():
@@ -228,8 +230,8 @@ def _is_known(name: str, known: Mapping[str, str]) -> bool:
         column = parse_column(name)
     except UnitError:
         return False
-    if is_covariate(column.stem):
-        return True
+    if is_temperature(column.stem):
+        return column.unit == "K"
     return known.get(column.stem) == column.unit
 
 
