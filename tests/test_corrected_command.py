@@ -220,8 +220,13 @@ def fill_in(planned: Path, to: Path, factor: float) -> Path:
 def test_acceptance_poses_are_not_those_of_the_calibration(
     planned: Path, folder: Path
 ) -> None:
-    acceptance = result_folder.load_result(folder / "out").acceptance
+    result = result_folder.load_result(folder / "out")
+    acceptance, estimate = result.acceptance, result.estimate
     assert acceptance is not None
+    assert estimate is not None
+    known = {tuple(f"{v:g}" for v in c.values()) for c in estimate.commands}
+    rows = {tuple(line.split(",")[3:5]) for line in _readings(folder)}
+    assert known == rows  # the poses that relative readings start from as well
     assert len(acceptance.poses) == 6
     assert all(0.0 < d.power < 1.0 for d in acceptance.components.values())
     read = {tuple(line.split(",")[3:5]) for line in _readings(folder)}

@@ -53,7 +53,8 @@ class EstimateSection(Record, frozen=True):
     residuals_before: list[float]
     covariance: list[list[float]] = []  # of `parameters`, in their units
     combinations: list[CombinationEstimate] = []
-    commands: list[dict[str, float]] = []  # that were read, each once, where recorded
+    # read, or read against, each once; none where only joints are recorded
+    commands: list[dict[str, float]] = []
 
 
 class Marginal(Record, frozen=True):

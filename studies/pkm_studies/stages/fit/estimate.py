@@ -63,8 +63,10 @@ def estimate_section(
 def _commands(
     measurement: Measurement, series: Sequence[Series]
 ) -> list[dict[str, float]]:
-    """The commands that were read, each once; none where only joints are known."""
-    commands = np.unique(np.vstack([s.reading_commands() for s in series]), axis=0)
+    """The commands that were read or read against, each once; none where only joints
+    are known.
+    """
+    commands = np.unique(np.vstack([s.command for s in series]), axis=0)
     known = commands[np.isfinite(commands).all(axis=1)]
     return [displayed_command(measurement.machine, c) for c in known]
 
