@@ -10,6 +10,9 @@ from oed.arrays import Array, Mask
 
 #: rows beyond which a QR factorisation precedes the singular value decomposition
 MANY_ROWS = 20000
+#: condition number of the rows from which an information matrix loses digits that a
+#: certificate needs
+ILL = 1e3
 #: share of the largest singular value, a row or column, up to which one is rounding
 RANK = float(np.finfo(float).eps)
 
@@ -51,6 +54,11 @@ class Spectrum(NamedTuple):
         """Directions (r,) above the tolerance, a share of the largest."""
         return np.asarray(self.values > tolerance * self.values[0])
 
+    def is_ill_conditioned(self, tolerance: float) -> bool:
+        """Whether an information matrix of the visible directions would lose digits."""
+        least = self.values[self.visible(tolerance)][-1]
+        return bool(least * ILL < self.values[0])
+
     def weak(self, tolerance: float) -> int:
         """Number of directions that are not above the tolerance, and not rounding."""
         rounding = RANK * max(self.directions.shape)
@@ -61,7 +69,9 @@ def spectrum(blocks: Array, prior: Array | None) -> Spectrum:
     """Singular values and directions of all rows, and of a root of the prior."""
     rows = blocks.reshape(-1, blocks.shape[2])
     if len(rows) > MANY_ROWS:
-        rows = np.asarray(np.linalg.qr(rows, mode="r"), dtype=float)
+        # part by part, so that no copy of all rows is in memory
+        parts = np.array_split(rows, -(-len(rows) // MANY_ROWS))
+        rows = np.vstack([np.linalg.qr(part, mode="r") for part in parts])
     if prior is not None:
         rows = np.vstack([rows, _root(prior)])
     _, values, vt = np.linalg.svd(rows, full_matrices=False)

@@ -22,6 +22,9 @@ from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
 from oed.design.whitening import EXACT, WhiteCandidates, whiten
 
+#: rounds of search for each that is asked for, for D of candidates with several rows:
+#: their exchanges end in more local optima
+BLOCK_ROUNDS = 2
 #: a plan whose log phi is within this of the bound is proven optimal
 PROVEN = 1e-7
 
@@ -111,6 +114,8 @@ def choose(
     guide = bound(blocks, guiding, rules, base, rounding=rounding)
     evaluator = CriterionEvaluator(blocks, goal, base)
     starts = _greedy_plans(evaluator, rules, guide.weights)
+    if isinstance(goal, Determinant) and blocks.shape[1] > 1:
+        rounds *= BLOCK_ROUNDS
     best = search(evaluator, rules, guide.weights, guide.slopes, starts, rng, rounds)
     value = evaluator.value(best)
     if not rules.satisfied(best):
@@ -152,7 +157,8 @@ def _estimable(
 
     For D they are well conditioned there; other criteria need an orthonormal basis.
     """
-    if isinstance(goal, Determinant) and goal.interest is None:
+    by_volume = isinstance(goal, Determinant) and goal.interest is None
+    if by_volume and of_all.is_ill_conditioned(tolerance):
         return whiten(blocks, prior, tolerance, of_all)
     projected, basis = in_orthonormal_basis(blocks, of_all, tolerance)
     base = np.zeros((basis.shape[1],) * 2)

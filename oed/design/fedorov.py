@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed.arrays import Array, Index
+from oed.design.criterion.protocol import parts, quadratic_forms
 
 #: relative gain below which an exchange counts as none
 GAIN = 1e-9
@@ -25,9 +26,8 @@ def exchange_rows(rows: Array, chosen: Index, base: Array) -> Index:
     chosen = chosen.copy()
     inverse = _inverse(rows[chosen].T @ rows[chosen] + base)
     for count in range(100 * len(chosen)):
-        factors = _determinant_factors(rows, chosen, inverse)
-        i, j = divmod(int(factors.argmax()), factors.shape[1])
-        if factors[i, j] <= 1.0 + GAIN:
+        i, j, factor = _best_pair(rows, chosen, inverse)
+        if factor <= 1.0 + GAIN:
             break
         added = _update(inverse, rows[j], 1.0)
         inverse = _update(added, rows[chosen[i]], -1.0)
@@ -37,14 +37,25 @@ def exchange_rows(rows: Array, chosen: Index, base: Array) -> Index:
     return chosen
 
 
-def _determinant_factors(rows: Array, chosen: Index, inverse: Array) -> Array:
-    """Factor of det M for replacing each chosen row by each row (chosen, C)."""
-    projected = rows @ inverse
-    leverage = np.einsum("ij,ij->i", projected, rows)
-    cross = (projected[chosen] @ rows.T) ** 2
-    factors = (1.0 - leverage[chosen])[:, None] * (1.0 + leverage)[None, :] + cross
-    factors[:, chosen] = 0.0
-    return np.asarray(factors)
+def _best_pair(rows: Array, chosen: Index, inverse: Array) -> tuple[int, int, float]:
+    """Place and row whose exchange raises det M most, and the factor.
+
+    Part by part, so that the factors of all pairs are not in memory at once.
+    """
+    held = np.zeros(len(rows), dtype=bool)
+    held[chosen] = True
+    sides = rows[chosen] @ inverse
+    remaining = 1.0 - np.einsum("ij,ij->i", sides, rows[chosen])
+    best = 0, 0, -np.inf
+    for part in parts(len(rows)):
+        leverage = quadratic_forms(rows[part], inverse)
+        cross = sides @ rows[part].T
+        factors = remaining[:, None] * (1.0 + leverage)[None, :] + cross**2
+        factors[:, held[part]] = 0.0
+        i, j = divmod(int(factors.argmax()), factors.shape[1])
+        if factors[i, j] > best[2]:
+            best = i, part.start + j, float(factors[i, j])
+    return best
 
 
 def _inverse(matrix: Array) -> Array:

@@ -21,13 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.arrays import Array
-from oed.design.blocks import RANK, Spectrum, spectrum
+from oed.design.blocks import ILL, RANK, Spectrum, spectrum
 
 #: unit roundoff
 UNIT = float(np.finfo(float).eps) / 2
-#: condition number of the rows from which an information matrix loses digits that a
-#: certificate needs
-ILL = 1e3
 #: rows whose products are bounded at a time
 CHUNK = 65536
 

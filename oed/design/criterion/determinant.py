@@ -22,6 +22,7 @@ from oed.design.criterion.protocol import (
     inner_products,
     inverse,
     pairwise_traces,
+    quadratic_forms,
 )
 
 #: a direction belongs to a basis if it leaves it by at most this share of its size
@@ -157,8 +158,7 @@ def estimable_part(interest: Array, basis: Array) -> Array:
 def _log_det_gain(blocks: Array, matrix: Array) -> Array:
     """log det(1 + X P X^T) (C,)."""
     if blocks.shape[1] == 1:
-        rows = blocks[:, 0]
-        quadratic = np.einsum("ij,ij->i", rows @ matrix, rows)
+        quadratic = quadratic_forms(blocks[:, 0], matrix)
         return np.asarray(np.log1p(np.maximum(quadratic, -1.0 + 1e-300)))
     sums = inner_products(blocks, matrix) + np.eye(blocks.shape[1])
     return np.asarray(np.linalg.slogdet(sums)[1])

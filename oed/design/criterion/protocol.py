@@ -23,6 +23,9 @@ import numpy as np
 
 from oed.arrays import Array
 
+#: candidates whose products are in memory at once
+PART = 65536
+
 
 class Support(NamedTuple):
     """A supporting line: log phi(M') <= value + log <root root^T, M'>; root (n, r)."""
@@ -107,9 +110,25 @@ def inner_products(blocks: Array, matrix: Array) -> Array:
 def slopes(blocks: Array, root: Array) -> Array:
     """|X_i R|^2 (C,): slope of log phi along each weight."""
     count, k, n = blocks.shape
-    projected = blocks.reshape(-1, n) @ root
-    row_norms = np.einsum("ij,ij->i", projected, projected)
-    return np.asarray(row_norms.reshape(count, k).sum(axis=1))
+    norms = np.empty(count)
+    for part in parts(count):
+        projected = blocks[part].reshape(-1, n) @ root
+        row_norms = np.einsum("ij,ij->i", projected, projected)
+        norms[part] = row_norms.reshape(-1, k).sum(axis=1)
+    return norms
+
+
+def quadratic_forms(rows: Array, matrix: Array) -> Array:
+    """x_i^T P x_i (C,) of rows (C, n)."""
+    forms = np.empty(len(rows))
+    for part in parts(len(rows)):
+        forms[part] = np.einsum("ij,ij->i", rows[part] @ matrix, rows[part])
+    return forms
+
+
+def parts(count: int) -> list[slice]:
+    """Parts of so many candidates whose products are in memory at once."""
+    return [slice(start, start + PART) for start in range(0, count, PART)]
 
 
 def inverse(m: Array) -> Array:
