@@ -8,6 +8,7 @@ they were, however far a lost direction leads.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,6 +22,14 @@ from oed.measurement import Measurement, Series
 DRAWS, MOST_ROUNDS = 2000, 30
 
 
+@dataclasses.dataclass(frozen=True)
+class ApproximateDraws:
+    """Draws without sampling: parameters (m, n), SI, and coordinates (m, d) of the law."""
+
+    theta: Array
+    noise_law: Array
+
+
 def draw_approximation(
     measurement: Measurement,
     series: Sequence[Series],
@@ -28,8 +37,8 @@ def draw_approximation(
     estimate: Estimate,
     rng: np.random.Generator,
     count: int = DRAWS,
-) -> Array:
-    """Parameters (m, n), SI, from the approximation; m is `count`, or few less.
+) -> ApproximateDraws:
+    """Draws from the approximation, `count` of them or few less.
 
     y  (N,) the readings, SI
 
@@ -38,28 +47,37 @@ def draw_approximation(
     hardly any draw keeps to the bounds.
     """
     parts: list[Array] = []
+    laws: list[Array] = []
     missing = count
     for _ in range(MOST_ROUNDS):
-        z = draw_coordinates(estimate, rng, count)
+        z, law = _draw_points(estimate, rng, count)
         theta = draw_parameters(measurement, series, y, estimate, z, rng)
-        theta = theta[np.isfinite(theta).all(axis=1)]
-        inside = measurement.in_bounds(theta)
+        assembled = np.isfinite(theta).all(axis=1)
+        inside = assembled & measurement.in_bounds(theta)
         parts.append(theta[inside][:missing])
+        laws.append(law[inside][:missing])
         missing -= int(inside.sum())
-        if missing <= 0 or inside.all():
-            return np.concatenate(parts)
-    raise OutOfBoundsError(measurement, theta)
+        if missing <= 0 or (inside == assembled).all():
+            return ApproximateDraws(np.concatenate(parts), np.concatenate(laws))
+    raise OutOfBoundsError(measurement, theta[assembled])
 
 
 def draw_coordinates(estimate: Estimate, rng: np.random.Generator, count: int) -> Array:
     """Draws (count, r) of the identifiable coordinates."""
+    return _draw_points(estimate, rng, count)[0]
+
+
+def _draw_points(
+    estimate: Estimate, rng: np.random.Generator, count: int
+) -> tuple[Array, Array]:
+    """Draws (count, r) of the identifiable coordinates, (count, d) of the noise law's."""
     if estimate.noise_posterior is not None:
         return estimate.noise_posterior.draw(rng, count)
     dual = estimate.coordinates.dual
     values, vectors = np.linalg.eigh(dual @ estimate.covariance @ dual.T)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     normal = rng.standard_normal((count, len(estimate.z)))
-    return np.asarray(estimate.z + normal @ root.T)
+    return np.asarray(estimate.z + normal @ root.T), np.zeros((count, 0))
 
 
 def draw_parameters(

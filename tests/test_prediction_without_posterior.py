@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import blunders
@@ -12,6 +13,7 @@ from oracles import a3_geometry as a3
 
 import oed
 from oed.linear_algebra import covariance_root
+from pkm_studies import cli
 from pkm_studies.steps import prediction
 
 
@@ -31,7 +33,7 @@ def test_draws_give_the_readings_that_were_taken(fitted: oed.EstimateView) -> No
     assert state.estimate is not None
     assert state.readings is not None
     m, estimate = state.measurement, state.estimate
-    theta = prediction._draws(state)[:200]
+    theta = prediction._draws(state).theta[:200]
     root = covariance_root(estimate.covariance)
     rng = np.random.default_rng(1)
     straight = estimate.theta + rng.standard_normal((200, root.shape[1])) @ root.T
@@ -68,3 +70,25 @@ def test_the_prediction_is_that_of_the_posterior(fitted: oed.EstimateView) -> No
     for name, spread in without.items():
         exact = sampled[name].after.rms
         assert spread.after.rms == pytest.approx(exact, rel=0.08), name
+
+
+def test_held_out_readings_are_predicted_as_by_the_posterior(tmp_path: Path) -> None:
+    """Readings with the long tool from those with the short one."""
+    sections = {}
+    for name in ("false", "true"):
+        folder = tmp_path / name
+        folder.mkdir()
+        path, table = test_bad_fit.write(folder, blunders.a3_readings(0))
+        text = path.read_text(encoding="utf-8")
+        text = text.replace("enabled = false", f"enabled = {name}\ness = 1500")
+        options = f'[readings]\nfiles = ["{table.name}"]\npredict = ["long_tool"]\n'
+        path.write_text(f"{text}\n{options}", encoding="utf-8")
+        out = folder / "out"
+        cli.main(["run", str(path), "--quiet", "--out", str(out)])
+        result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+        assert not [w for w in result.get("warnings", []) if "not predicted" in w]
+        (sections[name],) = result["held_out"]
+    without, sampled = sections["false"], sections["true"]
+    assert without["rms"] == pytest.approx(sampled["rms"], rel=0.1)
+    assert without["half_widths"] == pytest.approx(sampled["half_widths"], rel=0.3)
+    assert without["coverage"] > 0.8

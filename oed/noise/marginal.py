@@ -137,13 +137,16 @@ class NoisePosterior:
         mass = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
         return np.interp(levels, mass, values[order])
 
-    def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """Draws (count, r) of z: of a law by its weight, then of z under that law."""
+    def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+        """Draws (count, r) of z and (count, d) of the law's coordinates.
+
+        A law is drawn by its weight, then z under that law.
+        """
         number = rng.choice(len(self.weights), size=count, p=self.weights)
         roots = np.linalg.cholesky(self.solutions.covariance)
         normal = rng.standard_normal((count, len(self.mean)))
         spread = np.einsum("mij,mj->mi", roots[number], normal)
-        return np.asarray(self.solutions.mean[number] + spread)
+        return np.asarray(self.solutions.mean[number] + spread), self.draws[number]
 
 
 def integrate(

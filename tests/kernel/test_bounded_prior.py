@@ -78,7 +78,7 @@ def test_draws_are_those_of_exact_rejection(sampler: str) -> None:
     m, estimate, exact = bounded()
     rng = np.random.default_rng(8)
     if sampler == "laplace":
-        drawn = laplace.draw_approximation(m, [SERIES], Y, estimate, rng, 4000)
+        drawn = laplace.draw_approximation(m, [SERIES], Y, estimate, rng, 4000).theta
         assert len(drawn) == 4000
     else:
         result = posterior.sample(m, [SERIES], Y, estimate, rng, ess=2000.0)

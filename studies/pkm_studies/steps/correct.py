@@ -192,7 +192,7 @@ def _approximate(corrected: CorrectedEstimate, rng: np.random.Generator) -> Arra
         corrected.readings.y,
         corrected.estimate,
         rng,
-    )
+    ).theta
 
 
 def _sample(

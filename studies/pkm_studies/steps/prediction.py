@@ -13,6 +13,7 @@ from oed.arrays import Array
 from oed.budget import budget_of
 from oed.correction import ExpectedEffect
 from oed.error_maps import Reference
+from oed.laplace import ApproximateDraws
 from oed.prediction import Spread
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy
 from oed.units import MM
@@ -78,17 +79,19 @@ def _knowledge(state: RunState) -> ParameterKnowledge:
     if state.estimate is None or state.readings.truth is not None:
         return knowledge.planned(state.measurement, series)
     return knowledge.identified(
-        state.measurement, series, state.estimate, _draws(state)
+        state.measurement, series, state.estimate, _draws(state).theta
     )
 
 
-def _draws(state: RunState) -> Array:
-    """Draws (m, n) of theta: of the posterior, or of its approximation without one.
+def _draws(state: RunState) -> ApproximateDraws:
+    """Draws of parameters and noise law: of the posterior, or of its approximation.
 
     Both follow directions that no reading determines; a covariance does not.
     """
-    if state.posterior is not None:
-        return state.posterior.pooled
+    sampled = state.posterior
+    if sampled is not None:
+        theta, laws = sampled.pooled, sampled.noise_law
+        return ApproximateDraws(theta, laws.reshape(len(theta), laws.shape[2]))
     readings, estimate = state.readings, state.estimate
     assert readings is not None
     assert readings.y is not None
@@ -176,23 +179,17 @@ def _withheld(state: RunState) -> str:
 
 
 def predict_held_out(state: RunState) -> RunState:
-    """Compare held-out readings with what the posterior predicts."""
+    """Compare held-out readings with what posterior or approximation predicts."""
     held_out = state.readings.held_out if state.readings is not None else None
-    if held_out is None:
+    if held_out is None or state.estimate is None:
         return state
-    if state.posterior is None:
-        return state.with_warnings(
-            "the readings of [readings] predict were not predicted, as [posterior] is"
-            " not enabled"
-        )
-    assert state.estimate is not None
     state.progress.stage("held-out readings")
     sections = held_out_sections(
         state.measurement,
         held_out.series,
         held_out.y,
         state.estimate,
-        state.posterior,
+        _draws(state),
         state.rng(Stream.HELD_OUT),
     )
     return state.with_sections(held_out=sections)

@@ -14,13 +14,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import units
-from oed.arrays import Array, Index, Mask
+from oed.arrays import Array, Mask
 from oed.estimate import Estimate
 from oed.instrument import Channel
+from oed.laplace import ApproximateDraws
 from oed.measurement import Measurement, Series
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.structure import reading_structure
-from oed.posterior import Posterior
 from oed.result import HeldOutSection
 
 #: posterior draws used for predictive intervals
@@ -34,21 +34,25 @@ def held_out_sections(
     series: Sequence[Series],
     y: Array,
     estimate: Estimate,
-    posterior: Posterior,
+    known: ApproximateDraws,
     rng: np.random.Generator,
 ) -> list[HeldOutSection]:
-    """One section for each series and channel of the held-out readings y (N,), SI."""
-    count = min(PREDICTIVE_DRAWS, len(posterior.pooled))
-    draws = rng.choice(len(posterior.pooled), size=count, replace=False)
+    """One section for each series and channel of the held-out readings y (N,), SI.
+
+    known  draws of the posterior, or of its approximation
+    """
+    count = min(PREDICTIVE_DRAWS, len(known.theta))
+    chosen = rng.choice(len(known.theta), size=count, replace=False)
+    theta, laws = known.theta[chosen], known.noise_law[chosen]
     sections, start = [], 0
     for s in series:
         channels = measurement.setups[s.setup].instrument.channels
         readings = y[start : start + len(s) * len(channels)]
         start += len(readings)
-        predicted = measurement.readings([s], posterior.pooled[draws])
-        noise = _noise_draws(measurement, s, estimate, posterior, draws, rng)
+        predicted = measurement.readings([s], theta)
+        noise = _noise_draws(measurement, s, estimate, laws, rng)
         centre = predicted.mean(axis=0)
-        adjust = _setup_adjustment(measurement, s, posterior)
+        adjust = _setup_adjustment(measurement, s, known.theta.mean(axis=0))
         ends = np.quantile((predicted + noise - centre) @ adjust.T, INTERVAL, axis=0)
         raw = readings - centre
         adjusted = adjust @ raw
@@ -85,11 +89,8 @@ def _section(
     )
 
 
-def _setup_adjustment(
-    measurement: Measurement, series: Series, posterior: Posterior
-) -> Array:
+def _setup_adjustment(measurement: Measurement, series: Series, mean: Array) -> Array:
     """Q (N, N), which takes the set-up's unknowns out of its readings."""
-    mean = posterior.pooled.mean(axis=0)
     columns = _setup_unknowns(measurement, series.setup)
     slope = measurement.jacobian([series], mean)[:, columns]
     noise = measurement.noise([series])
@@ -109,19 +110,17 @@ def _noise_draws(
     measurement: Measurement,
     series: Series,
     estimate: Estimate,
-    posterior: Posterior,
-    draws: Index,
+    coordinates: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Errors (draws, N), SI, of new readings: one for each draw of the noise law."""
+    """Errors (m, N), SI, of new readings: one for each draw (m, d) of the noise law."""
     structure = reading_structure(measurement, [series], estimate.theta)
-    laws = stated_laws(structure, len(draws))
+    laws = stated_laws(structure, len(coordinates))
     fitted = estimate.noise_posterior
     if fitted is not None:
-        flat = posterior.noise_law.reshape(-1, posterior.noise_law.shape[2])
-        law = fitted.prior.laws(flat[draws])
+        law = fitted.prior.laws(coordinates)
         kinds = [_channel_kind(measurement, n) for n in fitted.structure.names]
-        scale = np.ones((len(draws), len(structure.names)))
+        scale = np.ones((len(coordinates), len(structure.names)))
         for k, name in enumerate(structure.names):
             kind = _channel_kind(measurement, name)
             if kind in kinds:
