@@ -1,12 +1,14 @@
 """`oed next` against the fixed plan, over virtual machines.
 
-    python -m benchmarks.next_reading [STUDY] [MACHINES] [--page PAGE]
+    oed campaign benchmarks/next_reading.campaign.toml
+    python -m benchmarks.next_reading --page docs/howto/next.md
 
 Each machine is drawn from the tolerances and read with noise, one reading after another,
 always the one that is advised, until the advice is to stop: once every component is as
 accurate as the study's plan would be on this machine, as far as it is known
-(`--wanted plan`). Printed, or written into a page: how many readings that takes, and the
-accuracy of both at the machine's true parameters, which the advice never knows.
+(`--wanted plan`). The second command prints, or writes into a page, how many readings
+that takes, and the accuracy of both at the machine's true parameters, which the advice
+never knows.
 """
 
 from __future__ import annotations
@@ -17,11 +19,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 
 import argparse
 import dataclasses
-import time
-from collections.abc import Sequence
+import functools
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from benchmarks.coverage import table
 from oed import simulation
@@ -34,25 +38,12 @@ from pkm_studies.study import load
 
 #: readings at which a machine counts as not reached
 MOST = 60
-#: quantiles that are printed, and those of their bootstrap intervals of means
+#: quantiles that are printed
 LOW, HIGH = 0.05, 0.95
-#: ratios of accuracy that are counted
-NEAR = (1.0, 1.02, 1.05)
-
-
-@dataclasses.dataclass(frozen=True)
-class Outcome:
-    """A session on one machine.
-
-    readings  until the advice was to stop
-    ratios    (K,) rms of each component over that of the fixed plan, at the machine's
-              true parameters
-    seconds   processor time of each advice
-    """
-
-    readings: int
-    ratios: Array
-    seconds: Sequence[float]
+#: ratios of accuracy that are counted, and share of the plan's readings
+NEAR, LEAST_SAVING = (1.001, 1.01, 1.02), 0.9
+#: how the columns of ratios begin
+RATIO = "ratio_"
 
 
 @dataclasses.dataclass
@@ -66,14 +57,11 @@ class Session:
     pools: dict[str, Series] = dataclasses.field(default_factory=dict)
     rows: dict[str, list[int]] = dataclasses.field(default_factory=dict)
     values: dict[str, list[Array]] = dataclasses.field(default_factory=dict)
-    seconds: list[float] = dataclasses.field(default_factory=list)
 
     def run(self) -> None:
         """Read what is advised until the advice is to stop."""
         while len(self.taken) < MOST:
-            begin = time.process_time()
             advice = self._advice()
-            self.seconds.append(time.process_time() - begin)
             if advice.is_reached:
                 return
             self._read(advice)
@@ -100,50 +88,62 @@ class Session:
         self.taken.append(advice.candidate)
 
 
-def one_machine(adviser: Adviser, number: int) -> Outcome:
-    """The session on a machine of this number."""
+def session(setting: Mapping[str, Any], seed: int) -> dict[str, float]:
+    """The session on machine `seed` of a study.
+
+    Readings of the fixed plan and until the advice was to stop; rms of each component
+    over that of the fixed plan, at the machine's true parameters.
+    """
+    adviser = _adviser(setting["study"])
     measurement = adviser.base.resolved.measurement
-    rng = np.random.default_rng([adviser.base.study.seed, number])
+    rng = np.random.default_rng([adviser.base.study.seed, seed])
     draw = rng.standard_normal(len(measurement.nominal))
-    session = Session(adviser, measurement.nominal + measurement.tolerance * draw, rng)
-    session.run()
+    one = Session(adviser, measurement.nominal + measurement.tolerance * draw, rng)
+    one.run()
     chosen = adviser.base.resolved.candidates
-    pool = candidates.build(measurement, chosen, session.theta, "tolerance")
+    pool = candidates.build(measurement, chosen, one.theta, "tolerance")
     fixed, advised = (
         adviser.accuracy(measurement, pool, indices)
-        for indices in (adviser.plan, session.taken)
+        for indices in (adviser.plan, one.taken)
     )
-    return Outcome(len(session.taken), advised / fixed, session.seconds)
+    ratios = zip(adviser.maps.names, advised / fixed, strict=True)
+    return {
+        "fixed": len(adviser.plan),
+        "readings": len(one.taken),
+        **{f"{RATIO}{name}": float(ratio) for name, ratio in ratios},
+    }
 
 
-def markdown(study: str, adviser: Adviser, outcomes: Sequence[Outcome]) -> str:
+@functools.cache
+def _adviser(study: str) -> Adviser:
+    return Adviser(load(shipped.study_path(Path(study))), AS_PLANNED)
+
+
+def markdown(sessions: pd.DataFrame) -> str:
     """The table: readings, and the accuracy of each component."""
-    fixed = len(adviser.plan)
-    needed = np.array([o.readings for o in outcomes])
+    fixed = int(sessions["fixed"].iloc[0])
+    needed = sessions["readings"].to_numpy(dtype=float)
     mean, half = needed.mean(), _half(needed)
     few, middle, many = np.quantile(needed, [LOW, 0.5, HIGH])
+    within = 100.0 * np.mean(needed <= LEAST_SAVING * fixed)
     lines = [
-        f"`{study}`, {len(outcomes)} machines; the fixed plan has {fixed} readings.",
-        f"`oed next` stops after {mean:.1f} ± {half:.1f} on average:"
-        f" {100 * mean / fixed:.1f} ± {100 * half / fixed:.1f} % of the plan's"
-        f" (median {middle:.0f}, 5 % to 95 %: {few:.0f} to {many:.0f}).",
+        f"`{sessions['study'].iloc[0]}`, {len(sessions)} machines; the fixed plan has"
+        f" {fixed} readings. `oed next` stops after {mean:.2f} ± {half:.2f} on average,"
+        f" {100 * mean / fixed:.1f} ± {100 * half / fixed:.1f} % of the plan's: median"
+        f" {middle:.0f}, 5 % to 95 %: {few:.0f} to {many:.0f}, at most"
+        f" {100 * LEAST_SAVING:.0f} % on {within:.0f} % of the machines.",
         "",
         "| rms over that of the fixed plan | mean | 5 % | median | 95 % | "
         + " | ".join(f"at most {limit}" for limit in NEAR)
         + " |",
         f"| --- |{' --: |' * (4 + len(NEAR))}",
     ]
-    ratios = np.array([o.ratios for o in outcomes])
-    for name, values in zip(adviser.maps.names, ratios.T, strict=True):
-        lines.append(_row(name, values))
+    columns = [c for c in sessions.columns if c.startswith(RATIO)]
+    ratios = sessions[columns].to_numpy()
+    for column, values in zip(columns, ratios.T, strict=True):
+        lines.append(_row(column.removeprefix(RATIO), values))
     lines.append(_row("worst component", ratios.max(axis=1)))
     lines.append(_row("geometric mean", np.exp(np.log(ratios).mean(axis=1))))
-    slowest = max(max(o.seconds) for o in outcomes)
-    typical = np.median([s for o in outcomes for s in o.seconds])
-    lines += [
-        "",
-        f"Processor time of an advice: {typical:.2f} s (median), {slowest:.2f} s at most.",
-    ]
     return "\n".join(lines)
 
 
@@ -164,23 +164,13 @@ def _half(values: Array) -> float:
 
 
 def main() -> None:
-    """Read the machines, and print or write the table."""
+    """Print or write the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.next_reading")
-    parser.add_argument("study", nargs="?", default="a3_ball_bar")
-    parser.add_argument("machines", nargs="?", type=int, default=200)
+    parser.add_argument("--out", type=Path, default=Path("out/next_reading"))
     parser.add_argument("--page", type=Path, help="page to write the table into")
     options = parser.parse_args()
-    study = load(shipped.study_path(Path(options.study)))
-    adviser = Adviser(study, AS_PLANNED)
-    outcomes = []
-    for number in range(options.machines):
-        outcomes.append(one_machine(adviser, number))
-        last = outcomes[-1]
-        print(
-            f"{number + 1}: {last.readings} readings, worst {last.ratios.max():.3f}",
-            flush=True,
-        )
-    text = markdown(options.study, adviser, outcomes)
+    sessions = pd.read_parquet(options.out / "cases.parquet")
+    text = markdown(sessions[sessions["error"] == ""])
     if options.page is None:
         print(text)
     else:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import sample
 
@@ -251,6 +253,24 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
         advice.Adviser(load(path))
     with pytest.raises(InputError, match="no candidates"):
         advice.Adviser(load(shipped.study_path(Path("planar_step_calibration"))))
+
+
+def test_sessions_are_compared_with_the_fixed_plan(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[1])
+    benchmark = importlib.import_module("benchmarks.next_reading")
+    setting = {"study": str(study)}
+    row = benchmark.session(setting, 3)
+    assert row == benchmark.session(setting, 3)
+    assert row["fixed"] == 21
+    assert row["readings"] <= 22
+    ratios = [value for name, value in row.items() if name.startswith("ratio_")]
+    assert 0.9 < max(ratios) < 1.05
+    rows = [{**setting, **row}, {**setting, **row, "readings": row["readings"] + 2}]
+    text = benchmark.markdown(pd.DataFrame(rows))
+    assert f"stops after {row['readings'] + 1:.2f} ± 1.96 on average" in text
+    assert f"| worst component | {max(ratios):.3f} ± 0.000 |" in text
 
 
 @pytest.mark.slow
