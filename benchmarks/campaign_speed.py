@@ -2,8 +2,8 @@
 
     python -m benchmarks.campaign_speed [CAMPAIGN] [--seeds N]
 
-The case part alone is measured, after a first case of each combination in each process:
-imports, compilation and report are a fixed start. Beside the clock stand processor
+The case part alone is measured: imports and report are a fixed start, but compilation
+and the preparation of each combination count, on both sides. Beside the clock stand processor
 times, which other load on the computer changes little: on free cores, two workers
 cannot be faster than the work of the busier one, nor than half of all work. The
 cluster's processes look after each other even when idle; on a loaded computer, where
@@ -30,8 +30,6 @@ from pkm_studies.campaign.tables import Campaign
 WORKERS = 2
 #: seconds for which an idle cluster is watched
 IDLE = 10.0
-#: cases of a combination that come before the measured ones
-FIRST = 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +78,6 @@ def measured(run: Callable[[], None], times: Callable[[], list[float]]) -> Measu
 
 def in_one_process(campaign: Campaign, out: Path) -> Measured:
     """All cases in this process."""
-    runner.run_cases(campaign.first(FIRST), out, workers=1)
     return measured(
         lambda: runner.run_cases(campaign, out, workers=1),
         lambda: [time.process_time()],
@@ -99,7 +96,6 @@ def on_cluster(campaign: Campaign, out: Path) -> Measured:
     ):
         address = cluster.scheduler_address
         client.run(_import)
-        runner.run_cases(campaign.first(FIRST), out, workers=1, scheduler=address)
 
         def times() -> list[float]:
             workers: dict[str, Any] = client.run(time.process_time)
@@ -127,7 +123,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         one = in_one_process(campaign, Path(folder) / "one")
         two = on_cluster(campaign, Path(folder) / "two")
-    cases = len(campaign.settings()) * (campaign.seeds - FIRST)
+    cases = len(campaign.settings()) * campaign.seeds
     print(f"{campaign.name}: {cases} cases; load of the computer before: {load:.1f}")
     print(
         f"one process: {one.clock:.1f} s by the clock, {sum(one.processes):.1f} s of work"
