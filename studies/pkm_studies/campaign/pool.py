@@ -69,8 +69,8 @@ def _on_processes(
         largest = max(shares, key=len)
         if not largest:
             return
-        own = shares[number]
-        item = own.popleft() if own else largest.pop()
+        share = shares[number]
+        item = share.popleft() if share else largest.pop()
         waiting[processes[number].submit(work, item)] = number, item
 
     try:
