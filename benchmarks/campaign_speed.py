@@ -119,12 +119,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=100, help="of each combination")
     options = parser.parse_args()
     campaign = tables.load_campaign(options.campaign).first(options.seeds)
-    load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as folder:
         one = in_one_process(campaign, Path(folder) / "one")
         two = on_cluster(campaign, Path(folder) / "two")
     cases = len(campaign.settings()) * campaign.seeds
-    print(f"{campaign.name}: {cases} cases; load of the computer before: {load:.1f}")
+    print(f"{campaign.name}: {cases} cases")
     print(
         f"one process: {one.clock:.1f} s by the clock, {sum(one.processes):.1f} s of work"
     )

@@ -14,7 +14,6 @@ import os
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
 
 import argparse
-import resource
 import subprocess
 import sys
 import time
@@ -28,7 +27,9 @@ JOBS = ("relaxation", "choice with its certificate")
 
 
 def peak() -> int:
-    """Peak memory of this process, bytes."""
+    """Peak memory of this process, bytes. Raises ImportError where there is no POSIX."""
+    import resource
+
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 

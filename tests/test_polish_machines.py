@@ -39,7 +39,7 @@ def test_rows_are_slopes_of_the_readings(
     series = _away_from_home(m, series, setup, machine)
     mounted = m.setups[setup]
     if scaling == "tolerance" and any(c.shared for c in mounted.instrument.channels):
-        with pytest.raises(ValueError, match="share its noise"):
+        with pytest.raises(ValueError, match="share an error"):
             reading_slopes.symbolic_reading(
                 m, mounted, scaling, np.eye(len(m.parameters))
             )

@@ -67,7 +67,7 @@ def test_run_resumes_by_itself(
     capsys.readouterr()
     resumed = [a for a in command(study, tmp_path / "killed") if a != "--quiet"]
     assert cli.main(resumed) == 1
-    assert "posterior, resumed after 100 steps" in capsys.readouterr().out
+    assert "posterior, resumed after 50 steps" in capsys.readouterr().out
     assert written(tmp_path / "killed") == written(tmp_path / "unbroken")
     assert names(tmp_path / "killed") == names(tmp_path / "unbroken")
 

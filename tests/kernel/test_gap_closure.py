@@ -209,7 +209,7 @@ def test_right_effect_closes_what_the_oracle_closes_and_a_wrong_one_harms(
         harmed.append(closure(r, law, wrong, rng, split=split).p_worse)
     assert np.median(np.array(gains) / oracle) > 0.9
     assert np.sort(worse)[-2] < 0.01
-    assert max(worse) < 0.03
+    assert np.mean(worse) < 0.01
     assert np.median(harmed) > 0.7
     expected = expected_gain(problem, law, change, rng, split=split)
     assert 60.0 < expected < 160.0  # about lambda = 100

@@ -147,20 +147,22 @@ def advice_on(
     lines: Sequence[BudgetLine], predicted: Values, components: Mapping[str, str]
 ) -> list[str]:
     """The improvements of components {name: unit} that bring most, in sentences."""
-    ranked = []
+    gains: dict[str, tuple[float, Values]] = {}
     for line in lines:
         better = line.halved or line.without
-        if better is not None:
-            ranked.append((_ratio(better, predicted, components), line, better))
-    ranked.sort(key=lambda entry: entry[0])
-    worthwhile = [entry for entry in ranked if entry[0] < 1.0 - WORTH]
+        if better is None:
+            continue
+        gain = _ratio(better, predicted, components)
+        gains.setdefault(
+            _improvement(line), (gain, better)
+        )  # several lines may have it
+    ranked = sorted(gains.items(), key=lambda entry: entry[1][0])
+    worthwhile = [entry for entry in ranked if entry[1][0] < 1.0 - WORTH]
     sentences = []
-    for number, (_, line, better) in enumerate(worthwhile[:MOST_ADVICE]):
+    for number, (improvement, (_, better)) in enumerate(worthwhile[:MOST_ADVICE]):
         order = "Improve first" if number == 0 else "Then"
         before, after = (quantities(v, components) for v in (predicted, better))
-        sentences.append(
-            f"{order}: {_improvement(line)} brings {after} instead of {before}."
-        )
+        sentences.append(f"{order}: {improvement} brings {after} instead of {before}.")
     return sentences
 
 
