@@ -147,22 +147,24 @@ def advice_on(
     lines: Sequence[BudgetLine], predicted: Values, components: Mapping[str, str]
 ) -> list[str]:
     """The improvements of components {name: unit} that bring most, in sentences."""
-    gains: dict[str, tuple[float, Values]] = {}
+    ranked: list[tuple[float, str, Values]] = []
     for line in lines:
         better = line.halved or line.without
-        if better is None:
-            continue
-        gain = _ratio(better, predicted, components)
-        gains.setdefault(
-            _improvement(line), (gain, better)
-        )  # several lines may have it
-    ranked = sorted(gains.items(), key=lambda entry: entry[1][0])
-    worthwhile = [entry for entry in ranked if entry[1][0] < 1.0 - WORTH]
+        if better is not None:
+            gain = _ratio(better, predicted, components)
+            ranked.append((gain, _improvement(line), better))
+    ranked.sort(key=lambda entry: entry[0])
+    best: dict[str, Values] = {}
+    for gain, improvement, after in ranked:
+        if gain < 1.0 - WORTH:
+            best.setdefault(improvement, after)  # several lines may have the same one
     sentences = []
-    for number, (improvement, (_, better)) in enumerate(worthwhile[:MOST_ADVICE]):
+    for number, (improvement, after) in enumerate([*best.items()][:MOST_ADVICE]):
         order = "Improve first" if number == 0 else "Then"
-        before, after = (quantities(v, components) for v in (predicted, better))
-        sentences.append(f"{order}: {improvement} brings {after} instead of {before}.")
+        sentences.append(
+            f"{order}: {improvement} brings {quantities(after, components)} instead of"
+            f" {quantities(predicted, components)}."
+        )
     return sentences
 
 
