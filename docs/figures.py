@@ -39,7 +39,10 @@ def main(folder: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     with style.applied():
         for name, figure in pictures(load_result(folder)).items():
-            figure.savefig(out / f"{name}.png", dpi=DPI, metadata={"Software": None})
+            path = out / f"{name}.png"
+            figure.savefig(
+                path, dpi=DPI, bbox_inches="tight", metadata={"Software": None}
+            )
 
 
 if __name__ == "__main__":
