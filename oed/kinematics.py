@@ -139,14 +139,7 @@ class Kinematics:
         all_q = np.broadcast_to(q, (m, *q.shape)).reshape(m * n, -1)
         all_p = np.repeat(vectors, n, axis=0)
         all_x = np.broadcast_to(start, (m, n, start.shape[-1])).reshape(m * n, -1)
-
-        def equations(x: Array, rows: Index) -> list[Array]:
-            return self._forward(x, all_q[rows], all_p[rows])
-
-        longest = newton.longest_step(self.machine.lever)
-        x, failed = newton.solve(
-            equations, all_x.copy(), step_tolerance, longest=longest
-        )
+        x, failed = self.try_forward_per_pose(all_q, all_p, all_x, step_tolerance)
         if p.ndim == 1:
             return x, failed
         return x.reshape(m, n, -1), failed.reshape(m, n)

@@ -61,6 +61,16 @@ def run(path: Path, out: Path, *options: str) -> int:
     )
 
 
+def assert_refused(
+    path: Path, out: Path, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A campaign ends with exit code 2 and these words, without a traceback."""
+    assert run(path, out) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert "Traceback" not in error
+
+
 def test_a_campaign_interrupted_ends_as_an_unbroken_one(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -174,10 +184,7 @@ def test_bad_campaigns_are_refused_by_field(
     words: str,
 ) -> None:
     campaign.write_text(sample.changed(CAMPAIGN, (old, new)), encoding="utf-8")
-    assert run(campaign, tmp_path / "out") == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert "Traceback" not in error
+    assert_refused(campaign, tmp_path / "out", words, capsys)
     assert not (tmp_path / "out").exists()
 
 
@@ -279,10 +286,7 @@ def test_bad_case_functions_are_refused(
     words: str,
 ) -> None:
     own.write_text(sample.changed(OWN, (old, new)), encoding="utf-8")
-    assert run(own, tmp_path / "out") == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert "Traceback" not in error
+    assert_refused(own, tmp_path / "out", words, capsys)
 
 
 def test_a_failure_in_another_process_is_the_user_s_too(
