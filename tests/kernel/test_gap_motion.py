@@ -95,6 +95,48 @@ def test_an_open_run_has_no_turn_before_its_first() -> None:
     )
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_far_step_brings_the_machine_to_the_start_of_a_path(way: float) -> None:
+    """A reference in the middle of a line, then the line from its end: at the reference
+    the machine moves straight to the end; the line's rates are those of a parabola, and
+    no turn is behind its first readings.
+    """
+    along = way * np.linspace(-1.0, 1.0, 21)
+    y = np.concatenate([[0.05 * way], along])
+    tip = np.column_stack([y, np.zeros(22), np.zeros(22)])
+    q = np.column_stack([y, 0.5 * y + 0.1 * y**2])
+    motion = _moved(q, tip)
+    straight = (q[1] - q[0]) / (1.05 / FEED)
+    assert motion.rate[0] == pytest.approx(straight)
+    assert motion.rate[1:, 0] == pytest.approx(np.full(21, way * FEED))
+    assert motion.rate[1:, 1] == pytest.approx(way * FEED * (0.5 + 0.2 * along))
+    assert motion.acceleration[1:, 1] == pytest.approx(np.full(21, 0.2 * FEED**2))
+    assert (motion.sense[0] == -way).all()
+    assert (motion.sense[1:] == way).all()
+    assert np.isinf(motion.reversal[1:]).all()
+
+
+def test_a_corner_is_reached_as_the_machine_came(rng: np.random.Generator) -> None:
+    """Out and back on a line, then across: the corner's pose has the sense and the rate
+    of the way there, and distances after it count from it, where a joint turned there.
+    """
+    out = np.linspace(0.0, 1.0, 11)
+    x = np.concatenate([out, out[-2::-1], np.zeros(10)])
+    y = np.concatenate([np.zeros(21), out[1:]])
+    tip = np.column_stack([x, y, np.zeros(31)])
+    slant = rng.uniform(0.2, 0.4)
+    q = np.column_stack([x + slant * y, y - slant * x])
+    motion = _moved(q, tip)
+    rates = FEED * np.repeat([[1.0, -slant], [-1.0, slant], [slant, 1.0]], 10, axis=0)
+    assert motion.rate[1:] == pytest.approx(rates)
+    assert (motion.sense[1:] == np.sign(rates)).all()
+    first_turn, second_turn = q[10], q[20]
+    assert np.isinf(motion.reversal[:11]).all()
+    assert motion.reversal[11:21] == pytest.approx(np.abs(q[11:21] - first_turn))
+    assert motion.reversal[21:, 0] == pytest.approx(q[21:, 0] - second_turn[0])
+    assert motion.reversal[21:, 1] == pytest.approx(q[21:, 1] - first_turn[1])
+
+
 def test_points_in_any_order_are_no_path(rng: np.random.Generator) -> None:
     """Between scattered points the way turns sharply: sense and distance are those of
     the steps.

@@ -6,6 +6,10 @@ between two readings, so that the path locates the reversal, not the steps. At a
 where a joint turns back, its sense is that in which it arrived: play is not yet taken up
 there, and the slope, zero but for rounding, has no sign to go by. Between poses that
 are points and no path, joints move straight, and the last step has their sense.
+
+A corner ends a path: the machine arrives there as it came, and sets out anew. So does a
+step much longer than the others, which only brings the machine to the start of a path;
+a path that begins so is entered rolling, as ISO 230-2 has it.
 """
 
 from __future__ import annotations
@@ -25,6 +29,8 @@ LEAST = 4
 CORNER = np.deg2rad(50.0)
 #: distance from end to start of a closed run, in steps between its poses
 CLOSED = 1.5
+#: length of a step, in median steps of its run, from which on it belongs to no path
+FAR = 3.0
 #: last part of a step between poses over which the sense of arrival is taken
 ARRIVAL = 0.02
 
@@ -57,10 +63,9 @@ def motion(
 
     The tool is at tip (m, 3); at the poses `still` the machine stands.
     """
-    sense = np.zeros(q.shape)
-    reversal = np.zeros(q.shape)
-    rate = np.full(q.shape, np.nan)
-    acceleration = np.full(q.shape, np.nan)
+    shape = q.shape
+    sense, reversal = np.zeros(shape), np.zeros(shape)
+    rate, acceleration = np.full(shape, np.nan), np.full(shape, np.nan)
     rate[still] = acceleration[still] = 0.0
     moving = np.setdiff1d(np.arange(len(q)), still)
     for label in dict.fromkeys(run[moving]):
@@ -69,25 +74,114 @@ def motion(
         if len(at) < 2:
             rate[at] = acceleration[at] = 0.0
             continue
-        length, closed = _path_length(tip[at])
-        places = length[: len(at)]
-        path = _path(q[at], tip[at], length, closed)
-        if path is None:
-            slope = np.gradient(q[at], places, axis=0)
-            curvature = np.gradient(slope, places, axis=0)
-            sense[at] = _sense(np.diff(q[at], axis=0, prepend=q[at][:1]))
-            reversal[at] = _since_reversal_by_steps(q[at], sense[at])
-        else:
-            slope = path(places, 1)
-            curvature = path(places, 2)
-            approach = ARRIVAL * _steps_before(length, len(at))
-            arriving = path(places) - path(places - approach)
-            sense[at] = _sense(arriving / approach[:, None])
-            reversal[at] = _since_reversal(path, length, places - approach / 2, closed)
+        along = _along_run(q[at], tip[at])
+        sense[at], reversal[at] = along.sense, along.reversal
         speed = feed[at, None]
-        rate[at] = slope * speed
-        acceleration[at] = curvature * speed**2
+        rate[at] = along.slope * speed
+        acceleration[at] = along.curvature * speed**2
     return Motion(sense, rate, acceleration, reversal)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Along:
+    """Joints over the length of path at k poses, (k, nq) each.
+
+    slope, curvature    first and second derivative
+    sense, reversal     as in `Motion`
+    """
+
+    slope: Array
+    curvature: Array
+    sense: Array
+    reversal: Array
+
+
+def _along_run(q: Array, tip: Array) -> _Along:
+    """Joints over the length of path of a run's k >= 2 poses, in their order."""
+    along = _straight(q, tip)
+    if not _is_path(tip):
+        return along
+    corners, far = _breaks(tip)
+    pieces = np.split(np.arange(len(q)), far)
+    for points in pieces:
+        inside = corners[np.isin(corners, points[1:-1])]
+        start, rolling = int(points[0]), True
+        for stop in (*inside, points[-1]):
+            _lay_path(along, q, tip, np.arange(start, stop + 1), rolling)
+            start, rolling = int(stop), False
+    return along
+
+
+def _straight(q: Array, tip: Array) -> _Along:
+    """Joints that move straight from pose to pose."""
+    places = _path_length(tip)[0][: len(tip)]
+    slope = np.gradient(q, places, axis=0)
+    sense = _sense(np.diff(q, axis=0, prepend=q[:1]))
+    curvature = np.gradient(slope, places, axis=0)
+    return _Along(slope, curvature, sense, _since_reversal_by_steps(q, sense))
+
+
+def _is_path(tip: Array) -> bool:
+    """Whether poses (k, 3) follow a path; scattered points turn sharply at most."""
+    step = np.diff(tip, axis=0)
+    if len(tip) < LEAST or np.linalg.norm(step, axis=1).min() < 1e-6:
+        return False
+    return bool(np.median(_turns(step)) <= CORNER)
+
+
+def _turns(step: Array) -> Array:
+    """Angle between each of the steps (k, 3) and the next, rad."""
+    size = np.linalg.norm(step, axis=1)
+    cosine = (step[1:] * step[:-1]).sum(axis=1) / (size[1:] * size[:-1])
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _breaks(tip: Array) -> tuple[Index, Index]:
+    """Poses at which a path has a corner, and those to which a far step leads."""
+    step = np.diff(tip, axis=0)
+    size = np.linalg.norm(step, axis=1)
+    far = np.flatnonzero(size > FAR * np.median(size)) + 1
+    corners = np.flatnonzero(_turns(step) > CORNER) + 1
+    return corners, far
+
+
+def _lay_path(along: _Along, q: Array, tip: Array, at: Index, rolling: bool) -> None:
+    """Write what a smooth path through the poses `at` says of them into `along`.
+
+    rolling  whether the path is entered rolling; else its first pose is a corner, which
+             keeps what the path that led there says
+    """
+    if len(at) < LEAST:
+        return
+    length, closed = _path_length(tip[at])
+    places = length[: len(at)]
+    around = np.vstack([q[at], q[at[:1]]]) if closed else q[at]
+    path = CubicSpline(length, around, bc_type="periodic" if closed else "not-a-knot")
+    approach = ARRIVAL * _steps_before(length, len(at))
+    arriving = path(places) - path(places - approach)
+    sense = _sense(arriving / approach[:, None])
+    reversal = _since_reversal(path, length, places - approach / 2, closed)
+    if not rolling:
+        reversal = _since_corner(reversal, sense, q[at], along, int(at[0]))
+    new = slice(0 if rolling else 1, None)
+    along.slope[at[new]] = path(places, 1)[new]
+    along.curvature[at[new]] = path(places, 2)[new]
+    along.sense[at[new]] = sense[new]
+    along.reversal[at[new]] = reversal[new]
+
+
+def _since_corner(
+    reversal: Array, sense: Array, q: Array, along: _Along, corner: int
+) -> Array:
+    """Distances (k, nq) since a joint last turned, where that was at or before a corner.
+
+    The corner is the first of the poses q (k, nq); `reversal` is infinite before a
+    path's first turn.
+    """
+    gone = np.abs(q - q[:1])
+    onward = sense == along.sense[corner]
+    before = np.where(onward, along.reversal[corner] + gone, gone)
+    return np.where(np.isinf(reversal), before, reversal)
 
 
 def _path_length(tip: Array) -> tuple[Array, bool]:
@@ -102,27 +196,6 @@ def _path_length(tip: Array) -> tuple[Array, bool]:
     closed = len(tip) >= 2 * LEAST and near
     lengths = np.cumsum([*steps, last] if closed else steps)
     return np.concatenate([[0.0], lengths]), closed
-
-
-def _path(
-    q: Array,
-    tip: Array,
-    length: Array,
-    closed: bool,
-) -> CubicSpline | None:
-    """Joints over the length of path; None where the poses are points and no path."""
-    step = np.diff(tip, axis=0)
-    size = np.linalg.norm(step, axis=1)
-    if len(q) < LEAST or size.min() < 1e-6:
-        return None
-    cosine = (step[1:] * step[:-1]).sum(axis=1) / (size[1:] * size[:-1])
-    turn = np.arccos(np.clip(cosine, -1.0, 1.0))
-    if np.median(turn) > CORNER:
-        return None
-    if closed:
-        around = np.vstack([q, q[:1]])
-        return CubicSpline(length, around, bc_type="periodic")
-    return CubicSpline(length, q)
 
 
 def _steps_before(length: Array, count: int) -> Array:
