@@ -191,7 +191,7 @@ class Effect:
     remedy               what a machine builder does about it
     exposed_by           reading that separates it from its rivals
     unfit(machine)       why it cannot occur on a machine, in words; None where it can
-    common_to_limbs      whether limbs of one design usually share one coefficient
+    common_to_limbs      whether limbs of one design, or set-ups, usually share coefficients
     units                {pattern of coefficients' names: SI unit}, the first that suits;
                          m where none does
     textbook_share       prior probability of its textbook form, where it has columns

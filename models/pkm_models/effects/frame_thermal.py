@@ -16,8 +16,8 @@ RISE = 2.0  # K
 
 
 def columns(state: State, tau: float) -> Iterable[Column]:
-    """Even radial growth; shape: a second time constant, growth in height, one side
-    warmer than the other.
+    """Even radial growth; shape: a second time constant, any smooth course, growth in
+    height, one side warmer than the other.
     """
     measured, warm, second = terms.warm_up(state, "frame", tau)
     unit, scale, strain = (
@@ -36,6 +36,11 @@ def columns(state: State, tau: float) -> Iterable[Column]:
         _joints(even, second),
         shape=True,
     )
+    for name, course in terms.free_courses(state).items():
+        growth = terms.STEEL * terms.joint_change(state, flat)
+        yield Column(
+            name, terms.SHAPE_SHARE * RISE, "", _joints(growth, course), shape=True
+        )
     yield Column(
         f"{unit} height", terms.SHAPE_SHARE * scale, "", _joints(up, warm), shape=True
     )

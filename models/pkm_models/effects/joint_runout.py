@@ -1,9 +1,9 @@
 """Runout of the joints: a centre that wanders as its joint turns, e_i times harmonics
 of the joint's angle.
 
-Once a turn is a displaced centre, which is geometry; what is left is twice a turn, and
-the waviness of what rolls in the joint, 8 to 16 times. Ball joints are round to 1 to 5
-um, rings of bearings wavy by some tenths.
+Once a turn is a displaced centre, which is geometry; what is left is twice a turn and
+faster. Ball joints are round to 1 to 5 um, and the amplitude of a lobe falls with the
+number of lobes; rings of bearings, with 8 to 16 rolling bodies, are wavy by some tenths.
 """
 
 from __future__ import annotations
@@ -18,19 +18,18 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
 RUNOUT = 4e-6  # m
-SLIGHT, WAVY = terms.SHAPE_SHARE, 0.15  # of runout
-#: harmonics of the joint's angle that its centre wanders by along the leg, as its shape
-#: and what rolls in it have them, and sideways, as much as along
-ALONG, SIDEWAYS = (
-    {2: 1.0, 1: SLIGHT, 3: 1.0, 8: WAVY, 12: WAVY, 16: WAVY},
-    {1: SLIGHT, 2: 1.0, 3: SLIGHT},
-)
+SLIGHT = terms.SHAPE_SHARE  # of runout
+#: harmonics of the joint's angle that its centre wanders by along the leg, and their
+#: share of runout: twice a turn first, once what the geometry leaves of it
+ALONG = {2: 1.0, 1: SLIGHT} | {order: 2.0 / order for order in (*range(3, 13), 16)}
+#: and sideways, where only the slow ones show
+SIDEWAYS = {1: SLIGHT, 2: 1.0, 3: SLIGHT}
 
 
 def columns(state: State, platform: float, across: float) -> Iterable[Column]:
     """Twice a turn, along the leg, of the joint at the base (0) or the platform (1), as
-    the leg swings in its plane (0) or across it (1); shape: once and three times,
-    waviness, and sideways to the swing. None at the platform of a machine that does not
+    the leg swings in its plane (0) or across it (1); shape: once, three times and
+    faster, and sideways to the swing. None at the platform of a machine that does not
     turn it.
     """
     frame = _platform(state) if platform else _base(state)

@@ -14,8 +14,8 @@ RISE = 3.0  # K
 
 def columns(state: State, tau: float) -> Iterable[Column]:
     """Growth a leg of what is driven: the strut, or the screw of a carriage; shape: a
-    second time constant, a bearing that is elsewhere, and the struts that a carriage
-    moves.
+    second time constant, any smooth course, a bearing that is elsewhere, and the struts
+    that a carriage moves.
     """
     known = terms.travel(state.machine)
     for i in state.limbs:
@@ -42,6 +42,15 @@ def columns(state: State, tau: float) -> Iterable[Column]:
         shapes = {"second": long * second, "bearing": fixed * warm} | (
             {"strut": strut * warm} if carried else {}
         )
+        courses = terms.free_courses(state)
+        for name, course in courses.items():
+            yield Column(
+                f"{leg} {name}",
+                terms.SHAPE_SHARE * RISE,
+                leg,
+                {i: terms.STEEL * long * course},
+                shape=True,
+            )
         for name, form in shapes.items():
             yield Column(
                 f"{leg} {unit} {name}",

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from oed.effect import Column, Effect, State
 from pkm_models.effects import terms
 
@@ -25,20 +23,21 @@ READINGS = ("dy", "dz")
 
 
 def columns(state: State) -> Iterable[Column]:
-    """In step with time, an unknown of each set-up; shape: a drift that comes to rest."""
-    time = terms.session_share(state)
+    """In step with time, an unknown of each set-up, or of all alike, as where the table
+    under them moves; shape: any smooth course.
+    """
+    forms = {"": terms.session_share(state)}
+    forms |= {f" {name}": course for name, course in terms.free_courses(state).items()}
     block = f"set-up {state.setup}"
-    for name, form, part in (
-        ("", time, 1.0),
-        (" settling", -np.expm1(-5.0 * time) - time, terms.SHAPE_SHARE),
-    ):
+    for name, form in forms.items():
+        part = terms.SHAPE_SHARE if name else 1.0
         for unknown, scale in UNKNOWNS.items():
-            full = f"{state.setup} {unknown}{name}"
+            full = f"{block} {unknown}{name}"
             yield Column(
                 full, part * scale, block, nuisances={unknown: form}, shape=bool(name)
             )
         for channel in READINGS:
-            full = f"{state.setup} {channel}{name}"
+            full = f"{block} {channel}{name}"
             yield Column(
                 full, part * CREEP, block, reading={channel: form}, shape=bool(name)
             )
@@ -56,4 +55,5 @@ effect = Effect(
         " runs"
     ),
     exposed_by="a set-up repeated at the session's end",
+    common_to_limbs=True,
 )

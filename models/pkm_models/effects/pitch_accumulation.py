@@ -1,8 +1,8 @@
-"""Accumulated pitch error of a screw: a smooth curve over the joint's travel, beyond
-its scale.
+"""Accumulated pitch error of a screw: a smooth curve over the joint's travel.
 
 ISO 3408-3 allows travel to deviate by 12 (class 3) to 23 um (class 5) over 300 mm, most
-of it at long wavelengths.
+of it at long wavelengths: a slope of the mean travel, and a curve about it. A slope
+alone is a scale.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ CURVE = 10e-6  # m, standard deviation along the travel
 
 
 def columns(state: State) -> Iterable[Column]:
-    """Modes of a smooth random curve over the travel a leg; those after the first two
-    let the form adapt.
+    """Modes of a smooth random curve over the travel a leg; those after the first two,
+    and a slope, let the form adapt.
     """
     unit, at = terms.joint_per_metre(state), terms.travel_position(state)
     for i in state.limbs:
@@ -26,6 +26,8 @@ def columns(state: State) -> Iterable[Column]:
             yield Column(
                 f"leg {i + 1} curve {k + 1}", CURVE, f"leg {i + 1}", change, shape=k > 1
             )
+        slope = {i: unit[:, i] * at[:, i]}
+        yield Column(f"leg {i + 1} slope", CURVE, f"leg {i + 1}", slope, shape=True)
 
 
 effect = Effect(

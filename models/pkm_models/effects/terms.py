@@ -217,6 +217,27 @@ def session_share(state: State) -> Array:
     return session_time(state) / length if length > 0.0 else np.zeros(len(state))
 
 
+#: smooth courses over the session that what warms or creeps may take besides the
+#: textbook's, and over what part of half a session they hang together
+COURSES, COURSE_LENGTH = 4, 0.5
+
+
+def free_courses(state: State) -> dict[str, Array]:
+    """Smooth courses (m,) over the session by name, 0 at its start.
+
+    The cause is the body that warms or the mount that creeps, whatever its course: a
+    shop's day, a door that opens, a spindle that is switched on and off.
+    """
+    at = np.append(2.0 * session_share(state) - 1.0, -1.0)
+    courses = {}
+    for k in range(COURSES):
+        mode = smooth_basis.curve_mode(
+            at, k, correlation_length=COURSE_LENGTH, count=COURSES
+        )
+        courses[f"course {k + 1}"] = mode[:-1] - mode[-1]
+    return courses
+
+
 #: gaps (s) that are more than the way to the next pose, and how many times their median
 #: a break is
 PAUSE, BREAK = 60.0, 2.5
