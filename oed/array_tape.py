@@ -4,105 +4,86 @@ CasADi interprets its instructions point by point. For hundreds of points, the s
 instructions run faster one after the other, each as a NumPy operation over all points:
 the interpreter's cost is then shared by the points, and the processor's vector units
 work. Registers of a chunk of points stay in the processor's cache.
+
+Where some inputs stay the same from one evaluation to the next, as joints and
+parameters do in Newton's method, what depends on them alone is evaluated once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from oed.array_operations import (
+    BINARY,
+    UNARY,
+    Call,
+    Operation,
+    assign,
+    fill_bits,
+    make,
+    memory,
+)
 from oed.arrays import Array
 
-#: what writes its last argument from the others
-Operation = Callable[..., Any]
+#: number of a value that no instruction computes: a constant, an input
+GIVEN = -1
 
 
-def _twice(x: Array, out: Array) -> None:
-    np.add(x, x, out=out)
+class _Value(NamedTuple):
+    """What a register holds: where, by which instruction, and whether it changes."""
+
+    array: Array
+    instruction: int
+    varies: bool
 
 
-def _if_else_zero(condition: Array, x: Array, out: Array) -> None:
-    np.copyto(out, np.where(condition != 0.0, x, 0.0))
+TWO = _Value(np.array(2.0), GIVEN, varies=False)
 
 
-def _assign(x: Array, out: Array) -> None:
-    np.copyto(out, x)
+class _Step(NamedTuple):
+    """The call of an instruction, and the instructions that it takes values from."""
 
-
-UNARY: dict[int, Operation] = {
-    ca.OP_ASSIGN: _assign,
-    ca.OP_NEG: np.negative,
-    ca.OP_EXP: np.exp,
-    ca.OP_LOG: np.log,
-    ca.OP_SQRT: np.sqrt,
-    ca.OP_SQ: np.square,
-    ca.OP_TWICE: _twice,
-    ca.OP_INV: np.reciprocal,
-    ca.OP_SIN: np.sin,
-    ca.OP_COS: np.cos,
-    ca.OP_TAN: np.tan,
-    ca.OP_ASIN: np.arcsin,
-    ca.OP_ACOS: np.arccos,
-    ca.OP_ATAN: np.arctan,
-    ca.OP_SINH: np.sinh,
-    ca.OP_COSH: np.cosh,
-    ca.OP_TANH: np.tanh,
-    ca.OP_FABS: np.abs,
-    ca.OP_SIGN: np.sign,
-    ca.OP_FLOOR: np.floor,
-    ca.OP_CEIL: np.ceil,
-    ca.OP_NOT: np.logical_not,
-}
-BINARY: dict[int, Operation] = {
-    ca.OP_ADD: np.add,
-    ca.OP_SUB: np.subtract,
-    ca.OP_MUL: np.multiply,
-    ca.OP_DIV: np.divide,
-    ca.OP_POW: np.power,
-    ca.OP_CONSTPOW: np.power,
-    ca.OP_ATAN2: np.arctan2,
-    ca.OP_HYPOT: np.hypot,
-    ca.OP_COPYSIGN: np.copysign,
-    ca.OP_FMIN: np.fmin,
-    ca.OP_FMAX: np.fmax,
-    ca.OP_FMOD: np.fmod,
-    ca.OP_LT: np.less,
-    ca.OP_LE: np.less_equal,
-    ca.OP_EQ: np.equal,
-    ca.OP_NE: np.not_equal,
-    ca.OP_AND: np.logical_and,
-    ca.OP_OR: np.logical_or,
-    ca.OP_IF_ELSE_ZERO: _if_else_zero,
-}
-STORAGE = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}
-
-
-def is_supported(function: Any) -> bool:
-    """Whether every instruction of an SX function has an array operation."""
-    known = STORAGE | set(UNARY) | set(BINARY)
-    count = function.n_instructions()
-    return all(function.instruction_id(k) in known for k in range(count))
+    call: Call
+    instruction: int
+    sources: tuple[int, ...]
 
 
 class ArrayTape:
-    """A dense SX function at `size` points, on memory of its own."""
+    """A dense SX function at `size` points, on memory of its own.
 
-    def __init__(self, function: Any, size: int) -> None:
-        inputs, outputs = range(function.n_in()), range(function.n_out())
+    varying  number of leading inputs that change between evaluations; all by default
+
+    Attributes:
+
+    inputs   for each input, the memory (entries, size)
+    outputs  for each output, the memory (entries, size), column by column of a matrix
+    """
+
+    def __init__(self, function: Any, size: int, varying: int | None = None) -> None:
+        entries = [function.numel_in(i) for i in range(function.n_in())]
+        outputs = range(function.n_out())
         # ones: unused points of a short batch must stay clear of singular values
-        self._inputs = [np.ones((function.numel_in(i), size)) for i in inputs]
-        self._outputs = [np.zeros((function.numel_out(i), size)) for i in outputs]
-        self._registers = np.empty((function.sz_w(), size))
-        self._steps: list[tuple[Operation, tuple[Array, ...]]] = []
-        values: dict[int, Array] = {}
-        for k in range(function.n_instructions()):
+        self.inputs = [memory((count, size), 1.0) for count in entries]
+        self.outputs = [memory((function.numel_out(i), size)) for i in outputs]
+        self._varying = len(entries) if varying is None else varying
+        self._registers = memory((function.sz_w(), size))
+        self._size, self._count = size, function.n_instructions()
+        self._entries = _output_entries(function)
+        self._copies: dict[int, int] = {}
+        self._bits: dict[int, _Value] = {}
+        self._fixed: list[Call] = []
+        self._steps: list[_Step] = []
+        values: dict[int, _Value] = {}
+        for k in range(self._count):
             self._append(function, k, values)
+        self._calls = [step.call for step in self._steps]
 
-    def _append(self, function: Any, k: int, values: dict[int, Array]) -> None:
-        """Adds instruction k; `values` has what each register stands for so far.
+    def _append(self, function: Any, k: int, values: dict[int, _Value]) -> None:
+        """Add instruction k; `values` has what each register stands for so far.
 
         Constants and inputs are read where they are, and not copied into registers.
         """
@@ -110,26 +91,114 @@ class ArrayTape:
         sources = function.instruction_input(k)
         targets = function.instruction_output(k)
         if operation == ca.OP_CONST:
-            values[targets[0]] = np.array([function.instruction_constant(k)])
+            constant = np.array(function.instruction_constant(k))
+            values[targets[0]] = _Value(constant, GIVEN, varies=False)
         elif operation == ca.OP_INPUT:
-            values[targets[0]] = self._inputs[sources[0]][sources[1]]
+            entry = self.inputs[sources[0]][sources[1]]
+            values[targets[0]] = _Value(entry, GIVEN, sources[0] < self._varying)
         elif operation == ca.OP_OUTPUT:
-            entry = self._outputs[targets[0]][targets[1]]
-            self._steps.append((_assign, (values[sources[0]], entry)))
+            source = values[sources[0]]
+            if self._entries.get(source.instruction) != (targets[0], targets[1]):
+                self._add(k, assign, [source], self.outputs[targets[0]][targets[1]])
+                self._copies[k] = targets[0]
+        elif operation == ca.OP_IF_ELSE_ZERO:
+            condition, x = values[sources[0]], values[sources[1]]
+            values[targets[0]] = self._if_else_zero(k, condition, x, targets[0])
+        elif operation == ca.OP_TWICE:
+            arguments = [TWO, values[sources[0]]]
+            out = self._memory(k, arguments, targets[0])
+            values[targets[0]] = self._add(k, np.multiply, arguments, out)
         else:
-            run = UNARY.get(operation) or BINARY[operation]
             arity = 1 if operation in UNARY else 2
             arguments = [values[source] for source in sources[:arity]]
-            result = self._registers[targets[0]]
-            self._steps.append((run, (*arguments, result)))
-            values[targets[0]] = result
+            run = UNARY.get(operation) or BINARY[operation]
+            out = self._memory(k, arguments, targets[0])
+            values[targets[0]] = self._add(k, run, arguments, out)
+
+    def _if_else_zero(
+        self, k: int, condition: _Value, x: _Value, register: int
+    ) -> _Value:
+        """x where the condition holds, else 0: its bits, or none of them.
+
+        Products with 0 would keep infinite values and NaN.
+        """
+        if condition.instruction not in self._bits or condition.instruction == GIVEN:
+            mask = memory((self._size,)).view(np.int64)
+            number = self._count + k
+            bits = self._add(number, fill_bits, [condition], mask)
+            self._bits[condition.instruction] = bits
+        bits = self._bits[condition.instruction]
+        out = self._memory(k, [bits, x], register)
+        as_bits = x._replace(array=x.array.view(np.int64))
+        value = self._add(k, np.bitwise_and, [bits, as_bits], out.view(np.int64))
+        return value._replace(array=out)
+
+    def _memory(self, k: int, sources: Sequence[_Value], register: int) -> Array:
+        """Where instruction k writes its result."""
+        if k in self._entries:
+            output, entry = self._entries[k]
+            row: Array = self.outputs[output][entry]
+            return row
+        if any(source.varies for source in sources):
+            row = self._registers[register]
+            return row
+        return memory((self._size,))
+
+    def _add(
+        self, number: int, run: Operation, sources: Sequence[_Value], out: Any
+    ) -> _Value:
+        """Add a call to those of every evaluation, or to those made once."""
+        varies = any(source.varies for source in sources)
+        call = (run, (*(source.array for source in sources), out))
+        if varies:
+            needed = tuple(source.instruction for source in sources)
+            self._steps.append(_Step(call, number, needed))
+        else:
+            self._fixed.append(call)
+        return _Value(out, number, varies)
+
+    def calls_for(self, output: int) -> list[Call]:
+        """The calls that one output needs, for `evaluate`."""
+        needed = {k for k, (i, _) in self._entries.items() if i == output}
+        needed |= {k for k, i in self._copies.items() if i == output}
+        calls = []
+        for step in reversed(self._steps):
+            if step.instruction in needed:
+                needed.update(step.sources)
+                calls.append(step.call)
+        return calls[::-1]
+
+    def prepare(self) -> None:
+        """Evaluate what depends on the inputs that do not vary, after they change."""
+        make(self._fixed)
+
+    def evaluate(self, calls: Sequence[Call] | None = None) -> None:
+        """Compute `outputs` from `inputs`; all, or what `calls` write."""
+        make(self._calls if calls is None else calls)
 
     def run(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate up to `size` points (n, entries); writes `outputs` in place."""
-        for memory, values in zip(self._inputs, inputs, strict=True):
-            memory[:, : len(values)] = values.T
-        with np.errstate(all="ignore"):
-            for operation, arguments in self._steps:
-                operation(*arguments)
-        for values, memory in zip(outputs, self._outputs, strict=True):
-            values[:] = memory[:, : len(values)].T
+        for entries, values in zip(self.inputs, inputs, strict=True):
+            entries[:, : len(values)] = values.T
+        self.prepare()
+        self.evaluate()
+        for values, entries in zip(outputs, self.outputs, strict=True):
+            values[:] = entries[:, : len(values)].T
+
+
+def _output_entries(function: Any) -> dict[int, tuple[int, int]]:
+    """The output and its entry that an instruction may write at once, by instruction."""
+    entries: dict[int, tuple[int, int]] = {}
+    writer: dict[int, int] = {}
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        targets = function.instruction_output(k)
+        if operation in {ca.OP_CONST, ca.OP_INPUT}:
+            writer[targets[0]] = GIVEN
+        elif operation == ca.OP_OUTPUT:
+            instruction = writer[function.instruction_input(k)[0]]
+            if instruction != GIVEN:
+                entries.setdefault(instruction, (targets[0], targets[1]))
+        else:
+            writer[targets[0]] = k
+    return entries

@@ -10,24 +10,27 @@ ten times as long on conversions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from oed.array_tape import ArrayTape, is_supported
-from oed.arrays import Array
+from oed.array_newton import ArrayNewton
+from oed.array_operations import is_supported
+from oed.array_tape import ArrayTape
+from oed.arrays import Array, Mask
 
 #: Numbers of points for which a mapped function is compiled, each on first use, in half
 #: a millisecond. Batches are cut into the largest; what remains is padded to the next
 #: larger number, by a third at most from 4 points on.
 CHUNK_SIZES = (
-    *(2048, 1024, 768, 512, 384, 256, 192, 128, 96, 64),
+    *(2048, 1536, 1024, 768, 512, 384, 256, 192, 128, 96, 64),
     *(48, 32, 24, 16, 12, 8, 6, 4, 2, 1),
 )
 #: number of points from which array operations are faster than CasADi's interpreter
-ARRAY_SIZE = 256
+ARRAY_SIZE = 192
 
 
 class BatchedFunction:
@@ -45,6 +48,7 @@ class BatchedFunction:
         count = self._function.n_out()
         self._shapes = [self._function.size_out(i) for i in range(count)]
         self._mapped: dict[int, _MappedFunction | ArrayTape] = {}
+        self._newton: dict[int, ArrayNewton] = {}
 
     def __call__(self, *arrays: Array) -> list[Array]:
         """Evaluate at n points: arrays (n, size) or (size,), one for each input.
@@ -55,22 +59,58 @@ class BatchedFunction:
         n = max([a.shape[0] for a in arrays if a.ndim == 2], default=1)
         inputs = [_repeated(a, n) for a in arrays]
         outputs = [np.empty((n, rows * columns)) for rows, columns in self._shapes]
-        start = 0
-        while start < n:
-            large_enough = [c for c in CHUNK_SIZES if c >= n - start]
-            size = min(large_enough, default=CHUNK_SIZES[0])
-            chunk = slice(start, min(start + size, n))
+        for size, chunk in _chunks(n):
             function = self._mapped_to(size)
             function.run([a[chunk] for a in inputs], [a[chunk] for a in outputs])
-            start += size
         return [_shaped(a, *s) for a, s in zip(outputs, self._shapes, strict=True)]
+
+    def solve(
+        self,
+        inputs: Sequence[Array],
+        unknown: int,
+        step_tolerance: float,
+        longest: float,
+    ) -> tuple[list[Array], Mask]:
+        """Solve value = 0 at n points by Newton's method, where the batch is large.
+
+        The outputs are value (k,) and slope (k, k) over the first `unknown` inputs,
+        which start the iteration. See `ArrayNewton.solve`. Returns solutions and the
+        mask (n,) of those that hold: none in small batches.
+        """
+        solutions = [np.array(a, dtype=float) for a in inputs[:unknown]]
+        n = len(solutions[0])
+        solved = np.zeros(n, dtype=bool)
+        if n < ARRAY_SIZE or not self._is_supported:
+            return solutions, solved
+        for size, chunk in _chunks(n):
+            if size not in self._newton:
+                self._newton[size] = ArrayNewton(self._function, size, unknown)
+            at = [a[chunk] for a in inputs]
+            parts, solved[chunk] = self._newton[size].solve(at, step_tolerance, longest)
+            for solution, part in zip(solutions, parts, strict=True):
+                solution[chunk] = part
+        return solutions, solved
+
+    @functools.cached_property
+    def _is_supported(self) -> bool:
+        return is_supported(self._function)
 
     def _mapped_to(self, size: int) -> _MappedFunction | ArrayTape:
         if size not in self._mapped:
-            by_array = size >= ARRAY_SIZE and is_supported(self._function)
+            by_array = size >= ARRAY_SIZE and self._is_supported
             mapped = ArrayTape if by_array else _MappedFunction
             self._mapped[size] = mapped(self._function, size)
         return self._mapped[size]
+
+
+def _chunks(n: int) -> Iterator[tuple[int, slice]]:
+    """Chunks of n points, each with the size of the function that evaluates it."""
+    start = 0
+    while start < n:
+        large_enough = [c for c in CHUNK_SIZES if c >= n - start]
+        size = min(large_enough, default=CHUNK_SIZES[0])
+        yield size, slice(start, min(start + size, n))
+        start += size
 
 
 def _repeated(values: Array, n: int) -> Array:

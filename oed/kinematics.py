@@ -34,6 +34,7 @@ from oed.expressions import (
     strut_ends,
     twist_slope,
 )
+from oed.forward import ForwardKinematics
 from oed.inverse import AssemblyError, InverseKinematics
 from oed.machine import Machine
 
@@ -61,15 +62,11 @@ class Kinematics:
         self.machine = machine
         self._expressions = e = machine_expressions(machine)
         x, q, p = e.x, e.q, e.p
-        balance = e.balance
-        by_x = ca.jacobian(balance, x)
-        slopes = [by_x, ca.jacobian(balance, p), ca.jacobian(balance, q)]
         commanded = ca.jacobian(ca.vertcat(*e.commanded), x)
         frame = [e.rotation, e.tip, twist_slope(e.rotation, e.tip, x)]
 
         self._inverse = InverseKinematics(machine, e)
-        self._forward = BatchedFunction("forward", [x, q, p], [balance, by_x])
-        self._slopes = BatchedFunction("slopes", [x, q, p], slopes)
+        self._forward = ForwardKinematics(machine, e)
         self._closure_slope = BatchedFunction(
             "closure_slope", [x, q, p], [ca.jacobian(e.phi, x)]
         )
@@ -133,16 +130,9 @@ class Kinematics:
         Newton stops after a step (m, rad) shorter than `step_tolerance`, which leaves
         an error of about step_tolerance^2 / lever.
         """
-        q = np.atleast_2d(q)
-        vectors = np.atleast_2d(p)
-        n, m = q.shape[0], vectors.shape[0]
-        all_q = np.broadcast_to(q, (m, *q.shape)).reshape(m * n, -1)
-        all_p = np.repeat(vectors, n, axis=0)
-        all_x = np.broadcast_to(start, (m, n, start.shape[-1])).reshape(m * n, -1)
-        x, failed = self.try_forward_per_pose(all_q, all_p, all_x, step_tolerance)
-        if p.ndim == 1:
-            return x, failed
-        return x.reshape(m, n, -1), failed.reshape(m, n)
+        q, vectors = np.atleast_2d(q), np.atleast_2d(p)
+        x, failed = self._forward.solve_all(q, vectors, start, step_tolerance)
+        return (x[0], failed[0]) if p.ndim == 1 else (x, failed)
 
     def forward_per_pose(self, q: Array, p: Array, start: Array) -> Array:
         """As `forward`, with one parameter vector a pose: p (n, np), result (n, nx)."""
@@ -165,13 +155,7 @@ class Kinematics:
         step_tolerance: float = newton.STEP_TOLERANCE,
     ) -> tuple[Array, Mask]:
         """As `forward_per_pose`, with a mask (n,) of failed poses in place of an error."""
-
-        def equations(x: Array, rows: Index) -> list[Array]:
-            return self._forward(x, q[rows], p[rows])
-
-        longest = newton.longest_step(self.machine.lever)
-        z = np.array(start, dtype=float)
-        return newton.solve(equations, z, step_tolerance, longest=longest)
+        return self._forward.solve((start, q, p), start, step_tolerance)
 
     def struts(self, x: Array, q: Array, p: Array) -> tuple[Array, Array, Array]:
         """Ends of the struts at base and platform, each (n, nq, 3), m, and joint change.
@@ -232,33 +216,53 @@ class Kinematics:
 
         Of a redundant machine, the rows are its balanced equations.
         """
-        slopes = self._slopes(x[None], q[None], self.machine.nominal)
+        slopes = self._forward.slopes(x[None], q[None], self.machine.nominal)
         return np.asarray(slopes[1][0])
-
-    @functools.cached_property
-    def _balance(self) -> BatchedFunction:
-        e = self._expressions
-        return BatchedFunction("balance", [e.x, e.q, e.p], [e.balance])
 
     def misfit(self, x: Array, q: Array, p: Array) -> Array:
         """phi (n, nx) at poses, joints and parameters, one a row; 0 when assembled.
 
         Of a redundant machine, the balanced equations.
         """
-        return self._balance(x, q, p)[0]
+        return self._forward.misfit(x, q, p)[0]
 
     def closure_slopes(self, x: Array, q: Array, p: Array) -> list[Array]:
         """Slopes of phi (n, nx, ...) over pose, parameters and joints."""
-        return self._slopes(x, q, p)
+        return self._forward.slopes(x, q, p)
 
     def parameter_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dp (n, nx, np) at fixed joints."""
-        by_x, by_p, _ = self._slopes(x, q, p)
+        by_x, by_p, _ = self._forward.slopes(x, q, p)
         return -newton.solve_linear(by_x, by_p)
+
+    def regular_inverses(self, x: Array, q: Array, p: Array) -> Array:
+        """phi_x^-1 (n, nx, nx). Raises AssemblyError as `check_regular` does."""
+        by_x = self._forward.equations(x, q, p)[1]
+        identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
+        inverse = newton.solve_linear(by_x, identity)
+        if not self._surely_regular(by_x, inverse):
+            self.check_regular(x, q, p)
+        return inverse
+
+    def pull_back(self, x: Array, q: Array, p: Array, factors: Array) -> Array:
+        """Rows (n, np): factors (n, nx) times d phi / dp, without that matrix."""
+        return self._forward.pull_back(x, q, p, factors)[0]
+
+    def _surely_regular(self, by_x: Array, inverse: Array) -> bool:
+        """Whether Frobenius norms alone show that all poses are regular.
+
+        Their product is at least the condition number, and cheaper. A redundant
+        machine's balanced equations do not show it.
+        """
+        if self._expressions.phi.numel() != by_x.shape[1]:
+            return False
+        norm = np.einsum("nij,nij->nj", by_x, by_x) @ self._scale**2
+        norm_of_inverse = np.einsum("nij,nij->ni", inverse, inverse) @ self._scale**-2
+        return bool(np.all(norm * norm_of_inverse < SINGULAR_BELOW**-2))
 
     def joint_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dq (n, nx, nq) at fixed parameters."""
-        by_x, _, by_q = self._slopes(x, q, p)
+        by_x, _, by_q = self._forward.slopes(x, q, p)
         return -newton.solve_linear(by_x, by_q)
 
     def check_regular(self, x: Array, q: Array, p: Array) -> None:
@@ -278,11 +282,15 @@ class Kinematics:
 
         Lengths are in units of the machine's lever.
         """
-        lever = self.machine.lever
-        scale = np.array([1.0 if c.unit == "rad" else lever for c in self.machine.pose])
         phi_x = self._closure_slope(x, q, p)[0]
-        values = np.linalg.svd(phi_x * scale, compute_uv=False)
+        values = np.linalg.svd(phi_x * self._scale, compute_uv=False)
         return np.asarray(values[:, -1] / values[:, 0])
+
+    @functools.cached_property
+    def _scale(self) -> Array:
+        """Pose coordinates' units (nx,) for condition numbers: the lever, or 1 rad."""
+        lever = self.machine.lever
+        return np.array([1.0 if c.unit == "rad" else lever for c in self.machine.pose])
 
     # -- tool frame and pose errors ----------------------------------------------------
 

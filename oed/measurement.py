@@ -345,17 +345,21 @@ class Measurement(ParameterVector):
         p, s = self._split(theta, series.setup)
         x = self._poses(series, theta, strict=True)
         m, poses, nx = x.shape
-        at = x.reshape(m * poses, nx), np.tile(series.q, (m, 1))
-        of_poses = np.repeat(p, poses, axis=0)
-        self.kinematics.check_regular(*at, of_poses)
-        sensitivity = self.kinematics.parameter_sensitivity(*at, of_poses)
-        sensitivity = sensitivity.reshape(m, poses, nx, p.shape[1])
+        every = x.reshape(m * poses, nx), np.tile(series.q, (m, 1))
+        inverses = self.kinematics.regular_inverses(*every, np.repeat(p, poses, axis=0))
+        inverses = inverses.reshape(m, poses, nx, nx)
         by_pose, by_setup, by_parameter = self._slopes(series, x, p, s)
-        shape = (m, len(series), by_setup.shape[1])
+        channels = by_setup.shape[1]
+        shape = (m, len(series), channels)
         rows = np.zeros((*shape, theta.shape[1]))
         of_machine = rows[..., : p.shape[1]]
+        repeated = np.repeat(p, len(series) * channels, axis=0)
         for slope, k in zip(by_pose, series.pose_indices(), strict=True):
-            of_machine += slope.reshape(*shape, nx) @ sensitivity[:, k]
+            factors = (slope.reshape(*shape, nx) @ inverses[:, k]).reshape(-1, nx)
+            each = np.repeat(k, channels)
+            at = x[:, each].reshape(-1, nx), np.tile(series.q[each], (m, 1))
+            change = self.kinematics.pull_back(*at, repeated, factors)
+            of_machine -= change.reshape(*shape, -1)
         if by_parameter is not None:
             of_machine += by_parameter.reshape(*shape, -1)
         rows[..., self.nuisance_slice(series.setup)] = by_setup.reshape(*shape, -1)

@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.array_tape import ArrayTape, is_supported
+from oed.array_operations import is_supported
+from oed.array_tape import ArrayTape
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 SIZE = 7
