@@ -26,10 +26,13 @@ from oed.noise.covariance import Noise
 
 #: steps at most, and size of a step, in tolerances, after which a machine has converged
 STEPS, CONVERGED = 60, 1e-8
-#: relative decrease of the cost that counts as none
-NO_DECREASE = 1e-12
-#: damping after a step that helps, after the first that does not, and its growth
-LEAST_DAMPING, FIRST_DAMPING, GROWTH = 1e-9, 1e-3, 10.0
+#: the same before the last stage, which starts there
+NEAR = 1e-3
+#: relative rounding error of readings, and of costs
+READINGS_ROUNDED, COST_ROUNDED = 1e-15, 1e-12
+#: least damping, that after the first step that does not help, and factors after each
+#: that does not and that does
+LEAST_DAMPING, FIRST_DAMPING, GROWTH, DECAY = 1e-9, 1e-3, 10.0, 0.1
 #: entries of the slopes of all machines that are held in memory at once
 ENTRIES = 4_000_000
 
@@ -64,10 +67,10 @@ def _fit_together(
     noise = measurement.noise(series)
     theta = np.repeat(measurement.nominal[None], len(y), axis=0)
     converged = np.ones(len(y), dtype=bool)
-    for patterns in stages:
+    for k, patterns in enumerate(stages, 1):
         free = np.flatnonzero(measurement.freed(patterns))
         problem = _Problem(measurement, series, noise, y, free)
-        theta, settled = problem.solve(theta)
+        theta, settled = problem.solve(theta, CONVERGED if k == len(stages) else NEAR)
         converged &= settled
     for row in np.flatnonzero(~converged):
         theta[row] = identify(measurement, series, y[row], stages=stages).theta
@@ -84,8 +87,11 @@ class _Problem:
     y: Array
     free: Index
 
-    def solve(self, theta: Array) -> tuple[Array, Mask]:
-        """Minima (m, n) from theta (m, n), and the mask (m,) of those that converged."""
+    def solve(self, theta: Array, last_step: float) -> tuple[Array, Mask]:
+        """Minima (m, n) from theta (m, n), and the mask (m,) of those that converged.
+
+        last_step  size of the step, in tolerances, after which a machine has converged
+        """
         theta = theta.copy()
         converged = np.zeros(len(theta), dtype=bool)
         damping = np.full(len(theta), LEAST_DAMPING)
@@ -101,17 +107,23 @@ class _Problem:
             trial = theta[active].copy()
             trial[:, self.free] += step @ self._root.T
             new_residual, new_cost = self._evaluate(trial, active)
-            better = new_cost <= cost[active] * (1.0 + NO_DECREASE)
+            better = new_cost <= cost[active] + self._rounding(active, residual, cost)
             accepted = active[better]
             theta[accepted], residual[accepted] = trial[better], new_residual[better]
             cost[accepted] = new_cost[better]
-            damping[accepted] = LEAST_DAMPING
+            damping[accepted] = np.maximum(damping[accepted] * DECAY, LEAST_DAMPING)
             refused = active[~better]
             damping[refused] = np.maximum(damping[refused] * GROWTH, FIRST_DAMPING)
-            done = better & (np.abs(step).max(axis=1) < CONVERGED)
+            done = better & (np.abs(step).max(axis=1) < last_step)
             converged[active[done]] = True
             active = active[~done]
         return theta, converged
+
+    def _rounding(self, rows: Index, residual: Array, cost: Array) -> Array:
+        """Changes (rows,) of the costs that rounding alone may make."""
+        of_readings: Array = np.abs(self.y[rows]) * READINGS_ROUNDED / self.noise.sigma
+        of_costs: Array = 2.0 * (np.abs(residual[rows]) * of_readings).sum(axis=1)
+        return of_costs + COST_ROUNDED * cost[rows]
 
     @functools.cached_property
     def _root(self) -> Array:

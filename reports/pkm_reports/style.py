@@ -15,6 +15,7 @@ from matplotlib import font_manager, ft2font
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import (
     FixedLocator,
     Formatter,
@@ -125,9 +126,28 @@ def applied() -> Iterator[None]:
         yield
 
 
+class _ReportFigure(Figure):
+    """A figure whose layout is computed without a first drawing that nobody sees."""
+
+    def draw(self, renderer: Any) -> None:
+        """Draw, or compute the layout alone where the file is drawn right after."""
+        engine = self.get_layout_engine()
+        precedes = self.canvas.is_saving() and bool(self.axes)
+        if precedes and isinstance(engine, ConstrainedLayoutEngine):
+            engine.execute(self)
+        else:
+            super().draw(renderer)
+
+
 def figure(height: float, width: float = WIDTH) -> Figure:
     """An empty figure, in inches, without pyplot: no window system, no global state."""
-    return Figure(figsize=(width, height))
+    return _ReportFigure(figsize=(width, height))
+
+
+def placed_figure(height: float, width: float = WIDTH) -> Figure:
+    """As `figure`, for axes that are placed by hand: no layout moves them."""
+    layout: Any = "none"  # which matplotlib's types forget
+    return _ReportFigure(figsize=(width, height), layout=layout)
 
 
 def empty(message: str) -> Figure:

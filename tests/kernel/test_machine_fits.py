@@ -84,6 +84,18 @@ def test_batches_of_any_size_agree(
     np.testing.assert_allclose(one_by_one / scale, together / scale, rtol=0, atol=1e-6)
 
 
+def test_rounding_at_the_minimum_keeps_no_machine_from_converging(
+    bar: tuple[Measurement, Series], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    m, series = bar
+
+    def unneeded(*_: object, **__: object) -> None:
+        raise AssertionError("a machine was fitted alone")
+
+    monkeypatch.setattr(machine_fits, "identify", unneeded)
+    fit_machines(m, [series], oracle_sessions(m, series, 20), stages=STAGES)
+
+
 def test_what_does_not_converge_is_fitted_alone(
     bar: tuple[Measurement, Series], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,8 +39,7 @@ def draw(closure: ClosestClosure, title: str, joints: list[str]) -> Figure:
     """The figure; `joints` are the names of the machine's joints, as its struts."""
     count = len(closure.guess.equations)
     height = max(LEAST_HEIGHT, HEAD + ROW * count)
-    figure = style.figure(height, WIDTH)
-    figure.set_layout_engine("none")
+    figure = style.placed_figure(height, WIDTH)
     look: Any = {"fontsize": 10, "fontweight": "bold", "va": "top"}
     figure.text(0.02, 0.98, style.label(title, 120), **look)
     _drawing(figure, closure, joints)

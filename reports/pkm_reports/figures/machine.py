@@ -70,8 +70,7 @@ def draw(drawing: Drawing) -> Figure:
     fitting = LEGEND_CHARACTERS // (MARKER_CHARACTERS + longest)
     columns = max(2, min(len(entries), fitting))
     legend_height = 0.1 + LEGEND_LINE * math.ceil(len(entries) / columns)
-    figure = style.figure(PANEL_HEIGHT + legend_height)
-    figure.set_layout_engine("none")
+    figure = style.placed_figure(PANEL_HEIGHT + legend_height)
     foot = legend_height / (PANEL_HEIGHT + legend_height)
     whole, close = shown.whole_box(), shown.readings_box() if len(shown.tips) else None
     titles = ("The machine at home and all readings", "The readings, enlarged")

@@ -19,8 +19,7 @@ COLUMNS: Final = 2
 def draw(drawing: Drawing) -> Figure:
     """One view of machine, bars and tool points, with a short legend."""
     shown = machine.scene_of(drawing)
-    figure = style.figure(HEIGHT, WIDTH)
-    figure.set_layout_engine("none")
+    figure = style.placed_figure(HEIGHT, WIDTH)
     entries = machine.legend_entries(shown)
     lines = -(-len(entries) // COLUMNS)
     foot = (0.08 + machine.LEGEND_LINE * lines) / HEIGHT

@@ -235,15 +235,11 @@ def _mounted(resolved: ResolvedStudy, series: list[Series]) -> Measurement:
 def kappa_map(circles: Circles, scaling: Scaling) -> KappaMap:
     """Condition number over the number of circles and of points on each."""
     table = []
-    for m in circles.circles:
-        row = []
-        for n in circles.points:
-            readings = [circles.series(m, n)]
-            identifiability = assess(circles.measurement, readings, scaling)
-            row.append(
-                criteria.kappa(
-                    identifiability.identifiability.identifiable_singular_values
-                )
-            )
-        table.append(row)
+    for of_circles in circles.every_series():
+        assessed = [
+            assess(circles.measurement, [series], scaling).identifiability
+            for series in of_circles
+        ]
+        values = [identified.identifiable_singular_values for identified in assessed]
+        table.append([criteria.kappa(v) for v in values])
     return KappaMap(circles.title, list(circles.circles), list(circles.points), table)
