@@ -13,16 +13,15 @@ from oed.arrays import Array
 from oed.compensate import (
     InterpolationTable,
     compensated_joints,
-    corrected_commands,
     error_model,
     pose_error,
 )
-from oed.compensate.table import grid_nodes
+from oed.compensate.command_grid import CommandGrid
 from oed.error_maps import Reference, relative_to_reference
 from oed.kinematics import Kinematics
 
 #: places in a table's box over which its interpolation error is averaged
-PLACES = 400
+PLACES = 1000
 
 
 def joint_errors(
@@ -58,39 +57,34 @@ def joint_errors(
 
 def interpolation_errors(
     kinematics: Kinematics,
-    knots: tuple[Array, ...],
+    grid: CommandGrid,
     parameters: Array,
     reference: Reference,
     rng: np.random.Generator,
 ) -> Array:
-    """Errors (n, k), SI, at random places of a table of corrected commands.
+    """Errors (n, k), SI, at random places of a table of joint corrections.
 
-    The controller has the nominal model. It adds corrections, linear between the knots
-    of each command coordinate; at home it has those of home.
+    The controller has the nominal model. It adds corrections, linear between the
+    commands of the grid; at home it has those of home.
 
     Raises AssemblyError.
     """
-    nodes = grid_nodes(knots)
-    correction = corrected_commands(kinematics, nodes, parameters) - nodes
-    shape = tuple(len(places) for places in knots)
-    names = tuple(c.name for c in kinematics.machine.command)
-    table = InterpolationTable(names, knots, correction.reshape(*shape, -1))
-    low, high = np.array([(places[0], places[-1]) for places in knots]).T
+    nominal = kinematics.machine.nominal
+    exact = compensated_joints(kinematics, grid.commands, parameters)
+    correction = exact - compensated_joints(kinematics, grid.commands, nominal)
+    table = InterpolationTable(
+        tuple(axis.name for axis in grid.axes),
+        grid.knots,
+        correction.reshape(*grid.counts, -1),
+        grid.turns,
+    )
+    low, high = np.array([(axis.lower, axis.upper) for axis in grid.axes]).T
     places = rng.uniform(low, high, (PLACES, len(low)))
     home = kinematics.machine.home_command[None]
-    sent = places + table.at(places)
     joints = np.vstack(
         [
-            compensated_joints(kinematics, sent, kinematics.machine.nominal),
+            compensated_joints(kinematics, places, nominal) + table.at(places),
             compensated_joints(kinematics, home, parameters),
         ]
     )
     return joint_errors(kinematics, places, joints, parameters, reference)
-
-
-def table_knots(command: Array) -> tuple[Array, ...] | None:
-    """Knots of each coordinate of commands (n, n_dof); None where they are no grid."""
-    knots = tuple(np.unique(column) for column in command.T)
-    if np.prod([len(places) for places in knots]) != len(command):
-        return None
-    return knots

@@ -26,7 +26,17 @@ z_mm = [1066.0, 1166.0, 1266.0]
 psi_deg = { from = 0.0, to = 180.0, count = 7 }
 theta_deg = [15.0, 25.0, 35.0]
 """
+#: round the whole turn, twelve poses to a circle
+ROUND = """
+[prediction]
+reference = "absolute"
+z_mm = [1066.0, 1166.0, 1266.0]
+psi_deg = { from = 0.0, to = 360.0, count = 12, endpoint = false }
+theta_deg = [5.0, 15.0, 25.0, 35.0]
+"""
 NAMES = ("z", "psi", "theta")
+#: SI values of mm and degrees
+FACTORS = np.array([1e-3, np.pi / 180.0, np.pi / 180.0])
 ARCSEC = np.pi / 648000.0
 FINE = np.array([1e-6, ARCSEC, ARCSEC])
 #: a controller that reads joints in steps of 50 um
@@ -72,7 +82,13 @@ def commands() -> np.ndarray:
     return np.column_stack([axis.ravel() for axis in mesh])
 
 
-def exported(folder: Path, base: np.ndarray, to: str) -> BudgetSection:
+def exported(
+    folder: Path,
+    base: np.ndarray,
+    to: str,
+    grid: str = GRID,
+    options: tuple[str, ...] = (),
+) -> BudgetSection:
     """The budget that the command writes, of a machine predicted to err by `base`."""
     predicted = dict(zip(NAMES, base.tolist(), strict=True))
     line = BudgetLine("readings", "instrument", dict.fromkeys(NAMES, 1.0), predicted)
@@ -86,9 +102,9 @@ def exported(folder: Path, base: np.ndarray, to: str) -> BudgetSection:
         budget=BudgetSection(predicted, [line]),
     )
     content = sample.result(a3_head.machine, TABLE3, prediction=section)
-    text = content.study_text + GRID
+    text = content.study_text + grid
     sample.save(folder, msgspec.structs.replace(content, study_text=text))
-    assert cli.main(["compensate", str(folder), "--to", to]) == 0
+    assert cli.main(["compensate", str(folder), "--to", to, *options]) == 0
     written = (folder / "compensation_budget.json").read_bytes()
     return msgspec.json.decode(written, type=BudgetSection)
 
@@ -119,32 +135,82 @@ def test_rounding_costs_what_its_line_says(
     assert "with this file the predicted rms is" in capsys.readouterr().out.lower()
 
 
-def test_interpolation_costs_what_its_line_says(tmp_path: Path) -> None:
-    """A nominal controller interpolates the table's corrections, by other code."""
-    budget = exported(tmp_path, np.full(3, 1.0), "csv")
-    with (tmp_path / "compensation.csv").open(newline="") as file:
+def read_table(folder: Path) -> tuple[list[np.ndarray], np.ndarray]:
+    """Places along each axis, and corrections (..., 3) of the joints; SI."""
+    with (folder / "compensation_grid.csv").open(newline="") as file:
+        axes = list(csv.DictReader(file))
+    knots = [
+        np.linspace(float(a["first"]), float(a["last"]), int(a["count"])) * factor
+        for a, factor in zip(axes, FACTORS, strict=True)
+    ]
+    with (folder / "compensation.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    keys = ("z_mm", "psi_deg", "theta_deg")
-    factor = np.array([1e-3, np.pi / 180.0, np.pi / 180.0])
-    places, sent = (
-        np.array([[float(r[f"{start}{k}"]) for k in keys] for r in rows]) * factor
-        for start in ("", "corrected_")
+    keys = [a["coordinate"] for a in axes]
+    places = np.array([[float(r[key]) for key in keys] for r in rows]) * FACTORS
+    mesh = np.stack(np.meshgrid(*knots, indexing="ij"), axis=-1)
+    assert places == pytest.approx(mesh.reshape(-1, 3), abs=1e-8)
+    added = [[1e-3 * float(r[f"correction_q{k}_mm"]) for k in (1, 2, 3)] for r in rows]
+    return knots, np.array(added).reshape(*mesh.shape)
+
+
+def interpolated(folder: Path, command: np.ndarray) -> np.ndarray:
+    """Joints (n, 3) of a nominal controller that adds the file's corrections."""
+    knots, added = read_table(folder)
+    reduced = command.copy()
+    reduced[:, 1] %= 2.0 * np.pi
+    return a3.inverse_nominal(*command.T) + RegularGridInterpolator(knots, added)(
+        reduced
     )
-    knots = [np.unique(column) for column in places.T]
-    shape = [len(axis) for axis in knots]
-    assert np.prod(shape) == len(rows)
-    added = (sent - places).reshape(*shape, 3)
+
+
+#: rms errors that exact compensation leaves, um and arcsec
+EXACT = np.array([97.0, 20.0, 1.2])
+
+
+@pytest.mark.parametrize(
+    ("grid", "limit"), [(ROUND, ()), (GRID, ()), (ROUND, ("--commands", "400"))]
+)
+def test_interpolation_costs_what_its_line_says(
+    tmp_path: Path,
+    grid: str,
+    limit: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A nominal controller interpolates the table's corrections, by other code.
+
+    Where commands go round, psi is any angle.
+    """
+    budget = exported(tmp_path, EXACT, "csv", grid=grid, options=limit)
+    knots, _ = read_table(tmp_path)
+    low, high = (np.array([axis[end] for axis in knots]) for end in (0, -1))
+    if grid == ROUND:
+        assert (low[1], high[1]) == pytest.approx((0.0, 2.0 * np.pi))
+        low[1], high[1] = -4.0 * np.pi, 4.0 * np.pi
+    inside = 1e-9 * (high - low)
     rng = np.random.default_rng(8)
-    command = rng.uniform(places.min(axis=0), places.max(axis=0), (4000, 3))
-    command += 1e-12 * (places.mean(axis=0) - command)
-    q = a3.inverse_nominal(
-        *(command + RegularGridInterpolator(knots, added)(command)).T
-    )
-    realised = rms([errors(TABLE3, q, command)])
+    command = rng.uniform(low + inside, high - inside, (4000, 3))
+    realised = rms([errors(TABLE3, interpolated(tmp_path, command), command)])
     lines = {line.kind: line for line in budget.lines}
     sizes = [lines["interpolation"].size[n] for n in NAMES]
     assert sizes == pytest.approx(realised, rel=0.15)
-    assert realised.min() > 1.0
+    total = np.array([budget.predicted[n] for n in NAMES])
+    assert total == pytest.approx(np.hypot(EXACT, sizes), rel=1e-3)
+    warned = "interpolation still costs" in capsys.readouterr().out
+    assert warned == bool(limit)
+    if limit:
+        assert (total > 1.1 * EXACT).any()
+    else:
+        assert (total < 1.03 * EXACT).all()
+
+
+def test_a_limit_below_the_coarsest_table_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = sample.save(tmp_path, sample.result(a3_head.machine, TABLE3))
+    arguments = ["compensate", str(folder), "--to", "csv", "--commands", "19"]
+    assert cli.main(arguments) == 2
+    assert "--commands 19" in capsys.readouterr().err
+    assert not (folder / "compensation.csv").exists()
 
 
 def test_without_a_prediction_or_a_formula_there_is_no_budget(tmp_path: Path) -> None:

@@ -137,6 +137,21 @@ def test_exports_hold_tables_of_the_effects_or_say_so(
     assert "joint corrections by" not in capsys.readouterr().out.lower()
 
 
+def test_interpolation_of_the_effects_tables_is_in_the_budget(
+    folder: Path, result: StudyResult
+) -> None:
+    """A bound: the errors of all tables in the same sense."""
+    assert result.corrected is not None
+    costs = [t.interpolation for t in result.corrected.tables]
+    assert all(cost["y"] > 0.0 for cost in costs)
+    out = folder / "out"
+    assert run("compensate", out, "--to", "json") == 0
+    budget = json.loads((out / "compensation_budget.json").read_text())
+    (line,) = (n for n in budget["lines"] if n["kind"] == "interpolation")
+    for name in "yz":
+        assert line["size"][name] == pytest.approx(sum(cost[name] for cost in costs))
+
+
 def test_a_file_without_the_effects_has_them_in_its_budget(
     folder: Path, result: StudyResult
 ) -> None:

@@ -4,6 +4,13 @@ Each compensator stands in a file: parameters in the controller's model, the lin
 of Tian et al. (2016), the exact one, forecast grids, tables over states, and sequences.
 """
 
+from oed.compensate.command_grid import (
+    CommandGrid,
+    GridAxis,
+    box_axes,
+    choose_command_grid,
+    joint_motion,
+)
 from oed.compensate.error_field import Box, ErrorField, Kernel, fit_error_field
 from oed.compensate.exact import (
     ExactCompensator,
@@ -38,6 +45,7 @@ from oed.compensate.table import InterpolationTable
 __all__ = [
     "NO_TOOL",
     "Box",
+    "CommandGrid",
     "Compensator",
     "CompensatorSequence",
     "Conditions",
@@ -45,6 +53,7 @@ __all__ = [
     "ErrorModel",
     "ExactCompensator",
     "ForecastCompensator",
+    "GridAxis",
     "GridDesign",
     "InterpolationTable",
     "Kernel",
@@ -52,6 +61,8 @@ __all__ = [
     "ParameterCompensator",
     "Setpoint",
     "StateCompensator",
+    "box_axes",
+    "choose_command_grid",
     "compensated_joints",
     "component_errors",
     "corrected_commands",
@@ -61,6 +72,7 @@ __all__ = [
     "fit_error_field",
     "forecast_from_field",
     "forecast_from_nodes",
+    "joint_motion",
     "pose_error",
     "strut_motion",
     "twist_between",

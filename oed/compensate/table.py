@@ -17,11 +17,13 @@ class InterpolationTable:
     axes    names of the coordinates or states
     knots   ascending places along each axis, SI
     values  (n_1, ..., n_a, m), SI
+    turns   axes that are a full turn, whose last knot repeats the first; none by default
     """
 
     axes: tuple[str, ...]
     knots: tuple[Array, ...]
     values: Array
+    turns: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
         shape = tuple(len(places) for places in self.knots)
@@ -48,7 +50,7 @@ class InterpolationTable:
         """Interpolated values (n, m) at places (n, a)."""
         low = np.array([axis[0] for axis in self.knots])
         high = np.array([axis[-1] for axis in self.knots])
-        inside = np.clip(places, low, high)
+        inside = np.clip(self._in_first_turn(places, low, high), low, high)
         varied = [k for k, axis in enumerate(self.knots) if len(axis) > 1]
         if not varied:
             return np.repeat(self.values.reshape(1, -1), len(places), axis=0)
@@ -56,6 +58,13 @@ class InterpolationTable:
         shape = [len(axis) for axis in knots]
         values = self.values.reshape(*shape, self.values.shape[-1])
         return np.asarray(RegularGridInterpolator(knots, values)(inside[:, varied]))
+
+    def _in_first_turn(self, places: Array, low: Array, high: Array) -> Array:
+        """Places with the angles of full turns between the ends of their axes."""
+        reduced = np.array(places, dtype=float)
+        for k in np.flatnonzero(self.turns):
+            reduced[:, k] = low[k] + np.mod(reduced[:, k] - low[k], high[k] - low[k])
+        return reduced
 
 
 def grid_nodes(knots: tuple[Array, ...]) -> Array:

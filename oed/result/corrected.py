@@ -24,13 +24,15 @@ class EffectEstimate(Record, frozen=True):
 class EffectTable(Record, frozen=True):
     """Joint corrections of an effect over a state, for a controller to add.
 
-    state       `pose`, `direction`, `payload_N` or `temp_<body>_C`, a rise above the
-                session's start
-    joint_wise  whether each joint's correction is read at that joint's own state
-    values      of the state; between them corrections go in straight lines
-    joints      names of the joints with their unit
-    commands    at which the corrections hold
-    table       [value][command][joint]
+    state          `pose`, `direction`, `payload_N` or `temp_<body>_C`, a rise above the
+                   session's start
+    joint_wise     whether each joint's correction is read at that joint's own state
+    values         of the state; between them corrections go in straight lines
+    joints         names of the joints with their unit
+    commands       at which the corrections hold: a grid with equal steps
+    table          [value][command][joint]
+    interpolation  {component: rms error, in its fine unit} that straight lines between
+                   the commands leave, in the worst state
     """
 
     effect: str
@@ -40,6 +42,7 @@ class EffectTable(Record, frozen=True):
     joints: list[str]
     commands: list[dict[str, float]]
     table: list[list[list[float]]]
+    interpolation: dict[str, float] = {}
 
 
 class CorrectedSection(Record, frozen=True):

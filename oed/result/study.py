@@ -131,3 +131,8 @@ class StudyResult(Record, frozen=True, kw_only=True):
     def final_estimate(self) -> EstimateSection | CorrectedSection | None:
         """The corrected estimate where there is one, which effects do not bend."""
         return self.corrected or self.estimate
+
+    @property
+    def final_prediction(self) -> PredictionSection | None:
+        """The predicted accuracy with that estimate."""
+        return self.prediction if self.corrected is None else self.corrected.prediction

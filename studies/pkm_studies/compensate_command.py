@@ -37,14 +37,27 @@ def compensate(
             metavar="STUDY", help="The study, where its machine is a file of yours."
         ),
     ] = None,
+    commands: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Largest number of commands of a table [5000].",
+            show_default=False,
+        ),
+    ] = None,
     force: Annotated[bool, typer.Option(help="Write a bad fit as well.")] = False,
 ) -> int:
     """Write what the controller reads: parameters, tables, measuring poses."""
-    from pkm_studies.compensation import export
+    from pkm_studies.compensation import export, table_grid
 
     try:
         written = export.export_folder(
-            folder, to, out=out, study_file=study, force=force
+            folder,
+            to,
+            out=out,
+            study_file=study,
+            force=force,
+            commands=table_grid.COMMANDS if commands is None else commands,
         )
     except export.BadFitError as error:
         console.print_error(str(error))

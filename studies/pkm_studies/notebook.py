@@ -153,18 +153,27 @@ def write_report(view: View, out: str | Path) -> tuple[Path, ...]:
 
 
 def write_compensation(
-    view: View, to: str, out: str | Path, *, force: bool = False
+    view: View,
+    to: str,
+    out: str | Path,
+    *,
+    force: bool = False,
+    commands: int | None = None,
 ) -> tuple[Path, ...]:
     """Files that the controller reads, in the format `to` and the folder `out`.
 
-    Formats are those of `oed list formats`. Raises InputError, and BadFitError where
+    Formats are those of `oed list formats`; `commands` limits a table. Raises InputError, and BadFitError where
     the fit is bad, unless forced.
     """
     from pkm_studies.compensation.export import export
+    from pkm_studies.compensation.table_grid import COMMANDS
 
     controller = catalogue.controller_format(to, Path())
     result, study, folder = _result(view.state), view.state.study, Path(out)
-    return export(result, study, controller, folder, force=force).paths
+    largest = COMMANDS if commands is None else commands
+    return export(
+        result, study, controller, folder, force=force, commands=largest
+    ).paths
 
 
 def _result(state: RunState) -> StudyResult:

@@ -10,9 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from oracles import a3_geometry as a3
+from scipy.interpolate import RegularGridInterpolator
 
 from kernel import a3_plans
 from oed import compensate
+from oed.compensate.command_grid import box_axes
 from oed.correction import (
     CorrectedEstimate,
     EffectReadings,
@@ -23,6 +25,7 @@ from oed.correction import (
 from oed.identification import Estimate, identify
 from oed.measurement import Measurement, Series
 from pkm_models.effects import backlash, leg_thermal
+from pkm_studies.stages.corrected.tables import effect_tables
 
 NOISE = 0.5e-6
 WARM_LEG, PLAY_LEG = 1, 2
@@ -266,3 +269,33 @@ def test_tables_correct_the_machine_by_its_states(
     left_alone = actual - correction
     error = a3.forward(s.truth[:24], left_alone).tip - tip
     assert np.abs(error - by_tables)[:, 2].max() > 10e-6
+
+
+def test_tables_are_as_fine_as_the_growth_of_the_leg_needs(
+    measured: tuple[Measurement, Session],
+) -> None:
+    """The leg grows with its joint's length; play is almost the same everywhere."""
+    _, s = measured
+    command = a3_plans.workspace()
+    axes = box_axes(s.corrected.readings.measurement.machine, command)
+    tables, missing = effect_tables(s.corrected, command, axes, None)
+    assert missing == {}
+    warm, play = sorted(tables, key=lambda t: t.state, reverse=True)
+    assert play.interpolation["q3"] == pytest.approx(0.0, abs=0.05)
+    nodes = np.array([list(c.values()) for c in warm.commands])
+    knots = [np.unique(axis) for axis in nodes.T]
+    assert len(knots[1]) >= 5
+    assert knots[1][-1] - knots[1][0] == pytest.approx(360.0)
+    rng = np.random.default_rng(6)
+    places = rng.uniform(nodes.min(axis=0), nodes.max(axis=0), (4000, 3))
+
+    def needed(at: np.ndarray) -> np.ndarray:
+        z, psi, theta = at.T
+        q = a3.inverse_nominal(1e-3 * z, np.deg2rad(psi), np.deg2rad(theta))
+        return -1e6 * PER_KELVIN * warm.values[1] * q[:, WARM_LEG]
+
+    shape = [len(axis) for axis in knots]
+    lines = RegularGridInterpolator(knots, needed(nodes).reshape(shape))
+    lost = np.sqrt(np.mean((lines(places) - needed(places)) ** 2))
+    assert warm.interpolation["q2"] == pytest.approx(lost, rel=0.15)
+    assert lost > 0.1

@@ -16,7 +16,7 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
-from oed.export_errors import interpolation_errors, joint_errors, table_knots
+from oed.export_errors import interpolation_errors, joint_errors
 from oed.kinematics import AssemblyError
 from oed.result import BudgetLine, BudgetSection, PredictionSection, StudyResult
 from pkm_studies.compensation.content import Compensation, ControllerFormat
@@ -25,7 +25,8 @@ from pkm_studies.stages.predict.budget import advice_on, quantities
 #: end of the name of the file with the budget
 BUDGET_FILE = "_budget.json"
 #: names of the lines that a file adds
-INTERPOLATION = "interpolation between the poses of the table"
+INTERPOLATION = "interpolation between the commands of the table"
+OF_EFFECTS = "interpolation of the effects' tables, at most"
 LEFT_OUT = "effects that the file does not hold"
 
 #: rms errors by pose component, in its fine unit
@@ -57,12 +58,13 @@ def complete_budget(
     It has the components that the joints drive.
     """
     corrected = result.corrected
-    prediction = result.prediction if corrected is None else corrected.prediction
+    prediction = result.final_prediction
     if prediction is None or prediction.budget is None or controller.joints is None:
         return None
     lines = [_rounding(controller, content, prediction)]
     if controller.interpolated:
         lines += _interpolation(content, prediction)
+    lines += _of_effects(content)
     if corrected is not None and not controller.tables:
         alone = {n: s.rms for n, s in corrected.parameters_only.items()}
         lines.append(_left_out(content, prediction, alone))
@@ -139,7 +141,8 @@ def _rounding(
     assert controller.joints is not None
     command = content.command
     home = content.machine.home_command[None]
-    whole = dataclasses.replace(content, command=np.vstack([command, home]))
+    poses = np.vstack([command, home])
+    whole = dataclasses.replace(content, command=poses, grid=None)
     joints = controller.joints(controller.write(whole), whole)
     errors = joint_errors(
         content.kinematics,
@@ -156,13 +159,12 @@ def _interpolation(
     content: Compensation, prediction: PredictionSection
 ) -> list[FileLine]:
     """What corrections lose between the table's commands; none where they are no grid."""
-    knots = table_knots(content.command)
-    if knots is None:
+    if content.grid is None:
         return []
     try:
         errors = interpolation_errors(
             content.kinematics,
-            knots,
+            content.grid,
             content.identified.values,
             prediction.reference,  # type: ignore[arg-type]
             np.random.default_rng(0),
@@ -170,6 +172,18 @@ def _interpolation(
     except AssemblyError:
         return []
     return [FileLine(INTERPOLATION, "interpolation", _rms(content, errors))]
+
+
+def _of_effects(content: Compensation) -> list[FileLine]:
+    """What the effects' corrections lose between their commands, in their worst states.
+
+    Their errors may go the same way: they add up in size.
+    """
+    stated = [table.interpolation for table in content.tables if table.interpolation]
+    if not stated:
+        return []
+    rms = {n: sum(costs[n] for costs in stated) for n in driven_units(content)}
+    return [FileLine(OF_EFFECTS, "interpolation", rms)]
 
 
 def _left_out(

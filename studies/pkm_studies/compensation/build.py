@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,12 +10,17 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
+from oed.compensate.command_grid import GridAxis, box_axes
 from oed.compensate.table import grid_nodes
 from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Machine
 from oed.result import StudyResult
-from pkm_studies.compensation import identified
-from pkm_studies.compensation.content import Compensation, MeasuringPose
+from pkm_studies.compensation import identified, table_grid
+from pkm_studies.compensation.content import (
+    Compensation,
+    ControllerFormat,
+    MeasuringPose,
+)
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.resolve.quantities import column
@@ -26,13 +32,19 @@ PLACES = 5
 
 
 def compensation(
-    result: StudyResult, study: Study, folder: Path, *, tables: bool = False
+    result: StudyResult,
+    study: Study,
+    folder: Path,
+    controller: ControllerFormat,
+    largest: int = table_grid.COMMANDS,
 ) -> Compensation:
-    """The content of an export. Raises InputError where nothing was identified.
+    """The content of an export in a format.
 
-    `tables` says whether the file holds tables of effects.
+    largest  number of commands of a table
+
+    Raises InputError where nothing was identified, and where `largest` is too small.
     """
-    machine = study_machine(study)
+    machine, tables = study_machine(study), controller.tables
     parameters = identified.identified_parameters(result, machine, tables=tables)
     if parameters is None:
         raise InputError(
@@ -44,7 +56,7 @@ def compensation(
     notes = [f"parameters: section {parameters.origin} of result.json"]
     if identified.is_virtual(result):
         notes.append("the readings are simulated: these values fit no real machine")
-    return Compensation(
+    content = Compensation(
         study=result.study,
         version=result.version,
         machine=machine,
@@ -55,6 +67,38 @@ def compensation(
         notes=(*notes, *parameters.conditions),
         tables=tuple(result.corrected.tables) if result.corrected and tables else (),
     )
+    if not controller.table:
+        return content
+    return _with_grid(content, result, workspace_axes(study, machine), largest)
+
+
+def _with_grid(
+    content: Compensation,
+    result: StudyResult,
+    axes: tuple[GridAxis, ...],
+    largest: int,
+) -> Compensation:
+    """The content with the grid of its table, where its workspace is in reach."""
+    kinematics = content.kinematics
+    correction = table_grid.joint_correction(kinematics, content.identified.values)
+    want = table_grid.wanted(kinematics, result.final_prediction)
+    grid = table_grid.table_grid(axes, correction, want, largest)
+    if grid is None:
+        return content
+    notes = (*content.notes, *table_grid.sentences(grid, want))
+    return dataclasses.replace(content, grid=grid, notes=notes)
+
+
+def workspace_axes(study: Study, machine: Machine) -> tuple[GridAxis, ...]:
+    """Axes of the box of the commands of [prediction], or of the workspace."""
+    command = prediction_commands(study, machine)
+    return box_axes(machine, _lattice(machine) if command is None else command)
+
+
+def _lattice(machine: Machine) -> Array:
+    """Commands (n, n_dof) over the workspace, whether in reach or not."""
+    knots = tuple(np.linspace(c.lower, c.upper, PLACES) for c in machine.command)
+    return grid_nodes(knots)
 
 
 def workspace_commands(study: Study, kinematics: Kinematics) -> Array:
@@ -63,18 +107,22 @@ def workspace_commands(study: Study, kinematics: Kinematics) -> Array:
     command = prediction_commands(study, machine)
     if command is not None:
         return command
-    knots = tuple(np.linspace(c.lower, c.upper, PLACES) for c in machine.command)
-    return _reachable(kinematics, grid_nodes(knots))
+    return _reachable(kinematics, _lattice(machine))
 
 
 def regular_commands(study: Study, kinematics: Kinematics) -> Array:
-    """Those of `workspace_commands` at which every pose component has an error.
+    """Those of `workspace_commands` at which every pose component has an error."""
+    return regular(kinematics, workspace_commands(study, kinematics))
+
+
+def regular(kinematics: Kinematics, command: Array) -> Array:
+    """Those commands (n, n_dof) at which every pose component has an error.
 
     Where a tilt is zero, its direction has none.
     """
-    command = workspace_commands(study, kinematics)
     slopes = kinematics.error_components_jacobian(command)
-    return np.asarray(command[np.isfinite(slopes).all(axis=(1, 2))])
+    is_regular = np.isfinite(slopes).all(axis=(1, 2))
+    return np.asarray(command[is_regular])
 
 
 def _reachable(kinematics: Kinematics, command: Array) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from oed.arrays import Array
+from oed.compensate.command_grid import CommandGrid
 from oed.machine import Machine
 from oed.result import EffectTable
 
@@ -51,10 +52,11 @@ class Compensation:
     machine     with the study's nominal numbers: the controller's model so far
     kinematics  of it
     identified  parameters
-    command     (n, n_dof) commands over the workspace, SI
+    command     (n, n_dof) commands over the workspace, SI, at which accuracy counts
     poses       to measure
     notes       sentences that go into every file as comments
     tables      joint corrections of effects by state, for formats that hold them
+    grid        of the commands of a table, for formats that hold one
     """
 
     study: str
@@ -66,6 +68,12 @@ class Compensation:
     poses: tuple[MeasuringPose, ...]
     notes: tuple[str, ...]
     tables: tuple[EffectTable, ...] = ()
+    grid: CommandGrid | None = None
+
+    @property
+    def tabled(self) -> Array:
+        """Commands (n, n_dof) of the table, SI: the grid's, or those of the workspace."""
+        return self.command if self.grid is None else self.grid.commands
 
     def parameter(self, name: str) -> float:
         """An identified parameter, SI. Raises KeyError."""
@@ -85,8 +93,9 @@ class ControllerFormat:
     unfit(machine)         why the controller cannot drive a machine, in words; None
                            where it can
     tables                 whether the file holds tables of effects
-    interpolated           whether the controller interpolates between the file's
-                           commands
+    table                  whether it holds a table over `compensation.tabled`
+    interpolated           whether the controller has the nominal model, and adds joint
+                           corrections in straight lines between these commands
     """
 
     name: str
@@ -96,4 +105,5 @@ class ControllerFormat:
     joints: Callable[[Texts, Compensation], Array] | None = None
     unfit: Callable[[Machine], str | None] = lambda machine: None
     tables: bool = False
+    table: bool = False
     interpolated: bool = False

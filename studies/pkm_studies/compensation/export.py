@@ -15,6 +15,7 @@ from pkm_studies import catalogue, files, result_folder
 from pkm_studies.compensation import build, identified
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
+from pkm_studies.compensation.table_grid import COMMANDS
 from pkm_studies.errors import InputError, Place
 from pkm_studies.study import SUFFIX, Study, load
 from pkm_studies.study.loader import parse
@@ -39,6 +40,7 @@ def export_folder(
     out: Path | None = None,
     study_file: Path | None = None,
     force: bool = False,
+    commands: int = COMMANDS,
 ) -> Export:
     """Write the result of a folder in a format.
 
@@ -46,13 +48,16 @@ def export_folder(
     out         file to write; compensation.* in the folder by default
     study_file  study, where it names a machine in a file of its own
     force       whether to write a bad fit
+    commands    largest number of commands of a table
 
     Raises InputError, and BadFitError where the fit is bad.
     """
     controller = catalogue.controller_format(reference, Path())
     result = result_folder.load_result(folder)
     study = result_study(result, folder) if study_file is None else load(study_file)
-    return export(result, study, controller, folder, out=out, force=force)
+    return export(
+        result, study, controller, folder, out=out, force=force, commands=commands
+    )
 
 
 def export(
@@ -63,6 +68,7 @@ def export(
     *,
     out: Path | None = None,
     force: bool = False,
+    commands: int = COMMANDS,
 ) -> Export:
     """As `export_folder`, from a result in memory."""
     objections = identified.objections(result)
@@ -71,7 +77,7 @@ def export(
             f"{'; '.join(objections)}: nothing is written; run `oed diagnose`, or"
             " give --force"
         )
-    content = build.compensation(result, study, folder, tables=controller.tables)
+    content = build.compensation(result, study, folder, controller, commands)
     notes = tuple(f"written by --force: {reason}" for reason in objections)
     content = dataclasses.replace(content, notes=(*content.notes, *notes))
     reason = controller.unfit(content.machine)
@@ -82,7 +88,7 @@ def export(
             value=f"--to {controller.name}",
         )
     texts = controller.write(content)
-    sentences = (*content.notes, *cost(controller, texts, content))
+    sentences = (*content.notes, *cost(controller, content))
     whole = complete_budget(controller, content, result)
     if whole is not None:
         document = msgspec.json.format(msgspec.json.encode(whole.section), indent=1)
@@ -92,21 +98,21 @@ def export(
     return Export(_write(texts, folder, out), sentences)
 
 
-def cost(
-    controller: ControllerFormat, texts: Texts, content: Compensation
-) -> tuple[str, ...]:
-    """What the controller's model and the printed digits cost, and what stays."""
-    identified_values = content.identified.values
-    exact = ParameterCompensator(
-        content.kinematics, identified_values, identified_values
-    )
-    remaining = exact.limits(content.command)[1:]
+def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]:
+    """What the controller's model and the printed digits cost, and what stays.
+
+    Both hold at the commands of the workspace, as if the file had these.
+    """
+    kinematics, values = content.kinematics, content.identified.values
+    command = build.regular(kinematics, content.command)
+    if not len(command):
+        return ()
+    remaining = ParameterCompensator(kinematics, values, values).limits(command)[1:]
     if controller.joints is None:
         return remaining
-    joints = controller.joints(texts, content)
-    errors = component_errors(
-        content.kinematics, content.command, joints, identified_values
-    )
+    written = dataclasses.replace(content, command=command, grid=None)
+    joints = controller.joints(controller.write(written), written)
+    errors = component_errors(kinematics, command, joints, values)
     largest = np.abs(errors).max(axis=0)
     parts = [
         f"{c.name} {quantity(size, c.unit)}"
@@ -115,7 +121,7 @@ def cost(
     ]
     sentence = (
         f"the controller's model and the printed digits cost at most {', '.join(parts)}"
-        f" over {len(content.command)} poses"
+        f" over {len(command)} poses"
     )
     return (sentence, *remaining)
 

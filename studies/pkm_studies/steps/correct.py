@@ -21,7 +21,7 @@ from oed.correction import (
 from oed.effect import Effect
 from oed.gap.data.signature import untestable
 from pkm_studies import catalogue
-from pkm_studies.compensation.build import regular_commands
+from pkm_studies.compensation.build import regular_commands, workspace_axes
 from pkm_studies.resolve.effect_sizes import sized
 from pkm_studies.resolve.gap import GapRequest, gap_request
 from pkm_studies.run_state import RunState, Stream
@@ -146,6 +146,7 @@ def _with_section(
         accuracy,
         draws,
         command,
+        workspace_axes(study, kinematics.machine),
         state.resolved.wanted_accuracy,
     )
     turned = find_turned_runs(corrected)

@@ -1,10 +1,11 @@
-"""CSV: a table of parameters, and one of corrected commands and joints."""
+"""CSV: a table of corrected commands and joints, its axes, and parameters."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from oed import units
 from oed.arrays import Array
 from oed.result import EffectTable
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
-from pkm_studies.compensation.formats.json_file import table
+from pkm_studies.compensation.formats.json_file import grid_rows, table
 from pkm_studies.resolve.quantities import column
 
 #: decimals of lengths in mm and of angles in degrees
@@ -22,7 +23,7 @@ DIGITS = 12
 
 
 def write(compensation: Compensation) -> Texts:
-    """The commands first; the parameters in a second file, effects in a third one."""
+    """The table first; its axes, parameters and effects in files of their own."""
     columns = table(compensation)
     rows = zip(*columns.values(), strict=True)
     commands = ([f"{value:.{DECIMALS}f}" for value in row] for row in rows)
@@ -33,11 +34,20 @@ def write(compensation: Compensation) -> Texts:
             _parameters(compensation),
         ),
     }
+    axes = grid_rows(compensation)
+    if axes:
+        texts["_grid.csv"] = _text(list(axes[0]), map(_axis, axes))
     if compensation.tables:
         first = compensation.tables[0]
         header = ["effect", "state", "value", *first.commands[0], *first.joints]
         texts["_effects.csv"] = _text(header, _effects(compensation.tables))
     return texts
+
+
+def _axis(row: Mapping[str, Any]) -> list[str]:
+    numbers = [f"{row[end]:.{DECIMALS}f}" for end in ("first", "last")]
+    repeats = "yes" if row["repeats"] else "no"
+    return [row["coordinate"], *numbers, str(row["count"]), repeats]
 
 
 def _parameters(compensation: Compensation) -> Iterable[list[str]]:
@@ -80,10 +90,11 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
 
 controller = ControllerFormat(
     name="csv",
-    about="tables of parameters, and of corrected commands and joints, six decimals",
+    about="corrections over a grid of commands, and parameters, six decimals",
     source="this project",
     write=write,
     joints=joints,
     tables=True,
+    table=True,
     interpolated=True,
 )

@@ -16,7 +16,7 @@ from pkm_studies.resolve.quantities import column, display_unit
 
 
 def write(compensation: Compensation) -> Texts:
-    """Parameters with sd, and corrected commands and joints over the workspace."""
+    """Parameters with sd, and a table of corrections over the workspace."""
     document = {
         "schema": 1,
         "program": f"pkm-oed {compensation.version}",
@@ -24,6 +24,7 @@ def write(compensation: Compensation) -> Texts:
         "machine": compensation.machine.name,
         "notes": list(compensation.notes),
         "parameters": _parameters(compensation),
+        "grid": grid_rows(compensation),
         "table": table(compensation),
     }
     if compensation.tables:
@@ -46,23 +47,49 @@ def _parameters(compensation: Compensation) -> dict[str, Any]:
 
 
 def table(compensation: Compensation) -> dict[str, list[float]]:
-    """Columns of the workspace: commands, corrected commands, joints.
+    """Columns of the workspace: commands, corrected commands, joints, joint corrections.
 
-    Corrected commands are for a controller that keeps the nominal model.
+    Corrected commands and joint corrections are for a controller that keeps the nominal
+    model; the corrections are to be interpolated.
     """
     kinematics, machine = compensation.kinematics, compensation.machine
     values = compensation.identified.values
-    command = compensation.command
+    command = compensation.tabled
     corrected = corrected_commands(kinematics, command, values)
     joints = compensated_joints(kinematics, command, values)
+    added = joints - compensated_joints(kinematics, command, machine.nominal)
     columns = {}
     for prefix, block in (("", command), ("corrected_", corrected)):
         for k, c in enumerate(machine.command):
             name = column(f"{prefix}{c.name}", c.unit)
             columns[name] = _in_unit(block[:, k], c.unit)
-    for k, joint in enumerate(machine.joints):
-        columns[column(joint.name, joint.unit)] = _in_unit(joints[:, k], joint.unit)
+    for prefix, block in (("", joints), ("correction_", added)):
+        for k, joint in enumerate(machine.joints):
+            name = column(f"{prefix}{joint.name}", joint.unit)
+            columns[name] = _in_unit(block[:, k], joint.unit)
     return columns
+
+
+def grid_rows(compensation: Compensation) -> list[dict[str, Any]]:
+    """The axes of the table, in the order of its columns; none where it is no grid.
+
+    `repeats` says whether the axis is a full turn.
+    """
+    if compensation.grid is None:
+        return []
+    grid, rows = compensation.grid, []
+    for axis, knots in zip(grid.axes, grid.knots, strict=True):
+        places = _in_unit(knots, axis.unit)
+        rows.append(
+            {
+                "coordinate": column(axis.name, axis.unit),
+                "first": places[0],
+                "last": places[-1],
+                "count": len(places),
+                "repeats": axis.turn,
+            }
+        )
+    return rows
 
 
 def _in_unit(values: Array, si: str) -> list[float]:
@@ -88,4 +115,5 @@ controller = ControllerFormat(
     write=write,
     joints=joints,
     tables=True,
+    table=True,
 )

@@ -9,11 +9,10 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
+from oed.compensate.command_grid import GridAxis
 from oed.correction import (
     CorrectedAccuracy,
     CorrectedEstimate,
-    TabledEffects,
-    tabled_effects,
 )
 from oed.expected_size import IMPLAUSIBLE
 from oed.fit_warnings import chi2_is_large
@@ -28,7 +27,7 @@ from oed.result import (
     SpreadRecord,
 )
 from pkm_studies.stages.corrected.conditions import conditions
-from pkm_studies.stages.corrected.tables import effect_table
+from pkm_studies.stages.corrected.tables import effect_tables
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import marginal
 from pkm_studies.stages.predict.accuracy import (
@@ -47,11 +46,13 @@ def corrected_section(
     accuracy: CorrectedAccuracy | None,
     draws: Posterior | None,
     command: Array,
+    axes: tuple[GridAxis, ...],
     wanted: Mapping[str, float],
 ) -> CorrectedSection:
-    """The section of an estimate, with tables of its effects at commands (n, n_dof).
+    """The section of an estimate, with tables of its effects over a box of commands.
 
-    `truth` (n,) are a virtual machine's parameters, `wanted` the errors to reach, SI.
+    `command` (n, n_dof) are those of the workspace, `truth` (n,) are a virtual machine's
+    parameters, `wanted` the errors to reach, SI.
     """
     measurement, estimate = corrected.measurement, corrected.estimate
     count = corrected.parameters
@@ -64,9 +65,7 @@ def corrected_section(
     predicted = None
     if accuracy is not None:
         predicted = with_wanted(_predicted(measurement, accuracy), wanted)
-    tabled = TabledEffects((), {})
-    if len(command):
-        tabled = tabled_effects(corrected, command)
+    tables, not_tabled = effect_tables(corrected, command, axes, predicted)
     marginals = {} if draws is None else dict(_marginals(corrected, draws))
     return CorrectedSection(
         parameters=parameters,
@@ -83,8 +82,8 @@ def corrected_section(
         prediction=predicted,
         parameters_only=_parameters_only(corrected, accuracy) if accuracy else {},
         posterior=marginals,
-        tables=[effect_table(measurement.machine, t, command) for t in tabled.tables],
-        not_tabled=dict(tabled.missing),
+        tables=tables,
+        not_tabled=dict(not_tabled),
         warnings=_warnings(corrected),
     )
 

@@ -1,0 +1,231 @@
+"""Grids of commands, as fine as the interpolation of corrections between them needs.
+
+Multilinear interpolation is a product of interpolations along the axes. To leading
+order its error is the sum of theirs, each falling with the square of the number of
+intervals. So the axis whose error has the largest product with the whole error, in the
+worst component, gets the next nodes: along all axes that product falls at the same rate
+per node of the table.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import casadi as ca
+import numpy as np
+
+from oed.arrays import Array, Mask
+from oed.batch import BatchedFunction
+from oed.compensate.pose_errors import NO_TOOL
+from oed.compensate.table import grid_nodes
+from oed.expressions import machine_expressions
+from oed.kinematics import Kinematics
+from oed.machine import Machine
+
+FULL_TURN = 2.0 * math.pi
+#: fewest nodes along an axis, and round a full turn: one at each quarter
+FEWEST, FEWEST_ROUND = 2, 5
+#: an axis grows by this share of its nodes at a time
+GROWTH = 1.0 / 16.0
+#: places in the box over which errors are averaged: a Latin hypercube
+PLACES = 512
+#: what counts as equal places, as a share of a turn
+SAME = 1e-9
+
+#: corrections (n, s, nq) of s states, at commands (n, n_dof)
+Correction = Callable[[Array], Array]
+
+
+@dataclasses.dataclass(frozen=True)
+class GridAxis:
+    """A command coordinate of a table, from `lower` to `upper`, SI.
+
+    turn  whether that is a full turn: the last node then repeats the first one, so that
+          interpolation goes on over the end
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    turn: bool = False
+
+    @property
+    def fewest(self) -> int:
+        """Least number of nodes."""
+        if self.upper <= self.lower:
+            return 1
+        return FEWEST_ROUND if self.turn else FEWEST
+
+    def shrunk(self, share: float) -> GridAxis:
+        """The axis with this share of its range, about its middle; a turn stays whole."""
+        if self.turn:
+            return self
+        middle, half = (self.lower + self.upper) / 2.0, (self.upper - self.lower) / 2.0
+        lower, upper = middle - share * half, middle + share * half
+        return dataclasses.replace(self, lower=lower, upper=upper)
+
+
+@dataclasses.dataclass(frozen=True)
+class CommandGrid:
+    """A rectilinear grid with equal steps along each axis.
+
+    counts    (a,) nodes along each axis
+    errors    (s, k) rms errors that interpolation leaves in the box, SI, by state and
+              component
+    is_fine   whether they are within what was asked for
+    """
+
+    axes: tuple[GridAxis, ...]
+    counts: tuple[int, ...]
+    errors: Array
+    is_fine: bool
+
+    @property
+    def knots(self) -> tuple[Array, ...]:
+        """Places along each axis, SI."""
+        return _knots(self.axes, self.counts)
+
+    @property
+    def commands(self) -> Array:
+        """Commands (n, a) of the nodes, the last axis running fastest."""
+        return grid_nodes(self.knots)
+
+    @property
+    def turns(self) -> tuple[bool, ...]:
+        """Which axes are a full turn."""
+        return tuple(axis.turn for axis in self.axes)
+
+
+def _knots(axes: Sequence[GridAxis], counts: Sequence[int]) -> tuple[Array, ...]:
+    pairs = zip(axes, counts, strict=True)
+    return tuple(np.linspace(axis.lower, axis.upper, count) for axis, count in pairs)
+
+
+def fewest_commands(axes: Sequence[GridAxis]) -> int:
+    """Number of commands of the coarsest grid."""
+    return math.prod(axis.fewest for axis in axes)
+
+
+def box_axes(machine: Machine, command: Array) -> tuple[GridAxis, ...]:
+    """Axes of the box of commands (n, n_dof), SI.
+
+    An angle after which the pose repeats is a full turn, if the commands lie round it:
+    no further apart over its end than elsewhere.
+    """
+    periodic = _repeats_after_a_turn(machine)
+    axes = []
+    for k, c in enumerate(machine.command):
+        places = np.unique(command[:, k])
+        low, high, turn = float(places[0]), float(places[-1]), False
+        if periodic[k] and len(places) > 1:
+            over_end = low + FULL_TURN - high
+            turn = bool(over_end <= np.diff(places).max() * (1.0 + SAME))
+        if turn:
+            holds_first_turn = low <= 0.0 and high >= FULL_TURN * (1.0 - SAME)
+            low = 0.0 if holds_first_turn else low
+            high = low + FULL_TURN
+        axes.append(GridAxis(c.name, c.unit, low, high, turn))
+    return tuple(axes)
+
+
+def _repeats_after_a_turn(machine: Machine) -> Mask:
+    """Which command coordinates (n_dof,) are angles that hold the same pose after a turn."""
+    e = machine_expressions(machine)
+    target = BatchedFunction("target", [e.c], [ca.vertcat(*e.target)])
+    rng = np.random.default_rng(0)
+    places = machine.home_command + rng.uniform(0.1, 0.5, (4, len(machine.command)))
+    values = target(places)[0]
+    repeats = []
+    for k, c in enumerate(machine.command):
+        turned = places.copy()
+        turned[:, k] += FULL_TURN
+        same = np.allclose(target(turned)[0], values, rtol=0.0, atol=SAME)
+        repeats.append(c.unit == "rad" and same)
+    return np.array(repeats)
+
+
+def joint_motion(kinematics: Kinematics, command: Array) -> Array:
+    """Motion (n, k, nq) of the k components that the joints drive, at commands.
+
+    It is that per unit of each joint, of the nominal machine. Raises AssemblyError.
+    """
+    machine = kinematics.machine
+    driven = [k for k, c in enumerate(machine.components) if c.compensatable]
+    x, q = kinematics.inverse(command)
+    by_joint = kinematics.joint_sensitivity(x, q, machine.nominal)
+    twist = kinematics.frames(x, NO_TOOL)[2] @ by_joint
+    slope = kinematics.error_components_jacobian(command)
+    return np.asarray((slope @ twist)[:, driven])
+
+
+def choose_command_grid(
+    axes: tuple[GridAxis, ...],
+    correction: Correction,
+    motion: Callable[[Array], Array],
+    target: Array,
+    largest: int,
+    rng: np.random.Generator,
+) -> CommandGrid:
+    """The grid with about the fewest commands whose interpolation costs at most `target`.
+
+    correction  of the joints, tabled at the nodes
+    motion      (n, k, nq) of the components per unit of each joint, at commands
+    target      (k,) largest rms error by interpolation in any state, SI
+    largest     number of commands
+
+    Raises AssemblyError where a place of the box is out of reach.
+    """
+    lower, upper = np.array([(axis.lower, axis.upper) for axis in axes]).T
+    places = lower + (upper - lower) * _latin_hypercube(PLACES, len(axes), rng)
+    exact = correction(places)
+    slope = motion(places) / target[:, None]
+
+    def error_along(k: int, count: int) -> Array:
+        """Errors (n, s, k) over the target of interpolation along one axis."""
+        if count == 1:
+            return np.zeros((*exact.shape[:2], len(target)))
+        lines = _between(places, k, np.linspace(lower[k], upper[k], count), correction)
+        return np.asarray(np.einsum("nkj,nsj->nsk", slope, lines - exact))
+
+    counts = [axis.fewest for axis in axes]
+    along = [error_along(k, count) for k, count in enumerate(counts)]
+    while True:
+        whole = np.sum(along, axis=0)
+        size = np.sqrt(np.mean(whole**2, axis=0))
+        is_fine = bool(size.max() <= 1.0)
+        state, worst = np.unravel_index(int(np.argmax(size)), size.shape)
+        of_worst = [np.mean((whole * e)[:, state, worst]) for e in along]
+        k = int(np.argmax(of_worst))
+        grown = _grown(counts, k, largest)
+        if is_fine or grown is None:
+            return CommandGrid(axes, tuple(counts), size * target, is_fine)
+        counts = grown
+        along[k] = error_along(k, counts[k])
+
+
+def _latin_hypercube(count: int, axes: int, rng: np.random.Generator) -> Array:
+    """Places (count, axes) between 0 and 1, one in each of `count` slices of an axis."""
+    slices = rng.permuted(np.tile(np.arange(count), (axes, 1)), axis=1).T
+    return np.asarray((slices + rng.uniform(size=slices.shape)) / count)
+
+
+def _grown(counts: list[int], k: int, largest: int) -> list[int] | None:
+    """Numbers of nodes with more of them along axis k; None where that is too many."""
+    for more in (max(1, int(GROWTH * counts[k])), 1):
+        grown = [*counts[:k], counts[k] + more, *counts[k + 1 :]]
+        if math.prod(grown) <= largest:
+            return grown
+    return None
+
+
+def _between(places: Array, k: int, knots: Array, correction: Correction) -> Array:
+    """Corrections (n, s, nq) at places, in straight lines between the knots of axis k."""
+    index = np.clip(np.searchsorted(knots, places[:, k]) - 1, 0, len(knots) - 2)
+    low, high = places.copy(), places.copy()
+    low[:, k], high[:, k] = knots[index], knots[index + 1]
+    share = (places[:, k] - low[:, k]) / (high[:, k] - low[:, k])
+    share = share[:, None, None]
+    return np.asarray((1.0 - share) * correction(low) + share * correction(high))

@@ -1,0 +1,125 @@
+"""Grids of commands against closed forms of linear interpolation."""
+
+import math
+
+import numpy as np
+import pytest
+
+from oed.compensate import InterpolationTable
+from oed.compensate.command_grid import (
+    CommandGrid,
+    GridAxis,
+    box_axes,
+    choose_command_grid,
+    fewest_commands,
+    joint_motion,
+)
+from oed.kinematics import Kinematics
+from pkm_models.machines import a3_head, hexapod
+
+#: rms of u (1 - u) / 2 over an interval: what a parabola of curvature 1 loses
+PARABOLA = 1.0 / math.sqrt(120.0)
+TURN = 2.0 * np.pi
+
+
+def as_is(command: np.ndarray) -> np.ndarray:
+    """Components that are the joints."""
+    return np.broadcast_to(np.eye(2), (len(command), 2, 2))
+
+
+def chosen(
+    axes: tuple[GridAxis, ...],
+    correction: np.ufunc,
+    target: float,
+    largest: int = 10_000,
+) -> CommandGrid:
+    rng = np.random.default_rng(5)
+    return choose_command_grid(
+        axes, correction, as_is, np.full(2, target), largest, rng
+    )
+
+
+def parabolas(command: np.ndarray) -> np.ndarray:
+    """Curvatures 8 and 2 along two axes in joint 1, nothing in joint 2."""
+    first = 4.0 * command[:, 0] ** 2 + command[:, 1] ** 2
+    return np.stack([first, np.zeros(len(first))], axis=1)[:, None]
+
+
+def test_a_parabola_gets_the_nodes_that_its_curvature_needs() -> None:
+    """Along both axes the error is equally large, so one has twice the intervals."""
+    axes = (GridAxis("a", "m", -1.0, 1.0), GridAxis("b", "m", -1.0, 1.0))
+    grid = chosen(axes, parabolas, 1e-3)
+    intervals = np.array(grid.counts) - 1
+    assert intervals[0] / intervals[1] == pytest.approx(2.0, rel=0.12)
+    bend = np.array([8.0, 2.0]) * (2.0 / intervals) ** 2
+    # both parabolas bend the same way: their errors correlate by 5/6
+    rms = PARABOLA * np.sqrt(bend @ bend + 2.0 * bend.prod() * 5.0 / 6.0)
+    assert grid.errors[0, 0] == pytest.approx(rms, rel=0.1)
+    assert grid.errors[0, 1] == 0.0
+    assert grid.is_fine
+    assert 0.8e-3 < grid.errors.max() <= 1e-3
+    assert len(grid.commands) == math.prod(grid.counts)
+
+
+def test_a_limit_stops_the_refinement_and_says_what_it_costs() -> None:
+    axes = (GridAxis("a", "m", -1.0, 1.0), GridAxis("b", "m", -1.0, 1.0))
+    grid = chosen(axes, parabolas, 1e-3, largest=60)
+    assert not grid.is_fine
+    assert 50 <= len(grid.commands) <= 60
+    assert grid.errors.max() > 1e-3
+    assert fewest_commands(axes) == 4
+    held = (axes[0], GridAxis("b", "m", 0.3, 0.3))
+    assert chosen(held, parabolas, 1e-3).counts[1] == 1
+
+
+def test_interpolation_goes_on_over_the_end_of_a_turn() -> None:
+    def waves(command: np.ndarray) -> np.ndarray:
+        values = np.stack([np.sin(command[:, 0]), np.cos(3.0 * command[:, 0])], axis=1)
+        return values[:, None]
+
+    grid = chosen((GridAxis("psi", "rad", 0.3, 0.3 + TURN, turn=True),), waves, 0.01)
+    step = TURN / (grid.counts[0] - 1)
+    assert grid.errors[0] == pytest.approx(
+        PARABOLA * step**2 * np.array([1.0, 9.0]) / math.sqrt(2.0), rel=0.12
+    )
+    values = waves(grid.commands)[:, 0]
+    table = InterpolationTable(("psi",), grid.knots, values, grid.turns)
+    rng = np.random.default_rng(2)
+    places = rng.uniform(-3.0 * TURN, 3.0 * TURN, (2000, 1))
+    error = table.at(places) - waves(places)[:, 0]
+    assert np.sqrt(np.mean(error**2, axis=0)) == pytest.approx(grid.errors[0], rel=0.1)
+
+
+def test_the_box_of_commands_closes_a_turn_that_they_go_round() -> None:
+    machine = a3_head.machine
+
+    def psi(places: np.ndarray) -> tuple[float, float, bool]:
+        command = np.array([(1.1, p, t) for p in places for t in (0.1, 0.4)])
+        axis = box_axes(machine, command)[1]
+        return axis.lower, axis.upper, axis.turn
+
+    twelve = np.arange(12) * TURN / 12.0
+    assert psi(twelve) == pytest.approx((0.0, TURN, True))
+    assert psi(twelve - np.pi) == pytest.approx((-np.pi, np.pi, True))
+    assert psi(twelve[:7]) == pytest.approx((0.0, np.pi, False))
+    assert psi(np.linspace(-TURN, TURN, 5)) == pytest.approx((0.0, TURN, True))
+    # turns about fixed axes do not come back to the same controlled quantities
+    corners = np.array([c.upper for c in hexapod.machine.command])
+    lattice = np.stack([-corners, 0.0 * corners, corners])
+    assert not any(axis.turn for axis in box_axes(hexapod.machine, lattice))
+
+
+def test_motion_of_components_agrees_with_moved_joints() -> None:
+    kinematics = Kinematics(a3_head.machine)
+    nominal = a3_head.machine.nominal
+    command = np.array([[1.1, 0.7, 0.3], [1.2, -2.0, 0.5]])
+    x, q = kinematics.inverse(command)
+    motion, step = joint_motion(kinematics, command), 1e-7
+    for k in range(3):
+        moved = q.copy()
+        moved[:, k] += step
+        reached = kinematics.forward(moved, nominal, x)
+        tilt = np.hypot(reached[:, 3], reached[:, 4])
+        psi = np.arctan2(reached[:, 4], reached[:, 3])
+        change = np.stack([reached[:, 2], psi, tilt], axis=1) - command
+        assert motion[:, :, k] * step == pytest.approx(change, rel=1e-4, abs=1e-12)
