@@ -203,6 +203,21 @@ def test_interpolation_costs_what_its_line_says(
         assert (total < 1.03 * EXACT).all()
 
 
+def test_machines_err_with_the_file_as_its_budget_predicts(tmp_path: Path) -> None:
+    """Machines drawn about the identified one; a coarse table, so that it counts."""
+    rng = np.random.default_rng(3)
+    machines = TABLE3 + SD * rng.standard_normal((60, 24))
+    low, high = np.array([1.066, 0.0, np.deg2rad(5)]), np.array([1.266, 6.28, 0.61])
+    command = rng.uniform(low, high, (400, 3))
+    exact = compensated_joints(Kinematics(a3_head.machine), command, TABLE3)
+    base = rms([errors(p, exact, command) for p in machines])
+    budget = exported(tmp_path, base, "csv", ROUND, ("--commands", "120"))
+    joints = interpolated(tmp_path, command)
+    whole = rms([errors(p, joints, command) for p in machines])
+    assert (whole > 1.1 * base).any()
+    assert [budget.predicted[n] for n in NAMES] == pytest.approx(whole, rel=0.05)
+
+
 def test_a_limit_below_the_coarsest_table_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
