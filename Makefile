@@ -18,13 +18,10 @@ PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 export OPENBLAS_NUM_THREADS ?= 1
 # Where it is set, every process of the tests would compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
-# The blind benchmark: a folder for each seed and number of cases; what is there already is not made again. A diagnosis
-# that fails stops nothing: the score counts it as wrong. BLIND_PAIRS: pairs drawn beside, of which few are diagnosed.
+# The blind benchmark: what is there already is not made again. A diagnosis that fails stops nothing: the score counts it
+# as wrong.
 BLIND_CASES ?= 40
-BLIND_PAIRS ?= $(BLIND_CASES)
-BLIND_SEED ?= 1
-BLIND_WORKERS ?= 0
-BLIND = out/blind/$(BLIND_CASES)-$(BLIND_SEED)
+BLIND = out/blind
 BLIND_DO = $(BIN)/python -m benchmarks.blind
 UV_WANTED := 'uv>=0.13,<1'
 
@@ -46,19 +43,13 @@ slow: setup-dev
 	$(BIN)/pytest -m slow $(PYTEST_ARGS)
 
 blind: setup-dev
-	$(BLIND_DO) generate --set blind --cases $(BLIND_CASES) --seed $(BLIND_SEED) --out $(BLIND)/set
-	-$(BLIND_DO) run --cases $(BLIND)/set --out $(BLIND)/results --workers $(BLIND_WORKERS)
-	$(BLIND_DO) list --cases $(BLIND)/set --kinds single --least 6 --withhold --out $(BLIND)/withheld
-	-$(BLIND_DO) run --cases $(BLIND)/set --out $(BLIND)/results --list $(BLIND)/withheld --workers $(BLIND_WORKERS)
-	$(BLIND_DO) generate --set blind --kinds pair --cases $(BLIND_PAIRS) --seed $(BLIND_SEED) --out $(BLIND)/pairs
-	-$(BLIND_DO) list --cases $(BLIND)/pairs --least 6 --apart 6 --out $(BLIND)/told --workers $(BLIND_WORKERS)
-	-$(BLIND_DO) run --cases $(BLIND)/pairs --out $(BLIND)/results --list $(BLIND)/told --workers $(BLIND_WORKERS)
-	-for set in set pairs; do \
-	  $(BLIND_DO) known-noise --cases $(BLIND)/$$set --results $(BLIND)/results --workers $(BLIND_WORKERS) \
-	    $$([ $$set = set ] || echo --list $(BLIND)/told); done
-	$(BLIND_DO) score --cases $(BLIND)/set --results $(BLIND)/results --pairs $(BLIND)/pairs --out $(BLIND)/score \
-	  --table $(BLIND)/RESULTS.md --workers $(BLIND_WORKERS)
-	@echo "Table: $(BLIND)/RESULTS.md"
+	$(BLIND_DO) generate --set blind --cases $(BLIND_CASES) --out $(BLIND)/set
+	$(BLIND_DO) generate --set blind --kinds pair --cases $(BLIND_CASES) --out $(BLIND)/pairs
+	$(BLIND_DO) list --cases $(BLIND)/set --kinds single --least 6 --withhold --out $(BLIND)/withheld.jsonl
+	$(BLIND_DO) list --cases $(BLIND)/pairs --least 6 --apart 6 --or-none --out $(BLIND)/separated.jsonl
+	$(BIN)/oed campaign benchmarks/blind.campaign.toml --seeds $(BLIND_CASES)
+	$(BIN)/oed campaign benchmarks/blind_known_noise.campaign.toml --seeds $(BLIND_CASES)
+	$(BLIND_DO) score --folder $(BLIND)
 
 # Warnings are errors; -n: every reference must resolve.
 docs: $(VENV)/.stamp-docs

@@ -112,7 +112,7 @@ def test_oracle_of_generated_cases(blind, blind_case_set, tmp_path):
         name = next(n for n, label in labels.items() if label["kind"] == kind)
         names = tuple(e["name"] for e in labels[name]["effects"])
         figures = blind.oracle.work(
-            blind.oracle.OracleJob(blind_case_set, tmp_path, cases[name], names)
+            blind.oracle.OracleJob(blind_case_set, cases[name], names)
         )
         for e, label in zip(figures["effects"], labels[name]["effects"], strict=True):
             assert e["sqrt_lambda"] == pytest.approx(label["sqrt_lambda"], rel=1e-3)
@@ -139,9 +139,9 @@ def test_oracle_of_two_effects_is_that_of_the_dense_metric(
         c for c in blind.loading.manifest(blind_case_set) if c.id == label["id"]
     )
     names = tuple(e["name"] for e in label["effects"])
-    figures = blind.oracle.work(
-        blind.oracle.OracleJob(blind_case_set, tmp_path, chosen, names)
-    )["effects"]
+    figures = blind.oracle.work(blind.oracle.OracleJob(blind_case_set, chosen, names))[
+        "effects"
+    ]
     problem = blind.loading.prepare(blind_case_set, chosen)
     library = library_of.build(problem, blind.loading.bench(chosen.study).effects)
     with np.load(blind_case_set / "truth" / f"{chosen.id}.npz") as arrays:
@@ -173,4 +173,4 @@ def test_oracle_refuses_readings_of_another_case(blind, blind_case_set, tmp_path
     one, two = [c for c in blind.loading.manifest(folder) if c.plan == "a3_full"][:2]
     shutil.copy(folder / two.readings, folder / one.readings)
     with pytest.raises(ValueError, match="make the set again"):
-        blind.oracle.work(blind.oracle.OracleJob(folder, tmp_path, one, ()))
+        blind.oracle.work(blind.oracle.OracleJob(folder, one, ()))

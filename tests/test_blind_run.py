@@ -1,4 +1,4 @@
-"""The blind benchmark's runner: labels stay shut, interrupted runs go on."""
+"""The blind benchmark's campaign: labels stay shut, cases keep their numbers."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ import dataclasses
 import json
 import math
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from oed.noise.law import Whitener
+from pkm_studies import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -24,12 +25,14 @@ BLIND = ROOT / "benchmarks" / "blind"
 
 
 NAMES = (
+    "case",
     "entries",
     "harmonic",
     "known_noise",
     "listing",
     "loading",
     "oracle",
+    "results",
     "run",
     "stepwise",
     "generator.severity",
@@ -45,7 +48,7 @@ def blind(blind_modules: Callable[..., SimpleNamespace]) -> SimpleNamespace:
 
 def test_the_runner_cannot_know_labels():
     """Neither imports nor names what only the scorer may open."""
-    for name in ("run", "loading", "harmonic", "stepwise"):
+    for name in ("case", "run", "loading", "harmonic", "stepwise"):
         tree = ast.parse((BLIND / f"{name}.py").read_text(encoding="utf-8"))
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
@@ -66,6 +69,7 @@ def test_the_runner_cannot_know_labels():
                     "measures",
                     "paired",
                     "places",
+                    "results",
                     "selection",
                     "score",
                     "judge",
@@ -105,13 +109,30 @@ def diagnosed(blind, problem):
     return Diagnosis(**fields)
 
 
-def test_runs_without_labels_and_takes_up_where_it_stopped(
-    blind, blind_case_set, tmp_path, monkeypatch
+@pytest.fixture
+def sets(blind_case_set, tmp_path) -> Path:
+    """A folder as the campaign has it, with lists of some of its cases."""
+    folder = tmp_path / "sets"
+    for name in ("set", "pairs"):
+        shutil.copytree(blind_case_set, folder / name)
+    names = (blind_case_set / "order.txt").read_text(encoding="utf-8").split()
+    lines = [{"id": names[1], "without": "step"}, {"id": names[2]}]
+    for name, line in zip(("withheld", "separated"), lines, strict=True):
+        (folder / f"{name}.jsonl").write_text(json.dumps(line) + "\n", "utf-8")
+    return folder
+
+
+def without_labels(folder: Path) -> None:
+    for name in ("set", "pairs"):
+        (folder / name / "labels.jsonl").unlink()
+        shutil.rmtree(folder / name / "truth")
+
+
+def test_the_campaign_runs_without_labels_and_takes_up_where_it_stopped(
+    blind, sets, tmp_path, monkeypatch
 ):
-    folder, out = tmp_path / "set", tmp_path / "results"
-    folder.mkdir()
-    shutil.copy(blind_case_set / "manifest.jsonl", folder)
-    shutil.copytree(blind_case_set / "cases", folder / "cases")
+    """On the shipped campaign, with another folder; a failure stops nothing."""
+    without_labels(sets)
     calls = []
 
     def diagnose(problem, effects, rng):
@@ -124,15 +145,24 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(
     monkeypatch.setattr(
         blind.run, "baseline_answers", lambda problem, effects: {"harmonic": []}
     )
-    assert blind.run.run(folder, out, limit=2, workers=1, report=str) == 1
-    assert (
-        blind.run.run(folder, out, limit=2, workers=1, report=str) == 0
-    )  # the failed one again, and that alone
-    assert blind.run.run(folder, out, limit=2, workers=1, report=str) == 0
-    assert len(calls) == 3
-    assert calls[0] == calls[2]  # the same draws
-    names = [c.id for c in blind.loading.manifest(folder)[:2]]
-    record = json.loads((out / f"{names[0]}.json").read_text(encoding="utf-8"))
+    text = (ROOT / "benchmarks" / "blind.campaign.toml").read_text("utf-8")
+    file, out = tmp_path / "blind.campaign.toml", tmp_path / "out"
+    file.write_text(text.replace('"out/blind"', json.dumps(str(sets))), "utf-8")
+    arguments = ["campaign", str(file), "--out", str(out), "--workers", "1"]
+    assert cli.main([*arguments, "--seeds", "1"]) == 0
+    assert len(calls) == 1
+    assert cli.main([*arguments, "--seeds", "3"]) == 0
+    assert cli.main([*arguments, "--seeds", "3"]) == 0
+    assert len(calls) == 5  # three cases, one of them without an effect, one pair
+    assert sorted(n for n, _ in calls) == [calls[0][0] - 1, *[calls[0][0]] * 4]
+    names = (sets / "set" / "order.txt").read_text("utf-8").split()
+    found = blind.results.read(out)
+    assert list(found.every) == names[:3]
+    assert list(found.withheld) == [names[1]]
+    assert list(found.pairs) == [names[2]]
+    assert found.withheld[names[1]]["without"] == "step"
+    assert found.every[names[0]]["failure"] == "ArithmeticError: no luck"
+    record = found.every[names[1]]
     assert record["answers"][1] == {
         "effects": ["step"],
         "probability": 0.1,
@@ -142,16 +172,28 @@ def test_runs_without_labels_and_takes_up_where_it_stopped(
     law = blind.run.law_of(record["law"], len(record["law"]["variance"]))
     assert law.variance[-1] == 2.0
     assert math.isinf(law.student_dof)
-    assert (
-        blind.run.run(folder, out, limit=1, without="step", workers=1, report=str) == 0
-    )
-    assert calls[3][0] == calls[2][0] - 1
-    assert (out / "without" / "step" / f"{names[0]}.json").is_file()
+    summary = pd.read_csv(out / "summary.csv")
+    assert summary["diagnoses"].tolist() == [3, 1, 1]
+    assert summary["failures"].tolist() == [1, 0, 0]
 
 
-def test_who_knows_the_noise_is_given_its_covariance(
-    blind, blind_case_set, tmp_path, monkeypatch
-):
+def test_cases_keep_their_numbers_and_their_draws(blind, sets):
+    names = (sets / "set" / "order.txt").read_text("utf-8").split()
+    jobs = [blind.case.job_of(sets, "all", k) for k in range(len(names))]
+    assert [job.case.id for job in jobs] == names
+    assert blind.case.job_of(sets, "withheld", 0) is None
+    first, again = (blind.run.random_stream(jobs[0]).random() for _ in range(2))
+    assert first == again != blind.run.random_stream(jobs[1]).random()
+    with pytest.raises(ValueError, match="draw more with `generate`"):
+        blind.case.job_of(sets, "all", len(names))
+    with pytest.raises(ValueError, match="there are all, withheld, pairs"):
+        blind.case.job_of(sets, "every", 0)
+    options = {"name": "dev", "machines": ["a3"], "kinds": ["null"]}
+    with pytest.raises(ValueError, match="another folder"):
+        blind.write.generate(sets / "set", count=2, seed=3, **options)
+
+
+def test_who_knows_the_noise_is_given_its_covariance(blind, sets, monkeypatch):
     covariances, rows = [], np.array([0, 2, 3])
 
     def diagnose(problem, effects, rng, *, law):
@@ -168,54 +210,19 @@ def test_who_knows_the_noise_is_given_its_covariance(
         return diagnosed(blind, problem)
 
     monkeypatch.setattr(blind.known_noise.diagnose, "diagnose", diagnose)
-    assert (
-        blind.main(
-            [
-                "known-noise",
-                "--cases",
-                str(blind_case_set),
-                "--results",
-                str(tmp_path),
-                "--limit",
-                "2",
-                "--workers",
-                "1",
-            ]
-        )
-        == 0
-    )
-    jobs = sorted(
-        blind.run.select_jobs(blind_case_set, limit=2), key=lambda j: j.case.study
-    )
-    for job, (whole, parts) in zip(jobs, covariances, strict=True):
-        record = json.loads(
-            (tmp_path / "known_noise" / f"{job.case.id}.json").read_text(
-                encoding="utf-8"
-            )
-        )
+    setting = {"folder": str(sets), "part": "all"}
+    records = [blind.known_noise.diagnosis(setting, seed) for seed in (0, 1)]
+    jobs = [blind.case.job_of(sets, "all", seed) for seed in (0, 1)]
+    for job, record, (whole, parts) in zip(jobs, records, covariances, strict=True):
         assert record["answers"][0]["effects"] == []
-        problem = blind.loading.prepare(blind_case_set, job.case)
-        with np.load(blind_case_set / "truth" / f"{job.case.id}.npz") as truth:
+        problem = blind.loading.prepare(job.folder, job.case)
+        with np.load(job.folder / "truth" / f"{job.case.id}.npz") as truth:
             wanted = blind.write.covariance(truth) / np.outer(
                 problem.sigma, problem.sigma
             )
         np.testing.assert_allclose(whole, wanted, atol=1e-9 * wanted.max())
         for members, part in zip(problem.members, parts, strict=False):
             assert np.array_equal(part, wanted[np.ix_(members[rows], members[rows])])
-    assert (
-        blind.known_noise.run_all(
-            blind_case_set, tmp_path, limit=2, workers=1, report=str
-        )
-        == 0
-    )
-    assert len(covariances) == 2  # what is there is not made again
-
-
-def test_every_effect_is_withheld_in_turn(blind, blind_case_set):
-    jobs = blind.run.select_jobs(blind_case_set, limit=1, without="each")
-    assert [j.without for j in jobs] == [
-        e.name for e in blind.loading.bench(jobs[0].case.study).effects
-    ]
 
 
 def test_lists_name_cases_and_what_is_withheld(blind, blind_case_set, tmp_path):
@@ -223,13 +230,16 @@ def test_lists_name_cases_and_what_is_withheld(blind, blind_case_set, tmp_path):
     count = blind.listing.write(
         blind_case_set, listed, kinds=["single"], least=4.0, withhold=True
     )
-    jobs = blind.run.select_jobs(blind_case_set, listed=listed)
+    lines = [json.loads(text) for text in listed.read_text("utf-8").splitlines()]
     labels = {label["id"]: label for label in blind.entries.labels(blind_case_set)}
-    assert len(jobs) == count > 0
-    assert all(
-        [e["name"] for e in labels[j.case.id]["effects"]] == [j.without] for j in jobs
-    )
-    assert all(labels[j.case.id]["effects"][0]["target"] >= 4.0 for j in jobs)
+    assert len(lines) == count > 0
+    for line in lines:
+        (effect,) = labels[line["id"]]["effects"]
+        assert effect["name"] == line["without"]
+        assert effect["target"] >= 4.0
+    nothing = {"kinds": ["single"], "least": 1e3}
+    assert blind.listing.write(blind_case_set, listed, or_none=True, **nothing) == 0
+    assert listed.read_text("utf-8") == ""
     with pytest.raises(ValueError, match="there are exact, null"):
         blind.listing.write(blind_case_set, listed, kinds=["sngle"])
 
@@ -260,10 +270,10 @@ def test_lists_keep_effects_that_can_be_told_from_every_rival(
     labels = {
         n: v for n, v in labels.items() if min(e["target"] for e in v["effects"]) >= 6.0
     }
-    cases = [c for c in blind.loading.manifest(blind_case_set) if c.id in labels]
     acting = {n: [e["name"] for e in v["effects"]] for n, v in labels.items()}
+    records: dict[str, dict] = {name: {} for name in labels}
     figures = blind.oracle.run(
-        blind_case_set, tmp_path / "results", cases, acting, workers=1, report=str
+        blind_case_set, records, acting, tmp_path, workers=1, report=str
     )
     entries = [blind.entries.entry(v, figures[n], {}) for n, v in labels.items()]
     apart = {
@@ -277,33 +287,3 @@ def test_lists_keep_effects_that_can_be_told_from_every_rival(
         blind.listing.write(
             blind_case_set, listed, kinds=["single"], least=20.0, apart=1e6, workers=1
         )
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--only", "a4"], "there are a3, a3_"),
-        (["--without", "back_lash"], "no such effect; there are backlash"),
-        (["--dask", "tcp://nowhere:1"], "not installed"),
-    ],
-)
-def test_bad_options_are_told_with_what_there_is(
-    blind, blind_case_set, tmp_path, capsys, monkeypatch, options, message
-):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    assert (
-        blind.main(
-            [
-                "run",
-                "--cases",
-                str(blind_case_set),
-                "--out",
-                str(tmp_path),
-                "--workers",
-                "1",
-                *options,
-            ]
-        )
-        == 2
-    )
-    assert message in capsys.readouterr().err

@@ -145,21 +145,14 @@ def test_what_would_be_were_the_noise_known_stands_beside_the_same_cases(blind):
         assert not any(p.baseline == "noise known" for p in scored.paired)
 
 
-def test_no_results_is_told_with_a_remedy(blind, tmp_path, capsys):
+def test_no_diagnoses_is_an_error_with_a_remedy(blind, tmp_path, capsys):
+    arguments = ["score", "--folder", str(tmp_path), "--known-noise", str(tmp_path)]
+    assert blind.main(arguments) == 2
     assert (
-        blind.main(["score", "--cases", str(tmp_path), "--results", str(tmp_path)]) == 2
+        "run `oed campaign benchmarks/blind.campaign.toml`" in capsys.readouterr().err
     )
-    assert "`generate` wrote" in capsys.readouterr().err
-    line = {
-        "id": "x",
-        "study": "a3_full.study.toml",
-        "readings": "cases/x.readings.csv",
-    }
-    (tmp_path / "manifest.jsonl").write_text(json.dumps(line), encoding="utf-8")
-    (tmp_path / "labels.jsonl").write_text(
-        json.dumps(case("null", {})), encoding="utf-8"
-    )
-    assert (
-        blind.main(["score", "--cases", str(tmp_path), "--results", str(tmp_path)]) == 2
-    )
-    assert "with `run`" in capsys.readouterr().err
+    row = {"part": "all", "diagnosed": True, "id": "x"}
+    (tmp_path / "cases").mkdir()
+    (tmp_path / "cases" / "0001-000000.json").write_text(json.dumps(row), "utf-8")
+    assert blind.main(arguments) == 2
+    assert "`generate` writes it" in capsys.readouterr().err

@@ -1,7 +1,7 @@
 """A small version of the blind benchmark: 7 cases on three machines, or 12 among the
 slow tests, must reach what so few can show.
 
-The generator shares no code with the diagnosis. `python -m benchmarks.blind` makes the
+The generator shares no code with the diagnosis. `make blind` does the
 whole benchmark; the slow test here looks at false alarms, noise law by noise law.
 """
 
@@ -59,7 +59,7 @@ def diagnosed(blind: SimpleNamespace, folder: Path, case: Any) -> Mapping[str, A
         folder, blind.loading.Case(case.id, case.stage.plan.study, f"{case.id}.csv")
     )
     result = blind.run.work(job)
-    assert "error" not in result, result.get("traceback")
+    assert "failure" not in result, result.get("traceback")
     return result
 
 

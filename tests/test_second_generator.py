@@ -9,6 +9,9 @@ import pytest
 
 from benchmarks.second import __main__ as command
 from benchmarks.second import adapter, cases, run, score
+from pkm_studies import cli
+
+ROOT = Path(__file__).resolve().parents[1]
 
 CLEAR = {
     "effect": "backlash",
@@ -69,11 +72,49 @@ def test_measures_count_by_hand() -> None:
     assert table["no gap at 0.9 and more is right"] == (0.5, 2)
 
 
+def test_the_campaign_diagnoses_each_case_under_both_laws(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On the shipped campaign, with diagnoses by hand; a failure stops nothing."""
+    places = tmp_path / "set" / "cases"
+    (places / "a3").mkdir(parents=True)
+    labels = {"case_001": label("null"), "case_002": label("single", CLEAR)}
+    (places / "a3.labels.json").write_text(json.dumps(labels), "utf-8")
+    for name in labels:
+        (places / "a3" / f"{name}.json").write_text("{}", "utf-8")
+
+    def diagnose(case: cases.Case, law: str) -> dict:
+        if (case.name, law) == ("case_001", "true"):
+            raise ArithmeticError("no luck")
+        single = result("effect", "backlash")
+        return result("none") if case.name == "case_001" else single
+
+    monkeypatch.setattr(run, "_record", diagnose)
+    text = (ROOT / "benchmarks" / "second.campaign.toml").read_text("utf-8")
+    text = text.replace('"out/second/set"', json.dumps(str(tmp_path / "set")))
+    text = text.replace('["a3", "planar", "delta", "hexapod"]', '["a3"]')
+    file, out = tmp_path / "second.campaign.toml", tmp_path / "out"
+    file.write_text(text, "utf-8")
+    assert command.main(["table", "--campaign", str(out)]) == 2
+    assert "second.campaign.toml` first" in capsys.readouterr().err
+    arguments = ["campaign", str(file), "--out", str(out), "--workers", "1"]
+    assert cli.main([*arguments, "--seeds", "2"]) == 0
+    capsys.readouterr()
+    assert command.main(["table", "--campaign", str(out)]) == 0
+    table = capsys.readouterr().out
+    assert table.startswith("2 cases")
+    assert "| right class | 1.00" in table
+    failed = table.split("| no gap at 0.9 and more is right |")[1]
+    assert failed.count("-") == 1  # the failed one gives no answer
+    assert cli.main([*arguments, "--seeds", "3"]) == 2
+    assert "the set has 2 cases of a3: give" in capsys.readouterr().err
+
+
 def test_without_the_generator_the_command_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--out", str(tmp_path), "--generator", str(tmp_path / "nowhere")]
-    assert command.main(options) == 0
+    assert command.main(["generate", *options]) == 0
     assert "the second generator is not there" in capsys.readouterr().out
 
 
@@ -85,7 +126,8 @@ def test_a_case_becomes_readings_that_the_nominal_machine_nearly_has(
     tmp_path: Path, machine: str
 ) -> None:
     cases.generate(tmp_path, 11, 1, [machine], cases.GENERATOR)
-    (case,) = cases.listing(tmp_path, [machine])
+    (name,) = cases.names(tmp_path, machine)
+    case = cases.Case(tmp_path, machine, name)
     problem, effects = cases.prepare(case)
     stated = json.loads(case.stem.with_suffix(".json").read_text(encoding="utf-8"))
     assert len(problem.names) >= len(stated["tolerances"])

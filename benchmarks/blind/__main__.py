@@ -1,7 +1,8 @@
 """python -m benchmarks.blind COMMAND, from the project's root.
 
-`generate` writes a set of cases, `run` diagnoses them, `score` scores the results;
-`list` names some of the cases. The whole way from nothing to a table is in `score.py`.
+`generate` writes a set of cases, `oed campaign benchmarks/blind.campaign.toml` diagnoses
+them, `score` scores the results; `list` names some of the cases. The whole way from
+nothing to a table is in `score.py`.
 """
 
 from __future__ import annotations

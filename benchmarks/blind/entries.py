@@ -11,6 +11,7 @@ from typing import Any
 
 from benchmarks.blind import judge
 from benchmarks.blind.judge import StatedAnswer
+from benchmarks.blind.results import Record
 
 DIAGNOSIS, BASELINES = "diagnosis", ("harmonic", "stepwise")
 #: machine that nobody who developed the diagnosis had
@@ -145,52 +146,30 @@ class Entry:
 
 def read(
     folder: Path,
-    results: Path,
+    records: Mapping[str, Record],
     oracles: Mapping[str, Mapping[str, Any]],
 ) -> list[Entry]:
-    """Entries of all cases that have a result.
-
-    Raises ValueError where results and set do not belong together.
-    """
-    entries = read_available(folder, results, oracles)
-    if not entries:
-        raise ValueError(
-            f"{results}: there is no result of a case in {folder}; diagnose them first"
-            " with `run`"
-        )
-    return entries
-
-
-def read_available(
-    folder: Path,
-    results: Path,
-    oracles: Mapping[str, Mapping[str, Any]],
-) -> list[Entry]:
-    """Entries of the cases that have a result and the oracle's figures, if any."""
-    entries = []
-    for label in labels(folder):
-        file = results / f"{label['id']}.json"
-        if file.is_file() and label["id"] in oracles:
-            entries.append(entry(label, oracles[label["id"]], _json(file)))
-    return entries
+    """Entries of the cases of a set that have a record and the oracle's figures."""
+    return [
+        entry(label, oracles[name], records[name])
+        for label in labels(folder)
+        if (name := label["id"]) in records and name in oracles
+    ]
 
 
 def read_withheld(
     folder: Path,
-    results: Path,
+    records: Mapping[str, Record],
     oracles: Mapping[str, Mapping[str, Any]],
 ) -> list[tuple[str, Entry]]:
-    """(effect withheld, entry) of all results without the only effect that acts."""
-    by_id = {label["id"]: label for label in labels(folder)}
-    pairs = []
-    for file in sorted((results / "without").glob("*/*.json")):
-        name, effect = file.stem, file.parent.name
-        if name not in by_id or name not in oracles:
-            continue
-        label = by_id[name]
-        if [e["name"] for e in label["effects"]] == [effect]:
-            pairs.append((effect, entry(label, oracles[name], _json(file))))
-    return pairs
+    """(effect withheld, entry) of the records without the only effect that acts."""
+    every = read(folder, records, oracles)
+    acting = [[e["name"] for e in entry.label["effects"]] for entry in every]
+    return [
+        (entry.result["without"], entry)
+        for entry, names in zip(every, acting, strict=True)
+        if names == [entry.result["without"]]
+    ]
 
 
 def labels(folder: Path) -> list[dict[str, Any]]:
@@ -220,7 +199,3 @@ def entry(
 
 def _parse(answers: Sequence[Mapping[str, Any]]) -> tuple[StatedAnswer, ...]:
     return tuple(judge.parse_answer(a) for a in answers)
-
-
-def _json(file: Path) -> dict[str, Any]:
-    return dict(json.loads(file.read_text(encoding="utf-8")))

@@ -1,51 +1,35 @@
 """The same diagnosis by an observer who knows the noise: the cost of estimating it.
 
-    python -m benchmarks.blind known-noise --cases SET --results RESULTS
+    oed campaign benchmarks/blind_known_noise.campaign.toml
 
-writes RESULTS/known_noise/ID.json as `run` writes RESULTS/ID.json, with the true
-covariance of the readings (up to its level) in place of an estimated noise law.
-Outliers are detected as in the diagnosis. Opens the truth, as the oracle does; `score`
-compares these results with the diagnosis's.
+The true covariance of the readings (up to its level) takes the place of an estimated
+noise law. Outliers are detected as in the diagnosis. Opens the truth, as the oracle
+does; `score` compares these results with the diagnosis's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from benchmarks.blind import loading, oracle, run
+from benchmarks.blind import case, loading, oracle, run
 from benchmarks.blind.generator import write as truth_of
 from oed.gap import diagnose
 
-FOLDER = "known_noise"
 
-
-def run_all(
-    folder: Path,
-    results: Path,
-    *,
-    listed: Path | None = None,
-    limit: int = 0,
-    workers: int = 0,
-    again: bool = False,
-    seed: int = 0,
-    report: Callable[[str], None] = print,
-) -> int:
-    """Diagnose the cases of a set that have no such result yet; how many failed.
-
-    Options are those of `run.run`. Raises ValueError, OSError.
-    """
-    out = results / FOLDER
-    every = run.select_jobs(folder, listed=listed, limit=limit, seed=seed)
-    jobs = [j for j in every if not j.without]
-    return run.carry_out(work, jobs, out, workers=workers, again=again, report=report)
+def diagnosis(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """The record of a case's diagnosis, as `case.diagnosis` has it."""
+    return case.record_of(setting, seed, work)
 
 
 def work(job: run.DiagnosisJob) -> dict[str, Any]:
-    """The record of a case's diagnosis, with `error` where it fails."""
+    """The record of a case's diagnosis, with `failure` where it fails."""
     return run.stored_record(job, _diagnose)
 
 

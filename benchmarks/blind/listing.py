@@ -1,12 +1,12 @@
-"""Lists of cases by their labels, as input of a run; a diagnosis must not see this.
+"""Lists of cases by their labels, for the campaign; a diagnosis must not see this.
 
     python -m benchmarks.blind list --cases SET --kinds single --least 6 --withhold \\
-        --out WITHHELD
+        --out withheld.jsonl
 
 writes a line a case, {"id": ...}. With --withhold each names its effect, to be withheld
-from the library: {"id": ..., "without": "backlash"}. `run --list` takes them. --apart
-selects the cases whose known effects the readings test and separate from every rival,
-by the oracle's figures (about two seconds a case).
+from the library: {"id": ..., "without": "backlash"}. --apart selects the cases whose
+known effects the readings test and separate from every rival, by the oracle's figures
+(about two seconds a case).
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ def write(
     least: float = 0.0,
     apart: float = 0.0,
     withhold: bool = False,
+    or_none: bool = False,
     workers: int = 0,
 ) -> int:
     """Write the list of some of a set's cases; how many there are.
@@ -38,6 +39,7 @@ def write(
     least              least severity
     apart              least separation of known effects from every rival
     withhold           name the effect to withhold in each line
+    or_none            whether the list may be empty
 
     Raises ValueError for a kind or machine that no case has, and where no case fits.
     """
@@ -58,7 +60,7 @@ def write(
         selected.append(label)
     if apart > 0.0:
         selected = _separated(folder, selected, apart, workers)
-    if not selected:
+    if not (selected or or_none):
         raise ValueError(
             "no case fits; ask for more kinds, machines or a lower --least or --apart"
         )
@@ -93,8 +95,7 @@ def _separated(
     jobs = []
     for label in labels:
         acting = tuple(e["name"] for e in label["effects"])
-        # nothing is written: figures of cases without a result are not stored
-        jobs.append(oracle.OracleJob(folder, folder, cases[label["id"]], acting))
+        jobs.append(oracle.OracleJob(folder, cases[label["id"]], acting))
     results = pool.results(oracle.distances, jobs, workers=workers)
     figures = {job.case.id: distances for job, distances in results}
     every = [entries.entry(label, figures[label["id"]], {}) for label in labels]

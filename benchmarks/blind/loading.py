@@ -9,7 +9,6 @@ import dataclasses
 import functools
 import json
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 from oed import dataset
@@ -62,11 +61,10 @@ class Bench:
     gravity: tuple[float, float, float]
 
 
-def manifest(folder: Path, only: Sequence[str] = ()) -> list[Case]:
+def manifest(folder: Path) -> list[Case]:
     """Cases of a set, in the manifest's order.
 
-    `only` of these machines (`a3`) or plans (`a3_full`). Raises ValueError for a line
-    that is none, and for a machine that no case has; OSError.
+    Raises ValueError for a line that is none; OSError.
     """
     file, cases = folder / "manifest.jsonl", []
     lines = file.read_text(encoding="utf-8").splitlines()
@@ -78,14 +76,22 @@ def manifest(folder: Path, only: Sequence[str] = ()) -> list[Case]:
             raise ValueError(
                 f"{file}, line {number}: {error!r}; make the set again with `generate`"
             ) from None
-    known = {c.machine for c in cases} | {c.plan for c in cases}
-    for name in only:
-        if name not in known:
-            raise ValueError(
-                f"--only {name}: no case has this machine or plan; there are"
-                f" {', '.join(sorted(known))}"
-            )
-    return [c for c in cases if not only or c.machine in only or c.plan in only]
+    return cases
+
+
+def numbered(folder: Path, number: int) -> Case:
+    """A case of a set by its number, from 0, in the order in which they were drawn.
+
+    More cases in the set do not change the numbers. Raises ValueError beyond them,
+    OSError.
+    """
+    names = (folder / "order.txt").read_text(encoding="utf-8").split()
+    if number >= len(names):
+        raise ValueError(
+            f"the set has {len(names)} cases: draw more with `generate`, or give the"
+            f" campaign --seeds {len(names)} ({folder})"
+        )
+    return next(c for c in manifest(folder) if c.id == names[number])
 
 
 @functools.cache

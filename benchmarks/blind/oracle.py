@@ -25,6 +25,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,7 @@ from benchmarks.blind import loading
 from benchmarks.blind.generator import write as truth_of
 from benchmarks.blind.generator.severity import Metric as TrueMetric
 from benchmarks.blind.loading import Case
+from benchmarks.blind.results import Record
 from benchmarks.blind.run import law_of
 from oed.arrays import Array
 from oed.gap.cause import closure as closure_of
@@ -43,7 +45,7 @@ from oed.gap.forms import library as library_of
 from oed.gap.forms.library import Atom, Library
 from oed.noise.law import NoiseLaw
 from oed.noise.runs import RunBatch
-from pkm_studies.campaign.jobs import Job, run_jobs
+from pkm_studies.campaign.jobs import Job, read_row, run_jobs
 
 #: size of a rival against its physical prior scale
 RIVAL = 3.0
@@ -61,53 +63,48 @@ class OracleJob:
     """A case with its truth.
 
     folder     of the set
-    results    folder of its result; the oracle's figures go to `results/oracle`
     case       the case
     effects    that act in it
+    law        of the noise, as its diagnosis records it; None without a diagnosis
     """
 
     folder: Path
-    results: Path
     case: Case
     effects: tuple[str, ...]
+    law: Mapping[str, Any] | None = None
 
-    @property
-    def file(self) -> Path:
-        """Where the oracle's figures are stored."""
-        return self.results / "oracle" / f"{self.case.id}.json"
+    def file(self, store: Path) -> Path:
+        """Where the oracle's figures are stored: they depend on the law."""
+        digest = zlib.crc32(json.dumps(self.law, sort_keys=True).encode())
+        return store / f"{self.case.id}-{digest:08x}.json"
 
 
 def run(
     folder: Path,
-    results: Path,
-    cases: Sequence[Case],
+    records: Mapping[str, Record],
     acting: Mapping[str, Sequence[str]],
+    store: Path,
     *,
     workers: int = 0,
-    again: bool = False,
     report: Callable[[str], None] = print,
 ) -> dict[str, dict[str, Any]]:
-    """The oracle's figures of every case, by id.
+    """The oracle's figures of the cases of a set that have a record, by id.
 
-    Figures that are older than a case's result are computed again. `acting` names the
-    effects that act, by case, in the order of the truth's `dy_0`, `dy_1`, ...
+    `acting` names the effects that act, by case, in the order of the truth's `dy_0`,
+    `dy_1`, ... Figures in the folder `store` are not computed again.
     """
-    jobs = [OracleJob(folder, results, c, tuple(acting[c.id])) for c in cases]
-    due = [j for j in jobs if again or _stale(j)]
+    jobs = [
+        OracleJob(folder, c, tuple(acting[c.id]), records[c.id].get("law"))
+        for c in loading.manifest(folder)
+        if c.id in records
+    ]
+    due = [job for job in jobs if not job.file(store).is_file()]
     due.sort(key=lambda j: j.case.study)
-    files = [Job(job.file, job) for job in due]
-    figures = run_jobs(work, files, workers=workers)
-    for number, _ in enumerate(figures, start=1):
+    files = [Job(job.file(store), job) for job in due]
+    for number, _ in enumerate(run_jobs(work, files, workers=workers), start=1):
         if number % 50 == 0 or number == len(due):
             report(f"oracle: {number} of {len(due)} cases")
-    return {j.case.id: json.loads(j.file.read_text(encoding="utf-8")) for j in jobs}
-
-
-def _stale(job: OracleJob) -> bool:
-    result = job.results / f"{job.case.id}.json"
-    if not job.file.is_file():
-        return True
-    return result.is_file() and result.stat().st_mtime > job.file.stat().st_mtime
+    return {job.case.id: read_row(job.file(store)) for job in jobs}
 
 
 def work(job: OracleJob) -> dict[str, Any]:
@@ -120,7 +117,7 @@ def work(job: OracleJob) -> dict[str, Any]:
     sigma = truth_of.covariance(truth)
     closures = []
     if job.effects:
-        closures = _closures(problem, sigma, truth, _result(job))
+        closures = _closures(problem, sigma, truth, job.law)
     text = json.dumps({**figures, "closure": closures}, allow_nan=False)
     return dict(json.loads(text))
 
@@ -154,11 +151,6 @@ def _distances(
         "testable": list(library.effects),
         "effects": effects,
     }
-
-
-def _result(job: OracleJob) -> dict[str, Any]:
-    file = job.results / f"{job.case.id}.json"
-    return dict(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else {}
 
 
 def _check(problem: GapProblem, truth: dict[str, Array], job: OracleJob) -> None:
@@ -354,7 +346,7 @@ def _closures(
     problem: GapProblem,
     sigma: Array,
     truth: dict[str, Array],
-    result: dict[str, Any],
+    estimate: Mapping[str, Any] | None,
 ) -> list[dict[str, Any]]:
     """For each split: the expected gain, and the oracle's closures.
 
@@ -362,7 +354,7 @@ def _closures(
     """
     change = (truth["clean"] - truth["y0"]) / problem.sigma
     law = true_law(problem, sigma)
-    estimated = law_of(result["law"], len(problem)) if "law" in result else None
+    estimated = None if estimate is None else law_of(dict(estimate), len(problem))
     closures = []
     for split in SPLITS:
         best = _closure(problem, law, change, split)

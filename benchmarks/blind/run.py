@@ -1,11 +1,7 @@
-"""Diagnosis of every case of a set, without its labels and truth.
+"""Diagnosis of a case of a set, without its labels and truth.
 
-    python -m benchmarks.blind run --cases SET --out RESULTS
-    python -m benchmarks.blind run --cases SET --out RESULTS --list WITHHELD
-
-writes RESULTS/ID.json, and RESULTS/without/EFFECT/ID.json where an effect is withheld
-from the library. It reads `cases/`, `manifest.jsonl` and the study files. Existing
-results stay, but for cases that failed.
+The campaign `blind` runs it, see `case`. It reads `cases/`, `manifest.jsonl` and the
+study files. One effect may be withheld from the library.
 """
 
 from __future__ import annotations
@@ -13,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import time
 import traceback
 import zlib
 from collections.abc import Callable, Iterable, Sequence
@@ -32,9 +27,8 @@ from oed.gap.data.diagnosis import Answer, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.noise.law import NoiseLaw
-from pkm_studies.campaign.jobs import Job, Row, run_jobs
+from pkm_studies.campaign.jobs import Row
 
-EACH = "each"
 #: most answers that are stored, if the 95 % set has no more
 ANSWERS = 20
 
@@ -54,156 +48,9 @@ class DiagnosisJob:
     without: str = ""
     seed: int = 0
 
-    def file(self, out: Path) -> Path:
-        """Where its result is."""
-        folder = out / "without" / self.without if self.without else out
-        return folder / f"{self.case.id}.json"
-
-
-def run(
-    folder: Path,
-    out: Path,
-    *,
-    only: Sequence[str] = (),
-    listed: Path | None = None,
-    limit: int = 0,
-    without: str = "",
-    workers: int = 0,
-    dask: str = "",
-    again: bool = False,
-    seed: int = 0,
-    report: Callable[[str], None] = print,
-) -> int:
-    """Diagnose the cases of a set that have no result yet; how many failed.
-
-    only       machines or plans
-    listed     file of cases, see `select_jobs`
-    limit      at most so many cases
-    without    an effect withheld from the library; `each`: every one in turn, and the
-               whole library not at all
-    workers    processes; 0: one a core, 1: this process alone
-    dask       address of a scheduler, in place of processes here; its workers need the
-               project and the set's folder
-    again      diagnose again what has a result
-    report     takes a line of progress
-
-    Raises ValueError, OSError, InputError.
-    """
-    jobs = select_jobs(
-        folder, only=only, listed=listed, limit=limit, without=without, seed=seed
-    )
-    return carry_out(
-        work, jobs, out, workers=workers, dask=dask, again=again, report=report
-    )
-
-
-def carry_out(
-    work: Callable[[DiagnosisJob], Row],
-    jobs: Sequence[DiagnosisJob],
-    out: Path,
-    *,
-    workers: int = 0,
-    dask: str = "",
-    again: bool = False,
-    report: Callable[[str], None] = print,
-) -> int:
-    """Store the record of each job that has none, as they come; how many have an `error`.
-
-    Records of failures count as none.
-    """
-    due = [Job(j.file(out), j) for j in jobs if again or not is_done(j.file(out))]
-    due.sort(key=lambda job: job.case.case.study)  # a process compiles few machines
-    failed, start = 0, time.perf_counter()
-    records = run_jobs(work, due, workers=workers, scheduler=dask)
-    for number, record in enumerate(records, start=1):
-        failed += "error" in record
-        if number % 20 == 0 or number == len(due):
-            seconds = time.perf_counter() - start
-            report(
-                f"{number} of {len(due)} diagnoses, {failed} failed, {seconds:.0f} s"
-            )
-    return failed
-
-
-def select_jobs(
-    folder: Path,
-    *,
-    only: Sequence[str] = (),
-    listed: Path | None = None,
-    limit: int = 0,
-    without: str = "",
-    seed: int = 0,
-) -> list[DiagnosisJob]:
-    """Jobs of a set. Raises ValueError.
-
-    Lines of the file `listed` are {"id": ..., "without": effect, or nothing}.
-    """
-    cases = loading.manifest(folder, only)
-    if listed is None:
-        jobs = []
-        for case in cases[: limit or None]:
-            jobs += [
-                DiagnosisJob(folder, case, e, seed) for e in _withheld(case, without)
-            ]
-        return jobs
-    if without:
-        raise ValueError(
-            f"--without {without} and --list {listed}: give one of them; a list names"
-            " what is withheld"
-        )
-    by_id, jobs = {c.id: c for c in cases}, []
-    lines = listed.read_text(encoding="utf-8").splitlines()
-    for number, line in enumerate(lines, start=1):
-        try:
-            entry = json.loads(line)
-            name, effect = str(entry["id"]), str(entry.get("without", ""))
-        except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-            raise ValueError(
-                f'{listed}, line {number}: {error!r}; write {{"id": ..., "without":'
-                " effect}"
-            ) from None
-        if name in by_id:
-            case = by_id[name]
-            jobs += [
-                DiagnosisJob(folder, case, e, seed) for e in _withheld(case, effect)
-            ]
-    if not jobs:
-        raise ValueError(
-            f"{listed}: none of its cases is in {folder}; make the list for this set"
-        )
-    return jobs[: limit or None]
-
-
-def _withheld(case: Case, without: str) -> list[str]:
-    """Names to withhold, in turn.
-
-    Raises ValueError for an effect that is not in the library.
-    """
-    if not without:
-        return [""]
-    names = [e.name for e in loading.bench(case.study).effects]
-    if without == EACH:
-        return names
-    if without not in names:
-        raise ValueError(
-            f"--without {without}: no such effect; there are {', '.join(names)}, or"
-            f" {EACH}"
-        )
-    return [without]
-
-
-def is_done(file: Path) -> bool:
-    """Whether a result is there, and none of a failure."""
-    if not file.is_file():
-        return False
-    try:
-        return "error" not in json.loads(file.read_text(encoding="utf-8"))
-    except json.JSONDecodeError:
-        return False
-
 
 def work(job: DiagnosisJob) -> Row:
-    """The record of a case's diagnosis, with `error` where it fails.
+    """The record of a case's diagnosis, with `failure` where it fails.
 
     No failure may stop the others.
     """
@@ -213,7 +60,7 @@ def work(job: DiagnosisJob) -> Row:
 def stored_record(
     job: DiagnosisJob, diagnose_case: Callable[[DiagnosisJob], dict[str, Any]]
 ) -> Row:
-    """The record of a case's diagnosis, or of the `error` it ends with, as JSON holds it."""
+    """The record of a case's diagnosis, or of the `failure` it ends with, for JSON."""
     record: dict[str, Any] = {
         "id": job.case.id,
         "study": job.case.study,
@@ -223,7 +70,7 @@ def stored_record(
         record |= diagnose_case(job)
     except Exception as error:
         record |= {
-            "error": f"{type(error).__name__}: {error}",
+            "failure": f"{type(error).__name__}: {error}",
             "traceback": traceback.format_exc(limit=-4),
         }
     text = json.dumps(record, default=float, allow_nan=False)
@@ -231,17 +78,11 @@ def stored_record(
 
 
 def _diagnose(job: DiagnosisJob) -> dict[str, Any]:
-    start = time.perf_counter()
     library = loading.bench(job.case.study).effects
     effects = [e for e in library if e.name != job.without]
     problem = loading.prepare(job.folder, job.case)
-    ready = time.perf_counter()
     diagnosis = diagnose.diagnose(problem, effects, random_stream(job))
     record = diagnosis_record(diagnosis)
-    record["seconds"] = {
-        "prepare": ready - start,
-        "diagnose": time.perf_counter() - ready,
-    }
     if not job.without:
         record["baselines"] = baseline_answers(problem, effects)
     return record

@@ -1,37 +1,27 @@
-"""Score of a set's results; with `oracle` and `listing` the only part that opens labels.
+"""Score of the diagnoses; with `oracle` and `listing` the only part that opens labels.
 
-    python -m benchmarks.blind score --cases SET --results RESULTS --out SCORE \\
-        --table RESULTS.md
+    python -m benchmarks.blind score --folder out/blind
 
-From nothing to that page, one command after the other (N: number of cases; a second
-machine can take part by --dask):
+From nothing to that page, as `make blind` does it:
 
-    python -m benchmarks.blind generate --set blind --cases 1000 --seed N --out SET
-    python -m benchmarks.blind run --cases SET --out RESULTS
-    python -m benchmarks.blind list --cases SET --kinds single --least 6 --withhold \\
-        --out WITHHELD
-    python -m benchmarks.blind run --cases SET --out RESULTS --list WITHHELD
-    python -m benchmarks.blind score --cases SET --results RESULTS --out SCORE \\
-        --table RESULTS.md
+    python -m benchmarks.blind generate --set blind --cases 1000 --out out/blind/set
+    python -m benchmarks.blind generate --set blind --kinds pair --cases 1000 \\
+        --out out/blind/pairs
+    python -m benchmarks.blind list --cases out/blind/set --kinds single --least 6 \\
+        --withhold --out out/blind/withheld.jsonl
+    python -m benchmarks.blind list --cases out/blind/pairs --least 6 --apart 6 \\
+        --or-none --out out/blind/separated.jsonl
+    oed campaign benchmarks/blind.campaign.toml
+    oed campaign benchmarks/blind_known_noise.campaign.toml
+    python -m benchmarks.blind score --folder out/blind
 
-and before the last, for a column of what an observer who knows the noise would find,
-which takes about half as long as `run`,
+Few pairs of effects, one in ten, can be separated from every rival: more of them, for
+the rows of such pairs alone, come from the set of pairs. The second campaign is for a
+column of what an observer who knows the noise would find.
 
-    python -m benchmarks.blind known-noise --cases SET --results RESULTS
-
-Few pairs of effects, one in ten, can be separated from every rival. More of them, for
-the rows of such pairs alone, come by
-
-    python -m benchmarks.blind generate --set blind --kinds pair --cases M --seed N \\
-        --out PAIRS
-    python -m benchmarks.blind list --cases PAIRS --least 6 --apart 6 --out LIST
-    python -m benchmarks.blind run --cases PAIRS --out RESULTS --list LIST
-
-and `score ... --pairs PAIRS`.
-
-SCORE/ then holds rows.csv (every measure, for all cases, for each machine and for each
-method), paired.csv, score.json, and confusion*.csv and .png. Needs the results of
-`run`; RESULTS/oracle stores the oracle's figures.
+FOLDER/score then holds rows.csv (every measure, for all cases, for each machine and for
+each method), paired.csv, score.json, and confusion*.csv and .png; FOLDER/oracle stores
+the oracle's figures.
 """
 
 from __future__ import annotations
@@ -54,12 +44,14 @@ from benchmarks.blind import (
     measures,
     oracle,
     paired,
+    results,
     selection,
     table,
 )
 from benchmarks.blind import known_noise as informed_observer
 from benchmarks.blind.entries import BASELINES, DIAGNOSIS, Entry
 from benchmarks.blind.paired import Paired
+from benchmarks.blind.results import Record, Results
 from benchmarks.blind.row import Row, share
 
 #: name of the diagnosis with known noise among the methods
@@ -92,35 +84,28 @@ class Score:
 
 def run(
     folder: Path,
-    results: Path,
+    known_noise: Path,
     *,
-    out: Path,
-    page: Path | None = None,
-    pairs: Path | None = None,
+    page: Path,
     workers: int = 0,
-    again: bool = False,
     report: Callable[[str], None] = print,
 ) -> Score:
-    """Score a set's results, write the files, report the table.
+    """Score the diagnoses in `folder`, write the files, report the table.
 
-    `pairs` is a set of which only the pairs count. Raises ValueError, OSError.
+    known_noise  folder of the campaign that knows the noise; may be missing
+    page         Markdown file for the table
+
+    Raises ValueError, OSError.
     """
-    options: dict[str, Any] = {"workers": workers, "again": again, "report": report}
-    figures = _figures(folder, results, **options)
-    more = {} if pairs is None else _figures(pairs, results, **options)
-    more = {name: f for name, f in more.items() if name not in figures}
-    informed_results = results / informed_observer.FOLDER
-    informed = informed_observer.figures(figures)
-    more_informed = informed_observer.figures(more)
-    other = pairs or folder
-    scored = score(
-        entries.read(folder, results, figures),
-        entries.read_withheld(folder, results, figures),
-        entries.read_available(folder, informed_results, informed),
-        more=entries.read_available(other, results, more),
-        more_informed=entries.read_available(other, informed_results, more_informed),
-    )
-    _write(scored, out)
+    diagnoses, informed = results.read(folder), results.read(known_noise)
+    if not diagnoses.every:
+        raise ValueError(
+            f"{folder}: there are no diagnoses; run `oed campaign"
+            " benchmarks/blind.campaign.toml` first"
+        )
+    options: dict[str, Any] = {"workers": workers, "report": report}
+    scored = _scored(folder, diagnoses, informed, options)
+    _write(scored, folder / "score")
     text = table.markdown(
         [*scored.rows, *scored.withheld.get(ALL, ())],
         scored.methods,
@@ -128,35 +113,47 @@ def run(
         scored.machines,
         scored.about,
     )
-    if page is not None:
-        loading.write(page, text)
+    loading.write(page, text)
     report(text)
     report(confusion.text(confusion.confusion(scored.entries)))
     return scored
 
 
-def _figures(folder: Path, results: Path, **options: Any) -> dict[str, dict[str, Any]]:
-    """The oracle's figures of the cases of a set that have a result, by id.
+def _scored(
+    folder: Path, diagnoses: Results, informed: Results, options: dict[str, Any]
+) -> Score:
+    """All measures of the diagnoses of both campaigns."""
+    cases, pairs, store = folder / "set", folder / "pairs", folder / "oracle"
+    figures = _figures(cases, diagnoses.every, store, options)
+    more = {}
+    if diagnoses.pairs:
+        more = _figures(pairs, diagnoses.pairs, store, options)
+    under_true_law = informed_observer.figures(figures)
+    more_under_true_law = informed_observer.figures(more)
+    other = pairs if more else cases
+    return score(
+        entries.read(cases, diagnoses.every, figures),
+        entries.read_withheld(cases, diagnoses.withheld, figures),
+        entries.read(cases, informed.every, under_true_law),
+        more=entries.read(other, diagnoses.pairs, more),
+        more_informed=entries.read(other, informed.pairs, more_under_true_law),
+    )
 
-    Options are those of `oracle.run`.
-    """
+
+def _figures(
+    folder: Path,
+    records: Mapping[str, Record],
+    store: Path,
+    options: dict[str, Any],
+) -> dict[str, dict[str, Any]]:
+    """The oracle's figures of the cases of a set that have a record, by id."""
     for name in ("labels.jsonl", "manifest.jsonl"):
         if not (folder / name).is_file():
-            raise ValueError(
-                f"{folder}: there is no {name}; give the folder that `generate` wrote"
-            )
-    cases = [c for c in loading.manifest(folder) if _is_there(results, c.id)]
+            raise ValueError(f"{folder}: there is no {name}; `generate` writes it")
     acting = {}
     for label in entries.labels(folder):
         acting[label["id"]] = [e["name"] for e in label["effects"]]
-    return oracle.run(folder, results, cases, acting, **options)
-
-
-def _is_there(results: Path, name: str) -> bool:
-    """Whether a case has a result, with the whole library or without an effect."""
-    if (results / f"{name}.json").is_file():
-        return True
-    return any((results / "without").glob(f"*/{name}.json"))
+    return oracle.run(folder, records, acting, store, **options)
 
 
 def score(

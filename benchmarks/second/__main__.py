@@ -1,74 +1,71 @@
-"""The diagnosis on the second generator: cases, diagnoses and table by one command.
+"""The diagnosis on the second generator: its cases, and the table of their diagnoses.
 
-    python -m benchmarks.second --out FOLDER --seed 7 --cases 20
+    python -m benchmarks.second generate --seed 7 --cases 20
+    oed campaign benchmarks/second.campaign.toml
+    python -m benchmarks.second table
 
 draws 20 cases of each machine, diagnoses each under the estimated and the true noise
-law, and prints the table. What FOLDER has already is kept, so that a broken run goes on
-where it was.
+law, and prints the table.
 """
 
 from __future__ import annotations
-
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks.second import adapter, cases, run, table
+from benchmarks.second import adapter, cases, table
+
+#: folder of the campaign, and of the set that it reads
+CAMPAIGN, SET = Path("out/second"), Path("out/second/set")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Exit code: 0 done or no generator, 1 where a diagnosis failed, 2 bad input."""
+    """Exit code: 0 done or no generator, 2 bad input."""
     options = _parser().parse_args(arguments)
-    if options.cases < 1:
-        print(f"--cases {options.cases}: give at least 1", file=sys.stderr)
+    try:
+        return int(options.run(options))
+    except (OSError, ValueError, subprocess.CalledProcessError) as error:
+        print(error, file=sys.stderr)
         return 2
+
+
+def _generate(options: argparse.Namespace) -> int:
+    if options.cases < 1:
+        raise ValueError(f"--cases {options.cases}: give at least 1")
     try:
         cases.generate(
             options.out,
             options.seed,
             options.cases,
-            options.machines,
+            adapter.MACHINES,
             options.generator,
         )
     except FileNotFoundError as missing:
         print(f"skipped: the second generator is not there ({missing})")
-        return 0
-    except (OSError, subprocess.CalledProcessError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    every = cases.listing(options.out, options.machines)
-    chosen = every[options.first :: options.step]
-    failed = 0
-    if not options.score_only:
-        failed = run.run(chosen, options.laws, report=_report)
-    print(table.markdown(chosen, options.laws))
-    return 1 if failed else 0
+    return 0
 
 
-def _report(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+def _table(options: argparse.Namespace) -> int:
+    print(table.markdown(options.campaign))
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.second", description=__doc__
     )
-    parser.add_argument("--out", type=Path, required=True, help="folder of the set")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--cases", type=int, default=20, help="of each machine")
-    parser.add_argument(
-        "--machines", nargs="+", choices=adapter.MACHINES, default=adapter.MACHINES
-    )
-    parser.add_argument("--laws", nargs="+", choices=run.LAWS, default=run.LAWS)
-    parser.add_argument("--step", type=int, default=1, help="every so many cases only")
-    parser.add_argument("--first", type=int, default=0, help="the first of these")
-    parser.add_argument("--score-only", action="store_true")
-    parser.add_argument("--generator", type=Path, default=cases.GENERATOR)
+    commands = parser.add_subparsers(dest="command", required=True)
+    generate = commands.add_parser("generate", help="draw the cases of a set")
+    generate.add_argument("--out", type=Path, default=SET, help="folder of the set")
+    generate.add_argument("--seed", type=int, default=1)
+    generate.add_argument("--cases", type=int, default=20, help="of each machine")
+    generate.add_argument("--generator", type=Path, default=cases.GENERATOR)
+    generate.set_defaults(run=_generate)
+    results = commands.add_parser("table", help="print the table of the diagnoses")
+    results.add_argument("--campaign", type=Path, default=CAMPAIGN, help="its folder")
+    results.set_defaults(run=_table)
     return parser
 
 

@@ -41,10 +41,6 @@ class Case:
         """Path of its files, without their suffixes."""
         return self.folder / "cases" / self.machine / self.name
 
-    def result(self, law: str) -> Path:
-        """Where its diagnosis under a noise law is."""
-        return self.folder / "results" / law / self.machine / f"{self.name}.json"
-
 
 def generate(
     folder: Path, seed: int, count: int, machines: Sequence[str], generator: Path
@@ -77,14 +73,9 @@ def labels(folder: Path, machine: str) -> dict[str, Any]:
     return content
 
 
-def listing(folder: Path, machines: Sequence[str]) -> list[Case]:
-    """Cases of a set, machines in turn."""
-    cases = [
-        Case(folder, machine, file.stem)
-        for machine in machines
-        for file in (folder / "cases" / machine).glob("case_*.json")
-    ]
-    return sorted(cases, key=lambda c: (c.name, machines.index(c.machine)))
+def names(folder: Path, machine: str) -> list[str]:
+    """Names of the cases of a machine, in order."""
+    return sorted(p.stem for p in (folder / "cases" / machine).glob("case_*.json"))
 
 
 def prepare(case: Case) -> tuple[GapProblem, tuple[Effect, ...]]:

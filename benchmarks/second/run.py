@@ -1,18 +1,27 @@
-"""Diagnosis of the cases of a set under the estimated or the true noise law."""
+"""Cases of the campaign `second`: a diagnosis under the estimated or the true noise law.
+
+    oed campaign benchmarks/second.campaign.toml
+
+A setting names the folder of the set, a machine and a law; the seed is the number of
+the machine's case.
+"""
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+
 import json
 import math
-import time
 import traceback
 import zlib
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.blind import loading
 from benchmarks.blind.run import diagnosis_record
 from benchmarks.second import cases as case_files
 from benchmarks.second.cases import Case
@@ -21,48 +30,55 @@ from oed.gap import diagnose
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 ESTIMATED, TRUE = "estimated", "true"
 LAWS = (ESTIMATED, TRUE)
 
 
-def run(
-    cases: Sequence[Case],
-    laws: Sequence[str],
-    report: Callable[[str], None] = print,
-) -> int:
-    """Diagnose the cases that have no result yet, one by one; how many failed."""
-    failed = 0
-    for case in cases:
-        due = [law for law in laws if not case.result(law).is_file()]
-        if not due:
-            continue
-        label = case_files.labels(case.folder, case.machine)[case.name]
-        for law in due:
-            record = _record(case, law, label)
-            failed += "error" in record
-            loading.write(case.result(law), json.dumps(record, default=float))
-            report(
-                f"{case.machine} {case.name}, {law} law:"
-                f" {record.get('verdict', record.get('error'))},"
-                f" {record['seconds']:.1f} s"
-            )
-    return failed
+def diagnosis(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """The record of a diagnosis, with `failure` where it fails: that stops no other.
 
+    setting  folder of the set, machine, and law of the noise: estimated or true
 
-def _record(case: Case, law: str, label: Mapping[str, Any]) -> dict[str, Any]:
-    """The record of a diagnosis; `error` where it fails, for it may stop no other."""
-    start = time.process_time()
+    Raises ValueError for a number beyond the set's cases, OSError.
+    """
+    folder, machine, law = (setting[name] for name in ("folder", "machine", "law"))
+    names = case_files.names(Path(folder), machine)
+    if seed >= len(names):
+        raise ValueError(
+            f"the set has {len(names)} cases of {machine}: give the campaign --seeds"
+            f" {len(names)}, or generate more in another folder than {folder}"
+        )
+    case = Case(Path(folder), machine, names[seed])
+    record: dict[str, Any] = {"case": case.name}
     try:
-        problem, effects = case_files.prepare(case)
-        start = time.process_time()
-        known = true_law(problem, label["law"]) if law == TRUE else None
-        record = _diagnose(case, problem, effects, known)
+        record |= _record(case, law)
     except Exception as error:
-        record = {
-            "error": f"{type(error).__name__}: {error}",
+        record |= {
+            "failure": f"{type(error).__name__}: {error}",
             "traceback": traceback.format_exc(limit=-4),
         }
-    return {**record, "seconds": time.process_time() - start}
+    return dict(json.loads(json.dumps(record, default=float)))
+
+
+def verdicts(cases: pd.DataFrame, setting: Mapping[str, Any]) -> dict[str, Any]:
+    """How many diagnoses failed, and what the others say."""
+    failures = int(cases["failure"].notna().sum()) if "failure" in cases else 0
+    if "verdict" not in cases:
+        return {"failures": failures}
+    counts = cases["verdict"].dropna().value_counts()
+    return {"failures": failures} | {f"verdict {n}": int(k) for n, k in counts.items()}
+
+
+def _record(case: Case, law: str) -> dict[str, Any]:
+    problem, effects = case_files.prepare(case)
+    known = None
+    if law == TRUE:
+        label = case_files.labels(case.folder, case.machine)[case.name]
+        known = true_law(problem, label["law"])
+    return _diagnose(case, problem, effects, known)
 
 
 def _diagnose(

@@ -8,15 +8,12 @@ severity can hardly be seen and poor designs count where a measure says so.
 from __future__ import annotations
 
 import itertools
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from benchmarks.blind import row
 from benchmarks.blind.row import Row
-from benchmarks.second import cases as case_files
-from benchmarks.second.cases import Case
 
 UNKNOWN = "unknown"
 #: sqrt(lambda) that counts as 6 and as 10 after the generator's search for a size
@@ -79,20 +76,6 @@ class Scored:
         if self.kind == "unknown":
             return UNKNOWN in self.first
         return self.names_are_right(self.names)
-
-
-def load(cases: Sequence[Case], law: str) -> list[Scored]:
-    """The cases that have a result under a law, with their labels. Raises OSError."""
-    by_machine: dict[str, dict[str, Any]] = {}
-    scored = []
-    for case in cases:
-        if case.machine not in by_machine:
-            by_machine[case.machine] = case_files.labels(case.folder, case.machine)
-        file = case.result(law)
-        if file.is_file():
-            result = json.loads(file.read_text(encoding="utf-8"))
-            scored.append(Scored(by_machine[case.machine][case.name], result))
-    return scored
 
 
 def rows(scored: Sequence[Scored]) -> list[Row]:

@@ -3,32 +3,63 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 from benchmarks.blind.row import Row
-from benchmarks.second import score
-from benchmarks.second.cases import Case
+from benchmarks.second import cases, score
+from benchmarks.second.run import LAWS
+from benchmarks.second.score import Scored
+from pkm_studies.campaign.jobs import read_row
+
+#: (machine, name) of a case
+Key = tuple[str, str]
 
 
-def markdown(cases: Sequence[Case], laws: Sequence[str]) -> str:
+def markdown(campaign: Path) -> str:
     """Measures with 95 % intervals and numbers of cases, one column a law.
 
-    Only cases that have a result under every law count.
+    `campaign` is the folder of its cases. Only those with a diagnosis under every law
+    count. Raises ValueError where there is none, OSError.
     """
-    done = [c for c in cases if all(c.result(law).is_file() for law in laws)]
-    columns = [{r.key: r for r in score.rows(score.load(done, law))} for law in laws]
+    by_law = _diagnosed(campaign)
+    done = [key for key in by_law[LAWS[0]] if all(key in by_law[law] for law in LAWS)]
+    if not done:
+        raise ValueError(
+            f"{campaign}: no case has a diagnosis under both laws; run `oed campaign"
+            " benchmarks/second.campaign.toml` first"
+        )
+    columns = [
+        {r.key: r for r in score.rows([by_law[law][key] for key in done])}
+        for law in LAWS
+    ]
     keys = list(dict.fromkeys(key for column in columns for key in column))
     lines = [
         f"{len(done)} cases",
         "",
-        "| measure | " + " | ".join(f"{law} law" for law in laws) + " |",
-        "|---" * (len(laws) + 1) + "|",
+        "| measure | " + " | ".join(f"{law} law" for law in LAWS) + " |",
+        "|---" * (len(LAWS) + 1) + "|",
     ]
     for key in keys:
         entries = [column.get(key) for column in columns]
         title = next(e.measure for e in entries if e is not None)
         lines.append(f"| {title} | " + " | ".join(map(_cell, entries)) + " |")
     return "\n".join(lines)
+
+
+def _diagnosed(campaign: Path) -> dict[str, dict[Key, Scored]]:
+    """Diagnoses under each law, with the labels of their cases."""
+    labels: dict[tuple[str, str], dict[str, Any]] = {}
+    by_law: dict[str, dict[Key, Scored]] = {law: {} for law in LAWS}
+    for path in sorted((campaign / "cases").glob("*.json")):
+        row: Mapping[str, Any] = read_row(path)
+        place = row["folder"], row["machine"]
+        if place not in labels:
+            labels[place] = cases.labels(Path(row["folder"]), row["machine"])
+        label = labels[place][row["case"]]
+        by_law[row["law"]][row["machine"], row["case"]] = Scored(label, row)
+    return by_law
 
 
 def _cell(entry: Row | None) -> str:

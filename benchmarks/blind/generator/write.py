@@ -2,6 +2,7 @@
 
     DIR/manifest.jsonl           a line a case, in the order of names that reveal nothing:
                                  id, study, readings
+    DIR/order.txt                ids in the order in which they were drawn
     DIR/cases/ID.readings.csv    what a diagnosis may read
     DIR/labels.jsonl             what only the scorer may read
     DIR/truth/ID.npz             likewise: see `truth`
@@ -44,11 +45,13 @@ def generate(
     report             takes the number of cases done, and of all
 
     Case k does not depend on the other arguments. Raises OSError, ValueError for
-    unknown names.
+    unknown names, and where `out` holds other cases.
     """
+    wanted = _numbers(name, count, seed, machines, kinds)
+    names = [cases.identity(seed, name, k) for k in wanted]
+    _check_order(out / "order.txt", names)
     for folder in ("cases", "truth"):
         (out / folder).mkdir(parents=True, exist_ok=True)
-    wanted = _numbers(name, count, seed, machines, kinds)
     new = 0
     labels, lines = [], []
     for done, k in enumerate(wanted):
@@ -60,7 +63,18 @@ def generate(
     order = np.argsort([str(line["id"]) for line in lines])
     _replace(out / "manifest.jsonl", _as_lines([lines[i] for i in order]))
     _replace(out / "labels.jsonl", _as_lines([labels[i] for i in order]))
+    _replace(out / "order.txt", "".join(f"{n}\n" for n in names))
     return new
+
+
+def _check_order(file: Path, names: Sequence[str]) -> None:
+    """Raise ValueError unless the cases of a folder are the first of these, or more."""
+    there = file.read_text(encoding="utf-8").split() if file.is_file() else []
+    if any(a != b for a, b in zip(there, names, strict=False)):
+        raise ValueError(
+            f"{file.parent} holds a set of another seed, kind or machine: choose"
+            " another folder"
+        )
 
 
 def _as_lines(records: Sequence[dict[str, object]]) -> str:
