@@ -89,7 +89,9 @@ def _diagnose(
 ) -> dict[str, Any]:
     key = zlib.crc32(f"{case.machine}/{case.name}".encode())
     rng = np.random.default_rng(key)
-    return diagnosis_record(diagnose.diagnose(problem, effects, rng, law=law))
+    record = diagnosis_record(diagnose.diagnose(problem, effects, rng, law=law))
+    record["law_of_answer"] = record.pop("law")  # `law` is that of the setting
+    return record
 
 
 def true_law(problem: GapProblem, law: Mapping[str, Any]) -> NoiseLaw:

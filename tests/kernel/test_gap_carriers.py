@@ -12,7 +12,7 @@ from kernel.gap_lines import readings
 from oed.effect import Column, Effect, State
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.gap.forms import carriers, library, spots
+from oed.gap.forms import carriers
 from oed.gap.forms.processes.base import UNIT
 
 PERIOD = 700.0
@@ -80,52 +80,3 @@ def test_what_a_form_explains_is_that_of_least_squares(
         assert tails[k] == pytest.approx(
             -0.5 * energy, rel=1e-3
         )  # of two degrees of freedom
-
-
-def _planted(size: float) -> tuple[GapProblem, np.ndarray]:
-    """Circles with a bump in the tool's place, along x, about the place of reading 40;
-    and that place.
-    """
-    problem = case.circles()
-    law = case.law(problem)
-    covariance = case.dense(problem, law)
-    at = carriers.at_poses(problem, [s.tool for s in problem.states])
-    reach = np.ptp(at[:, 0], axis=0).max()
-    away = ((at - at[40, 0]) ** 2).sum(axis=2)
-    bump = carriers.apply_carrier(
-        carriers.all_carriers(problem)[-1],
-        np.exp(-0.5 * away / (0.17 * reach) ** 2)[..., None],
-    )[:, 0, 0]
-    noise = np.linalg.cholesky(covariance) @ np.random.default_rng(5).standard_normal(
-        len(problem)
-    )
-    return (
-        problem.with_residual(noise + case.sized(bump, covariance, size)),
-        at[40, 0] / reach,
-    )
-
-
-def test_a_fault_at_a_place_is_found_there() -> None:
-    problem, place = _planted(10.0)
-    law = case.law(problem)
-    empty = library.build(problem, ())
-    processes = spots.add(empty, problem, law)
-    assert len(processes.atoms) == spots.BEST
-    assert {a.effect for a in processes.atoms} == {spots.NAME}
-    best = processes.atoms[0]
-    assert (
-        np.linalg.norm(
-            [best.constants[k] - c for k, c in zip("xyz", place, strict=True)]
-        )
-        < 0.12
-    )
-    assert best.constants["width"] in (0.12, 0.17, 0.24)
-    looked = np.exp(
-        -best.log_weight
-    )  # one of so many: places, widths, a channel, three legs and the tool
-    assert 100.0 < looked <= spots.PLACES * len(spots.WIDTHS) * 5
-    r = problem.residual
-    G = processes.columns[:, best.columns]
-    inverse = np.linalg.inv(case.dense(problem, law))
-    explained = r @ inverse @ G @ np.linalg.solve(G.T @ inverse @ G, G.T @ inverse @ r)
-    assert explained > 70.0

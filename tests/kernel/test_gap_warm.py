@@ -19,7 +19,7 @@ from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.processes.catalogue import PROCESSES
-from oed.gap.forms.processes.time import MOUNTED, settling_mounted, tool_growing
+from oed.gap.forms.processes.time import tool_growing
 from oed.noise.law import stated_law
 
 
@@ -93,7 +93,7 @@ def test_no_temperature_recorded_is_no_process() -> None:
     assert not {e for e in processes.effects if "temperature" in e}
 
 
-@pytest.mark.parametrize("within", MOUNTED)
+@pytest.mark.parametrize("within", [0.03, 0.1])
 def test_what_fades_after_a_set_ups_start_is_found_in_the_middle_of_a_session(
     within: float,
 ) -> None:
@@ -102,24 +102,8 @@ def test_what_fades_after_a_set_ups_start_is_found_in_the_middle_of_a_session(
     processes, best = _best(problem, _read(problem, "dz", 6.0 * np.exp(-gone / within)))
     assert best.key == (frozenset(), True)
     assert best.process is not None
-    assert processes.atoms[best.process].effect == "settling in set-ups"
-
-
-def test_a_single_set_up_settles_as_the_session_does() -> None:
-    state = readings(12).states[0]
-    assert not any(
-        np.any(column.reading[c])
-        for column in settling_mounted(state, 0.1)
-        for c in column.reading
-    )
-    later = _later(readings(12)).states[0]
-    faded = [
-        column.reading["dz"]
-        for column in settling_mounted(later, 0.1)
-        if "dz" in column.reading
-    ]
-    assert faded[0][np.argmin(later.session_progress)] == pytest.approx(1.0)
-    assert faded[0][np.argmax(later.session_progress)] == pytest.approx(np.exp(-5.0))
+    form = processes.atoms[best.process].effect
+    assert "time" in form or form == "for a while"
 
 
 def test_a_growing_tool_moves_along_its_axis() -> None:

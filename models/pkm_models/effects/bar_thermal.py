@@ -21,7 +21,7 @@ RISE = 1.0  # K
 def columns(state: State, tau: float, held: float) -> Iterable[Column]:
     """-R alpha dT(t) a bar: what follows the shop, or (held) the warmth of the hand
     that mounted it, which fades from the start of each set-up; shape: the other of the
-    two, a second time constant, and any smooth course.
+    two, a second time constant, and any smooth course where no temperature is recorded.
     """
     measured, warm, second = terms.warm_up(state, "bar", tau)
     name, long = bar.label(state), bar.length(state) or bar.NOMINAL
@@ -34,7 +34,7 @@ def columns(state: State, tau: float, held: float) -> Iterable[Column]:
         f"{unit} second": (terms.SHAPE_SHARE * scale, second),
         hand: (most, _fading(state, tau / 4.0)),
     }
-    courses = terms.free_courses(state)
+    courses = {} if measured else terms.free_courses(state)
     forms |= {name: (terms.SHAPE_SHARE * most, form) for name, form in courses.items()}
     textbook = hand if held else unit
     for kind, (size, form) in forms.items():

@@ -16,8 +16,8 @@ RISE = 2.0  # K
 
 
 def columns(state: State, tau: float) -> Iterable[Column]:
-    """Even radial growth; shape: a second time constant, any smooth course, growth in
-    height, one side warmer than the other.
+    """Even radial growth; shape: a second time constant, any smooth course where no
+    temperature is recorded, growth in height, one side warmer than the other.
     """
     measured, warm, second = terms.warm_up(state, "frame", tau)
     unit, scale, strain = (
@@ -36,7 +36,8 @@ def columns(state: State, tau: float) -> Iterable[Column]:
         _joints(even, second),
         shape=True,
     )
-    for name, course in terms.free_courses(state).items():
+    courses = {} if measured else terms.free_courses(state)
+    for name, course in courses.items():
         growth = terms.STEEL * terms.joint_change(state, flat)
         yield Column(
             name, terms.SHAPE_SHARE * RISE, "", _joints(growth, course), shape=True

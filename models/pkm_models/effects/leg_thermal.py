@@ -14,8 +14,8 @@ RISE = 3.0  # K
 
 def columns(state: State, tau: float) -> Iterable[Column]:
     """Growth a leg of what is driven: the strut, or the screw of a carriage; shape: a
-    second time constant, any smooth course, a bearing that is elsewhere, and the struts
-    that a carriage moves.
+    second time constant, any smooth course where no temperature is recorded, a bearing
+    that is elsewhere, and the struts that a carriage moves.
     """
     known = terms.travel(state.machine)
     for i in state.limbs:
@@ -42,7 +42,7 @@ def columns(state: State, tau: float) -> Iterable[Column]:
         shapes = {"second": long * second, "bearing": fixed * warm} | (
             {"strut": strut * warm} if carried else {}
         )
-        courses = terms.free_courses(state)
+        courses = {} if measured else terms.free_courses(state)
         for name, course in courses.items():
             yield Column(
                 f"{leg} {name}",

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.effect import Effect
-from oed.gap.cause import pursuit
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
 from oed.gap.cause.wide import wide_model
@@ -20,7 +19,7 @@ from oed.gap.data.laws import LawPosterior
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as libraries
-from oed.gap.forms import marks, spots, waves
+from oed.gap.forms import waves
 from oed.gap.forms.library import Library
 from oed.gap.forms.processes.catalogue import PROCESSES
 from oed.noise.law import NoiseLaw
@@ -42,15 +41,14 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     clean = noise.without_outliers(problem, outliers)
     if outliers is not None:
         plain, wide = laws.posterior(clean, nothing), laws.posterior(clean, columns)
-    located = _add_located(processes, clean, wide.mode)
-    located = pursuit.pursue(located, clean, [plain.mode, wide.mode])
+    unknown = waves.add(processes, clean, wide.mode)
     first = [
-        Search(clean, library, located, p.mode, 0.0, outliers) for p in (plain, wide)
+        Search(clean, library, unknown, p.mode, 0.0, outliers) for p in (plain, wide)
     ]
     candidates = _candidates(first)
     every = [plain, wide, *_of_best_gaps(clean, first)]
     return [
-        Search(clean, library, located, law, weight, outliers, candidates)
+        Search(clean, library, unknown, law, weight, outliers, candidates)
         for law, weight in laws.mixture(clean, every)
     ]
 
@@ -67,9 +65,8 @@ def searches_under(
     results = []
     for removed in (None, outliers) if outliers is not None else (None,):
         clean = noise.without_outliers(problem, removed)
-        located = _add_located(processes, clean, law)
-        combined = pursuit.pursue(located, clean, [law])
-        results.append(Search(clean, library, combined, law, 0.0, removed))
+        unknown = waves.add(processes, clean, law)
+        results.append(Search(clean, library, unknown, law, 0.0, removed))
     return results
 
 
@@ -127,14 +124,3 @@ def _of_best_gaps(problem: GapProblem, first: Sequence[Search]) -> list[LawPoste
             columns = gap.columns(search.library, search.processes)
             posteriors.append(laws.posterior(problem, columns))
     return posteriors
-
-
-def _add_located(
-    processes: Library,
-    problem: GapProblem,
-    law: NoiseLaw,
-) -> Library:
-    """The processes with those that could sit anywhere: waves, fine marks, spots."""
-    for kind in (waves, marks, spots):
-        processes = kind.add(processes, problem, law)
-    return processes

@@ -59,36 +59,6 @@ PROCESSES: Sequence[Effect] = (
         reach=time.REACHES,
     ),
     _process(
-        "settling",
-        "readings that settle as the session goes on",
-        time.settling,
-        within=time.WITHIN,
-    ),
-    _process(
-        "tool settling",
-        "the tool's place settles as the session goes on",
-        time.tool_settling,
-        within=time.WITHIN,
-    ),
-    _process(
-        "joints settling",
-        "joints that settle as the session goes on",
-        time.joints_settling,
-        within=time.WITHIN,
-    ),
-    _process(
-        "settling in set-ups",
-        "readings that settle in each set-up",
-        time.settling_mounted,
-        within=time.MOUNTED,
-    ),
-    _process(
-        "tool settling in set-ups",
-        "the tool's place settles in each set-up",
-        time.tool_settling_mounted,
-        within=time.MOUNTED,
-    ),
-    _process(
         "with a temperature",
         "an error of the readings with a temperature",
         temperature.over_temperature,

@@ -1,4 +1,4 @@
-"""Processes over time: drift, settling, disturbances for a while, starts of runs."""
+"""Processes over time: drift, disturbances for a while, starts of runs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed import smooth_basis
-from oed.arrays import Array
 from oed.effect import Column, State
 from oed.gap.forms.processes.base import (
     UNIT,
@@ -22,9 +21,6 @@ from oed.gap.forms.processes.base import (
 DRIFTS = 12
 #: shares of the session over which a tool's growth is correlated, and modes of it
 REACHES, GROWING = (0.1, 0.2), 20
-#: shares of the session within which what settles has done so; the same after a
-#: set-up's start
-WITHIN, MOUNTED = (0.05, 0.15, 0.5), (0.03, 0.1)
 #: centres and durations of a disturbance, as shares of the session
 CENTRES = [(k + 0.5) / 12.0 for k in range(12)]
 DURATIONS = (0.04, 0.1)
@@ -64,48 +60,6 @@ def tool_growing(state: State, reach: float) -> Iterable[Column]:
         change = state.joints_per_extension * length[:, None]
         joints = {i: change[:, i] for i in state.limbs}
         yield Column(f"axis time {k}", UNIT, joints=joints)
-
-
-def settling(state: State, within: float) -> Iterable[Column]:
-    """What fades after the session's start, as in any warm-up, in the readings."""
-    fading = np.exp(-state.session_progress / within)
-    yield from on_readings(state, "settles", UNIT, fading)
-
-
-def tool_settling(state: State, within: float) -> Iterable[Column]:
-    """What fades after the session's start, in the tool's place."""
-    fading = np.exp(-state.session_progress / within)
-    yield from on_tool(state, "settles", UNIT, fading)
-
-
-def joints_settling(state: State, within: float) -> Iterable[Column]:
-    """What fades after the session's start, in each joint."""
-    fading = np.exp(-state.session_progress / within)
-    for i in state.limbs:
-        yield on_joint(i, "settles", UNIT, fading)
-
-
-def settling_mounted(state: State, within: float) -> Iterable[Column]:
-    """What fades after each set-up's start, in the readings: warm from the hand, say."""
-    fading = _fading(state, within)
-    yield from on_readings(state, "settles in each set-up", UNIT, fading)
-
-
-def tool_settling_mounted(state: State, within: float) -> Iterable[Column]:
-    """What fades after each set-up's start, in the tool's place."""
-    fading = _fading(state, within)
-    yield from on_tool(state, "settles in each set-up", UNIT, fading)
-
-
-def _fading(state: State, within: float) -> Array:
-    """What fades from the start of a set-up (m,).
-
-    Zeros where there is only one set-up, whose start is the session's.
-    """
-    if np.ptp(state.session_progress) > 1.0 - 1e-9:
-        return np.zeros(len(state))
-    since = state.session_progress - state.session_progress.min()
-    return np.asarray(np.exp(-since / within))
 
 
 def windows(state: State, when: float, lasts: float) -> Iterable[Column]:
