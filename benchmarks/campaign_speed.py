@@ -85,10 +85,12 @@ def in_one_process(campaign: Campaign, out: Path) -> Measured:
 
 
 def on_cluster(campaign: Campaign, out: Path) -> Measured:
-    """All cases on two workers of a scheduler in this process."""
+    """All cases on two workers of a scheduler in this process, as the guide starts them."""
+    import dask
     import distributed
 
     with (
+        dask.config.set({"distributed.worker.profile.enabled": False}),
         distributed.LocalCluster(
             n_workers=WORKERS, threads_per_worker=1, dashboard_address=None
         ) as cluster,

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
+import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -318,39 +321,117 @@ def test_a_scheduler_that_is_not_there_is_said(
     assert "--scheduler" in capsys.readouterr().err
 
 
+@dataclasses.dataclass(eq=False)
+class Future:
+    """What a worker is to do."""
+
+    worker: str
+    item: int
+    result: Callable[[], int]
+
+
+class Cluster(ModuleType):
+    """Dask with workers `one` and `two`, of which the second is fast; `three` joins.
+
+    `done` has what each of them did, in order.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("distributed")
+        self.done = {"one": [], "two": [], "three": []}
+        self.queue: list[Future] = []
+
+    def Client(self, address: str, timeout: str) -> Cluster:
+        assert address == "tcp://there:8786"
+        return self
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def wait_for_workers(self, count: int) -> None:
+        assert count == 1
+
+    def scheduler_info(self, n_workers: int) -> dict:
+        count = 2 if sum(map(len, self.done.values())) < 6 else 3
+        return {"workers": dict.fromkeys([*self.done][:count])}
+
+    def submit(self, work, item, pure, workers, allow_other_workers):
+        assert not pure
+        assert allow_other_workers
+        return Future(workers[0], item, lambda: work(item))
+
+    def as_completed(self, futures: list) -> Cluster:
+        self.queue = list(futures)
+        return self
+
+    def update(self, futures: list) -> None:
+        self.queue += futures
+
+    def __iter__(self):
+        while self.queue:
+            fast = [f for f in self.queue if f.worker != "one"]
+            slow = len(self.done["two"]) % 3 == 2 or not fast
+            future = self.queue[0] if slow else fast[0]
+            self.queue.remove(future)
+            self.done[future.worker].append(future.item)
+            yield future
+
+
 def test_items_go_to_a_cluster_and_come_back_with_their_results(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    class Client:
-        def __init__(self, address: str, timeout: str) -> None:
-            assert address == "tcp://there:8786"
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            return None
-
-        def scheduler_info(self, n_workers):
-            return {"workers": {"one": {}, "two": {}}}
-
-        def map(self, work, items, pure, workers, allow_other_workers):
-            assert not pure
-            assert allow_other_workers
-            stretches[workers[0]] = items
-            return [Future(work, item) for item in items]
-
-    class Future:
-        def __init__(self, work, item) -> None:
-            self.result = lambda: work(item)
-
-    stretches: dict[str, list[int]] = {}
-    cluster = ModuleType("distributed")
-    cluster.Client, cluster.as_completed = Client, lambda futures: reversed(futures)
+    """Neighbours to each worker, and of others the last ones; late workers help."""
+    cluster = Cluster()
     monkeypatch.setitem(sys.modules, "distributed", cluster)
-    come = pool.results(lambda item: item**2, [2, 3, 4], scheduler="tcp://there:8786")
-    assert list(come) == [(4, 16), (3, 9), (2, 4)]
-    assert stretches == {"one": [2], "two": [3, 4]}
+    items = list(range(20))
+    come = pool.results(lambda item: item**2, items, scheduler="tcp://there:8786")
+    assert sorted(come) == [(item, item**2) for item in items]
+    one, two, three = cluster.done.values()
+    assert sorted([*one, *two, *three]) == items
+    for stretch, worker in ((items[:10], one), (items[10:], two)):
+        own = [item for item in worker if item in stretch]
+        assert own == stretch[: len(own)]
+    assert len(set(one) & set(items[:10])) < 10  # others helped at its end
+    assert three
+
+
+#: arrays of 0.4 MB, as cases have them; prints page faults before and after
+ARRAYS = """
+import resource
+
+import numpy as np
+
+from pkm_studies.campaign.memory import keep_freed_memory
+
+
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(400):
+        np.ones(50_000).sum()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+print(faults(), int(keep_freed_memory()), faults())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the GNU C library's")
+def test_freed_memory_stays_in_a_process_that_dask_has_started() -> None:
+    environment = {**os.environ, "MALLOC_TRIM_THRESHOLD_": "65536"}
+    done = subprocess.run(
+        [sys.executable, "-c", ARRAYS],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    before, is_set, after = map(int, done.stdout.split())
+    assert is_set
+    assert before > 400 * 50
+    assert after < 0.05 * before
 
 
 def test_processes_share_items_and_take_those_of_others() -> None:

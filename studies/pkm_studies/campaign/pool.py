@@ -6,16 +6,18 @@ stretch of neighbours, and takes others' items only once its own are done.
 
 from __future__ import annotations
 
+import functools
 import importlib
 import itertools
 import multiprocessing
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent import futures
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
+from pkm_studies.campaign.memory import keep_freed_memory
 from pkm_studies.errors import InputError
 
 #: items that each process has at once, so that none waits for the next
@@ -25,6 +27,8 @@ PATIENCE = "10s"
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
+#: of a worker
+Name = TypeVar("Name")
 
 
 def results(
@@ -57,24 +61,19 @@ def _on_processes(
 ) -> Iterator[tuple[Item, Outcome]]:
     """From processes that are spawned, as on every system."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # inherited: a core each
-    shares = [deque(share) for share in _stretches(items, count)]
+    shares: Shares[int, Item] = Shares(items, range(count))
     context = multiprocessing.get_context("spawn")
     processes = [
-        futures.ProcessPoolExecutor(1, context, _end_with_parent) for _ in shares
+        futures.ProcessPoolExecutor(1, context, _end_with_parent) for _ in range(count)
     ]
     waiting: dict[futures.Future[Outcome], tuple[int, Item]] = {}
 
     def submit(number: int) -> None:
-        """Give a process the next item of its share, or another's last one."""
-        largest = max(shares, key=len)
-        if not largest:
-            return
-        share = shares[number]
-        item = share.popleft() if share else largest.pop()
-        waiting[processes[number].submit(work, item)] = number, item
+        for item in shares.take(number):
+            waiting[processes[number].submit(work, item)] = number, item
 
     try:
-        for number in [*range(len(processes))] * AHEAD:
+        for number in [*range(count)] * AHEAD:
             submit(number)
         while waiting:
             done, _ = futures.wait(waiting, return_when=futures.FIRST_COMPLETED)
@@ -87,6 +86,30 @@ def _on_processes(
             process.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.shutdown(wait=True)
+
+
+class Shares(Generic[Name, Item]):
+    """Items that are to be done, a stretch of neighbours for each worker."""
+
+    def __init__(self, items: Sequence[Item], workers: Iterable[Name]) -> None:
+        names = list(workers)
+        parts = _stretches(items, len(names))
+        self._shares = {n: deque(part) for n, part in zip(names, parts, strict=True)}
+
+    def add(self, worker: Name) -> bool:
+        """Whether a worker is new: it has none of its own, and takes others' items."""
+        if worker in self._shares:
+            return False
+        self._shares[worker] = deque()
+        return True
+
+    def take(self, worker: Name) -> list[Item]:
+        """The next item of a worker's share, or the last of the largest; none at the end."""
+        share = self._shares[worker]
+        if share:
+            return [share.popleft()]
+        largest = max(self._shares.values(), key=len)
+        return [largest.pop()] if largest else []
 
 
 def _stretches(items: Sequence[Item], count: int) -> list[Sequence[Item]]:
@@ -111,6 +134,12 @@ def _end_with_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
+def _on_worker(work: Callable[[Item], Outcome], item: Item) -> Outcome:
+    """What `work` returns for an item, on a worker of Dask."""
+    keep_freed_memory()
+    return work(item)
+
+
 def _on_cluster(
     work: Callable[[Item], Outcome], items: Sequence[Item], scheduler: str
 ) -> Iterator[tuple[Item, Outcome]]:
@@ -133,16 +162,41 @@ def _on_cluster(
             value=scheduler,
         ) from error
     with client:
-        addresses = [*client.scheduler_info(n_workers=-1)["workers"]]
-        item_of: dict[Any, Item] = {}
-        for number, stretch in enumerate(_stretches(items, max(len(addresses), 1))):
-            begun = client.map(
-                work,
-                list(stretch),
-                pure=False,
-                workers=addresses[number : number + 1] or None,
-                allow_other_workers=bool(addresses),
+        yield from _on_workers(work, items, client, distributed.as_completed)
+
+
+def _on_workers(
+    work: Callable[[Item], Outcome],
+    items: Sequence[Item],
+    client: Any,
+    as_completed: Callable[[list[Any]], Any],
+) -> Iterator[tuple[Item, Outcome]]:
+    """From the workers of a client.
+
+    Dask itself would hand over items from the middle of a share, each of which has to be
+    prepared anew: so a worker has few at once, and another may do these if it is lost.
+    """
+    client.wait_for_workers(1)
+    names = [*client.scheduler_info(n_workers=-1)["workers"]]
+    shares: Shares[str, Item] = Shares(items, names)
+    waiting: dict[Any, tuple[str, Item]] = {}
+    task = functools.partial(_on_worker, work)
+
+    def submit(name: str) -> list[Any]:
+        begun = []
+        for item in shares.take(name):
+            future = client.submit(
+                task, item, pure=False, workers=[name], allow_other_workers=True
             )
-            item_of |= dict(zip(begun, stretch, strict=True))
-        for future in distributed.as_completed(list(item_of)):
-            yield item_of.pop(future), future.result()
+            waiting[future] = name, item
+            begun.append(future)
+        return begun
+
+    done = as_completed([f for name in names * AHEAD for f in submit(name)])
+    for future in done:
+        name, item = waiting.pop(future)
+        done.update(submit(name))
+        for other in client.scheduler_info(n_workers=-1)["workers"]:
+            if shares.add(other):
+                done.update([f for _ in range(AHEAD) for f in submit(other)])
+        yield item, future.result()
