@@ -86,6 +86,10 @@ def _with_grid(
     if grid is None:
         return content
     notes = (*content.notes, *table_grid.sentences(grid, want))
+    if grid.axes != axes:
+        notes += (
+            "the table is narrower than the workspace: its corners are out of reach",
+        )
     return dataclasses.replace(content, grid=grid, notes=notes)
 
 
