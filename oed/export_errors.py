@@ -65,7 +65,7 @@ def interpolation_errors(
     """Errors (n, k), SI, at random places of a table of joint corrections.
 
     The controller has the nominal model. It adds corrections, linear between the
-    commands of the grid; at home it has those of home.
+    commands of the grid, at home too; those of home where the grid does not reach it.
 
     Raises AssemblyError.
     """
@@ -78,13 +78,13 @@ def interpolation_errors(
         correction.reshape(*grid.counts, -1),
         grid.turns,
     )
-    low, high = np.array([(axis.lower, axis.upper) for axis in grid.axes]).T
+    low, high = np.array([axis.evaluated for axis in grid.axes]).T
     places = rng.uniform(low, high, (PLACES, len(low)))
     home = kinematics.machine.home_command[None]
+    at_home = compensated_joints(kinematics, home, parameters)
+    if all(axis.holds(p) for axis, p in zip(grid.axes, home[0], strict=True)):
+        at_home = compensated_joints(kinematics, home, nominal) + table.at(home)
     joints = np.vstack(
-        [
-            compensated_joints(kinematics, places, nominal) + table.at(places),
-            compensated_joints(kinematics, home, parameters),
-        ]
+        [compensated_joints(kinematics, places, nominal) + table.at(places), at_home]
     )
     return joint_errors(kinematics, places, joints, parameters, reference)

@@ -88,12 +88,13 @@ def exported(
     to: str,
     grid: str = GRID,
     options: tuple[str, ...] = (),
+    reference: str = "absolute",
 ) -> BudgetSection:
     """The budget that the command writes, of a machine predicted to err by `base`."""
     predicted = dict(zip(NAMES, base.tolist(), strict=True))
     line = BudgetLine("readings", "instrument", dict.fromkeys(NAMES, 1.0), predicted)
     section = PredictionSection(
-        reference="absolute",
+        reference=reference,
         components={},
         unit={},
         poses=0,
@@ -102,7 +103,7 @@ def exported(
         budget=BudgetSection(predicted, [line]),
     )
     content = sample.result(a3_head.machine, TABLE3, prediction=section)
-    text = content.study_text + grid
+    text = content.study_text + grid.replace("absolute", reference)
     sample.save(folder, msgspec.structs.replace(content, study_text=text))
     assert cli.main(["compensate", str(folder), "--to", to, *options]) == 0
     written = (folder / "compensation_budget.json").read_bytes()
@@ -201,6 +202,25 @@ def test_interpolation_costs_what_its_line_says(
         assert (total > 1.1 * EXACT).any()
     else:
         assert (total < 1.03 * EXACT).all()
+
+
+def test_accuracy_that_is_zeroed_at_home_has_the_corrections_of_home(
+    tmp_path: Path,
+) -> None:
+    """Home is upright, the errors count from a tilt of 5 degrees."""
+    budget = exported(tmp_path, EXACT, "csv", ROUND, reference="home")
+    knots, _ = read_table(tmp_path)
+    home = a3_head.machine.home_command[None]
+    assert [axis[0] for axis in knots] == pytest.approx(home[0], abs=1e-9)
+    wanted = compensated_joints(Kinematics(a3_head.machine), home, TABLE3)
+    assert interpolated(tmp_path, home) == pytest.approx(wanted, abs=2e-9)
+    low, high = np.array([1.066, 0.0, np.deg2rad(5)]), np.array([1.266, 6.28, 0.61])
+    command = np.random.default_rng(8).uniform(low, high, (4000, 3))
+    realised = rms([errors(TABLE3, interpolated(tmp_path, command), command)])
+    lines = {line.kind: line for line in budget.lines}
+    sizes = np.array([lines["interpolation"].size[n] for n in NAMES])
+    assert sizes == pytest.approx(realised, rel=0.15)
+    assert (sizes < 0.25 * EXACT).all()
 
 
 def test_machines_err_with_the_file_as_its_budget_predicts(tmp_path: Path) -> None:

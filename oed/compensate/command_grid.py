@@ -31,7 +31,7 @@ FEWEST, FEWEST_ROUND = 2, 5
 GROWTH = 1.0 / 16.0
 #: places in the box over which errors are averaged: a Latin hypercube
 PLACES = 512
-#: what counts as equal places, as a share of a turn
+#: what counts as equal places, m or rad
 SAME = 1e-9
 
 #: corrections (n, s, nq) of s states, at commands (n, n_dof)
@@ -42,8 +42,9 @@ Correction = Callable[[Array], Array]
 class GridAxis:
     """A command coordinate of a table, from `lower` to `upper`, SI.
 
-    turn  whether that is a full turn: the last node then repeats the first one, so that
-          interpolation goes on over the end
+    turn     whether that is a full turn: the last node then repeats the first one, so
+             that interpolation goes on over the end
+    counted  ends of the part in which interpolation errors count; all of it by default
     """
 
     name: str
@@ -51,6 +52,20 @@ class GridAxis:
     lower: float
     upper: float
     turn: bool = False
+    counted: tuple[float, float] | None = None
+
+    @property
+    def evaluated(self) -> tuple[float, float]:
+        """Ends of the part in which interpolation errors count."""
+        return self.counted or (self.lower, self.upper)
+
+    def holds(self, place: float) -> bool:
+        """Whether a place is on the axis."""
+        return self.turn or self.lower - SAME <= place <= self.upper + SAME
+
+    def knots(self, count: int) -> Array:
+        """So many evenly spaced places, SI."""
+        return np.linspace(self.lower, self.upper, count)
 
     @property
     def fewest(self) -> int:
@@ -60,12 +75,22 @@ class GridAxis:
         return FEWEST_ROUND if self.turn else FEWEST
 
     def shrunk(self, share: float) -> GridAxis:
-        """The axis with this share of its range, about its middle; a turn stays whole."""
-        if self.turn:
+        """The axis with this share of what counts, about its middle; turns stay whole."""
+        if self.turn or share == 1.0:
             return self
-        middle, half = (self.lower + self.upper) / 2.0, (self.upper - self.lower) / 2.0
+        low, high = self.evaluated
+        middle, half = (low + high) / 2.0, (high - low) / 2.0
         lower, upper = middle - share * half, middle + share * half
-        return dataclasses.replace(self, lower=lower, upper=upper)
+        return dataclasses.replace(self, lower=lower, upper=upper, counted=None)
+
+    def reaching(self, place: float) -> GridAxis:
+        """The axis extended to a place, where errors do not count."""
+        if self.holds(place):
+            return self
+        lower, upper = min(self.lower, place), max(self.upper, place)
+        return dataclasses.replace(
+            self, lower=lower, upper=upper, counted=self.evaluated
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,7 +111,8 @@ class CommandGrid:
     @property
     def knots(self) -> tuple[Array, ...]:
         """Places along each axis, SI."""
-        return _knots(self.axes, self.counts)
+        pairs = zip(self.axes, self.counts, strict=True)
+        return tuple(axis.knots(count) for axis, count in pairs)
 
     @property
     def commands(self) -> Array:
@@ -97,11 +123,6 @@ class CommandGrid:
     def turns(self) -> tuple[bool, ...]:
         """Which axes are a full turn."""
         return tuple(axis.turn for axis in self.axes)
-
-
-def _knots(axes: Sequence[GridAxis], counts: Sequence[int]) -> tuple[Array, ...]:
-    pairs = zip(axes, counts, strict=True)
-    return tuple(np.linspace(axis.lower, axis.upper, count) for axis, count in pairs)
 
 
 def fewest_commands(axes: Sequence[GridAxis]) -> int:
@@ -178,8 +199,8 @@ def choose_command_grid(
 
     Raises AssemblyError where a place of the box is out of reach.
     """
-    lower, upper = np.array([(axis.lower, axis.upper) for axis in axes]).T
-    places = lower + (upper - lower) * _latin_hypercube(PLACES, len(axes), rng)
+    low, high = np.array([axis.evaluated for axis in axes]).T
+    places = low + (high - low) * _latin_hypercube(PLACES, len(axes), rng)
     exact = correction(places)
     slope = motion(places) / target[:, None]
 
@@ -187,7 +208,7 @@ def choose_command_grid(
         """Errors (n, s, k) over the target of interpolation along one axis."""
         if count == 1:
             return np.zeros((*exact.shape[:2], len(target)))
-        lines = _between(places, k, np.linspace(lower[k], upper[k], count), correction)
+        lines = _between(places, k, axes[k].knots(count), correction)
         return np.asarray(np.einsum("nkj,nsj->nsk", slope, lines - exact))
 
     counts = [axis.fewest for axis in axes]

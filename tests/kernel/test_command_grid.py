@@ -109,6 +109,27 @@ def test_the_box_of_commands_closes_a_turn_that_they_go_round() -> None:
     assert not any(axis.turn for axis in box_axes(hexapod.machine, lattice))
 
 
+def test_a_table_may_reach_further_than_its_errors_count() -> None:
+    """The far half bends a hundred times as much; nobody asks what is lost there."""
+
+    def bent(command: np.ndarray) -> np.ndarray:
+        a = command[:, 0]
+        first = 4.0 * a**2 + np.where(a < 0.0, 400.0 * a**2, 0.0)
+        return np.stack([first, np.zeros(len(a))], axis=1)[:, None]
+
+    axis = GridAxis("a", "m", 0.0, 1.0)
+    whole = GridAxis("a", "m", -1.0, 1.0)
+    assert axis.reaching(1.0) == axis.reaching(0.3) == axis
+    longer = axis.reaching(-1.0)
+    assert (longer.lower, longer.upper, longer.evaluated) == (-1.0, 1.0, (0.0, 1.0))
+    counts = [chosen((a,), bent, 1e-3).counts[0] for a in (axis, longer, whole)]
+    assert counts[1] - 1 == pytest.approx(2 * (counts[0] - 1), rel=0.1)
+    assert counts[2] > 5 * counts[1]
+    turn = GridAxis("psi", "rad", 0.0, TURN, turn=True)
+    assert turn.reaching(-1.0) == turn
+    assert longer.shrunk(0.5).evaluated == (0.25, 0.75)
+
+
 def test_motion_of_components_agrees_with_moved_joints() -> None:
     kinematics = Kinematics(a3_head.machine)
     nominal = a3_head.machine.nominal

@@ -94,9 +94,18 @@ def _with_grid(
 
 
 def workspace_axes(study: Study, machine: Machine) -> tuple[GridAxis, ...]:
-    """Axes of the box of the commands of [prediction], or of the workspace."""
+    """Axes of the box of the commands of [prediction], or of the workspace.
+
+    Accuracy that is zeroed at home needs the corrections of home: the box reaches it.
+    """
     command = prediction_commands(study, machine)
-    return box_axes(machine, _lattice(machine) if command is None else command)
+    if study.prediction is None or command is None:
+        return box_axes(machine, _lattice(machine))
+    axes = box_axes(machine, command)
+    if study.prediction.reference != "home":
+        return axes
+    pairs = zip(axes, machine.home_command, strict=True)
+    return tuple(axis.reaching(float(place)) for axis, place in pairs)
 
 
 def _lattice(machine: Machine) -> Array:
