@@ -25,6 +25,7 @@ from oed.planning.option import Option
 from oed.planning.sequence import refine
 from oed.planning.sequence.beam import BEAM, beam_search
 from oed.planning.sequence.problem import PlanProblem
+from oed.planning.sequence.stage_memory import StageMemory
 from oed.planning.sequence.stage_plan import StagePlan, best_plan, pareto_front
 from oed.planning.streams import PlanStreams
 
@@ -78,17 +79,21 @@ def search_plan(
     beam: int = BEAM,
     loss: float = 0.05,
     progress: Progress | None = None,
+    memory: StageMemory | None = None,
 ) -> PlanSearchResult:
     """Search for the best sequence of at most `stages` stages within `budget` seconds.
 
     covariance  (n, n) of the machine before, in units of the tolerances; by default
                 the tolerances themselves
     loss        share of the value within which the best plan is to be certified
+    memory      stages that searches with the same covariance and streams predicted
 
     Raises ValueError where the budget pays for no option.
     """
     start = np.eye(goal.parameters) if covariance is None else covariance
-    problem = PlanProblem(tuple(options), goal, budget, stages, start, streams)
+    problem = PlanProblem(
+        tuple(options), goal, budget, stages, start, streams, memory or StageMemory()
+    )
     partial = beam_search(problem, beam, _scaled(progress, 0.0, BEAM_SHARE))
     if not partial:
         raise ValueError(_too_short(problem))

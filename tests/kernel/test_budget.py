@@ -73,7 +73,8 @@ def test_the_parts_add_up_to_the_posterior_covariance(
     assert total == pytest.approx(model.covariance(), abs=1e-6 * scale)
     for part in parts:
         values = np.linalg.eigvalsh(part.covariance)
-        assert values[0] > -1e-6 * values[-1], part.source
+        # the information squares condition numbers, and each part is a difference
+        assert values[0] > -1e-7 * scale, part.source
 
 
 def test_every_error_of_an_estimated_law_has_its_line(

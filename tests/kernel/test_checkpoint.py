@@ -17,7 +17,7 @@ from oed.posterior import Posterior
 from oed.whole_file import whole_file
 
 #: steps of the test's chain and of a block: three blocks and a short one
-STEPS, BLOCK = 160, 50
+STEPS, BLOCK = 64, 20
 
 
 @pytest.fixture(autouse=True)
@@ -68,7 +68,7 @@ def test_killed_ten_times_at_random(
 ) -> None:
     unbroken = sampled(None)
     folder = tmp_path / "chain"
-    for step in np.random.default_rng(7).integers(1, 70, size=10):
+    for step in np.random.default_rng(7).integers(1, 28, size=10):
         with monkeypatch.context() as patch:
             kill_at(int(step), patch)
             try:
@@ -89,12 +89,12 @@ def test_only_a_chain_of_the_same_key_and_seed_is_resumed(
 ) -> None:
     folder = tmp_path / "chain"
     with monkeypatch.context() as patch:
-        kill_at(BLOCK + 20, patch)
+        kill_at(BLOCK + 8, patch)
         with pytest.raises(KilledError):
             sampled(folder)
     first = folder / "0"
     assert [p.name for p in first.iterdir()] == ["00000000.h5"]
-    (first / "00000050.h5").write_bytes(b"no HDF")
+    (first / f"{BLOCK:08d}.h5").write_bytes(b"no HDF")
     resumed_after: list[int] = []
     m, series, y, estimate = problem_once()
     for key, seed in (("another study", 5), ("a study", 6), ("a study", 5)):
@@ -105,7 +105,7 @@ def test_only_a_chain_of_the_same_key_and_seed_is_resumed(
             y,
             estimate,
             np.random.default_rng(seed),
-            max_steps=BLOCK + 10,
+            max_steps=BLOCK + 4,
             checkpoint=Checkpoint(folder, key),
             resumed=resumed_after.append,
         )

@@ -18,6 +18,9 @@ from oed.measurement import Measurement, Series
 from pkm_models.instruments import calliper, height_probe
 from pkm_models.machines import linear_delta
 
+#: steps of a chain whose draws are not judged: past the first check, not at one
+SHORT = 60
+
 Problem = tuple[Measurement, list[Series], np.ndarray, Estimate]
 
 
@@ -73,7 +76,7 @@ def test_the_same_seed_gives_the_same_draws() -> None:
     m, series, y, estimate = problem(distances=True)
     first, again, other = (
         posterior.sample(
-            m, series, y, estimate, np.random.default_rng(seed), max_steps=250
+            m, series, y, estimate, np.random.default_rng(seed), max_steps=SHORT
         )
         for seed in (5, 5, 6)
     )
@@ -122,7 +125,7 @@ def test_an_unknown_noise_scale_has_the_posterior_of_the_quadrature() -> None:
 def test_a_known_noise_is_not_sampled() -> None:
     m, series, y, estimate = problem(distances=False)
     drawn = posterior.sample(
-        m, series, y, estimate, np.random.default_rng(2), max_steps=250
+        m, series, y, estimate, np.random.default_rng(2), max_steps=SHORT
     )
     assert drawn.noise_names == ()
     assert drawn.noise_law.shape[2] == 0
@@ -180,16 +183,16 @@ def test_what_is_kept_is_bounded_and_progress_is_told() -> None:
 def test_steps_are_limited() -> None:
     m, series, y, estimate = problem(distances=True)
     drawn = posterior.sample(
-        m, series, y, estimate, np.random.default_rng(2), ess=1e9, max_steps=260
+        m, series, y, estimate, np.random.default_rng(2), ess=1e9, max_steps=SHORT
     )
-    assert drawn.steps == 260
+    assert drawn.steps == SHORT
     assert np.isfinite(drawn.pooled).all()
 
 
 def test_the_file_holds_the_draws(tmp_path: Path) -> None:
     m, series, y, estimate = problem(distances=False)
     drawn = posterior.sample(
-        m, series, y, estimate, np.random.default_rng(2), max_steps=250
+        m, series, y, estimate, np.random.default_rng(2), max_steps=SHORT
     )
     path = tmp_path / "posterior.nc"
     posterior.save(drawn, path, {"study": "test"})

@@ -64,7 +64,9 @@ def test_feasibility_is_that_of_all_subsets(seed: int) -> None:
 
 
 @pytest.mark.parametrize("criterion", ["D", "A", "E", "kappa", "O4", "O5"])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.slow) for k in range(3, 8))]
+)
 def test_plans_keep_the_quotas_and_no_subset_exceeds_the_bound(
     seed: int, criterion: str
 ) -> None:

@@ -6,16 +6,20 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.arrays import Array, Index
 from oed.design.criterion.protocol import inverse
 from oed.planning.goal import Goal
 from oed.planning.option import Option
+from oed.planning.sequence.stage_memory import StageMemory
 from oed.planning.sequence.stage_plan import StagePlan
 from oed.planning.stage import travel
 from oed.planning.stage.knowledge import Prior, as_knowledge
 from oed.planning.stage.prediction import PlanStage, predict_stage
 from oed.planning.stage.selection import select_readings
 from oed.planning.streams import PlanStreams
+
+#: machines drawn to judge a finished plan
+VERIFICATION_DRAWS = 1000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -25,6 +29,7 @@ class PlanProblem:
     budget   time of all stages at most, s;  stages: their number at most
     start    (n, n) covariance of the machine before, in units of the tolerances
     streams  random streams of the search
+    memory   stages predicted before, by this search or others with the same start
     """
 
     options: tuple[Option, ...]
@@ -33,6 +38,7 @@ class PlanProblem:
     stages: int
     start: Array
     streams: PlanStreams
+    memory: StageMemory = dataclasses.field(default_factory=StageMemory)
 
     def empty_plan(self) -> StagePlan:
         """The plan that measures nothing."""
@@ -78,6 +84,29 @@ class PlanProblem:
         rng = self.streams.first_look
         stage = predict_stage(option, chosen, prior, probability, rng, exact=False)
         return self.extend(plan, stage)
+
+    def predict(
+        self,
+        plan: StagePlan,
+        option: Option,
+        chosen: Index,
+        probability: Array,
+        draws: int,
+    ) -> PlanStage:
+        """The stage after `plan`, by the exact model; once for equal readings.
+
+        probability  (C,) that each candidate of the option is captured after the plan
+        draws        machines drawn: `VERIFICATION_DRAWS` to judge a finished plan
+        """
+        stage = self.memory.recall(plan, option, chosen, draws)
+        if stage is None:
+            verifies = draws == VERIFICATION_DRAWS
+            streams = self.streams
+            stream = streams.verification if verifies else streams.refinement
+            rng, prior = stream(len(plan.stages)), plan.posterior(self.start)
+            stage = predict_stage(option, chosen, prior, probability, rng, draws=draws)
+            self.memory.store(plan, stage, draws)
+        return stage
 
     def setup_columns(self, option: Option) -> int:
         """Number of an option's unknowns in addition to the machine's."""

@@ -20,18 +20,16 @@ from oed.planning.sequence.moves import (
     replaced,
     steps_of,
 )
-from oed.planning.sequence.problem import PlanProblem
+from oed.planning.sequence.problem import VERIFICATION_DRAWS, PlanProblem
 from oed.planning.sequence.stage_plan import StagePlan, is_better
 from oed.planning.stage.knowledge import Prior, as_knowledge
-from oed.planning.stage.prediction import PlanStage, predict_stage
+from oed.planning.stage.prediction import DRAWS, PlanStage
 from oed.planning.stage.selection import select_readings
 
 #: times that time is moved, at most
 ROUNDS = 8
 #: exchange sweeps when the readings of a stage are selected
 SWEEPS = 3
-#: machines drawn to judge a finished plan
-VERIFICATION_DRAWS = 1000
 #: rounding of sums of times
 ROUNDING = 1e-9
 
@@ -83,8 +81,7 @@ def evaluate(
             SWEEPS,
             _reading_time(problem.budget - plan.seconds, steps[k:], later),
         )
-        rng = problem.streams.refinement(k)
-        stage = predict_stage(option, chosen, prior, probability, rng)
+        stage = problem.predict(plan, option, chosen, probability, DRAWS)
         plan = problem.extend(plan, stage)
     return plan
 
@@ -120,16 +117,11 @@ def _reading_time(
 def verify(problem: PlanProblem, plan: StagePlan) -> StagePlan:
     """The same readings, judged by many other machines than when they were chosen."""
     verified = problem.empty_plan()
-    for k, stage in enumerate(plan.stages):
+    for stage in plan.stages:
         prior = verified.posterior(problem.start)
         probability = problem.capture_probability(stage.option, prior)
-        judged = predict_stage(
-            stage.option,
-            stage.chosen,
-            prior,
-            probability,
-            problem.streams.verification(k),
-            draws=VERIFICATION_DRAWS,
+        judged = problem.predict(
+            verified, stage.option, stage.chosen, probability, VERIFICATION_DRAWS
         )
         verified = problem.extend(verified, judged)
     return verified

@@ -13,6 +13,7 @@ from oed.planning.goal import Goal, workspace_goal
 from oed.planning.option import Option
 from oed.planning.search import PlanSearchResult, search_plan
 from oed.planning.sequence.beam import BEAM
+from oed.planning.sequence.stage_memory import StageMemory
 from oed.planning.sequence.stage_plan import StagePlan
 from pkm_studies.errors import Place
 from pkm_studies.resolve.plan import PlanRequest
@@ -36,6 +37,7 @@ class PlanTask:
                     of their tolerances
     budget          s
     seed            of the study and the plan stage
+    memory          stages that the searches predicted
     """
 
     resolved: ResolvedStudy
@@ -46,6 +48,7 @@ class PlanTask:
     start: Array
     budget: float
     seed: Sequence[int]
+    memory: StageMemory = dataclasses.field(default_factory=StageMemory)
 
     @property
     def place(self) -> Place:
@@ -76,6 +79,7 @@ class PlanTask:
             beam=beam,
             loss=loss,
             progress=progress,
+            memory=self.memory,
         )
 
     def stage_generator(self, stage: int) -> np.random.Generator:
