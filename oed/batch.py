@@ -43,10 +43,8 @@ class BatchedFunction:
     def __init__(
         self, name: str, inputs: Sequence[Any], outputs: Sequence[Any]
     ) -> None:
-        dense = [ca.densify(ca.SX(output)) for output in outputs]
-        self._function = ca.Function(name, list(inputs), dense, {"cse": True})
-        count = self._function.n_out()
-        self._shapes = [self._function.size_out(i) for i in range(count)]
+        self._definition = name, list(inputs), [ca.SX(output) for output in outputs]
+        self._shapes = [output.shape for output in self._definition[2]]
         self._mapped: dict[int, _MappedFunction | ArrayTape] = {}
         self._newton: dict[int, ArrayNewton] = {}
 
@@ -90,6 +88,13 @@ class BatchedFunction:
             for solution, part in zip(solutions, parts, strict=True):
                 solution[chunk] = part
         return solutions, solved
+
+    @functools.cached_property
+    def _function(self) -> Any:
+        """Compiled on first use: many are never called."""
+        name, inputs, outputs = self._definition
+        dense = [ca.densify(output) for output in outputs]
+        return ca.Function(name, inputs, dense, {"cse": True})
 
     @functools.cached_property
     def _is_supported(self) -> bool:

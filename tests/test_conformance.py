@@ -82,7 +82,7 @@ def test_there_are_as_many_equations_as_unknowns(case: Case) -> None:
 def test_inverse_closes_the_machine_where_it_was_commanded(
     case: Case, kinematics: Kinematics, rng: np.random.Generator
 ) -> None:
-    machine, command = case.machine, case.commands(rng, 200)
+    machine, command = case.machine, case.commands(rng, 60)
     for p in (machine.nominal, random_parameters(case, rng, 3.0)):
         x, q = kinematics.inverse(command, p)
         for xi, qi, ci in zip(x, q, command, strict=True):

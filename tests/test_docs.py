@@ -22,6 +22,8 @@ EXECUTED = {"tutorial_own_machine": 9, "tutorial_tripod": 4, "howto/test": 2}
 GALLERY = sorted(
     p for p in (DOCS / "gallery").glob("*.py") if not p.name.startswith("_")
 )
+#: examples that take more than ten seconds
+LONG = {"a3_gap"}
 BLOCK = re.compile(r"^```(\w+)(?: file=(\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)\s]*)?\)")
 LARGEST = 60_000  # bytes of a picture
@@ -137,7 +139,14 @@ def test_the_tutorial_runs_as_written(page: str, tmp_path: Path) -> None:
     assert ran >= EXECUTED[page]
 
 
-@pytest.mark.parametrize("path", GALLERY, ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=[pytest.mark.slow] if path.stem in LONG else [])
+        for path in GALLERY
+    ],
+    ids=lambda p: p.stem,
+)
 def test_gallery(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each example runs, its asserts hold, and it writes its picture into a folder."""
     monkeypatch.setattr(sys, "argv", [str(path), str(tmp_path)])

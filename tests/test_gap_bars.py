@@ -287,7 +287,7 @@ def test_with_all_columns_all_is_tested(blind: SimpleNamespace, tmp_path: Path) 
     ("name", "seed"),
     [
         pytest.param("gravity", 3, marks=SLOW),
-        ("servo_lag", 4),
+        pytest.param("servo_lag", 4, marks=SLOW),
         pytest.param("pitch_accumulation", 1, marks=SLOW),
         ("step", 1),
         pytest.param("step", 2, marks=SLOW),

@@ -3,11 +3,13 @@ conformance suite takes up.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from oed.instrument import Setup, mount
+from oed.kinematics import Kinematics
 from oed.machine import Machine
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import (
@@ -210,13 +212,26 @@ CASES = {
 PAIRS = [(name, setup) for name, case in CASES.items() for setup in case.setups]
 
 
+@functools.cache
+def _kinematics(machine: str) -> Kinematics:
+    """Compiled once for all tests of a process."""
+    return Kinematics(CASES[machine].machine)
+
+
+@functools.cache
+def _measurement(machine: str, setup: str) -> Measurement:
+    """Compiled once for all tests of a process; they leave it as it is."""
+    case = CASES[machine]
+    return Measurement(case.machine, [case.setups[setup]], _kinematics(machine))
+
+
 def reading_series(
     case: Case, setup: str, rng: np.random.Generator, n: int
 ) -> tuple[Measurement, Series]:
     """A measurement of one set-up and n readings at random poses; in runs of five where
     a run has a reference.
     """
-    measurement = Measurement(case.machine, [case.setups[setup]])
+    measurement = _measurement(case.machine.name, setup)
     per_run = 5
     extra = n // per_run if case.setups[setup].instrument.reference == "run" else 0
     runs = [str(i // (per_run + 1)) for i in range(n + extra)] if extra else None
