@@ -27,16 +27,21 @@ class ForwardKinematics:
     Shapes: n poses, m parameter vectors, nx pose coordinates, nq joints, np parameters.
 
     equations  value (n, nx) and slope (n, nx, nx) over the pose
-    slopes     slopes (n, nx, ...) over pose, parameters and joints
     """
 
     def __init__(self, machine: Machine, e: MachineExpressions) -> None:
         self.machine, self._expressions = machine, e
         balance, inputs = e.balance, [e.x, e.q, e.p]
         by_x = ca.jacobian(balance, e.x)
-        slopes = [by_x, ca.jacobian(balance, e.p), ca.jacobian(balance, e.q)]
         self.equations = BatchedFunction("forward", inputs, [balance, by_x])
-        self.slopes = BatchedFunction("slopes", inputs, slopes)
+
+    @functools.cached_property
+    def slopes(self) -> BatchedFunction:
+        """Slopes (n, nx, ...) of the equations over pose, parameters and joints."""
+        e = self._expressions
+        balance, inputs = e.balance, [e.x, e.q, e.p]
+        slopes = [ca.jacobian(balance, over) for over in (e.x, e.p, e.q)]
+        return BatchedFunction("slopes", inputs, slopes)
 
     @functools.cached_property
     def misfit(self) -> BatchedFunction:

@@ -61,22 +61,29 @@ class Kinematics:
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         self._expressions = e = machine_expressions(machine)
-        x, q, p = e.x, e.q, e.p
-        commanded = ca.jacobian(ca.vertcat(*e.commanded), x)
-        frame = [e.rotation, e.tip, twist_slope(e.rotation, e.tip, x)]
-
         self._inverse = InverseKinematics(machine, e)
         self._forward = ForwardKinematics(machine, e)
-        self._closure_slope = BatchedFunction(
-            "closure_slope", [x, q, p], [ca.jacobian(e.phi, x)]
-        )
-        self._commanded_slope = BatchedFunction(
-            "commanded_slope", [x, e.tool], [commanded]
-        )
-        self._frame = BatchedFunction("frame", [x, e.tool], frame)
         self._components, self._components_slope = _component_functions(machine, e)
         self._struts = _strut_function(machine, e)
         self._skeleton = _skeleton_functions(machine, e)
+
+    @functools.cached_property
+    def _closure_slope(self) -> BatchedFunction:
+        e = self._expressions
+        slope = ca.jacobian(e.phi, e.x)
+        return BatchedFunction("closure_slope", [e.x, e.q, e.p], [slope])
+
+    @functools.cached_property
+    def _commanded_slope(self) -> BatchedFunction:
+        e = self._expressions
+        slope = ca.jacobian(ca.vertcat(*e.commanded), e.x)
+        return BatchedFunction("commanded_slope", [e.x, e.tool], [slope])
+
+    @functools.cached_property
+    def _frame(self) -> BatchedFunction:
+        e = self._expressions
+        frame = [e.rotation, e.tip, twist_slope(e.rotation, e.tip, e.x)]
+        return BatchedFunction("frame", [e.x, e.tool], frame)
 
     # -- the controller ----------------------------------------------------------------
 

@@ -47,14 +47,15 @@ def _platform(i: int) -> tuple[float, float, float]:
     return (A * math.cos(PHI[i]), A * math.sin(PHI[i]), -C)
 
 
-def _joints(x: Values, p: Values, i: int) -> tuple[Expr, Expr]:
-    """Joint centres B_i and A_i in the base frame."""
-    base = ca.vertcat(*[n + p[f"db{i}{k}"] for n, k in zip(_base(i), XYZ, strict=True)])
-    local = ca.vertcat(
-        *[n + p[f"da{i}{k}"] for n, k in zip(_platform(i), XYZ, strict=True)]
-    )
+def _joints(x: Values, p: Values) -> list[tuple[Expr, Expr]]:
+    """Joint centres B_i and A_i of each limb in the base frame."""
     rotation, point = platform(x)
-    return base, point + rotation @ local
+    joints = []
+    for i in LIMBS:
+        base = [n + p[f"db{i}{k}"] for n, k in zip(_base(i), XYZ, strict=True)]
+        local = [n + p[f"da{i}{k}"] for n, k in zip(_platform(i), XYZ, strict=True)]
+        joints.append((ca.vertcat(*base), point + rotation @ ca.vertcat(*local)))
+    return joints
 
 
 def platform(x: Values) -> tuple[Expr, Expr]:
@@ -65,8 +66,7 @@ def platform(x: Values) -> tuple[Expr, Expr]:
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Strut length and strut plane of each limb; lengths in m."""
     rows = []
-    for i in LIMBS:
-        base, joint = _joints(x, p, i)
+    for i, (base, joint) in zip(LIMBS, _joints(x, p), strict=True):
         v, length = joint - base, q[f"q{i}"] + p[f"dq{i}"]
         s1 = ca.DM([-math.sin(PHI[i]), math.cos(PHI[i]), 0.0])
         rows += [ca.norm_2(v) - length, ca.dot(s1, v) - length * ca.sin(p[f"beta{i}"])]
@@ -97,7 +97,7 @@ def read_error(c: Values, twist: Sequence[Expr]) -> list[Expr]:
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Base triangle, limbs, platform triangle, spindle."""
-    bases, joints = zip(*[_joints(x, p, i) for i in LIMBS], strict=True)
+    bases, joints = zip(*_joints(x, p), strict=True)
     centre = (joints[0] + joints[1] + joints[2]) / 3.0
     limbs = [[b, a] for b, a in zip(bases, joints, strict=True)]
     return [[*bases, bases[0]], *limbs, [*joints, joints[0]], [centre, platform(x)[1]]]
@@ -154,7 +154,7 @@ machine = Machine(
     guess=guess,
     read_error=read_error,
     skeleton=skeleton,
-    struts=lambda x, q, p: [_joints(x, p, i) for i in LIMBS],
+    struts=lambda x, q, p: _joints(x, p),
     frame=("db1x", "db2y", "db3y", "db1z", "db2z", "db3z"),  # Eq. (16)
     groups=(
         PointGroup(

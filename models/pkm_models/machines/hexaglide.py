@@ -67,28 +67,29 @@ def _travel(i: int, x: Expr, y: Expr, z: Expr) -> Expr:
     return x + A[i][0] - START + SIDE[i] * ca.sqrt(STRUT**2 - across)
 
 
-def _joints(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
-    """Joint centres at the carriage and at the platform, in the base frame."""
-    error = (q[f"q{i}"] + p[f"dq{i}"], p[f"db{i}y"], p[f"db{i}z"])
-    carriage = ca.vertcat(*[n + e for n, e in zip(B[i], error, strict=True)])
+def _joints(x: Values, q: Values, p: Values) -> list[tuple[Expr, Expr]]:
+    """Joint centres of each strut at carriage and platform, in the base frame."""
     rotation, point = platform(x)
-    return carriage, point + rotation @ ca.vertcat(
-        *[n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)]
-    )
+    joints = []
+    for i in LEGS:
+        error = (q[f"q{i}"] + p[f"dq{i}"], p[f"db{i}y"], p[f"db{i}z"])
+        carriage = ca.vertcat(*[n + e for n, e in zip(B[i], error, strict=True)])
+        local = [n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)]
+        joints.append((carriage, point + rotation @ ca.vertcat(*local)))
+    return joints
 
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Strut lengths; m."""
-    ends = [_joints(x, q, p, i) for i in LEGS]
     return [
         ca.norm_2(a - b) - STRUT - p[f"dl{i}"]
-        for i, (b, a) in zip(LEGS, ends, strict=True)
+        for i, (b, a) in zip(LEGS, _joints(x, q, p), strict=True)
     ]
 
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Guides, struts, platform, spindle."""
-    feet, joints = zip(*[_joints(x, q, p, i) for i in LEGS], strict=True)
+    feet, joints = zip(*_joints(x, q, p), strict=True)
     rails = [
         [ca.vertcat(end, *foot[1:]) for end in (START, -START)]
         for foot in (B[1], B[3], B[5])
@@ -135,7 +136,7 @@ machine = Machine(
     guess=lambda c: (target(c), [_travel(i, *(c[n] for n in XYZ)) for i in LEGS]),
     read_error=lambda c, twist: twist,
     skeleton=skeleton,
-    struts=lambda x, q, p: [_joints(x, q, p, i) for i in LEGS],
+    struts=lambda x, q, p: _joints(x, q, p),
     groups=(
         PointGroup(
             "platform joints",

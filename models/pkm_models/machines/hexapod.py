@@ -60,27 +60,28 @@ A = _ring(
 )  # platform joints, from the tool point: each 30 degrees outside its partner
 
 
-def _joints(x: Values, p: Values, i: int) -> tuple[Expr, Expr]:
-    """Joint centres B_i and A_i in the base frame."""
-    foot = ca.vertcat(*[n + p[f"db{i}{k}"] for n, k in zip(B[i], XYZ, strict=True)])
+def _joints(x: Values, p: Values) -> list[tuple[Expr, Expr]]:
+    """Joint centres B_i and A_i of each leg in the base frame."""
     rotation, point = platform(x)
-    return foot, point + rotation @ ca.vertcat(
-        *[n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)]
-    )
+    joints = []
+    for i in LEGS:
+        foot = [n + p[f"db{i}{k}"] for n, k in zip(B[i], XYZ, strict=True)]
+        local = [n + p[f"da{i}{k}"] for n, k in zip(A[i], XYZ, strict=True)]
+        joints.append((ca.vertcat(*foot), point + rotation @ ca.vertcat(*local)))
+    return joints
 
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Leg lengths; m."""
-    ends = [_joints(x, p, i) for i in LEGS]
     return [
         ca.norm_2(a - b) - q[f"q{i}"] - p[f"dl{i}"]
-        for i, (b, a) in zip(LEGS, ends, strict=True)
+        for i, (b, a) in zip(LEGS, _joints(x, p), strict=True)
     ]
 
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Base, legs, platform, spindle."""
-    feet, joints = zip(*[_joints(x, p, i) for i in LEGS], strict=True)
+    feet, joints = zip(*_joints(x, p), strict=True)
     legs = [[b, a] for b, a in zip(feet, joints, strict=True)]
     return [
         [*feet, feet[0]],
@@ -133,7 +134,7 @@ machine = Machine(
     guess=lambda c: (target(c), [c["z"] + ABOVE] * 6),
     read_error=lambda c, twist: twist,
     skeleton=skeleton,
-    struts=lambda x, q, p: [_joints(x, p, i) for i in LEGS],
+    struts=lambda x, q, p: _joints(x, p),
     groups=(
         _group("platform joints", "the tool point", "da", A),
         _group("base joints", "the base centre", "db", B),
