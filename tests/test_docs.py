@@ -3,6 +3,8 @@
 `make docs` builds the site, with warnings as errors: it holds all links within it.
 """
 
+import contextlib
+import io
 import os
 import re
 import runpy
@@ -10,10 +12,13 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
+from pkm_studies.cli import main
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TUTORIAL = DOCS / "tutorial_own_machine.md"
@@ -76,7 +81,35 @@ def missing(shown: list[str], output: str) -> list[str]:
 
 
 def execute(line: str, folder: Path) -> str:
-    """Output of a command as a user types it, with this Python first on the path."""
+    """Output of a command as a user types it.
+
+    A plain `oed` command runs in this process, where everything is imported already.
+    """
+    words = line.split()
+    if words[0] == "oed" and not set(line) & set("|&;<>\"'$*?"):
+        return execute_here(words[1:], folder)
+    return execute_by_bash(line, folder)
+
+
+def execute_here(words: list[str], folder: Path) -> str:
+    """Output of the command `oed`, with its exit code 0."""
+    stdout, stderr = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        warnings.catch_warnings(),
+        contextlib.redirect_stdout(stdout),
+        contextlib.redirect_stderr(stderr),
+    ):
+        warnings.simplefilter("default")  # as in a process of its own
+        patch.chdir(folder)
+        patch.setenv("COLUMNS", "200")
+        code = main(words)
+    assert code == 0, f"{words}\n{stdout.getvalue()}\n{stderr.getvalue()}"
+    return stdout.getvalue()
+
+
+def execute_by_bash(line: str, folder: Path) -> str:
+    """Output of a line for the shell, with this Python first on the path."""
     places = [
         str(Path(sys.executable).parent),
         sysconfig.get_path("scripts"),

@@ -42,8 +42,23 @@ def heights(resolved: ResolvedStudy) -> np.ndarray:
 # -- quotas ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["D", "I", "E", "kappa"])
-@pytest.mark.parametrize("numbers", ["max = 1", "min = 2", "min_share = 1.0"])
+NUMBERS = ("max = 1", "min = 2", "min_share = 1.0")
+#: every criterion with one quota, and D with all; the others are slow
+USUAL = {("I", "max = 1"), ("E", "min = 2"), ("kappa", "min_share = 1.0")}
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [
+        pytest.param(
+            name,
+            numbers,
+            marks=[] if name == "D" or (name, numbers) in USUAL else [pytest.mark.slow],
+        )
+        for name in ("D", "I", "E", "kappa")
+        for numbers in NUMBERS
+    ],
+)
 def test_the_best_plan_under_a_quota(name: str, numbers: str) -> None:
     """At most one, at least two, or all three readings above z = 1.2 m."""
     tables = GRID.format(name="cup") + HIGH + numbers + "\n"

@@ -42,7 +42,10 @@ def problem(seed: int) -> tuple[np.ndarray, int, np.ndarray]:
     )
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize(
+    "seed",
+    [*range(20), *(pytest.param(k, marks=pytest.mark.slow) for k in range(20, 40))],
+)
 def test_no_plan_exceeds_the_bounds_and_the_weights_reach_them(seed: int) -> None:
     rows, size, base = problem(seed)
     plans = []
