@@ -33,10 +33,10 @@ def test_draws_give_the_readings_that_were_taken(fitted: oed.EstimateView) -> No
     assert state.estimate is not None
     assert state.readings is not None
     m, estimate = state.measurement, state.estimate
-    theta = prediction._draws(state).theta[:200]
+    theta = prediction._draws(state).theta[:1000]
     root = covariance_root(estimate.covariance)
     rng = np.random.default_rng(1)
-    straight = estimate.theta + rng.standard_normal((200, root.shape[1])) @ root.T
+    straight = estimate.theta + rng.standard_normal((1000, root.shape[1])) @ root.T
     off = {}
     for name, draws in (("followed", theta), ("straight", straight)):
         read = np.array([exact_readings(state, t) for t in draws])
@@ -45,7 +45,7 @@ def test_draws_give_the_readings_that_were_taken(fitted: oed.EstimateView) -> No
         )
     noise = m.sigma(state.readings.series)[0]
     assert off["followed"] < 2.0 * noise
-    assert off["straight"] > 2.0 * off["followed"]
+    assert off["straight"] > 1.5 * off["followed"]
     spread = theta.std(axis=0)[:24]
     sd = np.sqrt(np.diag(estimate.covariance))[:24]
     assert spread == pytest.approx(sd, rel=0.25)

@@ -162,7 +162,8 @@ def test_a_set_up_of_retained_readings_is_mounted_already() -> None:
         for s in subsets
         if not {"high", "side"} <= set(owner[s])
     )
-    assert design.choice.value == pytest.approx(best, rel=1e-9)
+    # directions are lost: determinants of the squared rows round to 1e-9
+    assert design.choice.value == pytest.approx(best, rel=1e-8)
     assert set(design.order.setups) == {"low"} | set(owner[design.choice.indices])
 
 
