@@ -2,6 +2,7 @@
 
 import ast
 import collections
+import functools
 import io
 import statistics
 import tokenize
@@ -26,6 +27,13 @@ Functions = ast.FunctionDef | ast.AsyncFunctionDef
 Documented = ast.Module | ast.ClassDef | Functions
 
 
+@functools.cache
+def parsed(text: str) -> ast.Module:
+    """Syntax tree of a module; the tests read it and change nothing."""
+    return ast.parse(text)
+
+
+@functools.cache
 def sources(*folders: str) -> dict[str, str]:
     """Text of each module, by its path."""
     paths = [p for folder in folders for p in sorted((ROOT / folder).rglob("*.py"))]
@@ -52,7 +60,7 @@ def docstring(node: ast.AST) -> ast.stmt | None:
 def tokens_a_line(text: str) -> list[int]:
     """Tokens of each line of code; comments and docstrings aside."""
     documented: set[int] = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(parsed(text)):
         statement = docstring(node)
         if statement is not None:
             last = statement.end_lineno or statement.lineno
@@ -78,7 +86,7 @@ def test_no_name_is_vague() -> None:
         f"{path}: {name}"
         for path, text in sources(*PACKAGES).items()
         if not path.startswith(str(Path("oed/gap")))
-        for name in introduced(ast.parse(text))
+        for name in introduced(parsed(text))
         if name.strip("_") in VAGUE
     ]
     assert not vague
@@ -89,7 +97,7 @@ def test_no_name_is_vague() -> None:
     ["told = 1", "def _made(): ...", "class C:\n    kept: int", "f = lambda own: 0"],
 )
 def test_vague_names_are_recognised(code: str) -> None:
-    assert any(name.strip("_") in VAGUE for name in introduced(ast.parse(code)))
+    assert any(name.strip("_") in VAGUE for name in introduced(parsed(code)))
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -112,7 +120,7 @@ def test_functions_and_files_are_short() -> None:
             long.append(f"{path}: {text.count(chr(10))} lines")
         long += [
             f"{path}: {node.name} has {length(node)} lines"
-            for node in ast.walk(ast.parse(text))
+            for node in ast.walk(parsed(text))
             if isinstance(node, Functions) and length(node) > MOST_FUNCTION
         ]
     assert not long
@@ -121,7 +129,7 @@ def test_functions_and_files_are_short() -> None:
 def test_no_two_classes_share_a_name() -> None:
     where = collections.defaultdict(list)
     for path, text in sources(*PACKAGES).items():
-        for node in ast.walk(ast.parse(text)):
+        for node in ast.walk(parsed(text)):
             if isinstance(node, ast.ClassDef):
                 where[node.name].append(path)
     assert not {name: paths for name, paths in where.items() if len(paths) > 1}
