@@ -184,9 +184,7 @@ def test_encoder_scale_by_hand() -> None:
     assert set(column.joints) == {1}
 
 
-def test_pitch_accumulation_is_a_smooth_random_curve_that_leaves_zero_and_scale_to_others() -> (
-    None
-):
+def test_pitch_accumulation_is_a_smooth_random_curve_about_a_slope() -> None:
     """Over the travel that is read its covariance is Matern's without mean and slope,
     here by Gauss quadrature.
     """
@@ -196,10 +194,12 @@ def test_pitch_accumulation_is_a_smooth_random_curve_that_leaves_zero_and_scale_
     state = dataclasses.replace(
         whole, joints=low + 0.5 * (nodes[:, None] + 1.0) * (high - low)
     )
-    made = [
-        c for c in columns("pitch_accumulation", state).values() if c.label == "leg 1"
-    ]
-    curves = np.column_stack([c.scale / 10e-6 * c.joints[0] for c in made])
+    made = columns("pitch_accumulation", state)
+    slope = made["leg 1 slope"]
+    assert slope.shape
+    assert slope.joints[0] == pytest.approx(nodes)
+    of_leg = [c for n, c in made.items() if c.label == "leg 1" and "curve" in n]
+    curves = np.column_stack([c.scale / 10e-6 * c.joints[0] for c in of_leg])
     assert np.abs(weights @ curves).max() < 1e-3
     assert np.abs((weights * nodes) @ curves).max() < 1e-3
     far = np.sqrt(3.0) / 0.5 * np.abs(nodes[:, None] - nodes)

@@ -30,7 +30,7 @@ def test_joint_runout_goes_twice_a_turn() -> None:
         (12, 0.0): ([0.0, 0.0, 0.0], [1.0, -1.0, 1.0]),
         (2, 1.0): ([0.0, 0.0, 1.0], [1.0, 1.0, 0.0]),
     }
-    sizes = {1: 1.6e-6, 2: 4e-6, 3: 4e-6, 12: 0.6e-6}
+    sizes = {1: 1.6e-6, 2: 4e-6, 3: 8e-6 / 3, 12: 8e-6 / 12}
     for (order, way), waves in wanted.items():
         made = columns("joint_runout", swung, platform=0.0, across=way)
         for part, wave in zip(("sin", "cos"), waves, strict=True):
@@ -66,9 +66,8 @@ def test_joint_runout_at_the_platform_turns_with_it() -> None:
             columns("joint_runout", s, platform=end, across=way)
             for s in (state, turned)
         )
-        assert len(before) == 6 * 2 * (
-            6 + 3
-        )  # legs, sine and cosine, orders along and sideways
+        # legs, sine and cosine, orders 1 to 12 and 16 along and three sideways
+        assert len(before) == 6 * 2 * (13 + 3)
         for name, c in before.items():
             (i,) = c.joints
             assert after[name].joints[i] == pytest.approx(c.joints[i])

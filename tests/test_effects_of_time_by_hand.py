@@ -182,7 +182,7 @@ def test_bar_that_was_held_is_warm_at_the_start_of_each_setup() -> None:
 def test_mount_drift_is_a_cup_elsewhere_at_the_end() -> None:
     s = session("a3_head")
     m, theta = s.measurement, s.measurement.nominal
-    name = "ball_bar cup_x"
+    name = "set-up ball_bar cup_x"
     drifted = exact_readings(
         m, s.series, theta, s.states, [(effect_of("mount_drift"), {}, {name: 1.0})]
     )
@@ -196,10 +196,30 @@ def test_mount_drift_is_a_cup_elsewhere_at_the_end() -> None:
     assert drifted[2 * ROUND :] == pytest.approx(start[2 * ROUND :], abs=1e-15)
 
 
+def test_free_courses_are_a_smooth_random_course_that_starts_at_nothing() -> None:
+    """Matern's correlation k of 3/2, less the start: k(s, t) - k(s, 0) - k(0, t) + 1;
+    four modes have four fifths of it.
+    """
+    state = session("planar_2dof").states[0]
+    time = np.linspace(0.0, HOURS, len(state))
+    courses = np.column_stack(
+        list(terms.free_courses(dataclasses.replace(state, time=time)).values())
+    )
+    assert courses[0] == pytest.approx(np.zeros(terms.COURSES), abs=1e-2)
+    at = 2.0 * time / HOURS - 1.0
+    far = np.sqrt(3.0) / terms.COURSE_LENGTH * np.abs(at[:, None] - at)
+    correlation = (1.0 + far) * np.exp(-far)
+    wanted = correlation - correlation[:1] - correlation[:, :1] + 1.0
+    share = (courses**2).sum() / np.trace(wanted)
+    assert share == pytest.approx(0.8, abs=0.05)
+    error = np.abs(courses @ courses.T - wanted).max()
+    assert error < 0.5
+
+
 def test_mount_drift_of_a_laser_without_unknowns_is_in_its_readings() -> None:
     state = session("planar_2dof").states[0]
     made = columns("mount_drift", dataclasses.replace(state, setup="rm1"))
-    assert made["rm1 dy"].reading["dy"] == pytest.approx(state.time / HOURS)
+    assert made["set-up rm1 dy"].reading["dy"] == pytest.approx(state.time / HOURS)
 
 
 @pytest.mark.parametrize(("when", "lasts", "first", "last"), [

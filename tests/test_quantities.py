@@ -11,7 +11,8 @@ from pkm_studies.errors import InputError, Place
 from pkm_studies.resolve import quantities
 
 HERE = Place("x.study.toml")
-name = st.from_regex(r"[a-z]+[0-9]?(_[xyz])?", fullmatch=True)
+#: no longer than a field's, as messages are shortened
+name = st.from_regex(r"[a-z]{1,12}[0-9]?(_[xyz])?", fullmatch=True)
 
 
 @given(name=name, unit=st.sampled_from(sorted(units.UNITS)), value=st.floats(-1e6, 1e6))

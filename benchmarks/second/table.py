@@ -21,25 +21,30 @@ def markdown(campaign: Path) -> str:
     """Measures with 95 % intervals and numbers of cases, one column a law.
 
     `campaign` is the folder of its cases. Only those with a diagnosis under every law
-    count. Raises ValueError where there is none, OSError.
+    that the campaign had count. Raises ValueError where there is none, OSError.
     """
     by_law = _diagnosed(campaign)
-    done = [key for key in by_law[LAWS[0]] if all(key in by_law[law] for law in LAWS)]
+    laws = [law for law in LAWS if by_law[law]]
+    done = []
+    if laws:
+        done = [
+            key for key in by_law[laws[0]] if all(key in by_law[law] for law in laws)
+        ]
     if not done:
         raise ValueError(
-            f"{campaign}: no case has a diagnosis under both laws; run `oed campaign"
+            f"{campaign}: no case has a diagnosis under every law; run `oed campaign"
             " benchmarks/second.campaign.toml` first"
         )
     columns = [
         {r.key: r for r in score.rows([by_law[law][key] for key in done])}
-        for law in LAWS
+        for law in laws
     ]
     keys = list(dict.fromkeys(key for column in columns for key in column))
     lines = [
         f"{len(done)} cases",
         "",
-        "| measure | " + " | ".join(f"{law} law" for law in LAWS) + " |",
-        "|---" * (len(LAWS) + 1) + "|",
+        "| measure | " + " | ".join(f"{law} law" for law in laws) + " |",
+        "|---" * (len(laws) + 1) + "|",
     ]
     for key in keys:
         entries = [column.get(key) for column in columns]
