@@ -197,6 +197,9 @@ class Machine:
     cable_stiffness      E A of the cable that each joint pays out, N: recorded tensions
                          stretch it; inf where it is not known. None where the struts
                          are no cables
+    drive                what moves the joints: `screw`, `belt`, `cable` or
+                         `linear_motor`; "" where it is not stated. Effects that such a
+                         drive cannot have are left out
     """
 
     name: str
@@ -223,6 +226,7 @@ class Machine:
     drawn: Machine | None = None
     family: Family | None = None
     cable_stiffness: tuple[float, ...] | None = None
+    drive: str = ""
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]

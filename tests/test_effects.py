@@ -22,7 +22,9 @@ from kernel.cases import CASES
 
 from oed.gap.data.signature import exact_readings, signature, untestable
 from pkm_studies import catalogue
+from pkm_studies import study as studies
 from pkm_studies.errors import InputError
+from pkm_studies.resolve import machine as resolve_machine
 
 
 def fits(machine: str, name: str) -> bool:
@@ -76,6 +78,36 @@ MANY = {"frame_bending": 26, "guideway": 20, "joint_runout": 32, "mount_drift": 
 def test_it_fits_or_says_why_not(machine: str, name: str) -> None:
     reason = effect_of(name).unfit(CASES[machine].machine)
     assert (reason is None) == fits(machine, name)
+
+
+@pytest.mark.parametrize(
+    ("drive", "reason"),
+    [
+        ("", None),
+        ("screw", None),
+        ("belt", "a belt moves each joint: it has no screws"),
+        ("linear_motor", "a linear motor moves each joint: it has no screws"),
+    ],
+)
+def test_a_screw_s_error_needs_a_screw(drive: str, reason: str | None) -> None:
+    machine = dataclasses.replace(CASES["linear_delta"].machine, drive=drive)
+    assert effect_of("screw_cyclic").unfit(machine) == reason
+
+
+def test_the_drive_of_a_study_is_the_machine_s(tmp_path: Path) -> None:
+    """An unknown drive is refused with those that there are."""
+    path = tmp_path / "my.study.toml"
+    text = (
+        'schema = 1\nname = "my"\nseed = 1\n[machine]\nmodel = "linear_delta"\n'
+        'drive = "belt"\n[[setup]]\nname = "probe"\ninstrument = "height_probe"\n'
+    )
+    path.write_text(text, encoding="utf-8")
+    assert resolve_machine.study_machine(studies.load(path)).drive == "belt"
+    path.write_text(text.replace("belt", "steam"), encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        studies.load(path)
+    assert "drive" in str(error.value)
+    assert "linear_motor" in str(error.value)
 
 
 @pytest.mark.parametrize(("machine", "name"), FITTING)

@@ -16,6 +16,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.effect import Column, Effect, State
+from oed.machine import Machine
 from pkm_models.effects import terms
 
 TURN = 3e-6  # m, amplitude
@@ -52,6 +53,16 @@ def columns(state: State, pitch: float) -> Iterable[Column]:
                 yield Column(f"{leg} {name} {k}", scale, leg, {i: value}, shape=k > 1)
 
 
+def unfit(machine: Machine) -> str | None:
+    """Why it cannot occur on a machine; None where it can."""
+    if machine.cable_stiffness is not None:
+        return "its struts are cables: it has no screws"
+    if machine.drive not in ("", "screw"):
+        words = machine.drive.replace("_", " ")
+        return f"a {words} moves each joint: it has no screws"
+    return terms.has_rotary_drives(machine)
+
+
 effect = Effect(
     name="screw_cyclic",
     source="ISO 3408-3 (travel variation within 2 pi), ISO 3408-2 (nominal leads)",
@@ -62,5 +73,5 @@ effect = Effect(
         "align the screw's bearings and coupling, or close the loop by a linear encoder"
     ),
     exposed_by="poses so dense that several fall within one turn of the screw",
-    unfit=terms.has_rotary_drives,
+    unfit=unfit,
 )

@@ -54,6 +54,8 @@ def described_machine(
     machine = _with_ranges(table, machine, place)
     if assembled and machine is not model:
         _check_home(machine, place)
+    if table.drive is not None:
+        machine = dataclasses.replace(machine, drive=table.drive)
     return machine
 
 

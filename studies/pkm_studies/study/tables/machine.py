@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -28,6 +28,7 @@ class MachineTable(StudyTable, frozen=True, kw_only=True):
     home       command of the home pose, as in `z_mm = 20`
     travel     ranges of the joints, as in `q1_mm = [0, 600]`
     fixed      parameters that are not identified, in place of the model's list
+    drive      what moves the joints; effects that it cannot have are left out
     """
 
     model: str
@@ -37,6 +38,7 @@ class MachineTable(StudyTable, frozen=True, kw_only=True):
     home: dict[str, float] = {}
     travel: dict[str, Pair] = {}
     fixed: list[str] | None = None
+    drive: Literal["screw", "belt", "cable", "linear_motor"] | None = None
 
 
 class SetupTable(StudyTable, frozen=True, kw_only=True):
