@@ -14,6 +14,7 @@ from oed.compensate import (
     InterpolationTable,
     compensated_joints,
     error_model,
+    joint_corrections,
     pose_error,
 )
 from oed.compensate.command_grid import CommandGrid
@@ -70,8 +71,7 @@ def interpolation_errors(
     Raises AssemblyError.
     """
     nominal = kinematics.machine.nominal
-    exact = compensated_joints(kinematics, grid.commands, parameters)
-    correction = exact - compensated_joints(kinematics, grid.commands, nominal)
+    correction = joint_corrections(kinematics, grid.commands, parameters)
     table = InterpolationTable(
         tuple(axis.name for axis in grid.axes),
         grid.knots,

@@ -144,15 +144,15 @@ coordinate = "theta"
 """
     )
     (circles,) = sample.resolved(text).kappa_circles
-    heights = circles.series(2, 15).reading_commands()[:, 0]
+    (one,), (two,) = circles.every_series()
+    heights = two.reading_commands()[:, 0]
     np.testing.assert_allclose(np.unique(np.round(heights, 9)), [1.146, 1.266])
-    np.testing.assert_allclose(circles.series(1, 15).reading_commands()[:, 0], 1.206)
+    np.testing.assert_allclose(one.reading_commands()[:, 0], 1.206)
     # 2 circles of 15 points, taught cup: condition number 3748 over the 18 identifiable
     # directions
     measurement = circles.measurement
     columns = (
-        measurement.jacobian([circles.series(2, 15)], measurement.nominal)
-        / measurement.length_factors
+        measurement.jacobian([two], measurement.nominal) / measurement.length_factors
     )
     values = np.linalg.svd(columns[:, measurement.free], compute_uv=False)
     assert values[0] / values[17] == pytest.approx(3748, rel=1e-3)

@@ -30,8 +30,8 @@ PARTS = {
     WITHHELD: ("set", "withheld.jsonl"),
     PAIRS: ("pairs", "separated.jsonl"),
 }
-#: whether a case belongs to its part, and how its diagnosis failed, if it did
-DIAGNOSED, FAILURE = "diagnosed", "failure"
+#: whether a case belongs to its part
+DIAGNOSED = "diagnosed"
 
 
 def diagnosis(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
@@ -76,10 +76,4 @@ def job_of(folder: Path, part: str, number: int) -> DiagnosisJob | None:
 def verdicts(cases: pd.DataFrame, setting: Mapping[str, Any]) -> dict[str, Any]:
     """How many diagnoses there are, how many failed, and what the others say."""
     done = cases[cases[DIAGNOSED]]
-    figures = {"diagnoses": len(done), "failures": 0}
-    if FAILURE in done:
-        figures["failures"] = int(done[FAILURE].notna().sum())
-    if "verdict" in done:
-        counts = done["verdict"].dropna().value_counts()
-        figures |= {f"verdict {name}": int(n) for name, n in counts.items()}
-    return figures
+    return {"diagnoses": len(done), **run.verdict_counts(done)}

@@ -13,7 +13,7 @@ import traceback
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +29,11 @@ from oed.gap.forms import library as library_of
 from oed.noise.law import NoiseLaw
 from pkm_studies.campaign.jobs import Row
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: how a diagnosis failed, if it did
+FAILURE = "failure"
 #: most answers that are stored, if the 95 % set has no more
 ANSWERS = 20
 
@@ -61,20 +66,30 @@ def stored_record(
     job: DiagnosisJob, diagnose_case: Callable[[DiagnosisJob], dict[str, Any]]
 ) -> Row:
     """The record of a case's diagnosis, or of the `failure` it ends with, for JSON."""
-    record: dict[str, Any] = {
-        "id": job.case.id,
-        "study": job.case.study,
-        "without": job.without,
-    }
+    record = {"id": job.case.id, "study": job.case.study, "without": job.without}
+    return record | record_or_failure(lambda: diagnose_case(job))
+
+
+def record_or_failure(diagnose_case: Callable[[], dict[str, Any]]) -> Row:
+    """The record of a diagnosis, or the `failure` it ends with, for JSON."""
     try:
-        record |= diagnose_case(job)
+        record = diagnose_case()
     except Exception as error:
-        record |= {
-            "failure": f"{type(error).__name__}: {error}",
+        record = {
+            FAILURE: f"{type(error).__name__}: {error}",
             "traceback": traceback.format_exc(limit=-4),
         }
     text = json.dumps(record, default=float, allow_nan=False)
     return dict(json.loads(text))
+
+
+def verdict_counts(cases: pd.DataFrame) -> dict[str, int]:
+    """How many diagnoses of a campaign failed, and what the others say."""
+    counts = {"failures": int(cases[FAILURE].notna().sum()) if FAILURE in cases else 0}
+    if "verdict" in cases:
+        verdicts = cases["verdict"].dropna().value_counts()
+        counts |= {f"verdict {name}": int(n) for name, n in verdicts.items()}
+    return counts
 
 
 def _diagnose(job: DiagnosisJob) -> dict[str, Any]:

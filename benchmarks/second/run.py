@@ -12,9 +12,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 
-import json
 import math
-import traceback
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +20,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.blind.run import diagnosis_record
+from benchmarks.blind.run import (
+    diagnosis_record,
+    record_or_failure,
+    verdict_counts,
+)
 from benchmarks.second import cases as case_files
 from benchmarks.second.cases import Case
 from oed.effect import Effect
@@ -52,24 +54,12 @@ def diagnosis(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
             f" {len(names)}, or generate more in another folder than {folder}"
         )
     case = Case(Path(folder), machine, names[seed])
-    record: dict[str, Any] = {"case": case.name}
-    try:
-        record |= _record(case, law)
-    except Exception as error:
-        record |= {
-            "failure": f"{type(error).__name__}: {error}",
-            "traceback": traceback.format_exc(limit=-4),
-        }
-    return dict(json.loads(json.dumps(record, default=float)))
+    return {"case": case.name, **record_or_failure(lambda: _record(case, law))}
 
 
 def verdicts(cases: pd.DataFrame, setting: Mapping[str, Any]) -> dict[str, Any]:
     """How many diagnoses failed, and what the others say."""
-    failures = int(cases["failure"].notna().sum()) if "failure" in cases else 0
-    if "verdict" not in cases:
-        return {"failures": failures}
-    counts = cases["verdict"].dropna().value_counts()
-    return {"failures": failures} | {f"verdict {n}": int(k) for n, k in counts.items()}
+    return dict(verdict_counts(cases))
 
 
 def _record(case: Case, law: str) -> dict[str, Any]:

@@ -23,28 +23,28 @@ def markdown(campaign: Path) -> str:
     `campaign` is the folder of its cases. Only those with a diagnosis under every law
     that the campaign had count. Raises ValueError where there is none, OSError.
     """
-    by_law = _diagnosed(campaign)
-    laws = [law for law in LAWS if by_law[law]]
-    done = []
-    if laws:
-        done = [
-            key for key in by_law[laws[0]] if all(key in by_law[law] for law in laws)
-        ]
+    by_law = {
+        law: diagnosed for law, diagnosed in _diagnosed(campaign).items() if diagnosed
+    }
+    first = next(iter(by_law.values()), {})
+    done = [
+        key for key in first if all(key in diagnosed for diagnosed in by_law.values())
+    ]
     if not done:
         raise ValueError(
             f"{campaign}: no case has a diagnosis under every law; run `oed campaign"
             " benchmarks/second.campaign.toml` first"
         )
     columns = [
-        {r.key: r for r in score.rows([by_law[law][key] for key in done])}
-        for law in laws
+        {r.key: r for r in score.rows([diagnosed[key] for key in done])}
+        for diagnosed in by_law.values()
     ]
     keys = list(dict.fromkeys(key for column in columns for key in column))
     lines = [
         f"{len(done)} cases",
         "",
-        "| measure | " + " | ".join(f"{law} law" for law in laws) + " |",
-        "|---" * (len(laws) + 1) + "|",
+        "| measure | " + " | ".join(f"{law} law" for law in by_law) + " |",
+        "|---" * (len(by_law) + 1) + "|",
     ]
     for key in keys:
         entries = [column.get(key) for column in columns]

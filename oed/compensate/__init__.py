@@ -16,6 +16,7 @@ from oed.compensate.exact import (
     ExactCompensator,
     compensated_joints,
     corrected_commands,
+    joint_corrections,
 )
 from oed.compensate.forecast import (
     ForecastCompensator,
@@ -72,6 +73,7 @@ __all__ = [
     "fit_error_field",
     "forecast_from_field",
     "forecast_from_nodes",
+    "joint_corrections",
     "joint_motion",
     "pose_error",
     "strut_motion",

@@ -28,6 +28,20 @@ def compensated_joints(
     return kinematics.inverse(command, parameters, tool)[1]
 
 
+def joint_corrections(
+    kinematics: Kinematics, command: Array, parameters: Array
+) -> Array:
+    """What (n, nq) a controller with the nominal model adds to its joints, at commands.
+
+    parameters  (np,) of the real machine, SI
+
+    Raises AssemblyError.
+    """
+    needed = compensated_joints(kinematics, command, parameters)
+    modelled = compensated_joints(kinematics, command, kinematics.machine.nominal)
+    return np.asarray(needed - modelled)
+
+
 def corrected_commands(
     kinematics: Kinematics, command: Array, parameters: Array, tool: Array = NO_TOOL
 ) -> Array:

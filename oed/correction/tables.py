@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from oed.correction.effect_maps import SessionStates, workspace_state
 from oed.correction.effect_measurement import SEPARATOR
 from oed.correction.fit import CorrectedEstimate
 from oed.correction.forms import ChosenForm
-from oed.effect import Column, State
+from oed.effect import State
 
 #: axis of what depends on the pose alone
 POSE, DIRECTION, PAYLOAD, TEMPERATURE = "pose", "direction", "payload", "temp_"
@@ -68,7 +67,6 @@ def tabled_effects(corrected: CorrectedEstimate, command: Array) -> TabledEffect
     missing: dict[str, str] = {}
     for form in corrected.forms:
         name = form.effect.name
-        form = _timeless(form, neutral)
         rest = _correction(corrected, form, neutral, model)
         late = _correction(corrected, form, _late(neutral), model)
         of_effect = list(_tables_of(corrected, form, neutral, model))
@@ -86,41 +84,6 @@ def tabled_effects(corrected: CorrectedEstimate, command: Array) -> TabledEffect
                 "it moves no joint of the machine, or follows the feed or tensions"
             )
     return TabledEffects(tuple(tables), missing)
-
-
-def _timeless(form: ChosenForm, state: State) -> ChosenForm:
-    """The form without shapes that follow the session's time: they do not come back."""
-    late = {c.name: c for c in form.effect.columns(_late(state), **form.constants)}
-
-    def columns(at: State, **constants: float) -> Iterator[Column]:
-        for column in form.effect.columns(at, **constants):
-            if column.name in names:
-                yield column
-
-    names = {
-        c.name
-        for c in form.effect.columns(state, **form.constants)
-        if not c.shape or (c.name in late and _is_same(c, late[c.name]))
-    }
-    effect = dataclasses.replace(form.effect, columns=columns)
-    return dataclasses.replace(form, effect=effect)
-
-
-def _is_same(column: Column, other: Column) -> bool:
-    """Whether two columns move the same things by the same amounts."""
-    return _are_equal(column.joints, other.joints) and _are_equal(
-        column.parameters, other.parameters
-    )
-
-
-def _are_equal(changes: Mapping[Any, Array], others: Mapping[Any, Array]) -> bool:
-    """Whether two sets of changes are the same, rounding aside."""
-    if set(changes) != set(others):
-        return False
-    return all(
-        np.allclose(change, others[key], rtol=1e-9, atol=0.0)
-        for key, change in changes.items()
-    )
 
 
 def _neutral_state(corrected: CorrectedEstimate, command: Array) -> State:

@@ -29,18 +29,14 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     height = (state.machine.lever + away[..., 2:]) * np.array([0.0, 0.0, 1.0])
     even, up = (strain * terms.joint_change(state, shift) for shift in (flat, height))
     yield Column(unit, scale, "", _joints(even, warm))
-    yield Column(
-        f"{unit} second",
-        terms.SHAPE_SHARE * scale,
-        "",
-        _joints(even, second),
-        shape=True,
-    )
-    courses = {} if measured else terms.free_courses(state)
+    courses = {"second": second} | ({} if measured else terms.free_courses(state))
     for name, course in courses.items():
-        growth = terms.STEEL * terms.joint_change(state, flat)
         yield Column(
-            name, terms.SHAPE_SHARE * RISE, "", _joints(growth, course), shape=True
+            f"{unit} {name}",
+            terms.SHAPE_SHARE * scale,
+            "",
+            _joints(even, course),
+            shape=True,
         )
     yield Column(
         f"{unit} height", terms.SHAPE_SHARE * scale, "", _joints(up, warm), shape=True

@@ -17,7 +17,7 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     second time constant, any smooth course where no temperature is recorded, a bearing
     that is elsewhere, and the struts that a carriage moves.
     """
-    known = terms.travel(state.machine)
+    known, courses = terms.travel(state.machine), terms.free_courses(state)
     for i in state.limbs:
         leg, sensor = f"leg {i + 1}", f"leg{i + 1}"
         carried = bool(known.guide[i].any()) and state.machine.joints[i].unit == "m"
@@ -42,15 +42,8 @@ def columns(state: State, tau: float) -> Iterable[Column]:
         shapes = {"second": long * second, "bearing": fixed * warm} | (
             {"strut": strut * warm} if carried else {}
         )
-        courses = {} if measured else terms.free_courses(state)
-        for name, course in courses.items():
-            yield Column(
-                f"{leg} {name}",
-                terms.SHAPE_SHARE * RISE,
-                leg,
-                {i: terms.STEEL * long * course},
-                shape=True,
-            )
+        if not measured:
+            shapes |= {name: long * course for name, course in courses.items()}
         for name, form in shapes.items():
             yield Column(
                 f"{leg} {unit} {name}",

@@ -14,7 +14,7 @@ from oed.planning.sequence.stage_memory import StageMemory
 from oed.planning.sequence.stage_plan import StagePlan
 from oed.planning.stage import travel
 from oed.planning.stage.knowledge import Prior, as_knowledge
-from oed.planning.stage.prediction import PlanStage, predict_stage
+from oed.planning.stage.prediction import DRAWS, PlanStage, predict_stage
 from oed.planning.stage.selection import select_readings
 from oed.planning.streams import PlanStreams
 
@@ -91,18 +91,19 @@ class PlanProblem:
         option: Option,
         chosen: Index,
         probability: Array,
-        draws: int,
+        *,
+        verifies: bool = False,
     ) -> PlanStage:
         """The stage after `plan`, by the exact model; once for equal readings.
 
         probability  (C,) that each candidate of the option is captured after the plan
-        draws        machines drawn: `VERIFICATION_DRAWS` to judge a finished plan
+        verifies     whether this judges a finished plan, by more machines and others
         """
+        draws, stream = DRAWS, self.streams.refinement
+        if verifies:
+            draws, stream = VERIFICATION_DRAWS, self.streams.verification
         stage = self.memory.recall(plan, option, chosen, draws)
         if stage is None:
-            verifies = draws == VERIFICATION_DRAWS
-            streams = self.streams
-            stream = streams.verification if verifies else streams.refinement
             rng, prior = stream(len(plan.stages)), plan.posterior(self.start)
             stage = predict_stage(option, chosen, prior, probability, rng, draws=draws)
             self.memory.store(plan, stage, draws)

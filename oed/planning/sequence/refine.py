@@ -20,10 +20,10 @@ from oed.planning.sequence.moves import (
     replaced,
     steps_of,
 )
-from oed.planning.sequence.problem import VERIFICATION_DRAWS, PlanProblem
+from oed.planning.sequence.problem import PlanProblem
 from oed.planning.sequence.stage_plan import StagePlan, is_better
 from oed.planning.stage.knowledge import Prior, as_knowledge
-from oed.planning.stage.prediction import DRAWS, PlanStage
+from oed.planning.stage.prediction import PlanStage
 from oed.planning.stage.selection import select_readings
 
 #: times that time is moved, at most
@@ -81,7 +81,7 @@ def evaluate(
             SWEEPS,
             _reading_time(problem.budget - plan.seconds, steps[k:], later),
         )
-        stage = problem.predict(plan, option, chosen, probability, DRAWS)
+        stage = problem.predict(plan, option, chosen, probability)
         plan = problem.extend(plan, stage)
     return plan
 
@@ -121,7 +121,7 @@ def verify(problem: PlanProblem, plan: StagePlan) -> StagePlan:
         prior = verified.posterior(problem.start)
         probability = problem.capture_probability(stage.option, prior)
         judged = problem.predict(
-            verified, stage.option, stage.chosen, probability, VERIFICATION_DRAWS
+            verified, stage.option, stage.chosen, probability, verifies=True
         )
         verified = problem.extend(verified, judged)
     return verified

@@ -10,7 +10,7 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
-from oed.compensate import compensated_joints
+from oed.compensate import joint_corrections
 from oed.compensate.command_grid import (
     CommandGrid,
     Correction,
@@ -94,9 +94,7 @@ def joint_correction(kinematics: Kinematics, parameters: Array) -> Correction:
     """What a controller adds to the joints of its nominal model, as a single state."""
 
     def correction(command: Array) -> Array:
-        needed = compensated_joints(kinematics, command, parameters)
-        modelled = compensated_joints(kinematics, command, kinematics.machine.nominal)
-        return np.asarray(needed - modelled)[:, None]
+        return joint_corrections(kinematics, command, parameters)[:, None]
 
     return correction
 

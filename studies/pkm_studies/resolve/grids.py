@@ -68,25 +68,27 @@ class Circles:
     place: Place
 
     def every_series(self) -> list[list[Series]]:
-        """As `series`: a list a number of circles, an entry a number of points.
+        """Readings: a list a number of circles, in it an entry a number of points.
 
-        The held coordinates of all are solved together.
+        One circle lies in the middle. The held coordinates of all are solved together.
+        Raises InputError where the instrument cannot hold its reading.
         """
         numbers = [(m, n) for m in self.circles for n in self.points]
         commands = [self._commands(m, n) for m, n in numbers]
         ends = np.cumsum([len(command) for command in commands])
-        parts = np.split(self._held(np.vstack(commands)), ends[:-1])
+        held, _ = solve_held(
+            self.measurement,
+            self.setup,
+            np.vstack(commands),
+            self.hold,
+            self.place,
+            strict=True,
+        )
+        parts = np.split(held, ends[:-1])
         pairs = zip(numbers, parts, strict=True)
         series = [self._series(command, *at) for at, command in pairs]
         size = len(self.points)
         return [series[k : k + size] for k in range(0, len(series), size)]
-
-    def series(self, m: int, n: int) -> Series:
-        """Readings on m circles of n points each; one circle lies in the middle.
-
-        Raises InputError where the instrument cannot hold its reading.
-        """
-        return self._series(self._held(self._commands(m, n)), m, n)
 
     def _commands(self, m: int, n: int) -> Array:
         """Commands (m n, n_dof), the held coordinate at 0."""
@@ -97,12 +99,6 @@ class Circles:
         command = np.zeros((m * n, len(self.measurement.machine.command)))
         command[:, self.across] = np.repeat(levels, n)
         command[:, self.around] = np.tile(angles, m)
-        return command
-
-    def _held(self, command: Array) -> Array:
-        command, _ = solve_held(
-            self.measurement, self.setup, command, self.hold, self.place, strict=True
-        )
         return command
 
     def _series(self, command: Array, m: int, n: int) -> Series:

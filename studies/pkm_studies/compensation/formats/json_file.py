@@ -10,7 +10,11 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
-from oed.compensate import compensated_joints, corrected_commands
+from oed.compensate import (
+    compensated_joints,
+    corrected_commands,
+    joint_corrections,
+)
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.resolve.quantities import column, display_unit
 
@@ -57,7 +61,7 @@ def table(compensation: Compensation) -> dict[str, list[float]]:
     command = compensation.tabled
     corrected = corrected_commands(kinematics, command, values)
     joints = compensated_joints(kinematics, command, values)
-    added = joints - compensated_joints(kinematics, command, machine.nominal)
+    added = joint_corrections(kinematics, command, values)
     columns = {}
     for prefix, block in (("", command), ("corrected_", corrected)):
         for k, c in enumerate(machine.command):
