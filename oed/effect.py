@@ -190,6 +190,8 @@ class Effect:
     constants            nonlinear constants, each with the values to marginalise over
     remedy               what a machine builder does about it
     exposed_by           reading that separates it from its rivals
+    nature               what it has in common with others, in words: how a class of many
+                         effects is told
     unfit(machine)       why it cannot occur on a machine, in words; None where it can
     common_to_limbs      whether limbs of one design, or set-ups, usually share coefficients
     units                {pattern of coefficients' names: SI unit}, the first that suits;
@@ -206,6 +208,7 @@ class Effect:
     constants: Mapping[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
     remedy: str = ""
     exposed_by: str = ""
+    nature: str = ""
     unfit: Callable[[Machine], str | None] = lambda machine: None
     common_to_limbs: bool = False
     textbook_share: float = 0.5

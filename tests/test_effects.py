@@ -57,6 +57,7 @@ def test_an_effect_says_what_it_is_and_what_to_do(name: str) -> None:
         effect.about,
         effect.remedy,
         effect.exposed_by,
+        effect.nature,
     ):  # one short sentence each
         assert 10 < len(text) <= 120
         assert not text.endswith(".")

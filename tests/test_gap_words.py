@@ -96,6 +96,28 @@ def test_a_class_in_words() -> None:
     assert "If it is gravity: stiffen the legs." in section.next
 
 
+def test_a_class_of_many_is_told_by_what_its_effects_have_in_common() -> None:
+    names = ["leg_thermal", "frame_thermal", "bar_thermal", "mount_drift", "step"]
+
+    def words(natures: list[str]) -> str:
+        notes = {
+            name: EffectNote("about", "remedy", "test", "s", nature=nature)
+            for name, nature in zip(names, natures, strict=True)
+        }
+        return _gap("class", names[:1], [names], about=notes, not_testable=[]).words[0]
+
+    alike = words(["something that warms"] * 5)
+    assert alike.startswith(
+        "The gap comes from something that warms: any of 5 effects; these readings"
+        " cannot tell which"
+    )
+    assert words([*["something that warms"] * 4, "a sudden change"]).startswith(
+        "The gap comes from one of 5 effects: something that warms (4) or a sudden"
+        " change (1); these readings"
+    )
+    assert "leg thermal, frame thermal" in words([""] * 5)
+
+
 def test_mixtures_and_unknowns_in_words() -> None:
     both = _gap(
         "mixture", ["gravity", "encoder_scale"], [["gravity"], ["encoder_scale"]]

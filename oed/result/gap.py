@@ -53,7 +53,7 @@ class ClosureRecord(Record, frozen=True):
 
 class EffectNote(Record, frozen=True):
     """An effect in words; `missing`: why these readings cannot test it, `column`: what
-    would have to be recorded.
+    would have to be recorded, `nature`: what it has in common with others.
     """
 
     about: str
@@ -62,6 +62,7 @@ class EffectNote(Record, frozen=True):
     source: str
     missing: str = ""
     column: str = ""
+    nature: str = ""
 
 
 class CoefficientRecord(Record, frozen=True):

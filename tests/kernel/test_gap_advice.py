@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from kernel.gap_lines import BOW, DRIFT, SLIP
 from oed.gap.cause.advice import advise
 from oed.gap.data.diagnosis import UNKNOWN, Answer
@@ -24,6 +26,15 @@ def test_an_unsure_cause_is_answered_with_the_reading_that_tells_its_rival() -> 
     assert advice == (
         "bow: straighten.",
         "To make sure that it is not slip: both ways.",
+    )
+
+
+def test_a_class_of_many_is_not_listed_effect_by_effect() -> None:
+    names = tuple(f"slip {k}" for k in range(6))
+    effects = [dataclasses.replace(SLIP, name=name) for name in names]
+    answer = Answer(names[:1], 0.9, (names,))
+    assert advise([answer], effects, {}) == (
+        "These readings cannot tell 6 effects apart. What would: both ways.",
     )
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 PLAY = 10e-6  # m
 #: travel after a reversal over which play is taken up, m: no more than the play; over
@@ -58,6 +58,7 @@ effect = Effect(
         "preload or renew nuts and joints of the leg, or set the controller's backlash"
         " compensation a leg"
     ),
+    nature=natures.MOTION,
     exposed_by="the same circle in both directions, at two feeds",
     common_to_limbs=True,
 )

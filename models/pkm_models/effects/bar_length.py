@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.effect import Column, Effect, State
-from pkm_models.effects import bar
+from pkm_models.effects import bar, natures
 
 WRONG = 10e-6  # m
 
@@ -25,6 +25,7 @@ effect = Effect(
     about="a bar (or calliper) whose zero is wrong",
     columns=columns,
     remedy="calibrate the bar's length on a calibrator before use",
+    nature=natures.SCALE,
     exposed_by=(
         "a second known tool length, a second bar calibrated apart, or a laser"
         " interferometer"

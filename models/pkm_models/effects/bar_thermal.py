@@ -13,7 +13,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.effect import Column, Effect, State
-from pkm_models.effects import bar, terms
+from pkm_models.effects import bar, natures, terms
 
 RISE = 1.0  # K
 
@@ -70,5 +70,6 @@ effect = Effect(
         "let the bar reach the shop's temperature, do not hold it in the hand, or"
         " correct by its sensor"
     ),
+    nature=natures.SESSION,
     exposed_by="the bar zeroed again on its calibrator between runs",
 )

@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.effect import Column, Effect, State
 from oed.machine import Machine
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 COMPLIANCE = 20e-6  # 1/N
 
@@ -44,6 +44,7 @@ effect = Effect(
     units={"*": "1/N"},
     needs=("tension",),
     remedy="state the stiffness of the cables, and record their tensions, or take stiffer cables",
+    nature=natures.LOAD,
     exposed_by="the same poses at two pretensions, with the tensions recorded",
     unfit=unfit,
     common_to_limbs=True,

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from oed.effect import Column, Effect, State
+from pkm_models.effects import natures
 
 SCALE = 50e-6
 
@@ -29,6 +30,7 @@ effect = Effect(
         "measure each joint's scale with a laser interferometer and correct it in the"
         " controller"
     ),
+    nature=natures.SCALE,
     exposed_by="a laser interferometer along a joint, or a second known tool length",
     common_to_limbs=True,
 )

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 SHARE = 0.005  # of the period
 PERIODS = (10e-6, 20e-6, 30e-6, 40e-6, 100e-6, 200e-6, 1e-3, 2e-3, 5e-3)
@@ -42,6 +42,7 @@ effect = Effect(
         "clean and align the reading head, adjust offset, amplitude and phase of its"
         " signals"
     ),
+    nature=natures.TRAVEL,
     exposed_by="slow, dense readings over a few signal periods",
     unfit=terms.has_rotary_drives,
 )

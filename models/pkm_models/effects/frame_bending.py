@@ -15,7 +15,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 FIELD = 20e-6  # m, at a lever's distance from the middle of the workspace
 #: sizes of constant, linear, quadratic ... fields, against the quadratic one's
@@ -81,5 +81,6 @@ effect = Effect(
         "stiffen the frame, relieve the over-constraint, or correct by a measured grid"
         " with interpolation"
     ),
+    nature=natures.LOAD,
     exposed_by="a dense grid of poses, read by a laser or tracker",
 )

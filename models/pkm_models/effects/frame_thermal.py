@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 RISE = 2.0  # K
 
@@ -68,6 +68,7 @@ effect = Effect(
         "hold the shop's temperature, shield the frame from draught and sun, or"
         " compensate by a sensor on the frame"
     ),
+    nature=natures.SESSION,
     exposed_by="cups far apart and large tilts, repeated in the course of hours",
     unfit=terms.lacks_struts,
 )

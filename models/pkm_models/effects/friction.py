@@ -13,7 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 WIND_UP = 4e-6  # m
 STRIBECK = 0.010  # m/s, Armstrong-Helouvry et al. 1994, Automatica 30: mixed lubrication up to some 10 mm/s
@@ -65,6 +65,7 @@ effect = Effect(
         "lubricate, check the leg's seals and guides, close the loop by a linear"
         " encoder, or compensate friction"
     ),
+    nature=natures.MOTION,
     exposed_by="circles in both directions at a slow feed, and with another load",
     unfit=terms.lacks_struts,
     common_to_limbs=True,

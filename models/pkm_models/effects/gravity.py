@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 GIVES = 20e-6  # m, of a joint that carries the whole weight
 
@@ -71,6 +71,7 @@ effect = Effect(
         "stiffen or counterbalance, or compensate with a stiffness model and the"
         " payload of the job"
     ),
+    nature=natures.LOAD,
     exposed_by="the same circle with and without a payload",
     unfit=terms.lacks_struts,
 )

@@ -13,7 +13,7 @@ import numpy as np
 
 from oed.effect import Column, Effect, State
 from oed.machine import Machine
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 CURVE = 10e-6  # m, standard deviation along the travel
 
@@ -58,6 +58,7 @@ effect = Effect(
         "align the rails, or measure their straightness and correct it in the"
         " controller"
     ),
+    nature=natures.TRAVEL,
     exposed_by="readings over the full stroke of each carriage",
     textbook_share=0.1,
     unfit=unfit,

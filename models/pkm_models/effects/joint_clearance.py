@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 PLAY = 10e-6  # m
 SOFT = (
@@ -53,6 +53,7 @@ effect = Effect(
     columns=columns,
     constants={"ratio": terms.MASS_RATIOS, "soft": SOFT},
     remedy="preload or renew the joints of the leg",
+    nature=natures.LOAD,
     exposed_by=(
         "pull and push at the platform, at poses where a leg's load changes its sign"
     ),

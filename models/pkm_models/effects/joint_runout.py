@@ -15,7 +15,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 RUNOUT = 4e-6  # m
 SLIGHT = terms.SHAPE_SHARE  # of runout
@@ -84,6 +84,7 @@ effect = Effect(
     columns=columns,
     constants={"platform": (0.0, 1.0), "across": (0.0, 1.0)},
     remedy="measure the joints' runout on a bench, and renew or map those that wander",
+    nature=natures.TRAVEL,
     exposed_by="large tilts in all directions",
     textbook_share=0.1,
     unfit=terms.lacks_struts,

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 RISE = 3.0  # K
 
@@ -66,6 +66,7 @@ effect = Effect(
         "let the legs warm up before use, cool the screws, or compensate by a"
         " temperature sensor on each leg"
     ),
+    nature=natures.SESSION,
     exposed_by="a reference circle repeated in the course of hours",
     unfit=terms.lacks_struts,
     common_to_limbs=True,

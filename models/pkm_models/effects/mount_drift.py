@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 CREEP, TURN = 5e-6, 10e-6  # m, rad in a session
 #: unknowns of set-ups that a mount has
@@ -54,6 +54,7 @@ effect = Effect(
         "clamp the mount to the table, let it settle, and teach the cup again between"
         " runs"
     ),
+    nature=natures.SESSION,
     exposed_by="a set-up repeated at the session's end",
     common_to_limbs=True,
 )

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 CURVE = 10e-6  # m, standard deviation along the travel
 
@@ -39,6 +39,7 @@ effect = Effect(
         "measure each joint's travel with a laser interferometer and fill in the"
         " controller's pitch table"
     ),
+    nature=natures.TRAVEL,
     exposed_by="readings over the full stroke of each joint",
     textbook_share=0.1,
 )

@@ -17,7 +17,7 @@ import numpy as np
 
 from oed.effect import Column, Effect, State
 from oed.machine import Machine
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 TURN = 3e-6  # m, amplitude
 LEADS = tuple(
@@ -72,6 +72,7 @@ effect = Effect(
     remedy=(
         "align the screw's bearings and coupling, or close the loop by a linear encoder"
     ),
+    nature=natures.TRAVEL,
     exposed_by="poses so dense that several fall within one turn of the screw",
     unfit=unfit,
 )

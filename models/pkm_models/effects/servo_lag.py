@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.effect import Column, Effect, State
-from pkm_models.effects import terms
+from pkm_models.effects import natures, terms
 
 DELAY, SECOND, FEED = 1e-3, 3e-4, 0.05  # s, s^2, m/s
 
@@ -46,6 +46,7 @@ effect = Effect(
     remedy=(
         "match the position loop gains of the legs, or tune the velocity feed-forward"
     ),
+    nature=natures.MOTION,
     exposed_by="the same circle at two feeds, in both directions",
     common_to_limbs=True,
 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from oed.effect import Column, Effect, State
-from pkm_models.effects import mount_drift, terms
+from pkm_models.effects import mount_drift, natures, terms
 
 LOST, KNOCKED, TURNED = 20e-6, 10e-6, 2.0  # m, m, rad over m
 COUNT = 59
@@ -86,5 +86,6 @@ effect = Effect(
         "look up the log at that time, home the leg again or repeat the set-up, and"
         " drop the readings on one side"
     ),
+    nature=natures.SESSION,
     exposed_by="a reference circle repeated before and after",
 )

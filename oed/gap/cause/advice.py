@@ -11,6 +11,8 @@ from oed.gap.data.signature import LACKS
 
 #: probability of the leading answer below which the advice considers its rival too
 SURE = 0.8
+#: members of a class that are named each
+MOST_NAMES = 4
 
 
 def advise(
@@ -79,7 +81,13 @@ def _for_answer(answer: Answer, known: Mapping[str, Effect]) -> list[str]:
 
 
 def _for_class(members: Sequence[str], known: Mapping[str, Effect]) -> str:
-    """What would distinguish the members of a class."""
+    """What would distinguish the members of a class, those of a large one unnamed."""
+    if len(members) > MOST_NAMES:
+        tests = list(dict.fromkeys(_tests(members, known)))
+        return (
+            f"These readings cannot tell {len(members)} effects apart. What would:"
+            f" {'; '.join(tests)}."
+        )
     tests = []
     for member in members:
         exposed_by = known[member].exposed_by

@@ -130,6 +130,7 @@ def _note(effect: Effect, diagnosis: Diagnosis) -> EffectNote:
         source=effect.source,
         missing=missing,
         column=column,
+        nature=effect.nature,
     )
 
 

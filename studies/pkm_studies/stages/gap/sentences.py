@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import math
 import re
@@ -22,6 +23,8 @@ ALL_LEGS = "all legs"
 COMPARABLE = 0.5
 #: probability from which a second explanation is named
 CONSIDERABLE = 0.1
+#: effects of a class that are named each
+MOST_NAMES = 4
 #: probability from which a cause is stated as a fact
 EVEN = 0.5
 #: what to record for an effect's covariate
@@ -88,8 +91,19 @@ def _classes(gap: GapSection) -> str:
     """Effects that the readings cannot tell apart, `a or b`, for each of the answer."""
     best = gap.answers[0]
     classes = best.classes or [[name] for name in best.effects]
-    either = [join_words([plain_name(n) for n in c], "or") for c in classes]
-    return join_words(either)
+    return join_words([_class(gap, names) for names in classes])
+
+
+def _class(gap: GapSection, names: Sequence[str]) -> str:
+    """The effects of a class, those of a large one by what they have in common."""
+    natures = [gap.about[n].nature if n in gap.about else "" for n in names]
+    if len(names) <= MOST_NAMES or not all(natures):
+        return join_words([plain_name(n) for n in names], "or")
+    common = collections.Counter(natures).most_common()
+    if len(common) == 1:
+        return f"{common[0][0]}: any of {len(names)} effects"
+    counted = [f"{nature} ({count})" for nature, count in common]
+    return f"one of {len(names)} effects: {join_words(counted, 'or')}"
 
 
 def _sizes(gap: GapSection) -> str:
@@ -273,11 +287,13 @@ def _next_steps(gap: GapSection) -> list[str]:
 
 
 def _effects_in_question(gap: GapSection) -> list[str]:
+    """Effects whose tests and remedies are told; none of a class of many."""
     if gap.verdict == "none":
         return []
     classes = gap.answers[0].classes
     if gap.verdict == "class" and classes:
-        members = [name for c in classes for name in c if name != UNKNOWN]
+        few = [c for c in classes if len(c) <= MOST_NAMES]
+        members = [name for c in few for name in c if name != UNKNOWN]
         return list(dict.fromkeys(members))
     return gap.selected
 

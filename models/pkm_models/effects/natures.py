@@ -1,0 +1,7 @@
+"""What effects have in common: how a class of many is told."""
+
+SCALE = "a length or a scale that is off"
+TRAVEL = "an error along the travel or turn of joints"
+MOTION = "an error that comes with direction or speed"
+LOAD = "something that gives under load"
+SESSION = "something that warms, drifts or moves during the session"
