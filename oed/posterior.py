@@ -27,8 +27,10 @@ from oed.log_density import LogDensity, OutOfBoundsError
 from oed.measurement import Measurement, Series
 from oed.whole_file import whole_file
 
-#: steps between checks of convergence
+#: steps after which chains are saved, and between checks of convergence at least
 CHECK_STEPS = 50
+#: steps between checks as a share of those run: a check looks at all of them
+CHECK_SHARE = 0.2
 #: checks before sampling may end
 LEAST_CHECKS = 2
 #: steps, in autocorrelation times, that must be run, and that are discarded first
@@ -150,9 +152,11 @@ def _run(
 
     Chains that are resumed are judged before they go on, as the unbroken ones were.
     """
+    checks = _checks(max_steps)
     while True:
         begin = ensembles.iteration
-        if begin > 0 and begin == ensembles.saved:
+        is_due = begin in checks or begin >= max_steps
+        if is_due and begin == ensembles.saved:
             autocorrelation = ensembles.autocorrelation()
             burn_in = min(int(BURN_IN_TIMES * autocorrelation), begin // 2)
             reached = ensembles.walkers * (begin - burn_in) / autocorrelation
@@ -169,6 +173,16 @@ def _run(
                 return autocorrelation, burn_in
         block = begin - begin % CHECK_STEPS + CHECK_STEPS
         ensembles.run_to(min(block, max_steps))
+
+
+def _checks(max_steps: int) -> set[int]:
+    """Numbers of steps at which convergence is checked, the last one among them."""
+    checks, steps = set(), 0
+    while steps < max_steps:
+        apart = int(CHECK_SHARE * steps) // CHECK_STEPS * CHECK_STEPS
+        steps = min(steps + max(apart, CHECK_STEPS), max_steps)
+        checks.add(steps)
+    return checks
 
 
 def _has_converged(
