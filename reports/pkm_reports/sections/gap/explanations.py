@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from oed.gap.cause import answers
 from oed.result import AnswerRecord, GapSection, SizeRecord
 from pkm_reports import text
 from pkm_reports.blocks import (
@@ -68,9 +69,23 @@ def _answers(gap: GapSection) -> Table:
     rows = [row(answer) for answer in gap.answers[:MOST_ANSWERS]]
     caption = (
         "Explanations of the gap. An effect beside a named one that could be any of"
-        " many is reported as an effect of unknown form."
+        " many is reported as an effect of unknown form. " + _decision()
     )
     return Table(_columns(), rows, caption)
+
+
+def _decision() -> str:
+    """When no gap is reported, by the costs of missing one and of searching in vain."""
+    sure, vaguely_sure = (
+        text.percent(answers.MISSED / (answers.MISSED + cost))
+        for cost in (answers.IN_VAIN, answers.VAGUELY_IN_VAIN)
+    )
+    ratio = text.number(answers.MISSED / answers.IN_VAIN)
+    return (
+        f"A missed gap is taken to cost {ratio} times a futile search for a named"
+        f" cause: no gap is reported where noise alone has {sure} or more, or"
+        f" {vaguely_sure} where the cause could be any of many."
+    )
 
 
 def _credible_set(gap: GapSection) -> Table:
