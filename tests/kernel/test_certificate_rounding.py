@@ -8,28 +8,54 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from oed.design import exchange, relaxation
+from oed.design import condition, exchange, relaxation
 from oed.design.criterion import named
 from oed.design.whitening import whiten
 
 DIRECTIONS, SIZE, COUNT = 8, 14, 200
 
 
-def _exact_log_det(rows: np.ndarray, weights: np.ndarray) -> float:
-    """log det(sum w x x^T) of the numbers as they are stored, by fractions."""
+Matrix = list[list[Fraction]]
+
+
+def _exact_information(rows: np.ndarray, weights: np.ndarray) -> Matrix:
+    """sum w x x^T of the numbers as they are stored, by fractions."""
     exact = [[Fraction(float(x)) for x in row] for row in rows]
     w = [Fraction(float(x)) for x in weights]
     n = rows.shape[1]
-    m = [
-        [sum(c * x[i] * x[j] for c, x in zip(w, exact, strict=True)) for j in range(n)]
+    return [
+        [
+            sum((c * x[i] * x[j] for c, x in zip(w, exact, strict=True)), Fraction(0))
+            for j in range(n)
+        ]
         for i in range(n)
     ]
-    determinant = Fraction(1)
-    for k in range(n):
-        determinant *= m[k][k]
-        for i in range(k + 1, n):
+
+
+def _pivots(matrix: Matrix) -> list[Fraction]:
+    """Pivots of Gauss' elimination, up to the first that is not positive."""
+    m, pivots = [list(row) for row in matrix], []
+    for k in range(len(m)):
+        pivots.append(m[k][k])
+        if m[k][k] <= 0:
+            break
+        for i in range(k + 1, len(m)):
             factor = m[i][k] / m[k][k]
             m[i] = [a - factor * b for a, b in zip(m[i], m[k], strict=True)]
+    return pivots
+
+
+def _exceeds(matrix: Matrix, least: float) -> bool:
+    """Whether all eigenvalues exceed a number."""
+    shifted = [list(row) for row in matrix]
+    for k in range(len(shifted)):
+        shifted[k][k] -= Fraction(least)
+    return _pivots(shifted)[-1] > 0
+
+
+def _exact_log_det(rows: np.ndarray, weights: np.ndarray) -> float:
+    """log det(sum w x x^T) of the numbers as they are stored, by fractions."""
+    determinant = math.prod(_pivots(_exact_information(rows, weights)))
     return math.log(determinant.numerator) - math.log(determinant.denominator)
 
 
@@ -70,6 +96,30 @@ def test_value_of_a_plan_is_exact(kappa: float, mixed: bool) -> None:
     assert choice.value == pytest.approx(exact, abs=1e-14 * kappa + 1e-10)
     assert choice.bound is not None
     assert choice.bound >= exact
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("kappa", [1e2, 1e6])
+def test_bounds_of_eigenvalues_hold_exactly(kappa: float, mixed: bool) -> None:
+    rows = _candidates(kappa, mixed)
+    best = condition.e_optimal(rows, SIZE)
+    used = best.weights > 0
+    exact = _exact_information(rows[used], best.weights[used] * (1.0 - 1e-15))
+    assert not _exceeds(exact, best.bound)
+    assert _exceeds(exact, best.value * (1.0 - 1e-10))
+    assert not _exceeds(exact, best.value * (1.0 + 1e-10))
+    narrow = condition.relax(rows, SIZE)
+    used = narrow.weights > 0
+    exact = _exact_information(rows[used], narrow.weights[used])
+    negative = [[-entry for entry in row] for row in exact]
+    squared = Fraction(narrow.bound) ** 2
+    least = float(
+        np.linalg.svd(rows[used] * np.sqrt(narrow.weights[used, None]))[1][-1]
+    )
+    # l_min <= least (1 + 1e-9), so that l_max >= bound^2 l_min is not contradicted
+    assert not _exceeds(exact, least**2 * (1.0 + 1e-9))
+    largest = float(squared) * least**2 * (1.0 - 1e-9)
+    assert not _exceeds(negative, -largest)
 
 
 @pytest.mark.parametrize("name", ["A", "c", "I", "Ds"])
