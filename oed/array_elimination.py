@@ -13,41 +13,60 @@ from typing import Any
 import numpy as np
 
 from oed.array_operations import Call, make, memory
-from oed.arrays import Array
+from oed.arrays import Array, Index
+
+#: least number of rows from which one operation is faster than several
+FEWEST_ROWS = 3
 
 
 class Elimination:
-    """Factors of `size` matrices (rows, rows), on memory of its own."""
+    """Factors of `size` matrices (rows, rows), on memory of its own.
 
-    def __init__(self, rows: int, size: int) -> None:
-        self._rows = rows
+    double      whether in double precision, not single
+    transposed  whether of the transposed matrices
+    """
+
+    def __init__(
+        self, rows: int, size: int, double: bool = True, transposed: bool = False
+    ) -> None:
+        kind = np.dtype(np.float64 if double else np.float32)
+        self._rows, self._transposed = rows, transposed
         self._order, self._entries = np.arange(rows), np.arange(rows * rows)
-        self._factors = memory((rows * rows, size))
-        self._solution = memory((rows, size))
+        self._factors = memory((rows * rows, size), kind=kind)
+        self._solution = memory((rows, size), kind=kind)
         entries = self._factors.reshape(rows, rows, size)
-        product = memory((size,))
+        product = memory((rows, size), kind=kind)
         self._factorise = _factorisation(entries, product)
         self._substitute = _substitution(entries, self._solution, product)
 
     def choose_order(self, matrices: Array) -> None:
         """Take the order of rows from the first matrix; see `factorise`."""
         rows = self._rows
-        self._order = _pivot_order(matrices[:, 0].reshape(rows, rows).T)
-        self._entries = (self._order[:, None] + rows * np.arange(rows)).ravel()
+        places = np.arange(rows * rows).reshape(rows, rows)
+        if not self._transposed:
+            places = places.T
+        self._order = _pivot_order(matrices[places, 0])
+        self._entries = places[self._order].ravel()
 
     def factorise(self, matrices: Array) -> None:
         """Factors L U of matrices (rows * rows, size), each stored column by column."""
         np.take(matrices, self._entries, axis=0, out=self._factors, mode="clip")
         make(self._factorise)
 
+    def inverse_determinants(self) -> Array:
+        """One over the determinants (size,) of the factorised matrices, up to signs."""
+        diagonal = self._factors[:: self._rows + 1]
+        return np.asarray(np.multiply.reduce(diagonal, axis=0))
+
     def solve(self, right: Array) -> Array:
         """Solutions (rows, size) of the factorised matrices at right sides.
 
         They lie in memory that the next call overwrites.
         """
-        np.take(right, self._order, axis=0, out=self._solution, mode="clip")
+        self._solution[:] = right[self._order]
         make(self._substitute)
-        return self._solution
+        solution: Array = self._solution
+        return solution
 
 
 def _factorisation(factors: Array, product: Array) -> list[Call]:
@@ -60,8 +79,8 @@ def _factorisation(factors: Array, product: Array) -> list[Call]:
         for i in rows[k + 1 :]:
             factor = factors[i, k]
             calls.append((np.multiply, (factor, pivot, factor)))
-            for j in rows[k + 1 :]:
-                calls += _less(factors[i, j], factor, factors[k, j], product)
+            row, first = factors[i, k + 1 :], factors[k, k + 1 :]
+            calls += _less(row, first, factor, product)
     return calls
 
 
@@ -69,28 +88,46 @@ def _substitution(factors: Array, solution: Array, product: Array) -> list[Call]
     """Calls that replace right sides by solutions."""
     calls: list[Call] = []
     rows = range(len(factors))
-    for i in rows:
-        for k in rows[:i]:
-            calls += _less(solution[i], factors[i, k], solution[k], product)
-    for i in reversed(rows):
-        for k in rows[i + 1 :]:
-            calls += _less(solution[i], factors[i, k], solution[k], product)
-        calls.append((np.multiply, (solution[i], factors[i, i], solution[i])))
+    for k in rows:
+        below = slice(k + 1, None)
+        calls += _less(solution[below], factors[below, k], solution[k], product)
+    for k in reversed(rows):
+        calls.append((np.multiply, (solution[k], factors[k, k], solution[k])))
+        calls += _less(solution[:k], factors[:k, k], solution[k], product)
     return calls
 
 
-def _less(entry: Array, first: Array, second: Array, product: Array) -> list[Call]:
-    """Calls that subtract a product from an entry."""
-    subtraction = (np.subtract, (entry, product, entry))
-    return [(np.multiply, (first, second, product)), subtraction]
+def _less(entries: Array, first: Array, second: Array, product: Array) -> list[Call]:
+    """Calls that subtract products from entries (m, size).
+
+    Of first (m, size) and second (size,), with room for them.
+    """
+    count = len(entries)
+    if count >= FEWEST_ROWS:
+        groups: list[Any] = [slice(0, count)]
+    else:
+        groups = list(range(count))
+    calls: list[Call] = []
+    for rows in groups:
+        calls.append((np.multiply, (first[rows], second, product[rows])))
+        calls.append((np.subtract, (entries[rows], product[rows], entries[rows])))
+    return calls
 
 
-def _pivot_order(matrix: Array) -> Any:
-    """Order of the rows of a matrix by partial pivoting; any where it has a NaN."""
-    rest, order = matrix.copy(), np.arange(len(matrix))
-    for k in range(len(matrix) - 1):
-        best = k + int(np.argmax(np.abs(rest[k:, k])))
-        rest[[k, best]], order[[k, best]] = rest[[best, k]], order[[best, k]]
-        pivot = rest[k, k] or 1.0
-        rest[k + 1 :, k:] -= np.outer(rest[k + 1 :, k] / pivot, rest[k, k:])
-    return order
+def _pivot_order(matrix: Array) -> Index:
+    """Order of the rows of a matrix by partial pivoting; any where it has a NaN.
+
+    Of one small matrix, Python's numbers are faster than a call of LAPACK.
+    """
+    rows, order = matrix.tolist(), list(range(len(matrix)))
+    for k in range(len(rows)):
+        best = max(range(k, len(rows)), key=lambda i: abs(rows[i][k]))
+        rows[k], rows[best] = rows[best], rows[k]
+        order[k], order[best] = order[best], order[k]
+        first = rows[k]
+        pivot = first[k] or 1.0
+        for row in rows[k + 1 :]:
+            factor = row[k] / pivot
+            for j in range(k + 1, len(rows)):
+                row[j] -= factor * first[j]
+    return np.array(order)

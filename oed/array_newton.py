@@ -4,23 +4,29 @@ A chunk of systems takes every step together, and its memory stays in the proces
 cache. Once the last step is short, further steps keep its slopes (the chord method;
 Ortega and Rheinboldt 1970, section 7.1) and evaluate the equations alone: each leaves
 the same share of the error, so that two steps s1 and s2 tell the error that remains,
-s2^2 / s1. A system whose steps do not tell that it is solved is returned as unsolved.
+s2^2 / s1. A system whose steps do not tell that it is solved is returned as unsolved;
+a few that are nearly solved do not keep the others waiting.
+
+Slopes and their factors are in single precision: a step's direction needs six digits.
+The equations are in double precision, and so are the solutions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from oed.array_elimination import Elimination
+from oed.array_layout import Layout
+from oed.array_operations import memory
 from oed.array_tape import ArrayTape
 from oed.arrays import Array, Mask
 
 #: step (m, rad) after which the slopes are kept
 SHORT_STEP = 1e-4
-#: share of a chunk's systems that may have longer steps then
+#: share of a chunk's systems that may have longer steps then, or stay unsolved
 FEW = 0.02
 #: most steps with new slopes, and with kept ones
 NEWTON_STEPS, CHORD_STEPS = 4, 3
@@ -28,46 +34,67 @@ NEWTON_STEPS, CHORD_STEPS = 4, 3
 REMAINING_ERROR = 1e-15
 
 
+class SolvedSystems(NamedTuple):
+    """Solutions of n systems of equations.
+
+    values  for each unknown input (n, entries)
+    solved  (n,) which hold
+    near    (n,) which others ended with a short step: careful steps may start there
+    """
+
+    values: list[Array]
+    solved: Mask
+    near: Mask
+
+
 class ArrayNewton:
     """Newton's method for `size` systems of equations.
 
-    function  SX function of value (k,) and slope (k, k) over the first `unknown` inputs
-    unknown   number of leading inputs to solve for, of k entries together
+    layout  as `layout` makes it
+    angles  numbers of three unknowns in whose place slopes are over turns; a third
+            output (3, 3) is then their change for turns (`oed.twist`)
     """
 
-    def __init__(self, function: Any, size: int, unknown: int) -> None:
-        self._tape = ArrayTape(function, size, unknown)
-        self._value_calls = self._tape.calls_for(0)
-        self._elimination = Elimination(function.numel_out(0), size)
-        self.size = size
-        self._unknown = self._tape.inputs[:unknown]
+    def __init__(self, layout: Layout, size: int, angles: Sequence[int] = ()) -> None:
+        self._tape = ArrayTape(layout, size)
+        self._value_calls = self._tape.calls_for([0])
+        self._elimination = Elimination(layout.outputs[0], size, double=False)
+        self._unknown = self._tape.inputs[: layout.varying]
+        self._angles = list(angles)
+        self._products = memory((3, 3, size), kind=np.float32)
+
+    @staticmethod
+    def layout(function: Any, unknown: int) -> Layout:
+        """Layout of an SX function of value (k,) and slope (k, k).
+
+        unknown  number of leading inputs to solve for, of k entries together
+        """
+        return Layout(function, unknown, single=range(1, function.n_out()))
 
     def solve(
         self, inputs: Sequence[Array], step_tolerance: float, longest: float
-    ) -> tuple[list[Array], Mask]:
-        """Solutions near `inputs` (n, entries) of up to `size` systems, and which hold.
+    ) -> SolvedSystems:
+        """Solutions near `inputs` (n, entries) of up to `size` systems.
 
         step_tolerance  longest last step (m, rad)
         longest         longest step (m, rad) of a system that this method may solve
         """
         count = len(inputs[0])
-        for memory, values in zip(self._tape.inputs, inputs, strict=True):
-            memory[:, :count] = values.T
-            memory[:, count:] = values[:1].T
-        self._tape.prepare()
+        self._tape.load(inputs)
         before, far = self._newton_steps(count, longest)
         solved = np.zeros(count, dtype=bool)
         for _ in range(CHORD_STEPS):
             self._tape.evaluate(self._value_calls)
             after = self._step()[:count]
             with np.errstate(all="ignore"):
-                solved = (after <= step_tolerance) & (
-                    after**2 <= REMAINING_ERROR * before
-                )
-            if solved.all():
+                near = (after <= step_tolerance) & ~far
+                solved |= near & (after**2 <= REMAINING_ERROR * before)
+            unsolved = count - np.count_nonzero(solved | far)
+            if unsolved <= FEW * count:
                 break
             before = after
-        return [memory[:, :count].T for memory in self._unknown], solved & ~far
+        values = [unknown[:, :count].T for unknown in self._unknown]
+        return SolvedSystems(values, solved, near & ~solved)
 
     def _newton_steps(self, count: int, longest: float) -> tuple[Array, Mask]:
         """Steps with new slopes: sizes (count,) of the last, and which were too long."""
@@ -80,15 +107,21 @@ class ArrayNewton:
             self._elimination.factorise(slope)
             size = self._step()[:count]
             far |= size > longest
-            if np.mean(size > SHORT_STEP) <= FEW or far.all():
+            long = np.count_nonzero(size > SHORT_STEP)
+            if long <= FEW * count or far.all():
                 break
         return size, far
 
     def _step(self) -> Array:
         """Step with the slopes at hand; its size, the largest entry, at each point."""
         step = self._elimination.solve(self._tape.outputs[0])
+        if self._angles:
+            change = self._tape.outputs[2].reshape(3, 3, -1)  # column by column
+            np.multiply(change, step[self._angles, None], out=self._products)
+            step[self._angles] = self._products.sum(axis=0)
         first = 0
-        for memory in self._unknown:
-            memory -= step[first : first + len(memory)]
-            first += len(memory)
-        return np.asarray(np.abs(step).max(axis=0))
+        for unknown in self._unknown:
+            unknown -= step[first : first + len(unknown)]
+            first += len(unknown)
+        np.abs(step, out=step)
+        return np.asarray(step.max(axis=0), dtype=float)

@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import DTypeLike
 
 from oed.arrays import Array
 
@@ -19,27 +20,40 @@ Call = tuple[Operation, tuple[Any, ...]]
 CACHE_LINE = 64
 
 
-def memory(shape: tuple[int, ...], fill: float = 0.0) -> Array:
+def memory(
+    shape: tuple[int, ...], fill: float = 0.0, kind: DTypeLike = np.float64
+) -> Any:
     """An array that starts with a line of the processor's cache.
 
     Its vector units then read and write whole lines, a fifth faster.
     """
     count = math.prod(shape)
-    spare = CACHE_LINE // np.dtype(float).itemsize
-    numbers = np.full(count + spare, fill)
+    spare = CACHE_LINE // np.dtype(kind).itemsize
+    numbers = np.full(count + spare, fill, dtype=kind)
     first = -(numbers.ctypes.data // numbers.itemsize) % spare
     return numbers[first : first + count].reshape(shape)
 
 
 def assign(x: Array, out: Array) -> None:
-    """Copy x into out."""
-    np.copyto(out, x)
+    """Copy x into out, in the precision of out."""
+    np.copyto(out, x, casting="same_kind")
 
 
-def fill_bits(condition: Array, out: Array) -> None:
+def fill_bits(condition: Array, out: Any) -> None:
     """All bits of `out` (integers) where the condition holds, none elsewhere."""
-    np.negative(condition != 0.0, out=out, dtype=np.int64)
+    np.negative(condition != 0.0, out=out, dtype=out.dtype)
 
+
+def copy_bits(x: Any, out: Any) -> None:
+    """Copy bits (integers) that are all set or none, in the size of out."""
+    np.copyto(out, x, casting="same_kind")
+
+
+#: x where the bits of a condition are set, 0 elsewhere, also for infinite x and NaN
+keep_bits: Operation = np.bitwise_and
+#: operations whose arguments are integers, but for the condition of `fill_bits`
+BITWISE = {fill_bits, keep_bits, copy_bits}
+COMMUTATIVE = {np.add, np.multiply, np.fmin, np.fmax, np.hypot}
 
 UNARY: dict[int, Operation] = {
     ca.OP_ASSIGN: assign,
@@ -84,7 +98,7 @@ BINARY: dict[int, Operation] = {
     ca.OP_AND: np.logical_and,
     ca.OP_OR: np.logical_or,
 }
-#: instructions that `oed.array_tape` expresses by others, or as memory
+#: instructions that `oed.array_graph` expresses by others, or as memory
 SPECIAL = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_TWICE, ca.OP_IF_ELSE_ZERO}
 
 

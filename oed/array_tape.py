@@ -1,9 +1,9 @@
-"""A CasADi function as one array operation for each of its instructions.
+"""A CasADi function as array operations on many points.
 
 CasADi interprets its instructions point by point. For hundreds of points, the same
 instructions run faster one after the other, each as a NumPy operation over all points:
 the interpreter's cost is then shared by the points, and the processor's vector units
-work. Registers of a chunk of points stay in the processor's cache.
+work. Alike instructions share one operation (`oed.array_layout`).
 
 Where some inputs stay the same from one evaluation to the next, as joints and
 parameters do in Newton's method, what depends on them alone is evaluated once.
@@ -11,51 +11,19 @@ parameters do in Newton's method, what depends on them alone is evaluated once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from oed.array_operations import (
-    BINARY,
-    UNARY,
-    Call,
-    Operation,
-    assign,
-    fill_bits,
-    make,
-    memory,
-)
+from oed.array_layout import Layout, Pack, RowBlocks
+from oed.array_operations import BITWISE, Call, fill_bits, make, memory
+from oed.array_packs import CONSTANTS, RowRun
 from oed.arrays import Array
-
-#: number of a value that no instruction computes: a constant, an input
-GIVEN = -1
-
-
-class _Value(NamedTuple):
-    """What a register holds: where, by which instruction, and whether it changes."""
-
-    array: Array
-    instruction: int
-    varies: bool
-
-
-TWO = _Value(np.array(2.0), GIVEN, varies=False)
-
-
-class _Step(NamedTuple):
-    """The call of an instruction, and the instructions that it takes values from."""
-
-    call: Call
-    instruction: int
-    sources: tuple[int, ...]
 
 
 class ArrayTape:
     """A dense SX function at `size` points, on memory of its own.
-
-    varying  number of leading inputs that change between evaluations; all by default
 
     Attributes:
 
@@ -63,110 +31,54 @@ class ArrayTape:
     outputs  for each output, the memory (entries, size), column by column of a matrix
     """
 
-    def __init__(self, function: Any, size: int, varying: int | None = None) -> None:
-        entries = [function.numel_in(i) for i in range(function.n_in())]
-        outputs = range(function.n_out())
+    def __init__(self, layout: Layout, size: int) -> None:
+        self._layout, self._size = layout, size
         # ones: unused points of a short batch must stay clear of singular values
-        self.inputs = [memory((count, size), 1.0) for count in entries]
-        self.outputs = [memory((function.numel_out(i), size)) for i in outputs]
-        self._varying = len(entries) if varying is None else varying
-        self._registers = memory((function.sz_w(), size))
-        self._size, self._count = size, function.n_instructions()
-        self._entries = _output_entries(function)
-        self._copies: dict[int, int] = {}
-        self._bits: dict[int, _Value] = {}
-        self._fixed: list[Call] = []
-        self._steps: list[_Step] = []
-        values: dict[int, _Value] = {}
-        for k in range(self._count):
-            self._append(function, k, values)
-        self._calls = [step.call for step in self._steps]
+        self.inputs = [memory((count, size), 1.0) for count in layout.inputs]
+        pairs = zip(layout.outputs, layout.doubles, strict=True)
+        self.outputs = [memory((n, size), kind=_kind(double)) for n, double in pairs]
+        self._blocks: list[Array] = [*self.inputs, *self.outputs]
+        self._blocks += self._rows_of(layout.fixed_blocks)
+        self._blocks += self._rows_of(layout.varied_blocks)
+        self._views: dict[tuple[Any, ...], Any] = {}
+        self._fixed = [call for pack in layout.fixed for call in self._calls_of(pack)]
+        self._varied = [list(self._calls_of(pack)) for pack in layout.varied]
+        self._calls = [call for calls in self._varied for call in calls]
 
-    def _append(self, function: Any, k: int, values: dict[int, _Value]) -> None:
-        """Add instruction k; `values` has what each register stands for so far.
+    def calls_for(self, outputs: Collection[int]) -> list[Call]:
+        """The calls that these outputs need, for `evaluate`."""
+        needed = self._layout.needed(outputs)
+        pairs = zip(self._layout.varied, self._varied, strict=True)
+        return [
+            call
+            for pack, calls in pairs
+            if not needed.isdisjoint(pack.nodes)
+            for call in calls
+        ]
 
-        Constants and inputs are read where they are, and not copied into registers.
+    def calls_after(self, outputs: Collection[int]) -> list[Call]:
+        """The calls that these outputs, the first ones, do not need.
+
+        They follow those of `calls_for` once: they may overwrite what they take.
         """
-        operation = function.instruction_id(k)
-        sources = function.instruction_input(k)
-        targets = function.instruction_output(k)
-        if operation == ca.OP_CONST:
-            constant = np.array(function.instruction_constant(k))
-            values[targets[0]] = _Value(constant, GIVEN, varies=False)
-        elif operation == ca.OP_INPUT:
-            entry = self.inputs[sources[0]][sources[1]]
-            values[targets[0]] = _Value(entry, GIVEN, sources[0] < self._varying)
-        elif operation == ca.OP_OUTPUT:
-            source = values[sources[0]]
-            if self._entries.get(source.instruction) != (targets[0], targets[1]):
-                self._add(k, assign, [source], self.outputs[targets[0]][targets[1]])
-                self._copies[k] = targets[0]
-        elif operation == ca.OP_IF_ELSE_ZERO:
-            condition, x = values[sources[0]], values[sources[1]]
-            values[targets[0]] = self._if_else_zero(k, condition, x, targets[0])
-        elif operation == ca.OP_TWICE:
-            arguments = [TWO, values[sources[0]]]
-            out = self._memory(k, arguments, targets[0])
-            values[targets[0]] = self._add(k, np.multiply, arguments, out)
-        else:
-            arity = 1 if operation in UNARY else 2
-            arguments = [values[source] for source in sources[:arity]]
-            run = UNARY.get(operation) or BINARY[operation]
-            out = self._memory(k, arguments, targets[0])
-            values[targets[0]] = self._add(k, run, arguments, out)
+        needed = self._layout.needed(outputs)
+        pairs = zip(self._layout.varied, self._varied, strict=True)
+        return [
+            call
+            for pack, calls in pairs
+            if needed.isdisjoint(pack.nodes)
+            for call in calls
+        ]
 
-    def _if_else_zero(
-        self, k: int, condition: _Value, x: _Value, register: int
-    ) -> _Value:
-        """x where the condition holds, else 0: its bits, or none of them.
+    def load(self, inputs: Sequence[Array]) -> None:
+        """Copy leading inputs of up to `size` points (n, entries), and `prepare`.
 
-        Products with 0 would keep infinite values and NaN.
+        Points that are left over repeat the first.
         """
-        if condition.instruction not in self._bits or condition.instruction == GIVEN:
-            mask = memory((self._size,)).view(np.int64)
-            number = self._count + k
-            bits = self._add(number, fill_bits, [condition], mask)
-            self._bits[condition.instruction] = bits
-        bits = self._bits[condition.instruction]
-        out = self._memory(k, [bits, x], register)
-        as_bits = x._replace(array=x.array.view(np.int64))
-        value = self._add(k, np.bitwise_and, [bits, as_bits], out.view(np.int64))
-        return value._replace(array=out)
-
-    def _memory(self, k: int, sources: Sequence[_Value], register: int) -> Array:
-        """Where instruction k writes its result."""
-        if k in self._entries:
-            output, entry = self._entries[k]
-            row: Array = self.outputs[output][entry]
-            return row
-        if any(source.varies for source in sources):
-            row = self._registers[register]
-            return row
-        return memory((self._size,))
-
-    def _add(
-        self, number: int, run: Operation, sources: Sequence[_Value], out: Any
-    ) -> _Value:
-        """Add a call to those of every evaluation, or to those made once."""
-        varies = any(source.varies for source in sources)
-        call = (run, (*(source.array for source in sources), out))
-        if varies:
-            needed = tuple(source.instruction for source in sources)
-            self._steps.append(_Step(call, number, needed))
-        else:
-            self._fixed.append(call)
-        return _Value(out, number, varies)
-
-    def calls_for(self, output: int) -> list[Call]:
-        """The calls that one output needs, for `evaluate`."""
-        needed = {k for k, (i, _) in self._entries.items() if i == output}
-        needed |= {k for k, i in self._copies.items() if i == output}
-        calls = []
-        for step in reversed(self._steps):
-            if step.instruction in needed:
-                needed.update(step.sources)
-                calls.append(step.call)
-        return calls[::-1]
+        for entries, values in zip(self.inputs, inputs, strict=False):
+            entries[:, : len(values)] = values.T
+            entries[:, len(values) :] = values[:1].T
+        self.prepare()
 
     def prepare(self) -> None:
         """Evaluate what depends on the inputs that do not vary, after they change."""
@@ -178,27 +90,62 @@ class ArrayTape:
 
     def run(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate up to `size` points (n, entries); writes `outputs` in place."""
-        for entries, values in zip(self.inputs, inputs, strict=True):
-            entries[:, : len(values)] = values.T
-        self.prepare()
+        self.load(inputs)
         self.evaluate()
         for values, entries in zip(outputs, self.outputs, strict=True):
             values[:] = entries[:, : len(values)].T
 
+    # -- calls -------------------------------------------------------------------------
 
-def _output_entries(function: Any) -> dict[int, tuple[int, int]]:
-    """The output and its entry that an instruction may write at once, by instruction."""
-    entries: dict[int, tuple[int, int]] = {}
-    writer: dict[int, int] = {}
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        targets = function.instruction_output(k)
-        if operation in {ca.OP_CONST, ca.OP_INPUT}:
-            writer[targets[0]] = GIVEN
-        elif operation == ca.OP_OUTPUT:
-            instruction = writer[function.instruction_input(k)[0]]
-            if instruction != GIVEN:
-                entries.setdefault(instruction, (targets[0], targets[1]))
+    def _rows_of(self, blocks: RowBlocks) -> Iterator[Array]:
+        """Memory (rows, size) of each block."""
+        numbers = memory((blocks.rows * self._size,), kind=_kind(double=False))
+        for block in blocks.blocks:
+            first = block.first * self._size
+            length = block.length * self._size * (1 + block.double)
+            values = numbers[first : first + length].view(_kind(block.double))
+            yield values.reshape(-1, self._size)
+
+    def _calls_of(self, pack: Pack) -> Iterator[Call]:
+        """Calls that compute a pack."""
+        operation, double = pack.node.operation, pack.node.double
+        assert operation is not None
+        for run, whole in pack.runs:
+            arguments = []
+            for k, step in enumerate(run.steps):
+                values = self._values(run, k, step, double)
+                if whole and values.ndim == 2:
+                    values = values.reshape(-1)
+                condition = operation is fill_bits and k == 0
+                if operation in BITWISE and not condition:
+                    values = values.view(np.dtype(f"i{values.itemsize}"))
+                arguments.append(self._shared(values))
+            yield operation, tuple(arguments)
+
+    def _values(self, run: RowRun, k: int, step: int | None, double: bool) -> Any:
+        """Numbers of the k-th rows of a run's lanes: one row or constant, or several."""
+        rows = [lane.rows[k] for lane in run.lanes]
+        first = rows[0]
+        if first.block == CONSTANTS:
+            constants = self._layout.constants(rows)
+            if step is None:
+                return np.array(constants, dtype=_kind(double))[:, None]
+            return np.array(constants[0], dtype=_kind(double))
+        block = self._blocks[first.block]
+        if not step:
+            return block[first.row]
+        return block[first.row : first.row + step * len(rows) : step]
+
+    def _shared(self, values: Any) -> Any:
+        """The same array for the same numbers: arrays take cache as numbers do."""
+        if values.ndim == 0:
+            key: tuple[Any, ...] = (values.tobytes(), values.dtype)
         else:
-            writer[targets[0]] = k
-    return entries
+            place, _ = values.__array_interface__["data"]
+            key = (place, values.shape, values.strides, values.dtype)
+        return self._views.setdefault(key, values)
+
+
+def _kind(double: bool) -> Any:
+    """Data type of a precision."""
+    return np.dtype(np.float64 if double else np.float32)

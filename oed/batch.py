@@ -11,24 +11,29 @@ ten times as long on conversions.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from oed.array_newton import ArrayNewton
+from oed.array_adjoint import AdjointRows, ArrayAdjoint
+from oed.array_layout import Layout
+from oed.array_newton import ArrayNewton, SolvedSystems
 from oed.array_operations import is_supported
 from oed.array_tape import ArrayTape
-from oed.arrays import Array, Mask
+from oed.arrays import Array
 
 #: Numbers of points for which a mapped function is compiled, each on first use, in half
 #: a millisecond. Batches are cut into the largest; what remains is padded to the next
-#: larger number, by a third at most from 4 points on.
+#: larger number, where that takes few points, and cut again otherwise.
 CHUNK_SIZES = (
     *(2048, 1536, 1024, 768, 512, 384, 256, 192, 128, 96, 64),
     *(48, 32, 24, 16, 12, 8, 6, 4, 2, 1),
 )
+#: most points that padding may add: they take as long as another call does, of CasADi's
+#: interpreter and of array operations
+SPARE, ARRAY_SPARE = 4, 256
 #: number of points from which array operations are faster than CasADi's interpreter
 ARRAY_SIZE = 192
 
@@ -46,7 +51,9 @@ class BatchedFunction:
         self._definition = name, list(inputs), [ca.SX(output) for output in outputs]
         self._shapes = [output.shape for output in self._definition[2]]
         self._mapped: dict[int, _MappedFunction | ArrayTape] = {}
+        self._layouts: dict[str, Layout] = {}
         self._newton: dict[int, ArrayNewton] = {}
+        self._adjoints: dict[int, ArrayAdjoint] = {}
 
     def __call__(self, *arrays: Array) -> list[Array]:
         """Evaluate at n points: arrays (n, size) or (size,), one for each input.
@@ -68,26 +75,59 @@ class BatchedFunction:
         unknown: int,
         step_tolerance: float,
         longest: float,
-    ) -> tuple[list[Array], Mask]:
+        angles: Sequence[int] = (),
+    ) -> SolvedSystems:
         """Solve value = 0 at n points by Newton's method, where the batch is large.
 
         The outputs are value (k,) and slope (k, k) over the first `unknown` inputs,
-        which start the iteration. See `ArrayNewton.solve`. Returns solutions and the
-        mask (n,) of those that hold: none in small batches.
+        which start the iteration. See `ArrayNewton` for `angles` and the limits. In
+        small batches nothing is solved.
         """
-        solutions = [np.array(a, dtype=float) for a in inputs[:unknown]]
-        n = len(solutions[0])
-        solved = np.zeros(n, dtype=bool)
+        values = [np.array(a, dtype=float) for a in inputs[:unknown]]
+        n = len(values[0])
+        solutions = SolvedSystems(
+            values, np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        )
         if n < ARRAY_SIZE or not self._is_supported:
-            return solutions, solved
+            return solutions
+        layout = self._layout("newton", lambda f: ArrayNewton.layout(f, unknown))
         for size, chunk in _chunks(n):
             if size not in self._newton:
-                self._newton[size] = ArrayNewton(self._function, size, unknown)
+                self._newton[size] = ArrayNewton(layout, size, angles)
             at = [a[chunk] for a in inputs]
-            parts, solved[chunk] = self._newton[size].solve(at, step_tolerance, longest)
-            for solution, part in zip(solutions, parts, strict=True):
-                solution[chunk] = part
-        return solutions, solved
+            part = self._newton[size].solve(at, step_tolerance, longest)
+            solutions.solved[chunk], solutions.near[chunk] = part.solved, part.near
+            for every, some in zip(values, part.values, strict=True):
+                every[chunk] = some
+        return solutions
+
+    def pull_back(
+        self, inputs: Sequence[Array], right: Array, scale: Array
+    ) -> AdjointRows:
+        """Rows at n points by adjoints, where the batch is large; see `ArrayAdjoint`.
+
+        The outputs are a matrix (k, k), and a row that is linear in the last input
+        (k,); `inputs` are the others. In small batches no row is accurate.
+
+        right  (n, channels, k) right sides
+        scale  (k,) units of the matrix's columns
+        """
+        n, channels, _ = right.shape
+        rows = AdjointRows(
+            values=np.empty((n, channels, self._shapes[1][1])),
+            condition=np.full(n, np.inf),
+            accurate=np.zeros(n, dtype=bool),
+        )
+        if n < ARRAY_SIZE or not self._is_supported:
+            return rows
+        for size, chunk in _chunks(n):
+            if size not in self._adjoints:
+                self._adjoints[size] = ArrayAdjoint(
+                    self._layout("all", Layout), size, scale
+                )
+            at = [a[chunk] for a in inputs]
+            self._adjoints[size].run(at, right[chunk], rows.part(chunk))
+        return rows
 
     @functools.cached_property
     def _function(self) -> Any:
@@ -100,11 +140,18 @@ class BatchedFunction:
     def _is_supported(self) -> bool:
         return is_supported(self._function)
 
+    def _layout(self, kind: str, build: Callable[[Any], Layout]) -> Layout:
+        """A layout, which serves all sizes."""
+        if kind not in self._layouts:
+            self._layouts[kind] = build(self._function)
+        return self._layouts[kind]
+
     def _mapped_to(self, size: int) -> _MappedFunction | ArrayTape:
         if size not in self._mapped:
-            by_array = size >= ARRAY_SIZE and self._is_supported
-            mapped = ArrayTape if by_array else _MappedFunction
-            self._mapped[size] = mapped(self._function, size)
+            if size >= ARRAY_SIZE and self._is_supported:
+                self._mapped[size] = ArrayTape(self._layout("all", Layout), size)
+            else:
+                self._mapped[size] = _MappedFunction(self._function, size)
         return self._mapped[size]
 
 
@@ -112,8 +159,11 @@ def _chunks(n: int) -> Iterator[tuple[int, slice]]:
     """Chunks of n points, each with the size of the function that evaluates it."""
     start = 0
     while start < n:
-        large_enough = [c for c in CHUNK_SIZES if c >= n - start]
-        size = min(large_enough, default=CHUNK_SIZES[0])
+        rest = n - start
+        size = min((c for c in CHUNK_SIZES if c >= rest), default=CHUNK_SIZES[0])
+        spare = ARRAY_SPARE if rest >= ARRAY_SIZE else SPARE
+        if size - rest > spare:
+            size = max(c for c in CHUNK_SIZES if c <= rest)
         yield size, slice(start, min(start + size, n))
         start += size
 

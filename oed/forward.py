@@ -19,6 +19,7 @@ from oed.arrays import Array, Index, Mask
 from oed.batch import ARRAY_SIZE, BatchedFunction
 from oed.expressions import MachineExpressions
 from oed.machine import Machine
+from oed.twist import twist_slopes
 
 
 class ForwardKinematics:
@@ -31,9 +32,20 @@ class ForwardKinematics:
 
     def __init__(self, machine: Machine, e: MachineExpressions) -> None:
         self.machine, self._expressions = machine, e
+        self._nominal = machine.nominal
         balance, inputs = e.balance, [e.x, e.q, e.p]
         by_x = ca.jacobian(balance, e.x)
         self.equations = BatchedFunction("forward", inputs, [balance, by_x])
+
+    @functools.cached_property
+    def _over_twist(self) -> tuple[BatchedFunction, tuple[int, ...]]:
+        """The equations with slopes over the platform's twist, and the angles."""
+        e = self._expressions
+        twist = twist_slopes(self.machine, e.balance, e)
+        if twist is None:
+            return self.equations, ()
+        outputs = [e.balance, twist.slope, twist.change]
+        return BatchedFunction("twist", [e.x, e.q, e.p], outputs), twist.angles
 
     @functools.cached_property
     def slopes(self) -> BatchedFunction:
@@ -44,18 +56,37 @@ class ForwardKinematics:
         return BatchedFunction("slopes", inputs, slopes)
 
     @functools.cached_property
+    def by_pose_and_parameter(self) -> BatchedFunction:
+        """Slopes (n, nx, nx) and (n, nx, np) of the equations."""
+        e = self._expressions
+        slopes = [ca.jacobian(e.balance, over) for over in (e.x, e.p)]
+        return BatchedFunction("by_pose_and_parameter", [e.x, e.q, e.p], slopes)
+
+    @functools.cached_property
     def misfit(self) -> BatchedFunction:
         """Value (n, nx) of the equations."""
         e = self._expressions
         return BatchedFunction("balance", [e.x, e.q, e.p], [e.balance])
 
     @functools.cached_property
-    def pull_back(self) -> BatchedFunction:
-        """Factors (n, nx) times the slope over the parameters, (n, np)."""
+    def _at_nominal(self) -> BatchedFunction:
+        """Value and slopes over pose and parameters, at the nominal parameters."""
+        e, nominal = self._expressions, ca.DM(self._nominal)
+        balance = e.balance
+        slopes = [ca.jacobian(balance, over) for over in (e.x, e.p)]
+        outputs = [ca.substitute(ca.SX(f), e.p, nominal) for f in (balance, *slopes)]
+        return BatchedFunction("at_nominal", [e.x, e.q], outputs)
+
+    @functools.cached_property
+    def adjoint(self) -> BatchedFunction:
+        """Slope (n, nx, nx) of the equations over the pose, and factors (n, nx) times
+        that over the parameters, (n, 1, np).
+        """
         e = self._expressions
         factors = ca.SX.sym("factors", e.x.numel())
-        row = ca.jtimes(e.balance, e.p, factors, True)
-        return BatchedFunction("pull_back", [e.x, e.q, e.p, factors], [row])
+        by_x = ca.jacobian(e.balance, e.x)
+        row = ca.jtimes(e.balance, e.p, factors, True).T
+        return BatchedFunction("adjoint", [e.x, e.q, e.p, factors], [by_x, row])
 
     def solve_all(
         self, q: Array, vectors: Array, start: Array, step_tolerance: float
@@ -84,15 +115,18 @@ class ForwardKinematics:
         """
         _, q, p = inputs
         longest = newton.longest_step(self.machine.lever)
-        (x,), solved = self.equations.solve(inputs, 1, step_tolerance, longest)
+        many = len(q) >= ARRAY_SIZE
+        equations, angles = self._over_twist if many else (self.equations, ())
+        (x,), solved, near = equations.solve(inputs, 1, step_tolerance, longest, angles)
         failed, rest = np.zeros(len(x), dtype=bool), np.flatnonzero(~solved)
-
-        def equations(x: Array, rows: Index) -> list[Array]:
-            return self.equations(x, q[rest[rows]], p[rest[rows]])
-
         if rest.size:
+            first = np.where(near[rest, None], x[rest], start[rest])
+
+            def at(x: Array, rows: Index) -> list[Array]:
+                return self.equations(x, q[rest[rows]], p[rest[rows]])
+
             x[rest], failed[rest] = newton.solve(
-                equations, start[rest].astype(float), step_tolerance, longest=longest
+                at, first, step_tolerance, longest=longest
             )
         return x, failed
 
@@ -101,14 +135,16 @@ class ForwardKinematics:
 
         It is 0 where it is longer than a step may be, and where it is not defined.
         """
-        nominal = self.machine.nominal
-        value = self.misfit(start, q, nominal)[0]
-        by_x, by_p, _ = self.slopes(start, q, nominal)
-        right = np.concatenate([value[:, :, None], by_p], axis=2)
-        slopes = newton.solve_linear(by_x, right).reshape(value.size, -1)
-        change = np.insert(vectors - nominal, 0, 1.0, axis=1)
-        with np.errstate(all="ignore"):
-            step = -(change @ slopes.T).reshape(len(vectors), *start.shape)
+        value, by_x, by_p = self._at_nominal(start, q)
+        identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
+        inverse = newton.solve_linear(by_x, identity)
+        offset = (inverse @ value[:, :, None]).ravel()
+        slopes = (inverse @ by_p).reshape(offset.size, -1)
+        change = vectors - self._nominal
         longest = newton.longest_step(self.machine.lever)
-        short = np.abs(step).max(axis=2, keepdims=True) <= longest
-        return np.where(short, step, 0.0)
+        with np.errstate(all="ignore"):
+            step = -(offset + change @ slopes.T).reshape(len(vectors), *start.shape)
+            size = np.abs(step)
+            if not size.max() <= longest:
+                step[~(size.max(axis=2) <= longest)] = 0.0
+        return step

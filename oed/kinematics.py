@@ -242,30 +242,44 @@ class Kinematics:
         by_x, by_p, _ = self._forward.slopes(x, q, p)
         return -newton.solve_linear(by_x, by_p)
 
-    def regular_inverses(self, x: Array, q: Array, p: Array) -> Array:
-        """phi_x^-1 (n, nx, nx). Raises AssemblyError as `check_regular` does."""
-        by_x = self._forward.equations(x, q, p)[1]
+    def pull_back(
+        self, x: Array, q: Array, p: Array, slopes: Array
+    ) -> tuple[Array, Array]:
+        """Slopes (n, channels, np) over the parameters of what has these over the pose.
+
+        slopes  (n, channels, nx)
+
+        Also returns bounds (n,) on the condition numbers; see `surely_regular`.
+        """
+        rows, condition, accurate = self._forward.adjoint.pull_back(
+            [x, q, p], slopes, self._scale
+        )
+        rest = np.flatnonzero(~accurate)
+        if rest.size:
+            sensitivity, condition[rest] = self.sensitivity(x[rest], q[rest], p[rest])
+            rows[rest] = -slopes[rest] @ sensitivity
+        return -rows, condition
+
+    def sensitivity(self, x: Array, q: Array, p: Array) -> tuple[Array, Array]:
+        """dx/dp (n, nx, np) at fixed joints, and bounds (n,) on condition numbers.
+
+        The bound is the product of Frobenius norms of phi_x and its inverse.
+        """
+        by_x, by_p = self._forward.by_pose_and_parameter(x, q, p)
         identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
         inverse = newton.solve_linear(by_x, identity)
-        if not self._surely_regular(by_x, inverse):
-            self.check_regular(x, q, p)
-        return inverse
-
-    def pull_back(self, x: Array, q: Array, p: Array, factors: Array) -> Array:
-        """Rows (n, np): factors (n, nx) times d phi / dp, without that matrix."""
-        return self._forward.pull_back(x, q, p, factors)[0]
-
-    def _surely_regular(self, by_x: Array, inverse: Array) -> bool:
-        """Whether Frobenius norms alone show that all poses are regular.
-
-        Their product is at least the condition number, and cheaper. A redundant
-        machine's balanced equations do not show it.
-        """
-        if self._expressions.phi.numel() != by_x.shape[1]:
-            return False
         norm = np.einsum("nij,nij->nj", by_x, by_x) @ self._scale**2
         norm_of_inverse = np.einsum("nij,nij->ni", inverse, inverse) @ self._scale**-2
-        return bool(np.all(norm * norm_of_inverse < SINGULAR_BELOW**-2))
+        return -(inverse @ by_p), np.sqrt(norm * norm_of_inverse)
+
+    def surely_regular(self, condition: Array) -> bool:
+        """Whether bounds (n,) on condition numbers show that all poses are regular.
+
+        A redundant machine's balanced equations do not show it.
+        """
+        if self._expressions.phi.numel() != self._expressions.x.numel():
+            return False
+        return bool(np.all(condition < 1.0 / SINGULAR_BELOW))
 
     def joint_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dq (n, nx, nq) at fixed parameters."""

@@ -8,12 +8,14 @@ pose obeys the closure at the joints that the controller sent. Its identificatio
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.optimize import elementwise
 
 from oed import reading_noise
+from oed.adjoints import PoseAdjoints
 from oed.arrays import Array, Mask
 from oed.instrument import Setup
 from oed.kinematics import AssemblyError, Kinematics
@@ -344,26 +346,17 @@ class Measurement(ParameterVector):
         """Slopes (m, N of the series, n) at theta (m, n)."""
         p, s = self._split(theta, series.setup)
         x = self._poses(series, theta, strict=True)
-        m, poses, nx = x.shape
-        every = x.reshape(m * poses, nx), np.tile(series.q, (m, 1))
-        inverses = self.kinematics.regular_inverses(*every, np.repeat(p, poses, axis=0))
-        inverses = inverses.reshape(m, poses, nx, nx)
         by_pose, by_setup, by_parameter = self._slopes(series, x, p, s)
-        channels = by_setup.shape[1]
-        shape = (m, len(series), channels)
-        rows = np.zeros((*shape, theta.shape[1]))
-        of_machine = rows[..., : p.shape[1]]
-        repeated = np.repeat(p, len(series) * channels, axis=0)
-        for slope, k in zip(by_pose, series.pose_indices(), strict=True):
-            factors = (slope.reshape(*shape, nx) @ inverses[:, k]).reshape(-1, nx)
-            each = np.repeat(k, channels)
-            at = x[:, each].reshape(-1, nx), np.tile(series.q[each], (m, 1))
-            change = self.kinematics.pull_back(*at, repeated, factors)
-            of_machine -= change.reshape(*shape, -1)
+        adjoints = PoseAdjoints(self.kinematics, x, series.q, p)
+        shape = (len(x), len(series), by_setup.shape[1])
+        pairs = zip(by_pose, series.pose_indices(), strict=True)
+        parts = [adjoints.pull_back(g.reshape(*shape, -1), k) for g, k in pairs]
         if by_parameter is not None:
-            of_machine += by_parameter.reshape(*shape, -1)
+            parts.append(by_parameter.reshape(*shape, -1))
+        rows = np.zeros((*shape, theta.shape[1]))
+        rows[..., : p.shape[1]] = functools.reduce(np.add, parts)
         rows[..., self.nuisance_slice(series.setup)] = by_setup.reshape(*shape, -1)
-        return rows.reshape(m, -1, theta.shape[1])
+        return rows.reshape(len(x), -1, theta.shape[1])
 
     def _inputs(self, series: Series, x: Array, p: Array, s: Array) -> list[Array]:
         """Inputs of the observation model, m times the readings n.

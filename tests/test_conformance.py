@@ -173,7 +173,8 @@ def test_jacobian_is_the_slope_of_the_exact_readings(
 ) -> None:
     """100 random poses, at nominal and at a wrong machine, nuisances included. Central
     differences, extrapolated to fourth order; each column's error is told against its
-    largest entry, of a millionth of the largest of H at least.
+    largest entry, of a hundred-thousandth of the largest of H at least. Readings round
+    in their last digits: over the step, that is 3e-12.
     """
     case = CASES[name]
     m, series = reading_series(case, setup, rng, 100)
@@ -189,7 +190,7 @@ def test_jacobian_is_the_slope_of_the_exact_readings(
         largest = np.abs(h).max(axis=0)
         assert (
             np.abs(h - slope).max(axis=0)
-            <= 1e-6 * np.maximum(largest, 1e-6 * largest.max())
+            <= 1e-6 * np.maximum(largest, 1e-5 * largest.max())
         ).all()
 
 

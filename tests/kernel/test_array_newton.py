@@ -19,7 +19,8 @@ TOLERANCE, LONGEST, SIZE = newton.STEP_TOLERANCE, 0.2, 8
 
 def newton_of(equations: ca.SX, size: int = SIZE) -> ArrayNewton:
     outputs = [ca.densify(equations), ca.densify(ca.jacobian(equations, Z))]
-    return ArrayNewton(ca.Function("f", [Z, A], outputs, {"cse": True}), size, 1)
+    function = ca.Function("f", [Z, A], outputs, {"cse": True})
+    return ArrayNewton(ArrayNewton.layout(function, 1), size)
 
 
 #: z0^2 = a0 and z0 z1 = a1, which has a closed form
@@ -32,7 +33,7 @@ def test_solutions_are_the_closed_form(rng: np.random.Generator) -> None:
     start = z + rng.uniform(-0.05, 0.05, z.shape)
     solver = newton_of(SQUARES)
     for _ in range(2):
-        (found,), solved = solver.solve([start, a], TOLERANCE, LONGEST)
+        (found,), solved, _ = solver.solve([start, a], TOLERANCE, LONGEST)
         assert solved.all()
         np.testing.assert_allclose(found, z, rtol=1e-15, atol=0.0)
 
@@ -40,7 +41,7 @@ def test_solutions_are_the_closed_form(rng: np.random.Generator) -> None:
 def test_what_has_no_solution_is_not_solved_and_disturbs_no_other() -> None:
     a = np.array([[1.0, 1.0], [-1.0, 1.0], [np.nan, 1.0], [1.21, 1.1]])
     start = np.full((4, 2), 1.05)
-    (found,), solved = newton_of(SQUARES).solve([start, a], TOLERANCE, LONGEST)
+    (found,), solved, _ = newton_of(SQUARES).solve([start, a], TOLERANCE, LONGEST)
     assert solved.tolist() == [True, False, False, True]
     np.testing.assert_allclose(found[[0, 3]], [[1.0, 1.0], [1.1, 1.0]], rtol=1e-15)
 
@@ -50,13 +51,13 @@ def test_a_double_root_is_not_solved() -> None:
     equations = ca.vertcat((Z[0] - A[0]) ** 2, Z[1] - A[1])
     a = np.ones((3, 2))
     start = a + np.array([[1e-8, 0.0], [1e-9, 0.0], [1e-3, 0.0]])
-    _, solved = newton_of(equations).solve([start, a], TOLERANCE, LONGEST)
+    _, solved, _ = newton_of(equations).solve([start, a], TOLERANCE, LONGEST)
     assert not solved.any()
 
 
 def test_a_step_longer_than_the_longest_is_left_to_careful_steps() -> None:
     a, start = np.ones((2, 2)), np.array([[1.3, 1.0], [1.01, 1.0]])
-    _, solved = newton_of(SQUARES).solve([start, a], TOLERANCE, LONGEST)
+    _, solved, _ = newton_of(SQUARES).solve([start, a], TOLERANCE, LONGEST)
     assert solved.tolist() == [False, True]
 
 
@@ -67,7 +68,7 @@ def test_an_order_of_rows_that_fails_elsewhere_is_noticed() -> None:
     )
     a = np.array([[0.0, 0.0], [np.pi / 2.0, 0.0]])
     start = np.full((2, 2), 0.01)
-    (found,), solved = newton_of(turned).solve([start, a], TOLERANCE, LONGEST)
+    (found,), solved, _ = newton_of(turned).solve([start, a], TOLERANCE, LONGEST)
     assert solved[0]
     assert np.abs(found[solved]).max() < 1e-15
 

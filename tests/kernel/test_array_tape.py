@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from oed.array_layout import Layout
 from oed.array_operations import is_supported
 from oed.array_tape import ArrayTape
 
@@ -29,7 +30,7 @@ EXPRESSIONS = {
 def _evaluate(function: ca.Function, inputs: list[np.ndarray]) -> list[np.ndarray]:
     shapes = [function.numel_out(i) for i in range(function.n_out())]
     outputs = [np.empty((len(inputs[0]), entries)) for entries in shapes]
-    ArrayTape(function, SIZE).run(inputs, outputs)
+    ArrayTape(Layout(function), SIZE).run(inputs, outputs)
     return outputs
 
 
@@ -46,7 +47,7 @@ def test_equals_the_interpreter(name: str, rng: np.random.Generator) -> None:
 def test_matrices_column_by_column_and_a_second_run(rng: np.random.Generator) -> None:
     a, b = ca.SX.sym("a", 2), ca.SX.sym("b", 3)
     function = ca.Function("f", [a, b], [a @ b.T, ca.sum1(b)])
-    tape = ArrayTape(function, SIZE)
+    tape = ArrayTape(Layout(function), SIZE)
     for _ in range(2):
         u, v = rng.standard_normal((SIZE, 2)), rng.standard_normal((SIZE, 3))
         product, total = np.empty((SIZE, 6)), np.empty((SIZE, 1))

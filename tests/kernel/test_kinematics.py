@@ -250,6 +250,12 @@ def test_a_singular_pose_is_reported(away: float) -> None:
     with pytest.raises(AssemblyError, match=r"pose numbers 1\b.*singular") as caught:
         m.jacobian([series], m.nominal)
     assert caught.value.indices.tolist() == [1]
+    copies = 100  # as many as run in array operations, each with parameters of its own
+    with pytest.raises(
+        AssemblyError, match=r"pose numbers 1, 4, 7, .*singular"
+    ) as many:
+        m.jacobian([series], np.tile(m.nominal, (copies, 1)))
+    assert many.value.indices.tolist() == list(range(1, 3 * copies, 3))
 
 
 FOURTH = np.pi / 6  # angle of a fourth tower
