@@ -1,18 +1,34 @@
-"""Processes for tests of unknown effects, and sums of orthogonal parts."""
+"""Discrepancies for tests of unknown effects, and sums of orthogonal parts."""
 
 from __future__ import annotations
+
+import dataclasses
 
 import numpy as np
 
 from oed.gap.data.problem import GapProblem
-from oed.gap.forms.processes.catalogue import PROCESSES
+from oed.gap.forms import discrepancy
+from oed.gap.forms.library import Library
 from oed.noise.law import stated_law
 
-SMOOTH = [
-    p
-    for p in PROCESSES
-    if p.name in ("over time", "over the pose", "over the travel", "along the runs")
-]
+
+def terms(problem: GapProblem, *names: str) -> Library:
+    """The discrepancy's terms of some kinds."""
+    every = discrepancy.build(problem)
+    atoms = tuple(a for a in every.atoms if a.effect in names)
+    return dataclasses.replace(every, atoms=atoms)
+
+
+def smooth(problem: GapProblem) -> Library:
+    """The discrepancy over time, the workspace and the runs."""
+    return terms(problem, "over time", "over the workspace", "along the runs")
+
+
+def some(library: Library, about: str, rng: np.random.Generator) -> np.ndarray:
+    """A draw (N,) of the first term that is so in words."""
+    atom = next(a for a in library.atoms if a.about.startswith(about))
+    chosen = library.columns[:, atom.columns]
+    return np.asarray(chosen @ rng.standard_normal(chosen.shape[1]))
 
 
 def orthogonal_sum(

@@ -12,10 +12,9 @@ from kernel.gap_lines import readings
 from oed.effect import Column, Effect, State
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.gap.forms import carriers
-from oed.gap.forms.processes.base import UNIT
+from oed.gap.forms import carriers, waves
 
-PERIOD = 700.0
+PERIOD, SIZE = 700.0, 1e-6
 
 
 def _problem(name: str) -> GapProblem:
@@ -25,12 +24,17 @@ def _problem(name: str) -> GapProblem:
 
 def _hum(state: State) -> list[Column]:
     wave = np.sin(2.0 * np.pi * state.time / PERIOD)
-    parts = [Column(f"leg {i + 1}", UNIT, joints={i: wave}) for i in state.limbs]
+    parts = [Column(f"leg {i + 1}", SIZE, joints={i: wave}) for i in state.limbs]
     return [
         *parts,
         *(
-            Column(f"tool {k}", UNIT, joints=state.displacing_joints(k, wave))
+            Column(f"tool {k}", SIZE, joints=state.displacing_joints(k, wave))
             for k in range(3)
+        ),
+        Column(
+            "longer",
+            SIZE,
+            joints={i: state.joints_per_extension[:, i] * wave for i in state.limbs},
         ),
     ]
 
@@ -51,16 +55,32 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
     form = carriers.at_poses(
         problem, [np.sin(2.0 * np.pi * s.time / PERIOD) for s in problem.states]
     )[..., None]
-    *legs, tool = carriers.all_carriers(problem)[len(np.unique(problem.channel)) :]
-    for i, leg in enumerate(legs):
-        assert carriers.apply_carrier(leg, form)[:, 0, 0] == pytest.approx(
-            wanted[f"leg {i + 1}"], abs=1e-9
+    names = {
+        carriers.joints: [f"leg {i + 1}" for i in problem.states[0].limbs],
+        carriers.tool: [f"tool {k}" for k in range(3)],
+        carriers.tool_length: ["longer"],
+    }
+    zeros = np.zeros(len(problem))
+    for carrier, columns in names.items():
+        change = carriers.apply_carrier(carrier(problem).columns, form)[:, :, 0]
+        expected = np.column_stack([wanted.get(name, zeros) for name in columns])
+        assert np.sqrt((carrier(problem).columns ** 2).sum(axis=2).mean()) == (
+            pytest.approx(1.0)
         )
-    for k in range(3):
-        change = carriers.apply_carrier(tool, form)[:, k, 0]
-        assert change == pytest.approx(
-            wanted.get(f"tool {k}", np.zeros(len(problem))), abs=1e-5
-        )
+        size = np.linalg.norm(expected) / np.linalg.norm(change)
+        assert size * change == pytest.approx(expected, abs=1e-6 * np.ptp(expected))
+
+
+def test_readings_are_carried_by_set_up_and_channel() -> None:
+    problem = readings(1)
+    each = carriers.readings(problem)
+    assert each.labels == ("channel dy in lines", "channel dz in lines")
+    assert (each.columns.sum(axis=(1, 2)) == 1.0).all()
+    assert [part.name for part in carriers.channels(problem).parts()] == [
+        "the readings of dy",
+        "the readings of dz",
+    ]
+    assert len(carriers.tool(problem).parts()) == 1
 
 
 def test_what_a_form_explains_is_that_of_least_squares(
@@ -73,7 +93,7 @@ def test_what_a_form_explains_is_that_of_least_squares(
         rng.standard_normal((len(problem), 2, 3)),
         2.0 * rng.standard_normal(len(problem)),
     )
-    tails = carriers.log_tails(metric, forms, metric.parts(r[:, None]))
+    tails = waves._tails_of(metric, forms, metric.parts(r[:, None]))
     for k in range(3):
         inverse, G = np.linalg.inv(covariance), forms[:, :, k]
         energy = r @ inverse @ G @ np.linalg.solve(G.T @ inverse @ G, G.T @ inverse @ r)

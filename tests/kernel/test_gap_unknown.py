@@ -2,41 +2,31 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from kernel import gap_problem
 from kernel.gap_lines import EFFECTS, readings
-from kernel.gap_unknown import SMOOTH, orthogonal_sum
+from kernel.gap_unknown import orthogonal_sum, smooth, some, terms
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data import laws
-from oed.gap.forms import library
-from oed.gap.forms.library import Library
-from oed.gap.forms.processes.catalogue import PROCESSES
+from oed.gap.forms import discrepancy, library
 from oed.noise.law import stated_law
 
 #: root of the energy that is planted
 SIZE = 40.0
 
 
-def _some(processes: Library, name: str, rng: np.random.Generator) -> np.ndarray:
-    """A draw (N,) of a process."""
-    chosen = processes.columns[:, processes.atoms[processes.atoms_of(name)[0]].columns]
-    return np.asarray(chosen @ rng.standard_normal(chosen.shape[1]))
-
-
 @pytest.mark.parametrize("seed", [20, 21, 24])
 def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -> None:
     problem, rng = readings(seed), np.random.default_rng(seed)
-    known, processes = library.build(problem, EFFECTS), library.build(problem, SMOOTH)
+    known, processes = library.build(problem, EFFECTS), smooth(problem)
     whole = max((known.atoms[k].columns for k in known.atoms_of("bow")), key=len)
     book, departure = (
         known.columns[:, whole] @ np.array([1.0, -0.6]),
-        _some(processes, "over the travel", rng),
+        some(processes, "an error of the joints", rng),
     )
     change = orthogonal_sum(
         problem, [book, departure], [0.75 * SIZE**2, 0.25 * SIZE**2]
@@ -49,10 +39,9 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
 @pytest.mark.parametrize("seed", [20, 21, 24])
 def test_a_process_that_is_like_no_effect_is_unknown_alone(seed: int) -> None:
     problem, rng = readings(seed), np.random.default_rng(seed)
-    known, processes = library.build(problem, EFFECTS), library.build(problem, SMOOTH)
-    change = orthogonal_sum(
-        problem, [_some(processes, "over the pose", rng)], [SIZE**2]
-    )
+    known, processes = library.build(problem, EFFECTS), smooth(problem)
+    part = some(processes, "an error of the readings over the workspace", rng)
+    change = orthogonal_sum(problem, [part], [SIZE**2])
     acting = problem.with_residual(problem.residual + change)
     best, *_ = compare([Search(acting, known, processes, stated_law(problem), 0.0)])
     assert best.key == (frozenset(), True)
@@ -95,7 +84,7 @@ def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_tol
         problem.with_residual(problem.residual + fade),
         library.build(problem, ()),
     )
-    processes = library.build(problem, PROCESSES)
+    processes = discrepancy.build(problem)
     best = compare([Search(acting, none, processes, stated_law(problem), 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
@@ -122,7 +111,7 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
         change[members] = place[members] @ sizes[(number % 6) // 2 if back else number]
     acting = one.with_residual(rng.standard_normal(len(one)) + 3.0 * change)
     none = library.build(acting, ())
-    processes = library.build(acting, [p for p in PROCESSES if p.name == "coming back"])
+    processes = terms(acting, "over the workspace")
     posteriors = [
         laws.posterior(acting, columns)
         for columns in (np.zeros((len(acting), 0)), processes.scaled_columns(0, 3.0))
@@ -136,23 +125,3 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
     carried = posteriors[0].mode
     assert carried.ar1_sd + carried.seat_sd > 0.5
     assert ranked[0].unknown == back
-
-
-def test_what_comes_back_with_nothing_that_is_known_is_no_process() -> None:
-    problem = readings(9)
-    state = dataclasses.replace(
-        problem.states[0],
-        payload=np.full(len(problem.states[0]), np.nan),
-        max_payload=0.0,
-    )
-    (process,) = (p for p in PROCESSES if p.name == "coming back with")
-    assert not list(process.columns(state, reach=0.3, what=1))
-    for what, sign in ((0, state.direction), (2, state.feed - 1 / 60.0)):
-        columns = list(process.columns(state, reach=0.3, what=what))
-        assert columns
-        still = np.isclose(np.nan_to_num(sign), 0.0)
-        assert all(
-            np.abs(v[still]).max(initial=0.0) < 1e-12
-            for c in columns
-            for v in c.reading.values()
-        )

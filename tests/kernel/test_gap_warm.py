@@ -11,15 +11,12 @@ import pytest
 from effects_sample import session
 
 from kernel.gap_lines import readings
-from oed import smooth_basis
 from oed.effect import State
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
-from oed.gap.forms import library
-from oed.gap.forms.processes.catalogue import PROCESSES
-from oed.gap.forms.processes.time import tool_growing
+from oed.gap.forms import discrepancy, library
 from oed.noise.law import stated_law
 
 
@@ -35,7 +32,7 @@ def _best(
 ) -> tuple[library.Library, Hypothesis]:
     acting, processes = (
         problem.with_residual(problem.residual + change),
-        library.build(problem, PROCESSES),
+        discrepancy.build(problem),
     )
     return (
         processes,
@@ -77,19 +74,12 @@ def test_what_goes_with_a_temperature_is_told_by_it(recorded: bool) -> None:
             start_temperature={"arm": 293.15, "shop": 293.15},
         )
     processes, best = _best(problem, _read(problem, "dz", 1.5 * (warm - 293.15)))
-    named = (
-        None
-        if best.process is None
-        else (
-            processes.atoms[best.process].effect,
-            dict(processes.atoms[best.process].constants),
-        )
-    )
-    assert (named == ("with a temperature", {"body": 0.0})) is recorded
+    named = None if best.process is None else processes.atoms[best.process].effect
+    assert (named == "with the temperature of arm") is recorded
 
 
 def test_no_temperature_recorded_is_no_process() -> None:
-    processes = library.build(readings(14), PROCESSES)
+    processes = discrepancy.build(readings(14))
     assert not {e for e in processes.effects if "temperature" in e}
 
 
@@ -102,14 +92,11 @@ def test_what_fades_after_a_set_ups_start_is_found_in_the_middle_of_a_session(
     processes, best = _best(problem, _read(problem, "dz", 6.0 * np.exp(-gone / within)))
     assert best.key == (frozenset(), True)
     assert best.process is not None
-    form = processes.atoms[best.process].effect
-    assert "time" in form or form == "for a while"
+    assert processes.atoms[best.process].effect == "over time"
 
 
 def test_a_growing_tool_moves_along_its_axis() -> None:
-    """Joints that displace the tool point along the platform's z and do not turn it, by
-    a curve over the session.
-    """
+    """Joints that displace the tool point along the platform's z and do not turn it."""
     sample = session("hexapod")
     for s in sample.states:
         none, tool = np.zeros(3), np.array([0.0, 0.0, 0.1])
@@ -118,19 +105,9 @@ def test_a_growing_tool_moves_along_its_axis() -> None:
             - sample.measurement.kinematics.frames(s.pose, none)[1]
         )
         assert s.axis == pytest.approx(longer / 0.1)
-        for k, column in enumerate(tool_growing(s, 0.1)):
-            moved = np.einsum(
-                "mki,im->mk", s.twist, np.array([column.joints[i] for i in s.limbs])
-            )
-            grown = smooth_basis.curve_mode(
-                2.0 * s.session_progress - 1.0,
-                k,
-                correlation_length=0.2,
-                count=20,
-                detrend=1,
-            )
-            assert moved[:, :3] == pytest.approx(grown[:, None] * s.axis, abs=1e-9)
-            assert moved[:, 3:] == pytest.approx(np.zeros_like(s.axis), abs=1e-9)
+        moved = np.einsum("mki,mi->mk", s.twist, s.joints_per_extension)
+        assert moved[:, :3] == pytest.approx(s.axis, abs=1e-9)
+        assert moved[:, 3:] == pytest.approx(np.zeros_like(s.axis), abs=1e-9)
 
 
 def _later(problem: GapProblem) -> GapProblem:

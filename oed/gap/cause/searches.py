@@ -18,10 +18,9 @@ from oed.gap.data import laws, noise
 from oed.gap.data.laws import LawPosterior
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
+from oed.gap.forms import discrepancy, waves
 from oed.gap.forms import library as libraries
-from oed.gap.forms import waves
 from oed.gap.forms.library import Library
-from oed.gap.forms.processes.catalogue import PROCESSES
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import Outliers
 
@@ -34,7 +33,7 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     nothing = np.zeros((len(problem), 0))
     plain = laws.posterior(problem, nothing)
     library = libraries.build(problem, effects, Metric(problem, plain.mode))
-    processes = libraries.build(problem, PROCESSES)
+    processes = discrepancy.build(problem)
     columns = wide_model(library, processes)
     wide = laws.posterior(problem, columns)
     outliers = _outliers(problem, library, processes, wide.mode)
@@ -60,7 +59,7 @@ def searches_under(
 ) -> list[Search]:
     """The search under a noise law that is known, with and without outliers."""
     library = libraries.build(problem, effects, Metric(problem, law))
-    processes = libraries.build(problem, PROCESSES)
+    processes = discrepancy.build(problem)
     outliers = _outliers(problem, library, processes, law)
     results = []
     for removed in (None, outliers) if outliers is not None else (None,):

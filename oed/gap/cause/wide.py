@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from oed.arrays import Array
+from oed.gap.forms.discrepancy import IN_A_RUN
 from oed.gap.forms.library import Library
-from oed.gap.forms.processes.catalogue import BROAD
 
 #: least root mean square of each effect and process in the wide model, in units of the
 #: noise
@@ -16,7 +16,7 @@ WIDE = 0.7
 def wide_model(library: Library, processes: Library) -> Array:
     """Columns (N, k) of the middle form of every effect and of the broad processes."""
     columns = [_middle_form(library, effect) for effect in library.effects]
-    broad = [effect for effect in processes.effects if effect in BROAD]
+    broad = [effect for effect in processes.effects if effect != IN_A_RUN]
     columns += [_middle_form(processes, effect) for effect in broad]
     return np.hstack(columns)
 

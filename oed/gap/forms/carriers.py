@@ -1,156 +1,120 @@
-"""Carriers of a form over time, path or place: a channel's reading, a joint, the tool.
+"""Carriers of a discrepancy: a channel's reading, a joint, the tool's place.
 
 A carrier is the change of the readings per unit of a form at each pose that they see.
-Forms that could sit anywhere are too many to be columns all at once. Each is ranked by
-what it explains of the residual after the parameters have absorbed what they can. The
-strongest few join the library of processes, each with the prior weight of one among all
-that were tried.
+Its unit changes the readings by about their noise, whatever the machine's size.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 
-from oed.arrays import Array, Index
-from oed.gap.data.metric import Metric
+from oed.arrays import Array
 from oed.gap.data.problem import GapProblem
-from oed.gap.data.tail import log_tail
-from oed.gap.forms.library import Atom, Library
-from oed.gap.forms.processes.base import UNIT, parameter_shares
 from oed.measurement import Series
 
+#: name of the carrier whose columns are the joints
+JOINTS = "the joints"
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Peak:
-    """A form that explains much of the residual.
 
-    log_tail     log tail probability of what it explains; minus its log evidence where
-                 its columns are many of which the readings see few well
-    columns      (N, k) change of the readings
-    constants    {constant: value} that identify it
-    about        the form in words
-    forms        columns of each of its variants; one variant of all columns by default
-    labels       (k,) leg of each column, where the form is a leg's
+@dataclasses.dataclass(frozen=True)
+class Carrier:
+    """What a discrepancy acts on.
+
+    name      in words
+    columns   (N, c, J) change of the readings, in units of the noise; J are the poses
+              that a reading sees
+    labels    (c,) the block of each of its columns; "" where they belong together
     """
 
-    log_tail: float
+    name: str
     columns: Array
-    constants: Mapping[str, float]
-    about: str
-    forms: tuple[Index, ...] = ()
-    labels: tuple[str, ...] = ()
+    labels: tuple[str, ...]
+
+    @property
+    def separable(self) -> bool:
+        """Whether one of its columns may act without the others."""
+        return len(self.labels) > 1 and all(self.labels)
+
+    def parts(self) -> list[Carrier]:
+        """Each of its columns alone, or all of them where they belong together."""
+        if not self.separable:
+            return [self]
+        return [
+            Carrier(_in_words(label), self.columns[:, k, None], (label,))
+            for k, label in enumerate(self.labels)
+        ]
 
 
-def add_peaks(
-    processes: Library,
-    name: str,
-    kinds: Sequence[tuple[Sequence[Peak], int]],
-    count: int,
-) -> Library:
-    """Processes together with the strongest `count` peaks of each kind.
-
-    name     effect name that all of the peaks get
-    kinds    peaks of a kind, and how many forms were tried to find them; each kind has
-             the prior weight of a process
-    """
-    strongest = [
-        (peak, -math.log(tried))
-        for peaks, tried in kinds
-        for peak in sorted(peaks, key=lambda p: p.log_tail)[:count]
-    ]
-    columns, atoms = [processes.columns], list(processes.atoms)
-    names, labels = list(processes.names), list(processes.labels)
-    for k, (peak, log_weight) in enumerate(strongest):
-        width = peak.columns.shape[1]
-        forms = peak.forms or (np.arange(width),)
-        columns.append(peak.columns)
-        log_share = log_weight - math.log(len(forms))
-        for form in forms:
-            at = len(names) + form
-            atoms.append(Atom(name, peak.constants, at, log_share, peak.about))
-        names += [f"{name} {k} {j}" for j in range(width)]
-        labels.extend(peak.labels or [""] * width)
-    added = len(names) - len(processes.names)
-    return dataclasses.replace(
-        processes,
-        columns=np.hstack(columns),
-        atoms=tuple(atoms),
-        names=tuple(names),
-        labels=tuple(labels),
-        scales=np.concatenate([processes.scales, np.full(added, UNIT)]),
-    )
+def _in_words(label: str) -> str:
+    return label.replace("channel ", "the readings of ")
 
 
-def all_carriers(problem: GapProblem) -> list[Array]:
-    """Carriers (N, c, J), in units of the noise per micrometre.
-
-    Each channel alone, each joint alone, and last the tool along its three axes; J are
-    the poses that a reading sees.
-    """
-    legs = joint_carriers(problem)
-    groups = np.unique(problem.channel)
-    channels = np.zeros((len(problem), len(groups), legs.shape[2]))
-    rows = np.arange(len(problem))
-    channels[rows, problem.channel, 0] = UNIT / problem.sigma
-    alone = []
-    for carriers in (channels, legs):
-        alone += [carriers[:, i, None] for i in range(carriers.shape[1])]
-    return [*alone, tool_carrier(problem, legs)]
+def every(problem: GapProblem) -> tuple[Carrier, ...]:
+    """The readings, the joints, the tool's place and the tool's length."""
+    return readings(problem), joints(problem), tool(problem), tool_length(problem)
 
 
-def carrier_names(problem: GapProblem) -> list[str]:
-    """Each of `all_carriers` in words."""
-    channels = problem.rows["channel"].to_numpy()
-    names = []
-    for group in np.unique(problem.channel):
-        channel = channels[problem.channel == group][0]
-        names.append(f"the readings of {channel}")
-    names += [f"leg {i + 1}" for i in problem.states[0].limbs]
-    return [*names, "the tool"]
+def readings(problem: GapProblem) -> Carrier:
+    """The readings of each channel in each set-up, whose instruments err by themselves."""
+    return _by_name(problem, problem.rows["channel"] + " in " + problem.rows["setup"])
 
 
-def joint_carriers(problem: GapProblem) -> Array:
-    """Readings (N, nq, J), in units of the noise, per micrometre of each joint."""
-    return _slopes(problem, [r.joints for r in problem.responses])
+def channels(problem: GapProblem) -> Carrier:
+    """The readings of each channel, in all set-ups alike."""
+    return _by_name(problem, problem.rows["channel"])
 
 
-def parameter_carriers(problem: GapProblem) -> Array:
-    """Readings (N, n, J), in units of the noise, of the machine's uncertain parameters.
-
-    Each moves by its tolerance against that of lengths, all together by a micrometre.
-    """
-    shares = parameter_shares(problem.measurement.machine)
-    slopes = _slopes(problem, [r.parameters for r in problem.responses])
-    factors = np.array(list(shares.values()))
-    return np.asarray(slopes[:, list(shares)] * factors[:, None])
+def _by_name(problem: GapProblem, kinds: pd.Series) -> Carrier:
+    """The readings of each kind by its name."""
+    names, owner = np.unique(kinds.to_numpy(dtype=str), return_inverse=True)
+    columns = np.zeros((len(problem), len(names), _most_poses(problem)))
+    columns[np.arange(len(problem)), owner, 0] = 1.0
+    labels = tuple(f"channel {name}" for name in names)
+    return Carrier("the readings", columns, labels)
 
 
-def _slopes(problem: GapProblem, slopes: Sequence[Sequence[Array]]) -> Array:
-    """Slopes (N, k, J) at the poses that readings see, in units of the noise.
-
-    `slopes` has, for each series and pose, an array (m, channels, k), SI.
-    """
-    parts, most = [], _most_poses(problem)
-    for series, at_pose in zip(problem.series, slopes, strict=True):
-        readings, width = at_pose[0][..., 0].size, at_pose[0].shape[-1]
-        part = np.zeros((readings, width, most))
-        for k, j in enumerate(_moving_poses(series)):
-            part[:, :, k] = at_pose[j].reshape(readings, -1)
-        parts.append(part)
-    return problem.in_noise_units(UNIT * np.concatenate(parts))
+def joints(problem: GapProblem) -> Carrier:
+    """Each joint."""
+    labels = tuple(f"leg {i + 1}" for i in problem.states[0].limbs)
+    return Carrier(JOINTS, _scaled(_joint_slopes(problem)), labels)
 
 
-def tool_carrier(problem: GapProblem, legs: Array) -> Array:
-    """Readings (N, 3, J) per micrometre of the tool along each axis.
-
-    `legs` (N, nq, J) are the joints' carriers.
-    """
+def tool(problem: GapProblem) -> Carrier:
+    """The tool's place along the three axes of the base."""
     pushing = at_poses(problem, [s.joints_per_displacement for s in problem.states])
-    return np.asarray(np.einsum("nqj,njqk->nkj", legs, pushing))
+    columns = np.einsum("nqj,njqk->nkj", _joint_slopes(problem), pushing)
+    return Carrier("the tool", _scaled(columns), ("", "", ""))
+
+
+def tool_length(problem: GapProblem) -> Carrier:
+    """The tool along its own axis, as of a spindle that warms."""
+    growth = at_poses(problem, [s.joints_per_extension for s in problem.states])
+    columns = np.einsum("nqj,njq->nj", _joint_slopes(problem), growth)
+    return Carrier("the tool's length", _scaled(columns[:, None]), ("",))
+
+
+def _scaled(columns: Array) -> Array:
+    """Columns (N, c, J) with a root mean square of 1 on average."""
+    mean_square = float((columns**2).sum(axis=2).mean())
+    return np.asarray(columns / math.sqrt(mean_square)) if mean_square else columns
+
+
+def _joint_slopes(problem: GapProblem) -> Array:
+    """Slopes (N, nq, J) of the readings over the joints, over the noise, per SI unit."""
+    parts, most = [], _most_poses(problem)
+    for series, response in zip(problem.series, problem.responses, strict=True):
+        at_pose = response.joints
+        count, width = at_pose[0][..., 0].size, at_pose[0].shape[-1]
+        part = np.zeros((count, width, most))
+        for k, j in enumerate(_moving_poses(series)):
+            part[:, :, k] = at_pose[j].reshape(count, -1)
+        parts.append(part)
+    return problem.in_noise_units(np.concatenate(parts))
 
 
 def at_poses(problem: GapProblem, values: Sequence[Array]) -> Array:
@@ -187,37 +151,3 @@ def _moving_poses(series: Series) -> list[int]:
 
 def _most_poses(problem: GapProblem) -> int:
     return max(len(_moving_poses(series)) for series in problem.series)
-
-
-def _grams(forms: Array) -> Array:
-    """Gram matrices (k, c, c) of forms (N, c, k), an entry of all of them at a time."""
-    size, width = forms.shape[1:]
-    grams = np.empty((width, size, size))
-    for i in range(size):
-        for j in range(i + 1):
-            products = np.einsum("nk,nk->k", forms[:, i], forms[:, j])
-            grams[:, i, j] = grams[:, j, i] = products
-    return grams
-
-
-def log_tails(
-    metric: Metric,
-    forms: Array,
-    residual: tuple[Array, Array],
-) -> Array:
-    """Log tail probability (k,) of what forms (N, c, k) explain of a residual.
-
-    `residual` are its parts in the metric.
-    """
-    size, width = forms.shape[1:]
-    gram, b = np.zeros((width, size, size)), np.zeros((width, size))
-    columns = metric.parts(forms.reshape(len(forms), -1))
-    for sign, v, r in zip((1.0, -1.0), columns, residual, strict=True):
-        part = v.reshape(-1, size, width)
-        gram += sign * _grams(part)
-        b += sign * np.einsum("nck,n->kc", part, r[:, 0])
-    ridge = 1e-6 * np.trace(gram, axis1=1, axis2=2) + 1e-300
-    gram += ridge[:, None, None] * np.eye(size)
-    solved = np.linalg.solve(gram, b[:, :, None])[:, :, 0]
-    energy = np.einsum("fi,fi->f", b, solved)
-    return log_tail(energy, size)

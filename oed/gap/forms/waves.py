@@ -1,159 +1,199 @@
-"""Steady waves of unknown frequency, as unknown processes.
+"""Steady waves of unknown frequency: the discrepancy's terms with a period.
 
-A wave may run in time (interference, a pump), along the path at one feed (a resonance),
-or along a joint's travel (a gear). Its period may be anything from the session or a run
-to two readings. Of all frequencies (Lomb's periodogram, in the metric that lets the
-parameters absorb first) the strongest few stay, each with the prior weight of one among
-all that were tried.
+A wave may run in time (interference, a pump) or along a joint's travel (a gear). Its
+period may be anything from the session or the travel to two readings. Of all
+frequencies (Lomb's periodogram, in the metric that lets the parameters absorb first)
+the strongest few stay, each with the prior weight of one among all that were tried.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from scipy import signal
 
 from oed import units
 from oed.arrays import Array
-from oed.gap.data import evidence
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.gap.forms import bands, carriers
-from oed.gap.forms.bands import OVER, Band
-from oed.gap.forms.carriers import Peak
-from oed.gap.forms.library import Library
+from oed.gap.data.tail import log_tail
+from oed.gap.forms import carriers
+from oed.gap.forms.carriers import Carrier
+from oed.gap.forms.library import Atom, Library
 from oed.noise.law import NoiseLaw
 
-NAME = "a steady wave"
-#: peaks of each kind, and of waves of many columns, that stay
-PEAKS, BEST = 4, 2
+IN_TIME, ALONG_TRAVEL = "a wave in time", "a wave along the travel"
+#: waves of each kind that stay
+PEAKS = 4
+#: frequencies a resolution cell, and the most of them in a band
+OVER, MOST = 1.5, 6000
 #: frequencies that are computed at once
 CHUNK = 512
-#: evenly spaced frequencies from which on their waves are products of fewer waves
-MANY = 64
-#: frequencies that go with one at a peak: it may be that of the fundamental wave or of
-#: its overtone
-TONES = (0.5, 1.0, 2.0)
-#: sizes that waves of many columns are tried with
-SIZES = np.array([0.1, 0.3, 1.0, 3.0])
+#: shortest period, in steps between readings, where these are irregular: they
+#: distinguish waves from their aliases
+BETWEEN = 0.25
+#: deviation of steps, in steps, up to which they are regular
+REGULAR = 0.05
+#: longest period along a joint's travel as a share of it
+LONG = 3.0
+#: readings that a clock must have for its waves to mean something
+LEAST = 16
+#: places between two frequencies at which a peak is refined
+FINE = np.linspace(-0.8, 0.8, 9)
 
 
-def add(processes: Library, problem: GapProblem, law: NoiseLaw) -> Library:
-    """Processes together with the strongest steady waves of each kind.
+@dataclasses.dataclass(frozen=True, slots=True)
+class Band:
+    """Waves of some frequencies over a clock, on one carrier.
 
-    Each kind has the prior weight of a process.
+    kind           in time, or along a travel
+    unit           of the clock: s, readings or m
+    clock          (N, J) at each of the poses that a reading sees
+    carrier        what the waves act on
+    frequencies    (k,) per unit of the clock
+    """
+
+    kind: str
+    unit: str
+    clock: Array
+    carrier: Carrier
+    frequencies: Array
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Wave:
+    """A wave that explains much of the residual, and the log tail probability of it."""
+
+    band: Band
+    frequency: float
+    log_tail: float
+
+
+def add(discrepancy: Library, problem: GapProblem, law: NoiseLaw) -> Library:
+    """The discrepancy together with the strongest steady waves of each kind.
+
+    Each kind has the prior weight of a kind of discrepancy.
     """
     metric = Metric(problem, law)
-    kinds: list[tuple[list[Peak], int]] = []
-    for kind in bands.bands_by_kind(problem):
-        kind_peaks = []
-        for band in kind:
-            kind_peaks += peaks(
-                problem, metric, band, -_log_tails(problem, metric, band)
-            )
-        tried = sum(len(band.frequencies) * len(band.carriers) for band in kind)
-        kinds.append((kind_peaks, tried))
-    for kind in (bands.swing_bands(problem), bands.run_bands(problem)):
-        tried = sum(len(band.frequencies) for band in kind)
-        kinds.append((_peaks_by_evidence(problem, metric, kind), tried))
-    found_kinds = [kind for kind in kinds if kind[0]]
-    return carriers.add_peaks(processes, NAME, found_kinds, PEAKS)
+    by_kind: dict[str, list[Band]] = {}
+    for band in [*_in_time(problem), *_along_travels(problem)]:
+        by_kind.setdefault(band.kind, []).append(band)
+    for kind, bands in by_kind.items():
+        waves = [wave for band in bands for wave in peaks(problem, metric, band)]
+        tried = sum(len(band.frequencies) for band in bands)
+        strongest = sorted(waves, key=lambda w: w.log_tail)[:PEAKS]
+        discrepancy = _joined(discrepancy, kind, strongest, -math.log(tried))
+    return discrepancy
 
 
-def peaks(
-    problem: GapProblem,
-    metric: Metric,
-    band: Band,
-    strength: Array,
-) -> list[Peak]:
-    """The strongest waves of a band on each of its carriers, refined in frequency.
-
-    `strength` (carriers, k) ranks the band's frequencies.
-    """
-    strongest = []
-    sources = zip(band.carriers, band.names, strength, strict=True)
-    for carrier, name, height in sources:
-        padded = np.concatenate([[-1.0], height, [-1.0]])
-        maxima, _ = signal.find_peaks(padded, distance=int(2 * OVER))
-        order = np.argsort(-height[maxima - 1])[:PEAKS]
-        for k in maxima[order] - 1:
-            near = band.refined(carrier, int(k))
-            tails = _log_tails(problem, metric, near)[0]
-            frequency = float(near.frequencies[np.argmin(tails)])
-            log_tail = float(tails.min())
-            strongest.append(_peak(band, carrier, name, frequency, log_tail))
-    return strongest
-
-
-def _peak(
-    band: Band,
-    carrier: Array,
-    name: str,
-    frequency: float,
-    log_tail: float,
-) -> Peak:
-    """A wave with its half and its double frequency, alone or in pairs."""
-    tones = []
-    for factor in TONES:
-        both = _cosine_and_sine(band.clock, np.array([factor * frequency]))
-        tones.append(_waves(carrier, both)[:, :, 0])
-    columns = np.hstack(tones)
-    half, single, double = np.arange(columns.shape[1]).reshape(3, -1)
-    fundamental = np.concatenate([single, double])
-    overtone = np.concatenate([half, single])
-    period = 1.0 / frequency
-    return Peak(
-        log_tail=log_tail,
-        columns=columns,
-        constants={f"period_{band.unit}": period},
-        about=_in_words(band.unit, period, name),
-        forms=(single, fundamental, overtone),
-        labels=tuple(leg for _ in TONES for leg in band.legs for _ in range(2)),
+def _joined(
+    library: Library, kind: str, waves: list[Wave], log_weight: float
+) -> Library:
+    """A library with waves as further atoms of a kind."""
+    columns, atoms = [library.columns], list(library.atoms)
+    labels = list(library.labels)
+    for wave in waves:
+        block = _columns(wave.band, np.array([wave.frequency]))[:, :, 0]
+        place = len(labels) + np.arange(block.shape[1])
+        period = 1.0 / wave.frequency
+        constants = {f"period_{wave.band.unit}": period}
+        about = _in_words(wave.band, period)
+        atoms.append(Atom(kind, constants, place, log_weight, about))
+        columns.append(block)
+        labels += [label for label in wave.band.carrier.labels for _ in range(2)]
+    added = len(labels) - len(library.labels)
+    return dataclasses.replace(
+        library,
+        columns=np.hstack(columns),
+        atoms=tuple(atoms),
+        names=tuple(f"discrepancy {k}" for k in range(len(labels))),
+        labels=tuple(labels),
+        scales=np.concatenate([library.scales, np.ones(added)]),
     )
 
 
-def _peaks_by_evidence(
-    problem: GapProblem,
-    metric: Metric,
-    bands: Sequence[Band],
-) -> list[Peak]:
-    """The best waves of bands whose carriers have many columns, few of them seen well.
+def peaks(problem: GapProblem, metric: Metric, band: Band) -> list[Wave]:
+    """The strongest waves of a band, refined in frequency."""
+    height = -_log_tails(problem, metric, band)
+    padded = np.concatenate([[-1.0], height, [-1.0]])
+    maxima, _ = signal.find_peaks(padded, distance=int(2 * OVER))
+    order = np.argsort(-height[maxima - 1])[:PEAKS]
+    step = float(np.ptp(band.frequencies[:2])) if len(band.frequencies) > 1 else 0.0
+    waves = []
+    for k in maxima[order] - 1:
+        near = dataclasses.replace(band, frequencies=band.frequencies[k] + step * FINE)
+        tails = _log_tails(problem, metric, near)
+        frequency = float(near.frequencies[np.argmin(tails)])
+        waves.append(Wave(band, frequency, float(tails.min())))
+    return waves
 
-    Their evidence ranks them, for what all of them explain is mostly noise.
+
+def _in_time(problem: GapProblem) -> Iterator[Band]:
+    """Waves in time, or over the readings where not all times are known.
+
+    They act on a channel, on a joint or on the tool.
     """
-    candidates = []
-    for band in bands:
-        both = _cosine_and_sine(band.clock, band.frequencies)
-        columns = _waves(band.carriers[0], both)
-        width, name = columns.shape[1], band.names[0]
-        by_frequency = columns.transpose(0, 2, 1).reshape(len(problem), -1)
-        whitened = evidence.WhitenedColumns(problem, metric, by_frequency)
-        for k, frequency in enumerate(band.frequencies):
-            grams = whitened.grams(slice(k * width, (k + 1) * width))
-            log_evidence = grams.log_evidences([np.arange(width)], SIZES)
-            period = 1.0 / float(frequency)
-            peak = Peak(
-                log_tail=-float(log_evidence.max()),
-                columns=columns[:, :, k],
-                constants={f"period_{band.unit}": period},
-                about=_in_words(band.unit, period, name),
-            )
-            candidates.append(peak)
-    return sorted(candidates, key=lambda p: p.log_tail)[:BEST]
+    times = carriers.at_poses(problem, [s.time for s in problem.states])
+    unit = "s"
+    if not np.isfinite(times).all():
+        number = carriers.at_poses(
+            problem, [s.session_progress for s in problem.states]
+        )
+        readings = sum(len(series) for series in problem.series)
+        unit, times = "readings", number * max(readings - 1, 1)
+    clock = times - times.min()
+    frequencies = _frequencies(clock[:, 0], 1.0)
+    if not frequencies.size:
+        return
+    _, *others = carriers.every(problem)
+    for carrier in (carriers.channels(problem), *others):
+        for part in carrier.parts():
+            yield Band(IN_TIME, unit, clock, part, frequencies)
 
 
-def _in_words(unit: str, period: float, name: str) -> str:
+def _along_travels(problem: GapProblem) -> Iterator[Band]:
+    """Waves of a joint along its own travel."""
+    place = carriers.at_poses(problem, [s.joints for s in problem.states])
+    place = place - place.min(axis=(0, 1))
+    legs = carriers.joints(problem).parts()
+    for i, joint in enumerate(problem.measurement.machine.joints):
+        frequencies = _frequencies(place[:, 0, i], LONG)
+        if joint.unit == "m" and frequencies.size:
+            clock = place[:, :, i]
+            yield Band(ALONG_TRAVEL, "travel_m", clock, legs[i], frequencies)
+
+
+def _frequencies(clock: Array, fewest: float) -> Array:
+    """Frequencies (k,), so close that no wave over a clock (N,) falls between them.
+
+    From `fewest` waves over all of it to what its steps can tell; none for a clock of
+    few steps.
+    """
+    ticks = np.unique(np.round(clock, 9))
+    if len(ticks) < LEAST:
+        return np.zeros(0)
+    span, step = float(np.ptp(ticks)), float(np.median(np.diff(ticks)))
+    offsets = (ticks - ticks[0]) / step
+    regular = np.abs(offsets - np.round(offsets)).max() <= REGULAR
+    shortest = (2.0 if regular else BETWEEN) * step
+    count = max(OVER * (span / shortest - fewest), 1.0)
+    highest = min(1.0 / shortest, (fewest + MOST / OVER) / span)
+    return np.linspace(fewest / span, highest, int(min(count, MOST)))
+
+
+def _in_words(band: Band, period: float) -> str:
     """A wave in words, its period in a unit of usual size."""
-    if unit == "s":
+    name = band.carrier.name
+    if band.unit == "s":
         size, word = _unit_of_time(period)
         return f"{name} in a wave of {period / size:.3g} {word}"
-    if unit == "readings":
+    if band.unit == "readings":
         return f"{name} in a wave of {period:.3g} readings"
-    clock = "path" if unit == "m" else "travel"
     millimetres = units.number(period, "mm")
-    return f"{name} in a wave every {millimetres:.3g} mm of {clock}"
+    return f"{name} in a wave every {millimetres:.3g} mm of travel"
 
 
 def _unit_of_time(period: float) -> tuple[float, str]:
@@ -164,52 +204,49 @@ def _unit_of_time(period: float) -> tuple[float, str]:
     return 1.0, "s"
 
 
-def _cosine_and_sine(clock: Array, frequencies: Array) -> Array:
-    """Cosine and sine (..., 2, k) of each frequency at a clock (...)."""
-    phase = 2.0 * np.pi * clock[..., None]
-    if not _many_even(frequencies):
-        angle = phase * frequencies
-        return np.stack([np.cos(angle), np.sin(angle)], axis=-2)
-    # exp(i (a + b)) = exp(i a) exp(i b): a product costs less than a cosine
-    count = len(frequencies)
-    width = math.isqrt(count)
-    coarse = np.exp(1j * phase * frequencies[::width])
-    fine = np.exp(1j * phase * (frequencies[:width] - frequencies[0]))
-    turns = coarse[..., :, None] * fine[..., None, :]
-    turns = turns.reshape(*clock.shape, -1)[..., :count]
-    return np.stack([turns.real, turns.imag], axis=-2)
-
-
-def _many_even(frequencies: Array) -> bool:
-    """Whether frequencies are many, and evenly spaced."""
-    if len(frequencies) < MANY:
-        return False
-    steps = np.diff(frequencies)
-    return bool(np.ptp(steps) <= 1e-9 * steps.mean())
-
-
-def _waves(carrier: Array, both: Array) -> Array:
-    """Columns (N, 2 c, k) of waves on each column of a carrier (N, c, J).
-
-    `both` are cosines and sines (N, J, 2, k), or (N, J, c, 2, k) of each column's own
-    clock.
-    """
-    if both.ndim == 5:
-        columns = np.einsum("ncj,njchk->nchk", carrier, both)
-    else:
-        flat = both.reshape(*both.shape[:2], -1)
-        columns = carriers.apply_carrier(carrier, flat)
-    return np.asarray(columns.reshape(len(carrier), -1, both.shape[-1]))
+def _columns(band: Band, frequencies: Array) -> Array:
+    """Columns (N, 2 c, k) of the cosine and sine of each frequency on a carrier."""
+    turns = np.exp(2j * np.pi * band.clock[:, :, None] * frequencies)
+    both = np.concatenate([turns.real, turns.imag], axis=2)
+    columns = carriers.apply_carrier(band.carrier.columns, both)
+    count = columns.shape[1]
+    by_part = columns.reshape(len(columns), count, 2, len(frequencies))
+    return np.asarray(by_part.reshape(len(columns), 2 * count, len(frequencies)))
 
 
 def _log_tails(problem: GapProblem, metric: Metric, band: Band) -> Array:
-    """Log tail probability (carriers, k) of what each wave explains, its phases free."""
+    """Log tail probability (k,) of what each wave explains, its phases free."""
     residual = metric.parts(problem.residual[:, None])
-    tails = np.empty((len(band.carriers), len(band.frequencies)))
-    for start in range(0, tails.shape[1], CHUNK):
+    tails = np.empty(len(band.frequencies))
+    for start in range(0, len(tails), CHUNK):
         chunk = slice(start, start + CHUNK)
-        both = _cosine_and_sine(band.clock, band.frequencies[chunk])
-        for row, carrier in zip(tails, band.carriers, strict=True):
-            waves = _waves(carrier, both)
-            row[chunk] = carriers.log_tails(metric, waves, residual)
+        columns = _columns(band, band.frequencies[chunk])
+        tails[chunk] = _tails_of(metric, columns, residual)
     return tails
+
+
+def _tails_of(metric: Metric, forms: Array, residual: tuple[Array, Array]) -> Array:
+    """Log tail probability (k,) of what forms (N, c, k) explain of a residual's parts."""
+    size, width = forms.shape[1:]
+    gram, b = np.zeros((width, size, size)), np.zeros((width, size))
+    columns = metric.parts(forms.reshape(len(forms), -1))
+    for sign, v, r in zip((1.0, -1.0), columns, residual, strict=True):
+        part = v.reshape(-1, size, width)
+        gram += sign * _grams(part)
+        b += sign * np.einsum("nck,n->kc", part, r[:, 0])
+    ridge = 1e-6 * np.trace(gram, axis1=1, axis2=2) + 1e-300
+    gram += ridge[:, None, None] * np.eye(size)
+    solved = np.linalg.solve(gram, b[:, :, None])[:, :, 0]
+    energy = np.einsum("fi,fi->f", b, solved)
+    return log_tail(energy, size)
+
+
+def _grams(forms: Array) -> Array:
+    """Gram matrices (k, c, c) of forms (N, c, k), an entry of all of them at a time."""
+    size, width = forms.shape[1:]
+    grams = np.empty((width, size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            products = np.einsum("nk,nk->k", forms[:, i], forms[:, j])
+            grams[:, i, j] = grams[:, j, i] = products
+    return grams

@@ -1,1 +1,0 @@
-"""Unknown effects as smooth processes of low rank over the machine's state."""

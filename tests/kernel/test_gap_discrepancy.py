@@ -1,0 +1,74 @@
+"""The discrepancy's kernels, priors and covariates."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from kernel import gap_problem
+from kernel.gap_lines import readings
+from oed.gap.data.problem import GapProblem
+from oed.gap.forms import discrepancy
+from oed.smooth_basis import _matern
+
+
+@pytest.mark.parametrize("reach", [0.3, 1.0])
+def test_modes_have_the_kernel(reach: float) -> None:
+    places = np.random.default_rng(4).integers(-99, 99, (30, 2, 2)) / 100.0
+    modes = discrepancy.modes(places, reach, 60)
+    flat = places.reshape(-1, 2)
+    distance = np.linalg.norm(flat[:, None] - flat, axis=-1)
+    factor = modes.reshape(len(flat), -1)
+    remainder = _matern(distance, reach) - factor @ factor.T
+    assert np.linalg.eigvalsh(remainder).min() > -1e-9
+    assert np.trace(remainder) <= (1.0 - discrepancy.WHOLE) * len(flat) + 1e-9
+    few = discrepancy.modes(places, reach, 5)
+    np.testing.assert_allclose(few, modes[:, :, :5])
+
+
+@pytest.mark.parametrize("problem", [readings(3), gap_problem.circles(passes=2)])
+def test_each_kind_has_the_same_prior(problem: GapProblem) -> None:
+    library = discrepancy.build(problem)
+    assert np.isfinite(library.columns).all()
+    for kind in library.effects:
+        shares = [np.exp(library.atoms[k].log_weight) for k in library.atoms_of(kind)]
+        assert sum(shares) == pytest.approx(1.0)
+
+
+def test_units_of_length_change_nothing() -> None:
+    """Readings, noise and slopes in millimetres, as of a machine 1000 times as large."""
+    problem = readings(3)
+    scaled = dataclasses.replace(problem, sigma=1e3 * problem.sigma)
+    for library in (discrepancy.build(problem), discrepancy.build(scaled)):
+        sizes = np.linalg.norm(library.columns, axis=0)
+        assert 0.01 < np.median(sizes) / np.sqrt(len(problem)) < 1.0
+    np.testing.assert_allclose(
+        discrepancy.build(scaled).columns,
+        discrepancy.build(problem).columns,
+        atol=1e-12,
+    )
+
+
+def test_what_was_not_recorded_or_did_not_change_is_no_term() -> None:
+    problem = readings(3)
+    kinds = set(discrepancy.build(problem).effects)
+    assert {"over time", "with the direction", "with the feed"} <= kinds
+    assert "with the payload" not in kinds
+    unknown = np.full(len(problem.states[0]), np.nan)
+    states = tuple(dataclasses.replace(s, feed=unknown) for s in problem.states)
+    less = dataclasses.replace(problem, states=states)
+    assert set(discrepancy.build(less).effects) == kinds - {"with the feed"}
+
+
+def test_a_joint_or_a_set_up_may_err_alone() -> None:
+    library = discrepancy.build(readings(3))
+    alone = {
+        frozenset(library.labels[c] for c in atom.columns)
+        for atom in library.atoms
+        if atom.effect == "over time"
+    }
+    assert frozenset({"leg 2"}) in alone
+    assert frozenset({"channel dy in lines"}) in alone
+    assert frozenset({"leg 1", "leg 2"}) in alone
