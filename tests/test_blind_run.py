@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oed.noise.law import Whitener
 from pkm_studies import cli
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -197,8 +196,7 @@ def test_who_knows_the_noise_is_given_its_covariance(blind, sets, monkeypatch):
     covariances, rows = [], np.array([0, 2, 3])
 
     def diagnose(problem, effects, rng, *, law):
-        white = Whitener(problem, law)
-        whitened = white.whiten(
+        whitened = law.factor(problem).whiten(
             np.eye(len(problem))
         )  # W, with W^T W the inverse of the covariance, which the search sees
         covariances.append(

@@ -136,8 +136,11 @@ def predicted(case: Planar) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
     """
     whole, held = case.whole, case.held
     noise = np.zeros((len(whole), len(whole)))
-    for members, base in zip(whole.members, whole.stated_correlation, strict=True):
-        noise[np.ix_(members, members)] = np.eye(len(members)) if base is None else base
+    for members in whole.members:
+        stated = np.eye(len(members))
+        if whole.stated is not None:
+            stated = whole.stated.correlation(members)
+        noise[np.ix_(members, members)] = stated
     plain = noise + whole.slopes @ whole.slopes.T
     named = [
         effect_of(n)

@@ -38,13 +38,14 @@ from benchmarks.blind.generator.severity import Metric as TrueMetric
 from benchmarks.blind.loading import Case
 from benchmarks.blind.results import Record
 from benchmarks.blind.run import law_of
-from oed.arrays import Array
+from oed.arrays import Array, Index
 from oed.gap.cause import closure as closure_of
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.gap.forms.library import Atom, Library
+from oed.noise.factor import Factor
 from oed.noise.law import NoiseLaw
-from oed.noise.runs import RunBatch
+from oed.noise.runs import Runs
 from pkm_studies.campaign.jobs import Job, read_row, run_jobs
 
 #: size of a rival against its physical prior scale
@@ -313,16 +314,18 @@ def _distances_of_forms(
 class TrueLaw(NoiseLaw):
     """The true covariance of the readings in place of a law's.
 
-    covariance    (N, N) in units of the stated noise
+    true    (N, N) in units of the stated noise
     """
 
-    covariance: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    true: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
-    def covariances(self, batch: RunBatch) -> Array:
+    def covariance(self, runs: Runs, members: Index) -> Array:
         """As in `NoiseLaw`."""
-        members = batch.members
-        rows, columns = members[:, :, None], members[:, None, :]
-        return np.asarray(self.covariance[rows, columns])
+        return np.asarray(self.true[np.ix_(members, members)])
+
+    def factor(self, runs: Runs, rows: Index | None = None) -> Factor:
+        """As in `NoiseLaw`."""
+        return self.dense_factor(runs, rows)
 
 
 def true_law(problem: GapProblem, sigma: Array) -> TrueLaw:
@@ -339,7 +342,7 @@ def true_law(problem: GapProblem, sigma: Array) -> TrueLaw:
             "the true noise relates readings of different runs; the law of a diagnosis"
             " cannot"
         )
-    return TrueLaw(0.0, 0.0, 1.0, np.ones(len(problem)), covariance=covariance)
+    return TrueLaw(0.0, 0.0, 1.0, np.ones(len(problem)), true=covariance)
 
 
 def _closures(

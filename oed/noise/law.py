@@ -17,10 +17,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy import sparse
 
 from oed.arrays import Array, Index
+from oed.noise.factor import DenseFactor, Errors, Factor, LinearFactor
 from oed.noise.process import Laws
-from oed.noise.runs import RunBatch, Runs
+from oed.noise.runs import Layout, Runs
 
 #: share of the stated noise from which a part of a law is described
 WORTH_SAYING = 0.2
@@ -54,85 +56,104 @@ class NoiseLaw:
 
     def block(self, runs: Runs, number: int, rows: Index | None = None) -> Array:
         """Covariance (k, k) of a run's readings, or of those of its `rows` (positions
-        within the run).
+        within the run): quadratic in their number.
         """
-        batch = runs.batch(number)
-        return np.asarray(
-            self.covariances(batch if rows is None else batch.take(rows))[0]
-        )
+        members = runs.members[number]
+        return self.covariance(runs, members if rows is None else members[rows])
 
-    def covariances(self, batch: RunBatch) -> Array:
-        """Covariances (B, k, k) of the runs of a batch."""
-        members = batch.members
+    def covariance(self, runs: Runs, members: Index) -> Array:
+        """Covariance (k, k) of readings of one run: quadratic in their number."""
         root = np.sqrt(self.variance[members])
-        covariance = batch.stated_correlation * (root[:, :, None] * root[:, None, :])
+        covariance = np.diag(self.variance[members])
+        if runs.stated is not None:
+            covariance = runs.stated.correlation(members) * np.outer(root, root)
+        position, channel = runs.position[members], runs.channel[members]
+        distance = np.abs(position[:, None] - position)
+        level, seat = runs.levels[members], runs.seat[members]
         related = (
-            self.run_sd**2 * batch.level
-            + self.ar1_sd**2 * np.exp(batch.distance * (-1.0 / self.ar1_length))
-            + self.seat_sd**2 * batch.seat
+            self.run_sd**2 * np.outer(level, level)
+            + self.ar1_sd**2 * np.exp(distance * (-1.0 / self.ar1_length))
+            + self.seat_sd**2 * (seat @ seat.T)
         )
-        covariance += np.where(batch.same_channel, related, 0.0)
+        covariance += np.where(channel[:, None] == channel, related, 0.0)
         if self.channel_ratio is not None:
             ratio = self.channel_ratio[members]
-            covariance *= ratio[:, :, None] * ratio[:, None, :]
+            covariance *= np.outer(ratio, ratio)
         return np.asarray(self.level**2 * covariance)
+
+    def factor(self, runs: Runs, rows: Index | None = None) -> Factor:
+        """Root of the covariance of all readings, or of the readings `rows`.
+
+        It is linear in their number, unless instrument and law both carry an error
+        along.
+        """
+        if runs.stated is not None and runs.stated.carried and self.ar1_sd:
+            return self.dense_factor(runs, rows)
+        layout = runs.layout if rows is None else runs.layout_of(rows)
+        return LinearFactor(self.errors(runs, layout))
+
+    def dense_factor(self, runs: Runs, rows: Index | None = None) -> DenseFactor:
+        """The same by the covariance of each segment: cubic in its length."""
+        layout = runs.layout if rows is None else runs.layout_of(rows)
+        blocks = [self.covariance(runs, members) for members in layout.segments]
+        return DenseFactor(layout.segments, blocks)
+
+    def errors(self, runs: Runs, layout: Layout) -> Errors:
+        """What the covariance consists of, for readings in an order.
+
+        Either the law carries an error along or the instrument does.
+        """
+        order, stated = layout.order, runs.stated
+        shared = self.shared(runs, order) * self.shared_sizes(runs, order)
+        variance, carried = self.variance[order], self.ar1_sd**2
+        scale = np.full(len(order), self.level)
+        if self.channel_ratio is not None:
+            scale = scale * self.channel_ratio[order]
+        single: Array | sparse.csr_array = variance
+        decay, unmix = layout.decay(runs.position, self.ar1_length), None
+        if stated is not None and carried:
+            single = stated.single(order, np.sqrt(variance))
+        elif stated is not None:
+            single, carried = np.full(len(order), 1.0 - stated.carried), stated.carried
+            decay = layout.decay(stated.place, stated.reach)
+            unmix = stated.unmix(order, np.sqrt(variance))
+        return Errors(
+            order=order,
+            starts=layout.starts,
+            before=layout.before,
+            decay=decay if carried else np.zeros(len(order)),
+            single=single,
+            carried=carried,
+            shared=shared[:, shared.any(axis=0)],
+            scale=scale,
+            unmix=unmix,
+        )
+
+    def shared(self, runs: Runs, order: Index) -> Array:
+        """Errors (k, K) of unit size that the readings of a segment share.
+
+        Levels and seats by channel, then what is stated.
+        """
+        channel = runs.channel[order]
+        lines = (channel[:, None] == np.unique(channel)).astype(float)
+        columns = [runs.levels[order, None] * lines]
+        columns += [s[:, None] * lines for s in runs.seat[order].T]
+        if runs.stated is not None:
+            root = np.sqrt(self.variance[order])
+            columns.append(root[:, None] * runs.stated.shared[order])
+        return np.hstack(columns)
+
+    def shared_sizes(self, runs: Runs, order: Index) -> Array:
+        """Sizes (K,) of the columns of `shared`."""
+        channels = len(np.unique(runs.channel[order]))
+        stated = 0 if runs.stated is None else runs.stated.shared.shape[1]
+        counts = (channels, channels * runs.seat.shape[1], stated)
+        return np.repeat([self.run_sd, self.seat_sd, 1.0], counts)
 
 
 def stated_law(runs: Runs) -> NoiseLaw:
     """The stated noise and nothing else."""
     return NoiseLaw(0.0, 0.0, 1.0, np.ones(len(runs)))
-
-
-class Whitener:
-    """W with W Sigma W^T = 1 for a law's covariance, and log |Sigma|. Runs of one
-    length are done at once.
-    """
-
-    def __init__(self, runs: Runs, law: NoiseLaw, rows: Index | None = None) -> None:
-        """`rows`: the readings that count (all by default); vectors given are still of
-        all N readings.
-        """
-        self._parts: list[tuple[Index, Array]] = []
-        self.log_det = 0.0
-        for members, covariance in _blocks(runs, law, rows):
-            factor = np.linalg.cholesky(covariance)
-            self.log_det += 2.0 * float(
-                np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
-            )
-            self._parts.append(
-                (members, np.asarray(np.linalg.inv(factor), dtype=float))
-            )
-        self.size = sum(members.size for members, _ in self._parts)
-
-    def whiten(self, values: Array) -> Array:
-        """Values (N,) or (N, k) whitened."""
-        wide = values[:, None] if values.ndim == 1 else values
-        done = [
-            (inverse @ wide[members]).reshape(members.size, wide.shape[1])
-            for members, inverse in self._parts
-        ]
-        white = np.concatenate(done)
-        return white[:, 0] if values.ndim == 1 else white
-
-
-def _blocks(runs: Runs, law: NoiseLaw, rows: Index | None) -> list[tuple[Index, Array]]:
-    """Members (B, k) and covariances (B, k, k) of the runs, those of one length
-    together.
-    """
-    if rows is None:
-        return [(batch.members, law.covariances(batch)) for batch in runs.batches]
-    counted = np.zeros(len(runs), dtype=bool)
-    counted[rows] = True
-    batches: dict[int, tuple[list[Index], list[Array]]] = {}
-    for k, members in enumerate(runs.members):
-        mine = np.flatnonzero(counted[members])
-        if mine.size:
-            batch = batches.setdefault(mine.size, ([], []))
-            batch[0].append(members[mine])
-            batch[1].append(law.block(runs, k, mine))
-    return [
-        (np.array(members), np.array(blocks)) for members, blocks in batches.values()
-    ]
 
 
 def law_of(laws: Laws, row: int, channel: Index) -> NoiseLaw:

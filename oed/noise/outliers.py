@@ -13,12 +13,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import linalg, optimize, special
 
 from oed.arrays import Array, Index
+from oed.noise.factor import Factor
 from oed.noise.law import NoiseLaw
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 
@@ -161,15 +162,46 @@ class Outliers:
         )
 
 
+@dataclasses.dataclass(frozen=True)
+class Precision:
+    """Inverse of a covariance C of N readings.
+
+    apply     C^-1 v (N,) of a vector v (N,)
+    diagonal  (N,) of C^-1
+    """
+
+    apply: Callable[[Array], Array]
+    diagonal: Array
+
+
+def with_columns(factor: Factor, columns: Array) -> Precision:
+    """The precision of C + G G^T, for the factor of C and columns G (N, k).
+
+    It is C^-1 - A A^T with A = C^-1 G R^-T, R R^T = 1 + G^T C^-1 G.
+    """
+    solved = factor.precision(columns)
+    inner = np.eye(columns.shape[1]) + columns.T @ solved
+    root = linalg.cholesky(inner, lower=True, check_finite=False)
+    shared = linalg.solve_triangular(root, solved.T, lower=True, check_finite=False).T
+
+    def apply(values: Array) -> Array:
+        alone = factor.precision(values[:, None])[:, 0]
+        return np.asarray(alone - shared @ (shared.T @ values))
+
+    diagonal = factor.precision_diagonal() - np.einsum("nk,nk->n", shared, shared)
+    return Precision(apply, diagonal)
+
+
 def detect(
     residual: Array,
-    covariance: Array,
+    precision: Precision,
     densities: Sequence[ErrorDensity] = CANDIDATE_DENSITIES,
     statement: NoiseStatement = NOTHING_STATED,
 ) -> Outliers | None:
-    """Outliers of residuals (N,) whose covariance (N, N) is wide enough to hold any
-    gap, so that no gap is taken for one; None where tails are light.
+    """Outliers of residuals (N,) whose covariance is wide enough to hold any gap, so
+    that no gap is taken for one; None where tails are light.
 
+    precision  of the residuals
     densities  that are tried; stated tails go before them, and need no evidence
 
     By e_i = (C^-1 r)_i / (C^-1)_ii, the error of predicting a reading from all others,
@@ -180,19 +212,17 @@ def detect(
     densities = densities if stated is None else stated
     if not densities:
         return None
-    inverse = linalg.inv(covariance, check_finite=False)
-    precision = np.diag(inverse)
-    clean = residual
+    clean, root = residual, np.sqrt(precision.diagonal)
     for turn in range(TURNS):
-        predicted = clean - inverse @ clean / precision
-        errors = (residual - predicted) * np.sqrt(precision)
+        predicted = clean - precision.apply(clean) / precision.diagonal
+        errors = (residual - predicted) * root
         fits = [(shape, *_fitted(shape, errors)) for shape in (NORMAL, *densities)]
         shape, scale, height = max(fits[1:], key=lambda fit: fit[2])
         if height < fits[0][2] + least:
             return None
         e = errors / scale
         normal = shape.weight(e) * e / fisher_information(shape)
-        step = predicted + normal * scale / np.sqrt(precision) - clean
+        step = predicted + normal * scale / root - clean
         clean = clean + (step if turn == 0 else 0.5 * step)
         if np.abs(step).max() < STILL:
             break

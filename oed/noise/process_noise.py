@@ -8,6 +8,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.noise.covariance import Noise
+from oed.noise.factor import Errors, LinearFactor
 from oed.noise.process import Laws, Whitening
 from oed.noise.structure import ReadingStructure
 
@@ -51,6 +52,30 @@ def process_noise(structure: ReadingStructure, laws: Laws) -> ProcessNoise:
     return ProcessNoise(
         sigma=structure.unit * sd, structure=structure, law=Whitening(structure, law)
     )
+
+
+def factor_of(structure: ReadingStructure, laws: Laws) -> LinearFactor:
+    """Root of the covariance under the first of the laws, over the stated noise."""
+    chain = structure.chain
+    order = np.lexsort((structure.position, chain))
+    ordered, position = chain[order], structure.position[order]
+    first = np.diff(ordered, prepend=-1) > 0
+    steps = np.diff(position, prepend=0.0)
+    carried, place = float(laws.carried[0]), np.arange(len(order))
+    decay = np.where(first, 0.0, np.exp(-steps / laws.reach[0]))
+    new_run = np.diff(structure.run[ordered], prepend=-1) > 0
+    amounts = laws.sizes[0, structure.kinds]
+    errors = Errors(
+        order=order,
+        starts=np.flatnonzero(new_run),
+        before=np.where(first, place, place - 1),
+        decay=decay if carried else np.zeros(len(order)),
+        single=np.full(len(order), 1.0 - carried),
+        carried=carried,
+        shared=(structure.columns * amounts)[order],
+        scale=laws.scale[0, structure.group][order],
+    )
+    return LinearFactor(errors)
 
 
 def dense_covariance(structure: ReadingStructure, laws: Laws) -> Array:

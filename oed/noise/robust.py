@@ -8,16 +8,12 @@ machine is taken for an outlier.
 
 from __future__ import annotations
 
-import numpy as np
-
-from oed.arrays import Array, Index
+from oed.arrays import Array
 from oed.noise import outliers
 from oed.noise.process import Laws
-from oed.noise.process_noise import dense_covariance
+from oed.noise.process_noise import factor_of
 from oed.noise.structure import ReadingStructure
 
-#: readings judged together; the covariance of more would not fit into memory
-MOST_TOGETHER = 2000
 #: fewest readings among which one can be told to be far off
 FEWEST = 8
 
@@ -29,25 +25,10 @@ def robust_residuals(
 
     slopes  (N, r) over z ~ N(0, I), which hold what the machine may do
     """
-    clean = residual.copy()
-    for members in _together(structure):
-        part = structure.take(members)
-        h = slopes[members]
-        covariance = dense_covariance(part, laws) + h @ h.T
-        result = outliers.detect(
-            residual[members],
-            covariance,
-            outliers.ROBUST_DENSITIES,
-            structure.statement,
-        )
-        if result is not None:
-            clean[members] = result.pseudo_residual
-    return clean
-
-
-def _together(structure: ReadingStructure) -> list[Index]:
-    """Readings that are judged together: all, or whole chains, or parts of long ones."""
-    order = np.lexsort((structure.position, structure.chain))
-    parts = -(-len(order) // MOST_TOGETHER)
-    groups = np.array_split(order, parts)
-    return [np.sort(group) for group in groups if len(group) >= FEWEST]
+    if len(residual) < FEWEST:
+        return residual.copy()
+    precision = outliers.with_columns(factor_of(structure, laws), slopes)
+    result = outliers.detect(
+        residual, precision, outliers.ROBUST_DENSITIES, structure.statement
+    )
+    return residual.copy() if result is None else result.pseudo_residual

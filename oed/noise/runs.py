@@ -13,56 +13,55 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index, Mask
+from oed.arrays import Array, Index
+from oed.noise.stated import StatedErrors
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class RunBatch:
-    """B runs of the same number k of readings, so that their matrices are one array.
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Layout:
+    """An order of k readings, segment after segment; segments are independent.
 
-    members       (B, k) which readings
-    correlation   (B, k, k) stated by the instrument
-    same_channel  (B, k, k) whether two readings are of one channel
-    distance      (B, k, k) how many readings lie between them
-    level         (B, k, k) 1 where a run's level of unknown size moves both, or 0
-    seat          (B, k, k) what a seating shift of unit variance does to both
+    order   (k,) numbers of the readings
+    starts  (S,) first place of each segment in it
+    before  (k,) place of the reading before in the run and channel; its own for the
+            first
     """
 
-    members: Index
-    stated_correlation: Array
-    same_channel: Mask
-    distance: Array
-    level: Array
-    seat: Array
+    order: Index
+    starts: Index
+    before: Index
 
-    def take(self, rows: Index) -> RunBatch:
-        """The readings at positions `rows` (k',) of each run."""
-        pairs = (slice(None), rows[:, None], rows)
-        return RunBatch(
-            members=self.members[:, rows],
-            stated_correlation=self.stated_correlation[pairs],
-            same_channel=self.same_channel[pairs],
-            distance=self.distance[pairs],
-            level=self.level[pairs],
-            seat=self.seat[pairs],
-        )
+    @functools.cached_property
+    def segments(self) -> list[Index]:
+        """Readings of each segment."""
+        return np.split(self.order, self.starts[1:])
+
+    def decay(self, position: Array, length: float) -> Array:
+        """Correlation (k,) with the reading before, over a length; 0 for the first.
+
+        position  (N,) of each reading along its run
+        """
+        place = position[self.order]
+        decay = np.exp((place[self.before] - place) / length)
+        decay[self.before == np.arange(len(place))] = 0.0
+        return np.asarray(decay)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Runs:
     """N readings in runs.
 
-    base     stated correlation of each run's readings, (k, k), or None where independent
-    blocks   index set of each run
-    along    (N,) number of each reading in its run, from 0
-    group    (N,) instrument channel of each reading: each has a noise level of its own
-    seat     (N, s) slopes over the unknowns that a run seats anew, of one unit with the
-             readings; (N, 0) where there are none
-    level    (N,) 1 where the level of a run may move a reading by an unknown size, or 0;
-             None: ones
+    stated    stated errors that are not independent; None where all are
+    members   index set of each run
+    position  (N,) number of each reading in its run, from 0
+    channel   (N,) instrument channel of each reading: each has a noise level of its own
+    seat      (N, s) slopes over the unknowns that a run seats anew, of one unit with the
+              readings; (N, 0) where there are none
+    level     (N,) 1 where the level of a run may move a reading by an unknown size, or
+              0; None: ones
     """
 
-    stated_correlation: tuple[Array | None, ...]
+    stated: StatedErrors | None
     members: tuple[Index, ...]
     position: Array
     channel: Index
@@ -72,38 +71,50 @@ class Runs:
     def __len__(self) -> int:
         return len(self.position)
 
+    @property
+    def levels(self) -> Array:
+        """`level`, ones by default."""
+        return np.ones(len(self)) if self.level is None else self.level
+
     @functools.cached_property
-    def batches(self) -> tuple[RunBatch, ...]:
-        """All runs, those of one length together; channels apart where independent."""
-        by_size: dict[int, list[tuple[Index, Array | None]]] = {}
-        for members, correlation in zip(
-            self.members, self.stated_correlation, strict=True
-        ):
-            parts = [members]
-            if correlation is None:
-                channel = self.channel[members]
-                parts = [members[channel == g] for g in np.unique(channel)]
+    def layout(self) -> Layout:
+        """All readings, runs of one length together; channels apart where independent."""
+        return self._layout(self.members)
+
+    def layout_of(self, rows: Index) -> Layout:
+        """The same of some readings."""
+        counted = np.zeros(len(self), dtype=bool)
+        counted[rows] = True
+        some = [members[counted[members]] for members in self.members]
+        return self._layout([members for members in some if members.size])
+
+    def _layout(self, runs: Sequence[Index]) -> Layout:
+        by_size: dict[int, list[Index]] = {}
+        for run in runs:
+            parts = [run]
+            if self.stated is None:
+                channel = self.channel[run]
+                parts = [run[channel == g] for g in np.unique(channel)]
             for part in parts:
-                by_size.setdefault(len(part), []).append((part, correlation))
-        return tuple(self._batch(parts) for parts in by_size.values())
-
-    def batch(self, number: int) -> RunBatch:
-        """One run, by its number."""
-        return self._batch([(self.members[number], self.stated_correlation[number])])
-
-    def _batch(self, parts: Sequence[tuple[Index, Array | None]]) -> RunBatch:
-        members = np.array([part for part, _ in parts])
-        size = members.shape[1]
-        stated = [np.eye(size) if known is None else known for _, known in parts]
-        channel, along = self.channel[members], self.position[members]
-        seat = self.seat[members]
-        level = np.ones(len(self)) if self.level is None else self.level
-        moved = level[members]
-        return RunBatch(
-            members=members,
-            stated_correlation=np.array(stated),
-            same_channel=channel[:, :, None] == channel[:, None, :],
-            distance=np.abs(along[:, :, None] - along[:, None, :]),
-            level=moved[:, :, None] * moved[:, None, :],
-            seat=seat @ seat.transpose(0, 2, 1),
+                ordered = part[np.argsort(self.position[part], kind="stable")]
+                by_size.setdefault(len(part), []).append(ordered)
+        segments = [segment for alike in by_size.values() for segment in alike]
+        starts = np.cumsum([0, *(len(segment) for segment in segments)])
+        before = [
+            start + _same_before(self.channel[segment])
+            for segment, start in zip(segments, starts, strict=False)
+        ]
+        return Layout(
+            order=np.concatenate(segments),
+            starts=starts[:-1],
+            before=np.concatenate(before),
         )
+
+
+def _same_before(channel: Index) -> Index:
+    """Place (k,) of the last reading before of the same channel; its own for the first."""
+    before = np.arange(len(channel))
+    for g in np.unique(channel):
+        at = np.flatnonzero(channel == g)
+        before[at[1:]] = at[:-1]
+    return before

@@ -18,6 +18,7 @@ from scipy.sparse.linalg import spsolve
 from oed.arrays import Array, Index, Mask
 from oed.measurement import Measurement, Series
 from oed.noise.covariance import block_noise
+from oed.noise.stated import StatedErrors
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 
 #: kinds of errors that a run shares: level of unknown size, known level (that of a
@@ -213,6 +214,42 @@ def common_statement(
             " reach and tails"
         )
     return common.pop()
+
+
+def stated_errors(
+    measurement: Measurement, series: Sequence[Series], sigma: Array
+) -> StatedErrors | None:
+    """Stated errors of readings of noise sigma (N,), SI; None where all are independent."""
+    statement = common_statement(measurement, series)
+    setups = [measurement.setups[s.setup] for s in series]
+    errors = [measurement.run_errors(s) for s in series]
+    related = any(setup.instrument.sources is not None for setup in setups)
+    if not (related or statement.carried_share or any(e.size for e in errors)):
+        return None
+    roots, places, lines = [], [], []
+    for s in series:
+        blocks = np.linalg.cholesky(measurement.reading_covariances(s))
+        count, channels = blocks.shape[:2]
+        roots += list(blocks)
+        run = np.unique(s.run, return_inverse=True)[1]
+        places.append(np.repeat(_places(run), channels))
+        lines.append(np.tile(np.arange(channels), count))
+    widest = max(e.shape[2] for e in errors)
+    padded = [np.pad(e, ((0, 0), (0, 0), (0, widest - e.shape[2]))) for e in errors]
+    shared = np.concatenate([e.reshape(-1, widest) for e in padded])
+    root = sparse.csr_array(sparse.block_diag(roots))
+    inverse = sparse.csr_array(sparse.block_diag([np.linalg.inv(r) for r in roots]))
+    for matrix in (root, inverse):
+        matrix.eliminate_zeros()
+    return StatedErrors(
+        root=sparse.csr_array(sparse.diags_array(1.0 / sigma) @ root),
+        inverse=sparse.csr_array(inverse @ sparse.diags_array(sigma)),
+        carried=statement.carried_share,
+        reach=statement.reach_median,
+        place=np.concatenate(places).astype(float),
+        line=np.concatenate(lines).astype(np.intp),
+        shared=shared / sigma[:, None],
+    )
 
 
 def _places(run: Index) -> Index:

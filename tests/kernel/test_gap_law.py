@@ -8,13 +8,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from kernel import gap_problem as case
 from kernel.gap_lines import readings
 from oed.gap.data.metric import Metric
-from oed.noise.law import NoiseLaw, Whitener, describe, law_of
+from oed.noise.law import NoiseLaw, describe, law_of
 from oed.noise.process import Laws
 from oed.noise.process_noise import dense_covariance
+from oed.noise.stated import StatedErrors
 from oed.noise.structure import reading_structure
 
 LAW = NoiseLaw(
@@ -26,13 +28,18 @@ LAW = NoiseLaw(
 def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     problem, rng = readings(3), np.random.default_rng(3)
     size = len(problem)
-    wide = [
-        0.4 * np.ones((len(b), len(b))) + 0.6 * np.eye(len(b)) for b in problem.members
-    ]
-    # a stated correlation of a run's readings keeps its channels together
-    problem = dataclasses.replace(
-        problem, stated_correlation=tuple(wide) if related else (None,) * len(wide)
+    # a stated error of a run keeps its channels together
+    one = sparse.csr_array(sparse.eye_array(size))
+    wide = StatedErrors(
+        root=np.sqrt(0.6) * one,
+        inverse=one / np.sqrt(0.6),
+        carried=0.0,
+        reach=1.0,
+        place=problem.position,
+        line=problem.channel,
+        shared=np.sqrt(0.4) * np.ones((size, 1)),
     )
+    problem = dataclasses.replace(problem, stated=wide if related else None)
     # and each run seats two unknowns anew
     problem = dataclasses.replace(problem, seat=rng.standard_normal((size, 2)))
     variance = rng.uniform(1.0, 3.0, size)
@@ -42,9 +49,9 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     dense = np.zeros((size, size))
     for k, members in enumerate(problem.members):
         dense[np.ix_(members, members)] = law.block(problem, k)
-    whitener, values = Whitener(problem, law), rng.standard_normal((size, 3))
-    assert whitener.log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-9)
-    white = whitener.whiten(values)
+    factor, values = law.factor(problem), rng.standard_normal((size, 3))
+    assert factor.log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-9)
+    white = factor.whiten(values)
     assert white.T @ white == pytest.approx(
         values.T @ np.linalg.solve(dense, values), rel=1e-9
     )
@@ -52,7 +59,7 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     assert Metric(problem, law).gram(values, values) == pytest.approx(
         values.T @ np.linalg.solve(geometry, values), rel=1e-6, abs=1e-6
     )
-    assert {len(m) for batch in problem.batches for m in batch.members} == {
+    assert {len(members) for members in problem.layout.segments} == {
         len(problem.members[0]) // (1 if related else 2)
     }
 

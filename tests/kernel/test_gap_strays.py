@@ -22,9 +22,7 @@ from oed.noise.law import describe, stated_law
 def alone(problem: GapProblem) -> GapProblem:
     """The same readings, each independent of the others, with nothing to absorb."""
     free = np.zeros((len(problem), 1))
-    return dataclasses.replace(
-        problem, stated_correlation=(None,) * len(problem.members), slopes=free
-    )
+    return dataclasses.replace(problem, stated=None, slopes=free)
 
 
 @pytest.mark.parametrize("shape", outliers.CANDIDATE_DENSITIES, ids=str)

@@ -8,7 +8,7 @@ import pytest
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.noise.marginal import ResidualModel, integrate
-from oed.noise.outliers import detect
+from oed.noise.outliers import Precision, detect
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening, stated_laws
 from oed.noise.structure import ReadingStructure, reading_structure
@@ -128,7 +128,8 @@ def test_outliers_are_named() -> None:
     rng = np.random.default_rng(5)
     residual = rng.standard_normal(60)
     residual[17] += 50.0
-    result = detect(residual, np.eye(60) + np.outer(np.ones(60), np.ones(60)))
+    inverse = np.linalg.inv(np.eye(60) + np.ones((60, 60)))
+    result = detect(residual, Precision(inverse.__matmul__, np.diag(inverse)))
     assert result is not None
     assert list(result.rows) == [17]
     assert abs(result.pseudo_residual[17]) < 10.0

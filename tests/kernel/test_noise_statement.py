@@ -23,7 +23,7 @@ from oed.gap.data.problem import assemble
 from oed.identification import identify
 from oed.measurement import Measurement, Series
 from oed.noise import prior
-from oed.noise.outliers import StudentT, detect, fisher_information
+from oed.noise.outliers import Precision, StudentT, detect, fisher_information
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.process_noise import dense_covariance
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -31,6 +31,8 @@ from oed.noise.structure import reading_structure
 
 SIGMA, SEATING, SHARE, REACH, RUN = 0.5e-6, 0.8e-6, 0.4, 3.0, 0.7e-6
 STATED = NoiseStatement(seating=SEATING, carried=SHARE, reach=REACH)
+#: independent errors of unit size
+ONES = Precision(lambda v: v, np.ones(60))
 NOTHING_ELSE = NoiseStatement(
     levels=frozenset({"length"}), seating=0.0, carried=0.0, outlier_share=0.0
 )
@@ -193,15 +195,15 @@ def test_stated_tails_are_drawn(dof: float) -> None:
 def test_stated_tails_go_before_those_that_are_tried() -> None:
     residual = np.random.default_rng(5).standard_normal(60)
     residual[17] += 50.0
-    assert detect(residual, np.eye(60), statement=NOTHING_ELSE) is None
-    share = detect(residual, np.eye(60), statement=NoiseStatement(outlier_share=0.02))
+    assert detect(residual, ONES, statement=NOTHING_ELSE) is None
+    share = detect(residual, ONES, statement=NoiseStatement(outlier_share=0.02))
     assert share is not None
     assert share.density.outlier_share == 0.02
     assert list(share.rows) == [17]
-    student = detect(residual, np.eye(60), statement=NoiseStatement(student_dof=3.0))
+    student = detect(residual, ONES, statement=NoiseStatement(student_dof=3.0))
     assert student is not None
     assert student.density.dof == 3.0
-    light = detect(residual[:17], np.eye(17))
+    light = detect(residual[:17], Precision(lambda v: v, np.ones(17)))
     assert light is None
 
 

@@ -15,7 +15,7 @@ from oed.gap.before.separation import Separation, Target
 from oed.gap.before.table import ROOM
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
-from oed.noise.law import NoiseLaw, Whitener
+from oed.noise.law import NoiseLaw
 
 #: forms of an effect (values of its constants) that stand for its grid
 FORMS = 6
@@ -133,9 +133,7 @@ class Pool:
         """
         n, count = self.problem.slopes.shape[1], columns.shape[1]
         values = np.hstack([self.problem.slopes, columns])
-        white = [
-            Whitener(self.problem, self.law, at).whiten(values) for at in self.rows
-        ]
+        white = [self.law.factor(self.problem, at).whiten(values) for at in self.rows]
         prior = np.hstack([np.eye(n), np.zeros((n, count))])
         whole = np.vstack([*white, prior])
         root = np.linalg.qr(whole[:, :n], mode="r")

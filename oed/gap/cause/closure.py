@@ -82,12 +82,15 @@ def closure(
         models.append(np.hstack([problem.slopes, scaled]))
     noise, n = RunNoise(problem, law), problem.slopes.shape[1]
     residual = problem.residual
-    informations = [noise.information(model, residual) for model in models]
+    scored = [noise.score(np.column_stack([model, residual])) for model in models]
+    pairs = zip(models, scored, strict=True)
+    informations = [noise.information(model, values) for model, values in pairs]
 
     def predict(held: Index) -> tuple[Array, Array]:
         errors, log_evidences, parts = [], [], []
-        for model, information in zip(models, informations, strict=True):
-            white = noise.innovations(held, np.column_stack([model, residual]))
+        held_out = noise.hold_out(held)
+        for values, information in zip(scored, informations, strict=True):
+            white = held_out.innovations(values)
             mean, log_evidence = learn(information, white)
             errors.append(white[:, -1] - white[:, :-1] @ mean)
             log_evidences.append(log_evidence)
@@ -116,12 +119,14 @@ def oracle_closure(
     _check(problem, change[:, None])
     noise, n = RunNoise(problem, law), problem.slopes.shape[1]
     slopes, residual = problem.slopes, problem.residual
-    information = noise.information(slopes, residual)
-    corrected = noise.information(slopes, residual - change)
+    scored = noise.score(np.column_stack([slopes, residual, change]))
+    information = noise.information(slopes, scored[:, :-1])
+    difference = scored[:, n] - scored[:, n + 1]
+    of_corrected = np.column_stack([scored[:, :n], difference])
+    corrected = noise.information(slopes, of_corrected)
 
     def predict(held: Index) -> tuple[Array, Array]:
-        values = np.column_stack([slopes, residual, change])
-        white = noise.innovations(held, values)
+        white = noise.hold_out(held).innovations(scored)
         white_residual = white[:, n] - white[:, n + 1]
         free = np.column_stack([white[:, :n], white_residual])
         mean, _ = learn(corrected, free)

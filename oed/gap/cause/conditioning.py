@@ -7,7 +7,10 @@ from scipy import linalg
 
 from oed.arrays import Array, Index
 from oed.gap.data.problem import GapProblem
+from oed.noise.factor import DenseFactor, LinearFactor
+from oed.noise.hold_out import Chains, DenseHeldOut, HeldOut, LinearHeldOut
 from oed.noise.law import NoiseLaw
+from oed.noise.shared import SharedFactor
 
 #: posterior precision (n, n) of coefficients, and its product (n,) with their mean
 Information = tuple[Array, Array]
@@ -17,38 +20,34 @@ class RunNoise:
     """Noise of the runs: innovations of held-out readings given the others of a run."""
 
     def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
-        self._blocks = problem.members
-        count = len(problem.members)
-        self._inverse = [_inverse(law.block(problem, k)) for k in range(count)]
+        self._factor = law.factor(problem)
+        self._chains: Chains | None = None
+        if isinstance(self._factor, LinearFactor):
+            if Chains.suit(self._factor.errors):
+                self._chains = Chains(self._factor.errors)
+            else:
+                self._factor = law.dense_factor(problem)
 
-    def information(self, slopes: Array, residual: Array) -> Information:
+    def score(self, values: Array) -> Array:
+        """The noise's precision times values (N, k), as `HeldOut` wants it."""
+        return self._factor.scored(self._factor.standardise(values))
+
+    def information(self, slopes: Array, scored: Array) -> Information:
         """Information on the coefficients of slopes (N, n), prior N(0, I).
 
-        All readings count.
+        All readings count. `scored` (N, n + 1) is of the slopes and the residual.
         """
-        values = np.column_stack([slopes, residual])
-        product = np.zeros((slopes.shape[1], values.shape[1]))
-        for members, inverse in zip(self._blocks, self._inverse, strict=True):
-            product += slopes[members].T @ (inverse @ values[members])
+        product = self._factor.standardise(slopes).T @ scored
         return product[:, :-1] + np.eye(len(product)), product[:, -1]
 
-    def innovations(self, held: Index, values: Array) -> Array:
-        """Values (N, k) at held-out readings less their prediction, whitened.
-
-        The training readings of their run predict their noise. With O the inverse
-        covariance and O_hh = L L^T they are L^-1 (O v)_h, in the order of `held`.
-        """
-        white = np.empty((len(held), values.shape[1]))
-        place = np.full(len(values), -1, dtype=np.intp)
-        place[held] = np.arange(len(held))
-        for members, inverse in zip(self._blocks, self._inverse, strict=True):
-            rows = np.flatnonzero(place[members] >= 0)
-            if rows.size:
-                precision = inverse[np.ix_(rows, rows)]
-                factor = _cholesky(precision)
-                scored = inverse[rows] @ values[members]
-                white[place[members[rows]]] = _solve(factor, scored)
-        return white
+    def hold_out(self, held: Index) -> HeldOut:
+        """Readings held out; those of their run predict their noise."""
+        factor = self._factor
+        if isinstance(factor, DenseFactor):
+            return DenseHeldOut(factor, held)
+        assert isinstance(factor, LinearFactor)
+        assert self._chains is not None
+        return LinearHeldOut(factor, self._chains, held)
 
 
 def _cholesky(matrix: Array) -> Array:
@@ -62,12 +61,6 @@ def _solve(factor: Array, values: Array, trans: str = "N") -> Array:
             factor, values, lower=True, trans=trans, check_finite=False
         )
     )
-
-
-def _inverse(covariance: Array) -> Array:
-    factor = linalg.cho_factor(covariance, lower=True, check_finite=False)
-    identity = np.eye(len(covariance))
-    return np.asarray(linalg.cho_solve(factor, identity, check_finite=False))
 
 
 def learn(information: Information, white: Array) -> tuple[Array, float]:
@@ -108,8 +101,7 @@ def standardise(
     mean, _ = learn((precision, product), alone)
     slopes = alone[:, :-1]
     root = _cholesky(precision - slopes.T @ slopes)
-    spread = _solve(root, slopes.T)
-    factor = _cholesky(np.eye(len(alone)) + spread.T @ spread)
+    spread = SharedFactor(_solve(root, slopes.T).T, np.zeros(1, dtype=np.intp))
     before = alone[:, -1] - slopes @ mean
-    white_residuals = _solve(factor, np.column_stack([before, after]))
+    white_residuals = spread.whiten(np.column_stack([before, after]))
     return white_residuals[:, 0], white_residuals[:, 1]

@@ -25,7 +25,7 @@ from oed.arrays import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.root import inverse_root
-from oed.noise.law import NoiseLaw, Whitener
+from oed.noise.law import NoiseLaw
 
 #: sizes of effects against their physical prior scales, equally likely: the scales are
 #: of a good machine tool, and a printer's errors are ten times as large
@@ -238,18 +238,24 @@ def log_evidence(problem: GapProblem, law: NoiseLaw, columns: Array) -> float:
     The readings are r ~ N(0, s^2 (Sigma + columns columns^T)). `columns` (N, k) hold
     the parameters' slopes too, as from `compress`.
     """
-    whitener = Whitener(problem, law)
-    white = whitener.whiten(np.column_stack([problem.residual, columns]))
-    full = white.T @ white
-    inner = full[1:, 1:] + np.eye(columns.shape[1])
+    noise = law.factor(problem)
+    white = noise.whiten(np.column_stack([problem.residual, columns]))
+    return log_evidence_of_products(white.T @ white, noise.log_det, len(problem))
+
+
+def log_evidence_of_products(products: Array, log_det: float, size: int) -> float:
+    """The same of the whitened products (1 + k, 1 + k) of residual and columns.
+
+    log_det  log determinant of Sigma
+    """
+    inner = products[1:, 1:] + np.eye(len(products) - 1)
     factor = linalg.cholesky(inner, lower=True, check_finite=False)
     projected = linalg.solve_triangular(
-        factor, full[1:, 0], lower=True, check_finite=False
+        factor, products[1:, 0], lower=True, check_finite=False
     )
     log_factor = float(np.log(np.diag(factor)).sum())
-    log_det = whitener.log_det + 2.0 * log_factor
-    energy = float(full[0, 0] - projected @ projected)
-    return _log_student(log_det, energy, whitener.size)
+    energy = float(products[0, 0] - projected @ projected)
+    return _log_student(log_det + 2.0 * log_factor, energy, size)
 
 
 def noise_level(grams: Grams) -> float:

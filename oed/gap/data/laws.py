@@ -25,6 +25,7 @@ from scipy import special
 
 from oed.arrays import Array
 from oed.gap.data import evidence
+from oed.gap.data.law_evidence import LawEvidence
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw, law_of
 from oed.noise.law_mode import find_mode, root_about
@@ -62,14 +63,12 @@ class LawPosterior:
 def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
     """The law's posterior with columns (N, k) of prior N(0, 1) in the model."""
     compressed = evidence.compress(problem, columns)
-    prior = _prior(problem)
+    prior, log_evidences = _prior(problem), LawEvidence(problem, compressed)
 
     def cost(u: Array) -> Array:
-        values = [
-            evidence.log_evidence(problem, law, compressed) for law in _laws(problem, u)
-        ]
+        values = log_evidences(_laws(problem, u))
         log_prior = -0.5 * (u**2).sum(axis=1) - 0.5 * u.shape[1] * np.log(2.0 * np.pi)
-        return np.asarray(-np.array(values) - log_prior)
+        return np.asarray(-values - log_prior)
 
     if prior.dimensions == 1:
         return _only_law(problem, compressed, cost)
@@ -106,14 +105,8 @@ def mixture(
 ) -> list[WeighedLaw]:
     """Laws drawn from several posteriors, with the logs of their weights W."""
     laws = _laws(problem, np.vstack([p.draws for p in posteriors]))
-    table = np.array(
-        [
-            [
-                evidence.log_evidence(problem, law, p.columns) - p.log_evidence
-                for p in posteriors
-            ]
-            for law in laws
-        ]
+    table = np.column_stack(
+        [LawEvidence(problem, p.columns)(laws) - p.log_evidence for p in posteriors]
     )
     each = len(laws) / len(posteriors)
     log_weights = -special.logsumexp(table, axis=1) - np.log(each)
@@ -133,7 +126,7 @@ def _systematic(points: Array, weights: Array) -> list[int]:
 def _prior(problem: GapProblem) -> NoisePrior:
     """The prior of the laws; its first scale, the common factor, is kept at 1.
 
-    What is stated is in the stated correlation, and no part of the laws.
+    What is stated is in the stated errors, and no part of the laws.
     """
     groups = int(problem.channel.max()) + 1
     names = [f"noise of channel {k + 1}" for k in range(groups)]

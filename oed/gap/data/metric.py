@@ -7,7 +7,7 @@ from scipy import linalg
 
 from oed.arrays import Array, Index
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import NoiseLaw, Whitener
+from oed.noise.law import NoiseLaw
 
 
 class Metric:
@@ -23,8 +23,8 @@ class Metric:
 
         Vectors passed to the methods still have all N readings.
         """
-        self._whitener = Whitener(problem, law, rows)
-        self.size = self._whitener.size
+        self._factor = law.factor(problem, rows)
+        self.size = len(self._factor.order)
         white = self.whiten(problem.slopes)
         inner = np.eye(white.shape[1]) + white.T @ white
         self._root = linalg.cholesky(inner, lower=True, check_finite=False)
@@ -33,11 +33,13 @@ class Metric:
         )
         #: log determinant of Sigma + H Lambda H^T
         log_root = float(np.log(np.diag(self._root)).sum())
-        self.log_det = self._whitener.log_det + 2.0 * log_root
+        self.log_det = self._factor.log_det + 2.0 * log_root
 
     def whiten(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened by the noise alone, run after run."""
-        return self._whitener.whiten(values)
+        wide = values[:, None] if values.ndim == 1 else values
+        white = self._factor.whiten(wide)
+        return white[:, 0] if values.ndim == 1 else white
 
     def parts(self, values: Array) -> tuple[Array, Array]:
         """Parts (u0, u1) of values u (N, k): <u, v> = u0^T v0 - u1^T v1."""
@@ -68,14 +70,20 @@ class Embedding:
     """
 
     def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
-        self._metric = Metric(problem, law)
-        white = self._metric.whiten(problem.slopes)
+        self._factor = law.factor(problem)
+        white = self.whiten(problem.slopes)
         self._axes, size, _ = np.linalg.svd(white, full_matrices=False)
         self._shrink = 1.0 - 1.0 / np.hypot(1.0, size)
 
     def whiten(self, values: Array) -> Array:
-        """Values (N,) or (N, k) whitened by the noise: before the parameters absorb."""
-        return self._metric.whiten(values)
+        """Values (N,) or (N, k) whitened by the noise: before the parameters absorb.
+
+        Reading after reading: what is reported depends on their order by the draws of a
+        bootstrap alone, and so it does not depend on how the law is factored.
+        """
+        wide = values[:, None] if values.ndim == 1 else values
+        white = self._factor.whiten_in_order(wide)
+        return white[:, 0] if values.ndim == 1 else white
 
     def absorb(self, white: Array) -> Array:
         """Whitened values after the parameters absorb what they can.

@@ -6,22 +6,22 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.gap.data.problem import GapProblem
+from oed.noise import outliers
 from oed.noise.law import NoiseLaw
-from oed.noise.outliers import Outliers, detect
+from oed.noise.outliers import Outliers
 
 
 def detect_outliers(
     problem: GapProblem, law: NoiseLaw, columns: Array
 ) -> Outliers | None:
     """Outliers under a law, with columns (N, k) of prior N(0, 1) in the model."""
-    covariance = columns @ columns.T + problem.slopes @ problem.slopes.T
-    for number, members in enumerate(problem.members):
-        covariance[np.ix_(members, members)] += law.block(problem, number)
-    return detect(problem.residual, covariance, statement=problem.statement)
+    held = np.hstack([problem.slopes, columns])
+    precision = outliers.with_columns(law.factor(problem), held)
+    return outliers.detect(problem.residual, precision, statement=problem.statement)
 
 
-def without_outliers(problem: GapProblem, outliers: Outliers | None) -> GapProblem:
+def without_outliers(problem: GapProblem, removed: Outliers | None) -> GapProblem:
     """The problem with pseudo-residuals in place of the outliers, if there are any."""
-    return (
-        problem if outliers is None else problem.with_residual(outliers.pseudo_residual)
-    )
+    if removed is None:
+        return problem
+    return problem.with_residual(removed.pseudo_residual)

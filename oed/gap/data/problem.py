@@ -24,10 +24,9 @@ from oed.effect import Effect, State
 from oed.gap.data import state as states_of
 from oed.gap.data.signature import Signature, signature
 from oed.measurement import Measurement, Response, Series
-from oed.noise.covariance import Noise
 from oed.noise.runs import Runs
 from oed.noise.statement import NoiseStatement
-from oed.noise.structure import common_statement, renewed_slopes
+from oed.noise.structure import common_statement, renewed_slopes, stated_errors
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -45,7 +44,7 @@ class GapProblem(Runs):
     names          (n,) of those parameters
     rows           one row a reading of a channel: setup, run, order, channel,
                    covariates, phase
-    statement      of the noise; the parts that it states are in `stated_correlation`
+    statement      of the noise; the parts that it states are in `stated`
     """
 
     measurement: Measurement
@@ -132,8 +131,7 @@ def assemble(
     theta = measurement.nominal if theta is None else theta
     jacobian = measurement.jacobian(series, theta)
     y = measurement.readings(series, theta) if y is None else y
-    noise = measurement.noise(series)
-    sigma = noise.sigma
+    sigma = measurement.sigma(series)
     free = np.flatnonzero(measurement.free)
     off_nominal = jacobian @ (theta - measurement.nominal)
     residual = y - measurement.readings(series, theta) + off_nominal
@@ -152,7 +150,7 @@ def assemble(
         residual=residual / sigma,
         slopes=measurement.in_prior_units(jacobian)[:, free] / sigma[:, None],
         names=tuple(measurement.names[k] for k in free),
-        stated_correlation=_stated_correlations(noise, blocks),
+        stated=stated_errors(measurement, series, sigma),
         members=blocks,
         position=_numbers_in_runs(rows, blocks),
         channel=pd.factorize(kinds)[0].astype(np.intp),
@@ -172,22 +170,6 @@ def _unknown_levels(measurement: Measurement, series: Sequence[Series]) -> Array
         unknown = [float(n not in setup.statement.levels) for n in names]
         parts.append(np.tile(unknown, len(s)))
     return np.concatenate(parts)
-
-
-def _stated_correlations(
-    noise: Noise,
-    blocks: Sequence[Index],
-) -> tuple[Array | None, ...]:
-    """Stated correlation (k, k) of each run's readings; None if independent."""
-    if noise.root is None:
-        return (None,) * len(blocks)
-    covariance = (noise.root @ noise.root.T).tocsr()
-    correlations = []
-    for members in blocks:
-        block = covariance[members][:, members].toarray()
-        sigma = noise.sigma[members]
-        correlations.append(block / np.outer(sigma, sigma))
-    return tuple(correlations)
 
 
 def _numbers_in_runs(rows: pd.DataFrame, blocks: Sequence[Index]) -> Array:

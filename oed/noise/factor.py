@@ -1,0 +1,229 @@
+"""Root of a law's covariance in time linear in the number of readings.
+
+The readings are put in order, segment after segment; each segment is independent of the
+others. Within a segment, and up to a scale of each reading,
+
+    C = P (D^-1 T D^-T + U U^T) P^T,
+
+P relates the channels of a reading, the banded part holds single and carried errors
+(`oed.noise.banded`), U what the segment shares (`oed.noise.shared`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+from scipy import sparse
+
+from oed.arrays import Array, Index
+from oed.noise.banded import BandedFactor
+from oed.noise.shared import SharedFactor, SharedProducts
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Errors:
+    """Errors of k readings in order, in units of their scales.
+
+    order    (k,) numbers of the readings
+    starts   (S,) first reading of each segment
+    before   (k,) the reading before in its chain; itself for the first
+    decay    (k,) correlation with what is carried there; 0 for the first
+    single   (k,) variances, or sparse (k, k) covariance, of what is not carried
+    carried  variance of what is carried along
+    shared   (k, K) errors that a segment shares
+    scale    (k,)
+    unmix    (k, k) sparse P^-1, lower triangular; None: 1
+    """
+
+    order: Index
+    starts: Index
+    before: Index
+    decay: Array
+    single: Array | sparse.csr_array
+    carried: float
+    shared: Array
+    scale: Array
+    unmix: sparse.csr_array | None = None
+
+    def standardise(self, values: Array) -> Array:
+        """Values (N, m) of the readings in order (k, m), over scale and P."""
+        ordered = values
+        if not self.is_in_order:
+            ordered = values[self.order]
+        if not self.is_of_unit_scale:
+            ordered = ordered / self.scale[:, None]
+        return self.unmixed(ordered)
+
+    def banded(self) -> BandedFactor:
+        """Root of what single readings have and of what is carried along."""
+        fresh = self.carried * (1.0 - self.decay**2)
+        return BandedFactor(self.before, self.decay, self.single, fresh)
+
+    @functools.cached_property
+    def is_in_order(self) -> bool:
+        """Whether the order is that of all readings."""
+        return bool((self.order == np.arange(len(self.order))).all())
+
+    @functools.cached_property
+    def is_of_unit_scale(self) -> bool:
+        """Whether all scales are 1."""
+        return bool((self.scale == 1.0).all())
+
+    def unmixed(self, values: Array) -> Array:
+        """P^-1 Y (k, m)."""
+        return values if self.unmix is None else np.asarray(self.unmix @ values)
+
+
+class Factor(Protocol):
+    """Root of a covariance C of readings in the order `order` (k,).
+
+    log_det  of C
+    """
+
+    order: Index
+    log_det: float
+
+    def whiten(self, values: Array) -> Array:
+        """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
+
+    def whiten_in_order(self, values: Array) -> Array:
+        """The same with W lower triangular: the inverse of Cholesky's root of C."""
+
+    def precision(self, values: Array) -> Array:
+        """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
+
+    def precision_diagonal(self) -> Array:
+        """Diagonal (N,) of C^-1, of a factor of all readings."""
+
+    def standardise(self, values: Array) -> Array:
+        """Y (N, m) in order (k, m), over what only mixes channels and scales readings."""
+
+    def scored(self, standard: Array) -> Array:
+        """The precision of standardised values (k, m) times them."""
+
+
+class LinearFactor:
+    """Root of errors that are banded but for a few that each segment shares."""
+
+    def __init__(self, errors: Errors) -> None:
+        self.errors, self.order = errors, errors.order
+        self._banded = errors.banded()
+        self._columns = self._banded.whiten(errors.unmixed(errors.shared))
+        self._shared = SharedProducts(self._columns, errors.starts)
+        log_scale = float(np.log(errors.scale).sum())
+        if errors.unmix is not None:
+            log_scale -= float(np.log(errors.unmix.diagonal()).sum())
+        #: log determinant of the covariance
+        self.log_det = 2.0 * log_scale + self._banded.log_det + self._shared.log_det
+
+    def whiten(self, values: Array) -> Array:
+        """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
+        return self._shared.whiten(self._alone(values))
+
+    def whiten_in_order(self, values: Array) -> Array:
+        """The same with W lower triangular: the inverse of Cholesky's root of C."""
+        shared = SharedFactor(self._columns, self.errors.starts)
+        return shared.whiten(self._alone(values))
+
+    def _alone(self, values: Array) -> Array:
+        """Values (N, m) whitened (k, m) as if segments shared no errors."""
+        return self._banded.whiten(self.errors.standardise(values))
+
+    def precision(self, values: Array) -> Array:
+        """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
+        scored = self.scored(self.standardise(values))
+        if self.errors.unmix is not None:
+            scored = np.asarray(self.errors.unmix.T @ scored)
+        return _in_place(self.order, scored / self.errors.scale[:, None])
+
+    def standardise(self, values: Array) -> Array:
+        """Y (N, m) in order (k, m), over what only mixes channels and scales readings."""
+        return self.errors.standardise(values)
+
+    def scored(self, standard: Array) -> Array:
+        """The precision of standardised values (k, m) times them."""
+        white = self._banded.whiten(standard)
+        return self._banded.whiten_back(white - self._shared.shared_part(white))
+
+    def scored_root(self) -> Array:
+        """A (k, K): a segment's precision is that without shared errors less A A^T."""
+        return self._banded.whiten_back(self._shared.root())
+
+    def precision_diagonal(self) -> Array:
+        """Diagonal (N,) of C^-1, of a factor of all readings."""
+        errors = self.errors
+        diagonal = self._banded.precision_diagonal()
+        if errors.unmix is not None:
+            # channels are independent where they are not mixed
+            diagonal = np.asarray(errors.unmix.power(2).T @ diagonal)
+        shared = self.scored_root()
+        if errors.unmix is not None:
+            shared = np.asarray(errors.unmix.T @ shared)
+        diagonal = diagonal - (shared**2).sum(axis=1)
+        return _in_place(errors.order, diagonal / errors.scale**2)
+
+
+class DenseFactor:
+    """The same for segments whose covariances are given."""
+
+    def __init__(self, segments: Sequence[Index], covariances: Sequence[Array]) -> None:
+        """Factor covariances (k_i, k_i) of the readings of each segment (k_i,)."""
+        self.order = np.concatenate(segments)
+        roots = [np.linalg.cholesky(covariance) for covariance in covariances]
+        self._inverses = [np.asarray(np.linalg.inv(root)) for root in roots]
+        self._ends = np.cumsum([0, *(len(members) for members in segments)])
+        diagonals = [np.log(np.diag(root)).sum() for root in roots]
+        #: log determinant of the covariance
+        self.log_det = 2.0 * float(np.sum(diagonals))
+
+    def whiten(self, values: Array) -> Array:
+        """W Y (k, m), for Y (N, m)."""
+        parts = self._parts(values[self.order])
+        return np.concatenate(
+            [w @ part for w, part in zip(self._inverses, parts, strict=True)]
+        )
+
+    def whiten_in_order(self, values: Array) -> Array:
+        """The same: W is lower triangular."""
+        return self.whiten(values)
+
+    def precision(self, values: Array) -> Array:
+        """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
+        return _in_place(self.order, self.scored(self.standardise(values)))
+
+    def standardise(self, values: Array) -> Array:
+        """Y (N, m) in order (k, m)."""
+        return np.asarray(values[self.order])
+
+    def scored(self, standard: Array) -> Array:
+        """The precision of values (k, m) in order times them."""
+        pairs = zip(self._inverses, self._parts(standard), strict=True)
+        return np.concatenate([w.T @ (w @ part) for w, part in pairs])
+
+    def precisions(self) -> Iterator[tuple[Index, Array]]:
+        """Places of each segment's readings in the order, and their precision."""
+        for (a, b), w in zip(
+            itertools.pairwise(self._ends), self._inverses, strict=True
+        ):
+            yield np.arange(a, b), w.T @ w
+
+    def precision_diagonal(self) -> Array:
+        """Diagonal (N,) of C^-1, of a factor of all readings."""
+        diagonal = np.concatenate([(w**2).sum(axis=0) for w in self._inverses])
+        return _in_place(self.order, diagonal)
+
+    def _parts(self, values: Array) -> list[Array]:
+        ends = self._ends
+        return [values[a:b] for a, b in itertools.pairwise(ends)]
+
+
+def _in_place(order: Index, ordered: Array) -> Array:
+    """Values (N, ...) of all readings, which stand in an order."""
+    values = np.empty_like(ordered)
+    values[order] = ordered
+    return values
