@@ -49,13 +49,11 @@ def test_statistic_and_its_p_value_are_those_of_generalised_least_squares(
     ]
     looks = [Region("x", "", basis) for basis in bases]
     root = Embedding(problem, law)
-    region_scan = Scan(root, looks)
-    energy = region_scan.energy(root.scores(r)[:, None])[:, 0]
+    region_scan = Scan(root, looks, root.scores(r)[:, None])
+    energy = region_scan.energy[:, 0]
     log_p = log_tail(energy, region_scan.rank)
     assert_allclose(
-        region_scan.log_least(
-            region_scan.energy(root.scores(r)[:, None]), np.ones(3, dtype=bool)
-        ),
+        region_scan.log_least(region_scan.energy, np.ones(3, dtype=bool)),
         log_p.min(),
     )
     for look, e, p in zip(looks, energy, log_p, strict=True):
@@ -77,7 +75,7 @@ def test_what_the_parameters_can_absorb_is_no_column(rng: np.random.Generator) -
     basis = np.column_stack(
         [problem.slopes[:, k], other, problem.slopes[:, k] + 1e-6 * other]
     )
-    assert Scan(root, [Region("x", "", basis)]).rank[0] == 1
+    assert Scan(root, [Region("x", "", basis)], basis).rank[0] == 1
 
 
 @pytest.mark.parametrize("rank", [1.0, 2.0, 5.0, 14.0])
@@ -150,12 +148,11 @@ def test_false_alarms_are_as_stated(machines: Machines) -> None:
     """
     rng, problem = np.random.default_rng(11), machines.problem
     root = Embedding(problem, machines.law)
-    family = Scan(root, list(all_regions(problem)))
-    drawn = family.energy(rng.standard_normal((len(problem), 500)))
+    drawn = rng.standard_normal((len(problem), 500))
+    quiet = root.scores(machines.root @ rng.standard_normal((len(problem), 400)))
+    family = Scan(root, all_regions(problem), np.hstack([drawn, quiet]))
+    drawn, quiet = np.split(family.energy, [500], axis=1)
     least = family.log_least(drawn, np.ones(len(drawn), dtype=bool))
-    quiet = family.energy(
-        root.scores(machines.root @ rng.standard_normal((len(problem), 400)))
-    )
     least_p = [
         scan._against_least(log_tail(e, family.rank), least).min() for e in quiet.T
     ]

@@ -63,16 +63,15 @@ def test_legs_of_a_known_effect_that_does_not_act_are_rarely_told(
     )
     root = Embedding(problem, machines.law)
     looks = list(all_regions(problem, columns, LEGS, known=True))
-    family, by_effect = Scan(root, looks), np.array([look.known for look in looks])
+    by_effect = np.array([look.known for look in looks])
     assert {look.place for look in looks if look.known and look.kind == "leg"} == set(
         LEGS
     )
-    least = family.log_least(
-        family.energy(rng.standard_normal((len(problem), 500))), by_effect
-    )
-    quiet = family.energy(
-        root.scores(machines.root @ rng.standard_normal((len(problem), 400)))
-    )
+    drawn = rng.standard_normal((len(problem), 500))
+    quiet = root.scores(machines.root @ rng.standard_normal((len(problem), 400)))
+    family = Scan(root, looks, np.hstack([drawn, quiet]))
+    drawn, quiet = np.split(family.energy, [500], axis=1)
+    least = family.log_least(drawn, by_effect)
     least_p = [
         scan._against_least(log_tail(e[by_effect], family.rank[by_effect]), least).min()
         for e in quiet.T

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 
 import numpy as np
 
 from oed.arrays import Array, Index
 from oed.gap.data import evidence
-from oed.gap.data.evidence import Grams, WhitenedColumns
+from oed.gap.data.evidence import Grams
+from oed.gap.data.products import ColumnProducts
 from oed.gap.forms.library import Library
 
 #: how large an unknown may be, against a micrometre
@@ -36,26 +36,42 @@ class Remainder:
 class Remainders:
     """The processes that an unknown remainder may be, under one noise law."""
 
-    def __init__(
-        self, whitened: WhitenedColumns, processes: Library, offset: int
-    ) -> None:
-        """Lay out the processes, whose columns begin at `offset`."""
-        self._whitened = whitened
-        self._columns = [atom.columns + offset for atom in processes.atoms]
-        self._groups = []
-        if self._columns:
-            self._groups = evidence.group_by_count(self._columns)
+    def __init__(self, products: ColumnProducts, processes: Library) -> None:
+        """Lay out the processes, in the groups of `groups_of`."""
+        self._products = products
+        self._columns = [atom.columns for atom in processes.atoms]
+        self._groups = groups_of(processes)
         log_weights = np.array([atom.log_weight for atom in processes.atoms])
         log_share = np.log(max(len(processes.effects), 1))
-        log_sizes = log_size_prior(whitened.diagonal, self._columns, UNKNOWN_SIZES)
+        log_sizes = log_size_prior(
+            products.process_diagonal, self._columns, UNKNOWN_SIZES
+        )
         self._log_prior = log_weights[:, None] - log_share + log_sizes
 
     def __len__(self) -> int:
         return len(self._columns)
 
-    def columns_of(self, process: int) -> Index:
-        """Columns of a process."""
-        return self._columns[process]
+    def grams_with(self, alone: Grams, selected: Index, process: int) -> Grams:
+        """Grams of the selected columns (k,), followed by those of a process.
+
+        alone  grams of the selected columns
+        """
+        columns = self._columns[process]
+        group, row = self._place_of(process)
+        cross = self._products.with_processes(selected)[:, columns]
+        gram = np.block(
+            [[alone.gram, cross], [cross.T, self._products.blocks[group][row]]]
+        )
+        b = np.concatenate([alone.b, self._products.process_b[columns]])
+        return dataclasses.replace(alone, gram=gram, b=b)
+
+    def _place_of(self, process: int) -> tuple[int, int]:
+        """Group of a process, and its row in it."""
+        for group, (numbers, _) in enumerate(self._groups):
+            row = np.flatnonzero(numbers == process)
+            if row.size:
+                return group, int(row[0])
+        raise IndexError(process)
 
     def log_evidences(self, alone: Grams, selected: Index) -> Array:
         """Log evidence (processes, sizes) of each process, over no remainder.
@@ -85,22 +101,24 @@ class Remainders:
         Those with as many columns together: their numbers (a,), Gram matrices (a, d, d)
         and projections (a, d).
         """
-        whitened = self._whitened
-        root = evidence.visible_root(whitened.cross(selected, selected))
-        projected = root.T @ whitened.b[selected]
+        products = self._products
+        some = products.grams(selected)
+        root = evidence.visible_root(some.gram)
+        projected = root.T @ some.b
+        cross = root.T @ products.with_processes(selected)
         groups = []
-        for (numbers, rows), alone in zip(self._groups, self._blocks, strict=True):
-            cross = whitened.cross(selected, rows.ravel())
-            over = (root.T @ cross).reshape(-1, *rows.shape)
+        for (numbers, rows), alone in zip(self._groups, products.blocks, strict=True):
+            over = cross[:, rows]
             grams = alone - np.einsum("kad,kae->ade", over, over, optimize=True)
-            projections = whitened.b[rows] - np.einsum("kad,k->ad", over, projected)
-            groups.append((numbers, grams, projections))
+            b = products.process_b[rows] - np.einsum("kad,k->ad", over, projected)
+            groups.append((numbers, grams, b))
         return groups
 
-    @functools.cached_property
-    def _blocks(self) -> list[Array]:
-        """Gram matrices (a, d, d) of each group of processes."""
-        return [self._whitened.blocks(rows) for _, rows in self._groups]
+
+def groups_of(processes: Library) -> list[tuple[Index, Index]]:
+    """Processes of as many columns together: their numbers (a,) and columns (a, d)."""
+    columns = [atom.columns for atom in processes.atoms]
+    return evidence.group_by_count(columns) if columns else []
 
 
 def log_size_prior(

@@ -10,6 +10,7 @@ the sum over all combinations is taken about the best one: with a* the best form
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -17,11 +18,12 @@ from scipy import special
 
 from oed.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis, log_prior
-from oed.gap.cause.remainder import Remainders, log_size_prior
+from oed.gap.cause.remainder import Remainders, groups_of, log_size_prior
 from oed.gap.data import evidence
 from oed.gap.data.evidence import SIZES, Grams
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
+from oed.gap.data.products import ColumnProducts
 from oed.gap.forms.library import Library
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import Outliers
@@ -71,26 +73,49 @@ class Search:
         self.outliers = outliers
         log_outliers = 0.0 if outliers is None else outliers.log_odds
         self._log_law = log_prior + log_outliers
-        columns = np.hstack([library.columns, processes.columns])
-        metric = Metric(problem, law)
-        self._columns = evidence.WhitenedColumns(problem, metric, columns)
-        count = library.columns.shape[1]
-        #: of all columns of the effects
-        self.grams: Grams = self._columns.grams(np.arange(count))
         self._atoms = [atom.columns for atom in library.atoms]
         self._effect = np.array([atom.effect for atom in library.atoms])
-        log_weights = np.array([atom.log_weight for atom in library.atoms])
-        log_sizes = log_size_prior(self._columns.diagonal, self._atoms, SIZES)
-        #: (atoms, sizes) log prior of each form at each size
-        self._log_prior = log_weights[:, None] + log_sizes
         self._atoms_of = {
             effect: np.array(library.atoms_of(effect), dtype=np.intp)
             for effect in library.effects
         }
-        self._remainders = Remainders(self._columns, processes, count)
+        self._candidates = candidates
+        self._products = self._multiply(self._needed(candidates))
+        log_weights = np.array([atom.log_weight for atom in library.atoms])
+        log_sizes = log_size_prior(self._products.diagonal, self._atoms, SIZES)
+        #: (atoms, sizes) log prior of each form at each size
+        self._log_prior = log_weights[:, None] + log_sizes
+        self._remainders = Remainders(self._products, processes)
         self._tables: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._hypotheses: list[Hypothesis] = []
-        self._candidates = candidates
+
+    def _needed(self, candidates: Sequence[Hypothesis]) -> Index:
+        """Columns of the candidates' effects, of all effects without candidates."""
+        names = {name for h in candidates for name in h.effects}
+        if not candidates:
+            names = set(self.library.effects)
+        columns = [atom.columns for atom in self.library.atoms if atom.effect in names]
+        return np.unique(np.concatenate([_NONE, *columns]))
+
+    def _multiply(self, needed: Index) -> ColumnProducts:
+        groups = [columns for _, columns in groups_of(self.processes)]
+        return ColumnProducts(
+            self.problem,
+            Metric(self.problem, self.law),
+            self.library.columns,
+            self.processes.columns,
+            groups,
+            needed,
+        )
+
+    @functools.cached_property
+    def grams(self) -> Grams:
+        """Grams of all columns of the effects."""
+        every = np.arange(self.library.columns.shape[1])
+        if len(self._needed(self._candidates)) == len(every):
+            return self._products.grams(every)
+        metric = Metric(self.problem, self.law)
+        return evidence.grams(self.problem, metric, self.library.columns)
 
     def columns_of(self, atom: int) -> Index:
         """Columns of a form."""
@@ -105,10 +130,12 @@ class Search:
     def noise_level(self, h: Hypothesis) -> float:
         """Noise level of what a hypothesis does not explain."""
         columns, sizes = [self._atoms[k] for k in h.atoms], list(h.sizes)
+        selected = self._columns_of_set(h)
+        grams = self._products.grams(selected)
         if h.process is not None:
-            columns.append(self._remainders.columns_of(h.process))
+            grams = self._remainders.grams_with(grams, selected, h.process)
+            columns.append(np.arange(len(selected), len(grams.b)))
             sizes.append(h.process_size)
-        grams = self._columns.grams(np.concatenate([_NONE, *columns]))
         return evidence.noise_level(_select_in_order(grams, columns, sizes)[0])
 
     def law_at(self, level: float) -> NoiseLaw:
@@ -242,7 +269,7 @@ class Search:
             selected = [self._atoms[k] for k in others]
             forms = [self._atoms[k] for k in self._atoms_of[effect]]
             columns = np.unique(np.concatenate(forms))
-            grams = self.grams.subset(np.concatenate([*selected, columns]))
+            grams = self._products.grams(np.concatenate([*selected, columns]))
             grams, start = _select_in_order(grams, selected, sizes)
             places = [start + np.searchsorted(columns, form) for form in forms]
             self._tables[key] = grams.log_evidences(places)
@@ -275,7 +302,7 @@ class Search:
     def _grams_alone(self, h: Hypothesis) -> Grams:
         """Grams of the columns of a set of effects alone, these in the model."""
         columns = [self._atoms[k] for k in h.atoms]
-        grams = self.grams.subset(self._columns_of_set(h))
+        grams = self._products.grams(self._columns_of_set(h))
         return _select_in_order(grams, columns, h.sizes)[0]
 
     # -- the search --------------------------------------------------------------------

@@ -14,6 +14,7 @@ each step of a search is of this form again.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -157,13 +158,13 @@ class WhitenedColumns:
 
     def __init__(self, problem: GapProblem, metric: Metric, columns: Array) -> None:
         self._columns = metric.parts(columns)
-        self._residual = metric.parts(problem.residual[:, None])
+        residual = metric.parts(problem.residual[:, None])
         self.size = metric.size
-        white, absorbed = self._residual
+        white, absorbed = residual
         self.energy = float((white**2).sum() - (absorbed**2).sum())
         self.base = _log_student(metric.log_det, self.energy, metric.size)
         #: (K,) projections of the residual
-        self.b = self._products(self._residual)[:, 0]
+        self.b = _product(self._columns, residual)[:, 0]
 
     @functools.cached_property
     def diagonal(self) -> Array:
@@ -172,35 +173,42 @@ class WhitenedColumns:
         energy = np.einsum("nk,nk->k", white, white)
         return np.asarray(energy - np.einsum("nk,nk->k", absorbed, absorbed))
 
+    def of(self, columns: slice | Index) -> WhitenedColumns:
+        """Some of the columns alone."""
+        some = copy.copy(self)
+        some._columns = self._parts(columns)
+        some.b = self.b[columns]
+        some.__dict__.pop("diagonal", None)
+        return some
+
     def grams(self, columns: slice | Index = slice(None)) -> Grams:
         """Grams of some columns; `base` is the log evidence of no gap."""
+        parts = self._parts(columns)
         return Grams(
-            gram=self.cross(columns, columns),
+            gram=_product(parts, parts),
             b=self.b[columns],
             energy=self.energy,
             size=self.size,
             base=self.base,
         )
 
-    def cross(self, rows: slice | Index, columns: slice | Index) -> Array:
-        """Inner products (k, l) of some columns with others."""
-        parts = (part[:, columns] for part in self._columns)
-        return self._products(tuple(parts), rows)
+    def with_others(self, others: WhitenedColumns) -> Array:
+        """Inner products (K, L) with other columns."""
+        return _product(self._columns, others._columns)
 
     def blocks(self, choices: Index) -> Array:
         """Gram matrices (a, d, d) of choices (a, d) of columns."""
-        white, absorbed = (
-            part[:, choices].transpose(1, 2, 0) for part in self._columns
-        )
-        gram = white @ white.transpose(0, 2, 1)
-        return np.asarray(gram - absorbed @ absorbed.transpose(0, 2, 1))
+        every = [self._parts(choice) for choice in choices]
+        return np.array([_product(parts, parts) for parts in every])
 
-    def _products(
-        self, values: tuple[Array, ...], rows: slice | Index = slice(None)
-    ) -> Array:
-        """Inner products (k, l) of some columns with values (N, l), in their parts."""
-        white, absorbed = (part[:, rows] for part in self._columns)
-        return np.asarray(white.T @ values[0] - absorbed.T @ values[1])
+    def _parts(self, columns: slice | Index) -> tuple[Array, Array]:
+        white, absorbed = self._columns
+        return white[:, columns], absorbed[:, columns]
+
+
+def _product(a: tuple[Array, Array], b: tuple[Array, Array]) -> Array:
+    """Inner products (k, l) of values (N, k) and (N, l), in their parts."""
+    return np.asarray(a[0].T @ b[0] - a[1].T @ b[1])
 
 
 def grams(problem: GapProblem, metric: Metric, columns: Array) -> Grams:

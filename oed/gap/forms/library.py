@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -146,8 +146,9 @@ def _forms(
     """
     grid = effect.constant_grid()
     if len(grid) <= LARGE:
-        forms = _signatures(problem, effect, grid)
-        return _best(problem, metric, _equally_likely(forms))
+        equal = ((form, 0.0) for form in _signatures(problem, effect, grid))
+        forms, distinct = _best(problem, metric, equal)
+        return [(form, math.log(1.0 / distinct)) for form, _ in forms]
     name = next(iter(effect.constants))
     others = {n: v for n, v in effect.constants.items() if n != name}
     simple = {n: values[0] for n, values in others.items()}
@@ -157,17 +158,17 @@ def _forms(
 
     first = [point for point in grid if is_simple(point)]
     if metric is None:
-        return _equally_likely(_signatures(problem, effect, first))
+        return _equally_likely(list(_signatures(problem, effect, first)))
     further = [point for point in grid if not is_simple(point)]
     log_first = math.log(0.5 / len(first))
     log_further = math.log(0.5 / max(len(further), 1))
-    weighted = []
-    for form in _signatures(problem, effect, [*first, *further], textbook=True):
-        log_weight = log_first if is_simple(form.constants) else log_further
-        weighted.append((form, log_weight))
+    weighted = (
+        (form, log_first if is_simple(form.constants) else log_further)
+        for form in _signatures(problem, effect, [*first, *further], textbook=True)
+    )
     return [
         (problem.signature(effect, form.constants), log_weight)
-        for form, log_weight in _best(problem, metric, weighted)
+        for form, log_weight in _best(problem, metric, weighted)[0]
     ]
 
 
@@ -177,16 +178,17 @@ def _signatures(
     points: Sequence[Mapping[str, float]],
     *,
     textbook: bool = False,
-) -> list[Signature]:
+) -> Iterator[Signature]:
     """The distinct signatures at some constants that change a reading."""
-    distinct: dict[bytes, Signature] = {}
+    distinct: set[bytes] = set()
     for point in points:
         form = problem.signature(effect, point, textbook=textbook)
         columns = problem.in_noise_units(form.columns)
         if form.names and np.linalg.norm(columns) > UNSEEN:
             content = hashlib.sha1(form.columns.tobytes(), usedforsecurity=False)
-            distinct.setdefault(content.digest(), form)
-    return list(distinct.values())
+            if content.digest() not in distinct:
+                distinct.add(content.digest())
+                yield form
 
 
 def _equally_likely(forms: Sequence[Signature]) -> list[Weighted]:
@@ -197,12 +199,43 @@ def _equally_likely(forms: Sequence[Signature]) -> list[Weighted]:
 def _best(
     problem: GapProblem,
     metric: Metric | None,
-    forms: Sequence[Weighted],
+    forms: Iterable[Weighted],
     count: int = BEST,
-) -> list[Weighted]:
-    """The forms that explain most of the residual, where there are many and a metric."""
-    if metric is None or len(forms) <= MANY:
-        return list(forms)
+) -> tuple[list[Weighted], int]:
+    """The forms that explain most of the residual, where there are many and a metric.
+
+    The second result is the number of all forms. Forms take much memory: those that are
+    not among the best so far are not kept.
+    """
+    best: list[tuple[float, int, Weighted]] = []
+    waiting: list[tuple[int, Weighted]] = []
+
+    def keep_best() -> None:
+        scores = _scores(problem, metric, [weighted for _, weighted in waiting])
+        best.extend(
+            (score, number, weighted)
+            for score, (number, weighted) in zip(scores, waiting, strict=True)
+        )
+        best.sort(key=lambda entry: (-entry[0], -entry[1]))
+        del best[count:]
+        waiting.clear()
+
+    number = 0
+    for number, weighted in enumerate(forms, start=1):
+        waiting.append((number, weighted))
+        if metric is not None and len(waiting) > MANY:
+            keep_best()
+    if best and waiting:
+        keep_best()
+    kept = [(entry[1], entry[2]) for entry in best] or waiting
+    return [weighted for _, weighted in sorted(kept, key=lambda k: k[0])], number
+
+
+def _scores(
+    problem: GapProblem, metric: Metric | None, forms: Sequence[Weighted]
+) -> list[float]:
+    """Log evidence of each form at its best atom and size, with its log weight."""
+    assert metric is not None
     ends = np.cumsum([0, *(len(form.names) for form, _ in forms)])
     columns = np.hstack([form.columns for form, _ in forms])
     whitened = evidence.WhitenedColumns(
@@ -212,10 +245,8 @@ def _best(
     for (form, log_weight), start, end in zip(forms, ends, ends[1:], strict=False):
         choices = [atom.columns for atom in _atoms(form, 0, 0.0)]
         grams = whitened.grams(slice(start, end))
-        score = float(grams.log_evidences(choices).max())
-        scores.append(score + log_weight)
-    order = np.argsort(scores)[::-1][:count]
-    return [forms[k] for k in sorted(order)]
+        scores.append(float(grams.log_evidences(choices).max()) + log_weight)
+    return scores
 
 
 def _with_alike(

@@ -8,7 +8,7 @@ regions are a family of their own.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.data.tail import log_tail
 from oed.gap.place import session, warm_up
 from oed.gap.place.family import all_regions
-from oed.gap.place.regions import Region
 from oed.gap.place.report import BLOCKS, LIKELY, Candidate, select_blocks
 from oed.gap.place.scan import Scan, corrected_p_values
 from oed.gap.place.selected import SELECTED
@@ -27,6 +26,8 @@ from oed.noise.law import NoiseLaw
 
 #: share of what heat explains below which a stretch of it is not reported
 PART = 0.03
+#: ends of a window that are tried at once, when it is moved to where it explains most
+ENDS = 256
 
 
 def locate(
@@ -59,23 +60,28 @@ def locate(
     The law is taken as known, its level too. Raises ValueError for columns that do not
     fit.
     """
-    regions = list(all_regions(problem, columns, labels, known))
     embedding = Embedding(problem, law)
-    scan = Scan(embedding, regions)
     scores = embedding.scores(problem.residual)
-    energy = scan.energy_of(scores)
-    log_p = log_tail(energy, scan.rank)
     drawn = rng.standard_normal((len(problem), draws))
-    by_effects = np.array([region.known for region in regions])
-    corrected = corrected_p_values(log_p, scan, drawn, by_effects)
+    regions = all_regions(problem, columns, labels, known)
+    scan = Scan(embedding, regions, np.column_stack([scores, drawn]))
+    energy = scan.energy[:, 0]
+    log_p = log_tail(energy, scan.rank)
+    by_effects = np.array([region.known for region in scan.regions])
+    corrected = corrected_p_values(log_p, scan, scan.energy[:, 1:], by_effects)
     beyond = np.maximum(energy - scan.rank, 0.0)
     excess = float(scores @ scores) - len(problem)
     total = max(excess, float(beyond.max()), 1e-300)
-    candidates = []
-    for k, region in enumerate(regions):
-        strength = float(beyond[k] / total)
-        p = float(corrected[k])
-        candidates.append(Candidate(region, float(log_p[k]), p, strength))
+    candidates = [
+        Candidate(
+            region=region,
+            log_p=float(log_p[k]),
+            p=float(corrected[k]),
+            strength=float(beyond[k] / total),
+            energy=float(energy[k]),
+        )
+        for k, region in enumerate(scan.regions)
+    ]
     blocks = [
         _sharpen(problem, embedding, scores, candidate)
         for candidate in select_blocks(candidates)
@@ -101,14 +107,14 @@ def _sharpen(
     if candidate.p >= LIKELY:
         return candidate
 
-    def windows(first: float, last: float) -> list[Region]:
-        every = session.window(problem, first, last, region.cells)
-        return [window for window in every if window.form == region.form]
-
-    def best(ends: Sequence[tuple[float, float]]) -> tuple[float, float]:
-        tried = [window for first, last in ends for window in windows(first, last)]
-        energy = Scan(embedding, tried).energy_of(scores)
-        return ends[int(np.argmax(energy))]
+    def energies(ends: Sequence[tuple[float, float]]) -> Array:
+        windows = (
+            dataclasses.replace(
+                region, basis=session.window_basis(problem, *pair, region.form)
+            )
+            for pair in ends
+        )
+        return Scan(embedding, windows, scores[:, None]).energy[:, 0]
 
     times, starts = session.clock(problem), session.cell_starts(problem)
     times = np.unique(times[np.isfinite(times)])
@@ -117,12 +123,35 @@ def _sharpen(
     last = float(times[times < bounds[b]].max())
     near = times[(times > bounds[a - 1]) & (times < bounds[a + 1])]
     begins = near[near <= last]
-    first, last = best([(float(t), last) for t in begins])
+    (first, last), energy = _best_ends([(float(t), last) for t in begins], energies)
     if b < len(starts):
         earliest = max(first, bounds[b - 1])
         stops = times[(times >= earliest) & (times < bounds[b + 1])]
-        first, last = best([(first, float(t)) for t in stops])
-    return dataclasses.replace(candidate, region=windows(first, last)[0])
+        ends = [(first, float(t)) for t in stops]
+        (first, last), energy = _best_ends(ends, energies)
+    place = session.time_span(session.clock(problem), first, last)
+    region = dataclasses.replace(region, place=place)
+    return dataclasses.replace(candidate, region=region, energy=energy)
+
+
+def _best_ends(
+    ends: Sequence[tuple[float, float]],
+    energies: Callable[[Sequence[tuple[float, float]]], Array],
+) -> tuple[tuple[float, float], float]:
+    """The ends of a window, in order, that explain most, and what they explain.
+
+    Of many, every so-manieth is tried, then those next to the best.
+    """
+    step = -(-len(ends) // ENDS)
+    coarse = ends[::step]
+    energy = energies(coarse)
+    best = int(np.argmax(energy))
+    if step > 1:
+        middle = best * step
+        coarse = ends[max(middle - step + 1, 0) : middle + step]
+        energy = energies(coarse)
+        best = int(np.argmax(energy))
+    return coarse[best], float(energy[best])
 
 
 def _with_warming(
@@ -140,8 +169,7 @@ def _with_warming(
         return list(candidates)
     first = times[0]
     clock = session.clock(problem)
-    by_window = float(Scan(embedding, [first.region]).energy_of(scores)[0])
-    intervals = warm_up.intervals(problem, embedding.scores, by_window)
+    intervals = warm_up.intervals(problem, embedding.scores, first.energy)
     if not intervals:
         return list(candidates)
     total = sum(interval.energy for interval in intervals)

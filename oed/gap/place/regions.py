@@ -34,6 +34,10 @@ class Region:
     form: str = ""
     known: bool = False
 
+    def without_basis(self) -> Region:
+        """The same place, whose basis is not kept."""
+        return dataclasses.replace(self, basis=self.basis[:0])
+
 
 def joint_change(problem: GapProblem, limb: int, change: Sequence[Array]) -> Array:
     """Readings (N, k), in units of the noise, per unit of k changes of a joint.

@@ -23,12 +23,14 @@ class Candidate:
     log_p       logarithm of its single p-value
     p           p-value corrected for the family
     strength    its share of the gap's energy
+    energy      that it explains
     """
 
     region: Region
     log_p: float
     p: float
     strength: float
+    energy: float
 
     @property
     def block(self) -> Block:

@@ -14,11 +14,11 @@ bootstrap's resolution Bonferroni's bound holds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index, Mask
+from oed.arrays import Array, Mask
 from oed.gap.data.metric import Embedding
 from oed.gap.data.tail import log_tail
 from oed.gap.place.regions import Region
@@ -26,43 +26,57 @@ from oed.gap.place.regions import Region
 #: share of a direction's energy that must survive the calibration, and be no other
 #: column's, for it to count as a column
 SURVIVES = 1e-4
+#: columns of regions that are computed together
+TOGETHER = 128
 
 
 class Scan:
-    """Bases of regions made orthonormal in the metric.
+    """Energies that regions explain, computed for a few regions at a time.
 
-    Regions with as many columns are computed together.
+    Regions with as many columns are computed together, and their bases, which take far
+    more memory than all else, are not kept.
     """
 
-    def __init__(self, embedding: Embedding, regions: Sequence[Region]) -> None:
-        #: numbers of the regions (g,) and their directions (g, k, N)
-        self._parts: list[tuple[Index, Array]] = []
+    def __init__(
+        self, embedding: Embedding, regions: Iterable[Region], scores: Array
+    ) -> None:
+        """Scan the regions for scores (N, m), of one set of readings a column."""
+        self._embedding, self._scores = embedding, scores
+        #: the regions, without their bases
+        self.regions: list[Region] = []
+        ranks: list[float] = []
+        energies: list[Array] = []
+        waiting: dict[int, list[tuple[int, Array]]] = {}
+        for number, region in enumerate(regions):
+            self.regions.append(region.without_basis())
+            ranks.append(0.0)
+            energies.append(np.zeros(scores.shape[1]))
+            width = region.basis.shape[1]
+            alike = waiting.setdefault(width, [])
+            alike.append((number, region.basis))
+            if len(alike) * width >= TOGETHER:
+                self._compute(waiting.pop(width), energies, ranks)
+        for alike in waiting.values():
+            self._compute(alike, energies, ranks)
+        #: (regions, m)
+        self.energy = np.array(energies).reshape(-1, scores.shape[1])
         #: (regions,) degrees of freedom
-        self.rank = np.zeros(len(regions))
-        widths = np.array([region.basis.shape[1] for region in regions])
-        for width in np.unique(widths):
-            numbers = np.asarray(np.flatnonzero(widths == width), dtype=np.intp)
-            bases = np.hstack([regions[int(k)].basis for k in numbers])
-            stack = _embedded(embedding, bases)
-            stack = stack.T.reshape(len(numbers), width, -1)
-            directions, rank = _orthonormal(stack)
-            self._parts.append((numbers, directions))
-            self.rank[numbers] = rank
+        self.rank = np.array(ranks)
 
-    def energy(self, scores: Array) -> Array:
-        """Energy (regions, m) of scores (N, m) that each region explains."""
-        count = scores.shape[1]
-        energy = np.empty((len(self.rank), count))
-        for numbers, directions in self._parts:
-            flat = directions.reshape(-1, directions.shape[-1])
-            squared = np.square(flat @ scores)
-            by_region = squared.reshape(len(numbers), -1, count)
-            energy[numbers] = by_region.sum(axis=1)
-        return energy
-
-    def energy_of(self, scores: Array) -> Array:
-        """Energy (regions,) of one vector of scores (N,)."""
-        return np.asarray(self.energy(scores[:, None])[:, 0])
+    def _compute(
+        self,
+        alike: Sequence[tuple[int, Array]],
+        energies: list[Array],
+        ranks: list[float],
+    ) -> None:
+        """Energies and ranks of regions, by their numbers and bases (N, k)."""
+        stack = _embedded(self._embedding, np.hstack([basis for _, basis in alike]))
+        stack = stack.T.reshape(len(alike), -1, len(stack))
+        directions, rank = _orthonormal(stack)
+        squared = np.square(directions.reshape(-1, stack.shape[2]) @ self._scores)
+        by_region = squared.reshape(len(alike), -1, squared.shape[1]).sum(axis=1)
+        for (number, _), energy, degrees in zip(alike, by_region, rank, strict=True):
+            energies[number], ranks[number] = energy, float(degrees)
 
     def log_least(self, energy: Array, family: Mask) -> Array:
         """Log (m,) of the least p-value of a family (regions,) at energies (regions, m)."""
@@ -99,17 +113,17 @@ def _orthonormal(stack: Array) -> tuple[Array, Array]:
 def corrected_p_values(
     log_p: Array,
     scan: Scan,
-    draws: Array,
+    energy: Array,
     known: Mask,
 ) -> Array:
     """p-values (regions,) corrected for all regions of a family.
 
     log_p    (regions,) logarithms of their single p-values
-    draws    (N, draws) scores of the bootstrap
+    energy   (regions, draws) of the scores of the bootstrap
     known    (regions,) which ask where a known effect acts: they are one family, the
              others are another
     """
-    energy, corrected = scan.energy(draws), np.empty(len(log_p))
+    corrected = np.empty(len(log_p))
     for family in (known, ~known):
         if family.any():
             least = scan.log_least(energy, family)

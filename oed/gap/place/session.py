@@ -56,18 +56,28 @@ def window(
     cells: frozenset[int],
 ) -> Iterator[Region]:
     """Regions of the readings taken from `first` to `last`, s."""
-    times = clock(problem)
-    place = time_span(times, first, last)
-    inside = ((times >= first) & (times <= last))[:, None]
-    offsets = inside * channel_offsets(problem)
-    yield Region("time", place, offsets, cells, "reading")
+    limbs = [f"leg {limb + 1}" for limb in problem.states[0].limbs]
+    place = time_span(clock(problem), first, last)
+    for form in ("reading", "legs", *limbs, "tool"):
+        basis = window_basis(problem, first, last, form)
+        yield Region("time", place, basis, cells, form)
+
+
+def window_basis(problem: GapProblem, first: float, last: float, form: str) -> Array:
+    """Basis (N, k) of one form of the readings taken from `first` to `last`, s."""
+    if form == "reading":
+        times = clock(problem)
+        inside = (times >= first) & (times <= last)
+        return np.asarray(inside[:, None] * channel_offsets(problem))
     shifts = [_within(s.time, first, last) for s in problem.states]
-    limbs = problem.states[0].limbs
-    legs = [joint_change(problem, limb, shifts) for limb in limbs]
-    yield Region("time", place, np.hstack(legs), cells, "legs")
-    for limb, leg in enumerate(legs, start=1):
-        yield Region("time", place, leg, cells, f"leg {limb}")
-    yield Region("time", place, tool_growth(problem, shifts), cells, "tool")
+    if form == "tool":
+        return tool_growth(problem, shifts)
+    changes = [
+        joint_change(problem, limb, shifts)
+        for limb in problem.states[0].limbs
+        if form in ("legs", f"leg {limb + 1}")
+    ]
+    return np.hstack(changes)
 
 
 def _within(times: Array, first: float, last: float) -> Array:
