@@ -14,9 +14,7 @@ from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, library, waves
-from oed.gap.forms.carriers import Carrier
 from oed.gap.forms.library import Library
-from oed.gap.forms.waves import Band
 from oed.noise.law import stated_law
 
 
@@ -55,9 +53,18 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     ("travel_m", 0.005, "leg 2 in a wave every 5 mm of travel"),
 ])  # fmt: skip
 def test_a_wave_in_words(unit: str, period: float, words: str) -> None:
-    leg = Carrier("leg 2", np.zeros((1, 1, 1)), ("leg 2",))
-    band = Band(waves.IN_TIME, unit, np.zeros((1, 1)), leg, np.ones(1))
-    assert waves._in_words(band, period) == words
+    assert waves._in_words("leg 2", unit, period) == words
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 517])
+def test_even_waves_are_those_of_each_frequency(
+    count: int, rng: np.random.Generator
+) -> None:
+    clock, frequencies = rng.uniform(0.0, 3e4, (30, 2)), np.linspace(1e-4, 0.05, count)
+    angle = 2.0 * np.pi * clock[:, :, None] * frequencies
+    wanted = np.concatenate([np.cos(angle), np.sin(angle)], axis=2)
+    turns = waves._turns(clock, frequencies)
+    np.testing.assert_allclose(turns, wanted, rtol=0.0, atol=1e-10)
 
 
 @pytest.mark.slow

@@ -30,8 +30,9 @@ IN_TIME, ALONG_TRAVEL = "a wave in time", "a wave along the travel"
 PEAKS = 4
 #: frequencies a resolution cell, and the most of them in a band
 OVER, MOST = 1.5, 6000
-#: frequencies that are computed at once
-CHUNK = 512
+#: frequencies that are computed at once, and those of many readings: as many as make
+#: this number of values
+CHUNK, VALUES = 512, 1_000_000
 #: shortest period, in steps between readings, where these are irregular: they
 #: distinguish waves from their aliases
 BETWEEN = 0.25
@@ -47,19 +48,19 @@ FINE = np.linspace(-0.8, 0.8, 9)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Band:
-    """Waves of some frequencies over a clock, on one carrier.
+    """Waves of some frequencies over a clock.
 
     kind           in time, or along a travel
     unit           of the clock: s, readings or m
     clock          (N, J) at each of the poses that a reading sees
-    carrier        what the waves act on
-    frequencies    (k,) per unit of the clock
+    carriers       what one of them may act on
+    frequencies    (k,) per unit of the clock, evenly spaced
     """
 
     kind: str
     unit: str
     clock: Array
-    carrier: Carrier
+    carriers: tuple[Carrier, ...]
     frequencies: Array
 
 
@@ -68,6 +69,7 @@ class Wave:
     """A wave that explains much of the residual, and the log tail probability of it."""
 
     band: Band
+    carrier: Carrier
     frequency: float
     log_tail: float
 
@@ -83,7 +85,7 @@ def add(discrepancy: Library, problem: GapProblem, law: NoiseLaw) -> Library:
         by_kind.setdefault(band.kind, []).append(band)
     for kind, bands in by_kind.items():
         waves = [wave for band in bands for wave in peaks(problem, metric, band)]
-        tried = sum(len(band.frequencies) for band in bands)
+        tried = sum(len(band.frequencies) * len(band.carriers) for band in bands)
         strongest = sorted(waves, key=lambda w: w.log_tail)[:PEAKS]
         discrepancy = _joined(discrepancy, kind, strongest, -math.log(tried))
     return discrepancy
@@ -96,14 +98,15 @@ def _joined(
     columns, atoms = [library.columns], list(library.atoms)
     labels = list(library.labels)
     for wave in waves:
-        block = _columns(wave.band, np.array([wave.frequency]))[:, :, 0]
+        turns = _turns(wave.band.clock, np.array([wave.frequency]))
+        block = _columns(wave.carrier, turns)[:, :, 0]
         place = len(labels) + np.arange(block.shape[1])
         period = 1.0 / wave.frequency
         constants = {f"period_{wave.band.unit}": period}
-        about = _in_words(wave.band, period)
+        about = _in_words(wave.carrier.name, wave.band.unit, period)
         atoms.append(Atom(kind, constants, place, log_weight, about))
         columns.append(block)
-        labels += [label for label in wave.band.carrier.labels for _ in range(2)]
+        labels += [label for label in wave.carrier.labels for _ in range(2)]
     added = len(labels) - len(library.labels)
     return dataclasses.replace(
         library,
@@ -116,18 +119,20 @@ def _joined(
 
 
 def peaks(problem: GapProblem, metric: Metric, band: Band) -> list[Wave]:
-    """The strongest waves of a band, refined in frequency."""
-    height = -_log_tails(problem, metric, band)
-    padded = np.concatenate([[-1.0], height, [-1.0]])
-    maxima, _ = signal.find_peaks(padded, distance=int(2 * OVER))
-    order = np.argsort(-height[maxima - 1])[:PEAKS]
-    step = float(np.ptp(band.frequencies[:2])) if len(band.frequencies) > 1 else 0.0
+    """The strongest waves of a band on each of its carriers, refined in frequency."""
+    step = float(np.ptp(band.frequencies[:2]))
     waves = []
-    for k in maxima[order] - 1:
-        near = dataclasses.replace(band, frequencies=band.frequencies[k] + step * FINE)
-        tails = _log_tails(problem, metric, near)
-        frequency = float(near.frequencies[np.argmin(tails)])
-        waves.append(Wave(band, frequency, float(tails.min())))
+    heights = -_log_tails(problem, metric, band)
+    for carrier, height in zip(band.carriers, heights, strict=True):
+        padded = np.concatenate([[-1.0], height, [-1.0]])
+        maxima, _ = signal.find_peaks(padded, distance=int(2 * OVER))
+        order = np.argsort(-height[maxima - 1])[:PEAKS]
+        for k in maxima[order] - 1:
+            fine = band.frequencies[k] + step * FINE
+            near = dataclasses.replace(band, carriers=(carrier,), frequencies=fine)
+            tails = _log_tails(problem, metric, near)[0]
+            frequency = float(fine[np.argmin(tails)])
+            waves.append(Wave(band, carrier, frequency, float(tails.min())))
     return waves
 
 
@@ -149,9 +154,9 @@ def _in_time(problem: GapProblem) -> Iterator[Band]:
     if not frequencies.size:
         return
     _, *others = carriers.every(problem)
-    for carrier in (carriers.channels(problem), *others):
-        for part in carrier.parts():
-            yield Band(IN_TIME, unit, clock, part, frequencies)
+    every = (carriers.channels(problem), *others)
+    parts = tuple(part for carrier in every for part in carrier.parts())
+    yield Band(IN_TIME, unit, clock, parts, frequencies)
 
 
 def _along_travels(problem: GapProblem) -> Iterator[Band]:
@@ -163,7 +168,7 @@ def _along_travels(problem: GapProblem) -> Iterator[Band]:
         frequencies = _frequencies(place[:, 0, i], LONG)
         if joint.unit == "m" and frequencies.size:
             clock = place[:, :, i]
-            yield Band(ALONG_TRAVEL, "travel_m", clock, legs[i], frequencies)
+            yield Band(ALONG_TRAVEL, "travel_m", clock, (legs[i],), frequencies)
 
 
 def _frequencies(clock: Array, fewest: float) -> Array:
@@ -184,13 +189,12 @@ def _frequencies(clock: Array, fewest: float) -> Array:
     return np.linspace(fewest / span, highest, int(min(count, MOST)))
 
 
-def _in_words(band: Band, period: float) -> str:
+def _in_words(name: str, unit: str, period: float) -> str:
     """A wave in words, its period in a unit of usual size."""
-    name = band.carrier.name
-    if band.unit == "s":
+    if unit == "s":
         size, word = _unit_of_time(period)
         return f"{name} in a wave of {period / size:.3g} {word}"
-    if band.unit == "readings":
+    if unit == "readings":
         return f"{name} in a wave of {period:.3g} readings"
     millimetres = units.number(period, "mm")
     return f"{name} in a wave every {millimetres:.3g} mm of travel"
@@ -204,24 +208,36 @@ def _unit_of_time(period: float) -> tuple[float, str]:
     return 1.0, "s"
 
 
-def _columns(band: Band, frequencies: Array) -> Array:
-    """Columns (N, 2 c, k) of the cosine and sine of each frequency on a carrier."""
-    turns = np.exp(2j * np.pi * band.clock[:, :, None] * frequencies)
-    both = np.concatenate([turns.real, turns.imag], axis=2)
-    columns = carriers.apply_carrier(band.carrier.columns, both)
-    count = columns.shape[1]
-    by_part = columns.reshape(len(columns), count, 2, len(frequencies))
-    return np.asarray(by_part.reshape(len(columns), 2 * count, len(frequencies)))
+def _turns(clock: Array, frequencies: Array) -> Array:
+    """Cosines, then sines (N, J, 2 k) of evenly spaced frequencies at a clock (N, J)."""
+    count = len(frequencies)
+    width = math.isqrt(count)
+    phase = 2.0 * np.pi * clock[:, :, None]
+    # exp(i (a + b)) = exp(i a) exp(i b): a product costs less than a cosine
+    coarse = np.exp(1j * phase * frequencies[::width])
+    fine = np.exp(1j * phase * (frequencies[:width] - frequencies[0]))
+    turns = coarse[:, :, :, None] * fine[:, :, None, :]
+    turns = turns.reshape(*clock.shape, -1)[:, :, :count]
+    return np.concatenate([turns.real, turns.imag], axis=2)
+
+
+def _columns(carrier: Carrier, turns: Array) -> Array:
+    """Columns (N, 2 c, k) of cosines and sines (N, J, 2 k) on a carrier."""
+    columns = carriers.apply_carrier(carrier.columns, turns)
+    width = turns.shape[2] // 2
+    return np.asarray(columns.reshape(len(columns), -1, width))
 
 
 def _log_tails(problem: GapProblem, metric: Metric, band: Band) -> Array:
-    """Log tail probability (k,) of what each wave explains, its phases free."""
+    """Log tail probability (carriers, k) of what each wave explains, its phases free."""
     residual = metric.parts(problem.residual[:, None])
-    tails = np.empty(len(band.frequencies))
-    for start in range(0, len(tails), CHUNK):
-        chunk = slice(start, start + CHUNK)
-        columns = _columns(band, band.frequencies[chunk])
-        tails[chunk] = _tails_of(metric, columns, residual)
+    tails = np.empty((len(band.carriers), len(band.frequencies)))
+    size = max(min(CHUNK, VALUES // len(problem)), 1)
+    for start in range(0, tails.shape[1], size):
+        chunk = slice(start, start + size)
+        turns = _turns(band.clock, band.frequencies[chunk])
+        for row, carrier in zip(tails, band.carriers, strict=True):
+            row[chunk] = _tails_of(metric, _columns(carrier, turns), residual)
     return tails
 
 
