@@ -161,7 +161,9 @@ def residual_weights(slopes: Array) -> Array:
 def half_covariance(slopes: Array) -> Array:
     """L (r, r) with L L^T = (1 + A^T A)^-1, A the slopes (N, r)."""
     # by singular values: a sum of large squares would lose the 1
-    _, singular, vectors = linalg.svd(slopes, full_matrices=True)
+    count = min(slopes.shape)
+    triangle = linalg.qr(slopes, mode="r")[0][:count]
+    _, singular, vectors = linalg.svd(triangle, full_matrices=True)
     size = np.zeros(len(vectors))
     size[: len(singular)] = singular
     return np.asarray(vectors.T / np.hypot(1.0, size))

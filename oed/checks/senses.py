@@ -10,8 +10,9 @@ import dataclasses
 import itertools
 
 import numpy as np
+from scipy import spatial
 
-from oed.arrays import Array
+from oed.arrays import Array, Index
 from oed.checks.session import SessionReadings
 
 #: fewest common poses of two runs, and share of steps that must agree
@@ -80,9 +81,11 @@ def _relative_sense(one: Array, other: Array) -> float:
     -1 in the opposite one; 0 where that cannot be said.
     """
     size = max(float(np.ptp(one, axis=0).max()), 1e-12)
-    apart = np.abs(one[:, None] - other[None]).max(axis=2) < SAME * size
-    unique = (apart.sum(axis=1) == 1)[:, None] & (apart.sum(axis=0) == 1)
-    at = np.argwhere(apart & unique)
+    near = _pairs_within(one, other, SAME * size)
+    count_one = np.bincount(near[:, 0], minlength=len(one))
+    count_other = np.bincount(near[:, 1], minlength=len(other))
+    unique = (count_one[near[:, 0]] == 1) & (count_other[near[:, 1]] == 1)
+    at = near[unique]
     if len(at) < LEAST:
         return 0.0
     rank = np.argsort(np.argsort(at[:, 1]))
@@ -92,3 +95,16 @@ def _relative_sense(one: Array, other: Array) -> float:
     if forward >= AGREE:
         return 1.0
     return -1.0 if backward >= AGREE else 0.0
+
+
+def _pairs_within(one: Array, other: Array, size: float) -> Index:
+    """Pairs (p, 2) of places (n, k) and (m, k) less than a size apart, in order.
+
+    The largest difference of a coordinate counts.
+    """
+    tree = spatial.cKDTree(other)
+    near = tree.query_ball_point(one, size, p=np.inf, return_sorted=True)
+    first = np.repeat(np.arange(len(one)), [len(places) for places in near])
+    pairs = np.column_stack([first, np.array([k for n in near for k in n], dtype=int)])
+    apart = np.abs(one[pairs[:, 0]] - other[pairs[:, 1]]).max(axis=1, initial=0.0)
+    return np.asarray(pairs[apart < size], dtype=np.intp)
