@@ -26,6 +26,8 @@ LINES: Final = {
 }
 #: set-ups named in the legend
 MOST_NAMES: Final = 8
+#: readings of a set-up that are drawn, about: more hide each other
+MOST_DRAWN: Final = 400
 #: steps of a line that is cut at the box
 STEPS: Final = 60
 PANEL_HEIGHT, LEGEND_LINE = 3.55, 0.18  # inches
@@ -89,14 +91,27 @@ def draw(drawing: Drawing) -> Figure:
 
 
 def scene_of(drawing: Drawing) -> Scene:
-    """What a drawing shows, mm."""
+    """What a drawing shows, mm; of many readings of a set-up every so-manieth."""
     tips = points_mm(drawing.tool_points)
+    setups = _setup_of_each(drawing, len(tips))
+    shown = _evenly(setups)
+    bars = drawing.bars
     return Scene(
         lines=[(line.kind, points_mm(line.points)) for line in drawing.lines],
-        tips=tips,
-        bars=[points_mm(bar) for bar in drawing.bars],
-        setups=_setup_of_each(drawing, len(tips)),
+        tips=tips[shown],
+        bars=[points_mm(bars[k]) for k in shown if k < len(bars)],
+        setups=[setups[k] for k in shown],
     )
+
+
+def _evenly(setups: Sequence[str]) -> list[int]:
+    """Numbers of the readings that are drawn: MOST_DRAWN of a set-up, about."""
+    names = np.array(setups)
+    shown: list[int] = []
+    for name in dict.fromkeys(setups):
+        members = np.flatnonzero(names == name)
+        shown += members[:: -(-len(members) // MOST_DRAWN)].tolist()
+    return sorted(shown)
 
 
 def _labelled(

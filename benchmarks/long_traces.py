@@ -1,0 +1,221 @@
+"""Time and memory of a diagnosis of long traces, with a gap and without one.
+
+    python benchmarks/long_traces.py                          # 720, 5000, 20000 readings
+    python benchmarks/long_traces.py --readings 5000 --law known
+
+Readings: the A3 head with a ball bar, two circles both ways (four runs), ten readings a
+second, all covariates. The bar's noise of 0.5 um has a share of 0.3 that is carried
+along over 8 readings, which no study states; each run's level repeats to 0.2 um. The gap
+is 2 um of backlash in one leg. The diagnosis estimates the noise law, or knows it
+(`--law known`). `--study` runs the command `oed diagnose` instead, from a CSV to a
+report.
+
+Each row is a process of its own. Seconds are processor time on one BLAS thread; memory
+is the peak of the process, with Python and all libraries.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from oed import dataset
+from oed.effect import Effect
+from oed.gap.data import problem as problem_of
+from oed.gap.data.problem import GapProblem
+from oed.gap.diagnose import diagnose
+from oed.noise.law import NoiseLaw
+from pkm_studies import pipeline, study
+from pkm_studies.resolve import gap as resolve_gap
+from pkm_studies.resolve import resolved as resolve
+
+RUNS, NOISE, CARRIED, REACH, LEVEL = 4, 0.5, 0.3, 8.0, 0.2
+STUDY = """\
+schema = 1
+name = "long_traces"
+title = "A3 head, long traces"
+question = "What is left over when this machine has been calibrated?"
+seed = 2
+
+[machine]
+model = "a3_head"
+
+[[setup]]
+name = "cup"
+instrument = "ball_bar"
+length_mm = 300.0
+teach = {{ z_mm = 1286.0, psi_deg = 0.0, theta_deg = 0.0 }}
+both_directions = true
+average = false
+
+[noise]
+length_um = {noise}
+
+[design]
+
+[[design.reference]]
+name = "circles"
+setup = "cup"
+z_mm = [1146.0, 1226.0]
+psi_deg = {{ from = 0.0, to = 360.0, count = {count}, endpoint = false }}
+theta = "hold"
+runs_by = "z"
+
+[readings]
+simulate = true
+draw = true
+
+[posterior]
+enabled = false
+
+[gap.conditions]
+start_min = 10.0
+pause_s = 300.0
+reading_s = 0.1
+feed_mm_min = 1000.0
+{acting}
+"""
+ACTING = """
+[[gap.acting]]
+effect = "backlash"
+coefficients = { "leg 3" = 0.4 }
+"""
+
+
+def write_study(folder: Path, readings: int, gap: bool, noise: float) -> Path:
+    """The study of so many readings, with a noise in um, in a folder."""
+    text = STUDY.format(
+        count=readings // RUNS, noise=noise, acting=ACTING if gap else ""
+    )
+    path = folder / "long_traces.study.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def write_readings(folder: Path, readings: int, gap: bool) -> Path:
+    """Readings of the virtual head with correlated noise, as a CSV in a folder."""
+    single = NOISE * np.sqrt(1.0 - CARRIED)
+    path = folder / "long_traces.csv"
+    pipeline.simulate(study.load(write_study(folder, readings, gap, single)), path)
+    table, rng = pd.read_csv(path), np.random.default_rng(5)
+    for members in table.groupby("run", sort=False).indices.values():
+        error = NOISE * np.sqrt(CARRIED) * carried_along(len(members), rng)
+        error += LEVEL * rng.standard_normal()
+        table.loc[members, "length_mm"] += 1e-3 * error
+    table.to_csv(path, index=False)
+    return path
+
+
+def carried_along(count: int, rng: np.random.Generator) -> np.ndarray:
+    """An error (count,) of standard deviation 1 that is carried along a run."""
+    white, decay = rng.standard_normal(count), np.exp(-1.0 / REACH)
+    error = white.copy()
+    for k in range(1, count):
+        error[k] = decay * error[k - 1] + np.sqrt(1.0 - decay**2) * white[k]
+    return error
+
+
+def known_law(problem: GapProblem) -> NoiseLaw:
+    """The law that the readings were drawn with."""
+    variance = np.full(len(problem), 1.0 - CARRIED)
+    return NoiseLaw(LEVEL / NOISE, np.sqrt(CARRIED), REACH, variance)
+
+
+def prepare(folder: Path, readings: int, gap: bool) -> tuple[GapProblem, list[Effect]]:
+    """The residuals of readings, and the library of effects."""
+    csv = write_readings(folder, readings, gap)
+    stated = study.load(write_study(folder, readings, False, NOISE))
+    resolved = resolve.resolve(stated, readings=[])
+    measurement = resolved.measurement_with(resolved.setups)
+    request = resolve_gap.gap_request(stated, resolved.machine, always=True)
+    assert request is not None  # `always` makes one
+    data = dataset.load(csv, measurement)
+    problem = problem_of.prepare(
+        measurement, data.series, data.y, data.covariates, gravity=request.gravity
+    )
+    return problem, list(request.effects)
+
+
+def diagnose_once(readings: int, gap: bool, law: str) -> tuple[float, str]:
+    """Processor seconds of one diagnosis, and its answer in words."""
+    with tempfile.TemporaryDirectory() as folder:
+        problem, effects = prepare(Path(folder), readings, gap)
+    start = time.process_time()
+    known = known_law(problem) if law == "known" else None
+    result = diagnose(problem, effects, np.random.default_rng(1), law=known)
+    seconds = time.process_time() - start
+    first = result.answers[0]
+    answer = " + ".join(first.effects) or "no gap"
+    return seconds, f"{answer} ({first.probability:.2f})"
+
+
+def diagnose_study(readings: int, gap: bool) -> tuple[float, str]:
+    """The same of the whole command, from a CSV to a report."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        csv = write_readings(folder, readings, gap)
+        stated = study.load(write_study(folder, readings, False, NOISE))
+        start = time.process_time()
+        result = pipeline.diagnose(stated, [csv], folder / "out")
+        seconds = time.process_time() - start
+    assert result.gap is not None
+    first = result.gap.answers[0]
+    answer = " + ".join(first.effects) or "no gap"
+    return seconds, f"{answer} ({first.probability:.2f})"
+
+
+def peak() -> float:
+    """Peak memory of this process, MiB. Raises ImportError where there is no POSIX."""
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def row(readings: int, gap: bool, law: str, whole: bool) -> str:
+    """One row of the table."""
+    if whole:
+        seconds, answer = diagnose_study(readings, gap)
+    else:
+        seconds, answer = diagnose_once(readings, gap, law)
+    acts = "backlash" if gap else "nothing"
+    return f"| {readings} | {acts} | {seconds:.1f} | {peak():.0f} | {answer} |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--readings", type=int, nargs="+", default=[720, 5000, 20000])
+    parser.add_argument("--law", choices=("estimated", "known"), default="estimated")
+    parser.add_argument("--study", action="store_true", help="the whole command")
+    parser.add_argument("--row", choices=("gap", "none"), help="in this process")
+    options = parser.parse_args()
+    if options.row is not None:
+        gap = options.row == "gap"
+        print(row(options.readings[0], gap, options.law, options.study))
+        return
+    print("| readings | acts | s | MiB | answer |")
+    print("| --: | --- | --: | --: | --- |")
+    sys.stdout.flush()
+    for readings in options.readings:
+        for case in ("gap", "none"):
+            arguments = ["--readings", str(readings), "--law", options.law]
+            arguments += ["--study"] if options.study else []
+            command = [sys.executable, __file__, *arguments, "--row", case]
+            subprocess.run(command, check=True)
+
+
+if __name__ == "__main__":
+    main()
