@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from oed.arrays import Array
 from oed.instrument import Setup
-from oed.noise.covariance import Noise, block_noise
+from oed.noise.covariance import FactoredNoise, Noise, block_noise
+from oed.noise.factor import Errors, LinearFactor
 from oed.observation import ObservationModel
 from oed.series import Series
+
+#: readings of a run, all channels counted, up to which its covariance is written out
+DENSE_MOST = 500
 
 
 def stated_noise(
@@ -28,6 +32,9 @@ def stated_noise(
     if setup.instrument.sources is None and alone:
         return Noise(np.tile(setup.sigma, len(series)))
     separate = reading_covariances(setup, model, series)
+    longest = np.unique(series.run, return_counts=True)[1].max()
+    if longest * channels > DENSE_MOST:
+        return _factored(setup, separate, series, run_errors)
     places, covariances = [], []
     for run in dict.fromkeys(series.run):
         members = np.flatnonzero(series.run == run)
@@ -36,6 +43,37 @@ def stated_noise(
         covariances.append(_single(setup, separate[members]) + errors @ errors.T)
         places.append(place.ravel())
     return block_noise(covariances, places)
+
+
+def _factored(
+    setup: Setup, separate: Array, series: Series, run_errors: Array
+) -> FactoredNoise:
+    """The same noise by a factor in linear time."""
+    channels, share = len(setup.sigma), setup.statement.carried_share
+    run = np.unique(series.run, return_inverse=True)[1]
+    reading = np.argsort(run, kind="stable")
+    order = (reading[:, None] * channels + np.arange(channels)).ravel()
+    first = np.diff(run[reading], prepend=-1) > 0
+    starts = np.flatnonzero(first) * channels
+    place = np.arange(len(order))
+    begins = np.repeat(first, channels)
+    decay = np.where(begins, 0.0, np.exp(-1.0 / setup.statement.reach_median))
+    roots = np.linalg.cholesky(separate)
+    inverse = sparse.block_diag(list(np.linalg.inv(roots)[reading]), format="csr")
+    shared = run_errors.reshape(len(order), -1)
+    errors = Errors(
+        order=order,
+        starts=starts,
+        before=np.where(begins, place, place - channels),
+        decay=decay if share else np.zeros(len(order)),
+        single=np.full(len(order), 1.0 - share),
+        carried=share,
+        shared=shared[order],
+        scale=np.ones(len(order)),
+        unmix=sparse.csr_array(inverse),
+    )
+    variance = np.square(roots).sum(axis=2).ravel() + np.square(shared).sum(axis=1)
+    return FactoredNoise(np.sqrt(variance), factor=LinearFactor(errors))
 
 
 def _single(setup: Setup, separate: Array) -> Array:

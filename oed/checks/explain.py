@@ -228,7 +228,8 @@ def _amount_slope(
         one.y - one.measurement.readings(one.series, solution.theta)
         for one in (there, here)
     ]
-    slope = solution.whitening @ (differences[0] - differences[1]) / variant.step
+    change = differences[0] - differences[1]
+    slope = solution.noise.whiten(change) / variant.step
     half = solution.half_covariance()
     shared = half.T @ (solution.slopes.T @ slope)
     r = solution.linear_residual()

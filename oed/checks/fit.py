@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import linalg, optimize, sparse, special
+from scipy import linalg, optimize, special
 
 from oed.arrays import Array, Index
 from oed.checks.session import SessionReadings
@@ -32,7 +32,7 @@ class Fit:
     residual   (N,) whitened residual
     slopes     (N, r) whitened slopes over free parameters in their tolerances
     departure  (r,) free parameters from nominal, in their tolerances
-    whitening  (N, N) sparse
+    noise      of the readings
     """
 
     session: SessionReadings
@@ -41,7 +41,7 @@ class Fit:
     residual: Array
     slopes: Array
     departure: Array
-    whitening: sparse.csr_array
+    noise: Noise
 
     @property
     def chi2(self) -> float:
@@ -112,7 +112,7 @@ def fit(session: SessionReadings, start: Array | None = None) -> Fit | None:
         residual=solution.fun[:count],
         slopes=-solution.jac[:count],
         departure=solution.x,
-        whitening=whitening_matrix(noise),
+        noise=noise,
     )
 
 
@@ -169,32 +169,27 @@ def half_covariance(slopes: Array) -> Array:
     return np.asarray(vectors.T / np.hypot(1.0, size))
 
 
-def whitening_matrix(noise: Noise) -> sparse.csr_array:
-    """W (N, N) with W S W^T = 1 of a noise covariance S."""
-    if noise.whitening is not None:
-        return noise.whitening
-    return sparse.csr_array(sparse.diags_array(1.0 / noise.sigma))
-
-
 @dataclasses.dataclass(frozen=True)
 class LeaveOneOut:
     """Each reading against what all others predict, by the precision P = C^-1.
 
     gradient  (N,) P r
     diagonal  (N,) of P
-    factor    (N, r) B, with P = W^T W - B B^T
-    gram      (N, N) sparse W^T W
+    factor    (N, r) B, with P = S^-1 - B B^T
+    noise     of covariance S
     """
 
     gradient: Array
     diagonal: Array
     factor: Array
-    gram: sparse.csr_array
+    noise: Noise
 
     def columns(self, members: Index) -> Array:
         """Columns (N, k) of P."""
-        gram = np.asarray(self.gram[:, members].todense())
-        return np.asarray(gram - self.factor @ self.factor[members].T)
+        unit = np.zeros((len(self.diagonal), len(members)))
+        unit[members, np.arange(len(members))] = 1.0
+        alone = self.noise.precision(unit)
+        return np.asarray(alone - self.factor @ self.factor[members].T)
 
     def without(self, members: Index) -> tuple[Array, Array]:
         """Gradient and diagonal (N,), with the values `members` (k,) left out.
@@ -215,12 +210,11 @@ class LeaveOneOut:
 
 def predict_from_others(solution: Fit) -> LeaveOneOut:
     """What all other readings predict of each reading, linear at the solution."""
-    w = solution.whitening
+    noise = solution.noise
     half = solution.half_covariance()
     shared = solution.slopes @ half
     r = solution.linear_residual()
     remainder = r - shared @ (shared.T @ r)
-    factor = np.asarray(w.T @ shared)
-    gram = sparse.csr_array(w.T @ w)
-    diagonal = gram.diagonal() - np.einsum("ij,ij->i", factor, factor)
-    return LeaveOneOut(np.asarray(w.T @ remainder), diagonal, factor, gram)
+    factor = noise.whiten_back(shared)
+    diagonal = noise.precision_diagonal() - np.einsum("ij,ij->i", factor, factor)
+    return LeaveOneOut(noise.whiten_back(remainder), diagonal, factor, noise)

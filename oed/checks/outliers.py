@@ -20,7 +20,6 @@ from oed.checks.fit import (
     LeaveOneOut,
     fit,
     predict_from_others,
-    whitening_matrix,
 )
 from oed.checks.outlier_sets import best_set
 from oed.checks.session import SessionReadings
@@ -110,7 +109,7 @@ def _on_all(session: SessionReadings, solution: Fit) -> Fit | None:
         session=session,
         residual=residual,
         slopes=noise.whiten(measurement.in_prior_units(jacobian)[:, free]),
-        whitening=whitening_matrix(noise),
+        noise=noise,
     )
 
 

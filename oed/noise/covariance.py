@@ -3,18 +3,20 @@
 A reading's channels may be correlated (a gimbal's angles turned into Cartesian
 coordinates), and the readings of a run may share an error (the reference reading that
 all of them are told against). The covariance is block diagonal over runs; W with W
-Sigma W^T = 1 is kept as a sparse matrix, so that whitening costs what the blocks cost.
+Sigma W^T = 1 is kept as a sparse matrix, so that whitening costs what the blocks cost,
+and that of long runs as a factor in linear time.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import sparse
 
 from oed.arrays import Array, Index
+from oed.noise.factor import LinearFactor
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,6 +38,22 @@ class Noise:
         if self.whitening is not None:
             return np.asarray(self.whitening @ values)
         return values / self.sigma.reshape(-1, *[1] * (values.ndim - 1))
+
+    def whiten_back(self, values: Array) -> Array:
+        """W^T Y, for Y (N,) or (N, n)."""
+        if self.whitening is not None:
+            return np.asarray(self.whitening.T @ values)
+        return values / self.sigma.reshape(-1, *[1] * (values.ndim - 1))
+
+    def precision(self, values: Array) -> Array:
+        """Sigma^-1 Y, for Y (N,) or (N, n)."""
+        return self.whiten_back(self.whiten(values))
+
+    def precision_diagonal(self) -> Array:
+        """Diagonal (N,) of Sigma^-1."""
+        if self.whitening is not None:
+            return np.asarray(self.whitening.power(2).sum(axis=0)).ravel()
+        return np.asarray(1.0 / self.sigma**2)
 
     def whiten_last(self, values: Array) -> Array:
         """Whitened values (..., N), with readings last."""
@@ -59,8 +77,13 @@ class Noise:
 
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
         """Draws (..., N)."""
-        e = rng.standard_normal(shape)
-        return self.sigma * e if self.root is None else np.asarray((self.root @ e.T).T)
+        return self.correlate(rng.standard_normal(shape))
+
+    def correlate(self, white: Array) -> Array:
+        """Errors (..., N) of white ones."""
+        if self.root is None:
+            return self.sigma * white
+        return np.asarray((self.root @ white.T).T)
 
 
 def as_noise(noise: Noise | Array) -> Noise:
@@ -103,6 +126,8 @@ def block_noise(
 
 def concatenate_noise(parts: Sequence[Noise]) -> Noise:
     """Noise of readings one after the other."""
+    if any(isinstance(p, FactoredNoise) for p in parts):
+        return SeveralNoises(np.concatenate([p.sigma for p in parts]), parts=parts)
     sigma = np.concatenate([p.sigma for p in parts])
     if all(p.whitening is None for p in parts):
         return Noise(sigma)
@@ -118,3 +143,96 @@ def concatenate_noise(parts: Sequence[Noise]) -> Noise:
         sparse.csr_array(sparse.block_diag(white)),
         sparse.csr_array(sparse.block_diag(root)),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class FactoredNoise(Noise):
+    """Noise of readings in long runs, by a factor in linear time; SI.
+
+    factor  of the covariance
+    """
+
+    factor: LinearFactor = dataclasses.field(kw_only=True)
+
+    def whiten(self, values: Array) -> Array:
+        """Whitened values: (N,), (N, n), with readings first."""
+        wide = values[:, None] if values.ndim == 1 else values
+        white = np.empty_like(wide)
+        white[self.factor.order] = self.factor.whiten(wide)
+        return white.reshape(values.shape)
+
+    def whiten_back(self, values: Array) -> Array:
+        """W^T Y, for Y (N,) or (N, n)."""
+        wide = values[:, None] if values.ndim == 1 else values
+        return self.factor.whiten_back(wide[self.factor.order]).reshape(values.shape)
+
+    def precision_diagonal(self) -> Array:
+        """Diagonal (N,) of Sigma^-1."""
+        return self.factor.precision_diagonal()
+
+    def whiten_last(self, values: Array) -> Array:
+        """Whitened values (..., N), with readings last."""
+        flat = values.reshape(-1, values.shape[-1])
+        return self.whiten(flat.T).T.reshape(values.shape)
+
+    def scaled(self, factor: Array) -> Noise:
+        """The same noise times a factor (N,), equal within each run."""
+        errors = self.factor.errors
+        scale = errors.scale * factor[errors.order]
+        changed = LinearFactor(dataclasses.replace(errors, scale=scale))
+        return FactoredNoise(self.sigma * factor, factor=changed)
+
+    def correlate(self, white: Array) -> Array:
+        """Errors (..., N) of white ones, as by Cholesky's root of each run."""
+        flat = white.reshape(-1, white.shape[-1])
+        errors = np.empty_like(flat)
+        order = self.factor.order
+        errors[:, order] = self.factor.correlate(flat[:, order].T).T
+        return errors.reshape(white.shape)
+
+
+@dataclasses.dataclass(frozen=True)
+class SeveralNoises(Noise):
+    """Noise of readings one after the other, of which some are in long runs."""
+
+    parts: Sequence[Noise] = dataclasses.field(kw_only=True)
+
+    def whiten(self, values: Array) -> Array:
+        """Whitened values: (N,), (N, n), with readings first."""
+        return self._by_part(values, lambda noise, part: noise.whiten(part))
+
+    def whiten_back(self, values: Array) -> Array:
+        """W^T Y, for Y (N,) or (N, n)."""
+        return self._by_part(values, lambda noise, part: noise.whiten_back(part))
+
+    def precision_diagonal(self) -> Array:
+        """Diagonal (N,) of Sigma^-1."""
+        return np.concatenate([p.precision_diagonal() for p in self.parts])
+
+    def whiten_last(self, values: Array) -> Array:
+        """Whitened values (..., N), with readings last."""
+        return np.moveaxis(self.whiten(np.moveaxis(values, -1, 0)), 0, -1)
+
+    def scaled(self, factor: Array) -> Noise:
+        """The same noise times a factor (N,), equal within each run."""
+        pairs = zip(self.parts, np.split(factor, self._ends), strict=True)
+        return concatenate_noise([noise.scaled(f) for noise, f in pairs])
+
+    def correlate(self, white: Array) -> Array:
+        """Errors (..., N) of white ones."""
+        moved = np.moveaxis(white, -1, 0)
+        errors = self._by_part(
+            moved,
+            lambda noise, part: np.moveaxis(
+                noise.correlate(np.moveaxis(part, 0, -1)), -1, 0
+            ),
+        )
+        return np.moveaxis(errors, 0, -1)
+
+    @property
+    def _ends(self) -> Index:
+        return np.cumsum([len(p.sigma) for p in self.parts])[:-1]
+
+    def _by_part(self, values: Array, change: Callable[[Noise, Array], Array]) -> Array:
+        pairs = zip(self.parts, np.split(values, self._ends), strict=True)
+        return np.concatenate([change(noise, part) for noise, part in pairs])

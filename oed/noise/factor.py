@@ -19,6 +19,7 @@ from typing import Protocol
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse import linalg as sparse_linalg
 
 from oed.arrays import Array, Index
 from oed.noise.banded import BandedFactor
@@ -129,6 +130,23 @@ class LinearFactor:
         """The same with W lower triangular: the inverse of Cholesky's root of C."""
         shared = SharedFactor(self._columns, self.errors.starts)
         return shared.whiten(self._alone(values))
+
+    def whiten_back(self, white: Array) -> Array:
+        """W^T Y (N, m), for Y (k, m) in order and the W of `whiten`."""
+        errors = self.errors
+        values = self._banded.whiten_back(self._shared.whiten(white.copy()))
+        if errors.unmix is not None:
+            values = np.asarray(errors.unmix.T @ values)
+        return _in_place(errors.order, values / errors.scale[:, None])
+
+    def correlate(self, white: Array) -> Array:
+        """R Y (k, m) in order, for white Y (k, m) and Cholesky's root R."""
+        errors = self.errors
+        shared = SharedFactor(self._columns, errors.starts)
+        values = self._banded.unwhiten(shared.unwhiten(white))
+        if errors.unmix is not None:
+            values = sparse_linalg.spsolve_triangular(errors.unmix, values)
+        return np.asarray(values * errors.scale[:, None])
 
     def _alone(self, values: Array) -> Array:
         """Values (N, m) whitened (k, m) as if segments shared no errors."""

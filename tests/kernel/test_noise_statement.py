@@ -15,7 +15,7 @@ from reference import tian_2016 as paper
 from scipy import stats
 
 from kernel import a3_plans
-from oed import simulation
+from oed import reading_noise, simulation
 from oed.budget import budget_model
 from oed.design import candidates
 from oed.gap.data import laws as gap_laws
@@ -23,6 +23,7 @@ from oed.gap.data.problem import assemble
 from oed.identification import identify
 from oed.measurement import Measurement, Series
 from oed.noise import prior
+from oed.noise.covariance import SeveralNoises
 from oed.noise.outliers import Precision, StudentT, detect, fisher_information
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.process_noise import dense_covariance
@@ -91,6 +92,31 @@ def test_the_stated_covariance_holds_what_is_stated(run: float) -> None:
     for part in of_runs:
         block = exact[np.ix_(part.members, part.members)] / SIGMA**2
         assert part.covariance({}) == pytest.approx(block, rel=1e-8, abs=1e-9)
+
+
+@pytest.mark.parametrize("run", [0.0, RUN])
+def test_the_stated_noise_of_long_runs_is_that_of_short_ones(
+    run: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The factor in linear time against the covariances of runs, written out."""
+    levels = frozenset({"length"}) if run else frozenset()
+    m = stating(dataclasses.replace(STATED, levels=levels), run)
+    series, rng = circles(m), np.random.default_rng(4)
+    short = m.noise([series, series])
+    monkeypatch.setattr(reading_noise, "DENSE_MOST", 4)
+    long = m.noise([series, series])
+    assert isinstance(long, SeveralNoises)
+    factor = np.repeat(rng.uniform(0.5, 2.0, 6), 8)
+    for one, other in ((short, long), (short.scaled(factor), long.scaled(factor))):
+        values = rng.standard_normal((48, 2))
+        assert other.sigma == pytest.approx(one.sigma)
+        assert other.precision(values) == pytest.approx(one.precision(values))
+        assert other.precision_diagonal() == pytest.approx(one.precision_diagonal())
+        white = other.whiten(values)
+        assert white.T @ white == pytest.approx(values.T @ one.precision(values))
+        assert other.whiten_last(values.T) == pytest.approx(white.T)
+        draws = [n.draw(np.random.default_rng(1), (3, 48)) for n in (one, other)]
+        assert draws[1] == pytest.approx(draws[0], rel=1e-9, abs=1e-9 * SIGMA)
 
 
 def test_designs_take_the_seating_as_unknowns_of_each_run() -> None:
