@@ -78,11 +78,12 @@ def explain(
     Discrete mistakes come before those of an unknown amount, and a change between parts
     of the session comes last: they have more freedom.
     """
-    before = np.inf if solution is None else solution.ratio
+    before, some = np.inf if solution is None else solution.ratio, _sample(session)
     for candidates in (_discrete, _of_amount, _change):
-        explained = candidates(_sample(session), alternatives, before)
+        explained = candidates(some, alternatives, before)
         best = sorted(explained, key=lambda one: one.cost)
-        best = [one for one in best if _explains(one, before, len(session))]
+        # penalties are of the sample, and so must be what is gained
+        best = [one for one in best if _explains(one, before, len(some))]
         if best:
             return [one for one in best if one.cost <= best[0].cost + EQUAL]
     return []

@@ -17,6 +17,8 @@ from oed.checks.session import SessionReadings
 
 #: machines that test linearity, and machines drawn where it fails
 TRIAL, DRAWS = 24, 400
+#: values that are predicted at once, a reading of a machine each
+VALUES = 1_000_000
 #: share of the linear standard deviation that curvature may have
 CURVATURE = 0.05
 #: probability that one reading of a correct session lies outside its range
@@ -71,7 +73,9 @@ def predict_ranges(session: SessionReadings, rng: np.random.Generator) -> Ranges
     if (curved <= CURVATURE * spread + noise).all():
         return Ranges(middle, middle, np.hypot(spread, noise), factor, True)
     machines = simulation.draw_parameters(measurement, rng, DRAWS)
-    exact = measurement.try_readings(series, machines)
+    few = max(VALUES // len(middle), 1)
+    parts = np.split(machines, range(few, DRAWS, few))
+    exact = np.vstack([measurement.try_readings(series, part) for part in parts])
     drawn = np.nanstd(exact, axis=0)
     mean, sd = np.nanmean(exact, axis=0), np.hypot(drawn, noise)
     return Ranges(middle, mean, sd, factor, False)
