@@ -23,8 +23,8 @@ from oed.noise.factor import DenseFactor, Errors, LinearFactor
 from oed.noise.shared import SharedFactor
 
 
-class HeldOut(Protocol):
-    """Held-out readings among all."""
+class Innovations(Protocol):
+    """Innovations of held-out readings among all."""
 
     def innovations(self, scored: Array) -> Array:
         """Innovations (h, m), in the order of the held-out readings.
@@ -33,8 +33,8 @@ class HeldOut(Protocol):
         """
 
 
-class LinearHeldOut:
-    """Held-out readings of a linear factor."""
+class LinearInnovations:
+    """The same of a linear factor."""
 
     def __init__(self, factor: LinearFactor, chains: Chains, held: Index) -> None:
         """Factor the precision of the readings `held` (h,)."""
@@ -50,7 +50,7 @@ class LinearHeldOut:
         self._shared = SharedFactor(shared, starts, sign=-1.0)
 
     def innovations(self, scored: Array) -> Array:
-        """As in `HeldOut`."""
+        """As in `Innovations`."""
         white = self._shared.whiten(self._banded.whiten(scored[self._at]))
         return np.asarray(white[self._rank])
 
@@ -84,12 +84,12 @@ class Chains:
         fresh = errors.carried * (1.0 - decay**2)
         diagonal = self._precision[order] + 1.0 / fresh
         diagonal[:-1] += decay[1:] ** 2 / fresh[1:]
-        beside = -decay[1:] / fresh[1:]
+        neighbour = -decay[1:] / fresh[1:]
         # pivots from the last reading on: each given the one before, the later ones out
-        band = np.vstack([diagonal[::-1], [*beside[::-1], 0.0]])
+        band = np.vstack([diagonal[::-1], [*neighbour[::-1], 0.0]])
         pivot = linalg.cholesky_banded(band, lower=True, check_finite=False)[0, ::-1]
         variance = 1.0 / pivot**2
-        step = np.concatenate([[0.0], -beside * variance[1:]])
+        step = np.concatenate([[0.0], -neighbour * variance[1:]])
         self._order = order
         self._log_step = np.log(np.where(step > 0.0, step, 1.0))
         self._marginal = _variances(step, variance)
@@ -142,7 +142,7 @@ def _before_of(chain: Index) -> Index:
     return before
 
 
-class DenseHeldOut:
+class DenseInnovations:
     """The same of a dense factor: cubic in the length of a segment."""
 
     def __init__(self, factor: DenseFactor, held: Index) -> None:
@@ -159,7 +159,7 @@ class DenseHeldOut:
         self._size = len(held)
 
     def innovations(self, scored: Array) -> Array:
-        """As in `HeldOut`."""
+        """As in `Innovations`."""
         white = np.empty((self._size, scored.shape[1]))
         for rows, root in self._parts:
             solved = linalg.solve_triangular(root, scored[rows], lower=True)

@@ -97,8 +97,8 @@ class SharedProducts:
         # (1 / root - 1) / sizes, without its difference
         change = vectors * (-1.0 / (root * (1.0 + root)))[:, None]
         sides = zip(self._pairs(values), change, vectors, strict=True)
-        for (u, y), left, right in sides:
-            y += (u @ left) @ ((u @ right).T @ y)
+        for (u, y), scaled, basis in sides:
+            y += (u @ scaled) @ ((u @ basis).T @ y)
         return values
 
     def _pairs(self, values: Array) -> list[tuple[Array, Array]]:

@@ -8,7 +8,7 @@ from scipy import linalg
 from oed.arrays import Array, Index
 from oed.gap.data.problem import GapProblem
 from oed.noise.factor import DenseFactor, LinearFactor
-from oed.noise.hold_out import Chains, DenseHeldOut, HeldOut, LinearHeldOut
+from oed.noise.hold_out import Chains, DenseInnovations, Innovations, LinearInnovations
 from oed.noise.law import NoiseLaw
 from oed.noise.shared import SharedFactor
 
@@ -29,7 +29,7 @@ class RunNoise:
                 self._factor = law.dense_factor(problem)
 
     def score(self, values: Array) -> Array:
-        """The noise's precision times values (N, k), as `HeldOut` wants it."""
+        """The noise's precision times values (N, k), as `Innovations` wants it."""
         return self._factor.scored(self._factor.standardise(values))
 
     def information(self, slopes: Array, scored: Array) -> Information:
@@ -40,14 +40,14 @@ class RunNoise:
         product = self._factor.standardise(slopes).T @ scored
         return product[:, :-1] + np.eye(len(product)), product[:, -1]
 
-    def hold_out(self, held: Index) -> HeldOut:
+    def hold_out(self, held: Index) -> Innovations:
         """Readings held out; those of their run predict their noise."""
         factor = self._factor
         if isinstance(factor, DenseFactor):
-            return DenseHeldOut(factor, held)
+            return DenseInnovations(factor, held)
         assert isinstance(factor, LinearFactor)
         assert self._chains is not None
-        return LinearHeldOut(factor, self._chains, held)
+        return LinearInnovations(factor, self._chains, held)
 
 
 def _cholesky(matrix: Array) -> Array:
