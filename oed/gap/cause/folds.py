@@ -24,6 +24,8 @@ ALIKE = 0.8
 ENOUGH = 8
 #: share of the joints' extent below which a step is none
 STILL = 1e-3
+#: share of the joints' values below which they differ by rounding
+ROUNDING = 1e-12
 
 
 class Paths:
@@ -124,7 +126,8 @@ class Paths:
         extent = float(np.linalg.norm(np.ptp(together, axis=0)))
         moved = moved[moved > STILL * extent]
         by_step = NEAR * float(np.median(moved)) if moved.size else 0.0
-        return max(by_step, STILL * extent, 1e-12)
+        rounding = ROUNDING * float(np.abs(together).max())
+        return max(by_step, STILL * extent, rounding)
 
     def _along(self, rows: Index, longest: Index) -> tuple[Index, int]:
         """Place of each row among the poses of the longest run, in its order.

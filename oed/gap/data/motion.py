@@ -31,6 +31,8 @@ CORNER = np.deg2rad(50.0)
 CLOSED = 1.5
 #: length of a step, in median steps of its run, from which on it belongs to no path
 FAR = 3.0
+#: length of a step, in the longest of its run, up to which the machine stands still
+STILL = 1e-5
 #: last part of a step between poses over which the sense of arrival is taken
 ARRIVAL = 0.02
 
@@ -40,8 +42,9 @@ class Motion:
     """Motion of the joints at every pose, (m, nq) each, as in `State`.
 
     sense           sign of the joint's last motion
-    rate            per second; NaN where the feed is not known
-    acceleration    per second squared; NaN where the feed is not known
+    rate            per second; NaN where the feed is not known, and in runs in which
+                    the tool stays in its place
+    acceleration    per second squared; NaN likewise
     reversal        distance since the joint last turned back
     """
 
@@ -115,16 +118,19 @@ def _along_run(q: Array, tip: Array) -> _Along:
 def _straight(q: Array, tip: Array) -> _Along:
     """Joints that move straight from pose to pose."""
     places = _path_length(tip)[0][: len(tip)]
-    slope = np.gradient(q, places, axis=0)
+    slope = curvature = np.full(q.shape, np.nan)
+    if places[-1] > 0.0:
+        slope = np.gradient(q, places, axis=0)
+        curvature = np.gradient(slope, places, axis=0)
     sense = _sense(np.diff(q, axis=0, prepend=q[:1]))
-    curvature = np.gradient(slope, places, axis=0)
     return _Along(slope, curvature, sense, _since_reversal_by_steps(q, sense))
 
 
 def _is_path(tip: Array) -> bool:
     """Whether poses (k, 3) follow a path; scattered points turn sharply at most."""
     step = np.diff(tip, axis=0)
-    if len(tip) < LEAST or np.linalg.norm(step, axis=1).min() < 1e-6:
+    size = np.linalg.norm(step, axis=1)
+    if len(tip) < LEAST or size.min() <= STILL * size.max():
         return False
     return bool(np.median(_turns(step)) <= CORNER)
 
@@ -190,9 +196,10 @@ def _path_length(tip: Array) -> tuple[Array, bool]:
     A closed run has k + 1 values: the last is the length back at the first pose.
     """
     steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
-    steps = np.maximum(steps, 1e-9)
+    still = STILL * float(steps.max())
+    steps = np.maximum(steps, still)
     last = float(np.linalg.norm(tip[0] - tip[-1]))
-    near = 1e-6 < last < CLOSED * float(np.median(steps))
+    near = still < last < CLOSED * float(np.median(steps))
     closed = len(tip) >= 2 * LEAST and near
     lengths = np.cumsum([*steps, last] if closed else steps)
     return np.concatenate([[0.0], lengths]), closed

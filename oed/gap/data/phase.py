@@ -10,6 +10,9 @@ from oed.arrays import Array, Index
 #: share of a run's longest extent that the second must have for it to be a loop rather
 #: than a line
 LOOP = 0.2
+#: share of its distance from the base's origin by which a tool that stays in its place
+#: moves by rounding, and an angle that is none, rad
+ROUNDING = 1e-9
 
 
 def phase_along_runs(tip: Array, run: NDArray[np.str_], taught: Index) -> Array:
@@ -23,7 +26,7 @@ def phase_along_runs(tip: Array, run: NDArray[np.str_], taught: Index) -> Array:
         at = moving[run[moving] == label]
         offset = tip[at] - tip[at].mean(axis=0)
         _, extent, axes = np.linalg.svd(offset, full_matrices=False)
-        if len(at) < 3 or extent[0] < 1e-9:
+        if len(at) < 3 or extent[0] <= ROUNDING * np.linalg.norm(tip[at]):
             continue
         if extent[1] > LOOP * extent[0]:
             phase[at] = _angle(offset, axes)
@@ -54,5 +57,6 @@ def _angle(offset: Array, axes: Array) -> Array:
     first = start - normal * (start @ normal)
     first /= np.linalg.norm(first)
     second = np.cross(normal, first)
-    angle = np.arctan2(offset @ second, offset @ first)
-    return np.asarray(np.mod(angle, 2.0 * np.pi))
+    angle = np.mod(np.arctan2(offset @ second, offset @ first), 2.0 * np.pi)
+    # a circle that begins at 0 would end in either place by rounding
+    return np.where(angle > 2.0 * np.pi - ROUNDING, 0.0, angle)

@@ -246,7 +246,8 @@ def _recorded(need: str, states: Sequence[State]) -> bool:
     values = values[np.isfinite(values)]
     if name == "time":
         return len(np.unique(values)) > 1
-    distinct = np.unique(np.round(values, 9))
+    largest = float(np.abs(values).max(initial=0.0))
+    distinct = np.unique(np.round(values / (largest or 1.0), 9))
     return len(distinct) >= _values_needed(wanted)
 
 
