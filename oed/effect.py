@@ -66,6 +66,7 @@ class State:
     temperature            {body: (m,)} K
     tension                (m, nq) tension of the cable that each joint pays out, N
     max_payload            largest payload of the session, N; 0 where unknown
+    max_feed               largest feed of the session, m/s; 0 where unknown
     session_times          (k,) sorted times of all readings of the session, s; empty
                            where unknown
     session_progress       (m,) elapsed share of the session, 0 to 1: by the clock, or
@@ -106,6 +107,7 @@ class State:
     temperature: Mapping[str, Array]
     tension: Array
     max_payload: float
+    max_feed: float
     session_times: Array
     session_progress: Array
     start_temperature: Mapping[str, float]
@@ -188,6 +190,8 @@ class Effect:
                          `payload`, `tension`, `time or temp_leg`; `direction: both`, `payload: 2`
                          and `feed: 2` need as many different values
     constants            nonlinear constants, each with the values to marginalise over
+    proportional         {constant: expected size, m, at which its values hold}, of
+                         lengths in proportion to the effect's size
     remedy               what a machine builder does about it
     exposed_by           reading that separates it from its rivals
     nature               what it has in common with others, in words: how a class of many
@@ -206,6 +210,7 @@ class Effect:
     columns: Callable[..., Iterable[Column]]
     needs: tuple[str, ...] = ()
     constants: Mapping[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
+    proportional: Mapping[str, float] = dataclasses.field(default_factory=dict)
     remedy: str = ""
     exposed_by: str = ""
     nature: str = ""

@@ -16,11 +16,23 @@ IMPLAUSIBLE = 5.0
 def with_expected_size(effect: Effect, unit: str, size: float) -> Effect:
     """The effect with its coefficients of an SI unit expected to be `size`, SI.
 
-    The largest of them gets that prior standard deviation; the others, and what lets
-    the form depart from the textbook's, keep their ratio to it.
+    The largest of them gets that prior standard deviation; the others, what lets the
+    form depart from the textbook's, and constants that are lengths in proportion to the
+    size, keep their ratio to it.
     """
     columns = functools.partial(_sized_columns, effect, unit, size)
-    return dataclasses.replace(effect, columns=columns)
+    if unit != "m":
+        return dataclasses.replace(effect, columns=columns)
+    constants = {
+        name: tuple(value * size / effect.proportional[name] for value in values)
+        if name in effect.proportional
+        else values
+        for name, values in effect.constants.items()
+    }
+    proportional = dict.fromkeys(effect.proportional, size)
+    return dataclasses.replace(
+        effect, columns=columns, constants=constants, proportional=proportional
+    )
 
 
 def _sized_columns(

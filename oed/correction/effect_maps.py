@@ -79,6 +79,7 @@ def workspace_state(
         state,
         session_progress=progress,
         max_payload=first.max_payload,
+        max_feed=first.max_feed,
         session_times=first.session_times,
         start_temperature=first.start_temperature,
         joint_range=first.joint_range,

@@ -15,8 +15,8 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 PLAY = 10e-6  # m
-#: travel after a reversal over which play is taken up, m: no more than the play; over
-#: more it is friction that winds up
+#: travel after a reversal over which such play is taken up, m: over more it is friction
+#: that winds up
 TAKEN_UP = (0.1e-3, 0.3e-3)
 
 
@@ -54,6 +54,7 @@ effect = Effect(
     columns=columns,
     needs=("direction: both",),
     constants={"distance": TAKEN_UP},
+    proportional={"distance": PLAY},
     remedy=(
         "preload or renew nuts and joints of the leg, or set the controller's backlash"
         " compensation a leg"

@@ -16,8 +16,10 @@ from oed.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 WIND_UP = 4e-6  # m
-STRIBECK = 0.010  # m/s, Armstrong-Helouvry et al. 1994, Automatica 30: mixed lubrication up to some 10 mm/s
-#: joint travel over which a drive winds up after a reversal, m: on rolling elements 0.1
+#: speed up to which lubrication is mixed, over the session's largest feed: some 10 mm/s
+#: (Armstrong-Helouvry et al. 1994, Automatica 30) of 2 m/min
+STRIBECK = 0.3
+#: joint travel over which a drive of that friction winds up after a reversal, m: on rolling elements 0.1
 #: mm and less (Futami et al. 1990, Nanotechnology 1, 31), with seals and slack joints
 #: more
 WINDS_UP = (0.1e-3, 0.5e-3, 2e-3, 10e-3)
@@ -40,7 +42,11 @@ def columns(state: State, distance: float) -> Iterable[Column]:
     )
     behind = -wound * unit * screw
     load = np.abs(state.tool_force * state.joint_per_length) * len(state.limbs) / 2.0
-    slow = np.nan_to_num(np.exp(-np.abs(state.rate) / (STRIBECK * unit)), nan=0.0)
+    slow = np.where(
+        np.isfinite(state.rate),
+        np.exp(-np.abs(terms.rate_share(state)) / STRIBECK),
+        0.0,
+    )
     for i in state.limbs:
         leg = f"leg {i + 1}"
         yield Column(leg, WIND_UP, leg, {i: behind[:, i]})
@@ -61,6 +67,7 @@ effect = Effect(
     columns=columns,
     needs=("direction: both",),
     constants={"distance": WINDS_UP},
+    proportional={"distance": WIND_UP},
     remedy=(
         "lubricate, check the leg's seals and guides, close the loop by a linear"
         " encoder, or compensate friction"

@@ -11,13 +11,15 @@ import numpy as np
 from oed.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-DELAY, SECOND, FEED = 1e-3, 3e-4, 0.05  # s, s^2, m/s
+DELAY, SECOND = 1e-3, 3e-4  # s, s^2
 
 
 def columns(state: State) -> Iterable[Column]:
-    """-T rate a leg; shape: acceleration, and a delay that grows with the rate."""
+    """-T rate a leg; shape: acceleration, and a delay that grows with the rate, as a
+    share of the session's largest feed.
+    """
     rate, faster = np.nan_to_num(state.rate), np.nan_to_num(state.acceleration)
-    bent = rate * np.abs(rate) / (FEED * terms.joint_per_metre(state))
+    bent = rate * np.abs(terms.rate_share(state))
     for i in state.limbs:
         leg = f"leg {i + 1}"
         yield Column(leg, DELAY, leg, {i: -rate[:, i]})

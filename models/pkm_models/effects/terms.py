@@ -138,6 +138,15 @@ def joint_per_metre(state: State) -> Array:
     return np.where(turning, worth, 1.0)
 
 
+def rate_share(state: State) -> Array:
+    """Rate of each joint (m, nq) over what the session's largest feed would be in it;
+    zeros where no feed is known.
+    """
+    if state.max_feed <= 0.0:
+        return np.zeros(state.joints.shape)
+    return np.nan_to_num(state.rate) / (state.max_feed * joint_per_metre(state))
+
+
 def payload_share(state: State) -> Array:
     """Payload (m,) as a share of the session's heaviest; zeros where there is none."""
     return (

@@ -54,11 +54,13 @@ def _session(
     session = np.unique(times[np.isfinite(times)])
     joints = np.vstack([s.q for s in series])
     load = np.abs(_column(covariates, "payload"))
+    feed = _column(covariates, "feed")
     span = (np.nan, np.nan)
     if session.size:
         span = (float(session[0]), float(session[-1]))
     return {
         "max_payload": float(np.nanmax(load, initial=0.0)),
+        "max_feed": float(np.nanmax(feed, initial=0.0)),
         "session_times": session,
         "start_temperature": _first_temperatures(covariates, times),
         "joint_range": np.array([joints.min(axis=0), joints.max(axis=0)]),

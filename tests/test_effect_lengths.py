@@ -1,0 +1,43 @@
+"""Lengths and speeds of effects' forms follow the expected size and the session's feed."""
+
+import dataclasses
+
+import effects_sample
+import numpy as np
+import pytest
+
+from oed.effect import Effect
+from oed.expected_size import with_expected_size
+from pkm_models.effects import backlash, friction, servo_lag
+
+
+@pytest.mark.parametrize("effect", [backlash.effect, friction.effect])
+def test_travel_after_a_reversal_is_in_proportion_to_the_expected_size(
+    effect: Effect,
+) -> None:
+    usual = effect.constants["distance"]
+    larger = with_expected_size(effect, "m", 5.0 * effect.proportional["distance"])
+    assert larger.constants["distance"] == pytest.approx([5.0 * d for d in usual])
+    again = with_expected_size(larger, "m", effect.proportional["distance"])
+    assert again.constants["distance"] == pytest.approx(usual)
+    assert with_expected_size(effect, "K", 1.0).constants == effect.constants
+
+
+@pytest.mark.parametrize("effect", [friction.effect, servo_lag.effect])
+def test_forms_over_the_rate_are_those_of_the_same_session_at_another_feed(
+    effect: Effect,
+) -> None:
+    """What changes with the rate does so over the session's own feeds."""
+    (state, *_) = effects_sample.session("a3_head").states
+    assert state.max_feed > 0.0
+    faster = dataclasses.replace(
+        state, rate=7.0 * state.rate, max_feed=7.0 * state.max_feed
+    )
+    constants = effect.constant_grid()[0]
+    usual = {c.name: c for c in effect.columns(state, **constants)}
+    for column in effect.columns(faster, **constants):
+        if column.name.endswith(("slow", "feed")):
+            ((limb, change),) = column.joints.items()
+            factor = 7.0 if column.name.endswith("feed") else 1.0
+            wanted = factor * usual[column.name].joints[limb]
+            np.testing.assert_allclose(change, wanted, rtol=1e-9)
