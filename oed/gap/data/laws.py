@@ -28,7 +28,7 @@ from oed.gap.data import evidence
 from oed.gap.data.law_evidence import LawEvidence
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw, law_of
-from oed.noise.law_mode import find_mode, root_about
+from oed.noise.law_mode import find_mode, root_about, signed
 from oed.noise.prior import CARRIED, REACH, RUN, SEAT, SPARSE, NoisePrior
 from oed.noise.proposal import split_student
 
@@ -117,7 +117,7 @@ def _systematic(points: Array, weights: Array) -> list[int]:
     """Numbers (EACH,) of points drawn by their weights, spread along the widest axis."""
     offsets = points - weights @ points
     _, vectors = np.linalg.eigh((offsets * weights[:, None]).T @ offsets)
-    order = np.argsort(offsets @ vectors[:, -1])
+    order = np.argsort(offsets @ signed(vectors)[:, -1])
     levels = (np.arange(EACH) + 0.5) / EACH
     places = np.searchsorted(np.cumsum(weights[order]), levels)
     return [int(k) for k in order[np.minimum(places, len(order) - 1)]]
