@@ -118,10 +118,10 @@ def _along_run(q: Array, tip: Array) -> _Along:
 def _straight(q: Array, tip: Array) -> _Along:
     """Joints that move straight from pose to pose."""
     places = _path_length(tip)[0][: len(tip)]
-    slope = curvature = np.full(q.shape, np.nan)
+    slope, curvature = np.full(q.shape, np.nan), np.full(q.shape, np.nan)
     if places[-1] > 0.0:
-        slope = np.gradient(q, places, axis=0)
-        curvature = np.gradient(slope, places, axis=0)
+        slope[:] = np.gradient(q, places, axis=0)
+        curvature[:] = np.gradient(slope, places, axis=0)
     sense = _sense(np.diff(q, axis=0, prepend=q[:1]))
     return _Along(slope, curvature, sense, _since_reversal_by_steps(q, sense))
 
