@@ -1,0 +1,1 @@
+"""The diagnosis on random machines without a gap: how often it reports one."""

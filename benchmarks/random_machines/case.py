@@ -1,0 +1,321 @@
+"""A random machine with its study and its readings, in files as a user has them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.random_machines import instruments, machines, noise, plans
+from benchmarks.random_machines.instruments import Bench, Mounted
+from oed.kinematics import AssemblyError
+from oed.machine import Machine
+from pkm_studies.notebook import build_study
+from pkm_studies.progress import Silent
+from pkm_studies.run_state import start
+
+Array = np.ndarray
+SIGMAS = (0.1e-6, 0.5e-3)
+#: least and largest noise over the machine's size
+SHARES = (3e-7, 3e-4)
+#: gaps: a leg that warms within some time, s, a drive with play; their size over sigma
+GAPS, SEVERITY, WARMS = ("warm leg", "play"), 8.0, 3600.0
+#: readings of channels of one machine, at most
+MOST = 700
+#: how often each instrument is taken, by what the machine moves
+SPACE = ("ball_bar", "ball_bar", "camera", "pose_tracker_position", "laser_ball_bar",
+         "calliper", "height")  # fmt: skip
+TURNING = (*SPACE, "pose_tracker", "pose_tracker")
+CHOICES = {
+    "planar_2dof": ("rm1", "rm4", "rm5", "camera", "pose_tracker_position", "calliper"),
+    "cables_planar": ("planar_position", "camera", "calliper"),
+}
+#: units of commands in the readings
+COMMANDS = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """A machine without a gap.
+
+    model, size, sigma    as drawn, m
+    law                   of the noise
+    plan                  as drawn
+    instruments           names of the set-ups' instruments
+    study                 tables of the study
+    readings              the readings file's table
+    """
+
+    model: str
+    size: float
+    sigma: float
+    law: noise.Law
+    plan: plans.Plan
+    instruments: tuple[str, ...]
+    study: Mapping[str, Any]
+    readings: pd.DataFrame
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the table groups by."""
+        return {
+            "model": self.model,
+            "size_m": self.size,
+            "sigma_um": 1e6 * self.sigma,
+            "law": self.law.name,
+            "plan": self.plan.words,
+            "runs": self.plan.runs * (2 if self.plan.both else 1),
+            "readings": self.plan.readings,
+            "columns": sorted(self.plan.columns),
+            "instruments": list(self.instruments),
+        }
+
+
+def machine_of(table: Mapping[str, Any]) -> Machine:
+    """The toolkit's machine of a `[machine]` table."""
+    setup = {"name": "s", "instrument": "pose_tracker_position"}
+    tables = {"schema": 1, "name": "random", "machine": table, "setup": [setup]}
+    return start(build_study(tables), None, Silent(), []).resolved.machine
+
+
+def draw(number: int, seed: int) -> Case:
+    """Case `number` of a seed: models and laws take turns, the rest is random."""
+    rng = np.random.default_rng([seed, number])
+    model = machines.MODELS[number % len(machines.MODELS)]
+    law = noise.LAWS[(number // len(machines.MODELS) + number) % len(noise.LAWS)]
+    own = machine_of({"model": model})
+    while True:  # a random geometry may have no workspace
+        drawn = machines.draw(model, own, rng)
+        try:
+            return _case(drawn, noise.draw(law, rng), rng)
+        except AssemblyError:
+            continue
+
+
+def _sigma(size: float, rng: np.random.Generator) -> float:
+    low, high = np.clip(np.array(SHARES) * size, *SIGMAS)
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+def draw_with_gap(model: str, gap: str, kind: str, seed: int) -> Case:
+    """A machine of a family with one of GAPS ("" for none), read in every way.
+
+    kind    of its instrument
+    """
+    rng = np.random.default_rng(seed)
+    own = machine_of({"model": model})
+    while True:
+        drawn = machines.draw(model, own, rng)
+        plan = plans.full(drawn.size)
+        try:
+            return _case(drawn, noise.draw("white", rng), rng, gap, [kind], plan)
+        except AssemblyError:
+            continue
+
+
+def _case(
+    drawn: machines.Drawn,
+    law: noise.Law,
+    rng: np.random.Generator,
+    gap: str = "",
+    kinds: Sequence[str] = (),
+    plan: plans.Plan | None = None,
+) -> Case:
+    machine = machine_of(drawn.table)
+    free = np.array([p.name not in machine.frame for p in machine.parameters])
+    tolerance = np.array([p.tolerance for p in machine.parameters]) * free
+    errors = machines.parameter_errors(tolerance, rng, rng.uniform(0.3, 1.0))
+    truth = machines.Truth(drawn.model, machine, machine.nominal + errors)
+    sigma = _sigma(drawn.size, rng)
+    centre = truth.nominal(machine.home_command[None])[0][0]
+    bench = Bench(centre, drawn.size, sigma, rng)
+    if not kinds:
+        count = 1 + (rng.random() < 0.35)
+        kinds = [str(k) for k in rng.choice(_choices(machine, drawn.model), count)]
+    if plan is None:
+        plan = plans.draw(drawn.size, MOST // (3 * len(kinds)), rng)
+    session = _Session(machine, truth, bench, plan, law, gap)
+    setups = [session.take(f"s{k + 1}", kind) for k, kind in enumerate(kinds)]
+    tables = {
+        "schema": 1,
+        "name": "random",
+        "seed": 1,
+        "machine": dict(drawn.table),
+        "setup": [s.table for s in setups],
+        "noise": {str(s.table["name"]): dict(s.noise) for s in setups if s.noise},
+    }
+    readings = pd.concat(session.rows, ignore_index=True)
+    size, names = drawn.size, tuple(kinds)
+    return Case(drawn.model, size, sigma, law, plan, names, tables, readings)
+
+
+def _choices(machine: Machine, model: str) -> tuple[str, ...]:
+    if model in CHOICES:
+        return CHOICES[model]
+    turns = any(c.unit == "rad" for c in machine.pose)
+    return TURNING if turns else SPACE
+
+
+class _Session:
+    """Readings set-up after set-up, on one clock."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        truth: machines.Truth,
+        bench: Bench,
+        plan: plans.Plan,
+        law: noise.Law,
+        gap: str,
+    ) -> None:
+        self.machine, self.truth, self.bench = machine, truth, bench
+        self.plan, self.law, self.gap = plan, law, gap
+        self.rows: list[pd.DataFrame] = []
+        self._now = 0.0
+
+    def take(self, name: str, kind: str) -> Mounted:
+        """Read all paths of a set-up."""
+        rng, plan = self.bench.rng, self.plan
+        length, cup = self._bar()
+        mounted = self._mount(name, kind, length, cup)
+        passes = (True, False) if plan.both else (True,)
+        times = plans.clock(plan, plan.runs * len(passes), plan.readings, rng)
+        times += self._now
+        self._now = float(times.max()) + 600.0
+        warm = plans.temperatures(times, rng)
+        taken = 0
+        for number in range(plan.runs):
+            path = self._path(kind, length, cup)
+            for forward in passes:
+                commands = path if forward else path[::-1]
+                said = plans.covariates(
+                    plan, number, forward, times[taken], warm[taken]
+                )
+                label = f"{number + 1}{'+' if forward else '-'}"
+                row = self._pass(mounted, label, commands, said, times[taken])
+                self.rows.append(row)
+                taken += 1
+        return mounted
+
+    def _bar(self) -> tuple[float, Array]:
+        """Length of a ball bar and the place (3,) of its cup."""
+        reach = [
+            0.5 * (c.upper - c.lower) for c in self.machine.workspace() if c.unit == "m"
+        ]
+        if len(reach) == 3:
+            middle = [0.5 * (c.upper + c.lower) for c in self.machine.workspace()[:3]]
+            length = 0.75 * min(reach)
+            return length, np.array(middle) - np.array([0.0, 0.0, 0.4 * length])
+        length = 0.8 * self.bench.size
+        return length, self.bench.centre - np.array([0.0, 0.0, length])
+
+    def _mount(self, name: str, kind: str, length: float, cup: Array) -> Mounted:
+        if kind == "ball_bar":
+            return instruments.ball_bar(self.bench, name, length, cup)
+        if kind.startswith("rm"):
+            return instruments.relative(self.bench, name, kind)
+        special = {
+            "pose_tracker": instruments.pose_tracker,
+            "laser_ball_bar": instruments.laser_ball_bar,
+            "height": instruments.height,
+            "calliper": instruments.calliper,
+        }
+        if kind in special:
+            return special[kind](self.bench, name)
+        return instruments.position(self.bench, name, kind)
+
+    def _path(self, kind: str, length: float, cup: Array) -> Array:
+        rng, count = self.bench.rng, self.plan.readings
+        if kind.startswith("rm"):
+            return self._straight(kind)
+        wanted = "loop" if kind == "ball_bar" else ""
+        path = plans.path(self.machine, count, self.truth.joints, rng, wanted)
+        if kind != "ball_bar":
+            return path
+        names = [c.name for c in self.machine.command]
+        if names[:3] == ["x", "y", "z"]:
+            path[:, :3] = plans.circles(count, length, cup, rng)
+        else:
+            self._lead(path, length, cup)
+        if not plans.within_reach(self.machine, path, self.truth.joints):
+            raise AssemblyError("the ball bar leads out of reach", np.array([0]))
+        return path
+
+    def _lead(self, path: Array, length: float, cup: Array) -> None:
+        """Set the heights of a tripod's path so that the bar keeps its length."""
+        for _ in range(6):
+            point = self.truth.nominal(path)[0]
+            flat = ((point[:, :2] - cup[:2]) ** 2).sum(axis=1)
+            path[:, 0] += cup[2] + np.sqrt(length**2 - flat) - point[:, 2]
+
+    def _straight(self, kind: str) -> Array:
+        """A line along y, or along z (rm2, rm4), of the planar machine."""
+        rng, count = self.bench.rng, self.plan.readings
+        low, high = (
+            np.array([getattr(c, end) for c in self.machine.workspace()])
+            for end in ("lower", "upper")
+        )
+        path = np.tile(rng.uniform(low, high), (count, 1))
+        moving = 1 if kind in ("rm2", "rm4") else 0
+        path[:, moving] = np.linspace(low[moving], high[moving], count)
+        return path
+
+    def _pass(
+        self,
+        mounted: Mounted,
+        label: str,
+        commands: Array,
+        said: Mapping[str, Any],
+        times: Array,
+    ) -> pd.DataFrame:
+        """Rows of one pass of a path."""
+        rng, count = self.bench.rng, len(commands)
+        chains = [self.law.chain(count, rng) for _ in range(mounted.sources)]
+        point, rotation = self.truth.tool(commands, self._shift(commands, times))
+        values = mounted.read(point, rotation, np.column_stack(chains))
+        rows: dict[str, Any] = {
+            "setup": mounted.table["name"],
+            "run": label,
+            "order": np.arange(1, count + 1),
+        }
+        for k, coordinate in enumerate(self.machine.command):
+            unit, factor = COMMANDS[coordinate.unit]
+            rows[f"{coordinate.name}_{unit}"] = factor * commands[:, k]
+        rows |= said
+        for k, column in enumerate(mounted.channels):
+            rows[column] = values[:, k]
+        table = pd.DataFrame(rows)
+        if mounted.reference and "length_mm" in mounted.channels:
+            table.loc[0, "length_mm"] = np.nan
+        return table
+
+    def _shift(self, commands: Array, times: Array) -> Array | float:
+        """What the gap, if there is one, adds to the joints (n, nq)."""
+        if not self.gap:
+            return 0.0
+        joints = self.truth.joints(commands)
+        shift = np.zeros_like(joints)
+        if self.gap == "warm leg":
+            grown = SEVERITY * self.bench.sigma * (1.0 - np.exp(-times / WARMS))
+            shift[:, 1] = grown * joints[:, 1] / np.abs(joints[:, 1]).max()
+        else:  # play
+            shift[:, 0] = -0.5 * SEVERITY * self.bench.sigma * _sense(joints[:, 0])
+        return shift
+
+
+def _sense(joint: Array) -> Array:
+    """Sign (n,) of a joint's last motion; that to come at the first pose."""
+    step = np.diff(joint)
+    return np.sign(np.concatenate([step[:1], step]))
+
+
+def write(case: Case, folder: Path) -> Path:
+    """Write the readings into a folder; returns their path. Raises OSError."""
+    path = folder / "random.readings.csv"
+    case.readings.to_csv(path, index=False, float_format="%.17g")
+    return path

@@ -1,0 +1,193 @@
+"""A case with all of its lengths times a factor, and what that changes in the answers.
+
+No answer may depend on the unit of length: the same machine a thousand times as large,
+read with a thousand times the noise, has the same probabilities. Times, turns, loads
+and temperatures stay.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from benchmarks.random_machines import case as cases
+from benchmarks.random_machines.case import Case
+from oed.effect import Effect
+from oed.gap.cause import searches
+from oed.gap.cause.compare import compare, probabilities
+from oed.gap.data import problem
+from oed.gap.data.problem import GapProblem
+from pkm_studies.notebook import build_study, identify, read_readings
+from pkm_studies.resolve.gap import gap_request
+
+FACTOR = 1000.0
+#: units of length at the end of a field's name
+LENGTHS = ("um", "mm", "m", "mm_min")
+#: expected sizes of effects, um
+SIZES = {
+    "backlash": 10.0,
+    "bar_length": 10.0,
+    "encoder_subdivision": 0.1,
+    "frame_bending": 20.0,
+    "friction": 4.0,
+    "gravity": 20.0,
+    "guideway": 10.0,
+    "joint_clearance": 10.0,
+    "joint_runout": 4.0,
+    "mount_drift": 5.0,
+    "pitch_accumulation": 10.0,
+    "screw_cyclic": 3.0,
+    "step": 20.0,
+}
+#: lead of the screws and period of the scales, m
+LEAD, PERIOD = 5e-3, 20e-6
+#: a file of effects with these
+DRIVES = '''"""Cyclic errors with the lead and the period of this machine."""
+
+import dataclasses
+
+from pkm_models.effects import encoder_subdivision, screw_cyclic
+
+lead = dataclasses.replace(screw_cyclic.effect, constants={{"pitch": ({lead},)}})
+period = dataclasses.replace(
+    encoder_subdivision.effect, constants={{"period": ({period},)}}
+)
+'''
+#: machines, their gaps and instruments of the table
+CASES = (
+    ("delta", "", "camera", 1),
+    ("delta", "warm leg", "camera", 1),
+    ("hexapod_ups", "", "ball_bar", 2),
+    ("hexapod_ups", "play", "ball_bar", 2),
+    ("cables_planar", "", "planar_position", 3),
+    ("cables_planar", "warm leg", "planar_position", 3),
+    ("tripod_rps", "", "ball_bar", 4),
+    ("tripod_rps", "play", "ball_bar", 4),
+)
+
+Probabilities = Mapping[str, float]
+
+
+def changes(
+    case: Case, *, remainder: bool, factor: float = FACTOR
+) -> tuple[Probabilities, Probabilities]:
+    """Probabilities of all hypotheses of a case, as it is and with lengths times a factor.
+
+    remainder   whether an unknown remainder is among them
+    """
+    larger = scaled(case, factor)
+    usual = hypotheses(*prepared(case, 1.0), remainder=remainder)
+    other = hypotheses(*prepared(larger, factor), remainder=remainder)
+    return usual, other
+
+
+def largest(usual: Probabilities, other: Probabilities) -> float:
+    """The largest change of any hypothesis' probability."""
+    names = {*usual, *other}
+    return max(abs(usual.get(n, 0.0) - other.get(n, 0.0)) for n in names)
+
+
+def prepared(case: Case, factor: float) -> tuple[GapProblem, Sequence[Effect]]:
+    """The residuals of a case and the effects that its study tries.
+
+    factor   on the sizes, the lead and the period that the study states
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = cases.write(case, Path(folder))
+        study = build_study(_with_sizes(case.study, Path(folder), factor), folder)
+        state = identify(read_readings(study, path)).state
+        request = gap_request(study, state.resolved.machine, always=True)
+    readings, estimate = state.readings, state.estimate
+    assert readings is not None
+    assert readings.covariates is not None
+    assert estimate is not None
+    assert request is not None
+    residuals = problem.assemble(
+        state.measurement,
+        readings.series,
+        readings.covariates,
+        estimate.theta,
+        readings.y,
+        gravity=request.gravity,
+    )
+    return residuals, request.effects
+
+
+def hypotheses(
+    residuals: GapProblem, effects: Sequence[Effect], *, remainder: bool
+) -> Probabilities:
+    """Probability of each set of effects, by their names."""
+    with contextlib.nullcontext() if remainder else _no_remainder():
+        ranked = compare(searches.searches(residuals, effects))
+    shares = probabilities(ranked)
+    named: dict[str, float] = {}
+    for h, share in zip(ranked, shares, strict=True):
+        if h.unknown and not remainder:
+            continue
+        unknown = ("unknown",) if h.unknown else ()
+        named[" + ".join((*sorted(h.effects), *unknown)) or "none"] = float(share)
+    return named
+
+
+@contextlib.contextmanager
+def _no_remainder() -> Iterator[None]:
+    """Searches that know no discrepancy of unknown form."""
+    nothing = mock.patch.object(searches, "PROCESSES", ())
+    no_waves = mock.patch.object(
+        searches.waves, "add", lambda processes, *rest: processes
+    )
+    with nothing, no_waves:
+        yield
+
+
+# -- lengths times a factor ------------------------------------------------------------
+
+
+def _with_sizes(
+    study: Mapping[str, Any], folder: Path, factor: float
+) -> dict[str, Any]:
+    """The study with stated sizes of effects, and a lead and period of its own."""
+    drives = folder / "drives.py"
+    text = DRIVES.format(lead=LEAD * factor, period=PERIOD * factor)
+    drives.write_text(text, encoding="utf-8")
+    effects = {f"{name}_um": factor * size for name, size in SIZES.items()}
+    gap = {"effects": ["all", f"{drives}:lead", f"{drives}:period"]}
+    return {**study, "effects": effects, "gap": gap}
+
+
+def scaled(case: Case, factor: float = FACTOR) -> Case:
+    """The case with its lengths times a factor."""
+    readings = case.readings.copy()
+    for column in readings.columns:
+        if _is_length(str(column)):
+            readings[column] = factor * readings[column]
+    study = _scaled(case.study, factor)
+    return dataclasses.replace(case, study=study, readings=readings)
+
+
+def _is_length(name: str) -> bool:
+    return any(name.endswith(f"_{unit}") for unit in LENGTHS)
+
+
+def _scaled(table: Mapping[str, Any], factor: float) -> dict[str, Any]:
+    """A table of a study with its lengths times a factor."""
+    result: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            result[name] = _scaled(value, factor)
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            result[name] = [_scaled(item, factor) for item in value]
+        else:
+            result[name] = _times(value, factor) if _is_length(name) else value
+    return result
+
+
+def _times(value: Any, factor: float) -> Any:
+    if isinstance(value, list):
+        return [_times(item, factor) for item in value]
+    return factor * value

@@ -1,0 +1,104 @@
+"""The benchmark of random machines: its readings, its units, and a handful of them."""
+
+import numpy as np
+import pytest
+
+from benchmarks.random_machines import case, machines, noise, run, scaling, table
+from benchmarks.random_machines.closures import PLAIN
+from oed.gap.forms import library
+
+FAMILIES = ("delta", "hexapod_ups", "cables_planar", "tripod_rps")
+
+
+@pytest.mark.parametrize("model", sorted(PLAIN))
+def test_plain_closures_are_those_of_the_toolkit(model: str) -> None:
+    """The true machine stands where the toolkit's kinematics have it."""
+    machine = case.machine_of({"model": model})
+    rng = np.random.default_rng(3)
+    tolerance = np.array([p.tolerance for p in machine.parameters])
+    true = machine.nominal + machines.parameter_errors(tolerance, rng)
+    plain = machines.Truth(model, machine, true)
+    command = np.array([machine.home_command, *_nearby(machine, rng)])
+    point, rotation = plain.tool(command)
+    joints = plain.joints(command)
+    pose = plain.kinematics.inverse(command)[0]
+    pose = plain.kinematics.forward(joints, true, pose)
+    turned, tip, _ = plain.kinematics.frames(pose, np.zeros(3))
+    np.testing.assert_allclose(point, tip, atol=1e-11)
+    np.testing.assert_allclose(rotation, turned, atol=1e-11)
+
+
+def _nearby(machine, rng: np.random.Generator) -> np.ndarray:
+    low = np.array([c.lower for c in machine.workspace()])
+    high = np.array([c.upper for c in machine.workspace()])
+    return rng.uniform(0.7 * low + 0.3 * high, 0.3 * low + 0.7 * high, (5, len(low)))
+
+
+@pytest.mark.parametrize("name", noise.LAWS)
+def test_noise_has_the_stated_spread(name: str) -> None:
+    law = noise.Law(name, share=0.8, reach=5.0, offset=2.0)
+    rng = np.random.default_rng(4)
+    chains = np.array([law.chain(40, rng) for _ in range(1500)])
+    variance = 1.0 + law.offset**2 if name == "offsets" else 1.0
+    assert np.mean(chains**2) == pytest.approx(variance, rel=0.1)
+    beside = np.mean(chains[:, 1:] * chains[:, :-1])
+    wanted = {"along": 0.8 * np.exp(-0.2), "offsets": 4.0}.get(name, 0.0)
+    assert beside == pytest.approx(wanted, abs=0.1 * variance)
+
+
+@pytest.mark.parametrize("model", FAMILIES)
+def test_columns_of_effects_have_no_unit_of_length(model: str) -> None:
+    """In units of the noise they are the same a thousand times as large.
+
+    They are those at the fitted parameters, which are a little apart: a fit ends where
+    it hardly improves.
+    """
+    kind = "planar_position" if model == "cables_planar" else "ball_bar"
+    drawn = case.draw_with_gap(model, "", kind, 6)
+    larger = scaling.scaled(drawn)
+    usual, effects = scaling.prepared(drawn, 1.0)
+    other, scaled = scaling.prepared(larger, scaling.FACTOR)
+    apart = np.abs(other.slopes - usual.slopes).max()
+    assert apart < 1e-4 * np.abs(usual.slopes).max()
+    for effect, effect_there in zip(effects, scaled, strict=True):
+        here, there = (
+            library.build(usual, [effect]),
+            library.build(other, [effect_there]),
+        )
+        assert there.columns.shape == here.columns.shape, effect.name
+        size = np.abs(here.columns).max(axis=0, initial=1e-6)
+        change = np.abs(there.columns - here.columns) / size
+        assert change.max(initial=0.0) < 1e-2, effect.name
+
+
+def test_the_table_counts_alarms() -> None:
+    made = {
+        "model": "delta",
+        "law": "white",
+        "plan": "one way, no time",
+        "instruments": ["camera"],
+        "size_m": 0.4,
+        "runs": 4,
+        "readings": 20,
+    }
+    records = [{**made, "verdict": v} for v in ("none", "none", "unknown", "failed")]
+    rows = table.markdown(records).splitlines()
+    assert rows[2] == "| all | 4 | 2 (50.0 %) | 15.0..85.0 % |"
+    assert rows[3].startswith("| `delta` | 4 | 2 ")
+
+
+@pytest.mark.slow
+def test_few_random_machines_are_said_to_have_a_gap() -> None:
+    """Nothing fails, and of nine machines at most two alarm: five in a hundred do."""
+    records = [run.record(number, seed=7) for number in range(9)]
+    assert not [r["traceback"] for r in records if r["verdict"] == run.FAILED]
+    assert sum(map(table.is_alarm, records)) <= 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", scaling.CASES[:6:2] + scaling.CASES[1:6:2])
+def test_no_probability_hangs_on_the_unit_of_length(row) -> None:
+    """Of named effects and none."""
+    drawn = case.draw_with_gap(*row)
+    usual, other = scaling.changes(drawn, remainder=False)
+    assert scaling.largest(usual, other) < 0.01
