@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from oed.kinematics import AssemblyError
-from oed.machine import Machine
+from oed.machine import Coordinate, Machine
 
 Array = np.ndarray
 RUNS, READINGS = (2, 12), (10, 72)
@@ -152,11 +152,13 @@ def within_reach(
         joints = reachable(commands)
     except AssemblyError:
         return False
-    low, high = (
-        np.array([getattr(c, end) for c in machine.joints])
-        for end in ("lower", "upper")
-    )
-    return bool(((joints > low) & (joints < high)).all())
+    return _inside(joints, machine.joints) and _inside(commands, machine.workspace())
+
+
+def _inside(values: Array, coordinates: Sequence[Coordinate]) -> bool:
+    low = np.array([c.lower for c in coordinates])
+    high = np.array([c.upper for c in coordinates])
+    return bool(((values > low) & (values < high)).all())
 
 
 def circles(count: int, length: float, cup: Array, rng: np.random.Generator) -> Array:
