@@ -16,44 +16,57 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array, Mask
+from oed.arrays import Array, Index, Mask
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Knowledge:
-    """Equally likely machines, in units of the parameters' tolerances.
+    """Equally likely machines (P), in units of the parameters' tolerances.
 
-    covariances        (P, n, n), one for each machine
+    Machines with the same losses share a covariance: it is held, and worked with, once.
+
+    covariances        (Q, n, n) distinct ones
+    covariance_of      (P,) covariance of each machine
     errors             (P, n) true minus believed parameters; None: N(0, covariance)
     lost_readings      (P,) which machines have lost readings
     mean_square_error  (n, n) over all machines; accuracy is judged by it
     """
 
     covariances: Array
+    covariance_of: Index
     errors: Array | None
     lost_readings: Mask
     mean_square_error: Array
+
+    @property
+    def machines(self) -> int:
+        """Number of machines P."""
+        return len(self.covariance_of)
 
     @property
     def columns(self) -> int:
         """Number of parameters n."""
         return int(self.covariances.shape[1])
 
-    def repeat(self, times: int) -> tuple[Array, Array | None, Mask]:
-        """Covariances, errors and losses with every machine repeated in place."""
+    def repeat(self, times: int) -> Knowledge:
+        """The same knowledge with every machine repeated in place."""
         errors = self.errors
         if errors is not None:
             errors = np.repeat(errors, times, axis=0)
-        covariances = np.repeat(self.covariances, times, axis=0)
-        return covariances, errors, np.repeat(self.lost_readings, times)
+        return Knowledge(
+            covariances=self.covariances,
+            covariance_of=np.repeat(self.covariance_of, times),
+            errors=errors,
+            lost_readings=np.repeat(self.lost_readings, times),
+            mean_square_error=self.mean_square_error,
+        )
 
-    def draw(self, times: int, rng: np.random.Generator) -> tuple[Array, Array, Mask]:
-        """The same, with errors drawn from the covariances where there are none yet."""
-        covariances, errors, lost_readings = self.repeat(times)
-        if errors is None:
-            normals = rng.standard_normal(covariances.shape[:2])
-            errors = np.einsum("pnm,pm->pn", square_roots(covariances), normals)
-        return covariances, errors, lost_readings
+    def draw_errors(self, rng: np.random.Generator) -> Array:
+        """Errors (P, n); drawn from the covariances where there are none yet."""
+        if self.errors is not None:
+            return self.errors
+        normals = rng.standard_normal((self.machines, self.columns))
+        return multiply_each(square_roots(self.covariances), self.covariance_of, normals)
 
 
 #: what is known before a stage: a covariance (n, n), a mixture (P, n, n), or Knowledge
@@ -65,11 +78,30 @@ def as_knowledge(prior: Prior) -> Knowledge:
     if isinstance(prior, Knowledge):
         return prior
     covariances = prior[None] if prior.ndim == 2 else prior
-    none_lost = np.zeros(len(covariances), dtype=bool)
-    return Knowledge(covariances, None, none_lost, np.asarray(covariances.mean(axis=0)))
+    return Knowledge(
+        covariances=covariances,
+        covariance_of=np.arange(len(covariances)),
+        errors=None,
+        lost_readings=np.zeros(len(covariances), dtype=bool),
+        mean_square_error=np.asarray(covariances.mean(axis=0)),
+    )
 
 
 def square_roots(covariances: Array) -> Array:
-    """R (P, n, n) with R R^T = covariances, positive semidefinite up to rounding."""
+    """Symmetric R (P, n, n), R R = covariances, positive semidefinite up to rounding.
+
+    This root is the only one: errors drawn by it do not depend on rounding, as they do
+    by eigenvectors, which have any sign and turn where eigenvalues are equal.
+    """
     values, vectors = np.linalg.eigh(covariances)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+    scaled = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return np.asarray(scaled @ np.swapaxes(vectors, 1, 2))
+
+
+def multiply_each(matrices: Array, matrix_of: Index, vectors: Array) -> Array:
+    """Products (P, a) of vectors (P, b) with matrices (Q, a, b), `matrix_of` (P,) each."""
+    products = np.empty((len(vectors), matrices.shape[1]))
+    for k, matrix in enumerate(matrices):
+        members = matrix_of == k
+        products[members] = vectors[members] @ matrix.T
+    return products

@@ -23,7 +23,7 @@ import numpy as np
 
 from oed.arrays import Array, Index
 from oed.planning.option import Option
-from oed.planning.stage.knowledge import square_roots
+from oed.planning.stage.knowledge import multiply_each, square_roots
 
 #: share of a reading's noise below which its residual is neglected
 NEGLIGIBLE = 0.02
@@ -47,20 +47,20 @@ def estimate_residual(
     option: Option,
     chosen: Index,
     posterior: Array,
+    posterior_of: Index,
     patterns: Array,
-    pattern_of: Index,
-    draws: int,
     rng: np.random.Generator,
 ) -> LinearisationResidual:
     """Residuals of the chosen candidates (N), with machines drawn after the stage.
 
-    posterior   (P, w, w) covariances of all unknowns after the stage
-    patterns    (G, N) captured candidates;  pattern_of (P,) pattern of each machine
-    draws       machines drawn for each pattern
+    posterior     (K, w, w) covariances of all unknowns after the stage
+    posterior_of  (G x draws,) covariance of each machine to draw, pattern by pattern
+    patterns      (G, N) captured candidates
     """
     measurement = option.measurement
     series = option.series_of(chosen)
-    errors = _draw_errors(option, posterior, len(patterns), pattern_of, draws, rng)
+    draws = len(posterior_of) // len(patterns)
+    errors = _draw_errors(option, posterior, posterior_of, rng)
     exact = measurement.try_readings(series, measurement.nominal + errors)
     slopes = measurement.jacobian(series, measurement.nominal)
     nominal = measurement.readings(series, measurement.nominal)
@@ -80,21 +80,12 @@ def estimate_residual(
 
 
 def _draw_errors(
-    option: Option,
-    posterior: Array,
-    patterns: int,
-    pattern_of: Index,
-    draws: int,
-    rng: np.random.Generator,
+    option: Option, posterior: Array, posterior_of: Index, rng: np.random.Generator
 ) -> Array:
-    """Parameter errors (patterns x draws, p), SI, of machines after the stage."""
+    """Parameter errors (machines, p), SI, of machines drawn after the stage."""
     measurement = option.measurement
-    machines = [
-        np.resize(np.flatnonzero(pattern_of == pattern), draws)
-        for pattern in range(patterns)
-    ]
-    roots = square_roots(posterior[np.concatenate(machines)])
-    scaled = np.einsum("pnm,pm->pn", roots, rng.standard_normal(roots.shape[:2]))
+    normals = rng.standard_normal((len(posterior_of), posterior.shape[1]))
+    scaled = multiply_each(square_roots(posterior), posterior_of, normals)
     free = np.flatnonzero(measurement.free)
     errors = np.zeros((len(scaled), len(measurement.nominal)))
     errors[:, free] = scaled[:, : len(free)] * measurement.tolerance[free]

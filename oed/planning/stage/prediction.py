@@ -25,6 +25,7 @@ from oed.planning.option import Option
 from oed.planning.stage import linearisation
 from oed.planning.stage.drawn_machines import DrawnMachines, draw_machines
 from oed.planning.stage.knowledge import Knowledge, Prior, as_knowledge
+from oed.planning.stage.profiled import profile
 
 #: machines drawn where readings can be lost: usually, and for a first look
 DRAWS, FIRST_LOOK_DRAWS = 48, 12
@@ -99,7 +100,8 @@ def predict_stage(
             information = _information_with_residual(
                 option, chosen, machines.patterns, residual
             )
-    posterior = machines.update(information, rng)
+    profiled = profile(information, knowledge.columns, option.unknowns)
+    posterior = machines.update(profiled, rng)
     after = inverse(posterior.mean_square_error)
     before = inverse(knowledge.mean_square_error)
     return PlanStage(
@@ -149,13 +151,19 @@ def _residual(
 ) -> linearisation.LinearisationResidual:
     """Linearisation residual with half of the draws, shared among the patterns."""
     per_pattern = min(draws // 2, RESIDUAL_DRAWS) // len(machines.patterns)
+    count = max(per_pattern, LEAST_RESIDUAL_DRAWS)
+    drawn = [
+        np.resize(np.flatnonzero(machines.pattern_of == pattern), count)
+        for pattern in range(len(machines.patterns))
+    ]
+    groups = machines.group_of[np.concatenate(drawn)]
+    needed, posterior_of = np.unique(groups, return_inverse=True)
     return linearisation.estimate_residual(
         option,
         chosen,
-        machines.posterior(information),
+        machines.joint_posterior(information, needed),
+        posterior_of,
         machines.patterns,
-        machines.pattern_of,
-        max(per_pattern, LEAST_RESIDUAL_DRAWS),
         rng,
     )
 

@@ -38,8 +38,8 @@ def capture_probability(
     knowledge = as_knowledge(prior)
     if (count == 1).all():
         return np.asarray(_reading_probability(option, knowledge)[first])
-    times = max(RUN_DRAWS // len(knowledge.covariances), 1)
-    _, errors, _ = knowledge.draw(times, rng)
+    drawn = knowledge.repeat(max(RUN_DRAWS // knowledge.machines, 1))
+    errors = drawn.draw_errors(rng)
     setup_errors = rng.standard_normal((len(errors), option.setup_columns))
     everything = np.arange(len(option.candidates))
     captured = is_captured(option, everything, errors, setup_errors)
@@ -98,4 +98,4 @@ def _reading_probability(option: Option, knowledge: Knowledge) -> Array:
     )
     variance = np.maximum(setup_variance + machine_variance, TINY)
     ratio = option.travel / np.sqrt(variance) / np.sqrt(2.0)
-    return np.asarray(erf(ratio).mean(axis=0))
+    return np.asarray(erf(ratio)[knowledge.covariance_of].mean(axis=0))
