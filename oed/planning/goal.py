@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from functools import cached_property
 
 import numpy as np
 
@@ -59,12 +60,17 @@ class Goal:
 
     def criterion(self, setup_columns: int) -> Criterion:
         """The goal as a criterion of information matrices (n + setup_columns, ...)."""
-        zeros = np.zeros((*self.factors.shape[:2], setup_columns))
-        factors = np.concatenate([self.factors, zeros], axis=2)
         if self.has_targets:
-            return LargestVariance(factors)
-        stacked = factors.reshape(-1, factors.shape[2])
-        return Variance(stacked / np.sqrt(len(factors)))
+            zeros = np.zeros((*self.factors.shape[:2], setup_columns))
+            return LargestVariance(np.concatenate([self.factors, zeros], axis=2))
+        factor = self._mean_factor
+        return Variance(np.hstack([factor, np.zeros((len(factor), setup_columns))]))
+
+    @cached_property
+    def _mean_factor(self) -> Array:
+        """F (r, n) with F^T F the mean of F_k^T F_k over the components."""
+        stacked = self.factors.reshape(-1, self.factors.shape[2])
+        return np.asarray(_triangles(stacked[None] / np.sqrt(len(self.factors)))[0])
 
 
 def workspace_goal(

@@ -111,8 +111,18 @@ def predict_stage(
         probability=chosen_probability,
         linearisation_rms=rms,
         posterior=posterior,
-        information=after - before,
+        information=_positive_part(after - before),
     )
+
+
+def _positive_part(matrix: Array) -> Array:
+    """The nearest positive semidefinite matrix.
+
+    Machines that lose readings can be farther off after a stage than all machines were
+    before. A difference of information would then be negative in some directions.
+    """
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def profiled_information(blocks: Array, weights: Array, columns: int) -> Array:

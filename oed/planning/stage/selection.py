@@ -8,11 +8,12 @@ from __future__ import annotations
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.design.criterion import Criterion
+from oed.design.criterion import Criterion, Variance
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.rules import Rules
 from oed.design.search import improve, select_greedily
 from oed.planning.option import Option
+from oed.planning.stage.row_exchange import RowExchange
 
 #: capture probability below which a candidate is not worth a look
 HOPELESS = 1e-3
@@ -41,14 +42,18 @@ def select_readings(
         pool = np.argsort(-probability, kind="stable")[:count]
     weights = np.sqrt(probability[pool])[:, None, None]
     blocks = option.candidates.blocks[pool] * weights
-    evaluator = CriterionEvaluator(blocks, criterion, base)
     time = option.candidate_seconds[pool]
     designs = []
     if np.ptp(time) == 0.0:  # readings of equal length: their number limits the time
+        if blocks.shape[1] == 1 and isinstance(criterion, Variance):
+            exchange = RowExchange(blocks[:, 0], criterion.factor, base)
+            greedy = exchange.select_greedily(count)
+            return np.sort(pool[exchange.exchange(greedy, sweeps)])
         rules = Rules(size=count)
     else:
         rules = Rules(size=count, budget=seconds, cost=time)
         designs.append(_shortest(time, count, seconds))
+    evaluator = CriterionEvaluator(blocks, criterion, base)
     designs.append(select_greedily(evaluator, rules, 0.0, level=0))
     if sweeps:
         for level in range(evaluator.levels):
