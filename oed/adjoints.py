@@ -22,7 +22,7 @@ FEW = 0.25
 class PoseAdjoints:
     """A machine's equations at poses x (m, poses, nx) of m parameter vectors p (m, np).
 
-    q  (poses, nq) joints
+    q  (m, poses, nq) joints of each
     """
 
     def __init__(self, kinematics: Kinematics, x: Array, q: Array, p: Array) -> None:
@@ -52,7 +52,8 @@ class PoseAdjoints:
         """As `pull_back`, reading by reading."""
         m, n, channels, nx = slopes.shape
         x = self._x[:, index].reshape(m * n, nx)
-        q, p = np.tile(self._q[index], (m, 1)), np.repeat(self._p, n, axis=0)
+        q = self._q[:, index].reshape(m * n, -1)
+        p = np.repeat(self._p, n, axis=0)
         right = slopes.reshape(m * n, channels, nx)
         rows, condition = self._kinematics.pull_back(x, q, p, right)
         self._check(condition)
@@ -61,9 +62,8 @@ class PoseAdjoints:
     def _of_one(self, slopes: Array, pose: int) -> Array:
         """As `pull_back`, of readings that see one pose."""
         m, n, channels, nx = slopes.shape
-        q = np.broadcast_to(self._q[pose], (m, self._q.shape[1]))
         sensitivity, condition = self._kinematics.sensitivity(
-            self._x[:, pose], q, self._p
+            self._x[:, pose], self._q[:, pose], self._p
         )
         self._check(condition)
         rows = slopes.reshape(m, n * channels, nx) @ sensitivity
@@ -74,6 +74,7 @@ class PoseAdjoints:
         if self._is_regular or self._kinematics.surely_regular(condition):
             return
         m, poses, nx = self._x.shape
-        q, p = np.tile(self._q, (m, 1)), np.repeat(self._p, poses, axis=0)
+        q = self._q.reshape(m * poses, -1)
+        p = np.repeat(self._p, poses, axis=0)
         self._kinematics.check_regular(self._x.reshape(m * poses, nx), q, p)
         self._is_regular = True

@@ -93,13 +93,13 @@ class ForwardKinematics:
     ) -> tuple[Array, Mask]:
         """Poses (m, n, nx) at all joints (n, nq) and vectors (m, np), and which failed.
 
-        Starts are (n, nx) or (m, n, nx).
+        Starts are (n, nx) or (m, n, nx), and so can joints be.
         """
-        m, n, nx = len(vectors), len(q), start.shape[-1]
+        m, (n, nq), nx = len(vectors), q.shape[-2:], start.shape[-1]
         near = starts = np.broadcast_to(start, (m, n, nx))
-        if start.ndim == 2 and m > 1 and m * n >= ARRAY_SIZE:
+        if q.ndim == start.ndim == 2 and m > 1 and m * n >= ARRAY_SIZE:
             near = starts + self._first_step(q, vectors, start)
-        every_q = np.broadcast_to(q, (m, *q.shape)).reshape(m * n, -1)
+        every_q = np.broadcast_to(q, (m, n, nq)).reshape(m * n, nq)
         every_p = np.repeat(vectors, n, axis=0)
         inputs = near.reshape(m * n, nx), every_q, every_p
         x, failed = self.solve(inputs, starts.reshape(m * n, nx), step_tolerance)

@@ -107,7 +107,7 @@ class Kinematics:
     def forward(self, q: Array, p: Array, start: Array) -> Array:
         """Pose x with phi(x, q, p) = 0, from a start in the wanted assembly mode.
 
-        q      (n, nq)
+        q      (n, nq), or (m, n, nq): each vector's own
         p      (np,) or (m, np)
         start  (n, nx) or (m, n, nx)
 

@@ -146,7 +146,7 @@ class Measurement(ParameterVector):
         """
         y = self.try_readings(series, theta)
         if np.isnan(y).any():
-            # Solve again, for the error that states the failing poses.
+            # solve again, for the error that states the failing poses
             for s in series:
                 self._poses(s, np.atleast_2d(theta), strict=True)
             raise AssemblyError(
@@ -310,15 +310,15 @@ class Measurement(ParameterVector):
     def _poses(self, series: Series, theta: Array, *, strict: bool) -> Array:
         """Poses (m, poses, nx) at theta (m, n); NaN for failures unless `strict`."""
         p = theta[:, : len(self.machine.parameters)]
-        if len(p) == 1:
-            return self._poses_at_one(series, p, strict=strict)
+        if len(p) == 1 or series.q.ndim == 3:
+            return self._poses_once(series, p, strict=strict)
         if strict:
             return self.kinematics.forward(series.q, p, series.start)
         x, failed = self.kinematics.try_forward(series.q, p, series.start)
         return np.where(failed[..., None], np.nan, x)
 
-    def _poses_at_one(self, series: Series, p: Array, *, strict: bool) -> Array:
-        """Poses (1, poses, nx) at one parameter vector (1, np), solved once."""
+    def _poses_once(self, series: Series, p: Array, *, strict: bool) -> Array:
+        """Poses (m, poses, nx) at one vector (1, np), or one a machine; solved once."""
         arguments = (series.q, p, series.start)
         x = self._poses_at.recall(series.setup, *arguments)
         if x is not None:
@@ -347,7 +347,8 @@ class Measurement(ParameterVector):
         p, s = self._split(theta, series.setup)
         x = self._poses(series, theta, strict=True)
         by_pose, by_setup, by_parameter = self._slopes(series, x, p, s)
-        adjoints = PoseAdjoints(self.kinematics, x, series.q, p)
+        joints = self._joints(series, len(x))
+        adjoints = PoseAdjoints(self.kinematics, x, joints, p)
         shape = (len(x), len(series), by_setup.shape[1])
         pairs = zip(by_pose, series.pose_indices(), strict=True)
         parts = [adjoints.pull_back(g.reshape(*shape, -1), k) for g, k in pairs]
@@ -368,9 +369,14 @@ class Measurement(ParameterVector):
         inputs = [x[:, k].reshape(m * n, -1) for k in indices]
         inputs.append(np.repeat(s, n, axis=0))
         if model.uses_closure:
-            inputs += [np.tile(series.q[k], (m, 1)) for k in indices]
+            q = self._joints(series, m)
+            inputs += [q[:, k].reshape(m * n, -1) for k in indices]
             inputs.append(np.repeat(p, n, axis=0))
         return inputs
+
+    def _joints(self, series: Series, machines: int) -> Array:
+        """Joints (m, poses, nq) of so many machines."""
+        return np.broadcast_to(series.q, (machines, *series.q.shape[-2:]))
 
     def _slopes(
         self, series: Series, x: Array, p: Array, s: Array

@@ -17,7 +17,7 @@ class Series:
     """n readings taken, or to be taken, in one set-up, at m poses; SI.
 
     setup    name of the set-up
-    q        (m, nq) joints sent to the machine
+    q        (m, nq) joints sent to the machine, or (machines, m, nq): each its own
     start    (m, nx) nominal poses, or (draws, m, nx): Newton's start
     command  (m, n_dof) commands; NaN where joints were recorded instead
     index    (n, arity) poses that each reading sees: its own, then its reference
@@ -39,6 +39,12 @@ class Series:
         poses, index = np.unique(self.index[rows], return_inverse=True)
         index = index.reshape(self.index[rows].shape).astype(np.intp)
         return dataclasses.replace(self._at(poses), index=index, run=self.run[rows])
+
+    def of_machines(self, machines: Index | int) -> Series:
+        """The readings of some machines, or of one, where each has its own joints."""
+        if self.q.ndim == 2:
+            return self
+        return dataclasses.replace(self, q=self.q[machines], start=self.start[machines])
 
     def expand_passes(self, protocol: Protocol) -> Series:
         """The readings of all passes: each pass of a run becomes a run of its own.
@@ -82,7 +88,10 @@ class Series:
     def _at(self, poses: Index) -> Series:
         """The series with `poses` in place of its poses; the index is left as it is."""
         return dataclasses.replace(
-            self, q=self.q[poses], start=self.start[poses], command=self.command[poses]
+            self,
+            q=self.q[..., poses, :],
+            start=self.start[..., poses, :],
+            command=self.command[poses],
         )
 
 

@@ -22,12 +22,19 @@ import numpy as np
 
 from oed import prediction, simulation
 from oed.arrays import Array
-from oed.measurement import Measurement, Series
+from oed.measurement import Measurement
 from oed.planning.stage.knowledge import square_roots
 from oed.planning.stage.prediction import PlanStage
-from oed.planning.virtual_machines.readings import VirtualStage, prepare_stages
-from oed.planning.virtual_machines.refit import refit
+from oed.planning.virtual_machines.readings import (
+    VirtualReadings,
+    VirtualStage,
+    prepare_stages,
+)
+from oed.planning.virtual_machines.refit import refit_machines
 from oed.planning.virtual_machines.workspace import MachineErrors, WorkspaceErrors
+
+#: machines whose poses are computed together
+TOGETHER = 50
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,11 +106,12 @@ def propagate(
     measurement = stages[0].option.measurement
     workspace = WorkspaceErrors.of(measurement, command, reference)
     propagation = _Propagation(prepare_stages(stages), workspace, compensated, start)
-    realised = []
-    for k in range(machines):
-        realised.append(propagation.one_machine(rng))
+    realised: list[list[MachineErrors]] = []
+    while len(realised) < machines:
+        count = min(TOGETHER, machines - len(realised))
+        realised += propagation.carry_out(count, rng)
         if progress is not None:
-            progress((k + 1) / machines)
+            progress(len(realised) / machines)
     summaries = [
         _summary(stage, workspace, [machine[k] for machine in realised])
         for k, stage in enumerate(stages)
@@ -134,51 +142,67 @@ class _Propagation:
     compensated: bool
     start: Array | None
 
-    def one_machine(self, rng: np.random.Generator) -> list[MachineErrors]:
-        """Errors of one virtual machine after each stage."""
-        truth = self._draw(self.stages[-1].measurement, rng)
-        machine = self.workspace.kinematics.machine
-        parameters = len(self.workspace.tolerance)
-        theta = machine.nominal
-        series: tuple[Series, ...] = ()
-        y: list[Array] = []
+    def carry_out(
+        self, machines: int, rng: np.random.Generator
+    ) -> list[list[MachineErrors]]:
+        """Errors of some virtual machines after each stage, machine by machine."""
+        truth, normals = self._draw_machines(machines, rng)
+        nominal = np.tile(self.workspace.kinematics.machine.nominal, (machines, 1))
+        theta, parameters = nominal, nominal.shape[1]
+        readings: list[VirtualReadings] = []
         errors = []
-        for stage in self.stages:
+        for stage, of_stage in zip(self.stages, normals, strict=True):
             measurement = stage.measurement
             # the parameters of the set-ups mounted now are believed to be nominal
-            of_new_setups = measurement.nominal[len(theta) :]
-            believed = np.concatenate([theta, of_new_setups])
-            expected = believed if self.compensated else measurement.nominal
-            controller = believed[:parameters] if self.compensated else None
-            readings = stage.read(truth[: len(believed)], expected, controller, rng)
-            series = series + readings.series
-            y.append(readings.y)
-            theta, covariance = self._identify(measurement, series, y, believed)
-            identified = theta[:parameters]
+            believed = np.tile(measurement.nominal, (machines, 1))
+            believed[:, : theta.shape[1]] = theta
+            known = truth[:, : believed.shape[1]]
+            expected = np.tile(measurement.nominal, (machines, 1))
+            controller = None
+            if self.compensated:
+                expected, controller = believed, believed[:, :parameters]
+            readings.append(stage.read(known, expected, controller, of_stage))
+            theta, covariance = self._identify(readings, believed)
+            identified = theta[:, :parameters]
             errors.append(
                 self.workspace.evaluate(
-                    identified if self.compensated else machine.nominal,
+                    identified if self.compensated else nominal,
                     identified,
-                    truth[:parameters],
-                    covariance[:parameters, :parameters],
-                    readings.lost_share,
+                    truth[:, :parameters],
+                    covariance[:, :parameters, :parameters],
+                    readings[-1].lost_share,
                 )
             )
-        return errors
+        return [list(of_machine) for of_machine in zip(*errors, strict=True)]
+
+    def _draw_machines(
+        self, machines: int, rng: np.random.Generator
+    ) -> tuple[Array, list[Array]]:
+        """True parameters (m, n), and normal numbers (m, readings) of each stage."""
+        measurement = self.stages[-1].measurement
+        sizes = [len(stage.candidate) for stage in self.stages]
+        truth, normals = [], []
+        for _ in range(machines):
+            truth.append(self._draw(measurement, rng))
+            normals.append(rng.standard_normal(sum(sizes)))
+        ends = np.cumsum(sizes)[:-1]
+        return np.array(truth), np.split(np.array(normals), ends, axis=1)
 
     def _identify(
-        self,
-        measurement: Measurement,
-        series: Sequence[Series],
-        y: Sequence[Array],
-        believed: Array,
+        self, readings: Sequence[VirtualReadings], believed: Array
     ) -> tuple[Array, Array]:
-        """Parameters (n,) and their covariance (n, n), SI, from all readings so far."""
-        if not series:
-            return believed, self._prior_covariance(measurement)
-        root = self._prior_root(measurement)
-        fit = refit(measurement, series, np.concatenate(y), believed, root)
-        return fit.theta, fit.covariance
+        """Parameters (m, n) and covariances (m, n, n), SI, from all readings so far."""
+        measurement = self.stages[len(readings) - 1].measurement
+        fits = refit_machines(
+            measurement,
+            [s for stage in readings for s in stage.series],
+            np.hstack([stage.y for stage in readings]),
+            np.hstack([stage.captured for stage in readings]),
+            believed,
+            self._prior_root(measurement),
+        )
+        theta = np.array([fit.theta for fit in fits])
+        return theta, np.array([fit.covariance for fit in fits])
 
     def _prior_root(self, measurement: Measurement) -> Array | None:
         """R (free, free), R R^T the prior covariance of machine and set-ups.
@@ -191,15 +215,6 @@ class _Propagation:
         n = len(self.start)
         root[:n, :n] = square_roots(self.start[None])[0]
         return root
-
-    def _prior_covariance(self, measurement: Measurement) -> Array:
-        """Covariance (n, n) of machine and set-ups before, SI."""
-        root, free = self._prior_root(measurement), measurement.free
-        covariance = np.diag(measurement.tolerance**2)
-        if root is not None:
-            scaled = measurement.tolerance[free, None] * root
-            covariance[np.ix_(free, free)] = scaled @ scaled.T
-        return covariance
 
     def _draw(self, measurement: Measurement, rng: np.random.Generator) -> Array:
         """True parameters (n,) of a machine and of all set-ups."""

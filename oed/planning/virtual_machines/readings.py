@@ -15,16 +15,18 @@ from oed.planning.stage.prediction import PlanStage
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VirtualReadings:
-    """Captured readings.
+    """Readings (N) of m machines.
 
-    series      of the captured candidates
-    y           (readings,) SI
-    lost_share  share of the chosen candidates that is lost
+    series      with the joints that each machine is sent
+    y           (m, N) SI; NaN where a pose cannot be assembled
+    captured    (m, N) which readings are captured
+    lost_share  (m,) share of the chosen candidates that is lost
     """
 
     series: tuple[Series, ...]
     y: Array
-    lost_share: float
+    captured: Mask
+    lost_share: Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,56 +52,53 @@ class VirtualStage:
         truth: Array,
         expected: Array,
         controller: Array | None,
-        rng: np.random.Generator,
+        normals: Array,
     ) -> VirtualReadings:
-        """Readings of a machine with parameters `truth`.
+        """Readings of machines with parameters `truth` (m, n).
 
-        expected    (n,) parameters for which readings are expected
-        controller  (np,) parameters that the controller uses; None: nominal ones
+        expected    (m, n) parameters for which readings are expected
+        controller  (m, np) parameters that the controllers use; None: nominal ones
+        normals     (m, readings) standard normal numbers that become the noise
         """
         measurement = self.measurement
-        sent = [self._send(s, controller) for s in self.series]
+        sent = tuple(self._send(s, controller) for s in self.series)
         exact = measurement.try_readings(sent, truth)
-        y = exact + measurement.noise(sent).draw(rng, exact.shape)
         # a pose that cannot be assembled cannot be read
         lost = np.isnan(exact)
         if self.travel is not None:
             deviation = np.abs(exact - measurement.try_readings(sent, expected))
             lost |= self.first_channel & ~(deviation <= self.travel)
-        complete = np.bincount(self.candidate, lost) == 0
-        captured = complete[self.candidate]
+        candidates = int(self.candidate[-1]) + 1
+        belongs = self.candidate[:, None] == np.arange(candidates)
+        complete = (lost @ belongs.astype(float)) == 0.0
+        noise = [
+            measurement.noise([s.of_machines(k) for s in sent]).correlate(normal)
+            for k, normal in enumerate(normals)
+        ]
         return VirtualReadings(
-            series=self._captured_series(sent, captured),
-            y=y[captured],
-            lost_share=float(1.0 - complete.mean()),
+            series=sent,
+            y=exact + np.array(noise),
+            captured=complete[:, self.candidate],
+            lost_share=1.0 - complete.mean(axis=1),
         )
 
-    def _captured_series(
-        self, sent: Sequence[Series], captured: Mask
-    ) -> tuple[Series, ...]:
-        """The captured readings of each series; series without any are left out."""
-        parts = []
-        start = 0
-        for s in sent:
-            channels = len(self.measurement.setups[s.setup].sigma)
-            end = start + channels * len(s)
-            rows = np.flatnonzero(captured[start:end:channels])
-            start = end
-            if len(rows):
-                parts.append(s.take(rows))
-        return tuple(parts)
-
     def _send(self, series: Series, controller: Array | None) -> Series:
-        """The series with the joints that the controller sends.
+        """The series with the joints that each machine's controller sends.
 
         Recorded joints stay as they are.
         """
         if controller is None or np.isnan(series.command).any():
             return series
         tool = np.array(self.measurement.setups[series.setup].tool)
-        kinematics = self.measurement.kinematics
-        x, q = kinematics.inverse(series.command, controller, tool)
-        return dataclasses.replace(series, q=q, start=x)
+        (machines, _), (poses, _) = controller.shape, series.command.shape
+        command = np.tile(series.command, (machines, 1))
+        parameters = np.repeat(controller, poses, axis=0)
+        x, q = self.measurement.kinematics.inverse(command, parameters, tool)
+        return dataclasses.replace(
+            series,
+            q=q.reshape(machines, poses, -1),
+            start=x.reshape(machines, poses, -1),
+        )
 
 
 def prepare_stages(stages: Sequence[PlanStage]) -> tuple[VirtualStage, ...]:

@@ -1,16 +1,17 @@
-"""Fast maximum a posteriori fit after a stage, for virtual machines by the hundred.
+"""Fast maximum a posteriori fits after a stage, for virtual machines by the hundred.
 
-It minimises what `oed.identification` minimises, |W (y - f(theta))|^2 + |z|^2, W whitening
-the noise, over all free parameters at once,
+They minimise what `oed.identification` minimises, |W (y - f(theta))|^2 + |z|^2, W
+whitening the noise, over all free parameters at once,
 
     theta = nominal + T R z,
 
 T the tolerances, R R^T the prior covariance in units of them. Gauss-Newton starts from
 what was believed before the stage, mostly near the end. A step that does not help is
-halved. The fit stops where a further step promises to lower the sum by less than
+halved. A fit stops where a further step promises to lower the sum by less than
 `ENOUGH`: that moves the parameters by a small share of their standard deviation, and no
-interval. Where it fails with the tolerances as prior, `oed.identification` takes over: it is
-slower, and says what is wrong.
+interval. The readings and slopes of all machines are computed together. Where a fit
+fails with the tolerances as prior, `oed.identification` takes over: it is slower, and says
+what is wrong.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.arrays import Array, Index, Mask
 from oed.identification import IdentificationError, identify
 from oed.information import posterior_covariance
 from oed.kinematics import AssemblyError
@@ -48,73 +49,169 @@ def refit(
     start: Array,
     root: Array | None = None,
 ) -> Refit:
-    """Fit readings y (N,), SI, from theta `start` (n,).
+    """Fit readings y (N,), SI, of one machine from theta `start` (n,).
 
     root  R (free, free) of the prior; the identity by default
 
     Raises IdentificationError where the fit does not converge.
     """
+    captured = np.ones((1, len(y)), dtype=bool)
+    return refit_machines(measurement, series, y[None], captured, start[None], root)[0]
+
+
+def refit_machines(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    captured: Mask,
+    start: Array,
+    root: Array | None = None,
+) -> list[Refit]:
+    """Fit the readings y (m, N), SI, of m machines from theta `start` (m, n).
+
+    series    planned readings, with joints of each machine or the same for all
+    captured  (m, N) which of them are captured
+    root      R (free, free) of the prior; the identity by default
+
+    Fixed parameters stay as in `start`. Raises IdentificationError where a fit does not
+    converge.
+    """
     free = np.flatnonzero(measurement.free)
     prior_root = np.eye(len(free)) if root is None else root
     scale = measurement.tolerance[free, None] * prior_root
-    problem = _RefitProblem(measurement, series, y, free, scale)
-    offset = start[free] - measurement.nominal[free]
-    z = np.asarray(np.linalg.lstsq(scale, offset, rcond=None)[0], dtype=float)
-    fit = problem.solve(z, start)
-    if fit is not None:
-        return fit
-    if root is not None:
-        raise IdentificationError(
-            "the fit of a virtual machine does not converge; start from a smaller"
-            " covariance"
-        )
-    slow = identify(measurement, series, y, start=start)
-    return Refit(slow.theta, slow.covariance)
+    own = [_own_series(measurement, series, k, c) for k, c in enumerate(captured)]
+    readings = [
+        _MachineReadings(c, measurement.noise(s) if s else None, y_k)
+        for c, s, y_k in zip(captured, own, y, strict=True)
+    ]
+    fits = _RefitProblem(measurement, series, readings, free, scale, start).solve()
+    for k, fit in enumerate(fits):
+        if fit is None and root is not None:
+            raise IdentificationError(
+                "the fit of a virtual machine does not converge; start from a smaller"
+                " covariance"
+            )
+        if fit is None:
+            slow = identify(measurement, own[k], y[k, captured[k]], start=start[k])
+            fits[k] = Refit(slow.theta, slow.covariance)
+    return [fit for fit in fits if fit is not None]
+
+
+def _own_series(
+    measurement: Measurement, series: Sequence[Series], machine: int, captured: Mask
+) -> list[Series]:
+    """The captured readings (N,) of one machine; series without any are left out."""
+    parts = []
+    start = 0
+    for s in series:
+        channels = len(measurement.setups[s.setup].sigma)
+        end = start + channels * len(s)
+        rows = np.flatnonzero(captured[start:end:channels])
+        start = end
+        if len(rows):
+            parts.append(s.of_machines(machine).take(rows))
+    return parts
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _MachineReadings:
+    """Readings of one machine.
+
+    captured  (N,) which of the planned readings it gives
+    noise     of the captured ones; None where there are none
+    y         (N,) SI; what is not captured does not count
+    """
+
+    captured: Mask
+    noise: Noise | None
+    y: Array
+
+    def whiten(self, values: Array) -> Array:
+        """Whitened values (captured, ...) of values (N, ...)."""
+        captured = values[self.captured]
+        return captured if self.noise is None else self.noise.whiten(captured)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _RefitProblem:
-    """Readings to fit over z: theta[free] = nominal + scale @ z."""
+    """Readings of m machines to fit over z: theta[free] = nominal + scale @ z."""
 
     measurement: Measurement
     series: Sequence[Series]
-    y: Array
+    readings: Sequence[_MachineReadings]
     free: Index
     scale: Array
+    start: Array
 
-    def solve(self, z: Array, start: Array) -> Refit | None:
-        """Gauss-Newton from z; None where it does not converge.
-
-        Fixed parameters stay as in `start`.
-        """
-        noise = self.measurement.noise(self.series)
-        point = self._point(noise, z, start)
+    def solve(self) -> list[Refit | None]:
+        """Gauss-Newton for all machines, until each converges or fails."""
+        fits: list[Refit | None] = [None] * len(self.readings)
+        offsets = self.start[:, self.free] - self.measurement.nominal[self.free]
+        z = np.linalg.lstsq(self.scale, offsets.T, rcond=None)[0].T
+        active = np.arange(len(fits))
+        points = dict(zip(active, self._points(active, z), strict=True))
         for _ in range(STEPS):
             try:
-                jacobian = self.measurement.jacobian(self.series, point.theta)
+                theta = np.array([points[k].theta for k in active])
+                jacobian = self.measurement.jacobian(self._series_of(active), theta)
             except AssemblyError:
-                return None
-            h = noise.whiten(jacobian[:, self.free]) @ self.scale
-            descent = h.T @ point.residual - point.z
-            normal = h.T @ h + np.eye(len(z))
-            step = np.asarray(np.linalg.solve(normal, descent), dtype=float)
-            if descent @ step < ENOUGH:
-                return Refit(point.theta, self._covariance(h))
-            lower = self._line_search(noise, point, step, start)
-            if lower is None:
-                return None
-            point = lower
-        return None
+                break
+            steps = {}
+            for k, slopes in zip(active, jacobian, strict=True):
+                h = self.readings[k].whiten(slopes[:, self.free]) @ self.scale
+                step, decrease = _gauss_newton_step(h, points[k])
+                if decrease < ENOUGH:
+                    fits[k] = Refit(points[k].theta, self._covariance(h))
+                else:
+                    steps[k] = step
+            active = self._line_search(points, steps)
+            if not active.size:
+                break
+        return fits
 
     def _line_search(
-        self, noise: Noise, point: _Point, step: Array, start: Array
-    ) -> _Point | None:
-        """The first halving of a step that lowers the cost; None where none does."""
+        self, points: dict[int, _Point], steps: dict[int, Array]
+    ) -> Index:
+        """Moves points to the first halving of their step that lowers the cost.
+
+        Returns the machines that have one.
+        """
+        searching = np.array(list(steps), dtype=np.intp)
+        moved: list[int] = []
         for halvings in range(HALVINGS):
-            trial = self._point(noise, point.z + 0.5**halvings * step, start)
-            if trial.cost < point.cost:
-                return trial
-        return None
+            if not searching.size:
+                break
+            z = [points[k].z + 0.5**halvings * steps[k] for k in searching]
+            trials = self._points(searching, np.array(z))
+            lower = np.array(
+                [t.cost < points[k].cost for k, t in zip(searching, trials, strict=True)]
+            )
+            for place in np.flatnonzero(lower):
+                points[searching[place]] = trials[place]
+            moved += list(searching[lower])
+            searching = searching[~lower]
+        return np.array(sorted(moved), dtype=np.intp)
+
+    def _points(self, machines: Index, z: Array) -> list[_Point]:
+        """Points of some machines at z (m, free).
+
+        The cost is infinite where a captured reading's pose cannot be assembled.
+        """
+        theta = self.start[machines].copy()
+        theta[:, self.free] = self.measurement.nominal[self.free] + z @ self.scale.T
+        expected = self.measurement.try_readings(self._series_of(machines), theta)
+        points = []
+        for k, z_k, theta_k, expected_k in zip(
+            machines, z, theta, expected, strict=True
+        ):
+            residual = self.readings[k].whiten(self.readings[k].y - expected_k)
+            cost = float(residual @ residual + z_k @ z_k)
+            cost = cost if np.isfinite(cost) else np.inf
+            points.append(_Point(z_k, theta_k, residual, cost))
+        return points
+
+    def _series_of(self, machines: Index) -> list[Series]:
+        return [s.of_machines(machines) for s in self.series]
 
     def _covariance(self, h: Array) -> Array:
         """Posterior covariance (n, n), SI, from whitened slopes h over z."""
@@ -124,21 +221,20 @@ class _RefitProblem:
         covariance[np.ix_(self.free, self.free)] = of_free
         return covariance
 
-    def _point(self, noise: Noise, z: Array, start: Array) -> _Point:
-        """Residual and cost at z; infinite cost where a pose cannot be assembled."""
-        theta = start.copy()
-        theta[self.free] = self.measurement.nominal[self.free] + self.scale @ z
-        expected = self.measurement.try_readings(self.series, theta)
-        residual = noise.whiten(self.y - expected)
-        cost = float(residual @ residual + z @ z)
-        return _Point(z, theta, residual, cost if np.isfinite(cost) else np.inf)
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Point:
-    """A point of the fit: z, theta (n,), whitened residual (N,), cost."""
+    """A point of a fit: z, theta (n,), whitened residual of what is captured, cost."""
 
     z: Array
     theta: Array
     residual: Array
     cost: float
+
+
+def _gauss_newton_step(h: Array, point: _Point) -> tuple[Array, float]:
+    """Step over z from whitened slopes h, and the decrease of the cost it promises."""
+    descent = h.T @ point.residual - point.z
+    normal = h.T @ h + np.eye(len(point.z))
+    step = np.asarray(np.linalg.solve(normal, descent), dtype=float)
+    return step, float(descent @ step)

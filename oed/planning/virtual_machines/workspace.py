@@ -91,56 +91,75 @@ class WorkspaceErrors:
         believed: Array,
         truth: Array,
         covariance: Array,
-        lost_share: float,
-    ) -> MachineErrors:
-        """Errors of one machine, and how many lie within the intervals of a covariance.
+        lost_share: Array,
+    ) -> list[MachineErrors]:
+        """Errors of m machines, and how many lie within the intervals of a covariance.
 
-        controller, believed, truth  (np,) parameters, SI
-        covariance                   (np, np) of the believed parameters, SI
+        controller, believed, truth  (m, np) parameters, SI
+        covariance                   (m, np, np) of the believed parameters, SI
+        lost_share                   (m,)
         """
-        errors = self.errors(controller, believed, truth)
-        half = HALF_WIDTH * np.sqrt(self.variance(covariance))
-        # what hardly moves, as the home pose itself, has errors of rounding alone
-        moved = half > STILL * half.max(axis=0)
         free = self.tolerance > 0.0
-        deviation = np.abs(truth - believed)[free]
-        parameter_half = HALF_WIDTH * np.sqrt(np.diag(covariance))[free]
-        within = (np.abs(errors) <= half)[moved]
-        return MachineErrors(
-            mean_square=np.mean(errors**2, axis=0),
-            lost_share=lost_share,
-            coverage=float((deviation <= parameter_half).mean()),
-            pose_coverage=float(within.mean()),
-        )
+        machines = []
+        for k, errors in enumerate(self.errors(controller, believed, truth)):
+            half = HALF_WIDTH * np.sqrt(self.variance(covariance[k]))
+            # what hardly moves, as the home pose itself, has errors of rounding alone
+            moved = half > STILL * half.max(axis=0)
+            deviation = np.abs(truth[k] - believed[k])[free]
+            parameter_half = HALF_WIDTH * np.sqrt(np.diag(covariance[k]))[free]
+            within = (np.abs(errors) <= half)[moved]
+            machines.append(
+                MachineErrors(
+                    mean_square=np.mean(errors**2, axis=0),
+                    lost_share=float(lost_share[k]),
+                    coverage=float((deviation <= parameter_half).mean()),
+                    pose_coverage=float(within.mean()),
+                )
+            )
+        return machines
 
     def errors(self, controller: Array, believed: Array, truth: Array) -> Array:
-        """Exact pose errors (n, K), SI, between true and believed machine.
+        """Exact pose errors (m, n, K), SI, between true and believed machines.
 
-        Both are at the joints that a controller with parameters (np,) sends.
+        Both are at the joints that a controller with parameters (m, np) sends.
         """
-        twist, model = self._twist(self.model, controller, believed, truth)
-        home_twist, home = self._twist(self.home, controller, believed, truth)
+        poses = self._poses(self.model, controller, believed, truth)
+        at_home = self._poses(self.home, controller, believed, truth)
         lever = self.kinematics.machine.alignment_lever
-        referenced = prediction.relative_to_reference(
-            twist, home_twist, model, home, self.reference, lever
-        )
-        return self.kinematics.error_components(self.maps.command, referenced)
+        errors = []
+        for (twist, model), (home_twist, home) in zip(poses, at_home, strict=True):
+            referenced = prediction.relative_to_reference(
+                twist, home_twist, model, home, self.reference, lever
+            )
+            errors.append(
+                self.kinematics.error_components(self.maps.command, referenced)
+            )
+        return np.array(errors)
 
-    def _twist(
+    def _poses(
         self, model: ErrorModel, controller: Array, believed: Array, truth: Array
-    ) -> tuple[Array, ErrorModel]:
-        """Twists (n, 6) from believed to true poses, and the model at believed poses.
+    ) -> list[tuple[Array, ErrorModel]]:
+        """For each machine, twists (n, 6) from believed to true poses, and the model at
+        believed poses.
 
         A lost turn at home is zeroed about the axes of the believed machine.
         """
-        start, q = self.kinematics.inverse(model.command, controller)
-        rotation, point = self._frames(q, believed, start)
-        true_rotation, true_point = self._frames(q, truth, start)
-        twist = compensate.twist_between(rotation, point, true_rotation, true_point)
-        return twist, dataclasses.replace(model, rotation=rotation, point=point)
+        machines, n = len(truth), len(model.command)
+        command = np.tile(model.command, (machines, 1))
+        start, q = self.kinematics.inverse(command, np.repeat(controller, n, axis=0))
+        rotation, point = self._frames(q, np.repeat(believed, n, axis=0), start)
+        true = self._frames(q, np.repeat(truth, n, axis=0), start)
+        twist = compensate.twist_between(rotation, point, *true)
+        return [
+            (
+                twist[part],
+                dataclasses.replace(model, rotation=rotation[part], point=point[part]),
+            )
+            for part in (slice(k * n, (k + 1) * n) for k in range(machines))
+        ]
 
     def _frames(self, q: Array, p: Array, start: Array) -> tuple[Array, Array]:
-        """Rotations (n, 3, 3) and points (n, 3) of the platform at joints q."""
-        pose = self.kinematics.forward(q, p, start)
+        """Rotations (n, 3, 3) and points (n, 3) of the platform at joints q, p each."""
+        pose = self.kinematics.forward_per_pose(q, p, start)
         rotation, point, _ = self.kinematics.frames(pose, NO_TOOL)
         return rotation, point
