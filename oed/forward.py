@@ -89,11 +89,17 @@ class ForwardKinematics:
         return BatchedFunction("adjoint", [e.x, e.q, e.p, factors], [by_x, row])
 
     def solve_all(
-        self, q: Array, vectors: Array, start: Array, step_tolerance: float
+        self,
+        q: Array,
+        vectors: Array,
+        start: Array,
+        step_tolerance: float,
+        wanted: Mask | None = None,
     ) -> tuple[Array, Mask]:
         """Poses (m, n, nx) at all joints (n, nq) and vectors (m, np), and which failed.
 
-        Starts are (n, nx) or (m, n, nx), and so can joints be.
+        Starts are (n, nx) or (m, n, nx), and so can joints be. Poses that are not
+        `wanted` (m, n) are not solved, and count as failed.
         """
         m, (n, nq), nx = len(vectors), q.shape[-2:], start.shape[-1]
         near = starts = np.broadcast_to(start, (m, n, nx))
@@ -102,7 +108,14 @@ class ForwardKinematics:
         every_q = np.broadcast_to(q, (m, n, nq)).reshape(m * n, nq)
         every_p = np.repeat(vectors, n, axis=0)
         inputs = near.reshape(m * n, nx), every_q, every_p
-        x, failed = self.solve(inputs, starts.reshape(m * n, nx), step_tolerance)
+        every_start = starts.reshape(m * n, nx)
+        if wanted is None:
+            x, failed = self.solve(inputs, every_start, step_tolerance)
+            return x.reshape(m, n, nx), failed.reshape(m, n)
+        rows = np.flatnonzero(wanted)
+        x, failed = np.full((m * n, nx), np.nan), np.ones(m * n, dtype=bool)
+        chosen = inputs[0][rows], every_q[rows], every_p[rows]
+        x[rows], failed[rows] = self.solve(chosen, every_start[rows], step_tolerance)
         return x.reshape(m, n, nx), failed.reshape(m, n)
 
     def solve(

@@ -131,14 +131,17 @@ class Kinematics:
         p: Array,
         start: Array,
         step_tolerance: float = newton.STEP_TOLERANCE,
+        wanted: Mask | None = None,
     ) -> tuple[Array, Mask]:
         """As `forward`, with a mask (n,) or (m, n) of failed poses in place of an error.
 
         Newton stops after a step (m, rad) shorter than `step_tolerance`, which leaves
-        an error of about step_tolerance^2 / lever.
+        an error of about step_tolerance^2 / lever. Poses that are not `wanted` (m, n)
+        count as failed.
         """
         q, vectors = np.atleast_2d(q), np.atleast_2d(p)
-        x, failed = self._forward.solve_all(q, vectors, start, step_tolerance)
+        arguments = (q, vectors, start, step_tolerance)
+        x, failed = self._forward.solve_all(*arguments, wanted)
         return (x[0], failed[0]) if p.ndim == 1 else (x, failed)
 
     def forward_per_pose(self, q: Array, p: Array, start: Array) -> Array:

@@ -12,11 +12,11 @@ import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.optimize import elementwise
 
 from oed import reading_noise
 from oed.adjoints import PoseAdjoints
 from oed.arrays import Array, Mask
+from oed.fixed_reading import solve_coordinate
 from oed.instrument import Setup
 from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Machine
@@ -119,22 +119,11 @@ class Measurement(ParameterVector):
         wanted = mounted.instrument.fixed_reading(mounted.settings)
         column = [c.name for c in self.machine.command].index(coordinate)
         limits = self.machine.workspace(mounted.tool)[column]
-        solved = np.array(command, dtype=float)
 
-        def excess(value: Array, row: Array) -> Array:
-            poses = solved[row.astype(int)]
-            poses[:, column] = value
-            return self.readings([self.series(setup, poses)], self.nominal) - wanted
+        def read(poses: Array) -> Array:
+            return self.readings([self.series(setup, poses)], self.nominal)
 
-        n = len(solved)
-        root = elementwise.find_root(
-            excess,
-            (np.full(n, limits.lower), np.full(n, limits.upper)),
-            args=(np.arange(n, dtype=float),),
-            tolerances={"xatol": 1e-12, "fatol": 1e-13},
-        )
-        solved[:, column] = root.x
-        return solved, np.asarray(root.success)
+        return solve_coordinate(read, wanted, command, column, limits)
 
     # -- readings ----------------------------------------------------------------------
 
@@ -155,11 +144,20 @@ class Measurement(ParameterVector):
             )
         return y
 
-    def try_readings(self, series: Sequence[Series], theta: Array) -> Array:
-        """As `readings`, with NaN where a pose cannot be assembled."""
+    def try_readings(
+        self, series: Sequence[Series], theta: Array, wanted: Mask | None = None
+    ) -> Array:
+        """As `readings`, with NaN where a pose cannot be assembled.
+
+        wanted  (m, N) for theta (m, n): readings to compute; others may be NaN
+        """
         vectors = np.atleast_2d(theta)
-        y = np.hstack([self._read(s, vectors) for s in series])
-        return y[0] if theta.ndim == 1 else y
+        parts: list[Mask | None] = [None] * len(series)
+        if wanted is not None:
+            numbers = [len(s) * len(self.setups[s.setup].sigma) for s in series]
+            parts = list(np.split(wanted, np.cumsum(numbers)[:-1], axis=1))
+        y = [self._read(s, vectors, w) for s, w in zip(series, parts, strict=True)]
+        return np.hstack(y)[0] if theta.ndim == 1 else np.hstack(y)
 
     def readings_near(
         self, series: Sequence[Series], theta: Array
@@ -307,14 +305,17 @@ class Measurement(ParameterVector):
         p = theta[..., : len(self.machine.parameters)]
         return p, theta[..., self.nuisance_slice(setup)]
 
-    def _poses(self, series: Series, theta: Array, *, strict: bool) -> Array:
+    def _poses(
+        self, series: Series, theta: Array, *, strict: bool, wanted: Mask | None = None
+    ) -> Array:
         """Poses (m, poses, nx) at theta (m, n); NaN for failures unless `strict`."""
         p = theta[:, : len(self.machine.parameters)]
         if len(p) == 1 or series.q.ndim == 3:
             return self._poses_once(series, p, strict=strict)
         if strict:
             return self.kinematics.forward(series.q, p, series.start)
-        x, failed = self.kinematics.try_forward(series.q, p, series.start)
+        arguments = (series.q, p, series.start)
+        x, failed = self.kinematics.try_forward(*arguments, wanted=wanted)
         return np.where(failed[..., None], np.nan, x)
 
     def _poses_once(self, series: Series, p: Array, *, strict: bool) -> Array:
@@ -332,9 +333,14 @@ class Measurement(ParameterVector):
         self._poses_at.store(series.setup, x, *arguments)
         return x
 
-    def _read(self, series: Series, theta: Array) -> Array:
+    def _read(self, series: Series, theta: Array, wanted: Mask | None = None) -> Array:
         """Readings (m, N of the series) at theta (m, n), NaN where not assembled."""
-        return self._read_at(series, self._poses(series, theta, strict=False), theta)
+        poses = None
+        if wanted is not None:
+            by_reading = wanted.reshape(len(wanted), len(series), -1)
+            poses = series.poses_of(np.asarray(by_reading.any(axis=2)))
+        x = self._poses(series, theta, strict=False, wanted=poses)
+        return self._read_at(series, x, theta)
 
     def _read_at(self, series: Series, x: Array, theta: Array) -> Array:
         """Readings (m, N of the series) at poses x (m, poses, nx) and theta (m, n)."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.arrays import Array, Index
+from oed.arrays import Array, Index, Mask
 from oed.instrument import Instrument, Protocol
 
 
@@ -45,6 +45,13 @@ class Series:
         if self.q.ndim == 2:
             return self
         return dataclasses.replace(self, q=self.q[machines], start=self.start[machines])
+
+    def poses_of(self, wanted: Mask) -> Mask:
+        """Which poses (m, poses) the wanted readings (m, n) see."""
+        sees = np.zeros((len(self), len(self.command)))
+        for poses in self.pose_indices():
+            sees[np.arange(len(self)), poses] = 1.0
+        return np.asarray(wanted @ sees > 0.0)
 
     def expand_passes(self, protocol: Protocol) -> Series:
         """The readings of all passes: each pass of a run becomes a run of its own.

@@ -71,15 +71,38 @@ class Option:
         The travel limits the first channel.
         """
         measurement = self.measurement
-        rows = []
-        start = 0
-        for s in self.series:
-            channels = len(measurement.setups[s.setup].sigma)
-            rows.append(start + channels * np.arange(len(s)))
-            start += channels * len(s)
-        jacobian = measurement.jacobian(self.series, measurement.nominal)
-        slopes = jacobian * measurement.tolerance
-        return np.asarray(slopes[np.concatenate(rows)][:, measurement.free])
+        slopes = self.slopes[self._first_numbers] * measurement.tolerance
+        return np.asarray(slopes[:, measurement.free])
+
+    @cached_property
+    def slopes(self) -> Array:
+        """Slopes (numbers, p), SI, of all numbers that candidates read, at nominal."""
+        return self.measurement.jacobian(self.series, self.measurement.nominal)
+
+    @cached_property
+    def nominal_readings(self) -> Array:
+        """All numbers (numbers,) that candidates read of the nominal machine, SI."""
+        return self.measurement.readings(self.series, self.measurement.nominal)
+
+    def numbers_of(self, chosen: Index) -> Index:
+        """Which of all numbers the chosen candidates read, in order of `series_of`."""
+        first, count = self.candidates.members[chosen].T
+        ends = np.cumsum([len(s) for s in self.series])
+        by_series = np.argsort(np.searchsorted(ends, first, "right"), kind="stable")
+        reading = _ranges(first[by_series], count[by_series])
+        return _ranges(self._first_numbers[reading], self._channels[reading])
+
+    @cached_property
+    def _channels(self) -> Index:
+        """Number of channels of each reading."""
+        setups = self.measurement.setups
+        counts = [np.full(len(s), len(setups[s.setup].sigma)) for s in self.series]
+        return np.concatenate(counts)
+
+    @cached_property
+    def _first_numbers(self) -> Index:
+        """Position of each reading's first channel among all numbers."""
+        return np.asarray(np.cumsum(self._channels) - self._channels)
 
     @property
     def series(self) -> tuple[Series, ...]:
@@ -108,6 +131,12 @@ class Option:
         if largest < self.counts[0]:
             return []
         return sorted({*(c for c in self.counts if c <= affordable), largest})
+
+
+def _ranges(first: Index, count: Index) -> Index:
+    """The numbers from each of `first` on, `count` of each, one range after the other."""
+    starts = np.cumsum(count) - count
+    return np.asarray(np.repeat(first - starts, count) + np.arange(count.sum()))
 
 
 def build_option(

@@ -21,7 +21,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.arrays import Array, Index
 
 #: candidates whose products are in memory at once
 PART = 65536
@@ -94,7 +94,7 @@ def pairwise_traces(blocks: Array, first: Array, second: Array) -> Array:
     fewer rows up, cost no time.
     """
     count, k, _ = blocks.shape
-    is_row = blocks.any(axis=2)
+    is_row = np.asarray(blocks.any(axis=2))
     is_row[:, 0] = True  # each block has a row where its sum begins
     rows = blocks[is_row]
     by_first = rows @ first @ rows.T
@@ -105,8 +105,17 @@ def pairwise_traces(blocks: Array, first: Array, second: Array) -> Array:
     if is_row.all():
         return np.asarray(product.reshape(count, k, count, k).sum(axis=(1, 3)))
     counts = is_row.sum(axis=1)
+    return _sum_rows(_sum_rows(product, counts).T, counts)
+
+
+def _sum_rows(table: Array, counts: Index) -> Array:
+    """Sums (C, r) of the first counts[0] rows of a table (R, r), the next, and so on."""
     starts = np.cumsum(counts) - counts
-    return np.add.reduceat(np.add.reduceat(product, starts, axis=0), starts, axis=1)
+    sums = table[starts]
+    for place in range(1, int(counts.max())):
+        longer = np.flatnonzero(counts > place)
+        sums[longer] += table[starts[longer] + place]
+    return np.asarray(sums)
 
 
 def inner_products(blocks: Array, matrix: Array) -> Array:

@@ -66,7 +66,9 @@ class Knowledge:
         if self.errors is not None:
             return self.errors
         normals = rng.standard_normal((self.machines, self.columns))
-        return multiply_each(square_roots(self.covariances), self.covariance_of, normals)
+        return multiply_each(
+            square_roots(self.covariances), self.covariance_of, normals
+        )
 
 
 #: what is known before a stage: a covariance (n, n), a mixture (P, n, n), or Knowledge

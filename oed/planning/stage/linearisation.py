@@ -33,8 +33,8 @@ NEGLIGIBLE = 0.02
 class LinearisationResidual:
     """Residuals over drawn machines.
 
-    rms      (readings,) over the machines that give the reading, SI; inf where no
-             machine reaches the pose
+    rms      (readings,) over the machines that give the reading, SI; inf where none
+             of them reaches the pose
     columns  (G, readings, m) whitened, for each pattern of captured candidates; None
              where all residuals are negligible
     """
@@ -61,17 +61,17 @@ def estimate_residual(
     series = option.series_of(chosen)
     draws = len(posterior_of) // len(patterns)
     errors = _draw_errors(option, posterior, posterior_of, rng)
-    exact = measurement.try_readings(series, measurement.nominal + errors)
-    slopes = measurement.jacobian(series, measurement.nominal)
-    nominal = measurement.readings(series, measurement.nominal)
-    residual = exact - nominal - errors @ slopes.T
     candidate_of = np.repeat(np.arange(len(chosen)), reading_counts(option, chosen))
     captured = np.repeat(patterns[:, candidate_of] > 0.0, draws, axis=0)
+    exact = measurement.try_readings(series, measurement.nominal + errors, captured)
+    numbers = option.numbers_of(chosen)
+    linear = option.nominal_readings[numbers] + errors @ option.slopes[numbers].T
+    residual = exact - linear
     valid = captured & np.isfinite(residual)
     residual_or_zero = np.where(valid, residual, 0.0)
     count = np.maximum(valid.sum(axis=0), 1)
     mean_square = np.sum(residual_or_zero**2, axis=0) / count
-    unreachable = (~np.isfinite(residual)).all(axis=0)
+    unreachable = captured.any(axis=0) & ~valid.any(axis=0)
     rms = np.where(unreachable, np.inf, np.sqrt(mean_square))
     if not (rms > NEGLIGIBLE * measurement.sigma(series)).any():
         return LinearisationResidual(rms, None)
@@ -118,8 +118,8 @@ def whitened_rows(option: Option, chosen: Index) -> Array:
     They are those of the candidates' blocks, one row for each number that is read.
     """
     measurement, candidates = option.measurement, option.candidates
-    jacobian = measurement.jacobian(option.series_of(chosen), measurement.nominal)
-    slopes = (jacobian * measurement.tolerance)[:, measurement.free]
+    every_slope = option.slopes[option.numbers_of(chosen)]
+    slopes = (every_slope * measurement.tolerance)[:, measurement.free]
     rows = np.zeros((len(slopes), option.unknowns))
     rows[:, : candidates.columns] = whiten(option, chosen, slopes.T).T
     if candidates.shared_errors:

@@ -55,8 +55,19 @@ def refit(
 
     Raises IdentificationError where the fit does not converge.
     """
-    captured = np.ones((1, len(y)), dtype=bool)
-    return refit_machines(measurement, series, y[None], captured, start[None], root)[0]
+    everything = np.ones(len(y), dtype=bool)
+    readings = _MachineReadings(everything, measurement.noise(series), y)
+    problem = _RefitProblem.of(measurement, series, [readings], start[None], root)
+    (fit,) = problem.solve()
+    if fit is not None:
+        return fit
+    if root is not None:
+        raise IdentificationError(
+            "the fit of a virtual machine does not converge; start from a smaller"
+            " covariance"
+        )
+    slow = identify(measurement, series, y, start=start)
+    return Refit(slow.theta, slow.covariance)
 
 
 def refit_machines(
@@ -76,28 +87,24 @@ def refit_machines(
     Fixed parameters stay as in `start`. Raises IdentificationError where a fit does not
     converge.
     """
-    free = np.flatnonzero(measurement.free)
-    prior_root = np.eye(len(free)) if root is None else root
-    scale = measurement.tolerance[free, None] * prior_root
-    own = [_own_series(measurement, series, k, c) for k, c in enumerate(captured)]
+    by_machine = [
+        _captured_series(measurement, series, k, c) for k, c in enumerate(captured)
+    ]
     readings = [
         _MachineReadings(c, measurement.noise(s) if s else None, y_k)
-        for c, s, y_k in zip(captured, own, y, strict=True)
+        for c, s, y_k in zip(captured, by_machine, y, strict=True)
     ]
-    fits = _RefitProblem(measurement, series, readings, free, scale, start).solve()
-    for k, fit in enumerate(fits):
-        if fit is None and root is not None:
-            raise IdentificationError(
-                "the fit of a virtual machine does not converge; start from a smaller"
-                " covariance"
-            )
-        if fit is None:
-            slow = identify(measurement, own[k], y[k, captured[k]], start=start[k])
-            fits[k] = Refit(slow.theta, slow.covariance)
-    return [fit for fit in fits if fit is not None]
+    fits = _RefitProblem.of(measurement, series, readings, start, root).solve()
+    # one machine whose poses cannot be assembled stops those fitted with it
+    return [
+        refit(measurement, s, y_k[c], start_k, root) if fit is None else fit
+        for fit, s, y_k, c, start_k in zip(
+            fits, by_machine, y, captured, start, strict=True
+        )
+    ]
 
 
-def _own_series(
+def _captured_series(
     measurement: Measurement, series: Sequence[Series], machine: int, captured: Mask
 ) -> list[Series]:
     """The captured readings (N,) of one machine; series without any are left out."""
@@ -143,12 +150,27 @@ class _RefitProblem:
     scale: Array
     start: Array
 
+    @classmethod
+    def of(
+        cls,
+        measurement: Measurement,
+        series: Sequence[Series],
+        readings: Sequence[_MachineReadings],
+        start: Array,
+        root: Array | None,
+    ) -> _RefitProblem:
+        """The problem of machines whose prior has the root R; None: the identity."""
+        free = np.flatnonzero(measurement.free)
+        prior_root = np.eye(len(free)) if root is None else root
+        scale = measurement.tolerance[free, None] * prior_root
+        return cls(measurement, series, readings, free, scale, start)
+
     def solve(self) -> list[Refit | None]:
         """Gauss-Newton for all machines, until each converges or fails."""
         fits: list[Refit | None] = [None] * len(self.readings)
         offsets = self.start[:, self.free] - self.measurement.nominal[self.free]
-        z = np.linalg.lstsq(self.scale, offsets.T, rcond=None)[0].T
-        active = np.arange(len(fits))
+        z = np.asarray(np.linalg.lstsq(self.scale, offsets.T, rcond=None)[0].T, float)
+        active = list(range(len(fits)))
         points = dict(zip(active, self._points(active, z), strict=True))
         for _ in range(STEPS):
             try:
@@ -165,39 +187,35 @@ class _RefitProblem:
                 else:
                     steps[k] = step
             active = self._line_search(points, steps)
-            if not active.size:
+            if not active:
                 break
         return fits
 
     def _line_search(
         self, points: dict[int, _Point], steps: dict[int, Array]
-    ) -> Index:
+    ) -> list[int]:
         """Moves points to the first halving of their step that lowers the cost.
 
         Returns the machines that have one.
         """
-        searching = np.array(list(steps), dtype=np.intp)
-        moved: list[int] = []
+        searching, moved = list(steps), list[int]()
         for halvings in range(HALVINGS):
-            if not searching.size:
+            if not searching:
                 break
             z = [points[k].z + 0.5**halvings * steps[k] for k in searching]
-            trials = self._points(searching, np.array(z))
-            lower = np.array(
-                [t.cost < points[k].cost for k, t in zip(searching, trials, strict=True)]
-            )
-            for place in np.flatnonzero(lower):
-                points[searching[place]] = trials[place]
-            moved += list(searching[lower])
-            searching = searching[~lower]
-        return np.array(sorted(moved), dtype=np.intp)
+            trials = zip(searching, self._points(searching, np.array(z)), strict=True)
+            lower = {k: trial for k, trial in trials if trial.cost < points[k].cost}
+            points.update(lower)
+            moved += lower
+            searching = [k for k in searching if k not in lower]
+        return sorted(moved)
 
-    def _points(self, machines: Index, z: Array) -> list[_Point]:
+    def _points(self, machines: Sequence[int], z: Array) -> list[_Point]:
         """Points of some machines at z (m, free).
 
         The cost is infinite where a captured reading's pose cannot be assembled.
         """
-        theta = self.start[machines].copy()
+        theta = self.start[list(machines)]
         theta[:, self.free] = self.measurement.nominal[self.free] + z @ self.scale.T
         expected = self.measurement.try_readings(self._series_of(machines), theta)
         points = []
@@ -210,8 +228,8 @@ class _RefitProblem:
             points.append(_Point(z_k, theta_k, residual, cost))
         return points
 
-    def _series_of(self, machines: Index) -> list[Series]:
-        return [s.of_machines(machines) for s in self.series]
+    def _series_of(self, machines: Sequence[int]) -> list[Series]:
+        return [s.of_machines(np.array(machines)) for s in self.series]
 
     def _covariance(self, h: Array) -> Array:
         """Posterior covariance (n, n), SI, from whitened slopes h over z."""
