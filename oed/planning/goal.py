@@ -43,9 +43,7 @@ class Goal:
 
     def accuracy(self, covariance: Array) -> Array:
         """Root mean square error (K,) in `unit`, from a covariance (n, n)."""
-        variance = np.einsum(
-            "krn,nm,krm->k", self.factors, covariance, self.factors, optimize=True
-        )
+        variance = np.sum((self.factors @ covariance) * self.factors, axis=(1, 2))
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def value(self, covariance: Array) -> float:

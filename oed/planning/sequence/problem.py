@@ -47,11 +47,12 @@ class PlanProblem:
 
     def extend(self, plan: StagePlan, stage: PlanStage) -> StagePlan:
         """A plan with one more stage."""
+        accuracy = self.goal.accuracy(stage.covariance)
         return StagePlan(
             stages=(*plan.stages, stage),
             seconds=plan.seconds + stage.seconds,
-            value=self.goal.value(stage.covariance),
-            accuracy=(*plan.accuracy, self.goal.accuracy(stage.covariance)),
+            value=float(self.goal.combine(accuracy)),
+            accuracy=(*plan.accuracy, accuracy),
         )
 
     def capture_probability(self, option: Option, prior: Prior) -> Array:

@@ -102,8 +102,13 @@ def square_roots(covariances: Array) -> Array:
 
 def multiply_each(matrices: Array, matrix_of: Index, vectors: Array) -> Array:
     """Products (P, a) of vectors (P, b) with matrices (Q, a, b), `matrix_of` (P,) each."""
+    if len(matrices) == 1:
+        return np.asarray(vectors @ matrices[0].T)
     products = np.empty((len(vectors), matrices.shape[1]))
-    for k, matrix in enumerate(matrices):
-        members = matrix_of == k
+    order = np.argsort(matrix_of, kind="stable")
+    first = 0
+    for matrix, count in zip(matrices, np.bincount(matrix_of), strict=False):
+        members = order[first : first + count]
         products[members] = vectors[members] @ matrix.T
+        first += count
     return products

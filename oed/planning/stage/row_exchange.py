@@ -44,22 +44,22 @@ class RowExchange:
 
     def select_greedily(self, size: int) -> Index:
         """Rows added one by one, each the one that lowers the variance most."""
-        inverted = inverse(self.base)
-        sides = self.rows @ inverted
-        gains = sides @ self.factor.T
+        sides = self.rows @ inverse(self.base)
         leverage = np.einsum("ij,ij->i", sides, self.rows)
-        chosen = np.zeros(0, dtype=np.intp)
+        n = len(self.base)
+        sides = np.hstack([sides, sides @ self.factor.T])
+        gains = sides[:, n:]
+        chosen: list[int] = []
         for _ in range(min(size, len(self.rows))):
             lowered = np.einsum("ij,ij->i", gains, gains) / (1.0 + leverage)
             lowered[chosen] = -np.inf
             best = int(np.argmax(lowered))
-            chosen = np.append(chosen, best)
-            cross = sides @ self.rows[best]
+            chosen.append(best)
+            cross = sides[:, :n] @ self.rows[best]
             share = cross / (1.0 + leverage[best])
-            leverage = leverage - cross * share
-            gains = gains - np.outer(share, gains[best])
-            sides = sides - np.outer(share, sides[best])
-        return chosen
+            leverage -= cross * share
+            sides -= share[:, None] * sides[best]
+        return np.array(chosen, dtype=np.intp)
 
     def exchange(self, chosen: Index, sweeps: int) -> Index:
         """Each row in turn replaced by the best one, in at most so many sweeps."""
