@@ -19,6 +19,7 @@ from oed.planning.option import Option, build_option
 from oed.planning.search import PlanSearchResult
 from oed.planning.stage.knowledge import Prior
 from oed.planning.stage.prediction import PlanStage
+from oed.planning.virtual_machines import propagation
 from oed.planning.virtual_machines.propagation import PlanRealisation, propagate
 from oed.planning.virtual_machines.refit import refit
 from pkm_models.instruments import ball_bar, pose_tracker, relative
@@ -222,7 +223,7 @@ def test_rm4_then_rm5_as_in_the_paper() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("home", [1e-3, 8e-3])
 def test_thirty_measurements_four_stages_eight_hours(home: float) -> None:
-    """Certified to 5 % within a minute of processor time."""
+    """Certified to 5 % within 20 s of processor time."""
     machine = a3(home, 0.3e-3, 5e-3)
     options = [
         *bars(machine, 0.2e-3, TOOLS, BARS, around=18)[:28],
@@ -233,7 +234,7 @@ def test_thirty_measurements_four_stages_eight_hours(home: float) -> None:
     goal = relative_accuracy(machine, WORKSPACE)
     start = time.process_time()
     result = searched(options, goal, 8 * 3600.0)
-    assert time.process_time() - start < 60.0
+    assert time.process_time() - start < 20.0
     assert result.loss <= 0.05
     assert result.bound.certified
 
@@ -353,6 +354,26 @@ def test_refits_are_the_fits_of_identify() -> None:
         difference = np.abs(fast.theta - slow.theta)
         assert (difference[m.free] < 1e-3 * slow.sd[m.free]).all()
         assert np.sqrt(np.diag(fast.covariance)) == pytest.approx(slow.sd, rel=1e-3)
+
+
+def test_machines_together_are_as_machines_one_by_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A bar loses readings of some machines; each keeps the readings of its own."""
+    machine = a3(2e-3, 0.3e-3, 5e-3)
+    one_bar, rng = bars(machine, 0.2e-3, (0.0,), (0.3,))[0], np.random.default_rng(2)
+    prior = np.eye(24 - len(machine.frame))
+    stage = stage_after(one_bar, np.arange(0, 48, 2), prior, rng)
+    realised = []
+    for together in (1, 5):
+        monkeypatch.setattr(propagation, "TOGETHER", together)
+        rng = np.random.default_rng(6)
+        realised.append(propagate([stage], WORKSPACE[::12], 5, rng).stages[0])
+    one_by_one, at_once = realised
+    assert 0.1 < at_once.realised_loss < 1.0
+    assert at_once.realised_loss == one_by_one.realised_loss
+    assert at_once.coverage == one_by_one.coverage
+    assert at_once.realised == pytest.approx(one_by_one.realised, rel=1e-6)
 
 
 def test_the_same_seed_gives_the_same_virtual_machines() -> None:

@@ -1,5 +1,7 @@
 """Readings: against the oracles, by hand, and what a series keeps track of."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
@@ -354,3 +356,38 @@ def test_virtual_machines_scatter_as_stated(rng: np.random.Generator) -> None:
     assert y.std(axis=0) == pytest.approx(20e-6, rel=0.08)
     assert y.mean(axis=0) == pytest.approx(m.readings([series], truth[0]), abs=3e-6)
     assert simulation.draw_parameters(m, rng).shape == m.nominal.shape
+
+
+def test_machines_with_joints_of_their_own(rng: np.random.Generator) -> None:
+    """Readings and slopes of several machines at once are those of each alone."""
+    m = a3_plans.measurement(taught=True, tools=[TOOL])
+    (setup,) = m.setups
+    theta = wrong(m, rng, 3)
+    command = CASES["a3_head"].commands(rng, 12) + np.array([TOOL, 0, 0])
+    alone = [m.series(setup, command, controller=p[:24]) for p in theta]
+    together = dataclasses.replace(
+        alone[0],
+        q=np.array([s.q for s in alone]),
+        start=np.array([s.start for s in alone]),
+    )
+    y, slopes = m.readings([together], theta), m.jacobian([together], theta)
+    for k, series in enumerate(alone):
+        assert y[k] == pytest.approx(m.readings([series], theta[k]), abs=1e-12)
+        expected = m.jacobian([series], theta[k])
+        assert slopes[k] == pytest.approx(expected, abs=1e-9)
+        one = together.of_machines(k).take(np.array([3, 1]))
+        assert (one.q == series.take(np.array([3, 1])).q).all()
+
+
+def test_readings_that_are_not_wanted_are_not_computed(
+    rng: np.random.Generator,
+) -> None:
+    m = a3_plans.measurement(taught=True, tools=[TOOL])
+    (setup,) = m.setups
+    command = CASES["a3_head"].commands(rng, 12) + np.array([TOOL, 0, 0])
+    series, theta = m.series(setup, command), wrong(m, rng, 4)
+    wanted = rng.uniform(size=(4, 12)) < 0.5
+    y = m.try_readings([series], theta, wanted)
+    expected = m.readings([series], theta)
+    assert y[wanted] == pytest.approx(expected[wanted], abs=1e-12)
+    assert np.isnan(y[~wanted]).all()
