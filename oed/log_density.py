@@ -23,6 +23,8 @@ from oed.noise.process import Whitening
 PROPOSAL_DOF = 20.0
 #: Gauss-Newton steps that keep the readings as they were along null directions
 CORRECTIONS = 2
+#: readings of draws that are predicted at once
+VALUES = 1_000_000
 
 
 #: movement by a lost direction, in tolerances, that is rounding
@@ -196,10 +198,14 @@ class LogDensity:
         if not self.coordinates.null_basis.size:
             return theta
         before = theta.reshape(-1, theta.shape[-1])
-        wanted = self._readings(before)
         after = before + change.reshape(before.shape)
         step = np.linalg.pinv(self._slope).T @ self.coordinates.basis.T
-        for _ in range(CORRECTIONS):
-            excess = self._readings(after) - wanted
-            after = after - self._noise.whiten_last(excess) @ step
+        # readings of all draws of a long session would not fit into memory
+        few = max(VALUES // len(self._y), 1)
+        for k in range(0, len(before), few):
+            some = slice(k, k + few)
+            wanted = self._readings(before[some])
+            for _ in range(CORRECTIONS):
+                excess = self._readings(after[some]) - wanted
+                after[some] = after[some] - self._noise.whiten_last(excess) @ step
         return after.reshape(theta.shape)
