@@ -63,15 +63,15 @@ def field_modes(
     (Harbrecht, Peters and Schneider 2012, Appl. Numer. Math. 62, 428-440).
     """
     distinct, place = np.unique(np.round(places, 9), axis=0, return_inverse=True)
-    left, modes = np.ones(len(distinct)), np.zeros((len(distinct), 0))
-    missing = max(1.0 - energy_share, ROUNDING)
-    while modes.shape[1] < count and left.mean() > missing:
-        pivot = int(np.argmax(left))
+    unexplained, modes = np.ones(len(distinct)), np.zeros((len(distinct), 0))
+    spare = max(1.0 - energy_share, ROUNDING)
+    while modes.shape[1] < count and unexplained.mean() > spare:
+        pivot = int(np.argmax(unexplained))
         distance = np.linalg.norm(distinct - distinct[pivot], axis=1)
         remainder = _matern(distance, correlation_length) - modes @ modes[pivot]
-        mode = remainder / np.sqrt(left[pivot])
+        mode = remainder / np.sqrt(unexplained[pivot])
         modes = np.column_stack([modes, mode])
-        left = np.maximum(left - mode**2, 0.0)
+        unexplained = np.maximum(unexplained - mode**2, 0.0)
     return np.asarray(modes[place.ravel()])
 
 

@@ -54,7 +54,7 @@ class Errors:
     def standardise(self, values: Array) -> Array:
         """Values (N, m) of the readings in order (k, m), over scale and P."""
         ordered = values
-        if not self.is_in_order:
+        if len(values) > len(self.order) or not self.is_in_order:
             ordered = values[self.order]
         if not self.is_of_unit_scale:
             ordered = ordered / self.scale[:, None]

@@ -22,7 +22,7 @@ from scipy import sparse
 from oed.arrays import Array, Index
 from oed.noise.factor import DenseFactor, Errors, Factor, LinearFactor
 from oed.noise.process import Laws
-from oed.noise.runs import Layout, Runs
+from oed.noise.runs import RunLayout, Runs
 
 #: share of the stated noise from which a part of a law is described
 WORTH_SAYING = 0.2
@@ -98,7 +98,7 @@ class NoiseLaw:
         blocks = [self.covariance(runs, members) for members in layout.segments]
         return DenseFactor(layout.segments, blocks)
 
-    def errors(self, runs: Runs, layout: Layout) -> Errors:
+    def errors(self, runs: Runs, layout: RunLayout) -> Errors:
         """What the covariance consists of, for readings in an order.
 
         Either the law carries an error along or the instrument does.

@@ -18,7 +18,7 @@ from oed.noise.stated import StatedErrors
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Layout:
+class RunLayout:
     """An order of k readings, segment after segment; segments are independent.
 
     order   (k,) numbers of the readings
@@ -77,18 +77,18 @@ class Runs:
         return np.ones(len(self)) if self.level is None else self.level
 
     @functools.cached_property
-    def layout(self) -> Layout:
+    def layout(self) -> RunLayout:
         """All readings, runs of one length together; channels apart where independent."""
         return self._layout(self.members)
 
-    def layout_of(self, rows: Index) -> Layout:
+    def layout_of(self, rows: Index) -> RunLayout:
         """The same of some readings."""
         counted = np.zeros(len(self), dtype=bool)
         counted[rows] = True
         some = [members[counted[members]] for members in self.members]
         return self._layout([members for members in some if members.size])
 
-    def _layout(self, runs: Sequence[Index]) -> Layout:
+    def _layout(self, runs: Sequence[Index]) -> RunLayout:
         by_size: dict[int, list[Index]] = {}
         for run in runs:
             parts = [run]
@@ -104,7 +104,7 @@ class Runs:
             start + _same_before(self.channel[segment])
             for segment, start in zip(segments, starts, strict=False)
         ]
-        return Layout(
+        return RunLayout(
             order=np.concatenate(segments),
             starts=starts[:-1],
             before=np.concatenate(before),

@@ -236,7 +236,9 @@ def stated_errors(
         lines.append(np.tile(np.arange(channels), count))
     widest = max(e.shape[2] for e in errors)
     padded = [np.pad(e, ((0, 0), (0, 0), (0, widest - e.shape[2]))) for e in errors]
-    shared = np.concatenate([e.reshape(-1, widest) for e in padded])
+    # the number of rows is stated: it does not follow where nothing is shared
+    flat = [e.reshape(e.shape[0] * e.shape[1], widest) for e in padded]
+    shared = np.concatenate(flat)
     root = sparse.csr_array(sparse.block_diag(roots))
     inverse = sparse.csr_array(sparse.block_diag([np.linalg.inv(r) for r in roots]))
     for matrix in (root, inverse):

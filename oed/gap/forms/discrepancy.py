@@ -162,6 +162,9 @@ class _Places:
             if c > 0 and not self.own and (acting[c] == acting[c - 1]).all():
                 parts.append(parts[-1])
                 continue
+            if not acting[c].any():
+                parts.append(np.zeros((*self.at.shape[:2], 0)))
+                continue
             at = self.at[:, :, c, None] if self.own else self.at
             parts.append(_at_rows(acting[c], modes(at[acting[c]], reach, most)))
         width = max(part.shape[2] for part in parts)
