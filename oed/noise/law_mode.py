@@ -20,11 +20,7 @@ Cost = Callable[[Array], Array]
 
 
 def find_mode(cost: Cost, starts: Array, farthest: float) -> Array:
-    """Coordinates (d,) of least cost from some starts (s, d), none beyond `farthest`.
-
-    The search ends where the cost hardly falls any more, some hundredths away, and where
-    that is depends on rounding. Newton steps go on to where the slopes vanish.
-    """
+    """Coordinates (d,) of least cost from some starts (s, d), none beyond `farthest`."""
     dimensions = starts.shape[1]
     steps = np.vstack([np.zeros(dimensions), np.eye(dimensions)]) * SLOPE_STEP
 
@@ -44,12 +40,15 @@ def find_mode(cost: Cost, starts: Array, farthest: float) -> Array:
         )
         for start in starts
     ]
-    best = min(minima, key=lambda minimum: minimum.fun)
-    return _by_newton(cost, np.asarray(best.x), farthest)
+    return np.asarray(min(minima, key=lambda minimum: minimum.fun).x)
 
 
-def _by_newton(cost: Cost, u: Array, farthest: float) -> Array:
-    """Coordinates (d,) of least cost near u (d,)."""
+def polish(cost: Cost, u: Array, farthest: float) -> Array:
+    """Coordinates (d,) of least cost near u (d,), where `find_mode` ended.
+
+    That search ends where the cost hardly falls any more, some hundredths away, and where
+    that is depends on rounding. Newton steps go on to where the slopes vanish.
+    """
     root = root_about(cost, u)
     moves = FINE_STEP * np.eye(len(u))
     moves = np.vstack([np.zeros(len(u)), moves, -moves])
@@ -82,7 +81,7 @@ def root_about(cost: Cost, mode: Array) -> Array:
         mixed = value - ahead[i] - ahead[j] + middle
         curvature[i, j] = curvature[j, i] = mixed
     values, vectors = linalg.eigh(curvature / CURVATURE_STEP**2)
-    root: Array = signed(vectors) / np.sqrt(np.maximum(values, LEAST_CURVATURE))
+    root: Array = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
     return root
 
 

@@ -28,7 +28,7 @@ from oed.gap.data import evidence
 from oed.gap.data.law_evidence import LawEvidence
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw, law_of
-from oed.noise.law_mode import find_mode, root_about, signed
+from oed.noise.law_mode import find_mode, polish, root_about, signed
 from oed.noise.prior import CARRIED, REACH, RUN, SEAT, SPARSE, NoisePrior
 from oed.noise.proposal import split_student
 
@@ -73,7 +73,8 @@ def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
     if prior.dimensions == 1:
         return _only_law(problem, compressed, cost)
     mode = find_mode(cost, prior.starts()[:, 1:], FARTHEST)
-    proposal = split_student(cost, mode, root_about(cost, mode))
+    mode = polish(cost, mode, FARTHEST)
+    proposal = split_student(cost, mode, signed(root_about(cost, mode)))
     points = proposal.points(POINTS)
     points = points[np.abs(points).max(axis=1) < FARTHEST]
     log_weights = -cost(points) - proposal.log_density(points)
