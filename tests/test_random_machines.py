@@ -100,5 +100,5 @@ def test_few_random_machines_are_said_to_have_a_gap() -> None:
 def test_no_probability_hangs_on_the_unit_of_length(row) -> None:
     """Of named effects and none."""
     drawn = case.draw_with_gap(*row)
-    usual, other = scaling.changes(drawn, remainder=False)
+    usual, other = scaling.changes(drawn)
     assert scaling.largest(usual, other) < 0.01

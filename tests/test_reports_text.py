@@ -57,3 +57,17 @@ def test_lists_and_combinations() -> None:
     assert text.listing(["a", "b", "c"]) == "a, b and c"
     combination = text.linear_combination({"a": -0.5, "b": 1.0})
     assert combination == "b − 0.5\N{NO-BREAK SPACE}a"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("a run repeats to a third", "A run repeats to a third."),
+        ("noise is as stated", "Noise is as stated."),
+        ("x is lost", "x is lost."),
+    ],
+)
+def test_a_sentence_starts_with_a_capital_but_not_with_that_of_a_symbol(
+    words: str, sentence: str
+) -> None:
+    assert text.sentence(words) == sentence

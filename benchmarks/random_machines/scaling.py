@@ -7,13 +7,11 @@ and temperatures stay.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 from benchmarks.random_machines import case as cases
 from benchmarks.random_machines.case import Case
@@ -73,16 +71,11 @@ CASES = (
 Probabilities = Mapping[str, float]
 
 
-def changes(
-    case: Case, *, remainder: bool, factor: float = FACTOR
-) -> tuple[Probabilities, Probabilities]:
-    """Probabilities of all hypotheses of a case, as it is and with lengths times a factor.
-
-    remainder   whether an unknown remainder is among them
-    """
+def changes(case: Case, factor: float = FACTOR) -> tuple[Probabilities, Probabilities]:
+    """Probabilities of all hypotheses of a case, as it is and with lengths times a factor."""
     larger = scaled(case, factor)
-    usual = hypotheses(*prepared(case, 1.0), remainder=remainder)
-    other = hypotheses(*prepared(larger, factor), remainder=remainder)
+    usual = hypotheses(*prepared(case, 1.0))
+    other = hypotheses(*prepared(larger, factor))
     return usual, other
 
 
@@ -118,31 +111,15 @@ def prepared(case: Case, factor: float) -> tuple[GapProblem, Sequence[Effect]]:
     return residuals, request.effects
 
 
-def hypotheses(
-    residuals: GapProblem, effects: Sequence[Effect], *, remainder: bool
-) -> Probabilities:
+def hypotheses(residuals: GapProblem, effects: Sequence[Effect]) -> Probabilities:
     """Probability of each set of effects, by their names."""
-    with contextlib.nullcontext() if remainder else _no_remainder():
-        ranked = compare(searches.searches(residuals, effects))
+    ranked = compare(searches.searches(residuals, effects))
     shares = probabilities(ranked)
     named: dict[str, float] = {}
     for h, share in zip(ranked, shares, strict=True):
-        if h.unknown and not remainder:
-            continue
         unknown = ("unknown",) if h.unknown else ()
         named[" + ".join((*sorted(h.effects), *unknown)) or "none"] = float(share)
     return named
-
-
-@contextlib.contextmanager
-def _no_remainder() -> Iterator[None]:
-    """Searches that know no discrepancy of unknown form."""
-    nothing = mock.patch.object(searches, "PROCESSES", ())
-    no_waves = mock.patch.object(
-        searches.waves, "add", lambda processes, *rest: processes
-    )
-    with nothing, no_waves:
-        yield
 
 
 # -- lengths times a factor ------------------------------------------------------------

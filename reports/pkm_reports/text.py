@@ -238,7 +238,8 @@ def sentence(words: str) -> str:
     """A sentence: a capital where it starts with a plain word, and a full stop."""
     words = with_full_stop(words)
     first = words.partition(" ")[0]
-    if len(first) > 1 and first.isalpha() and first.islower():
+    is_plain = len(first) > 1 or first == "a"
+    if is_plain and first.isalpha() and first.islower():
         words = words[:1].upper() + words[1:]
     return words
 
