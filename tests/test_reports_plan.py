@@ -110,7 +110,7 @@ def test_stages_and_verdict_are_reported() -> None:
             " 0.77 were expected."
         ),
         (
-            "bar 300, cup low (24) → bar 250, cup high (24) 84 26.0 a rough stage is"
+            "bar 300, cup low (24) → bar 250, cup high (24) 84 26.0 A rough stage is"
             " missing: 68 % of the readings"
         ),
         "RM 5 24 61 16 of 18",
