@@ -55,18 +55,17 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
     form = carriers.at_poses(
         problem, [np.sin(2.0 * np.pi * s.time / PERIOD) for s in problem.states]
     )[..., None]
-    names = {
-        carriers.joints: [f"leg {i + 1}" for i in problem.states[0].limbs],
-        carriers.tool: [f"tool {k}" for k in range(3)],
-        carriers.tool_length: ["longer"],
-    }
+    _, joints, tool, tool_length = carriers.every(problem)
+    pairs = [
+        (joints, [f"leg {i + 1}" for i in problem.states[0].limbs]),
+        (tool, [f"tool {k}" for k in range(3)]),
+        (tool_length, ["longer"]),
+    ]
     zeros = np.zeros(len(problem))
-    for carrier, columns in names.items():
-        change = carriers.apply_carrier(carrier(problem).columns, form)[:, :, 0]
+    for carrier, columns in pairs:
+        change = carriers.apply_carrier(carrier.columns, form)[:, :, 0]
         expected = np.column_stack([wanted.get(name, zeros) for name in columns])
-        assert np.sqrt((carrier(problem).columns ** 2).sum(axis=2).mean()) == (
-            pytest.approx(1.0)
-        )
+        assert np.sqrt((carrier.columns**2).sum(axis=2).mean()) == (pytest.approx(1.0))
         size = np.linalg.norm(expected) / np.linalg.norm(change)
         assert size * change == pytest.approx(expected, abs=1e-6 * np.ptp(expected))
 
@@ -80,7 +79,8 @@ def test_readings_are_carried_by_set_up_and_channel() -> None:
         "the readings of dy",
         "the readings of dz",
     ]
-    assert len(carriers.tool(problem).parts()) == 1
+    _, _, tool, _ = carriers.every(problem)
+    assert len(tool.parts()) == 1
 
 
 def test_what_a_form_explains_is_that_of_least_squares(

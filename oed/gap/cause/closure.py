@@ -70,16 +70,7 @@ def closure(
     its level too, and the folds do not depend on `rng`.
     """
     several = [columns] if isinstance(columns, np.ndarray) else list(columns)
-    if not several:
-        raise ValueError(
-            "closure: no columns are given; give (N, k), with k = 0 for no effect"
-        )
-    models = []
-    for one in several:
-        scales = np.broadcast_to(np.asarray(scale, dtype=float), one.shape[1:])
-        scaled = one * scales
-        _check(problem, scaled)
-        models.append(np.hstack([problem.slopes, scaled]))
+    models = _models(problem, several, scale)
     noise, n = RunNoise(problem, law), problem.slopes.shape[1]
     residual = problem.residual
     scored = [noise.score(np.column_stack([model, residual])) for model in models]
@@ -101,6 +92,23 @@ def closure(
         return standardise(informations[0], n, parts[0], after)
 
     return _score(problem, split, predict, rng, draws)
+
+
+def _models(
+    problem: GapProblem, several: Sequence[Array], scale: float | Array
+) -> list[Array]:
+    """Slopes of the parameters and columns, per prior standard deviation, of each."""
+    if not several:
+        raise ValueError(
+            "closure: no columns are given; give (N, k), with k = 0 for no effect"
+        )
+    models = []
+    for columns in several:
+        scales = np.broadcast_to(np.asarray(scale, dtype=float), columns.shape[1:])
+        scaled = columns * scales
+        _check(problem, scaled)
+        models.append(np.hstack([problem.slopes, scaled]))
+    return models
 
 
 def oracle_closure(

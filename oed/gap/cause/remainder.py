@@ -13,7 +13,7 @@ from oed.gap.data.evidence import Grams
 from oed.gap.data.products import ColumnProducts
 from oed.gap.forms.library import Library
 
-#: how large an unknown may be, against a micrometre
+#: how large an unknown may be, against the noise
 UNKNOWN_SIZES = np.array([0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
 #: expected lambda of a form below which its size is taken for none at all
 NEGLIGIBLE = 9.0

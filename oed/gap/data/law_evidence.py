@@ -53,13 +53,14 @@ class LawEvidence:
 
         Single readings of a law all have the same variance, 1 less what is carried.
         """
+        if not self._apart:
+            columns = self._problem_columns()
+            return np.array(
+                [evidence.log_evidence(self._problem, law, columns) for law in laws]
+            )
         products: dict[tuple[float, float], _Products] = {}
         values = []
         for law in laws:
-            if not self._apart:
-                columns = self._problem_columns()
-                values.append(evidence.log_evidence(self._problem, law, columns))
-                continue
             key = law.ar1_sd, law.ar1_length
             if key not in products:
                 products[key] = self._whitened(law)

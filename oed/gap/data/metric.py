@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy import linalg
 
@@ -37,9 +39,7 @@ class Metric:
 
     def whiten(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened by the noise alone, run after run."""
-        wide = values[:, None] if values.ndim == 1 else values
-        white = self._factor.whiten(wide)
-        return white[:, 0] if values.ndim == 1 else white
+        return _by_column(self._factor.whiten, values)
 
     def parts(self, values: Array) -> tuple[Array, Array]:
         """Parts (u0, u1) of values u (N, k): <u, v> = u0^T v0 - u1^T v1."""
@@ -81,9 +81,7 @@ class Embedding:
         Reading after reading: what is reported depends on their order by the draws of a
         bootstrap alone, and so it does not depend on how the law is factored.
         """
-        wide = values[:, None] if values.ndim == 1 else values
-        white = self._factor.whiten_in_order(wide)
-        return white[:, 0] if values.ndim == 1 else white
+        return _by_column(self._factor.whiten_in_order, values)
 
     def absorb(self, white: Array) -> Array:
         """Whitened values after the parameters absorb what they can.
@@ -96,3 +94,8 @@ class Embedding:
     def scores(self, values: Array) -> Array:
         """Values (N,) or (N, k), whitened, after the parameters absorb what they can."""
         return self.absorb(self.whiten(values))
+
+
+def _by_column(whiten: Callable[[Array], Array], values: Array) -> Array:
+    """Values (N,) or (N, k) by what whitens columns (N, k)."""
+    return whiten(values[:, None])[:, 0] if values.ndim == 1 else whiten(values)

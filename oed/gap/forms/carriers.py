@@ -56,7 +56,13 @@ def _in_words(label: str) -> str:
 
 def every(problem: GapProblem) -> tuple[Carrier, ...]:
     """The readings, the joints, the tool's place and the tool's length."""
-    return readings(problem), joints(problem), tool(problem), tool_length(problem)
+    slopes = _joint_slopes(problem)
+    return (
+        readings(problem),
+        _joints(problem, slopes),
+        _tool(problem, slopes),
+        _tool_length(problem, slopes),
+    )
 
 
 def readings(problem: GapProblem) -> Carrier:
@@ -78,23 +84,23 @@ def _by_name(problem: GapProblem, kinds: pd.Series) -> Carrier:
     return Carrier("the readings", columns, labels)
 
 
-def joints(problem: GapProblem) -> Carrier:
-    """Each joint."""
+def _joints(problem: GapProblem, slopes: Array) -> Carrier:
+    """Each joint, from the readings' slopes (N, nq, J) over it."""
     labels = tuple(f"leg {i + 1}" for i in problem.states[0].limbs)
-    return Carrier(JOINTS, _scaled(_joint_slopes(problem)), labels)
+    return Carrier(JOINTS, _scaled(slopes), labels)
 
 
-def tool(problem: GapProblem) -> Carrier:
+def _tool(problem: GapProblem, slopes: Array) -> Carrier:
     """The tool's place along the three axes of the base."""
     pushing = at_poses(problem, [s.joints_per_displacement for s in problem.states])
-    columns = np.einsum("nqj,njqk->nkj", _joint_slopes(problem), pushing)
+    columns = np.einsum("nqj,njqk->nkj", slopes, pushing)
     return Carrier("the tool", _scaled(columns), ("", "", ""))
 
 
-def tool_length(problem: GapProblem) -> Carrier:
+def _tool_length(problem: GapProblem, slopes: Array) -> Carrier:
     """The tool along its own axis, as of a spindle that warms."""
     growth = at_poses(problem, [s.joints_per_extension for s in problem.states])
-    columns = np.einsum("nqj,njq->nj", _joint_slopes(problem), growth)
+    columns = np.einsum("nqj,njq->nj", slopes, growth)
     return Carrier("the tool's length", _scaled(columns[:, None]), ("",))
 
 

@@ -59,26 +59,31 @@ class Term:
 
 def build(problem: GapProblem) -> Library:
     """The discrepancy's terms as atoms; each kind has the same prior probability."""
-    columns: list[Array] = []
+    columns = [np.zeros((len(problem), 0))]
     atoms: list[Atom] = []
     labels: list[str] = []
     for kind in _by_kind(problem):
-        seen = [(term, *_columns(term)) for term in kind]
-        seen = [part for part in seen if part[1].any()]
-        for term, block, owner in seen:
-            log_share = -math.log(len(seen))
+        every = [(term, *_columns(term)) for term in kind]
+        visible = [part for part in every if part[1].any()]
+        for term, block, owner in visible:
             start = len(labels)
-            names = [term.carrier.labels[c] for c in owner]
+            constants = {"reach": term.reach} if term.reach else {}
             for choice, share in _choices(term.carrier, owner):
-                constants = {"reach": term.reach} if term.reach else {}
-                weight = log_share + math.log(share)
-                about = term.about
-                atoms.append(Atom(term.name, constants, start + choice, weight, about))
+                log_weight = math.log(share) - math.log(len(visible))
+                place = start + choice
+                atoms.append(Atom(term.name, constants, place, log_weight, term.about))
             columns.append(block)
-            labels += names
+            labels += [term.carrier.labels[c] for c in owner]
+    return assembled(columns, atoms, labels)
+
+
+def assembled(
+    columns: Sequence[Array], atoms: Sequence[Atom], labels: Sequence[str]
+) -> Library:
+    """Blocks of columns (N, k) of a discrepancy, in units of the noise, as a library."""
     count = len(labels)
     return Library(
-        columns=np.hstack(columns) if columns else np.zeros((len(problem), 0)),
+        columns=np.hstack(columns),
         atoms=tuple(atoms),
         names=tuple(f"discrepancy {k}" for k in range(count)),
         labels=tuple(labels),
@@ -110,20 +115,20 @@ def _by_kind(problem: GapProblem) -> Iterator[list[Term]]:
     session = 2.0 * _covariate(problem, "session_progress") - 1.0
     travel = _travel(problem)
     over_session = [_Places(c, session[:, :, None]) for c in every]
-    over_workspace = [_Places(c, travel, own=c.name == JOINTS) for c in every]
+    over_workspace = [_Places(c, travel, by_column=c.name == JOINTS) for c in every]
     yield [
         Term("over time", f"drift of {p.carrier.name}", p.carrier, forms, reach)
         for p in over_session
         for reach, forms in p.forms(REACHES["time"])
     ]
     workspace = [(p, p.forms(REACHES["place"])) for p in over_workspace]
-    for name, words, common, own in _factors(problem):
+    for name, words, common, by_joint in _factors(problem):
         yield [
             Term(
                 name,
                 f"an error of {p.carrier.name} over the workspace{words}",
                 p.carrier,
-                _times(forms, own if p.own else common),
+                _times(forms, by_joint if p.by_column else common),
                 reach,
             )
             for p, by_reach in workspace
@@ -140,13 +145,13 @@ class _Places:
     """Where a carrier is: its kernel's coordinates at the poses that readings see.
 
     carrier
-    at          (N, J, d), or (N, J, c) where each column has its own
-    own         whether each has
+    at          (N, J, d), or (N, J, c) one of each column
+    by_column   whether each column has its coordinate
     """
 
     carrier: Carrier
     at: Array
-    own: bool = False
+    by_column: bool = False
 
     def forms(self, reaches: Sequence[float]) -> list[tuple[float, Array]]:
         """Each reach with its forms (N, J, c, k)."""
@@ -159,13 +164,13 @@ class _Places:
         acting = [np.asarray(columns[:, c].any(axis=1)) for c in range(count)]
         parts: list[Array] = []
         for c in range(count):
-            if c > 0 and not self.own and (acting[c] == acting[c - 1]).all():
+            if c > 0 and not self.by_column and (acting[c] == acting[c - 1]).all():
                 parts.append(parts[-1])
                 continue
             if not acting[c].any():
                 parts.append(np.zeros((*self.at.shape[:2], 0)))
                 continue
-            at = self.at[:, :, c, None] if self.own else self.at
+            at = self.at[:, :, c, None] if self.by_column else self.at
             parts.append(_at_rows(acting[c], modes(at[acting[c]], reach, most)))
         width = max(part.shape[2] for part in parts)
         forms = np.zeros((*self.at.shape[:2], count, width))
@@ -184,28 +189,23 @@ def _at_rows(rows: Mask, values: Array) -> Array:
 def _factors(problem: GapProblem) -> Iterator[tuple[str, str, Values, Values]]:
     """What an error over the workspace may come with: name, words, factors.
 
-    The factors (N, J) are common to all joints, and (N, J, nq) of each joint's own.
+    The factors are (N, J), common to all joints, and those of joints (N, J), or
+    (N, J, nq) one of each.
     """
-    joints = len(problem.states[0].limbs)
-    ones = _covariate(problem, "direction") * 0.0
-
-    def alike(factor: Values) -> Values:
-        return np.repeat(factor[:, :, None], joints, axis=2)
-
-    ones = np.ones_like(ones)
-    yield "over the workspace", "", ones, alike(ones)
-    own = carriers.at_poses(problem, [s.motion_sign for s in problem.states])
     direction = _known(_covariate(problem, "direction"))
-    yield "with the direction", ", with the direction", direction, own
+    ones = np.ones_like(direction)
+    yield "over the workspace", "", ones, ones
+    sense = _covariate(problem, "motion_sign")
+    yield "with the direction", ", with the direction", direction, sense
     for name in ("payload", "feed"):
         factor = _centred(_covariate(problem, name))
         if factor.any():
-            yield f"with the {name}", f", with the {name}", factor, alike(factor)
+            yield f"with the {name}", f", with the {name}", factor, factor
     for body in sorted({b for s in problem.states for b in s.temperature}):
         rise = _centred(_temperature(problem, body))
         if rise.any():
             words = f", with the temperature of {body}"
-            yield words[2:], words, rise, alike(rise)
+            yield words[2:], words, rise, rise
 
 
 def _covariate(problem: GapProblem, name: str) -> Values:
@@ -245,14 +245,19 @@ def _times(forms: Array, factor: Array) -> Array:
 def _travel(problem: GapProblem) -> Array:
     """Places (N, J, nq) of all joints in their travels, from -1 to 1."""
     low, high = problem.states[0].joint_range
-    place = carriers.at_poses(problem, [s.joints for s in problem.states])
+    place = _covariate(problem, "joints")
     return np.asarray(2.0 * (place - low) / np.maximum(high - low, 1e-12) - 1.0)
+
+
+def _circle(problem: GapProblem) -> Array:
+    """Cosine and sine (N, J, 2) of the phase."""
+    phase = _known(_covariate(problem, "phase"))
+    return np.stack([np.cos(phase), np.sin(phase)], axis=2)
 
 
 def _along_runs(problem: GapProblem, every: Sequence[Carrier]) -> Iterator[Term]:
     """Errors along the runs, the same both ways and with the direction."""
-    phase = _known(_covariate(problem, "phase"))
-    circle = np.stack([np.cos(phase), np.sin(phase)], axis=2)
+    circle = _circle(problem)
     sense = _known(_covariate(problem, "direction"))
     for carrier in every:
         if carrier.name == JOINTS:
@@ -265,8 +270,7 @@ def _along_runs(problem: GapProblem, every: Sequence[Carrier]) -> Iterator[Term]
 
 def _in_a_run(problem: GapProblem, readings: Carrier) -> Iterator[Term]:
     """An error of the readings in one run, a smooth one along it."""
-    phase = _known(_covariate(problem, "phase"))
-    circle = np.stack([np.cos(phase), np.sin(phase)], axis=2)
+    circle = _circle(problem)
     reach = REACHES["phase"][-1]
     for members in problem.members:
         if len(members) < LEAST:
@@ -274,10 +278,10 @@ def _in_a_run(problem: GapProblem, readings: Carrier) -> Iterator[Term]:
         inside = np.zeros(len(problem))
         inside[members] = 1.0
         columns = readings.columns * inside[:, None, None]
-        seen = columns.any(axis=(0, 2))
+        touched = columns.any(axis=(0, 2))
         rows = problem.rows.iloc[int(members[0])]
         label = f"run {rows['setup']} {rows['run']}"
-        carrier = Carrier(label, columns[:, seen], (label,) * int(seen.sum()))
+        carrier = Carrier(label, columns[:, touched], (label,) * int(touched.sum()))
         forms = _Places(carrier, circle).forms((reach,))[0][1]
         yield Term(IN_A_RUN, "an error in one run", carrier, forms, 0.0)
 

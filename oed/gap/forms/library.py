@@ -227,8 +227,8 @@ def _best(
             keep_best()
     if best and waiting:
         keep_best()
-    kept = [(entry[1], entry[2]) for entry in best] or waiting
-    return [weighted for _, weighted in sorted(kept, key=lambda k: k[0])], number
+    numbered = [(entry[1], entry[2]) for entry in best] or waiting
+    return [weighted for _, weighted in sorted(numbered, key=lambda k: k[0])], number
 
 
 def _scores(

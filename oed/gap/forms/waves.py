@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import signal
@@ -21,7 +21,8 @@ from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.tail import log_tail
 from oed.gap.forms import carriers
-from oed.gap.forms.carriers import Carrier
+from oed.gap.forms import discrepancy as discrepancies
+from oed.gap.forms.carriers import JOINTS, Carrier
 from oed.gap.forms.library import Atom, Library
 from oed.noise.law import NoiseLaw
 
@@ -81,7 +82,9 @@ def add(discrepancy: Library, problem: GapProblem, law: NoiseLaw) -> Library:
     """
     metric = Metric(problem, law)
     by_kind: dict[str, list[Band]] = {}
-    for band in [*_in_time(problem), *_along_travels(problem)]:
+    _, *others = carriers.every(problem)
+    legs = next(carrier for carrier in others if carrier.name == JOINTS).parts()
+    for band in [*_in_time(problem, others), *_along_travels(problem, legs)]:
         by_kind.setdefault(band.kind, []).append(band)
     for kind, bands in by_kind.items():
         waves = [wave for band in bands for wave in peaks(problem, metric, band)]
@@ -107,15 +110,7 @@ def _joined(
         atoms.append(Atom(kind, constants, place, log_weight, about))
         columns.append(block)
         labels += [label for label in wave.carrier.labels for _ in range(2)]
-    added = len(labels) - len(library.labels)
-    return dataclasses.replace(
-        library,
-        columns=np.hstack(columns),
-        atoms=tuple(atoms),
-        names=tuple(f"discrepancy {k}" for k in range(len(labels))),
-        labels=tuple(labels),
-        scales=np.concatenate([library.scales, np.ones(added)]),
-    )
+    return discrepancies.assembled(columns, atoms, labels)
 
 
 def peaks(problem: GapProblem, metric: Metric, band: Band) -> list[Wave]:
@@ -136,10 +131,10 @@ def peaks(problem: GapProblem, metric: Metric, band: Band) -> list[Wave]:
     return waves
 
 
-def _in_time(problem: GapProblem) -> Iterator[Band]:
+def _in_time(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band]:
     """Waves in time, or over the readings where not all times are known.
 
-    They act on a channel, on a joint or on the tool.
+    They act on a channel, or on a part of the other carriers.
     """
     times = carriers.at_poses(problem, [s.time for s in problem.states])
     unit = "s"
@@ -153,21 +148,21 @@ def _in_time(problem: GapProblem) -> Iterator[Band]:
     frequencies = _frequencies(clock[:, 0], 1.0)
     if not frequencies.size:
         return
-    _, *others = carriers.every(problem)
     every = (carriers.channels(problem), *others)
     parts = tuple(part for carrier in every for part in carrier.parts())
     yield Band(IN_TIME, unit, clock, parts, frequencies)
 
 
-def _along_travels(problem: GapProblem) -> Iterator[Band]:
+def _along_travels(problem: GapProblem, legs: Sequence[Carrier]) -> Iterator[Band]:
     """Waves of a joint along its own travel."""
     place = carriers.at_poses(problem, [s.joints for s in problem.states])
     place = place - place.min(axis=(0, 1))
-    legs = carriers.joints(problem).parts()
     for i, joint in enumerate(problem.measurement.machine.joints):
-        frequencies = _frequencies(place[:, 0, i], LONG)
-        if joint.unit == "m" and frequencies.size:
-            clock = place[:, :, i]
+        if joint.unit != "m":
+            continue
+        clock = place[:, :, i]
+        frequencies = _frequencies(clock[:, 0], LONG)
+        if frequencies.size:
             yield Band(ALONG_TRAVEL, "travel_m", clock, (legs[i],), frequencies)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 
 from oed.effect import Effect, State
+from oed.gap.cause.advice import MOST_NAMES
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.result.gap import ClosureRecord, GapSection, PlaceRecord
@@ -23,8 +24,6 @@ ALL_LEGS = "all legs"
 COMPARABLE = 0.5
 #: probability from which a second explanation is named
 CONSIDERABLE = 0.1
-#: effects of a class that are named each
-MOST_NAMES = 4
 #: probability from which a cause is stated as a fact
 EVEN = 0.5
 #: what to record for an effect's covariate
