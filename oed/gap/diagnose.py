@@ -7,8 +7,9 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.arrays import Array
 from oed.effect import Effect
+from oed.gap import place
 from oed.gap.cause import advice, answers, closure
 from oed.gap.cause.compare import compare, probabilities
 from oed.gap.cause.explained import explain
@@ -17,8 +18,6 @@ from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
 from oed.gap.data.diagnosis import UNKNOWN, Block, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
-from oed.gap.forms.library import Library
-from oed.gap.place import locate
 from oed.noise.law import NoiseLaw, describe
 
 #: forms that an unknown remainder is reported to be like, at most, and the least
@@ -26,8 +25,11 @@ from oed.noise.law import NoiseLaw, describe
 LIKE, LEAST_LIKE = 3, 0.03
 #: ways of holding readings out
 SPLITS: tuple[closure.Split, ...] = ("within", "whole")
-#: factors on the selected sizes between which training readings choose
-FACTORS = (1.0, 0.5, 2.0)
+#: factors on the selected sizes, and likeliest forms of each effect, between which
+#: training readings choose
+FACTORS, FORMS = (1.0, 0.5, 2.0), 5
+#: share from which a form counts where the gap is located
+LEAST_SHARE = 0.01
 
 
 def diagnose(
@@ -52,7 +54,7 @@ def diagnose(
         named = (h for h in hypotheses if h.effects and not h.unknown)
         best = next(named, best)
     else:
-        where = _locate(clean, search_results[best.law], best, diagnosis, rng)
+        where = _locate(clean, search_results[best.law], best, diagnosis.law, rng)
     closures = _closures(clean, search_results[best.law], best, diagnosis.law, rng)
     return dataclasses.replace(diagnosis, where=where, closure=closures)
 
@@ -153,63 +155,23 @@ def _locate(
     problem: GapProblem,
     search: Search,
     best: Hypothesis,
-    diagnosis: Diagnosis,
+    law: NoiseLaw,
     rng: np.random.Generator,
 ) -> tuple[Block, ...]:
-    """Blocks in which the gap lies."""
-    named = [size.effect for size in diagnosis.sizes]
-    columns, labels = _columns_of_all_limbs(search, best, named)
-    return locate.locate(
-        problem,
-        diagnosis.law,
-        rng,
-        columns=columns,
-        labels=labels,
-        known=UNKNOWN not in diagnosis.answers[0].effects,
-    )
-
-
-def _columns_of_all_limbs(
-    search: Search,
-    best: Hypothesis,
-    named: Collection[str],
-) -> tuple[Array | None, list[str] | None]:
-    """Columns (N, k) of the named effects and the unknown process, and their blocks.
-
-    The forms are those of all limbs, wherever the best forms act.
-    """
-    sources = []
-    for effect, atom in zip(best.effects, best.atoms, strict=True):
-        if effect in named:
-            sources.append((search.library, atom))
-    if best.process is not None:
-        sources.append((search.processes, best.process))
-    if not sources:
-        return None, None
-    columns, labels = [], []
-    for library, atom in sources:
-        form = _widest_form(library, atom)
-        columns.append(library.columns[:, form])
-        labels += [library.labels[c] for c in form]
-    return np.hstack(columns), labels
-
-
-def _widest_form(library: Library, atom: int) -> Index:
-    """Columns of the widest form of an atom's effect and constants.
-
-    Forms whose columns all belong to a block come first.
-    """
-    effect, constants = library.atoms[atom].effect, library.atoms[atom].constants
-    alike = [
-        other.columns
-        for other in library.atoms
-        if (other.effect, other.constants) == (effect, constants)
+    """Places in which the gap lies, over all likely forms of the best hypothesis."""
+    level = search.noise_level(best)
+    parts = len(best.effects) + best.unknown
+    models = [
+        place.Model(
+            share,
+            h.columns(search.library, search.processes, level),
+            h.labels(search.library, search.processes),
+        )
+        for part in range(parts)
+        for share, h in search.forms(best, part)
+        if share > LEAST_SHARE
     ]
-
-    def width(columns: Index) -> tuple[bool, int]:
-        return all(library.labels[c] for c in columns), len(columns)
-
-    return max(alike, key=width)
+    return place.locate(problem, law, models, rng)
 
 
 # -- closure ---------------------------------------------------------------------------
@@ -248,8 +210,6 @@ def _models(search: Search, best: Hypothesis) -> list[Array]:
         for factor in FACTORS:
             sizes = [s * factor if j == i else s for j, s in enumerate(best.sizes)]
             add(best.atoms, sizes)
-        for atom, size in search.alternatives(best, i) if best.atoms else []:
-            atoms, sizes = list(best.atoms), list(best.sizes)
-            atoms[i], sizes[i] = atom, size
-            add(atoms, sizes)
+        for _, h in search.forms(best, i)[:FORMS] if best.atoms else []:
+            add(h.atoms, h.sizes)
     return list(models.values())

@@ -18,16 +18,21 @@ class AnswerRecord(Record, frozen=True):
 
     classes: for each effect the names that these readings cannot tell it from, itself
     among them
+    unseen: part of the probability at sizes that these readings cannot show
     """
 
     effects: list[str]
     probability: float
     classes: list[list[str]] = []
+    unseen: float = 0.0
 
 
 class PlaceRecord(Record, frozen=True):
     """A place of the gap: `leg 1`, `run ID`, `time A-B` (s), `phase A-B` (deg),
-    `direction +1`; strength: its share.
+    `direction +1`.
+
+    p_value: posterior probability that it holds no more than an even share of the gap;
+    strength: the share that it holds
     """
 
     block: str

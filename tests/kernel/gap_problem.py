@@ -7,9 +7,7 @@ import functools
 import numpy as np
 import pandas as pd
 
-from oed.gap.data.diagnosis import Block
 from oed.gap.data.problem import GapProblem, assemble
-from oed.gap.place.locate import locate
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.noise.law import NoiseLaw
@@ -97,25 +95,3 @@ def in_joint(problem: GapProblem, limb: int, change: np.ndarray) -> np.ndarray:
 def sized(change: np.ndarray, covariance: np.ndarray, size: float) -> np.ndarray:
     """The change (N,) as large as makes the oracle's sqrt(lambda) = size."""
     return change * size / np.sqrt(change @ np.linalg.solve(covariance, change))
-
-
-class Machines:
-    """Draws readings of virtual machines with a gap of a stated size."""
-
-    def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
-        self.problem, self.law = problem, law
-        self.covariance = dense(problem, law)
-        self.root = np.linalg.cholesky(self.covariance)
-
-    def located(
-        self, change: np.ndarray | None, size: float, rng: np.random.Generator
-    ) -> tuple[Block, ...]:
-        r = self.root @ rng.standard_normal(len(self.problem))
-        if change is not None:
-            r += sized(change, self.covariance, size)
-        return locate(self.problem.with_residual(r), self.law, rng, draws=100)
-
-
-def first(blocks: tuple[Block, ...], kind: str) -> str:
-    """The best block of a kind."""
-    return next(b.block for b in blocks if b.block.startswith(kind))

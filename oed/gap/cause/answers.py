@@ -1,7 +1,8 @@
 """Answers of a diagnosis: hypotheses grouped by classes, the 95 % set, the verdict.
 
 An answer is what a person should read: what acts with a named effect and could be any
-of many is reported as unknown there. No gap comes first only where it is sure. The 95 %
+of many is reported as unknown there. A gap of a size that no reading shows is no reason
+to report one, but it is a gap: it counts with the answers, not with no gap. The 95 %
 set is what should hold the truth: it has such names with all members of their classes,
 and counts a set of named effects once, with or without a remainder.
 """
@@ -10,6 +11,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+
+import numpy as np
 
 from oed.arrays import Array
 from oed.gap.cause.equivalence import equivalent_effects
@@ -42,12 +45,14 @@ class AnswerGroup:
     members        a class for each of its effects
     unknown        whether an unknown remainder acts as well
     probability    of all of them together
+    unseen         part of it at sizes that no reading shows
     """
 
     hypothesis: Hypothesis
     members: tuple[tuple[str, ...], ...]
     unknown: bool
     probability: float
+    unseen: float = 0.0
 
 
 def group(
@@ -59,44 +64,57 @@ def group(
 
     `shares` are their probabilities.
     """
-    remaining = dict(zip([h.key for h in hypotheses], shares, strict=True))
+    remaining = {
+        h.key: (share, share * h.unseen if h.is_gap else 0.0)
+        for h, share in zip(hypotheses, shares, strict=True)
+    }
     scores = {h.key: h.score for h in hypotheses}
     groups: list[AnswerGroup] = []
     for h in hypotheses:
         if h.key not in remaining:
             continue
-        if groups and remaining[h.key] < REPORTED:
+        if groups and remaining[h.key][0] < REPORTED:
             continue
         members: tuple[tuple[str, ...], ...] = ()
         if h.effects:
             members = tuple(equivalent_effects(searches[h.law], h, scores, ALIVE))
-        total = 0.0
+        total = np.zeros(2)
         for key in list(remaining):
             effects, unknown = key
             if unknown == h.unknown and _stands_for(effects, members):
                 total += remaining.pop(key)
-        groups.append(AnswerGroup(h, members, h.unknown, float(total)))
+        groups.append(AnswerGroup(h, members, h.unknown, *map(float, total)))
     return groups
 
 
 def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[Answer, ...], Hypothesis]:
-    """Answers by probability, no gap first only where it is sure.
+    """The decision first, then the other answers by probability.
 
-    The second result is the best hypothesis of the first answer.
+    A gap is reported where one of a size that shows is probable enough. The second
+    result is the best hypothesis of the first answer.
     """
     answers: list[Answer] = []
     leading: list[Hypothesis] = []
     for entry in groups:
         _add(answers, entry)
         leading += [entry.hypothesis] * (len(answers) - len(leading))
+    decision = _decision(answers)
     order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
-    first = answers[order[0]]
-    if len(order) > 1 and not first.effects:
-        loss_of_none = MISSED * (1.0 - first.probability)
-        cost = VAGUELY_IN_VAIN if _is_vague(answers[order[1]]) else IN_VAIN
-        if loss_of_none > cost * first.probability:
-            order[:2] = order[1::-1]
-    return tuple(answers[k] for k in order), leading[order[0]]
+    order.remove(decision)
+    return tuple(answers[k] for k in [decision, *order]), leading[decision]
+
+
+def _decision(answers: Sequence[Answer]) -> int:
+    """Number of the answer that costs least by the loss table."""
+    gaps = [k for k, answer in enumerate(answers) if answer.effects]
+    nothing = [k for k, answer in enumerate(answers) if not answer.effects]
+    if not gaps or not nothing:
+        return max(range(len(answers)), key=lambda k: answers[k].seen)
+    likeliest = max(gaps, key=lambda k: answers[k].seen)
+    gap = sum(answers[k].seen for k in gaps)
+    total = sum(answer.probability for answer in answers)
+    cost = VAGUELY_IN_VAIN if _is_vague(answers[likeliest]) else IN_VAIN
+    return likeliest if MISSED * gap > cost * (total - gap) else nothing[0]
 
 
 def _is_vague(answer: Answer) -> bool:
@@ -122,16 +140,21 @@ def _add(answers: list[Answer], entry: AnswerGroup) -> None:
         if (UNKNOWN in answer.effects) != unknown:
             continue
         if _stands_for(names, answer.classes):
-            total = answer.probability + entry.probability
-            answers[k] = dataclasses.replace(answer, probability=total)
+            answers[k] = dataclasses.replace(
+                answer,
+                probability=answer.probability + entry.probability,
+                unseen=answer.unseen + entry.unseen,
+            )
             return
-    answers.append(_answer(named, unknown, entry.probability))
+    answers.append(_answer(named, unknown, entry.probability, entry.unseen))
 
 
-def _answer(members: Classes, unknown: bool, probability: float) -> Answer:
+def _answer(
+    members: Classes, unknown: bool, probability: float, unseen: float = 0.0
+) -> Answer:
     names = tuple(m[0] for m in members)
     effects = (*names, UNKNOWN) if unknown else names
-    return Answer(effects, probability, tuple(members))
+    return Answer(effects, probability, tuple(members), unseen)
 
 
 def _stands_for(effects: frozenset[str], members: Classes) -> bool:

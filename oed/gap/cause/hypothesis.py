@@ -41,6 +41,8 @@ class Hypothesis:
     process_size    size of the best unknown process
     log_evidence    of the readings, over all forms and sizes
     log_prior       log prior probability
+    unseen          share of its probability at sizes that no reading shows; 1 where
+                    nothing acts
     law             number of the noise law that suits it best
     """
 
@@ -52,6 +54,7 @@ class Hypothesis:
     process_size: float
     log_evidence: float
     log_prior: float
+    unseen: float = 0.0
     law: int = 0
 
     @property
@@ -73,6 +76,14 @@ class Hypothesis:
         """Positions of all its effects but the i-th."""
         return [j for j in range(len(self.effects)) if j != i]
 
+    def with_form(self, part: int, form: int, size: float) -> Hypothesis:
+        """The same with another form of one part, an effect or the remainder."""
+        if part == len(self.effects):
+            return dataclasses.replace(self, process=form, process_size=size)
+        atoms, sizes = list(self.atoms), list(self.sizes)
+        atoms[part], sizes[part] = form, size
+        return dataclasses.replace(self, atoms=tuple(atoms), sizes=tuple(sizes))
+
     def columns(
         self,
         library: Library,
@@ -87,6 +98,13 @@ class Hypothesis:
             size = factor * self.process_size
             parts.append(processes.scaled_columns(self.process, size))
         return np.hstack(parts)
+
+    def labels(self, library: Library, processes: Library) -> list[str]:
+        """What each of its columns belongs to."""
+        sources = [(library, atom) for atom in self.atoms]
+        if self.process is not None:
+            sources.append((processes, self.process))
+        return [of.labels[c] for of, atom in sources for c in of.atoms[atom].columns]
 
 
 def log_prior(count: int, unknown: bool, effects: int) -> float:

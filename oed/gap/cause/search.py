@@ -18,7 +18,13 @@ from scipy import special
 
 from oed.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis, log_prior
-from oed.gap.cause.remainder import Remainders, groups_of, log_size_prior
+from oed.gap.cause.remainder import (
+    UNKNOWN_SIZES,
+    Remainders,
+    SizePrior,
+    expected_energy,
+    groups_of,
+)
 from oed.gap.data import evidence
 from oed.gap.data.evidence import SIZES, Grams
 from oed.gap.data.metric import Metric
@@ -82,9 +88,8 @@ class Search:
         self._candidates = candidates
         self._products = self._multiply(self._needed(candidates))
         log_weights = np.array([atom.log_weight for atom in library.atoms])
-        log_sizes = log_size_prior(self._products.diagonal, self._atoms, SIZES)
-        #: (atoms, sizes) log prior of each form at each size
-        self._log_prior = log_weights[:, None] + log_sizes
+        energy = expected_energy(self._products.diagonal, self._atoms)
+        self._prior = SizePrior(log_weights, energy, SIZES)
         self._remainders = Remainders(self._products, processes)
         self._tables: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._hypotheses: list[Hypothesis] = []
@@ -143,36 +148,41 @@ class Search:
         law = dataclasses.replace(self.law, level=level)
         return law if self.outliers is None else self.outliers.with_outliers(law)
 
-    def alternatives(
-        self,
-        h: Hypothesis,
-        i: int,
-        count: int = 4,
-    ) -> list[tuple[int, float]]:
-        """The next best forms of the i-th effect of a hypothesis, with best sizes."""
-        others = h.others(i)
-        atoms = [h.atoms[j] for j in others]
-        sizes = [h.sizes[j] for j in others]
-        posterior = self._log_posterior(h.effects[i], atoms, sizes)
-        numbers = self._atoms_of[h.effects[i]]
-        order = np.argsort(-posterior.max(axis=1))[: count + 1]
-        ranked = []
-        for k in order:
-            size = float(SIZES[np.argmax(posterior[k])])
-            ranked.append((int(numbers[k]), size))
-        return [form for form in ranked if form[0] != h.atoms[i]][:count]
+    def forms(self, h: Hypothesis, part: int) -> list[tuple[float, Hypothesis]]:
+        """A hypothesis with each form of one of its parts, likeliest first, with shares.
+
+        Parts are its effects in order, then its unknown remainder. Each form has its
+        best size.
+        """
+        if part == len(h.effects):
+            selected = self._columns_of_set(h)
+            table = self._remainders.log_evidences(self._grams_alone(h), selected)
+            numbers, sizes = np.arange(len(table)), UNKNOWN_SIZES
+        else:
+            others = h.others(part)
+            atoms = [h.atoms[j] for j in others]
+            numbers, sizes = self._atoms_of[h.effects[part]], SIZES
+            table = self._log_posterior(
+                h.effects[part], atoms, [h.sizes[j] for j in others]
+            )
+        shares = special.softmax(special.logsumexp(table, axis=1))
+        best = sizes[np.argmax(table, axis=1)]
+        order = np.argsort(-shares, kind="stable")
+        return [
+            (float(shares[k]), h.with_form(part, int(numbers[k]), float(best[k])))
+            for k in order
+        ]
 
     def likeness(self, h: Hypothesis) -> dict[str, float]:
         """Probability of each form of a hypothesis' unknown remainder, in words.
 
         The likeliest form comes first.
         """
-        selected = self._columns_of_set(h)
-        table = self._remainders.log_evidences(self._grams_alone(h), selected)
-        shares = special.softmax(special.logsumexp(table, axis=1))
         by_form: dict[str, float] = {}
-        for atom, share in zip(self.processes.atoms, shares, strict=True):
-            by_form[atom.about] = by_form.get(atom.about, 0.0) + float(share)
+        for share, form in self.forms(h, len(h.effects)):
+            assert form.process is not None
+            about = self.processes.atoms[form.process].about
+            by_form[about] = by_form.get(about, 0.0) + share
         return dict(sorted(by_form.items(), key=lambda item: -item[1]))
 
     # -- sets of effects ---------------------------------------------------------------
@@ -183,7 +193,7 @@ class Search:
         if not others.size:
             return {}
         table = grams.log_evidences([self._atoms[k] for k in others])
-        posterior = table + self._log_prior[others]
+        posterior = table + self._prior.table(alone=False)[others]
         best = {}
         for effect in dict.fromkeys(self._effect[others]):
             rows = np.flatnonzero(self._effect[others] == effect)
@@ -207,21 +217,23 @@ class Search:
         `atoms` and `sizes` are the forms to start from.
         """
         best, best_sizes = list(atoms), list(sizes)
-        further_forms = 0.0
+        further_forms, unseen = 0.0, 1.0
         for _ in range(ROUNDS):
             before = (tuple(best), tuple(best_sizes))
-            further_forms = 0.0
+            further_forms, unseen = 0.0, 1.0
             for i, effect in enumerate(effects):
                 others = [j for j in range(len(effects)) if j != i]
                 other_atoms = [best[j] for j in others]
                 other_sizes = [best_sizes[j] for j in others]
                 table = self._table(effect, other_atoms, other_sizes)
                 numbers = self._atoms_of[effect]
-                posterior = table + self._log_prior[numbers]
+                posterior = self._log_posterior(effect, other_atoms, other_sizes)
                 row, column = _argmax(posterior)
                 best[i], best_sizes[i] = int(numbers[row]), float(SIZES[column])
                 over_all = float(np.logaddexp.reduce(posterior, axis=None))
                 further_forms += over_all - float(table[row, column])
+                hidden = posterior[~self._prior.seen[numbers]]
+                unseen *= float(np.exp(hidden - over_all).sum())
             if (tuple(best), tuple(best_sizes)) == before:
                 break
         h = Hypothesis(
@@ -233,16 +245,13 @@ class Search:
             process_size=0.0,
             log_evidence=further_forms + self._log_law,
             log_prior=log_prior(len(effects), False, len(self.library.effects)),
+            unseen=unseen,
         )
         base = self._grams_alone(h).base
         return dataclasses.replace(h, log_evidence=base + h.log_evidence)
 
     def add_unknown(self, h: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
-        if not len(self._remainders):
-            return dataclasses.replace(
-                h, unknown=True, log_evidence=-np.inf, log_prior=-np.inf
-            )
         selected, alone = self._columns_of_set(h), self._grams_alone(h)
         remainder = self._remainders.best(alone, selected)
         return dataclasses.replace(
@@ -252,6 +261,7 @@ class Search:
             process_size=remainder.size,
             log_evidence=h.log_evidence + remainder.log_evidence,
             log_prior=log_prior(len(h.effects), True, len(self.library.effects)),
+            unseen=h.unseen * remainder.unseen,
         )
 
     def _table(
@@ -283,7 +293,8 @@ class Search:
     ) -> Array:
         """As `_table`, with the prior of forms and sizes."""
         table = self._table(effect, others, sizes)
-        return np.asarray(table + self._log_prior[self._atoms_of[effect]])
+        prior = self._prior.table(alone=not others)
+        return np.asarray(table + prior[self._atoms_of[effect]])
 
     def _select(
         self,
@@ -335,7 +346,7 @@ class Search:
         if empty not in likely:
             likely.append(empty)
         extended = [h for h in likely if h in likely[:SETS] or h is empty]
-        mixed = [self.add_unknown(h) for h in extended]
+        mixed = [self.add_unknown(h) for h in extended if len(self._remainders)]
         return [*known, *mixed]
 
     def _extend(self, bases: Sequence[Hypothesis]) -> list[Hypothesis]:

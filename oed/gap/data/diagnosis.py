@@ -23,11 +23,18 @@ class Answer:
     probability    posterior probability
     classes        for each effect the names that these readings cannot distinguish from
                    it, itself among them
+    unseen         part of the probability at sizes that no reading shows
     """
 
     effects: tuple[str, ...]
     probability: float
     classes: tuple[tuple[str, ...], ...] = ()
+    unseen: float = 0.0
+
+    @property
+    def seen(self) -> float:
+        """Probability at sizes that the readings show."""
+        return self.probability - self.unseen
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -61,8 +68,8 @@ class Block:
 
     block       `leg K` from 1, `run ID`, `time A-B` in s, `phase A-B` in deg,
                 `direction +1`
-    p_value     corrected for the number of places
-    strength    share of the gap's energy that the block holds
+    p_value     posterior probability that it holds no more than its even share
+    strength    share of the gap's energy that it holds
     """
 
     block: str
@@ -102,7 +109,7 @@ class Diagnosis:
     problem         the residuals that it is of
     verdict         none, effect, class (several that are indistinguishable), mixture
                     (several effects, or one and an unknown remainder), unknown
-    answers         by probability; no gap first only where it is sure
+    answers         the decision first, the others by probability
     set95           the 95 % credible set of effects
     marginal        {effect: probability that it acts}
     law             noise law as estimated

@@ -47,7 +47,7 @@ class Metric:
         return white, self._absorb @ white
 
     def fit(self, values: Array) -> Array:
-        """Parameters (n,), in prior standard deviations, that explain values (N,) best."""
+        """Parameters (n,) or (n, k), in prior sd, that explain values (N,) or (N, k)."""
         _, absorbed = self.parts(values)
         return np.asarray(
             linalg.solve_triangular(

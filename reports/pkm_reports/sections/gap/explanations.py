@@ -83,8 +83,9 @@ def _decision() -> str:
     ratio = text.number(answers.MISSED / answers.IN_VAIN)
     return (
         f"A missed gap is taken to cost {ratio} times a futile search for a named"
-        f" cause: no gap is reported where noise alone has {sure} or more, or"
-        f" {vaguely_sure} where the cause could be any of many."
+        f" cause: no gap is reported where noise, with or without what is too small for"
+        f" these readings to show, has {sure} or more, or {vaguely_sure} where the cause"
+        " could be any of many."
     )
 
 

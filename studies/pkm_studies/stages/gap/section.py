@@ -94,7 +94,9 @@ def finite_or_none(value: float) -> float | None:
 
 def _answer(answer: Answer) -> AnswerRecord:
     classes = [list(c) for c in answer.classes]
-    return AnswerRecord(list(answer.effects), float(answer.probability), classes)
+    return AnswerRecord(
+        list(answer.effects), float(answer.probability), classes, float(answer.unseen)
+    )
 
 
 def _selected(diagnosis: Diagnosis) -> list[str]:

@@ -16,10 +16,9 @@ from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.result.gap import ClosureRecord, GapSection, PlaceRecord
 
-#: a place is named below this p-value
+#: a place is named below this probability that it holds no more than an even share
 SIGNIFICANT = 0.05
 MAX_PLACES = 3
-ALL_LEGS = "all legs"
 #: share of the best place's strength from which another place is named with it
 COMPARABLE = 0.5
 #: probability from which a second explanation is named
@@ -58,11 +57,9 @@ def with_sentences(gap: GapSection) -> GapSection:
 
 def _verdict(gap: GapSection) -> list[str]:
     best = gap.answers[0]
-    chance = f"(probability {format_probability(best.probability)})"
     if gap.verdict == "none":
-        return [
-            f"No gap is found: noise alone explains what calibration leaves {chance}."
-        ]
+        return _no_gap(gap)
+    chance = f"(probability {format_probability(best.probability)})"
     if gap.verdict == "unknown":
         testable = len(gap.tried) - len(gap.not_testable)
         return [
@@ -84,6 +81,21 @@ def _verdict(gap: GapSection) -> list[str]:
         ]
     together = " together" if len(gap.selected) > 1 else ""
     return [f"The gap {comes} from {causes}{together} {chance}{sizes}."]
+
+
+def _no_gap(gap: GapSection) -> list[str]:
+    """That none is found, and how likely one is that these readings do not show."""
+    nothing = gap.answers[0].probability
+    unseen = sum(answer.unseen for answer in gap.answers)
+    chance = f"(probability {format_probability(nothing + unseen)})"
+    words = [f"No gap is found: noise alone explains what calibration leaves {chance}."]
+    if unseen >= CONSIDERABLE:
+        part = format_probability(unseen)
+        words.append(
+            f"Something may act that is too small for these readings to show"
+            f" (probability {part})."
+        )
+    return words
 
 
 def _classes(gap: GapSection) -> str:
@@ -138,9 +150,11 @@ def _resemblance(gap: GapSection) -> list[str]:
 
 def _second_explanation(gap: GapSection) -> list[str]:
     """The next explanation, where its probability is considerable."""
-    if len(gap.answers) < 2 or gap.answers[1].probability < CONSIDERABLE:
+    if len(gap.answers) < 2:
         return []
     best, second = gap.answers[:2]
+    if second.probability - second.unseen < CONSIDERABLE:
+        return []
     chance = f"(probability {format_probability(second.probability)})"
     if second.probability > best.probability:
         return [
@@ -172,8 +186,6 @@ def _named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
     if not places:
         return []
     best = places[0]
-    if best.block == ALL_LEGS:
-        places = [p for p in places if not p.block.startswith("leg ")]
     if best.strength is not None:
         least = COMPARABLE * best.strength
         places = [p for p in places if p.strength is None or p.strength >= least]
@@ -184,14 +196,13 @@ def _place(place: PlaceRecord) -> str:
     kind, _, extent = place.block.partition(" ")
     low, _, high = extent.partition("-")
     name = place.block
-    if place.block == ALL_LEGS:
-        name = "all legs alike"
-    elif kind == "time":
+    if kind == "time":
         name = f"the time from {_minutes(low)} to {_minutes(high)}"
     elif kind == "phase":
         name = f"the part from {low} to {high} deg of the runs"
-    p = f"p = {place.p_value:.2g}" if place.p_value >= 1e-3 else "p < 0.001"
-    return f"{name} ({p})"
+    if place.strength is None:
+        return name
+    return f"{name} ({format_probability(place.strength)} of it)"
 
 
 def _minutes(seconds: str) -> str:

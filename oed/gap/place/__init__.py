@@ -1,1 +1,0 @@
-"""Where the gap lies: legs, runs, stretches of time and phase, directions."""
