@@ -218,7 +218,8 @@ def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines(
         alone.append(
             set(case.diagnosis.answers[0].effects) == {n for n, _, _ in ACTING}
         )
-        assert case.diagnosis.where[0].block == "all legs"
+        told = [b.block for b in case.diagnosis.where if b.p_value < 0.05]
+        assert not any(block.startswith("leg") for block in told)
         before, after, without, with_them = predicted(case)
         assert 40.0 < np.abs(before).max() < 90.0
         assert np.abs(after).max() < 20.0

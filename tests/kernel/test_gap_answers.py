@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from oed.gap.cause import answers as answering
 from oed.gap.cause.compare import probabilities
-from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.hypothesis import PRIOR, Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import UNKNOWN, Answer
 
@@ -176,10 +178,18 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
             )
             for e, p in shares.items()
         ]
+        library = SimpleNamespace(effects=("a", "b", "c"))
+        searches = [SimpleNamespace(library=library)]
         answers, best = answering.rank(
-            answering.group([None], hypotheses, np.array(list(shares.values())))
+            answering.group(searches, hypotheses, np.array(list(shares.values())))
         )
         assert best.effects == answers[0].effects
+        silent = sum(a.unseen for a in answers)
+        nothing = next(a.probability for a in answers if not a.effects)
+        assert nothing + silent == pytest.approx(none)
+        assert silent / none == pytest.approx(
+            PRIOR["unseen"] / (PRIOR["unseen"] + PRIOR["none"])
+        )
         assert sum(a.probability for a in answers) == pytest.approx(1.0)
         return answers[0].effects
 

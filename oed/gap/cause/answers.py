@@ -12,11 +12,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-import numpy as np
-
 from oed.arrays import Array
 from oed.gap.cause.equivalence import equivalent_effects
-from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.hypothesis import PRIOR, Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import UNKNOWN, Answer, Verdict
 
@@ -64,26 +62,46 @@ def group(
 
     `shares` are their probabilities.
     """
-    remaining = {
-        h.key: (share, share * h.unseen if h.is_gap else 0.0)
-        for h, share in zip(hypotheses, shares, strict=True)
-    }
+    remaining = dict(zip([h.key for h in hypotheses], shares, strict=True))
     scores = {h.key: h.score for h in hypotheses}
     groups: list[AnswerGroup] = []
+    unseen: list[AnswerGroup] = []
     for h in hypotheses:
         if h.key not in remaining:
             continue
-        if groups and remaining[h.key][0] < REPORTED:
+        if groups and remaining[h.key] < REPORTED:
             continue
         members: tuple[tuple[str, ...], ...] = ()
         if h.effects:
             members = tuple(equivalent_effects(searches[h.law], h, scores, ALIVE))
-        total = np.zeros(2)
+        total = 0.0
         for key in list(remaining):
             effects, unknown = key
             if unknown == h.unknown and _stands_for(effects, members):
                 total += remaining.pop(key)
-        groups.append(AnswerGroup(h, members, h.unknown, *map(float, total)))
+        entry = AnswerGroup(h, members, h.unknown, float(total))
+        if not h.is_gap:
+            entry, *unseen = _without_a_sign(entry, searches[h.law].library.effects)
+        groups.append(entry)
+    return [*groups, *unseen]
+
+
+def _without_a_sign(nothing: AnswerGroup, names: tuple[str, ...]) -> list[AnswerGroup]:
+    """What may act where nothing shows: nothing, any effect, something unknown.
+
+    The readings say nothing of these three, so that they keep their prior shares. Any
+    effect is no answer that another one could join.
+    """
+    unseen = PRIOR["unseen"] / (PRIOR["unseen"] + PRIOR["none"])
+    unknown = PRIOR["unknown"] / (1.0 - PRIOR["unseen"] - PRIOR["none"])
+    if not names:
+        unknown = 1.0
+    total, alone = nothing.probability, nothing.hypothesis
+    of_unknown, of_effects = total * unseen * unknown, total * unseen * (1.0 - unknown)
+    groups = [dataclasses.replace(nothing, probability=total * (1.0 - unseen))]
+    if names:
+        groups.append(AnswerGroup(alone, (names,), False, of_effects, of_effects))
+    groups.append(AnswerGroup(alone, (), True, of_unknown, of_unknown))
     return groups
 
 
@@ -136,8 +154,9 @@ def _add(answers: list[Answer], entry: AnswerGroup) -> None:
         named = clear or [min(named, key=len)]
     unknown = entry.unknown or len(named) < len(entry.members)
     names = frozenset(members[0] for members in named)
+    any_effect = entry.unseen > 0.0 and bool(named)
     for k, answer in enumerate(answers):
-        if (UNKNOWN in answer.effects) != unknown:
+        if (UNKNOWN in answer.effects) != unknown or any_effect:
             continue
         if _stands_for(names, answer.classes):
             answers[k] = dataclasses.replace(
@@ -180,7 +199,8 @@ def credible_set(groups: Sequence[AnswerGroup]) -> tuple[Answer, ...]:
         total = sum(g.probability for g in alike)
         with_unknown = sum(g.probability for g in alike if g.unknown)
         unknown = with_unknown > 0.5 * total
-        answers.append(_answer(alike[0].members, unknown, total))
+        unseen = sum(g.unseen for g in alike)
+        answers.append(_answer(alike[0].members, unknown, total, unseen))
     answers.sort(key=lambda a: -a.probability)
     total, selected = 0.0, []
     for answer in answers:
@@ -194,8 +214,8 @@ def credible_set(groups: Sequence[AnswerGroup]) -> tuple[Answer, ...]:
 def _by_named_effects(groups: Sequence[AnswerGroup]) -> list[list[AnswerGroup]]:
     """Groups of one set of named effects, with or without a remainder, together."""
     sets: list[list[AnswerGroup]] = []
-    for entry in sorted(groups, key=lambda g: -g.probability):
-        names = frozenset(m[0] for m in entry.members)
+    for entry in sorted(groups, key=lambda g: (g.unseen > 0.0, -g.probability)):
+        names = frozenset(m[0] for m in entry.members if not entry.unseen)
         same = (s for s in sets if names and _stands_for(names, s[0].members))
         alike = next(same, None)
         if alike is None:

@@ -33,10 +33,8 @@ def _over_laws(alike: Sequence[Hypothesis]) -> Hypothesis:
     Its evidence is over all of them.
     """
     best = max(alike, key=lambda h: h.log_evidence)
-    log_evidences = np.array([h.log_evidence for h in alike])
-    total = special.logsumexp(log_evidences)
-    unseen = np.exp(log_evidences - total) @ np.array([h.unseen for h in alike])
-    return dataclasses.replace(best, log_evidence=float(total), unseen=float(unseen))
+    total = special.logsumexp([h.log_evidence for h in alike])
+    return dataclasses.replace(best, log_evidence=float(total))
 
 
 def probabilities(hypotheses: Sequence[Hypothesis]) -> Array:

@@ -10,20 +10,22 @@ from scipy import special
 from oed.arrays import Array
 from oed.gap.forms.library import Library
 
-#: prior probabilities: no gap, one effect, two, three, an unknown alone, one or two
-#: with an unknown remainder
+#: prior probabilities: nothing acts, or nothing that the readings show (two of seven
+#: sizes of a gap); one effect, two, three, an unknown alone, one or two with an unknown
+#: remainder
 PRIOR = {
     "none": 0.34,
-    "one": 0.24,
-    "two": 0.08,
-    "three": 0.01,
-    "unknown": 0.10,
-    "one+": 0.19,
-    "two+": 0.04,
+    "unseen": 0.19,
+    "one": 0.17,
+    "two": 0.06,
+    "three": 0.007,
+    "unknown": 0.07,
+    "one+": 0.135,
+    "two+": 0.028,
 }
-#: keys of PRIOR by the number of effects, without and with an unknown remainder
-_WITHOUT_UNKNOWN = ("none", "one", "two", "three")
-_WITH_UNKNOWN = ("unknown", "one+", "two+", "two+")
+#: kinds of PRIOR by the number of effects, without and with an unknown remainder
+_WITHOUT_UNKNOWN = (("none", "unseen"), ("one",), ("two",), ("three",))
+_WITH_UNKNOWN = (("unknown",), ("one+",), ("two+",), ("two+",))
 
 #: what a hypothesis says, whatever its forms: effects, whether an unknown acts
 Key = tuple[frozenset[str], bool]
@@ -31,7 +33,7 @@ Key = tuple[frozenset[str], bool]
 
 @dataclasses.dataclass(frozen=True)
 class Hypothesis:
-    """A set of effects, with or without an unknown remainder.
+    """A set of effects, with or without an unknown remainder, and no more that shows.
 
     effects         names of the effects
     unknown         whether an unknown remainder acts as well
@@ -41,8 +43,6 @@ class Hypothesis:
     process_size    size of the best unknown process
     log_evidence    of the readings, over all forms and sizes
     log_prior       log prior probability
-    unseen          share of its probability at sizes that no reading shows; 1 where
-                    nothing acts
     law             number of the noise law that suits it best
     """
 
@@ -54,7 +54,6 @@ class Hypothesis:
     process_size: float
     log_evidence: float
     log_prior: float
-    unseen: float = 0.0
     law: int = 0
 
     @property
@@ -111,4 +110,5 @@ def log_prior(count: int, unknown: bool, effects: int) -> float:
     """Log prior of one set of `count` effects out of `effects`."""
     kinds = _WITH_UNKNOWN if unknown else _WITHOUT_UNKNOWN
     sets = special.comb(max(effects, 1), count)
-    return float(np.log(PRIOR[kinds[count]]) - np.log(sets))
+    probability = sum(PRIOR[kind] for kind in kinds[count])
+    return float(np.log(probability) - np.log(sets))

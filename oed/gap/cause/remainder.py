@@ -15,7 +15,7 @@ from oed.gap.forms.library import Library
 
 #: how large an unknown may be, against the noise
 UNKNOWN_SIZES = np.array([0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
-#: expected lambda of a form below which no reading shows it
+#: expected lambda of a form below which its size is taken for none at all
 NEGLIGIBLE = 9.0
 
 
@@ -26,13 +26,11 @@ class Remainder:
     process         its number
     size            its size
     log_evidence    of a remainder over none, over all processes and sizes
-    unseen          share of the evidence at sizes that no reading shows
     """
 
     process: int
     size: float
     log_evidence: float
-    unseen: float
 
 
 class Remainders:
@@ -45,11 +43,10 @@ class Remainders:
         self._groups = groups_of(processes)
         log_weights = np.array([atom.log_weight for atom in processes.atoms])
         log_share = np.log(max(len(processes.effects), 1))
-        self._prior = SizePrior(
-            log_weights - log_share,
-            expected_energy(products.process_diagonal, self._columns),
-            UNKNOWN_SIZES,
+        log_sizes = log_size_prior(
+            products.process_diagonal, self._columns, UNKNOWN_SIZES
         )
+        self._log_prior = log_weights[:, None] - log_share + log_sizes
 
     def __len__(self) -> int:
         return len(self._columns)
@@ -86,15 +83,17 @@ class Remainders:
         for numbers, gram, b in self._orthogonal(selected):
             gain, log_det = evidence.explained_energy(gram, b, UNKNOWN_SIZES)
             table[numbers] = alone.log_ratio(gain, log_det)
-        return np.asarray(table + self._prior.table(alone=not len(selected)))
+        return np.asarray(table + self._log_prior)
 
     def best(self, alone: Grams, selected: Index) -> Remainder:
         """The best process and size; arguments as of `log_evidences`."""
         table = self.log_evidences(alone, selected)
         row, column = np.unravel_index(int(np.argmax(table)), table.shape)
-        total = float(np.logaddexp.reduce(table, axis=None))
-        unseen = np.exp(table[~self._prior.seen] - total).sum()
-        return Remainder(int(row), float(UNKNOWN_SIZES[column]), total, float(unseen))
+        return Remainder(
+            process=int(row),
+            size=float(UNKNOWN_SIZES[column]),
+            log_evidence=float(np.logaddexp.reduce(table, axis=None)),
+        )
 
     def _orthogonal(self, selected: Index) -> list[tuple[Index, Array, Array]]:
         """Processes without what the selected columns could explain.
@@ -122,34 +121,20 @@ def groups_of(processes: Library) -> list[tuple[Index, Index]]:
     return evidence.group_by_count(columns) if columns else []
 
 
-def expected_energy(energy: Array, choices: Sequence[Index]) -> Array:
-    """Expected energy (choices,) of columns with coefficients N(0, 1).
+def log_size_prior(
+    energy: Array,
+    choices: Sequence[Index],
+    sizes: Array,
+) -> Array:
+    """Log prior share (choices, sizes) of each size of a choice of columns.
 
     `energy` (K,) is that of each column.
+    Sizes that could not be seen are no hypotheses, but for the largest.
     """
-    return np.array([energy[columns].sum() for columns in choices])
-
-
-class SizePrior:
-    """Prior of forms at each size: sizes are equally likely.
-
-    A gap that no reading shows is a gap all the same. But beside another effect, a form
-    that no reading shows would change nothing that is said: it has the sizes that show.
-    """
-
-    def __init__(self, log_weights: Array, energy: Array, sizes: Array) -> None:
-        """Lay out the prior.
-
-        log_weights   (forms,) log prior of each form
-        energy        (forms,) expected energy of each form at size 1
-        """
-        #: (forms, sizes) which are seen by the readings; the largest always counts
-        self.seen = energy[:, None] * sizes**2 > NEGLIGIBLE
-        self.seen[:, -1:] = True
-        self._alone = np.tile(log_weights[:, None] - np.log(len(sizes)), len(sizes))
-        log_share = log_weights - np.log(self.seen.sum(axis=1))
-        self._further = np.where(self.seen, log_share[:, None], -np.inf)
-
-    def table(self, *, alone: bool) -> Array:
-        """Log prior (forms, sizes) of forms that act alone, or with others."""
-        return self._alone if alone else self._further
+    if not choices:
+        return np.zeros((0, len(sizes)))
+    trace = np.array([energy[columns].sum() for columns in choices])
+    visible = trace[:, None] * sizes**2 > NEGLIGIBLE
+    visible[:, -1] = True
+    log_share = -np.log(visible.sum(axis=1, keepdims=True))
+    return np.asarray(np.where(visible, log_share, -np.inf))

@@ -21,9 +21,8 @@ from oed.gap.cause.hypothesis import Hypothesis, log_prior
 from oed.gap.cause.remainder import (
     UNKNOWN_SIZES,
     Remainders,
-    SizePrior,
-    expected_energy,
     groups_of,
+    log_size_prior,
 )
 from oed.gap.data import evidence
 from oed.gap.data.evidence import SIZES, Grams
@@ -88,8 +87,9 @@ class Search:
         self._candidates = candidates
         self._products = self._multiply(self._needed(candidates))
         log_weights = np.array([atom.log_weight for atom in library.atoms])
-        energy = expected_energy(self._products.diagonal, self._atoms)
-        self._prior = SizePrior(log_weights, energy, SIZES)
+        log_sizes = log_size_prior(self._products.diagonal, self._atoms, SIZES)
+        #: (atoms, sizes) log prior of each form at each size
+        self._log_prior = log_weights[:, None] + log_sizes
         self._remainders = Remainders(self._products, processes)
         self._tables: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._hypotheses: list[Hypothesis] = []
@@ -193,7 +193,7 @@ class Search:
         if not others.size:
             return {}
         table = grams.log_evidences([self._atoms[k] for k in others])
-        posterior = table + self._prior.table(alone=False)[others]
+        posterior = table + self._log_prior[others]
         best = {}
         for effect in dict.fromkeys(self._effect[others]):
             rows = np.flatnonzero(self._effect[others] == effect)
@@ -217,10 +217,10 @@ class Search:
         `atoms` and `sizes` are the forms to start from.
         """
         best, best_sizes = list(atoms), list(sizes)
-        further_forms, unseen = 0.0, 1.0
+        further_forms = 0.0
         for _ in range(ROUNDS):
             before = (tuple(best), tuple(best_sizes))
-            further_forms, unseen = 0.0, 1.0
+            further_forms = 0.0
             for i, effect in enumerate(effects):
                 others = [j for j in range(len(effects)) if j != i]
                 other_atoms = [best[j] for j in others]
@@ -232,8 +232,6 @@ class Search:
                 best[i], best_sizes[i] = int(numbers[row]), float(SIZES[column])
                 over_all = float(np.logaddexp.reduce(posterior, axis=None))
                 further_forms += over_all - float(table[row, column])
-                hidden = posterior[~self._prior.seen[numbers]]
-                unseen *= float(np.exp(hidden - over_all).sum())
             if (tuple(best), tuple(best_sizes)) == before:
                 break
         h = Hypothesis(
@@ -245,7 +243,6 @@ class Search:
             process_size=0.0,
             log_evidence=further_forms + self._log_law,
             log_prior=log_prior(len(effects), False, len(self.library.effects)),
-            unseen=unseen,
         )
         base = self._grams_alone(h).base
         return dataclasses.replace(h, log_evidence=base + h.log_evidence)
@@ -261,7 +258,6 @@ class Search:
             process_size=remainder.size,
             log_evidence=h.log_evidence + remainder.log_evidence,
             log_prior=log_prior(len(h.effects), True, len(self.library.effects)),
-            unseen=h.unseen * remainder.unseen,
         )
 
     def _table(
@@ -293,8 +289,7 @@ class Search:
     ) -> Array:
         """As `_table`, with the prior of forms and sizes."""
         table = self._table(effect, others, sizes)
-        prior = self._prior.table(alone=not others)
-        return np.asarray(table + prior[self._atoms_of[effect]])
+        return np.asarray(table + self._log_prior[self._atoms_of[effect]])
 
     def _select(
         self,

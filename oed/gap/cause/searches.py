@@ -100,14 +100,12 @@ def _best_gap(search: Search) -> Hypothesis:
 def _candidates(first: Sequence[Search]) -> list[Hypothesis]:
     """The best hypotheses of each search, in the form of the one that it suits best.
 
-    No gap, an unknown alone and single effects are always among them: what each may do
-    without being seen counts together.
+    No gap and an unknown alone are always among them.
     """
     best: dict[Key, Hypothesis] = {}
     for search in first:
         ranked = search.run()
-        rest = ranked[CANDIDATES:]
-        simple = [h for h in rest if len(h.effects) + h.unknown <= 1]
+        simple = [h for h in ranked[CANDIDATES:] if not h.effects]
         for h in ranked[:CANDIDATES] + simple:
             if h.key not in best or best[h.key].score < h.score:
                 best[h.key] = h

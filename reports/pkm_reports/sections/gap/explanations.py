@@ -113,6 +113,8 @@ def row(answer: AnswerRecord) -> list[str]:
 
 def _explanation(answer: AnswerRecord) -> str:
     """The effects of an answer; one of a large class is not named before the others."""
+    if answer.classes and answer.unseen >= answer.probability > 0.0:
+        return "an effect too small for these readings to show"
     sizes = {group[0]: len(group) for group in answer.classes if len(group) >= MANY}
     names = [_effect(name, sizes) for name in answer.effects]
     return text.listing(names) or "no gap: noise alone"
