@@ -162,7 +162,7 @@ def _locate(
     level = search.noise_level(best)
     parts = len(best.effects) + best.unknown
     models = [
-        place.Model(
+        place.LikelyForms(
             share,
             h.columns(search.library, search.processes, level),
             h.labels(search.library, search.processes),

@@ -38,8 +38,8 @@ WORTH = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
-class Model:
-    """Forms of what may act.
+class LikelyForms:
+    """Forms that what acts may have.
 
     share      posterior probability of these forms
     columns    (N, k) with coefficients N(0, 1), in units of the stated noise
@@ -68,7 +68,7 @@ class _Draws:
 def locate(
     problem: GapProblem,
     law: NoiseLaw,
-    models: Sequence[Model],
+    models: Sequence[LikelyForms],
     rng: np.random.Generator,
     draws: int = DRAWS,
 ) -> tuple[Block, ...]:
@@ -96,7 +96,7 @@ def locate(
 def _draw(
     problem: GapProblem,
     law: NoiseLaw,
-    models: Sequence[Model],
+    models: Sequence[LikelyForms],
     rng: np.random.Generator,
     draws: int,
 ) -> _Draws:
@@ -122,7 +122,7 @@ def _draw(
 
 
 def _of_model(
-    problem: GapProblem, metric: Metric, model: Model, normal: Array
+    problem: GapProblem, metric: Metric, model: LikelyForms, normal: Array
 ) -> _Draws:
     """Draws of one model from standard normal values (k, D)."""
     columns = model.columns

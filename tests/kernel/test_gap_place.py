@@ -16,7 +16,7 @@ from kernel.cases import CASES, reading_series
 from oed.gap import place
 from oed.gap.data.diagnosis import Block
 from oed.gap.data.problem import GapProblem, assemble
-from oed.gap.place import Model, locate
+from oed.gap.place import LikelyForms, locate
 from oed.noise.law import stated_law
 
 KINDS = ("leg", "run", "time", "phase", "direction")
@@ -31,7 +31,9 @@ class Machines:
     covariance: np.ndarray
     root: np.ndarray
 
-    def located(self, change: np.ndarray, model: Model, seed: int) -> dict[str, Block]:
+    def located(
+        self, change: np.ndarray, model: LikelyForms, seed: int
+    ) -> dict[str, Block]:
         """Places, by name, of a change (N,) of the readings; most likely first."""
         rng = np.random.default_rng(seed)
         noise = self.root @ rng.standard_normal(len(self.problem))
@@ -54,11 +56,11 @@ def _first(blocks: dict[str, Block], kind: str) -> str:
     return next(name for name in blocks if name.startswith(kind))
 
 
-def _in_legs(problem: GapProblem, size: float) -> Model:
+def _in_legs(problem: GapProblem, size: float) -> LikelyForms:
     """Play of each leg, of this size."""
     sense = problem.states[0].motion_sign
     columns = [case.in_joint(problem, k, 1e-6 * sense[:, k]) for k in range(3)]
-    return Model(1.0, size * np.column_stack(columns), LEGS)
+    return LikelyForms(1.0, size * np.column_stack(columns), LEGS)
 
 
 def _span(block: str) -> tuple[float, float]:
@@ -125,7 +127,7 @@ def test_of_several_forms_each_counts_by_its_share(machines: Machines) -> None:
     problem, rng = machines.problem, np.random.default_rng(3)
     every = _in_legs(problem, 3.0)
     alone = [
-        Model(share, every.columns[:, [k]], LEGS[k : k + 1])
+        LikelyForms(share, every.columns[:, [k]], LEGS[k : k + 1])
         for k, share in ((0, 0.75), (1, 0.25))
     ]
     blocks = locate(problem, case.law(problem), alone, rng, draws=4000)
@@ -165,7 +167,7 @@ def test_a_fault_in_one_run_is_found_there(machines: Machines) -> None:
     for k, members in enumerate(problem.members):
         waves[members, 2 * k] = np.cos(phase[members])
         waves[members, 2 * k + 1] = np.sin(phase[members])
-    model = Model(1.0, waves, [""] * waves.shape[1])
+    model = LikelyForms(1.0, waves, [""] * waves.shape[1])
     for seed in range(12):
         members = problem.members[seed % 6]
         change = np.zeros(len(problem))
@@ -181,7 +183,7 @@ def test_a_step_is_told_from_its_time_to_the_end(machines: Machines) -> None:
     for seed, start in enumerate((153.0, 399.0, 651.0)):
         step = (time >= start).astype(float)[:, None]
         blocks = machines.located(
-            machines.sized(step[:, 0], 12.0), Model(1.0, step, [""]), seed
+            machines.sized(step[:, 0], 12.0), LikelyForms(1.0, step, [""]), seed
         )
         begin, end = _span(_first(blocks, "time"))
         assert abs(begin - start) <= 18.0  # three readings: a cell
@@ -199,7 +201,7 @@ def test_a_stretch_ends_halfway_to_the_readings_beside_it(machines: Machines) ->
     fault[inside] = 1.0
     read = problem.with_residual(20.0 * fault[:, 0])
     rng = np.random.default_rng(1)
-    blocks = locate(read, case.law(read), [Model(1.0, 20.0 * fault, [""])], rng)
+    blocks = locate(read, case.law(read), [LikelyForms(1.0, 20.0 * fault, [""])], rng)
     before, after = time[problem.members[2]].max(), time[problem.members[4]].min()
     begin, end = _span(next(b.block for b in blocks if b.block.startswith("time")))
     assert begin == pytest.approx(0.5 * (before + time[inside].min()), abs=0.06)
@@ -213,7 +215,7 @@ def test_a_bump_in_the_phase_is_found_there_over_the_start_too(
     number = (phase // 30.0).astype(int)
     sectors = (number[:, None] == np.arange(12)).astype(float)
     bump = sectors[:, 11] + sectors[:, 0]
-    model = Model(1.0, 5.0 * sectors, [""] * 12)
+    model = LikelyForms(1.0, 5.0 * sectors, [""] * 12)
     blocks = machines.located(machines.sized(bump, 16.0), model, 4)
     begin, _, end = _first(blocks, "phase").removeprefix("phase ").partition("-")
     assert begin in ("300", "330")
@@ -225,7 +227,7 @@ def test_a_fault_in_one_direction_is_left_in_both(machines: Machines) -> None:
     wave = np.cos(2.0 * rows["phase"].to_numpy() + 1.0)
     ways = rows["direction"].to_numpy()
     columns = np.column_stack([wave * (ways == 1), wave * (ways == -1)])
-    model = Model(1.0, 5.0 * columns, ["", ""])
+    model = LikelyForms(1.0, 5.0 * columns, ["", ""])
     blocks = machines.located(machines.sized(columns[:, 1], 14.0), model, 5)
     # calibration absorbs the mean of both ways: half of it is left in each
     for way in ("direction -1", "direction +1"):
@@ -269,7 +271,7 @@ def test_readings_without_covariates_and_with_several_channels(
         hit[members, k] = rng.standard_normal(len(members))
     noise = problem.residual + rng.standard_normal(len(problem))
     read = problem.with_residual(noise + 30.0 * hit[:, 1])
-    model = Model(1.0, 30.0 * hit, [""] * hit.shape[1])
+    model = LikelyForms(1.0, 30.0 * hit, [""] * hit.shape[1])
     blocks = locate(read, stated_law(problem), [model], rng)
     names = [b.block for b in blocks]
     assert not any(n.startswith(("time", "direction", "leg")) for n in names)
