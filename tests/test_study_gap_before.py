@@ -122,12 +122,16 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
         table["apart"], detection.separation, rtol=1e-6, atol=1e-8
     )
     rows = {e["name"]: e for e in table["effects"]}
-    assert rows["gravity"]["detectability"] == pytest.approx(
-        detection.row("gravity").detectability
-    )
-    assert rows["gravity"]["signature"]["length"] == pytest.approx(
-        1e6 * detection.row("gravity").signature["length"]
-    )
+    of_gravity = detection.effects[0]
+    assert of_gravity.name == "gravity"
+    assert rows["gravity"]["detectability"] == pytest.approx(of_gravity.detectability)
+    assert rows["gravity"]["signature"] == pytest.approx(of_gravity.signature)
+    squares = [
+        np.sum(problem.signature(gravity.effect, constants).columns ** 2)
+        for constants in gravity.effect.constant_grid()
+    ]
+    rms_um = 1e6 * np.sqrt(np.mean(squares) / len(problem))
+    assert rows["gravity"]["signature"]["length"] == pytest.approx(rms_um)
     assert "direction" in rows["backlash"]["not_testable"]
 
 

@@ -49,7 +49,7 @@ class PlanEvaluator(Protocol):
 
     def exchange_all(self, chosen: Index, level: int) -> Index | None:
         """The plan after all exchanges by a closed formula; None where there is none."""
-        ...
+        return None
 
     def search_plans(
         self, starts: Index, steps: int, rng: np.random.Generator
@@ -58,7 +58,7 @@ class PlanEvaluator(Protocol):
 
         None where the evaluator has no search of its own.
         """
-        ...
+        return None
 
     def subset(self, pool: Index) -> PlanEvaluator:
         """The evaluator over a part of the candidates."""

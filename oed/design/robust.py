@@ -22,7 +22,7 @@ from oed.arrays import Array, Index
 from oed.design import relaxation
 from oed.design.blocks import as_blocks
 from oed.design.criterion import Criterion
-from oed.design.evaluator import CriterionEvaluator
+from oed.design.evaluator import CriterionEvaluator, PlanEvaluator
 from oed.design.objective import CriterionObjective
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
@@ -174,7 +174,7 @@ def _per_cost(objective: CriterionObjective, cost: Array) -> CriterionObjective:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _ScenarioEvaluator:
+class _ScenarioEvaluator(PlanEvaluator):
     """Values of plans by the risk over all scenarios."""
 
     scenarios: tuple[CriterionEvaluator, ...]
@@ -205,15 +205,6 @@ class _ScenarioEvaluator:
     ) -> Array:
         tables = [s.values_after_adding(chosen, level, ridge) for s in self.scenarios]
         return self._aggregate(np.array(tables))
-
-    def exchange_all(self, chosen: Index, level: int) -> Index | None:
-        return None
-
-    def search_plans(
-        self, starts: Index, steps: int, rng: np.random.Generator
-    ) -> Index | None:
-        """No search of its own."""
-        return None
 
     def subset(self, pool: Index) -> _ScenarioEvaluator:
         scenarios = tuple(s.subset(pool) for s in self.scenarios)

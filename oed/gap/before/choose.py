@@ -22,8 +22,8 @@ from oed.design import relaxation
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
-from oed.gap.before.pool import PairSeparation, Pool
-from oed.gap.before.separation import SHARP, Separation, SeparationJudge
+from oed.gap.before.separation import SHARP, Separation, SeparationEvaluator
+from oed.result.gap_before import SeparationRecord
 
 #: share of D in the compound
 SHARE = 0.1
@@ -55,7 +55,7 @@ class RunChoice:
     runs: Index
     separation: float
     bound: float
-    pairs: tuple[PairSeparation, ...]
+    pairs: list[SeparationRecord]
     value: float
     above: float
     volume: float
@@ -68,22 +68,8 @@ class RunChoice:
         return float(np.exp(min(self.value - self.above, 0.0)))
 
 
-@dataclasses.dataclass(frozen=True)
-class _BoundedPlan:
-    """A plan and its bounds.
-
-    runs         numbers of the candidates
-    above        bound of the compound
-    log_least    bound of the least log lambda
-    """
-
-    runs: Index
-    above: float
-    log_least: float
-
-
 def choose(
-    pool: Pool,
+    everything: Separation,
     rules: Rules,
     rng: np.random.Generator,
     *,
@@ -91,7 +77,7 @@ def choose(
     fixed: Index | None = None,
     rounds: int = 12,
 ) -> RunChoice:
-    """Choose runs of the pool under the rules, in addition to those that are `fixed`.
+    """Choose runs of a pool (`oed.gap.before.pool`) in addition to the `fixed` ones.
 
     rules     number of runs, or a budget; set-ups
     share     of D in the compound: 0 only separates effects, 1 is D alone
@@ -103,101 +89,84 @@ def choose(
     if not 0.0 <= share <= 1.0:
         raise ValueError(f"the share of D must lie between 0 and 1, not {share:g}")
     fixed = np.empty(0, dtype=np.intp) if fixed is None else fixed
-    count = len(pool.rows)
-    free = count - len(fixed)
-    if rules.size is not None and not 0 < rules.size <= free:
+    count = everything.count
+    free = np.setdiff1d(np.arange(count), fixed)
+    if rules.size is not None and not 0 < rules.size <= len(free):
         raise ValueError(
-            f"cannot choose {rules.size} different runs out of {free} candidates"
+            f"cannot choose {rules.size} different runs out of {len(free)} candidates"
         )
     if not rules.additions(np.empty(0, dtype=np.intp), count).any():
         raise ValueError(
             "the rules allow no run at all: raise the number of runs or the budget"
         )
-    if rules.only_size and rules.size is not None:
-        few = math.comb(free, rules.size) <= ENUMERATED
-        if few:
-            plan = _enumerate(pool, rules.size, share, fixed)
-            return _choice(pool, plan, fixed, share, rules, proven=True)
-    plan = _search(pool, rules, rng, share, fixed, rounds)
-    return _choice(pool, plan, fixed, share, rules, proven=False)
-
-
-def _choice(
-    pool: Pool,
-    plan: _BoundedPlan,
-    fixed: Index,
-    share: float,
-    rules: Rules,
-    *,
-    proven: bool,
-) -> RunChoice:
-    """Figures of a plan together with the fixed runs."""
-    runs = np.sort(np.concatenate([plan.runs, fixed]))
-    separation = pool.all_targets(share)
-    pairs = pool.pair_separations(runs)
+    everything = dataclasses.replace(everything, share=share)
+    rest = dataclasses.replace(everything, base=everything.of(fixed)).subset(free)
+    size = rules.size if rules.only_size else None
+    proven = size is not None and math.comb(len(free), size) <= ENUMERATED
+    if size is not None and proven:
+        selected, above, log_least = _enumerate(rest, size)
+    else:
+        selected, above, log_least = _search(rest, rules.subset(free), rng, rounds)
+    runs = np.sort(np.concatenate([free[selected], fixed]))
+    m, pairs = everything.of(runs), everything.pairs(runs)
     least = pairs[0].separation
-    shift = share * pool.log_scale / separation.size
+    shift = share * everything.log_scale / everything.size
     return RunChoice(
         runs=runs,
         separation=least,
-        bound=max(float(np.exp(0.5 * plan.log_least)), least),
+        bound=max(float(np.exp(0.5 * log_least)), least),
         pairs=pairs,
-        value=float(separation.worth(separation.of(runs))) + shift,
-        above=plan.above + shift,
-        volume=pool.volume(runs),
-        seconds=rules.time_of(plan.runs) if rules.cost is not None else 0.0,
+        value=float(everything.worth(m)) + shift,
+        above=above + shift,
+        volume=float(everything.log_det(m)) + everything.log_scale,
+        seconds=rules.time_of(free[selected]) if rules.cost is not None else 0.0,
         proven=proven,
     )
 
 
-def _enumerate(pool: Pool, size: int, share: float, fixed: Index) -> _BoundedPlan:
-    """The best of all plans."""
-    free = np.setdiff1d(np.arange(len(pool.rows)), fixed)
-    places = list(itertools.combinations(range(len(free)), size))
-    plans = free[np.array(places, dtype=np.intp)]
-    separation = pool.all_targets(share, fixed)
+def _enumerate(separation: Separation, size: int) -> tuple[Index, float, float]:
+    """The best of all plans, its compound, and the largest least log lambda of all."""
+    places = itertools.combinations(range(separation.count), size)
+    plans = np.array(list(places), dtype=np.intp)
     values, log_least = [], []
     for chunk in np.array_split(plans, -(-len(plans) // CHUNK)):
-        m = separation.base + pool.grams[chunk].sum(axis=1)
+        m = separation.base + separation.grams[chunk].sum(axis=1)
         values.append(separation.worth(m))
         log_least.append(np.log(separation.lambdas(m).min(axis=0)))
     value = np.concatenate(values)
     best = int(np.argmax(value))
-    largest = float(np.concatenate(log_least).max())
-    return _BoundedPlan(plans[best], float(value[best]), largest)
+    return plans[best], float(value[best]), float(np.concatenate(log_least).max())
 
 
 def _search(
-    pool: Pool,
+    everything: Separation,
     rules: Rules,
     rng: np.random.Generator,
-    share: float,
-    fixed: Index,
     rounds: int,
-) -> _BoundedPlan:
-    """The best plan that the search reaches, with bounds of every plan.
+) -> tuple[Index, float, float]:
+    """The best plan that the search reaches, and bounds of every plan.
 
-    The targets whose constants absorb most lead it; others join while a plan shows them
-    to be worse.
+    The bounds are those of the compound and of the least log lambda. The targets whose
+    constants absorb most lead the search; others join while a plan shows them to be
+    worse.
     """
-    count = len(pool.rows)
-    free = np.setdiff1d(np.arange(count), fixed)
-    targets, inner = pool.hardest(np.arange(count)), rules.subset(free)
+    numbers = everything.hardest(np.arange(everything.count))
     for _ in range(JOINS):
-        separation = pool.separation(targets, share, fixed).subset(free)
-        relaxed = _relax(separation, inner)
-        judge = SeparationJudge(separation)
-        starts = [select_greedily(judge, inner, 0.0, level) for level in (0, 1)]
+        targets = tuple(everything.targets[k] for k in numbers)
+        separation = dataclasses.replace(everything, targets=targets)
+        relaxed = _relax(separation, rules)
+        evaluator = SeparationEvaluator(separation)
+        starts = [select_greedily(evaluator, rules, 0.0, level) for level in (0, 1)]
         gains = np.maximum(relaxed.slopes, 0.0)
-        selected = search(judge, inner, relaxed.weights, gains, starts, rng, rounds)
-        runs = free[selected]
-        hardest = pool.hardest(np.concatenate([runs, fixed]))
-        joined = sorted(set(targets) | set(hardest))
-        if joined == targets:
+        runs = search(evaluator, rules, relaxed.weights, gains, starts, rng, rounds)
+        joined = sorted({*numbers, *everything.hardest(runs)})
+        if joined == numbers:
             break
-        targets = joined
-    alone = pool.separation(targets, 0.0, fixed).subset(free)
-    return _BoundedPlan(runs, relaxed.bound, _relax(alone, inner).bound)
+        numbers = joined
+    alone = dataclasses.replace(
+        everything, targets=tuple(everything.targets[k] for k in numbers), share=0.0
+    )
+    return runs, relaxed.bound, _relax(alone, rules).bound
 
 
 def _relax(separation: Separation, rules: Rules) -> Relaxation:
@@ -205,30 +174,21 @@ def _relax(separation: Separation, rules: Rules) -> Relaxation:
 
     Under the number of runs or the budget, whichever is tighter.
     """
-    best: Relaxation | None = None
+    relaxed = []
     for total, cost in rules.totals(separation.count):
-        per = np.ones(separation.count) if cost is None else cost
-        relaxed = _relax_under(separation, total, per)
-        if best is None or relaxed.bound < best.bound:
-            best = relaxed
-    assert best is not None
-    return best
+        per_run = np.ones(separation.count) if cost is None else cost
+        relaxed.append(_relax_under(separation, total, per_run))
+    return min(relaxed, key=lambda under: under.bound)
 
 
-def _relax_under(separation: Separation, total: float, per: Array) -> Relaxation:
+def _relax_under(separation: Separation, total: float, per_run: Array) -> Relaxation:
     """The relaxation under one total of costs (C,), ever more sharply."""
-    grams = separation.grams / per[:, None, None]
-    scaled = dataclasses.replace(separation, grams=grams)
-    log_count = math.log(max(len(separation.targets), 1))
-    relaxed: Relaxation | None = None
+    grams = separation.grams / per_run[:, None, None]
+    log_count = math.log(len(separation.targets))
+    start, bound = None, np.inf
     for sharp in SHARP:
-        step = dataclasses.replace(scaled, sharp=sharp)
+        smoothed = dataclasses.replace(separation, grams=grams, sharp=sharp)
         slack = GAP + log_count / sharp  # the smoothed minimum is off by as much
-        start = None if relaxed is None else relaxed.weights
-        sharper = relaxation.solve(step, total, per, slack, start)
-        if relaxed is not None:
-            bound = min(sharper.bound, relaxed.bound)
-            sharper = dataclasses.replace(sharper, bound=bound)
-        relaxed = sharper
-    assert relaxed is not None
-    return dataclasses.replace(relaxed, weights=relaxed.weights / per)
+        relaxed = relaxation.solve(smoothed, total, per_run, slack, start)
+        start, bound = relaxed.weights, min(bound, relaxed.bound)
+    return dataclasses.replace(relaxed, weights=relaxed.weights / per_run, bound=bound)

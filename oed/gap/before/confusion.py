@@ -1,20 +1,26 @@
-"""Confusion of effects: principal angles, imitated combinations, classes."""
+"""Confusion of effects: principal angles, imitated combinations, classes.
+
+`gram` is the Gram matrix (K, K) of the columns of all forms, after calibration has
+absorbed what it can (`oed.gap.before.detect`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 from scipy.sparse import csgraph
 
 from oed.arrays import Array, Index, Mask
 from oed.gap.before.combinations import in_words
-from oed.gap.before.detection import EffectRival, SharedSignature
+from oed.gap.before.forms import Form
 from oed.gap.before.power import needed_lambda
-from oed.gap.before.table import Form, GramTable
 from oed.gap.data.root import inverse_root
+from oed.result.gap_before import RivalRecord, SharedRecord
 
+#: sqrt(lambda_k|j) below which the two cannot be distinguished
+SEPARATED = 5.0
 #: share of lambda_k that a rival must absorb to count as one
 HALF = 0.5
 #: principal angle, deg, below which a combination of one effect is a combination of the
@@ -23,47 +29,45 @@ SAME = 1.0
 
 
 def effect_rival(
-    table: GramTable,
-    name: str,
-    other: str,
-    threshold: float,
-) -> EffectRival:
-    """How well an effect is distinguished from another.
+    gram: Array, forms: Sequence[Form], rival: str, rival_forms: Sequence[Form]
+) -> RivalRecord:
+    """How well an effect is distinguished from a rival at its most absorbing constants.
 
-    `threshold` is the sqrt(lambda_k|j) below which a combination is not.
+    The separation is a mean over the effect's forms, the angle the smallest of all.
+    Combinations are those of the form that is absorbed most.
     """
-    forms = table.forms[name]
-    nearest = [table.worst(form, other) for form in forms]
-    pairs = list(zip(forms, nearest, strict=True))
-    traces = [float(np.trace(table.separated(*pair))) for pair in pairs]
-    smallest = min(
-        _smallest_angle(table, form, rival)
-        for form in forms
-        for rival in table.forms[other]
+    rest = [[np.trace(_separated(gram, f, r)) for r in rival_forms] for f in forms]
+    remaining = np.array(rest)
+    least = remaining.min(axis=1)
+    hardest = int(np.argmin(least))
+    nearest = int(np.argmin(remaining[hardest]))
+    angles = [np.array([90.0])]
+    for form in forms:
+        angles += [_principal_angles(gram, form, r)[0] for r in rival_forms]
+    return RivalRecord(
+        name=rival,
+        separation=max(float(least.mean()), 0.0) ** 0.5,
+        angle_deg=float(np.concatenate(angles).min()),
+        shared=_shared(gram, forms[hardest], rival_forms[nearest]),
     )
-    shared = _shared(table, *pairs[int(np.argmin(traces))], threshold)
-    separation = max(float(np.mean(traces)), 0.0) ** 0.5
-    return EffectRival(other, separation, smallest, shared)
 
 
-def _smallest_angle(table: GramTable, form: Form, rival: Form) -> float:
-    """Smallest principal angle, deg; 90 where nothing can be seen."""
-    angles, _ = _principal_angles(table, form, rival)
-    return float(angles[0]) if len(angles) else 90.0
+def _separated(gram: Array, form: Form, rival: Form) -> Array:
+    """A_kk (k, k) less what the rival absorbs."""
+    inner = gram[np.ix_(rival.at, rival.at)] + np.diag(rival.precision)
+    cross = gram[np.ix_(rival.at, form.at)]
+    absorbed = cross.T @ linalg.solve(inner, cross, assume_a="pos")
+    return np.asarray(gram[np.ix_(form.at, form.at)] - absorbed)
 
 
-def _principal_angles(
-    table: GramTable,
-    form: Form,
-    rival: Form,
-) -> tuple[Array, Array]:
+def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Array]:
     """Principal angles (r,), deg ascending, of the textbook columns.
 
     The second result are the combinations (k, r) of unit length.
     """
-    root = _visible_root(table, form.textbook)
-    rival_root = _visible_root(table, rival.textbook)
-    cross = root.T @ table.block(form.textbook, rival.textbook) @ rival_root
+    at, rival_at = form.at[form.textbook], rival.at[rival.textbook]
+    root, rival_root = _visible_root(gram, at), _visible_root(gram, rival_at)
+    cross = root.T @ gram[np.ix_(at, rival_at)] @ rival_root
     u, cosine, _ = np.linalg.svd(cross)
     missing = np.zeros(u.shape[1] - len(cosine))
     cosine = np.append(np.minimum(cosine, 1.0), missing)
@@ -72,75 +76,63 @@ def _principal_angles(
     return np.rad2deg(np.arccos(cosine)), vectors / lengths
 
 
-def _visible_root(table: GramTable, at: Index) -> Array:
+def _visible_root(gram: Array, at: Index) -> Array:
     """R (k, r) with R^T A R = 1 over the directions that can be seen.
 
     These have the energy of the noise at a prior standard deviation, or a hundredth of
     the largest.
     """
-    gram = table.block(at, at)
-    return inverse_root(gram, lambda largest: min(1.0, 0.01 * max(largest, 1e-300)))
+    block = gram[np.ix_(at, at)]
+    return inverse_root(block, lambda largest: min(1.0, 0.01 * max(largest, 1e-300)))
 
 
-def _shared(
-    table: GramTable,
-    form: Form,
-    rival: Form,
-    threshold: float,
-) -> tuple[SharedSignature, ...]:
+def _shared(gram: Array, form: Form, rival: Form) -> list[SharedRecord]:
     """Combinations of the textbook coefficients that the rival imitates.
 
     They are visible and not distinguished from it, or the same as its.
     """
-    angles, vectors = _principal_angles(table, form, rival)
-    place = np.searchsorted(form.at, form.textbook)
-    block = np.ix_(place, place)
-    gram = table.gram(form)[block]
-    separated = table.separated(form, rival)[block]
-    names = [form.signature.names[k] for k in place]
+    angles, vectors = _principal_angles(gram, form, rival)
+    at, block = form.at[form.textbook], np.ix_(form.textbook, form.textbook)
+    inner, separated = gram[np.ix_(at, at)], _separated(gram, form, rival)[block]
+    names = [form.signature.names[k] for k in form.textbook]
     shared = []
     for angle, v in zip(angles, vectors.T, strict=True):
-        whole = float(v @ gram @ v)
+        whole = float(v @ inner @ v)
         distinct = float(max(v @ separated @ v, 0.0))
         visible = whole >= needed_lambda(1)
-        imitated = distinct < min(threshold**2, HALF * whole)
+        imitated = distinct < min(SEPARATED**2, HALF * whole)
         if angle < SAME or (visible and imitated):
-            largest = v[np.argmax(np.abs(v))]
-            shares = [float(share) for share in v / largest]
-            combination = dict(zip(names, shares, strict=True))
-            signature = SharedSignature(
-                combination=combination,
+            shares = v / v[np.argmax(np.abs(v))]
+            combination = dict(zip(names, shares.tolist(), strict=True))
+            record = SharedRecord(
                 words=in_words(combination),
+                combination=combination,
                 detectability=float(np.sqrt(whole)),
                 separation=float(np.sqrt(distinct)),
-                angle=float(angle),
+                angle_deg=float(angle),
             )
-            shared.append(signature)
-    return tuple(shared)
+            shared.append(record)
+    return shared
 
 
 def indistinguishable(
-    names: Sequence[str],
-    separation: Array,
-    visible: Mask,
-    threshold: float,
-) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[str, str], ...]]:
+    names: Sequence[str], separation: Array, visible: Mask
+) -> tuple[list[list[str]], list[list[str]]]:
     """Connected groups of visible effects, and pairs (k, j) of k absorbed by j.
+
+    separation    (K, K) sqrt(lambda_k|j), sqrt(lambda_k) on the diagonal
 
     A rival counts where it absorbs half of lambda_k at least: what is hardly seen is
     near every rival.
     """
     detectability = np.diag(separation)[:, None]
-    least = np.minimum(threshold, np.sqrt(HALF) * detectability)
+    least = np.minimum(SEPARATED, np.sqrt(HALF) * detectability)
     others = ~np.eye(len(names), dtype=bool)
     both_visible = visible[:, None] & visible[None, :]
     close = (separation < least) & both_visible & others
-    graph = sparse.csr_matrix(close)
-    _, label = csgraph.connected_components(graph, directed=False)
-    groups = []
-    for number in np.unique(label):
-        members = [name for name, g in zip(names, label, strict=True) if g == number]
-        if len(members) > 1:
-            groups.append(tuple(members))
-    edges = tuple((names[k], names[j]) for k, j in np.argwhere(close))
-    return tuple(groups), edges
+    _, label = csgraph.connected_components(sparse.csr_matrix(close), directed=False)
+    groups: dict[int, list[str]] = {}
+    for name, number in zip(names, label, strict=True):
+        groups.setdefault(int(number), []).append(name)
+    classes = [members for members in groups.values() if len(members) > 1]
+    return classes, [[names[k], names[j]] for k, j in np.argwhere(close)]

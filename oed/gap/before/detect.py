@@ -16,26 +16,27 @@ Atkinson and Fedorov 1975 (T-optimality); Bjorck and Golub 1973 (principal angle
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy import linalg
 
+from oed import units
 from oed.arrays import Array, Index
 from oed.effect import Effect
 from oed.gap.before.confusion import SAME, effect_rival, indistinguishable
-from oed.gap.before.detection import Detectability, Detection
-from oed.gap.before.power import ideal_power, needed_lambda
-from oed.gap.before.table import ROOM, Form, GramTable
+from oed.gap.before.forms import Form, effect_forms
+from oed.gap.before.power import FALSE_ALARM, needed_lambda, power
+from oed.gap.data.metric import Embedding
 from oed.gap.data.problem import GapProblem
-from oed.gap.data.signature import Signature
+from oed.measurement import Measurement
 from oed.noise.law import NoiseLaw
+from oed.result.gap_before import DetectabilityRecord, DetectabilityTable
 
-#: sqrt(lambda_k|j) below which the two cannot be distinguished
-SEPARATED = 5.0
 #: draws from an effect's prior for its median least size
 DRAWS = 400
+#: sizes from here on are not given: nothing physical is so large
+UNBOUNDED = 1e6
 
 
 def detect(
@@ -43,125 +44,154 @@ def detect(
     law: NoiseLaw,
     effects: Sequence[Effect],
     rng: np.random.Generator,
-    *,
-    room: float = ROOM,
-    threshold: float = SEPARATED,
-) -> Detection:
+) -> DetectabilityTable:
     """What planned readings (`oed.gap.data.problem.assemble`) could find.
-
-    room         prior standard deviations that a rival's textbook coefficients may go
-                 to
-    threshold    sqrt(lambda_k|j) below which two effects count as one class
 
     Raises ValueError for no effect, or effects of one name.
     """
     given = [effect.name for effect in effects]
     if not given or len(set(given)) < len(given):
         raise ValueError(f"give at least one effect, each once, not {given}")
-    table = GramTable(problem, law, effects, room)
-    names = tuple(table.forms)
-    separation = np.zeros((len(names), len(names)))
-    angles = np.zeros((len(names), len(names)))
-    rows: dict[str, Detectability] = {}
-    for k, name in enumerate(names):
-        row = _row(problem, table, name, rng)
-        separation[k, k] = row.detectability
-        rivals = []
-        for j, other in enumerate(names):
-            if other != name:
-                rival = effect_rival(table, name, other, threshold)
-                separation[k, j], angles[k, j] = rival.separation, rival.angle
-                rivals.append(rival)
-        rivals.sort(key=lambda r: r.separation)
-        rows[name] = dataclasses.replace(row, rivals=tuple(rivals))
-    for name, why in table.refused.items():
-        rows[name] = Detectability(effect=name, not_testable=why)
-    visible = np.array([rows[name].visible for name in names], dtype=bool)
-    classes, absorbed = indistinguishable(names, separation, visible, threshold)
+    forms = effect_forms(problem, effects)
+    embedding = Embedding(problem, law)
+    white = embedding.whiten(forms.columns)
+    embedded = embedding.absorb(white)
+    gram = embedded.T @ embedded
+    records = []
+    for effect in effects:
+        if effect.name in forms.reasons:
+            record = _untestable(effect, forms.reasons[effect.name])
+        else:
+            record = _record(problem, gram, white, effect, forms.by_effect, rng)
+        records.append(record)
+    testable = [record for record in records if record.not_testable is None]
+    names = [record.name for record in testable]
+    separation = np.diag([record.detectability for record in testable])
+    angles = np.zeros_like(separation)
+    for k, record in enumerate(testable):
+        for rival in record.rivals:
+            j = names.index(rival.name)
+            separation[k, j], angles[k, j] = rival.separation, rival.angle_deg
+    visible = np.array([record.visible for record in testable], dtype=bool)
+    classes, absorbed = indistinguishable(names, separation, visible)
     same = np.argwhere(np.triu(angles < SAME, 1))
-    return Detection(
-        effects=tuple(rows[name] for name in given),
+    return DetectabilityTable(
+        readings=len(problem),
+        effects=records,
         names=names,
-        separation=separation,
-        angles=angles,
+        separation=separation.tolist(),
+        angles_deg=angles.tolist(),
         classes=classes,
         absorbed=absorbed,
-        exact=tuple((names[k], names[j]) for k, j in same),
+        exact=[[names[k], names[j]] for k, j in same],
     )
 
 
-def _row(
+def fine_units(measurement: Measurement) -> dict[str, str]:
+    """Fine unit of each channel, in which the sizes of readings are given."""
+    fine: dict[str, str] = {}
+    for setup in measurement.setups.values():
+        fine |= {c.name: units.FINE[c.unit] for c in setup.instrument.channels}
+    return fine
+
+
+def _untestable(effect: Effect, reason: str) -> DetectabilityRecord:
+    return DetectabilityRecord(
+        name=effect.name,
+        about=effect.about,
+        columns=0,
+        detectability=0.0,
+        low=0.0,
+        high=0.0,
+        power=FALSE_ALARM,
+        visible=False,
+        signature={},
+        absorbed=0.0,
+        least={},
+        median={},
+        sizes={},
+        rivals=[],
+        not_testable=reason,
+    )
+
+
+def _record(
     problem: GapProblem,
-    table: GramTable,
-    name: str,
+    gram: Array,
+    white: Array,
+    effect: Effect,
+    by_effect: Mapping[str, Sequence[Form]],
     rng: np.random.Generator,
-) -> Detectability:
-    """Detectability of one effect, without its rivals."""
-    forms = table.forms[name]
-    grams = [table.gram(form) for form in forms]
-    traces = np.array([max(float(np.trace(gram)), 0.0) for gram in grams])
-    columns = max(len(form.at) for form in forms)
-    needed = needed_lambda(columns)
-    spreads = {
-        channel: [_spread(form.signature, rows) for form in forms]
-        for channel, rows in _channels(problem).items()
-    }
-    median = _median_sizes(grams, spreads, needed, rng)
-    signature, least = {}, {}
-    for channel, by_form in spreads.items():
-        mean_square = np.mean([np.trace(spread) for spread in by_form])
-        signature[channel] = float(np.sqrt(mean_square))
-        pairs = zip(by_form, grams, strict=True)
-        least[channel] = min(_least_rms(*pair, needed) for pair in pairs)
-    raw = np.maximum([form.raw for form in forms], 1e-300)
-    mean = float(traces.mean())
-    return Detectability(
-        effect=name,
+) -> DetectabilityRecord:
+    """Detectability of one effect.
+
+    gram         (K, K) of the columns of all forms
+    white        (N, K) these columns before calibration absorbs
+    by_effect    {effect: its forms}
+    """
+    forms = by_effect[effect.name]
+    grams = [gram[np.ix_(form.at, form.at)] for form in forms]
+    traces = np.array([max(float(np.trace(g)), 0.0) for g in grams])
+    raw = np.array([np.sum(white.take(form.at, axis=1) ** 2) for form in forms])
+    remaining = traces / np.maximum(raw, 1e-300)
+    columns = max(len(g) for g in grams)
+    needed, mean = needed_lambda(columns), float(traces.mean())
+    detectability = float(np.sqrt(mean))
+    count = -(-DRAWS // len(forms))
+    draws = [rng.standard_normal((len(g), count)) for g in grams]
+    signature, least, median = {}, {}, {}
+    fine = fine_units(problem.measurement)
+    for channel, rows in problem.rows.groupby("channel", sort=False).indices.items():
+        spreads = [_spread(form, rows) for form in forms]
+        mean_square = np.mean([np.trace(spread) for spread in spreads])
+        pairs = zip(spreads, grams, strict=True)
+        best = min(_least_rms(*pair, needed) for pair in pairs)
+        typical = _median_rms(spreads, grams, draws, needed)
+        unit = units.factor(fine[channel])
+        signature[channel] = float(np.sqrt(mean_square)) / unit
+        least[channel] = _bounded(best / unit)
+        median[channel] = _bounded(typical / unit)
+    rivals = []
+    for name, rival_forms in by_effect.items():
+        if name != effect.name:
+            rivals.append(effect_rival(gram, forms, name, rival_forms))
+    return DetectabilityRecord(
+        name=effect.name,
+        about=effect.about,
         columns=columns,
-        detectability=float(np.sqrt(mean)),
+        detectability=detectability,
         low=float(np.sqrt(traces.min())),
         high=float(np.sqrt(traces.max())),
-        power=ideal_power(mean, columns),
+        power=power(mean, columns),
+        visible=detectability**2 >= needed,
         signature=signature,
-        absorbed=float(1.0 - np.sqrt(np.mean(traces / raw))),
+        absorbed=float(1.0 - np.sqrt(np.mean(remaining))),
         least=least,
         median=median,
         sizes=_least_sizes(forms, grams, needed),
+        rivals=sorted(rivals, key=lambda rival: rival.separation),
+        not_testable=None,
     )
 
 
-def _channels(problem: GapProblem) -> dict[str, Index]:
-    """Rows of each channel's readings."""
-    rows = problem.rows.groupby("channel", sort=False).indices
-    return {str(c): np.asarray(at, dtype=np.intp) for c, at in rows.items()}
-
-
-def _spread(signature: Signature, rows: Index) -> Array:
-    """S with beta^T S beta the mean square of a channel's readings, SI."""
-    columns = signature.columns[rows]
+def _spread(form: Form, rows: Index) -> Array:
+    """S (k, k) with beta^T S beta the mean square of a channel's readings, SI."""
+    columns = form.signature.columns[rows]
     return np.asarray(columns.T @ columns / len(rows))
 
 
-def _median_sizes(
+def _median_rms(
+    spreads: Sequence[Array],
     grams: Sequence[Array],
-    spreads: dict[str, list[Array]],
+    draws: Sequence[Array],
     needed: float,
-    rng: np.random.Generator,
-) -> dict[str, float]:
-    """Root mean square, SI, that is found in each channel: median over the prior."""
-    count = -(-DRAWS // len(grams))
-    draws = [rng.standard_normal((len(gram), count)) for gram in grams]
-    factors = []
-    for gram, beta in zip(grams, draws, strict=True):
+) -> float:
+    """Root mean square, SI, that is found: median over draws (k, d) from the prior."""
+    rms = []
+    for spread, gram, beta in zip(spreads, grams, draws, strict=True):
         lam = np.maximum(_quadratic(gram, beta), 1e-300)
-        factors.append(np.sqrt(needed / lam))
-    median = {}
-    for channel, by_form in spreads.items():
-        rms = []
-        for factor, spread, beta in zip(factors, by_form, draws, strict=True):
-            rms.append(factor * np.sqrt(_quadratic(spread, beta)))
-        median[channel] = float(np.median(np.concatenate(rms)))
-    return median
+        rms.append(np.sqrt(needed / lam) * np.sqrt(_quadratic(spread, beta)))
+    return float(np.median(np.concatenate(rms)))
 
 
 def _quadratic(matrix: Array, draws: Array) -> Array:
@@ -171,7 +201,7 @@ def _quadratic(matrix: Array, draws: Array) -> Array:
 
 
 def _least_rms(spread: Array, gram: Array, needed: float) -> float:
-    """Smallest RMS over all combinations of coefficients with lambda = needed."""
+    """Smallest RMS, SI, over all combinations of coefficients with lambda = needed."""
     size = float(np.trace(spread))
     if size <= 0.0:
         return 0.0
@@ -184,16 +214,20 @@ def _least_sizes(
     forms: Sequence[Form],
     grams: Sequence[Array],
     needed: float,
-) -> dict[str, float]:
+) -> dict[str, float | None]:
     """Least size of each textbook coefficient alone, at its most visible constants."""
     least: dict[str, float] = {}
     for form, gram in zip(forms, grams, strict=True):
         signature = form.signature
-        for k, name in enumerate(signature.names):
-            if signature.shape[k]:
-                continue
-            lam, size = float(gram[k, k]), float("inf")
+        for k in np.flatnonzero(~signature.shape):
+            name, lam = signature.names[k], float(gram[k, k])
+            size = float("inf")
             if lam > 1e-12:
                 size = (needed / lam) ** 0.5 * float(signature.scales[k])
             least[name] = min(size, least.get(name, float("inf")))
-    return least
+    return {name: _bounded(size) for name, size in least.items()}
+
+
+def _bounded(size: float) -> float | None:
+    """A size; None where no reading could bound it."""
+    return size if size < UNBOUNDED else None

@@ -22,32 +22,41 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy import special
 
 from oed.arrays import Array, Index
+from oed.design.evaluator import PlanEvaluator
 from oed.design.objective import Tangent
+from oed.gap.before.forms import Form
+from oed.result.gap_before import SeparationRecord
 
 #: least lambda that counts: its logarithm must stay finite
 LEAST = 1e-9
 #: how sharply the smoothed minimum takes the least targets, from level to level
 SHARP = (2.0, 8.0, 32.0, 128.0, 512.0)
+#: the same at the levels of an exchange search, which ends with the minimum itself
+SHARPNESS = (SHARP[0], np.inf)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Target:
     """A combination of an effect's columns to be separated from a rival.
 
-    columns      (k,) of the effect
-    shares       (k,) of these columns in the combination
-    rival        (r,) columns of the rival
-    precision    (r,) prior precision of these columns
-
-    Columns count those of effects only.
+    form      of the effect
+    shares    (k,) of the form's columns in the combination
+    words     the combination in words
+    rival     form of the rival
     """
 
-    columns: Index
+    form: Form
     shares: Array
-    rival: Index
-    precision: Array
+    words: str
+    rival: Form
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Effect, rival and combination, whatever the rival's form."""
+        return self.form.signature.effect, self.rival.signature.effect, self.words
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,7 +68,9 @@ class Separation:
     base       (m, m) information whatever the plan: the parameters' prior and the runs
                that any plan has
     size       number n of parameters
-    targets    at least one unless share = 1
+    targets    at least one
+    log_scale  log det of the parameters' coordinates: what `log_det` lacks to be that in
+               prior standard deviations
     share      of D in the compound, 0 to 1
     sharp      how sharply the smoothed minimum takes the least targets
     """
@@ -68,7 +79,8 @@ class Separation:
     base: Array
     size: int
     targets: tuple[Target, ...]
-    share: float
+    log_scale: float
+    share: float = 0.0
     sharp: float = SHARP[-1]
 
     @property
@@ -83,45 +95,66 @@ class Separation:
 
     # -- one matrix, or many at once ---------------------------------------------------
 
+    def of(self, chosen: Index) -> Array:
+        """M (m, m) of a plan."""
+        return np.asarray(self.base + self.grams[chosen].sum(axis=0))
+
     def lambdas(self, m: Array) -> Array:
         """lambda (T, ...) of each target for M (..., m, m)."""
         n = self.size
-        effects, cross = m[..., n:, n:], m[..., :n, n:]
+        cross = m[..., :n, n:]
         solved = np.linalg.solve(m[..., :n, :n], cross)
-        profiled = effects - np.swapaxes(cross, -1, -2) @ solved
-        lambdas = np.array([self._lambda(profiled, t) for t in self.targets])
-        return lambdas.reshape(len(self.targets), *m.shape[:-2])
+        profiled = m[..., n:, n:] - np.swapaxes(cross, -1, -2) @ solved
+        return np.array([_lambda(profiled, target) for target in self.targets])
 
-    def _lambda(self, profiled: Array, t: Target) -> Array:
-        """lambda (...) of a target, the parameters profiled out of (..., K, K)."""
-        block = profiled[..., t.columns[:, None], t.columns[None, :]]
-        whole = np.einsum("k,...kl,l->...", t.shares, block, t.shares)
-        inner = profiled[..., t.rival[:, None], t.rival[None, :]]
-        inner = inner + np.diag(t.precision)
-        cross = profiled[..., t.rival[:, None], t.columns[None, :]] @ t.shares
-        solved = np.linalg.solve(inner, cross[..., None])[..., 0]
-        absorbed = np.einsum("...k,...k->...", cross, solved)
-        return np.asarray(np.maximum(whole - absorbed, LEAST))
-
-    def volume(self, m: Array) -> Array:
-        """log det of the parameters' information (with prior) over n, (...)."""
+    def log_det(self, m: Array) -> Array:
+        """log det (...) of the parameters' information, prior included."""
         n = self.size
-        return np.asarray(np.linalg.slogdet(m[..., :n, :n])[1] / n)
+        return np.asarray(np.linalg.slogdet(m[..., :n, :n])[1])
 
     def worth(self, m: Array, sharp: float = np.inf) -> Array:
         """The compound (...) for M (..., m, m).
 
         Where `sharp` is finite the minimum is smoothed, from above.
         """
-        total = self.share * self.volume(m)
-        if self.share < 1.0:
-            logs = np.log(self.lambdas(m))
-            low = logs.min(axis=0)
-            if np.isfinite(sharp):
-                weights = np.exp(-sharp * (logs - low))
-                low = low - np.log(np.mean(weights, axis=0)) / sharp
-            total = total + (1.0 - self.share) * low
-        return np.asarray(total)
+        logs = np.log(self.lambdas(m))
+        low = logs.min(axis=0)
+        if np.isfinite(sharp):
+            weights = np.exp(-sharp * (logs - low))
+            low = low - np.log(np.mean(weights, axis=0)) / sharp
+        volume = self.log_det(m) / self.size
+        return np.asarray(self.share * volume + (1.0 - self.share) * low)
+
+    def hardest(self, chosen: Index) -> list[int]:
+        """For each combination and rival the target of least lambda in a plan."""
+        lambdas = self.lambdas(self.of(chosen))
+        alike: dict[tuple[str, str, str], list[int]] = {}
+        for k, target in enumerate(self.targets):
+            alike.setdefault(target.key, []).append(k)
+        return [min(numbers, key=lambdas.__getitem__) for numbers in alike.values()]
+
+    def pairs(self, chosen: Index) -> list[SeparationRecord]:
+        """What a plan separates, ascending by separation.
+
+        Each combination at one prior standard deviation of each coefficient in it, from
+        each rival at its most absorbing constants.
+        """
+        n, m = self.size, self.of(chosen)
+        profiled = m[n:, n:] - m[n:, :n] @ np.linalg.solve(m[:n, :n], m[:n, n:])
+        lambdas = self.lambdas(m)
+        records = []
+        for k in self.hardest(chosen):
+            target = self.targets[k]
+            at = target.form.at
+            energy = target.shares @ profiled[np.ix_(at, at)] @ target.shares
+            record = SeparationRecord(
+                *target.key,
+                detectability=max(float(energy), 0.0) ** 0.5,
+                separation=float(lambdas[k]) ** 0.5,
+                before=None,
+            )
+            records.append(record)
+        return sorted(records, key=lambda record: record.separation)
 
     # -- relaxation --------------------------------------------------------------------
 
@@ -140,14 +173,13 @@ class Separation:
         It lies above their minimum everywhere.
         """
         m = self.at(active, weights)
+        logs, table, _ = self._log_lambdas(m, self.grams)
+        shares = self._shares(logs)
         slopes = self.share * self._volume_slopes(m, self.grams)
-        offset = self.share * float(self.volume(m))
-        if self.share < 1.0:
-            logs, table, _ = self._slopes(m, self.grams)
-            shares = self._shares(logs)
-            slopes = slopes + (1.0 - self.share) * shares @ table
-            offset += (1.0 - self.share) * float(shares @ logs)
-        offset -= float(weights @ slopes[active])
+        slopes = slopes + (1.0 - self.share) * shares @ table
+        volume = float(self.log_det(m) / self.size)
+        height = self.share * volume + (1.0 - self.share) * float(shares @ logs)
+        offset = height - float(weights @ slopes[active])
         return Tangent(float(self.worth(m)), slopes, 0.0, offset, linear=True)
 
     def slopes_and_curvature(
@@ -157,56 +189,54 @@ class Separation:
     ) -> tuple[Array, Array]:
         """Slopes and curvature of the smoothed compound."""
         m, grams = self.at(active, weights), self.grams[active]
-        slopes = self.share * self._volume_slopes(m, grams)
-        curvature = self.share * self._volume_curvature(m, grams)
-        if self.share < 1.0:
-            logs, table, curvatures = self._slopes(m, grams)
-            shares = self._shares(logs)
-            mean = shares @ table
-            covariance = (table.T * shares) @ table - np.outer(mean, mean)
-            bend = np.tensordot(shares, curvatures, axes=1)
-            bend = bend + self.sharp * covariance
-            slopes = slopes + (1.0 - self.share) * mean
-            curvature = curvature + (1.0 - self.share) * bend
+        logs, table, curvatures = self._log_lambdas(m, grams)
+        shares = self._shares(logs)
+        mean = shares @ table
+        covariance = (table.T * shares) @ table - np.outer(mean, mean)
+        bend = np.tensordot(shares, curvatures, axes=1) + self.sharp * covariance
+        volume_slopes = self._volume_slopes(m, grams)
+        volume_curvature = self._volume_curvature(m, grams)
+        slopes = self.share * volume_slopes + (1.0 - self.share) * mean
+        curvature = self.share * volume_curvature + (1.0 - self.share) * bend
         return np.asarray(slopes), np.asarray(curvature)
 
     def _shares(self, logs: Array) -> Array:
         """Weights (T,) of the targets in the smoothed minimum."""
-        weights = np.exp(-self.sharp * (logs - logs.min()))
-        return np.asarray(weights / weights.sum())
+        return np.asarray(special.softmax(-self.sharp * logs))
 
     def _volume_slopes(self, m: Array, grams: Array) -> Array:
+        """Slopes (C,) of log det over n."""
         n = self.size
         inverse = np.linalg.inv(m[:n, :n])
         return np.asarray(np.einsum("cij,ji->c", grams[:, :n, :n], inverse) / n)
 
     def _volume_curvature(self, m: Array, grams: Array) -> Array:
+        """Curvature (C, C) of log det over n."""
         n = self.size
         relative = np.linalg.inv(m[:n, :n]) @ grams[:, :n, :n]
         flat = relative.reshape(len(grams), -1)
         transposed = np.swapaxes(relative, 1, 2).reshape(len(grams), -1)
         return np.asarray(flat @ transposed.T / n)
 
-    def _slopes(self, m: Array, grams: Array) -> tuple[Array, Array, Array]:
+    def _log_lambdas(self, m: Array, grams: Array) -> tuple[Array, Array, Array]:
         """log lambda (T,), its slopes (T, C) and curvatures (T, C, C)."""
-        logs, slopes, curvatures = [], [], []
+        n, logs, slopes, curvatures = self.size, [], [], []
         for t in self.targets:
-            n = self.size
-            nuisance = np.concatenate([np.arange(n), n + t.rival])
+            nuisance = np.concatenate([np.arange(n), n + t.rival.at])
+            precision = np.concatenate([np.zeros(n), t.rival.precision])
             target = np.zeros(len(m))
-            target[n + t.columns] = t.shares
-            precision = np.concatenate([np.zeros(n), t.precision])
+            target[n + t.form.at] = t.shares
             inner = m[np.ix_(nuisance, nuisance)] + np.diag(precision)
             inverse = np.linalg.inv(inner)
             v = target.copy()
             v[nuisance] -= inverse @ (m[nuisance] @ target)
             lam = max(float(target @ m @ v), LEAST)
             moved = grams @ v
-            g = np.asarray(moved @ v / lam)
+            slope = np.asarray(moved @ v / lam)
             u = moved[:, nuisance]
             logs.append(np.log(lam))
-            slopes.append(g)
-            curvatures.append(2.0 * u @ inverse @ u.T / lam + np.outer(g, g))
+            slopes.append(slope)
+            curvatures.append(2.0 * u @ inverse @ u.T / lam + np.outer(slope, slope))
         return np.array(logs), np.array(slopes), np.array(curvatures)
 
     def subset(self, chosen: Index) -> Separation:
@@ -224,36 +254,47 @@ class Separation:
         """As it is: the parameters' prior keeps everything finite."""
         return self
 
-    # -- search ------------------------------------------------------------------------
 
-    def of(self, chosen: Index) -> Array:
-        """M (m, m) of a plan."""
-        return np.asarray(self.base + self.grams[chosen].sum(axis=0))
+def _lambda(profiled: Array, target: Target) -> Array:
+    """lambda (...) of a target, the parameters profiled out of (..., K, K)."""
+    at, rival, shares = target.form.at, target.rival.at, target.shares
+    block = profiled[..., at[:, None], at[None, :]]
+    whole = np.einsum("k,...kl,l->...", shares, block, shares)
+    inner = profiled[..., rival[:, None], rival[None, :]]
+    inner = inner + np.diag(target.rival.precision)
+    cross = profiled[..., rival[:, None], at[None, :]] @ shares
+    solved = np.linalg.solve(inner, cross[..., None])[..., 0]
+    absorbed = np.einsum("...k,...k->...", cross, solved)
+    return np.asarray(np.maximum(whole - absorbed, LEAST))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class SeparationJudge:
-    """Judge of plans by the compound.
+class SeparationEvaluator(PlanEvaluator):
+    """Values of plans by the compound.
 
     Level 0 smooths the minimum, so that an exchange may help several targets.
     """
 
     separation: Separation
-    levels: int = 2
 
     @property
     def count(self) -> int:
         """Candidates."""
         return self.separation.count
 
+    @property
+    def levels(self) -> int:
+        """The smoothed minimum, and the minimum itself."""
+        return 2
+
     def value(self, chosen: Index) -> float:
         """The compound."""
-        return float(self.separation.worth(self.separation.of(chosen)))
+        return self.regularised_value(chosen, 1)
 
     def regularised_value(self, chosen: Index, level: int) -> float:
-        """At a level."""
+        """The compound at a level."""
         m = self.separation.of(chosen)
-        return float(self.separation.worth(m, _sharpness(level)))
+        return float(self.separation.worth(m, SHARPNESS[level]))
 
     def values_after_adding(
         self,
@@ -261,24 +302,10 @@ class SeparationJudge:
         level: int,
         ridge: float | None = None,
     ) -> Array:
-        """At a level, of the plan with each candidate (C,) added."""
+        """The compound at a level, of the plan with each candidate (C,) added."""
         m = self.separation.of(chosen) + self.separation.grams
-        return self.separation.worth(m, _sharpness(level))
+        return self.separation.worth(m, SHARPNESS[level])
 
-    def exchange_all(self, chosen: Index, level: int) -> Index | None:
-        """No faster way is known."""
-        return None
-
-    def search_plans(
-        self, starts: Index, steps: int, rng: np.random.Generator
-    ) -> Index | None:
-        """No search of its own."""
-        return None
-
-    def subset(self, pool: Index) -> SeparationJudge:
+    def subset(self, pool: Index) -> SeparationEvaluator:
         """Over some of the candidates."""
-        return SeparationJudge(self.separation.subset(pool))
-
-
-def _sharpness(level: int) -> float:
-    return SHARP[0] if level == 0 else np.inf
+        return SeparationEvaluator(self.separation.subset(pool))

@@ -2,152 +2,109 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from oed import dataset
-from oed.arrays import Array
-from oed.gap.before import choose, runs
-from oed.gap.before.choose import RunChoice
-from oed.gap.before.pool import PairSeparation, Pool
-from oed.gap.before.runs import Run
+from oed.arrays import Array, Index
+from oed.gap.before import choose, detect, runs
+from oed.gap.before.pool import pool_runs
+from oed.gap.before.separation import Separation
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
 from oed.noise.law import stated_law
-from oed.result.gap_before import (
-    ChosenRun,
-    ChosenRuns,
-    DetectabilityTable,
-    SeparationRecord,
-)
+from oed.result.gap_before import ChosenRun, ChosenRuns, SeparationRecord
+from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Pair = tuple[str, str, str]
-
-
-@dataclasses.dataclass(frozen=True)
-class ChosenPlan:
-    """The chosen runs, retained ones among them.
-
-    request    what [gap.design] requests
-    choice     positions of the chosen runs, and their certificate
-    selected   the chosen runs
-    before     sqrt(lambda) of each pair in the readings planned without [gap.design]
-    problem    the chosen runs as planned readings
-    poses_csv  the chosen runs as a readings file to fill in
-    """
-
-    request: GapDesignRequest
-    choice: RunChoice
-    selected: tuple[Run, ...]
-    before: Mapping[Pair, float]
-    problem: GapProblem
-    poses_csv: str
-
-    def record(self, table: DetectabilityTable) -> ChosenRuns:
-        """The choice for the result; `table` is the detectability in its runs."""
-        request, choice = self.request, self.choice
-        separations = [
-            SeparationRecord(
-                effect=pair.effect,
-                rival=pair.rival,
-                words=pair.words,
-                detectability=pair.detectability,
-                separation=pair.separation,
-                before=self.before.get(_key(pair)),
-            )
-            for pair in choice.pairs
-        ]
-        records = [
-            ChosenRun(run.setup, run.name, dict(run.condition), run.seconds)
-            for run in self.selected
-        ]
-        return ChosenRuns(
-            candidates=len(request.runs) - len(request.retained),
-            retained=len(request.retained),
-            runs=records,
-            separation=choice.separation,
-            bound=choice.bound,
-            before=_least_before(separations),
-            efficiency=choice.efficiency,
-            proven=choice.proven,
-            share=request.table.share,
-            volume=choice.volume,
-            seconds=choice.seconds,
-            separations=separations,
-            table=table,
-        )
-
 
 def choose_runs(
     measurement: Measurement,
-    request: GapDesignRequest,
+    design: GapDesignRequest,
     planned: GapProblem,
-    gravity: tuple[float, float, float],
+    request: GapRequest,
     rng: np.random.Generator,
-) -> ChosenPlan:
+) -> tuple[ChosenRuns, str]:
     """The runs that separate the wanted effects best from each other and from rivals.
 
-    Raises InputError where no run shows them or the rules allow no plan.
+    planned    readings planned without [gap.design]
+
+    Retained runs are among them. The second result is a readings file to fill in.
+    Raises InputError where no run shows the effects or the rules allow no plan.
     """
-    assert request.rules is not None, "the plan to follow is made before"
-    candidates, rows = runs.prepare(measurement, request.runs, gravity=gravity)
+    assert design.rules is not None, "the plan to follow is made before"
+    gravity = request.gravity
+    candidates, rows = runs.prepare(measurement, design.runs, gravity=gravity)
     try:
-        pool = Pool(
-            candidates, stated_law(candidates), rows, request.wanted, request.rivals
-        )
         choice = choose.choose(
-            pool,
-            request.rules,
+            _pool(candidates, rows, design),
+            design.rules,
             rng,
-            share=request.table.share,
-            fixed=np.array(request.retained, dtype=np.intp),
-            rounds=request.table.starts,
+            share=design.table.share,
+            fixed=np.array(design.retained, dtype=np.intp),
+            rounds=design.table.starts,
         )
     except ValueError as error:
         remedy = "give conditions that show it, or other effects or rules"
-        raise request.place.error(str(error), remedy) from error
-    selected = tuple(request.runs[k] for k in choice.runs)
+        raise design.place.error(str(error), remedy) from error
+    selected = [design.runs[k] for k in choice.runs]
     series, covariates = runs.lay_out(measurement, selected)
     timed = covariates
     if "time" not in covariates:
-        timed = covariates.assign(time=_times(covariates, request))
-    return ChosenPlan(
-        request=request,
-        choice=choice,
-        selected=selected,
-        before=_separation_before(planned, request),
-        problem=problem.assemble(measurement, series, timed, gravity=gravity),
-        poses_csv=_poses_csv(measurement, series, covariates),
+        timed = covariates.assign(time=_times(covariates, design))
+    taken = problem.assemble(measurement, series, timed, gravity=gravity)
+    separations = _with_earlier(choice.pairs, planned, design)
+    chosen = ChosenRuns(
+        candidates=len(design.runs) - len(design.retained),
+        retained=len(design.retained),
+        runs=[
+            ChosenRun(run.setup, run.name, dict(run.condition), run.seconds)
+            for run in selected
+        ],
+        separation=choice.separation,
+        bound=choice.bound,
+        before=_least_before(separations),
+        efficiency=choice.efficiency,
+        proven=choice.proven,
+        share=design.table.share,
+        volume=choice.volume,
+        seconds=choice.seconds,
+        separations=separations,
+        table=detect.detect(taken, stated_law(taken), request.effects, rng),
     )
+    return chosen, _poses_csv(measurement, series, covariates)
 
 
-def _key(pair: PairSeparation) -> Pair:
-    return pair.effect, pair.rival, pair.words
+def _pool(
+    candidates: GapProblem, rows: Sequence[Index], design: GapDesignRequest
+) -> Separation:
+    law = stated_law(candidates)
+    return pool_runs(candidates, law, rows, design.wanted, design.rivals)
 
 
-def _separation_before(
-    planned: GapProblem, request: GapDesignRequest
-) -> dict[Pair, float]:
-    """sqrt(lambda) of each pair in other planned readings; none where untestable."""
-    blocks = planned.members
+def _with_earlier(
+    pairs: Sequence[SeparationRecord], planned: GapProblem, design: GapDesignRequest
+) -> list[SeparationRecord]:
+    """Pairs with their separation in other planned readings; None where untestable."""
     try:
-        pool = Pool(
-            planned, stated_law(planned), blocks, request.wanted, request.rivals
-        )
+        pool = _pool(planned, planned.members, design)
     except ValueError:
-        return {}
-    return {
-        _key(pair): pair.separation
-        for pair in pool.pair_separations(np.arange(len(blocks)))
+        return list(pairs)
+    earlier = {
+        (pair.effect, pair.rival, pair.words): pair.separation
+        for pair in pool.pairs(np.arange(pool.count))
     }
+    return [
+        replace(pair, before=earlier.get((pair.effect, pair.rival, pair.words)))
+        for pair in pairs
+    ]
 
 
 def _least_before(separations: Sequence[SeparationRecord]) -> float | None:
