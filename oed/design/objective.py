@@ -25,6 +25,9 @@ from oed.design.blocks import information
 from oed.design.criterion.protocol import Criterion, slopes
 from oed.design.whitening import EXACT, Rounding, gamma
 
+#: ridge, by the mean eigenvalue, that keeps an undetermined direction finite
+RIDGE = 1e-9
+
 
 @dataclasses.dataclass(frozen=True)
 class Tangent:
@@ -92,13 +95,12 @@ class Objective(Protocol):
         """The objective over a part of the candidates."""
         ...
 
-    def mean_eigenvalue(self, weights: Array) -> float:
-        """Mean eigenvalue of the information at weights on all candidates."""
-        ...
+    def regularised(self, weights: Array) -> Objective:
+        """The objective where weights on all candidates may leave it undetermined.
 
-    def with_ridge(self, ridge: float) -> Objective:
-        """The objective with ridge * 1 added to the prior information."""
-        ...
+        It is itself where the prior information alone determines every direction.
+        """
+        return self
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -175,8 +177,12 @@ class CriterionObjective:
         """The objective over a part of the candidates."""
         return dataclasses.replace(self, blocks=self.blocks[chosen])
 
+    def regularised(self, weights: Array) -> CriterionObjective:
+        """The objective with a ridge, small beside the information at the weights."""
+        return self.with_ridge(RIDGE * self.mean_eigenvalue(weights))
+
     def mean_eigenvalue(self, weights: Array) -> float:
-        """Mean eigenvalue of M."""
+        """Mean eigenvalue of M at weights on all candidates."""
         trace = float(np.einsum("ckn,ckn,c->", self.blocks, self.blocks, weights))
         return float((trace + np.trace(self.base)) / self.directions)
 

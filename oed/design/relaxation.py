@@ -260,7 +260,7 @@ def _begin(
     sample = np.arange(0, count, max(1, count // SAMPLE))
     weights = np.full(len(sample), size / len(sample))
     part = objective.subset(sample)
-    part = part.with_ridge(1e-9 * part.mean_eigenvalue(weights))
+    part = part.regularised(weights)
     everything, bound = np.arange(len(sample)), np.inf
     for _ in range(MULTIPLICATIVE_START):
         tangent = part.tangent(everything, weights)

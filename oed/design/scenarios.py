@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from oed.arrays import Array, Index
-from oed.design.objective import CriterionObjective, Tangent
+from oed.design.objective import RIDGE, CriterionObjective, Tangent
 
 Risk = Literal["mean", "cvar", "worst"]
 
@@ -133,11 +133,8 @@ class RiskObjective:
         scenarios = tuple(s.subset(chosen) for s in self.scenarios)
         return dataclasses.replace(self, scenarios=scenarios)
 
-    def mean_eigenvalue(self, weights: Array) -> float:
-        """Mean eigenvalue of the first scenario's information."""
-        return self.scenarios[0].mean_eigenvalue(weights)
-
-    def with_ridge(self, ridge: float) -> RiskObjective:
-        """The objective with ridge * 1 added to each prior information."""
+    def regularised(self, weights: Array) -> RiskObjective:
+        """The objective with the first scenario's ridge in each scenario."""
+        ridge = RIDGE * self.scenarios[0].mean_eigenvalue(weights)
         scenarios = tuple(s.with_ridge(ridge) for s in self.scenarios)
         return dataclasses.replace(self, scenarios=scenarios)

@@ -261,14 +261,14 @@ def test_runs_are_laid_out_in_order_and_direction():
         name="b",
         setup="cup",
         command=command,
-        condition={"direction": -1.0, "temp_leg": 293.0},
+        condition={"direction": -1.0, "payload": 50.0},
     )
     series, covariates = runs.lay_out(m, [there, back])
     np.testing.assert_allclose(series[0].reading_commands()[4:], command[::-1])
     assert covariates["time"].tolist()[:4] == [10.0, 20.0, 30.0, 40.0]
     assert covariates["time"].isna().sum() == 4
     assert covariates["order"].tolist() == [0, 1, 2, 3] * 2
-    assert covariates["temp_leg"].tolist()[4:] == [293.0] * 4
+    assert covariates["payload"].tolist()[4:] == [50.0] * 4
 
 
 def test_bad_input_is_refused_with_a_remedy():

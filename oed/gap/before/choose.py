@@ -119,7 +119,7 @@ def choose(
         value=float(everything.worth(m)) + shift,
         above=above + shift,
         volume=float(everything.log_det(m)) + everything.log_scale,
-        seconds=rules.time_of(free[selected]) if rules.cost is not None else 0.0,
+        seconds=rules.time_of(free[selected]),
         proven=proven,
     )
 
@@ -139,10 +139,7 @@ def _enumerate(separation: Separation, size: int) -> tuple[Index, float, float]:
 
 
 def _search(
-    everything: Separation,
-    rules: Rules,
-    rng: np.random.Generator,
-    rounds: int,
+    everything: Separation, rules: Rules, rng: np.random.Generator, rounds: int
 ) -> tuple[Index, float, float]:
     """The best plan that the search reaches, and bounds of every plan.
 
@@ -152,8 +149,7 @@ def _search(
     """
     numbers = everything.hardest(np.arange(everything.count))
     for _ in range(JOINS):
-        targets = tuple(everything.targets[k] for k in numbers)
-        separation = dataclasses.replace(everything, targets=targets)
+        separation = everything.with_targets(numbers)
         relaxed = _relax(separation, rules)
         evaluator = SeparationEvaluator(separation)
         starts = [select_greedily(evaluator, rules, 0.0, level) for level in (0, 1)]
@@ -163,9 +159,7 @@ def _search(
         if joined == numbers:
             break
         numbers = joined
-    alone = dataclasses.replace(
-        everything, targets=tuple(everything.targets[k] for k in numbers), share=0.0
-    )
+    alone = dataclasses.replace(everything.with_targets(numbers), share=0.0)
     return runs, relaxed.bound, _relax(alone, rules).bound
 
 

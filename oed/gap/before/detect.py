@@ -211,9 +211,7 @@ def _least_rms(spread: Array, gram: Array, needed: float) -> float:
 
 
 def _least_sizes(
-    forms: Sequence[Form],
-    grams: Sequence[Array],
-    needed: float,
+    forms: Sequence[Form], grams: Sequence[Array], needed: float
 ) -> dict[str, float | None]:
     """Least size of each textbook coefficient alone, at its most visible constants."""
     least: dict[str, float] = {}

@@ -54,9 +54,7 @@ class EffectForms:
 
 
 def effect_forms(
-    problem: GapProblem,
-    effects: Sequence[Effect],
-    most: int | None = None,
+    problem: GapProblem, effects: Sequence[Effect], most: int | None = None
 ) -> EffectForms:
     """Forms over the grids of the effects' constants that change a reading.
 

@@ -9,12 +9,11 @@ import numpy as np
 import pandas as pd
 
 from oed.arrays import Array, Index
-from oed.dataset.columns import TEMPERATURE
 from oed.gap.data import state
 from oed.gap.data.problem import GapProblem, assemble
 from oed.measurement import Measurement, Series
 
-#: covariates that a condition may state, apart from temperatures `temp_<body>`
+#: covariates that a condition may state
 CONDITIONS = ("time", "direction", "feed", "payload")
 
 
@@ -26,8 +25,8 @@ class Run:
     setup        name of the set-up
     command      (n, n_dof) poses, SI, in the order of direction +1; with direction -1
                  they are taken in reverse
-    condition    {covariate: value}, SI: `direction`, `feed`, `payload`, `temp_<body>`,
-                 and `time` at which it starts
+    condition    {covariate: value}, SI: `direction`, `feed`, `payload`, and `time` at
+                 which it starts
     seconds      that it takes
     """
 
@@ -38,11 +37,10 @@ class Run:
     seconds: float = 0.0
 
     def __post_init__(self) -> None:
-        unknown = sorted(c for c in self.condition if not _is_condition(c))
+        unknown = sorted(set(self.condition) - set(CONDITIONS))
         if unknown:
             raise ValueError(
                 f"run {self.name}: no condition {unknown}; there are {list(CONDITIONS)}"
-                " and temp_<body>"
             )
         if self.condition.get("direction", 1.0) not in (-1.0, 1.0):
             raise ValueError(
@@ -55,13 +53,8 @@ class Run:
             )
 
 
-def _is_condition(covariate: str) -> bool:
-    return covariate in CONDITIONS or covariate.startswith(TEMPERATURE)
-
-
 def lay_out(
-    measurement: Measurement,
-    runs: Sequence[Run],
+    measurement: Measurement, runs: Sequence[Run]
 ) -> tuple[tuple[Series, ...], pd.DataFrame]:
     """Series of all runs, one a set-up, and one row of covariates a reading.
 

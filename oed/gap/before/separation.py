@@ -20,13 +20,14 @@ n the parameters: T-optimality with the parameters profiled out (Atkinson and Fe
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import special
 
 from oed.arrays import Array, Index
 from oed.design.evaluator import PlanEvaluator
-from oed.design.objective import Tangent
+from oed.design.objective import Objective, Tangent
 from oed.gap.before.forms import Form
 from oed.result.gap_before import SeparationRecord
 
@@ -60,8 +61,8 @@ class Target:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Separation:
-    """The objective over C candidate runs (`oed.design.objective.Objective`).
+class Separation(Objective):
+    """The objective over C candidate runs.
 
     grams      (C, m, m) with m = n + K: parameters first, then the columns of all
                effects
@@ -183,9 +184,7 @@ class Separation:
         return Tangent(float(self.worth(m)), slopes, 0.0, offset, linear=True)
 
     def slopes_and_curvature(
-        self,
-        active: Index,
-        weights: Array,
+        self, active: Index, weights: Array
     ) -> tuple[Array, Array]:
         """Slopes and curvature of the smoothed compound."""
         m, grams = self.at(active, weights), self.grams[active]
@@ -243,16 +242,10 @@ class Separation:
         """Over some of the candidates only."""
         return dataclasses.replace(self, grams=self.grams[chosen])
 
-    def mean_eigenvalue(self, weights: Array) -> float:
-        """Mean information on a parameter."""
-        n = self.size
-        traces = np.trace(self.grams[:, :n, :n], axis1=1, axis2=2)
-        total = np.tensordot(weights, traces, axes=1)
-        return float(total + np.trace(self.base[:n, :n])) / n
-
-    def with_ridge(self, ridge: float) -> Separation:
-        """As it is: the parameters' prior keeps everything finite."""
-        return self
+    def with_targets(self, numbers: Sequence[int]) -> Separation:
+        """Of some of the targets only."""
+        targets = tuple(self.targets[k] for k in numbers)
+        return dataclasses.replace(self, targets=targets)
 
 
 def _lambda(profiled: Array, target: Target) -> Array:
@@ -297,10 +290,7 @@ class SeparationEvaluator(PlanEvaluator):
         return float(self.separation.worth(m, SHARPNESS[level]))
 
     def values_after_adding(
-        self,
-        chosen: Index,
-        level: int,
-        ridge: float | None = None,
+        self, chosen: Index, level: int, ridge: float | None = None
     ) -> Array:
         """The compound at a level, of the plan with each candidate (C,) added."""
         m = self.separation.of(chosen) + self.separation.grams

@@ -110,15 +110,16 @@ def _with_earlier(
 def _least_before(separations: Sequence[SeparationRecord]) -> float | None:
     """The least separation before; None where one of them is not known."""
     known = [s.before for s in separations if s.before is not None]
-    if not known or len(known) < len(separations):
-        return None
-    return min(known)
+    return min(known) if len(known) == len(separations) else None
 
 
-def _times(covariates: pd.DataFrame, request: GapDesignRequest) -> Array:
+def _times(covariates: pd.DataFrame, design: GapDesignRequest) -> Array:
     """Time of each reading (n,), s, where the runs follow one another."""
-    seconds = {(run.setup, run.name): run.seconds for run in request.runs}
-    mounting = _mounting_times(request)
+    assert design.rules is not None
+    assert design.rules.setup_cost is not None, "only stated times have none"
+    setups = dict.fromkeys(run.setup for run in design.runs)
+    mounting = dict(zip(setups, design.rules.setup_cost.tolist(), strict=True))
+    seconds = {(run.setup, run.name): run.seconds for run in design.runs}
     clock, mounted, times = 0.0, "", []
     for (setup, name), rows in covariates.groupby(["setup", "run"], sort=False):
         clock += mounting[setup] if setup != mounted else 0.0
@@ -127,15 +128,6 @@ def _times(covariates: pd.DataFrame, request: GapDesignRequest) -> Array:
         times.append(clock + duration * np.arange(1, len(rows) + 1) / len(rows))
         clock += duration
     return np.concatenate(times)
-
-
-def _mounting_times(request: GapDesignRequest) -> dict[str, float]:
-    """Time to mount each set-up, s; 0 where the runs have stated times."""
-    setups = dict.fromkeys(run.setup for run in request.runs)
-    cost = None if request.rules is None else request.rules.setup_cost
-    if cost is None:
-        return dict.fromkeys(setups, 0.0)
-    return dict(zip(setups, cost.tolist(), strict=True))
 
 
 def _poses_csv(
