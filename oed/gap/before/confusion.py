@@ -29,26 +29,27 @@ SAME = 1.0
 
 
 def effect_rival(
-    gram: Array, forms: Sequence[Form], rival: str, rival_forms: Sequence[Form]
+    gram: Array, forms: Sequence[Form], rivals: Sequence[Form]
 ) -> RivalRecord:
     """How well an effect is distinguished from a rival at its most absorbing constants.
 
-    The separation is a mean over the effect's forms, the angle the smallest of all.
-    Combinations are those of the form that is absorbed most.
+    `forms` are the effect's, `rivals` are the rival's. The separation is a mean over
+    the effect's forms, the angle the smallest of all. Combinations are those of the
+    form that is absorbed most.
     """
-    rest = [[np.trace(_separated(gram, f, r)) for r in rival_forms] for f in forms]
+    rest = [[np.trace(_separated(gram, f, r)) for r in rivals] for f in forms]
     remaining = np.array(rest)
     least = remaining.min(axis=1)
     hardest = int(np.argmin(least))
     nearest = int(np.argmin(remaining[hardest]))
     angles = [np.array([90.0])]
     for form in forms:
-        angles += [_principal_angles(gram, form, r)[0] for r in rival_forms]
+        angles += [_principal_angles(gram, form, r)[0] for r in rivals]
     return RivalRecord(
-        name=rival,
+        name=rivals[0].signature.effect,
         separation=max(float(least.mean()), 0.0) ** 0.5,
         angle_deg=float(np.concatenate(angles).min()),
-        shared=_shared(gram, forms[hardest], rival_forms[nearest]),
+        shared=_shared(gram, forms[hardest], rivals[nearest]),
     )
 
 

@@ -47,7 +47,8 @@ def detect(
 ) -> DetectabilityTable:
     """What planned readings (`oed.gap.data.problem.assemble`) could find.
 
-    Raises ValueError for no effect, or effects of one name.
+    Sizes of readings are in the fine unit of their channel (`fine_units`). Raises
+    ValueError for no effect, or effects of one name.
     """
     given = [effect.name for effect in effects]
     if not given or len(set(given)) < len(given):
@@ -151,10 +152,8 @@ def _record(
         signature[channel] = float(np.sqrt(mean_square)) / unit
         least[channel] = _bounded(best / unit)
         median[channel] = _bounded(typical / unit)
-    rivals = []
-    for name, rival_forms in by_effect.items():
-        if name != effect.name:
-            rivals.append(effect_rival(gram, forms, name, rival_forms))
+    others = [by_effect[name] for name in by_effect if name != effect.name]
+    rivals = [effect_rival(gram, forms, other) for other in others]
     return DetectabilityRecord(
         name=effect.name,
         about=effect.about,
