@@ -106,13 +106,13 @@ def test_lambdas_are_those_of_the_dense_covariance(tools):
 
 def test_least_size_is_found_nine_times_in_ten():
     p, rng = problem(strokes=(0.0, 0.1, 0.2)), np.random.default_rng(5)
-    found = detect.detect(p, stated_law(p), [gap_a3.encoder_scale], rng).effects[0]
+    record = detect.detect(p, stated_law(p), [gap_a3.encoder_scale], rng).effects[0]
     g, scale = columns(p, gap_a3.encoder_scale)
     c = dense(p, stated_law(p))
     root = np.linalg.cholesky(c)
     inner = np.linalg.solve(root, g)
     change = (
-        inner[:, 1] * found.sizes["leg 2"] / scale.scales[1]
+        inner[:, 1] * record.sizes["leg 2"] / scale.scales[1]
     )  # leg 2 alone at its least size
     noise = rng.standard_normal((4000, len(p)))
     basis = np.linalg.qr(inner)[0]
@@ -120,14 +120,14 @@ def test_least_size_is_found_nine_times_in_ten():
         np.sum(((noise + change) @ basis) ** 2, axis=1) > stats.chi2.ppf(0.99, 3)
     )
     assert power == pytest.approx(0.90, abs=0.02)
-    assert found.least["length"] <= found.median["length"]
+    assert record.least["length"] <= record.median["length"]
     # the most visible combination needs no more than leg 2 alone does
     alone = (
-        found.sizes["leg 2"]
+        record.sizes["leg 2"]
         / scale.scales[1]
         * np.sqrt(np.mean((1e6 * p.sigma * g[:, 1]) ** 2))
     )
-    assert found.least["length"] <= alone * (1 + 1e-9)
+    assert record.least["length"] <= alone * (1 + 1e-9)
 
 
 def free(p):
