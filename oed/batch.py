@@ -1,6 +1,6 @@
 """One CasADi function over many points at once, without copies or a Python loop.
 
-Batches of hundreds of points run as array operations (`oed.array_tape`), smaller ones
+Batches of hundreds of points run as array operations (`oed.array_code.tape`), smaller ones
 in CasADi's interpreter.
 
 `casadi.Function.map` runs one instruction tape over many columns, and its buffer
@@ -17,11 +17,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.array_adjoint import AdjointRows, ArrayAdjoint
-from oed.array_layout import Layout
-from oed.array_newton import ArrayNewton, SolvedSystems
-from oed.array_operations import is_supported
-from oed.array_tape import ArrayTape
+from oed.array_code.adjoint import AdjointRows, ArrayAdjoint
+from oed.array_code.layout import Layout
+from oed.array_code.newton import ArrayNewton, SolvedSystems
+from oed.array_code.operations import is_supported
+from oed.array_code.tape import ArrayTape
 from oed.arrays import Array
 
 #: Numbers of points for which a mapped function is compiled, each on first use, in half

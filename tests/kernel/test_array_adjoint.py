@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from oed.array_adjoint import AdjointRows, ArrayAdjoint
-from oed.array_layout import Layout
+from oed.array_code.adjoint import AdjointRows, ArrayAdjoint
+from oed.array_code.layout import Layout
 from oed.batch import ARRAY_SIZE
 from oed.kinematics import Kinematics
 from pkm_models.machines import hexapod

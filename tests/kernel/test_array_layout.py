@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.array_layout import Layout
-from oed.array_memory import Arena
-from oed.array_tape import ArrayTape
+from oed.array_code.layout import Layout
+from oed.array_code.memory import Arena
+from oed.array_code.tape import ArrayTape
 from oed.expressions import machine_expressions
 from oed.machine import Machine
 from pkm_models.machines import a3_head, cables_planar, hexapod, linear_delta

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from oed import batch, newton
-from oed.array_elimination import Elimination
-from oed.array_newton import ArrayNewton
+from oed.array_code.elimination import Elimination
+from oed.array_code.newton import ArrayNewton
 from oed.kinematics import Kinematics
 from oed.machine import Machine
 from pkm_models.machines import a3_head, hexapod, linear_delta

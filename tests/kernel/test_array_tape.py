@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.array_layout import Layout
-from oed.array_operations import is_supported
-from oed.array_tape import ArrayTape
+from oed.array_code.layout import Layout
+from oed.array_code.operations import is_supported
+from oed.array_code.tape import ArrayTape
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 SIZE = 7

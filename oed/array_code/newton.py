@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from oed.array_elimination import Elimination
-from oed.array_layout import Layout
-from oed.array_operations import memory
-from oed.array_tape import ArrayTape
+from oed.array_code.elimination import Elimination
+from oed.array_code.layout import Layout
+from oed.array_code.operations import memory
+from oed.array_code.tape import ArrayTape
 from oed.arrays import Array, Mask
 
 #: step (m, rad) after which the slopes are kept

@@ -98,7 +98,7 @@ BINARY: dict[int, Operation] = {
     ca.OP_AND: np.logical_and,
     ca.OP_OR: np.logical_or,
 }
-#: instructions that `oed.array_graph` expresses by others, or as memory
+#: instructions that `oed.array_code.graph` expresses by others, or as memory
 SPECIAL = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_TWICE, ca.OP_IF_ELSE_ZERO}
 
 

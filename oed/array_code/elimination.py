@@ -1,9 +1,9 @@
 """Gaussian elimination of many small matrices at once, one array operation a column.
 
 Matrices lie entry by entry, each entry of all points in one row of memory, as
-`oed.array_tape` writes them. The order of the rows is that of partial pivoting at one
+`oed.array_code.tape` writes them. The order of the rows is that of partial pivoting at one
 point, for all. At other points it may be a poor one: whoever takes these solutions
-measures their error, as `oed.array_newton` does by the steps that follow.
+measures their error, as `oed.array_code.newton` does by the steps that follow.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.array_operations import Call, make, memory
+from oed.array_code.operations import Call, make, memory
 from oed.arrays import Array, Index
 
 #: least number of rows from which one operation is faster than several

@@ -12,8 +12,8 @@ import itertools
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from oed.array_graph import Node, ancestors
-from oed.array_operations import COMMUTATIVE
+from oed.array_code.graph import Node, ancestors
+from oed.array_code.operations import COMMUTATIVE
 
 
 class Row(NamedTuple):

@@ -3,7 +3,7 @@
 CasADi interprets its instructions point by point. For hundreds of points, the same
 instructions run faster one after the other, each as a NumPy operation over all points:
 the interpreter's cost is then shared by the points, and the processor's vector units
-work. Alike instructions share one operation (`oed.array_layout`).
+work. Alike instructions share one operation (`oed.array_code.layout`).
 
 Where some inputs stay the same from one evaluation to the next, as joints and
 parameters do in Newton's method, what depends on them alone is evaluated once.
@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from oed.array_layout import Layout, Pack, RowBlocks
-from oed.array_operations import BITWISE, Call, fill_bits, make, memory
-from oed.array_packs import CONSTANTS, RowRun
+from oed.array_code.layout import Layout, Pack, RowBlocks
+from oed.array_code.operations import BITWISE, Call, fill_bits, make, memory
+from oed.array_code.packs import CONSTANTS, RowRun
 from oed.arrays import Array
 
 

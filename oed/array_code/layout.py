@@ -1,6 +1,6 @@
 """Where the values of an SX function lie as array operations, for any number of points.
 
-Alike values form packs (`oed.array_packs`). Each pack has a block of rows, one for each
+Alike values form packs (`oed.array_code.packs`). Each pack has a block of rows, one for each
 value; a row holds as many numbers as there are points. RowBlocks that are no longer needed
 leave their place to others, so that few rows are in use and stay in the processor's
 cache.
@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from oed import array_packs
-from oed.array_graph import Node, ancestors, read_graph
-from oed.array_memory import Arena
-from oed.array_packs import ANYWHERE, CONSTANTS, Lane, Row, RowRun
+from oed.array_code import packs as packing
+from oed.array_code.graph import Node, ancestors, read_graph
+from oed.array_code.memory import Arena
+from oed.array_code.packs import ANYWHERE, CONSTANTS, Lane, Row, RowRun
 
 #: least number of rows, one of them taken several times, from which one operation is
 #: faster than several; and of rows that are spaced
@@ -74,8 +74,8 @@ class Layout:
         self.doubles = [i not in single for i in range(function.n_out())]
         self.varying = len(self.inputs) if varying is None else varying
         nodes, self._numbers = read_graph(function, self.varying, single)
-        self._nodes, packs = array_packs.group(nodes, self._numbers)
-        packs = array_packs.by_consumers(self._nodes, packs)
+        self._nodes, packs = packing.group(nodes, self._numbers)
+        packs = packing.by_consumers(self._nodes, packs)
         self._rows = self._given_rows()
         self._count = len(self.inputs) + len(self.outputs)
         fixed = [pack for pack in packs if not self._nodes[pack[0]].varies]
@@ -111,7 +111,7 @@ class Layout:
 
     def _place_all(self, packs: Sequence[Sequence[int]], lasting: bool) -> RowBlocks:
         """Blocks for the packs' values; those that do not last share memory."""
-        last = array_packs.last_uses(self._nodes, packs)
+        last = packing.last_uses(self._nodes, packs)
         arena, blocks = Arena(), []
         ending: dict[int, list[tuple[int, int]]] = {}
         for k, pack in enumerate(packs):
@@ -151,7 +151,7 @@ class Layout:
         for number in pack:
             sources = [self._rows[source] for source in self._nodes[number].sources]
             lanes.append(Lane(number, (*sources, self._rows.get(number, anywhere))))
-        return array_packs.runs(lanes)
+        return packing.runs(lanes)
 
 
 def _calls(run: RowRun) -> Iterator[tuple[RowRun, bool]]:

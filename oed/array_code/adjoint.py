@@ -5,7 +5,7 @@ With matrices A (k, k) and B (k, m) at each point, and right sides g (k,), a row
     B^T lambda        where        A^T lambda = g.
 
 The order of rows in which A^T is eliminated is that of one point
-(`oed.array_elimination`). Where it is a poor one, the residual A^T lambda - g is larger
+(`oed.array_code.elimination`). Where it is a poor one, the residual A^T lambda - g is larger
 than rounding explains, and the row is returned as inaccurate.
 
 The singular values of A are known by their product, the determinant, and by their sum
@@ -21,10 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.array_elimination import Elimination
-from oed.array_layout import Layout
-from oed.array_operations import memory
-from oed.array_tape import ArrayTape
+from oed.array_code.elimination import Elimination
+from oed.array_code.layout import Layout
+from oed.array_code.operations import memory
+from oed.array_code.tape import ArrayTape
 from oed.arrays import Array, Mask
 
 #: residual over the largest product of a matrix's entry and an adjoint's

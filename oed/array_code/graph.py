@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from oed.array_operations import (
+from oed.array_code.operations import (
     BINARY,
     UNARY,
     Operation,
