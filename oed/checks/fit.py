@@ -198,14 +198,38 @@ class LeaveOneOut:
         """
         if not len(members):
             return self.gradient, self.diagonal
+        if self.noise.is_independent:
+            gradient, diagonal = self._without_independent(members)
+        else:
+            gradient, diagonal = self._without_related(members)
+        gradient[members], diagonal[members] = 0.0, 1.0
+        return gradient, np.maximum(diagonal, 1e-12 * self.diagonal)
+
+    def _without_independent(self, members: Index) -> tuple[Array, Array]:
+        """The same where S is diagonal: what is left out changes B B^T alone.
+
+        With U the rows of B that are left out, and D their part of S^-1, it becomes
+        B K^-1 B^T, K = 1 - U^T D^-1 U (Woodbury): linear in the number of readings,
+        however many are left out.
+        """
+        alone = self.noise.precision_diagonal()
+        out = self.factor[members]
+        scaled = out / alone[members, None]
+        lower = linalg.cholesky(np.eye(out.shape[1]) - out.T @ scaled, lower=True)
+        known = linalg.cho_solve((lower, True), scaled.T @ self.gradient[members])
+        half = linalg.solve_triangular(lower, self.factor.T, lower=True)
+        diagonal = alone - np.einsum("ij,ij->j", half, half)
+        return self.gradient + self.factor @ known, diagonal
+
+    def _without_related(self, members: Index) -> tuple[Array, Array]:
+        """The same for any S, by the columns of P that are left out."""
         columns = self.columns(members)
         lower = linalg.cholesky(columns[members], lower=True)
         half = linalg.solve_triangular(lower, columns.T, lower=True)
         known = linalg.solve_triangular(lower, self.gradient[members], lower=True)
         gradient = self.gradient - half.T @ known
         diagonal = self.diagonal - np.einsum("ij,ij->j", half, half)
-        gradient[members], diagonal[members] = 0.0, 1.0
-        return gradient, np.maximum(diagonal, 1e-12 * self.diagonal)
+        return gradient, diagonal
 
 
 def predict_from_others(solution: Fit) -> LeaveOneOut:

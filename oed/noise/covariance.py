@@ -33,6 +33,11 @@ class Noise:
     whitening: sparse.csr_array | None = None
     root: sparse.csr_array | None = None
 
+    @property
+    def is_independent(self) -> bool:
+        """Whether all readings are independent; noises of other classes relate them."""
+        return type(self) is Noise and self.whitening is None
+
     def whiten(self, values: Array) -> Array:
         """Whitened values: (N,), (N, n), with readings first."""
         if self.whitening is not None:

@@ -8,24 +8,35 @@ with white_k and level independent standard normal, carried_k an Ornstein-Uhlenb
 process with correlation exp(-|k - l| / reach), seat the set-up's unknowns that the run
 seated anew, with slopes c, and shared the errors that instrument and study state.
 
-White and carried error are whitened by a Kalman filter along the chains; what a run
-shares is a matrix of a few columns, taken out by the Woodbury identity. Both are linear
-in the number of readings.
+White and carried error are whitened by a recursion along the chains, block by block
+(`oed.noise.recursions`); what a run shares is a matrix of a few columns, taken out by the
+Woodbury identity. Both are linear in the number of readings.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Iterator
 
 import numpy as np
 
 from oed.arrays import Array
+from oed.noise.recursions import (
+    block_shape,
+    carried_variances,
+    in_blocks,
+    next_steps,
+    out_of_blocks,
+    states_at_starts,
+)
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 from oed.noise.structure import ReadingStructure
 
 #: least and largest size of an error that is far off, where one is drawn
 FAR = (5.0, 50.0)
+#: numbers in a step of what is filtered together
+AT_ONCE = 6000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -81,48 +92,103 @@ def stated_laws(structure: ReadingStructure, count: int = 1) -> Laws:
     )
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _FilterSteps:
+    """What a filter does at each reading, in blocks (S, L, C, B).
+
+    The prediction s of the next reading is pole s + inflow y, y the reading; weight is 1
+    over the standard deviation of y - s.
+    """
+
+    pole: Array
+    inflow: Array
+    weight: Array
+
+
 class Whitening:
-    """Readings of a structure under L laws."""
+    """Readings of a structure under L laws.
+
+    White and carried error have the banded root of `oed.noise.banded`: its rows are the
+    filter's innovations over their standard deviations. Filtered values are
+    (m, L, C, T'), T' = S B: a chain's blocks side by side, and steps with no reading 0.
+    """
 
     def __init__(self, structure: ReadingStructure, laws: Laws) -> None:
         self.structure, self.laws = structure, laws
-        self._decay = np.exp(-structure.steps / laws.reach[:, None, None])
-        self._gain, self._sd = self._kalman_gains()
-        self._scale = laws.scale[:, structure.group]
+        self._chain_scale = laws.scale[:, structure.group_of_chain]
+        self._is_white = not laws.carried.any()
 
-    def _kalman_gains(self) -> tuple[Array, Array]:
-        """Gains and standard deviations of the innovations (L, C, T)."""
-        carried = self.laws.carried[:, None]
-        gain, variance = np.empty_like(self._decay), np.empty_like(self._decay)
-        unknown = np.zeros(self._decay.shape[:2])
-        for t in range(self._decay.shape[2]):
-            decay = self._decay[:, :, t] ** 2
-            unknown = carried * (1.0 - decay) + decay * unknown
-            variance[:, :, t] = unknown + 1.0 - carried
-            gain[:, :, t] = unknown / variance[:, :, t]
-            unknown = unknown * (1.0 - gain[:, :, t])
-        return gain, np.sqrt(variance)
+    @functools.cached_property
+    def _decay(self) -> Array:
+        """Decays (S, L, P, B) from the reading before, of patterns of steps."""
+        steps = in_blocks(self.structure.step_patterns[0], np.inf)
+        return np.asarray(np.exp(-steps[:, None] / self.laws.reach[:, None, None]))
 
-    def _filter(self, values: Array) -> Array:
-        """Innovations (L, C, T, m) of values (L or 1, N, m) in units of the scale."""
-        grid = np.zeros((len(values), *self.structure.shape, values.shape[2]))
-        grid[:, *self.structure.slot] = values
-        count = len(self.laws)
-        out = np.empty((count, *grid.shape[1:]))
-        state = np.zeros((count, grid.shape[1], grid.shape[3]))
-        for t in range(grid.shape[2]):
-            state = self._decay[:, :, t, None] * state
-            innovation = grid[:, :, t] - state
-            state = state + self._gain[:, :, t, None] * innovation
-            out[:, :, t] = innovation / self._sd[:, :, t, None]
-        return out * self.structure.present[:, :, None]
+    @functools.cached_property
+    def _variance(self) -> tuple[Array, Array]:
+        """Variances of what is carried, and of innovations, (S, L, P, B) of patterns."""
+        carried = carried_variances(self._decay, self.laws.carried)
+        return carried, carried + (1.0 - self.laws.carried)[:, None, None]
+
+    @functools.cached_property
+    def _filter_steps(self) -> _FilterSteps:
+        pattern = self.structure.step_patterns[1]
+        carried, total = self._variance
+        gain, following = carried / total, next_steps(self._decay)
+        by_pattern = (following * (1.0 - gain), following * gain, 1.0 / np.sqrt(total))
+        return _FilterSteps(*(values[:, :, pattern] for values in by_pattern))
+
+    def _filter(self, values: Array, scale: Array | None = None) -> Array:
+        """Innovations (m, L, C, T') of values (L or 1, N, m), over a scale (L, C)."""
+        structure = self.structure
+        reading, absent = structure.reading_of_step
+        columns = np.ascontiguousarray(values.transpose(2, 0, 1))
+        blocks = np.take(columns, reading, axis=2)
+        if absent.any():
+            blocks[:, :, absent] = 0.0
+        length, chains, count = reading.shape
+        out = np.empty((len(blocks), len(self.laws), chains, length, count))
+        for some, laws in self._batches(len(blocks)):
+            own = blocks[some] if len(values) == 1 else blocks[some, laws]
+            self._innovate(own, laws, out[some, laws])
+        if scale is not None:
+            out /= scale[:, :, None, None]
+        return out.reshape(*out.shape[:3], length * count)
+
+    def _innovate(self, blocks: Array, laws: slice, target: Array) -> None:
+        """Innovations of values (m, L or 1, S, C, B) of some laws, into (m, L, C, S, B)."""
+        if self._is_white:
+            target[...] = np.swapaxes(blocks, 2, 3)
+            return
+        steps = self._filter_steps
+        pole, inflow = steps.pole[:, laws], steps.inflow[:, laws]
+        values = np.moveaxis(blocks, 2, 0)
+        drive = inflow[:, None] * values
+        state = states_at_starts(pole[:, None], drive)
+        difference = np.empty_like(state)
+        for k in range(len(values)):
+            np.subtract(values[k], state, out=difference)
+            np.multiply(difference, steps.weight[k, laws], out=target[:, :, :, k])
+            state *= pole[k]
+            state += drive[k]
+
+    def _batches(self, columns: int) -> Iterator[tuple[slice, slice]]:
+        """Columns and laws that are filtered together: a step of theirs fits into a cache."""
+        chains, steps = self.structure.shape
+        at_once = max(AT_ONCE // (chains * block_shape(steps)[1]), 1)
+        width = max(min(at_once, columns), 1)
+        count = max(at_once // width, 1)
+        for first in range(0, len(self.laws), count):
+            for column in range(0, columns, width):
+                yield slice(column, column + width), slice(first, first + count)
 
     @functools.cached_property
     def _columns(self) -> Array:
-        """Filtered errors that a run shares (L, C, T, K)."""
+        """Filtered errors that a run shares (K, L, C, T')."""
         amounts = self.laws.sizes[:, self.structure.kinds]
         filtered = self._filter(self.structure.columns[None])
-        return np.asarray(filtered * amounts[:, None, None, :])
+        filtered *= amounts.T[:, :, None, None]
+        return filtered
 
     @functools.cached_property
     def _spectrum(self) -> tuple[Array, Array]:
@@ -131,23 +197,32 @@ class Whitening:
         return np.maximum(values, 0.0), vectors
 
     def _run_products(self, values: Array) -> Array:
-        """Sums (L, R, K, m) over each run of shared errors times values (L, C, T, m)."""
-        by_chain = np.einsum("lctk,lctm->lckm", self._columns, values, optimize=True)
-        return np.add.reduceat(by_chain, self.structure.first_chains, axis=1)
+        """Sums (L, R, K, m) over each run of shared errors times values (m, L, C, T')."""
+        by_chain = self._columns.transpose(1, 2, 0, 3) @ values.transpose(1, 2, 3, 0)
+        first = self.structure.first_chains
+        if len(first) == by_chain.shape[1]:
+            return np.asarray(by_chain)
+        return np.add.reduceat(by_chain, first, axis=1)
 
     @functools.cached_property
     def log_determinant(self) -> Array:
         """Log determinants (L,) of the covariances, in units of the stated noise."""
-        present = self.structure.present
-        filtered = 2.0 * np.einsum("lct,ct->l", np.log(self._sd), present)
+        counts = self.structure.present.sum(axis=1)
         shared = np.log1p(self._spectrum[0]).sum(axis=(1, 2))
-        return np.asarray(filtered + shared + 2.0 * np.log(self._scale).sum(axis=1))
+        shared += 2.0 * np.log(self._chain_scale) @ counts
+        if self._is_white:
+            return np.asarray(shared)
+        present = in_blocks(self.structure.present_of_pattern)
+        alone = np.einsum("slpb,spb->l", np.log(self._variance[1]), present)
+        return np.asarray(shared + alone)
 
     def gram(self, values: Array) -> Array:
         """Products Y^T C^-1 Y (L, m, m), for standardised Y (N, m) or (L, N, m)."""
         batch = values if values.ndim == 3 else values[None]
-        filtered = self._filter(batch / self._scale[:, :, None])
-        whole = np.einsum("lctm,lctn->lmn", filtered, filtered, optimize=True)
+        filtered = self._filter(batch, self._chain_scale)
+        columns, count, chains, steps = filtered.shape
+        flat = filtered.reshape(columns, count, chains * steps).swapaxes(0, 1)
+        whole = flat @ np.swapaxes(flat, 1, 2)
         sizes, vectors = self._spectrum
         projected = np.swapaxes(vectors, 2, 3) @ self._run_products(filtered)
         share = projected / (1.0 + sizes[..., None])
@@ -157,15 +232,17 @@ class Whitening:
     def whiten(self, values: Array) -> Array:
         """W Y (L, N, m) with W C W^T = 1, for standardised Y (N, m) or (L, N, m)."""
         batch = values if values.ndim == 3 else values[None]
-        filtered = self._filter(batch / self._scale[:, :, None])
+        filtered = self._filter(batch, self._chain_scale)
         sizes, vectors = self._spectrum
         root = 1.0 / np.sqrt(1.0 + sizes) - 1.0
         factor = np.where(sizes > 1e-12, root / np.maximum(sizes, 1e-300), -0.5)
         projected = np.swapaxes(vectors, 2, 3) @ self._run_products(filtered)
         change = vectors @ (factor[..., None] * projected)
-        of_chain = change[:, self.structure.run]
-        whitened = filtered + self._columns @ of_chain
-        return np.asarray(whitened[:, *self.structure.slot])
+        of_chain = np.swapaxes(change[:, self.structure.run], 2, 3)
+        common = of_chain @ self._columns.transpose(1, 2, 0, 3)
+        filtered += common.transpose(2, 0, 1, 3)
+        whitened = filtered[:, :, *self.structure.step_of_reading]
+        return np.ascontiguousarray(whitened.transpose(1, 2, 0))
 
     def draw(
         self,
@@ -180,13 +257,9 @@ class Whitening:
         estimated  whether the laws are estimates: these rest on pseudo-values, which are
                    as informative as errors of such tails (`oed.noise.outliers`)
         """
-        count, chains, length = self._decay.shape
+        count, (chains, length) = len(self.laws), self.structure.shape
         white = rng.standard_normal((2, count, chains, length))
-        carried, state = np.empty_like(self._decay), np.zeros((count, chains))
-        for t in range(length):
-            decay = self._decay[:, :, t]
-            state = decay * state + np.sqrt(1.0 - decay**2) * white[0, :, :, t]
-            carried[:, :, t] = state
+        carried = self._carried_along(white[0])
         share = self.laws.carried[:, None, None]
         alone = _with_tails(white[1], tails, rng)
         if estimated and tails.student_dof is not None:
@@ -197,7 +270,22 @@ class Whitening:
         amounts *= self.laws.sizes[:, None, self.structure.kinds]
         of_reading = amounts[:, self.structure.run[self.structure.chain]]
         common = np.einsum("lnk,nk->ln", of_reading, self.structure.columns)
-        return np.asarray(self._scale * (single[:, *self.structure.slot] + common))
+        scale = self.laws.scale[:, self.structure.group]
+        return np.asarray(scale * (single[:, *self.structure.slot] + common))
+
+    def _carried_along(self, white: Array) -> Array:
+        """Errors (L, C, T) of unit size that are carried along, of white ones."""
+        carried = np.empty_like(white)
+        steps = in_blocks(self.structure.steps, np.inf)[:, None]
+        for _, laws in self._batches(1):
+            decay = np.exp(-steps / self.laws.reach[laws, None, None])
+            errors = np.sqrt(1.0 - decay**2) * in_blocks(white[laws])
+            state = states_at_starts(decay, errors)
+            for k in range(len(errors)):
+                state = decay[k] * state + errors[k]
+                errors[k] = state
+            carried[laws] = out_of_blocks(errors, white.shape[2])
+        return carried
 
 
 def _student_over_pseudo(dof: float) -> float:

@@ -62,7 +62,7 @@ def factor_of(structure: ReadingStructure, laws: Laws) -> LinearFactor:
     first = np.diff(ordered, prepend=-1) > 0
     steps = np.diff(position, prepend=0.0)
     carried, place = float(laws.carried[0]), np.arange(len(order))
-    decay = np.where(first, 0.0, np.exp(-steps / laws.reach[0]))
+    decay = np.exp(-np.where(first, np.inf, steps) / laws.reach[0])
     new_run = np.diff(structure.run[ordered], prepend=-1) > 0
     amounts = laws.sizes[0, structure.kinds]
     errors = Errors(

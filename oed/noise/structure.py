@@ -18,6 +18,7 @@ from scipy.sparse.linalg import spsolve
 from oed.arrays import Array, Index, Mask
 from oed.measurement import Measurement, Series
 from oed.noise.covariance import block_noise
+from oed.noise.recursions import block_shape
 from oed.noise.stated import StatedErrors
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 
@@ -98,6 +99,43 @@ class ReadingStructure:
         steps = np.full(self.shape, np.inf)
         steps[:, 1:] = np.diff(grid, axis=1)
         return np.where(np.isfinite(steps), steps, np.inf)
+
+    @functools.cached_property
+    def step_patterns(self) -> tuple[Array, Index]:
+        """Rows (P, T) of `steps` without repetition, and the number (C,) of each chain's."""
+        patterns, number = np.unique(self.steps, axis=0, return_inverse=True)
+        return patterns, number.ravel().astype(np.intp)
+
+    @functools.cached_property
+    def present_of_pattern(self) -> Array:
+        """Number (P, T) of chains of each pattern that have a reading there."""
+        patterns, number = self.step_patterns
+        counts = np.zeros(patterns.shape)
+        np.add.at(counts, number, self.present)
+        return counts
+
+    @functools.cached_property
+    def step_of_reading(self) -> tuple[Index, Index]:
+        """Chain, and step within it (N,), where steps stand block by block (C, S B)."""
+        chain, place = self.slot
+        length, count = block_shape(self.shape[1])
+        return chain, place % length * count + place // length
+
+    @functools.cached_property
+    def reading_of_step(self) -> tuple[Index, Mask]:
+        """Reading of each step in blocks (S, C, B), and which steps have none."""
+        chain, place = self.slot
+        length, count = block_shape(self.shape[1])
+        reading = np.full((length, self.shape[0], count), -1, dtype=np.intp)
+        reading[place % length, chain, place // length] = np.arange(len(self))
+        return reading, reading < 0
+
+    @functools.cached_property
+    def group_of_chain(self) -> Index:
+        """Group (C,) of the readings of each chain: a chain is one channel of a set-up."""
+        of_chain = np.zeros(len(self.run), dtype=np.intp)
+        of_chain[self.chain] = self.group
+        return of_chain
 
     @functools.cached_property
     def present(self) -> Array:
