@@ -10,12 +10,20 @@ tails.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Mask
+from oed.arrays import Array, Index, Mask
 from oed.estimate import Estimate
+from oed.interpolated_readings import (
+    CHECKS,
+    LEAST_READINGS,
+    POINTS,
+    Readings,
+    interpolate,
+)
 from oed.measurement import Measurement, Series
 from oed.noise.process import Whitening
 
@@ -25,7 +33,8 @@ PROPOSAL_DOF = 20.0
 CORRECTIONS = 2
 #: readings of draws that are predicted at once
 VALUES = 1_000_000
-
+#: spread of the points that readings are interpolated between, over the posterior's
+WIDER = 1.5
 
 #: movement by a lost direction, in tolerances, that is rounding
 STILL = 1e-9
@@ -93,12 +102,44 @@ class LogDensity:
         self.interrupted = False
         robust = estimate.robust_readings
         self._y = y if robust is None else robust
-        self._readings = measurement.readings_near(series, estimate.theta)
+        self._series, self._theta = series, estimate.theta
+        self._exact = measurement.readings_near(series, estimate.theta)
         self._noise = estimate.noise
         self._slope = estimate.noise.whiten(jacobian) @ self.coordinates.basis
         mode = self._posterior.mode if self._posterior else np.zeros(0)
         self.centre = np.concatenate([estimate.z, mode])
         self.root = self._laplace_root()
+
+    @functools.cached_property
+    def _readings(self) -> Readings:
+        """Readings (m, N) at parameters (m, n) that the posterior allows."""
+        return self._interpolated(np.zeros((len(self._theta), 0)))
+
+    @functools.cached_property
+    def _readings_along_null(self) -> Readings:
+        """The same where lost directions are drawn from their prior as well."""
+        return self._interpolated(self.coordinates.null_basis)
+
+    def _interpolated(self, null: Array) -> Readings:
+        """Readings of long sessions from a few of them (`oed.interpolated_readings`).
+
+        null  (n, k) directions that move by their prior
+        """
+        if len(self._y) < LEAST_READINGS:
+            return self._exact
+        count = POINTS + CHECKS
+        # which points they are matters little: always the same
+        rng = np.random.default_rng(0)
+        normal = rng.standard_normal((count, self.r + null.shape[1])) * WIDER
+        root = self.root[: self.r, : self.r]
+        theta = self.coordinates.to_theta(
+            self.centre[: self.r] + normal[:, : self.r] @ root.T
+        )
+        theta = theta + normal[:, self.r :] @ null.T
+        return interpolate(self._exact, self._some, theta, self._noise.sigma)
+
+    def _some(self, rows: Index) -> Readings:
+        return self.measurement.some_readings_near(self._series, self._theta, rows)
 
     def __call__(self, points: Array) -> Array:
         """Log density (walkers,) at points (walkers, dimensions).
@@ -201,11 +242,11 @@ class LogDensity:
         after = before + change.reshape(before.shape)
         step = np.linalg.pinv(self._slope).T @ self.coordinates.basis.T
         # readings of all draws of a long session would not fit into memory
-        few = max(VALUES // len(self._y), 1)
+        few, readings = max(VALUES // len(self._y), 1), self._readings_along_null
         for k in range(0, len(before), few):
             some = slice(k, k + few)
-            wanted = self._readings(before[some])
+            wanted = readings(before[some])
             for _ in range(CORRECTIONS):
-                excess = self._readings(after[some]) - wanted
+                excess = readings(after[some]) - wanted
                 after[some] = after[some] - self._noise.whiten_last(excess) @ step
         return after.reshape(theta.shape)

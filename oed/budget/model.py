@@ -25,8 +25,8 @@ import numpy as np
 from oed.arrays import Array, Index, Mask
 from oed.budget.noise_parts import (
     BEYOND,
-    ErrorsOfRun,
-    errors_of_runs,
+    ReadingErrors,
+    errors_of_readings,
     instrument_source,
 )
 from oed.measurement import Measurement, Series
@@ -55,7 +55,7 @@ class BudgetModel:
 
     structure    of the readings
     slopes       (N, n) in units of stated noise, over z ~ N(0, I) a priori
-    runs         errors of the readings
+    readings     errors of the readings
     root         (n, n) of the prior covariance, SI: parameters deviate by root z
     names        (n,) of the parameters
     instruments  of the readings, each once
@@ -66,7 +66,7 @@ class BudgetModel:
 
     structure: ReadingStructure
     slopes: Array
-    runs: tuple[ErrorsOfRun, ...]
+    readings: ReadingErrors
     root: Array
     names: tuple[str, ...]
     instruments: tuple[str, ...]
@@ -79,22 +79,18 @@ class BudgetModel:
         """The readings' errors, and of which kind each is."""
         stated = {instrument_source(name) for name in self.instruments}
         kinds: dict[str, Kind] = {}
-        for run in self.runs:
-            for name in run.parts:
-                kinds[name] = "run"
-                if name in stated:
-                    kinds[name] = "instrument"
-                if name == BEYOND:
-                    kinds[name] = "noise law"
+        for name in self.readings.names:
+            kinds[name] = "run"
+            if name in stated:
+                kinds[name] = "instrument"
+            if name == BEYOND:
+                kinds[name] = "noise law"
         return kinds
 
     def information(self, factors: Mapping[str, float] | None = None) -> Array:
         """H^T C^-1 H (n, n), with factors on the standard deviations of errors."""
-        total = np.zeros((len(self.names), len(self.names)))
-        for run in self.runs:
-            rows = self.slopes[run.members]
-            total += rows.T @ run.weigh(rows, factors or {})
-        return total
+        white = self.readings.whiten(self.slopes, factors or {})
+        return np.asarray(white.T @ white)
 
     def covariance(
         self,
@@ -116,11 +112,8 @@ class BudgetModel:
     def response(self, changes: Array) -> Array:
         """Change (k, m), SI, of the estimate by changes (N, m) of the readings, SI."""
         standard = self.structure.standardise(changes)
-        total = np.zeros((len(self.names), changes.shape[1]))
-        for run in self.runs:
-            rows = self.slopes[run.members]
-            total += rows.T @ run.weigh(standard[run.members], {})
-        change = _posterior(self.information(), None) @ total
+        score = self.slopes.T @ self.readings.weigh(standard, {})
+        change = _posterior(self.information(), None) @ score
         return np.asarray((self.root @ change)[self.used])
 
     def parts(self) -> list[Part]:
@@ -159,14 +152,11 @@ class BudgetModel:
     ) -> list[Part]:
         """The stated noises through the estimate with this covariance (n, n)."""
         names = [n for n, kind in self.errors.items() if kind == "instrument"]
-        totals = {name: np.zeros_like(covariance) for name in names}
-        for run in self.runs:
-            weighed = run.weigh(self.slopes[run.members], gone) @ covariance
-            for name in totals:
-                totals[name] += run.between(name, weighed)
+        weighed = self.readings.weigh(self.slopes, gone) @ covariance
+        totals = [self.readings.between(name, weighed) for name in names]
         return [
             Part(name, "instrument", self._in_si(total))
-            for name, total in totals.items()
+            for name, total in zip(names, totals, strict=True)
         ]
 
     def _prior_parts(self, information: Array, known: Mask) -> list[Part]:
@@ -223,7 +213,7 @@ def budget_model(
     return BudgetModel(
         structure=structure,
         slopes=measurement.in_prior_units(standard),
-        runs=errors_of_runs(structure, laws, instruments),
+        readings=errors_of_readings(structure, laws, instruments),
         root=measurement.prior_root(),
         names=tuple(measurement.names),
         instruments=tuple(dict.fromkeys(instruments)),

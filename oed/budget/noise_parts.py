@@ -1,4 +1,4 @@
-"""Splits the covariance of readings into the errors that add up to it, run by run.
+"""Splits the covariance of readings into the errors that add up to it.
 
 In units of the stated noise, with the names of `oed.noise.process`,
 
@@ -17,8 +17,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed.arrays import Array, Index
+from oed.noise.factor import Errors, LinearFactor
 from oed.noise.process import Laws
-from oed.noise.process_noise import dense_covariance
+from oed.noise.process_noise import errors_of
 from oed.noise.structure import (
     KNOWN,
     LEVEL,
@@ -48,89 +49,87 @@ def instrument_source(name: str) -> str:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ErrorsOfRun:
-    """Covariance of the readings of one run, in units of the stated noise.
+class ReadingErrors:
+    """Errors of N readings that add up, each with a factor on its standard deviation.
 
-    members  (k,) the readings
-    parts    {error: covariance (k, k), or variances (k,) where all are independent}
+    whole      all errors together, in units of the stated noise
+    variances  {error: (N,)} of errors that are independent
+    shared     {error: (K,) columns of `whole.shared`}
+    names      of all errors
     """
 
-    members: Index
-    parts: Mapping[str, Array]
+    whole: Errors
+    variances: Mapping[str, Array]
+    shared: Mapping[str, Index]
+    names: tuple[str, ...]
 
-    def covariance(self, factors: Mapping[str, float]) -> Array:
-        """Sum of the parts, each standard deviation times its factor (1 by default)."""
-        terms = [factors.get(n, 1.0) ** 2 * part for n, part in self.parts.items()]
-        return np.asarray(np.sum(terms, axis=0))
+    def factor(self, factors: Mapping[str, float]) -> LinearFactor:
+        """Root of the sum, each standard deviation times its factor (1 by default)."""
+        whole = self.whole
+        terms = [factors.get(n, 1.0) ** 2 * v for n, v in self.variances.items()]
+        variance = np.sum(terms, axis=0)[whole.order]
+        amounts = np.ones(whole.shared.shape[1])
+        for name, columns in self.shared.items():
+            amounts[columns] = factors.get(name, 1.0)
+        carried = factors.get(CARRIED, 1.0) ** 2 * whole.carried
+        changed = dataclasses.replace(
+            whole,
+            single=variance / whole.scale**2,
+            carried=carried,
+            decay=whole.decay if carried else np.zeros(len(whole.decay)),
+            shared=(whole.shared * amounts)[:, amounts > 0.0],
+        )
+        return LinearFactor(changed)
 
-    def weigh(self, slopes: Array, factors: Mapping[str, float]) -> Array:
-        """C^-1 times slopes (k, n)."""
-        covariance = self.covariance(factors)
-        if covariance.ndim == 1:
-            return np.asarray(slopes / covariance[:, None])
-        return np.asarray(np.linalg.solve(covariance, slopes), dtype=float)
+    def whiten(self, values: Array, factors: Mapping[str, float]) -> Array:
+        """W Y (N, m), in an order of its own, with W C W^T = 1, for Y (N, m)."""
+        return self.factor(factors).whiten(values)
+
+    def weigh(self, values: Array, factors: Mapping[str, float]) -> Array:
+        """C^-1 Y (N, m), for Y (N, m)."""
+        return self.factor(factors).precision(values)
 
     def between(self, name: str, weighed: Array) -> Array:
-        """K^T C_j K (n, n) of one error, for K (k, n)."""
-        part = self.parts.get(name)
-        if part is None:
-            return np.zeros((weighed.shape[1], weighed.shape[1]))
-        applied = weighed * part[:, None] if part.ndim == 1 else part @ weighed
-        return np.asarray(weighed.T @ applied)
+        """K^T C_j K (n, n) of one independent error, for K (N, n)."""
+        return np.asarray(weighed.T @ (weighed * self.variances[name][:, None]))
 
 
-def errors_of_runs(
+def errors_of_readings(
     structure: ReadingStructure, laws: Laws, instruments: Sequence[str]
-) -> tuple[ErrorsOfRun, ...]:
-    """The runs of a structure under the first of the laws.
+) -> ReadingErrors:
+    """Errors of the readings of a structure under the first of the laws.
 
     instruments  (N,) name of the instrument of each reading
     """
-    run = structure.run[structure.chain]
-    names = np.asarray(instruments)
-    return tuple(
-        _errors_of_run(structure, laws, np.flatnonzero(run == number), names)
-        for number in np.unique(run)
-    )
-
-
-def _errors_of_run(
-    structure: ReadingStructure, laws: Laws, members: Index, instruments: np.ndarray
-) -> ErrorsOfRun:
-    scale = laws.scale[0, structure.group[members]]
-    single = (1.0 - laws.carried[0]) * scale**2
+    names, whole = np.asarray(instruments), errors_of(structure, laws)
+    single = (1.0 - laws.carried[0]) * laws.scale[0, structure.group] ** 2
     stated = np.minimum(single, 1.0)
-    of_run = instruments[members]
-    parts = {
-        instrument_source(name): np.where(of_run == name, stated, 0.0)
-        for name in dict.fromkeys(of_run.tolist())
+    variances = {
+        instrument_source(name): np.where(names == name, stated, 0.0)
+        for name in dict.fromkeys(instruments)
     }
     if (single > 1.0).any():
-        parts[BEYOND] = single - stated
-    shared = _shared(structure, laws, members, scale)
-    if not shared and laws.carried[0] == 0.0:
-        return ErrorsOfRun(members, parts)
-    matrices = {name: np.diag(variances) for name, variances in parts.items()} | shared
-    carried = _dense(structure, laws, members) - np.sum(list(matrices.values()), axis=0)
-    if laws.carried[0] > 0.0:
-        matrices[CARRIED] = carried
-    return ErrorsOfRun(members, matrices)
+        variances[BEYOND] = single - stated
+    amounts = laws.sizes[0, structure.kinds]
+    shared = {
+        name: np.flatnonzero(np.isin(structure.kinds, kinds) & (amounts > 0.0))
+        for name, kinds in SHARED_KINDS.items()
+    }
+    shared = {name: columns for name, columns in shared.items() if columns.size}
+    errors = ReadingErrors(whole, variances, shared, ())
+    return dataclasses.replace(errors, names=_names(structure, errors))
 
 
-def _shared(
-    structure: ReadingStructure, laws: Laws, members: Index, scale: Array
-) -> dict[str, Array]:
-    """Covariances (k, k) of what the readings of a run share."""
-    shared: dict[str, Array] = {}
-    errors = structure.columns[members] * laws.sizes[0, structure.kinds]
-    errors *= scale[:, None]
-    for name, kinds in SHARED_KINDS.items():
-        columns = errors[:, np.isin(structure.kinds, kinds)]
-        if columns.any():
-            shared[name] = columns @ columns.T
-    return shared
-
-
-def _dense(structure: ReadingStructure, laws: Laws, members: Index) -> Array:
-    """Covariance (k, k) of one run, as the noise model has it."""
-    return dense_covariance(structure.take(members), laws)
+def _names(structure: ReadingStructure, errors: ReadingErrors) -> tuple[str, ...]:
+    """Names of the errors, in the order in which runs have them first."""
+    run = structure.run[structure.chain]
+    by_reading = {name: v > 0.0 for name, v in errors.variances.items()}
+    for name, columns in errors.shared.items():
+        by_reading[name] = structure.columns[:, columns].any(axis=1)
+    if errors.whole.carried:
+        by_reading[CARRIED] = np.ones(len(structure), dtype=bool)
+    names: dict[str, None] = {}
+    for number in np.unique(run):
+        members = run == number
+        names |= {n: None for n, has in by_reading.items() if has[members].any()}
+    return tuple(names)

@@ -10,11 +10,12 @@ estimation moves the point to its result.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.arrays import Array, Index
 from oed.machine import Parameter
 from oed.measurement import Measurement, Series
 
@@ -78,3 +79,16 @@ class MeasurementWithEffects(Measurement):
         rows = super()._jacobian(series, theta)
         rows[..., self._size :] = self._columns[id(series.q)]
         return rows
+
+    def _with_taken(
+        self, taken: Sequence[tuple[Series, Series, Index]]
+    ) -> MeasurementWithEffects:
+        measurement = copy.copy(self)
+        measurement._series = tuple(part for _, part, _ in taken)
+        measurement._columns, measurement._offset = {}, {}
+        for series, part, readings in taken:
+            channels = len(self.setups[series.setup].sigma)
+            rows = (readings[:, None] * channels + np.arange(channels)).ravel()
+            measurement._columns[id(part.q)] = self._columns[id(series.q)][rows]
+            measurement._offset[id(part.q)] = self._offset[id(series.q)][rows]
+        return measurement

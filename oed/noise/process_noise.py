@@ -56,6 +56,14 @@ def process_noise(structure: ReadingStructure, laws: Laws) -> ProcessNoise:
 
 def factor_of(structure: ReadingStructure, laws: Laws) -> LinearFactor:
     """Root of the covariance under the first of the laws, over the stated noise."""
+    return LinearFactor(errors_of(structure, laws))
+
+
+def errors_of(structure: ReadingStructure, laws: Laws) -> Errors:
+    """Errors of readings under the first of the laws, in units of the stated noise.
+
+    Their shared columns are those of the structure, times their sizes.
+    """
     chain = structure.chain
     order = np.lexsort((structure.position, chain))
     ordered, position = chain[order], structure.position[order]
@@ -65,7 +73,7 @@ def factor_of(structure: ReadingStructure, laws: Laws) -> LinearFactor:
     decay = np.exp(-np.where(first, np.inf, steps) / laws.reach[0])
     new_run = np.diff(structure.run[ordered], prepend=-1) > 0
     amounts = laws.sizes[0, structure.kinds]
-    errors = Errors(
+    return Errors(
         order=order,
         starts=np.flatnonzero(new_run),
         before=np.where(first, place, place - 1),
@@ -75,18 +83,3 @@ def factor_of(structure: ReadingStructure, laws: Laws) -> LinearFactor:
         shared=(structure.columns * amounts)[order],
         scale=laws.scale[0, structure.group][order],
     )
-    return LinearFactor(errors)
-
-
-def dense_covariance(structure: ReadingStructure, laws: Laws) -> Array:
-    """Covariance (N, N) under the first of the laws, in units of the stated noise."""
-    same_chain = structure.chain[:, None] == structure.chain
-    run = structure.run[structure.chain]
-    distance = np.abs(structure.position[:, None] - structure.position)
-    carried = np.exp(-distance / laws.reach[0]) * same_chain
-    single = (1.0 - laws.carried[0]) * np.eye(len(structure))
-    columns = structure.columns * laws.sizes[0, structure.kinds]
-    shared = (columns @ columns.T) * (run[:, None] == run)
-    scale = laws.scale[0, structure.group]
-    unit = single + laws.carried[0] * carried + shared
-    return np.asarray(unit * scale[:, None] * scale)

@@ -11,11 +11,11 @@ import pytest
 from scipy import sparse
 
 from kernel import gap_problem as case
+from kernel.dense_noise import dense_covariance
 from kernel.gap_lines import readings
 from oed.gap.data.metric import Metric
 from oed.noise.law import NoiseLaw, describe, law_of
 from oed.noise.process import Laws
-from oed.noise.process_noise import dense_covariance
 from oed.noise.stated import StatedErrors
 from oed.noise.structure import reading_structure
 

@@ -15,6 +15,7 @@ from reference import tian_2016 as paper
 from scipy import stats
 
 from kernel import a3_plans
+from kernel.dense_noise import dense_covariance
 from oed import reading_noise, simulation
 from oed.budget import budget_model
 from oed.design import candidates
@@ -26,7 +27,6 @@ from oed.noise import prior
 from oed.noise.covariance import SeveralNoises
 from oed.noise.outliers import Precision, StudentT, detect, fisher_information
 from oed.noise.process import Whitening, stated_laws
-from oed.noise.process_noise import dense_covariance
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 from oed.noise.structure import reading_structure
 
@@ -88,10 +88,9 @@ def test_the_stated_covariance_holds_what_is_stated(run: float) -> None:
     y = np.random.default_rng(0).standard_normal((24, 2))
     gram = Whitening(structure, law).gram(structure.standardise(y))[0]
     assert gram == pytest.approx(y.T @ np.linalg.solve(exact, y), rel=1e-9)
-    of_runs = budget_model(m, [series], m.nominal).runs
-    for part in of_runs:
-        block = exact[np.ix_(part.members, part.members)] / SIGMA**2
-        assert part.covariance({}) == pytest.approx(block, rel=1e-8, abs=1e-9)
+    of_budget = budget_model(m, [series], m.nominal).readings
+    whole = of_budget.weigh(exact / SIGMA**2, {})
+    assert whole == pytest.approx(np.eye(24), abs=1e-8)
 
 
 @pytest.mark.parametrize("run", [0.0, RUN])

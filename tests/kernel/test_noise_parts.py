@@ -1,0 +1,77 @@
+"""Errors of readings that add up, each with a factor, against dense matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oed.budget import noise_parts as parts
+from oed.instrument import mount
+from oed.measurement import Measurement
+from oed.noise.prior import noise_prior
+from oed.noise.process import Laws
+from oed.noise.structure import ReadingStructure, reading_structure
+from pkm_models.instruments import ball_bar
+from pkm_models.machines import a3_head
+
+FACTORS = (
+    {},
+    {parts.CARRIED: 0.0},
+    {parts.LEVELS: 0.5, parts.SEAT: 0.0},
+    {parts.instrument_source("bar"): 0.1, parts.BEYOND: 0.0},
+)
+
+
+@pytest.fixture(scope="module")
+def circles() -> ReadingStructure:
+    """Three circles of 40 readings, whose cup is seated at each."""
+    bar = mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0))
+    m = Measurement(a3_head.machine, [bar])
+    heights = np.repeat([1.15, 1.2, 1.25], 40)
+    psi = np.tile(np.linspace(-3.0, 3.0, 40), 3)
+    command = np.column_stack([heights, psi, np.full(120, 0.4)])
+    series = m.series("bar", command, run=[f"z {z}" for z in heights])
+    return reading_structure(m, [series], m.nominal)
+
+
+def covariance(
+    structure: ReadingStructure, laws: Laws, factors: dict[str, float]
+) -> np.ndarray:
+    """The sum of the module's docstring, matrix by matrix, of one instrument."""
+    share, scale = laws.carried[0], laws.scale[0, structure.group]
+    same_chain = structure.chain[:, None] == structure.chain
+    distance = np.abs(structure.position[:, None] - structure.position)
+    single = (1.0 - share) * scale**2
+    stated = np.minimum(single, 1.0)
+    of = {
+        parts.instrument_source("bar"): np.diag(stated),
+        parts.BEYOND: np.diag(single - stated),
+        parts.CARRIED: share
+        * np.exp(-distance / laws.reach[0])
+        * same_chain
+        * np.outer(scale, scale),
+    }
+    columns = structure.columns * laws.sizes[0, structure.kinds] * scale[:, None]
+    for name, kinds in parts.SHARED_KINDS.items():
+        some = columns[:, np.isin(structure.kinds, kinds)]
+        of[name] = some @ some.T * same_chain
+    return sum(factors.get(name, 1.0) ** 2 * part for name, part in of.items())
+
+
+@pytest.mark.parametrize("factors", FACTORS)
+def test_errors_with_factors_are_those_of_dense_matrices(
+    circles: ReadingStructure, factors: dict[str, float]
+) -> None:
+    rng = np.random.default_rng(2)
+    prior = noise_prior(circles)
+    laws = prior.laws(rng.standard_normal((1, prior.dimensions)))
+    errors = parts.errors_of_readings(circles, laws, ["bar"] * len(circles))
+    dense = covariance(circles, laws, factors)
+    y = rng.standard_normal((len(circles), 3))
+    exact = np.linalg.solve(dense, y)
+    white = errors.whiten(y, factors)
+    assert errors.weigh(y, factors) == pytest.approx(exact, rel=1e-8, abs=1e-8)
+    assert white.T @ white == pytest.approx(y.T @ exact, rel=1e-9)
+    name = parts.instrument_source("bar")
+    stated = np.minimum((1.0 - laws.carried[0]) * laws.scale[0, 0] ** 2, 1.0)
+    assert errors.between(name, y) == pytest.approx(stated * y.T @ y)
