@@ -26,6 +26,7 @@ from oed.interpolated_readings import (
 )
 from oed.measurement import Measurement, Series
 from oed.noise.process import Whitening
+from oed.series import take_values
 
 #: degrees of freedom of the independent proposals' Student tails
 PROPOSAL_DOF = 20.0
@@ -139,7 +140,14 @@ class LogDensity:
         return interpolate(self._exact, self._some, theta, self._noise.sigma)
 
     def _some(self, rows: Index) -> Readings:
-        return self.measurement.some_readings_near(self._series, self._theta, rows)
+        """Readings (m, k) of some rows (k,)."""
+        setups = self.measurement.setups
+        channels = [len(setups[s.setup].sigma) for s in self._series]
+        taken, places = take_values(self._series, channels, rows)
+        measurement = self.measurement.of_taken(taken)
+        parts = [some.part for some in taken]
+        readings = measurement.readings_near(parts, self._theta)
+        return lambda theta: readings(theta)[:, places]
 
     def __call__(self, points: Array) -> Array:
         """Log density (walkers,) at points (walkers, dimensions).

@@ -15,7 +15,7 @@ import numpy as np
 
 from oed import reading_noise
 from oed.adjoints import PoseAdjoints
-from oed.arrays import Array, Index, Mask
+from oed.arrays import Array, Mask
 from oed.fixed_reading import solve_coordinate
 from oed.instrument import Setup
 from oed.kinematics import AssemblyError, Kinematics
@@ -25,7 +25,7 @@ from oed.noise.covariance import Noise, concatenate_noise
 from oed.observation import ObservationModel, Response
 from oed.parameter_vector import ParameterVector
 from oed.pose_cache import PoseCache
-from oed.series import Series, index_poses, run_labels
+from oed.series import Series, TakenReadings, index_poses, run_labels
 
 __all__ = ["Measurement", "Response", "Series"]
 
@@ -180,31 +180,8 @@ class Measurement(ParameterVector):
 
         return readings
 
-    def some_readings_near(
-        self, series: Sequence[Series], theta: Array, rows: Index
-    ) -> Callable[[Array], Array]:
-        """The same of some readings, by their numbers (k,) in rising order."""
-        taken, chosen = [], []
-        first = kept = 0
-        for s in series:
-            channels = len(self.setups[s.setup].sigma)
-            values = rows[(rows >= first) & (rows < first + len(s) * channels)] - first
-            first += len(s) * channels
-            reading = np.unique(values // channels)
-            if not reading.size:
-                continue
-            place = np.searchsorted(reading, values // channels)
-            taken.append((s, s.take(reading), reading))
-            chosen.append(kept + place * channels + values % channels)
-            kept += len(reading) * channels
-        readings = self._with_taken(taken).readings_near([t for _, t, _ in taken], theta)
-        columns = np.concatenate(chosen)
-        return lambda vectors: readings(vectors)[:, columns]
-
-    def _with_taken(
-        self, taken: Sequence[tuple[Series, Series, Index]]
-    ) -> Measurement:
-        """The measurement of series that take some readings (k,) of others."""
+    def of_taken(self, taken: Sequence[TakenReadings]) -> Measurement:
+        """The measurement of series that have some readings of others."""
         return self
 
     def perturbed_readings(

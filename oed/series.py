@@ -102,6 +102,43 @@ class Series:
         )
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class TakenReadings:
+    """Some readings of a series.
+
+    whole  the series
+    part   the readings `rows` of it
+    rows   (k,) in rising order
+    """
+
+    whole: Series
+    part: Series
+    rows: Index
+
+
+def take_values(
+    series: Sequence[Series], channels: Sequence[int], values: Index
+) -> tuple[list[TakenReadings], Index]:
+    """The readings that some values belong to, and where these are among theirs (k,).
+
+    channels  values of a reading of each series
+    values    (k,) numbers of values, in rising order; a reading's follow each other
+    """
+    taken: list[TakenReadings] = []
+    places = []
+    first = before = 0
+    for s, count in zip(series, channels, strict=True):
+        inside = (values >= first) & (values < first + len(s) * count)
+        reading, channel = np.divmod(values[inside] - first, count)
+        first += len(s) * count
+        rows = np.unique(reading)
+        if rows.size:
+            taken.append(TakenReadings(s, s.take(rows), rows))
+            places.append(before + np.searchsorted(rows, reading) * count + channel)
+            before += len(rows) * count
+    return taken, np.concatenate(places).astype(np.intp)
+
+
 def run_labels(run: Sequence[str] | None, count: int) -> np.ndarray:
     """Run (count,) of each pose; `1` for all by default."""
     return np.array(["1"] * count if run is None else list(run), dtype=np.str_)

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.arrays import Array, Index, Mask
 from oed.noise.factor import Errors, LinearFactor
 from oed.noise.process import Laws
 from oed.noise.process_noise import errors_of
@@ -123,9 +123,11 @@ def errors_of_readings(
 def _names(structure: ReadingStructure, errors: ReadingErrors) -> tuple[str, ...]:
     """Names of the errors, in the order in which runs have them first."""
     run = structure.run[structure.chain]
-    by_reading = {name: v > 0.0 for name, v in errors.variances.items()}
+    by_reading: dict[str, Mask] = {
+        name: np.asarray(v > 0.0) for name, v in errors.variances.items()
+    }
     for name, columns in errors.shared.items():
-        by_reading[name] = structure.columns[:, columns].any(axis=1)
+        by_reading[name] = np.asarray(structure.columns[:, columns].any(axis=1))
     if errors.whole.carried:
         by_reading[CARRIED] = np.ones(len(structure), dtype=bool)
     names: dict[str, None] = {}

@@ -15,9 +15,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.arrays import Array
 from oed.machine import Parameter
 from oed.measurement import Measurement, Series
+from oed.series import TakenReadings
 
 #: name of a coefficient in theta: `effect: coefficient`
 SEPARATOR = ": "
@@ -80,15 +81,15 @@ class MeasurementWithEffects(Measurement):
         rows[..., self._size :] = self._columns[id(series.q)]
         return rows
 
-    def _with_taken(
-        self, taken: Sequence[tuple[Series, Series, Index]]
-    ) -> MeasurementWithEffects:
+    def of_taken(self, taken: Sequence[TakenReadings]) -> MeasurementWithEffects:
+        """The measurement of series that have some readings of its own."""
         measurement = copy.copy(self)
-        measurement._series = tuple(part for _, part, _ in taken)
+        measurement._series = tuple(some.part for some in taken)
         measurement._columns, measurement._offset = {}, {}
-        for series, part, readings in taken:
-            channels = len(self.setups[series.setup].sigma)
-            rows = (readings[:, None] * channels + np.arange(channels)).ravel()
-            measurement._columns[id(part.q)] = self._columns[id(series.q)][rows]
-            measurement._offset[id(part.q)] = self._offset[id(series.q)][rows]
+        for some in taken:
+            whole, part = id(some.whole.q), id(some.part.q)
+            channels = np.arange(len(self.setups[some.whole.setup].sigma))
+            values = (some.rows[:, None] * len(channels) + channels).ravel()
+            measurement._columns[part] = self._columns[whole][values]
+            measurement._offset[part] = self._offset[whole][values]
         return measurement

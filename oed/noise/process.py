@@ -149,8 +149,8 @@ class Whitening:
         length, chains, count = reading.shape
         out = np.empty((len(blocks), len(self.laws), chains, length, count))
         for some, laws in self._batches(len(blocks)):
-            own = blocks[some] if len(values) == 1 else blocks[some, laws]
-            self._innovate(own, laws, out[some, laws])
+            batch = blocks[some] if len(values) == 1 else blocks[some, laws]
+            self._innovate(batch, laws, out[some, laws])
         if scale is not None:
             out /= scale[:, :, None, None]
         return out.reshape(*out.shape[:3], length * count)

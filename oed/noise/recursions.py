@@ -41,7 +41,7 @@ def in_blocks(values: Array, fill: float = 0.0) -> Array:
 def out_of_blocks(blocks: Array, steps: int) -> Array:
     """Blocks (S, ..., B) as values (..., T): the inverse of `in_blocks`."""
     values = np.ascontiguousarray(np.moveaxis(blocks, 0, -1))
-    return values.reshape(*values.shape[:-2], -1)[..., :steps]
+    return np.asarray(values.reshape(*values.shape[:-2], -1)[..., :steps])
 
 
 def next_steps(blocks: Array) -> Array:
@@ -60,7 +60,7 @@ def states_at_starts(pole: Array, drive: Array) -> Array:
 
     The first state of a chain is 0.
     """
-    starts = np.zeros_like(drive[0])
+    starts: Array = np.zeros_like(drive[0])
     blocks = starts.shape[-1]
     if blocks == 1:
         return starts
@@ -99,7 +99,7 @@ def carried_variances(decay: Array, carried: Array) -> Array:
 
 def _variances_at_starts(square: Array, fresh: Array, alone: Array) -> Array:
     """u (L, C, B) before the first step of each block."""
-    starts = np.zeros(square.shape[1:])
+    starts: Array = np.zeros_like(square[0])
     blocks = starts.shape[-1]
     if blocks == 1:
         return starts

@@ -58,18 +58,6 @@ class ReadingStructure:
     def __len__(self) -> int:
         return len(self.group)
 
-    def take(self, members: Index) -> ReadingStructure:
-        """Some of the readings, channels decoupled; the numbers of chains stay."""
-        return dataclasses.replace(
-            self,
-            group=self.group[members],
-            chain=self.chain[members],
-            position=self.position[members],
-            unit=self.unit[members],
-            decouple=None,
-            columns=self.columns[members],
-        )
-
     @functools.cached_property
     def slot(self) -> tuple[Index, Index]:
         """Chain and place within it of each reading, for arrays (C, T, ...)."""
