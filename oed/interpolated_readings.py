@@ -21,6 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from oed.arrays import Array, Index
+from oed.nearby_poses import NEAR_ERROR
 
 #: readings from which on interpolation is faster
 LEAST_READINGS = 1000
@@ -28,8 +29,10 @@ LEAST_READINGS = 1000
 POINTS, CHECKS = 200, 20
 #: readings of points that are solved at once
 AT_ONCE = 300_000
-#: error over the noise of a reading that is left out, and that the checks may show
-LEFT_OUT, LARGEST_ERROR = 1e-6, 1e-5
+#: error over the noise of a reading that is left out, or that over what the solver leaves
+LEFT_OUT, OVER_SOLVER = 1e-6, 3.0
+#: error that the checks may show, over that
+LARGEST_ERROR = 10.0
 
 #: readings (m, k) at parameters (m, n), NaN where a machine cannot be assembled
 Readings = Callable[[Array], Array]
@@ -82,14 +85,15 @@ def interpolate(
     changes = (values[assembled] - middle) / sigma
     snapshots, checks = changes[1:-CHECKS], changes[-CHECKS:]
     triangle, order = linalg.qr(snapshots, mode="r", pivoting=True, check_finite=False)
-    count = int((np.abs(np.diag(triangle)) > LEFT_OUT).sum())
+    left_out = max(LEFT_OUT, OVER_SOLVER * NEAR_ERROR / float(sigma.min()))
+    count = int((np.abs(np.diag(triangle)) > left_out).sum())
     if not 0 < count < len(snapshots):
         return exact
     rows = np.sort(order[:count])
     inverse = linalg.solve_triangular(triangle[:count, :count], triangle[:count])
     matrix = np.empty((count, len(sigma)))
     matrix[:, order] = inverse[np.argsort(order[:count])]
-    if np.abs(checks[:, rows] @ matrix - checks).max() > LARGEST_ERROR:
+    if np.abs(checks[:, rows] @ matrix - checks).max() > LARGEST_ERROR * left_out:
         return exact
     matrix *= sigma / sigma[rows, None]
     return InterpolatedReadings(some(rows), middle, rows, matrix)

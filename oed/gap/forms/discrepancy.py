@@ -78,18 +78,33 @@ def build(problem: GapProblem) -> Library:
 
 
 def assembled(
-    columns: Sequence[Array], atoms: Sequence[Atom], labels: Sequence[str]
+    columns: list[Array], atoms: Sequence[Atom], labels: Sequence[str]
 ) -> Library:
-    """Blocks of columns (N, k) of a discrepancy, in units of the noise, as a library."""
+    """Blocks of columns (N, k) of a discrepancy, in units of the noise, as a library.
+
+    The list of blocks is empty afterwards: those of long sessions would be twice in
+    memory.
+    """
     count = len(labels)
     return Library(
-        columns=np.hstack(columns),
+        columns=_joined(columns),
         atoms=tuple(atoms),
         names=tuple(f"discrepancy {k}" for k in range(count)),
         labels=tuple(labels),
         scales=np.ones(count),
         not_testable={},
     )
+
+
+def _joined(blocks: list[Array]) -> Array:
+    """Blocks (N, k) side by side (N, K); the list is emptied on the way."""
+    joined = np.empty((len(blocks[0]), sum(block.shape[1] for block in blocks)))
+    start = 0
+    while blocks:
+        block = blocks.pop(0)
+        joined[:, start : start + block.shape[1]] = block
+        start += block.shape[1]
+    return joined
 
 
 def _columns(term: Term) -> tuple[Array, Index]:
