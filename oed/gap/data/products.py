@@ -41,6 +41,7 @@ class ColumnProducts:
         self._grams = some.grams()
         self._place = np.full(effects.shape[1], -1, dtype=np.intp)
         self._place[needed] = np.arange(len(needed))
+        del whitened  # before the processes' columns take their place
         of_processes = WhitenedColumns(problem, metric, processes)
         #: energy (P,) of each processes' column, and projection (P,) of the residual
         self.process_diagonal = of_processes.diagonal
