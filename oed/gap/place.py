@@ -174,11 +174,11 @@ def _place(name: str, energy: Array, total: Array, even: float) -> _Place:
 
 
 def _labelled(problem: GapProblem, drawn: _Draws) -> Iterator[_Place]:
-    """Legs and set-ups by their columns."""
-    total = np.sum(list(drawn.parts.values()), axis=0)
+    """Legs and set-ups by their columns, of what has columns of legs or set-ups."""
     setups = problem.rows["setup"].nunique()
     for kind, count in (("leg", len(problem.states[0].limbs)), ("set-up", setups)):
         labels = [label for label in drawn.parts if label.startswith(f"{kind} ")]
+        total = sum((drawn.parts[label] for label in labels), np.zeros(1))
         if count > 1:
             for label in labels:
                 yield _place(label, drawn.parts[label], total, 1.0 / count)
@@ -209,7 +209,7 @@ def _run_names(problem: GapProblem) -> list[str]:
 
 
 def _stretch_of_time(problem: GapProblem, drawn: _Draws) -> Iterator[_Place]:
-    """The stretch of the session that is densest in what acts, also where calibration absorbs it.
+    """The stretch of the session that is densest in what acts.
 
     It ends halfway between its readings and those beside it.
     """
