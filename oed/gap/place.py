@@ -55,13 +55,13 @@ class LikelyForms:
 class _Draws:
     """Energy of what acts, in units of the stated noise, in D draws.
 
-    acting    (N, D) in each reading, before the parameters absorb
-    left      (N, D) as calibration leaves it
-    parts     {label: (D,)} of the columns of each label, as calibration leaves them
+    acting       (N, D) in each reading, before the parameters absorb
+    remaining    (N, D) as calibration leaves it
+    parts        {label: (D,)} of the columns of each label, as calibration leaves them
     """
 
     acting: Array
-    left: Array
+    remaining: Array
     parts: dict[str, Array]
 
 
@@ -111,10 +111,13 @@ def _draw(
     labels = dict.fromkeys(label for part in drawn for label in part.parts)
     return _Draws(
         acting=np.hstack([part.acting for part in drawn]),
-        left=np.hstack([part.left for part in drawn]),
+        remaining=np.hstack([part.remaining for part in drawn]),
         parts={
             label: np.concatenate(
-                [part.parts.get(label, np.zeros(part.left.shape[1])) for part in drawn]
+                [
+                    part.parts.get(label, np.zeros(part.remaining.shape[1]))
+                    for part in drawn
+                ]
             )
             for label in labels
         },
@@ -131,13 +134,13 @@ def _of_model(
     root = linalg.cholesky(precision, lower=True)
     spread = linalg.solve_triangular(root, normal, lower=True, trans="T")
     beta = linalg.cho_solve((root, True), b) + spread
-    left = columns - problem.slopes @ metric.fit(columns)
+    remaining = columns - problem.slopes @ metric.fit(columns)
     labels = np.array(model.labels)
     parts = {}
     for label in dict.fromkeys(model.labels):
         at = labels == label
-        parts[label] = np.sum((left[:, at] @ beta[at]) ** 2, axis=0)
-    return _Draws((columns @ beta) ** 2, (left @ beta) ** 2, parts)
+        parts[label] = np.sum((remaining[:, at] @ beta[at]) ** 2, axis=0)
+    return _Draws((columns @ beta) ** 2, (remaining @ beta) ** 2, parts)
 
 
 # -- places ----------------------------------------------------------------------------
@@ -194,7 +197,7 @@ def _runs(problem: GapProblem, drawn: _Draws) -> list[_Place]:
     if len(problem.members) < 2:
         return []
     names = zip(_run_names(problem), problem.members, strict=True)
-    places = [_of_readings(name, rows, drawn.left) for name, rows in names]
+    places = [_of_readings(name, rows, drawn.remaining) for name, rows in names]
     places.sort(key=_rank)
     clear = [p for p in places[1:RUNS] if p.block.p_value < STANDS_OUT]
     return [places[0], *clear]
@@ -246,10 +249,10 @@ def _stretch_of_phase(problem: GapProblem, drawn: _Draws) -> Iterator[_Place]:
         return
     rows = np.concatenate(long)
     number = (phase[rows] / (2.0 * np.pi) * SECTORS).astype(int) % SECTORS
-    cells = _densest(number, drawn.left[rows], SECTORS, around=True)
+    cells = _densest(number, drawn.remaining[rows], SECTORS, around=True)
     begin, end = 360 * cells[0] // SECTORS, 360 * (cells[-1] + 1) // SECTORS
     inside = rows[np.isin(number, cells)]
-    stretch = _of_readings(f"phase {begin}-{end}", inside, drawn.left)
+    stretch = _of_readings(f"phase {begin}-{end}", inside, drawn.remaining)
     if stretch.confines > WORTH:
         yield stretch
 
@@ -261,7 +264,7 @@ def _directions(problem: GapProblem, drawn: _Draws) -> Iterator[_Place]:
     if (direction > 0.0).any() and (direction < 0.0).any():
         for sign in (1, -1):
             rows = np.flatnonzero(direction == sign)
-            yield _of_readings(f"direction {sign:+d}", rows, drawn.left)
+            yield _of_readings(f"direction {sign:+d}", rows, drawn.remaining)
 
 
 def _densest(number: Index, energy: Array, count: int, around: bool = False) -> Index:

@@ -26,6 +26,11 @@ class AnswerRecord(Record, frozen=True):
     classes: list[list[str]] = []
     unseen: float = 0.0
 
+    @property
+    def visible(self) -> float:
+        """Probability at sizes that the readings show."""
+        return self.probability - self.unseen
+
 
 class PlaceRecord(Record, frozen=True):
     """A place of the gap: `leg 1`, `run ID`, `time A-B` (s), `phase A-B` (deg),

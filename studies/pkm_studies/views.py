@@ -288,6 +288,7 @@ class DiagnosisView(View):
             {
                 "effects": " + ".join(answer.effects) or "none",
                 "probability": answer.probability,
+                "unseen": answer.unseen,
             }
             for answer in self.section.answers
         ]

@@ -56,6 +56,15 @@ def test_no_gap_asks_for_what_was_not_recorded() -> None:
     assert advice[-1] == "Record more with the readings, and more can be tested: time."
 
 
+def test_what_is_too_small_to_be_seen_is_no_rival() -> None:
+    """No effect of it is advised to be tested, and no gap is as sure with it."""
+    unseen = Answer(("slip",), 0.3, (("slip", "bow"),), unseen=0.3)
+    sure = advise([_answer(0.6), unseen, _answer(0.1, "bow")], EFFECTS, {})
+    assert not any("make sure" in sentence for sentence in sure)
+    advice = advise([_answer(0.4), unseen, _answer(0.25, "slip")], EFFECTS, {})
+    assert advice[-1] == "To make sure that it is not slip: both ways."
+
+
 def test_what_is_unknown_may_be_what_could_not_be_tested() -> None:
     lost = {
         "drift": "the readings do not have time",

@@ -87,7 +87,7 @@ def test_shares_are_those_of_the_posterior_in_closed_form(machines: Machines) ->
     for k, leg in enumerate(LEGS):
         expected = left[:, k] @ left[:, k] * second[k, k]
         assert_allclose(drawn.parts[leg].mean(), expected, rtol=0.02)
-    for energy, columns in ((drawn.acting, G), (drawn.left, left)):
+    for energy, columns in ((drawn.acting, G), (drawn.remaining, left)):
         by_reading = np.einsum("nk,kl,nl->n", columns, second, columns)
         assert_allclose(energy.mean(axis=1), by_reading, rtol=0.05)
 

@@ -22,13 +22,18 @@ def advise(
 ) -> tuple[str, ...]:
     """Sentences, the most useful first, for the leading answer.
 
-    Where it is not sure, they also consider the answer behind it.
+    Where it is not sure, they also consider its likeliest rival. Neither no gap nor a
+    rival is less sure for what is too small to be seen.
     """
     known = {e.name: e for e in effects}
     first = answers[0]
     sentences = _for_answer(first, known)
-    if first.probability < SURE and len(answers) > 1:
-        sentences += _between(first, answers[1], known)
+    rivals = [answer for answer in answers[1:] if answer.visible > 0.0]
+    unseen = sum(answer.unseen for answer in answers)
+    sure = first.probability + (0.0 if first.effects else unseen)
+    if sure < SURE and rivals:
+        rival = max(rivals, key=lambda answer: answer.visible)
+        sentences += _between(first, rival, known)
     missing = _missing_covariates(not_testable)
     if missing and not first.effects:
         sentences.append(

@@ -52,6 +52,11 @@ class AnswerGroup:
     probability: float
     unseen: float = 0.0
 
+    @property
+    def is_any_effect(self) -> bool:
+        """Whether it is any effect too small to be seen, which no other group joins."""
+        return self.unseen > 0.0 and bool(self.members)
+
 
 def group(
     searches: Sequence[Search],
@@ -89,8 +94,7 @@ def group(
 def _without_a_sign(nothing: AnswerGroup, names: tuple[str, ...]) -> list[AnswerGroup]:
     """What may act where nothing shows: nothing, any effect, something unknown.
 
-    The readings say nothing of these three, so that they keep their prior shares. Any
-    effect is no answer that another one could join.
+    The readings say nothing of these three, so that they keep their prior shares.
     """
     unseen = PRIOR["unseen"] / (PRIOR["unseen"] + PRIOR["none"])
     unknown = PRIOR["unknown"] / (1.0 - PRIOR["unseen"] - PRIOR["none"])
@@ -127,9 +131,9 @@ def _decision(answers: Sequence[Answer]) -> int:
     gaps = [k for k, answer in enumerate(answers) if answer.effects]
     nothing = [k for k, answer in enumerate(answers) if not answer.effects]
     if not gaps or not nothing:
-        return max(range(len(answers)), key=lambda k: answers[k].seen)
-    likeliest = max(gaps, key=lambda k: answers[k].seen)
-    gap = sum(answers[k].seen for k in gaps)
+        return max(range(len(answers)), key=lambda k: answers[k].visible)
+    likeliest = max(gaps, key=lambda k: answers[k].visible)
+    gap = sum(answers[k].visible for k in gaps)
     total = sum(answer.probability for answer in answers)
     cost = VAGUELY_IN_VAIN if _is_vague(answers[likeliest]) else IN_VAIN
     return likeliest if MISSED * gap > cost * (total - gap) else nothing[0]
@@ -154,9 +158,8 @@ def _add(answers: list[Answer], entry: AnswerGroup) -> None:
         named = clear or [min(named, key=len)]
     unknown = entry.unknown or len(named) < len(entry.members)
     names = frozenset(members[0] for members in named)
-    any_effect = entry.unseen > 0.0 and bool(named)
     for k, answer in enumerate(answers):
-        if (UNKNOWN in answer.effects) != unknown or any_effect:
+        if (UNKNOWN in answer.effects) != unknown or entry.is_any_effect:
             continue
         if _stands_for(names, answer.classes):
             answers[k] = dataclasses.replace(
@@ -215,14 +218,22 @@ def _by_named_effects(groups: Sequence[AnswerGroup]) -> list[list[AnswerGroup]]:
     """Groups of one set of named effects, with or without a remainder, together."""
     sets: list[list[AnswerGroup]] = []
     for entry in sorted(groups, key=lambda g: (g.unseen > 0.0, -g.probability)):
-        names = frozenset(m[0] for m in entry.members if not entry.unseen)
-        same = (s for s in sets if names and _stands_for(names, s[0].members))
+        same = (s for s in sets if _has_same_names(entry, s[0]))
         alike = next(same, None)
         if alike is None:
             sets.append([entry])
         else:
             alike.append(entry)
     return sets
+
+
+def _has_same_names(entry: AnswerGroup, other: AnswerGroup) -> bool:
+    """Whether a group names what another does; no gap and an unknown alone differ."""
+    if entry.is_any_effect:
+        return False
+    names = frozenset(members[0] for members in entry.members)
+    alike = bool(names) or entry.unknown == other.unknown
+    return alike and _stands_for(names, other.members)
 
 
 def verdict(answer: Answer) -> Verdict:

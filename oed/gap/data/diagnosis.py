@@ -32,7 +32,7 @@ class Answer:
     unseen: float = 0.0
 
     @property
-    def seen(self) -> float:
+    def visible(self) -> float:
         """Probability at sizes that the readings show."""
         return self.probability - self.unseen
 

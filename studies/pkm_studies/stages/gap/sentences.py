@@ -152,11 +152,12 @@ def _second_explanation(gap: GapSection) -> list[str]:
     """The next explanation, where its probability is considerable."""
     if len(gap.answers) < 2:
         return []
-    best, second = gap.answers[:2]
-    if second.probability - second.unseen < CONSIDERABLE:
+    best, *others = gap.answers
+    second = max(others, key=lambda answer: answer.visible)
+    if second.visible < CONSIDERABLE:
         return []
-    chance = f"(probability {format_probability(second.probability)})"
-    if second.probability > best.probability:
+    chance = f"(probability {format_probability(second.visible)})"
+    if not second.effects and second.probability > best.probability:
         return [
             f"Noise alone is more likely {chance}, but not likely enough to report no"
             " gap."
