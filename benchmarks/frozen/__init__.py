@@ -1,0 +1,1 @@
+"""Numbers that a change of structure must not change, and the comparison with them."""
