@@ -104,8 +104,9 @@ class Instrument:
     renewed                names of the unknowns that each run seats anew, such as the
                            place of a magnetic cup
     unfit(machine)         why it cannot read a machine, in words; None where it can
-    implied                reading (SI) where a file has no column for it: 0 of a closure,
-                           which a machine at rest states by its joints alone
+    implied                reading (SI) where a file has no column for it, of an
+                           instrument whose pose is the measurement: 0 of a closure, or of
+                           a contact. No display shows these readings
     adapt(machine)         the instrument for a machine, where its channels or settings
                            depend on it
     """

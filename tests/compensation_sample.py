@@ -22,6 +22,7 @@ from oed.result import (
 
 SETUPS = {
     "linear_delta": 'instrument = "height_probe"',
+    "delta": 'instrument = "height_probe"',
     "hexapod": 'instrument = "pose_tracker"',
     "micro_cmm": 'instrument = "pose_tracker"',
     "a3_head": 'instrument = "ball_bar"',

@@ -19,6 +19,7 @@ from oed.compensate import compensated_joints
 from oed.kinematics import Kinematics
 from oed.result import GoodnessSection, NoiseRecord
 from pkm_models.machines import a3_head, hexapod, linear_delta, micro_cmm
+from pkm_models.machines import delta as delta_family
 from pkm_studies import cli
 
 Run = Callable[..., tuple[int, str, str]]
@@ -109,10 +110,121 @@ def test_marlin_reproduces_the_compensated_pose(
     assert np.abs(nozzle(1e-3 * np.column_stack(q)) - command).max() < 5e-7
 
 
+def marlin_words(folder: Path) -> tuple[dict[str, str], str]:
+    """Words of M665 and the whole text of the export in a folder."""
+    text = (folder / "compensation.gcode").read_text("utf-8")
+    return words(next(r for r in text.splitlines() if r.startswith("M665"))), text
+
+
+def test_marlin_names_its_version_and_spares_the_calibration_radius(
+    oed: Run, delta_folder: Path, tmp_path: Path
+) -> None:
+    """B is the trim of a rod from 2.0.6 on, and before that the radius of calibration."""
+    code, out, _ = oed("compensate", delta_folder, "--to", "marlin")
+    assert code == 0
+    assert "For Marlin 2.0.6 or later" in out
+    assert "name the version with --firmware" in out
+    given, text = marlin_words(delta_folder)
+    assert set(given) == set("LRHXYZABC")
+    assert "\nM500" not in text  # the version is not known: the user stores it
+    call = ("compensate", delta_folder, "--to", "marlin", "--firmware")
+    assert oed(*call, "2.1.2")[0] == 0
+    given, text = marlin_words(delta_folder)
+    assert set(given) == set("LRHXYZABC")
+    assert "\nM500 ; store\n" in text
+    code, _, err = oed(*call, "2.0.5")
+    assert code == 2
+    assert (
+        "one rod length, and the arms differ; set DELTA_DIAGONAL_ROD_TRIM_TOWER" in err
+    )
+    alike = DELTA.copy()
+    alike[1:4] = 0.345
+    same_rods = sample.save(tmp_path / "s", sample.result(linear_delta.machine, alike))
+    for version in (None, "1.1.8", "2.0.5", "2.0.6"):
+        option = [] if version is None else ["--firmware", version]
+        assert oed("compensate", same_rods, "--to", "marlin", *option)[0] == 0
+        given, text = marlin_words(same_rods)
+        assert ("B" in given) == (version == "2.0.6")
+        assert "\nM500 ; store\n" in text
+    for version, said in (("1.0.2", "has no M665 H"), ("new", "no version of Marlin")):
+        code, _, err = oed(
+            "compensate", same_rods, "--to", "marlin", "--firmware", version
+        )
+        assert code == 2
+        assert said in err
+    code, _, err = oed("compensate", same_rods, "--to", "csv", "--firmware", "2.0.5")
+    assert code == 2
+    assert "csv is the same for all versions" in err
+
+
+def family(**changes: float) -> np.ndarray:
+    """A delta with a radius for each tower, all alike, and upright towers."""
+    machine = delta_family.machine
+    offsets = dict(
+        zip(
+            [p.name for p in linear_delta.machine.parameters],
+            DELTA - linear_delta.machine.nominal,
+            strict=True,
+        )
+    )
+    values = machine.nominal.copy()
+    for k, parameter in enumerate(machine.parameters):
+        stem = "radius" if parameter.name.startswith("radius") else parameter.name
+        values[k] += offsets.get(stem, 0.0) + changes.get(parameter.name, 0.0)
+    return values
+
+
+def family_folder(folder: Path, **changes: float) -> Path:
+    return sample.save(folder, sample.result(delta_family.machine, family(**changes)))
+
+
+def test_klipper_takes_the_family_where_its_parameters_allow(
+    oed: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    folder = family_folder(tmp_path / "upright")
+    assert oed("compensate", folder, "--to", "klipper")[0] == 0
+    text = (folder / "compensation.cfg").read_text("utf-8")
+    command = points(rng)
+    q = 1e-3 * carriages_of_klipper(1e3 * command, text)
+    radius, values = family()[0], family()
+    reached = delta.nozzle(q, radius, values[3:6], values[6:9], values[9:12])
+    assert np.abs(reached - command).max() < 5e-9
+    for kind in ("rrf", "marlin"):
+        assert oed("compensate", folder, "--to", kind)[0] == 0
+    leaning = family_folder(tmp_path / "leaning", lean2=1.5e-3, tip1=-0.8e-3)
+    code, _, err = oed("compensate", leaning, "--to", "klipper")
+    assert code == 2
+    assert "lean2 1.5, tip1 -0.8 mrad" in err
+    assert 'fixed = ["lean1", "lean2", "lean3", "tip1", "tip2", "tip3", ...]' in err
+    uneven = family_folder(tmp_path / "uneven", radius3=3e-4)
+    code, _, err = oed("compensate", uneven, "--to", "klipper")
+    assert code == 2
+    assert (
+        "the towers have three: radius1 162.050, radius2 162.050, radius3 162.350"
+        in err
+    )
+    assert "linear_delta" in err
+    assert oed("compensate", uneven, "--to", "csv")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "stem"), [("f.csv", "f"), ("f.txt", "f"), ("f", "f"), ("f.1", "f.1")]
+)
+def test_further_files_take_the_name_without_its_end(
+    name: str, stem: str, oed: Run, delta_folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out" / name
+    assert oed("compensate", delta_folder, "--to", "csv", "--out", out)[0] == 0
+    written = {path.name for path in out.parent.iterdir()}
+    assert written == {name, f"{stem}_grid.csv", f"{stem}_parameters.csv"}
+
+
 def test_rrf_reproduces_the_compensated_pose(
     oed: Run, delta_folder: Path, rng: np.random.Generator
 ) -> None:
-    """RepRapFirmware: homed carriages stand at H + T - z(T, T, T) + adjustment."""
+    """RepRapFirmware 3: carriage i homes to H + sqrt(L_i^2 - R^2) + its adjustment
+    (homedCarriageHeights of LinearDeltaKinematics::Recalc, since 2.03).
+    """
     assert oed("compensate", delta_folder, "--to", "rrf")[0] == 0
     text = (delta_folder / "compensation.g").read_text("utf-8")
     g, adjust = (
@@ -121,34 +233,17 @@ def test_rrf_reproduces_the_compensated_pose(
     )
     arm = np.array([float(v) for v in g["L"].split(":")])
     a = np.radians([30 + float(g["X"]), 30 - float(g["Y"]), float(g["Z"])])
-    x = float(g["R"]) * np.array([-np.cos(a[0]), np.cos(a[1]), -np.sin(a[2])])
-    y = float(g["R"]) * np.array([-np.sin(a[0]), -np.sin(a[1]), np.cos(a[2])])
-    tower = np.column_stack([x, y, np.full(3, arm[0])])
-    equal = lower_point(tower, arm)[2]
-    homed = float(g["H"]) + arm[0] - equal + [float(adjust[k]) for k in "XYZ"]
+    radius = float(g["R"])
+    x = radius * np.array([-np.cos(a[0]), np.cos(a[1]), -np.sin(a[2])])
+    y = radius * np.array([-np.sin(a[0]), -np.sin(a[1]), np.cos(a[2])])
+    homed = float(g["H"]) + np.sqrt(arm**2 - radius**2)
+    homed += [float(adjust[k]) for k in "XYZ"]
     command = points(rng)
-    across = ((1e3 * command[:, None, :2] - tower[:, :2]) ** 2).sum(-1)
+    tower = np.column_stack([x, y])
+    across = ((1e3 * command[:, None, :2] - tower) ** 2).sum(-1)
     q = homed - (1e3 * command[:, 2:] + np.sqrt(arm**2 - across))
     assert np.abs(nozzle(1e-3 * q) - command).max() < 5e-7
     assert sum(float(adjust[k]) for k in "XYZ") == pytest.approx(0.0, abs=2e-4)
-
-
-def lower_point(centres: np.ndarray, arm: np.ndarray) -> np.ndarray:
-    """The lower point at distances (3,) from three centres, by bisection along z."""
-
-    def across(z: float) -> np.ndarray:
-        r2 = arm**2 - (centres[:, 2] - z) ** 2
-        left = 2 * (centres[1:, :2] - centres[0, :2])
-        size = (centres[:, :2] ** 2).sum(1)
-        return np.linalg.solve(left, size[1:] - size[0] - r2[1:] + r2[0])
-
-    low, high = centres[0, 2] - arm[0], centres[0, 2]
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        point = np.r_[across(middle), middle]
-        inside = np.linalg.norm(point - centres[0]) < arm[0]
-        low, high = (low, middle) if inside else (middle, high)
-    return point
 
 
 def test_linuxcnc_reproduces_a_hexapod_and_a_tripod(

@@ -147,3 +147,17 @@ def test_tables_of_any_separator(
     assert table.header == header
     assert len(table) == 2
     assert table.numbers(header[1])[1] == 4.0
+
+
+def test_contacts_alone_come_in(tmp_path: Path) -> None:
+    """Poses at which a probe stopped the machine need no column of readings."""
+    (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm\n0,0,0.02\n50,0,0.01\n0,50,0.04\n")
+    text = 'machine = "linear_delta"\ninstrument = "contact_probe"\n'
+    (tmp_path / "m.toml").write_text(text)
+    study, imported = session.import_files(
+        "columns", [tmp_path / "p.csv"], tmp_path, column_map=tmp_path / "m.toml"
+    )
+    assert "The readings are 0: the poses are the measurement." in imported.statements
+    loaded = oed.load_study(study)
+    assert loaded.prediction.reference == "home"
+    np.testing.assert_array_equal(oed.read_readings(loaded).state.readings.y, 0.0)

@@ -117,6 +117,18 @@ def test_a_planar_position_by_hand() -> None:
     assert m.readings([series], theta) == pytest.approx([-0.399, 0.298], abs=1e-12)
 
 
+def test_a_contact_with_a_bed_of_known_slopes_by_hand() -> None:
+    """The reading of a contact is implied: 0 over a plane that rises along x and y."""
+    setup = mount(height_probe.contact, "probe", bed_slope_x=6e-3, bed_slope_y=-2e-3)
+    m = Measurement(delta.machine, [setup])
+    series = m.series("probe", np.array([[0.05, -0.02, 0.03]]))
+    theta = m.nominal
+    theta[m.nuisance_slice("probe")] = 1e-4
+    expected = 0.03 + 1e-4 - 6e-3 * 0.05 - 2e-3 * 0.02
+    assert m.readings([series], theta) == pytest.approx([expected], abs=1e-12)
+    assert height_probe.contact.implied == 0.0
+
+
 def test_a_tilted_bed_by_hand() -> None:
     setup = mount(height_probe.tilted_bed, "probe")
     m = Measurement(delta.machine, [setup])

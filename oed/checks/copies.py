@@ -54,9 +54,10 @@ def resolution(session: SessionReadings, members: Index) -> float:
 def equal_readings(session: SessionReadings) -> list[EqualReadings]:
     """Groups of readings with equal values that chance does not explain."""
     groups: list[EqualReadings] = []
+    shown = session.shown
     for s, span in zip(session.series, session.spans, strict=True):
         table = session.y[span].reshape(len(s), -1)
-        if _taken_at_a_stop(s, table):
+        if not shown[span].any() or _taken_at_a_stop(s, table):
             continue
         first = int(session.reading_of_value[span.start])
         labels = pd.DataFrame(table).groupby(list(range(table.shape[1]))).indices
@@ -130,11 +131,12 @@ def computed_readings(session: SessionReadings, nominal: Array, sd: Array) -> In
     sigma = session.measurement.sigma(session.series)
     reading = session.reading_of_value
     close = NOMINAL * sigma + np.minimum(_rounding(session), sigma)
-    near = np.abs(session.y - nominal) <= close
+    shown = session.shown
+    near = shown & (np.abs(session.y - nominal) <= close)
     density = 2.0 * close / (np.sqrt(2.0 * np.pi) * sd)
-    expected = float(np.minimum(density, 1.0).sum())
+    expected = float(np.minimum(density, 1.0)[shown].sum())
     count = int(near.sum())
-    if count < COMPUTED * len(session) or 3.0 * expected > count:
+    if not count or count < COMPUTED * shown.sum() or 3.0 * expected > count:
         return np.empty(0, dtype=np.intp)
     return np.unique(reading[near])
 

@@ -57,6 +57,15 @@ class SessionReadings:
         """Number of channels of a set-up."""
         return len(self.measurement.setups[setup].instrument.channels)
 
+    @property
+    def shown(self) -> Mask:
+        """Mask (N,) of the values that a display showed: not those that a pose implies."""
+        shown = np.ones(len(self), dtype=bool)
+        for name, setup in self.measurement.setups.items():
+            if setup.instrument.implied is not None:
+                shown &= ~self.mask(name)
+        return shown
+
     def take(self, readings: Index) -> SessionReadings:
         """The session with these readings only, by number, in ascending order."""
         wanted = np.zeros(1 + int(self.reading_of_value[-1]), dtype=bool)

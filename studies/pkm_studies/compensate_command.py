@@ -45,6 +45,14 @@ def compensate(
             show_default=False,
         ),
     ] = None,
+    firmware: Annotated[
+        str | None,
+        typer.Option(
+            metavar="VERSION",
+            help="Version of the controller's firmware, as in 2.0.5 [that of the import].",
+            show_default=False,
+        ),
+    ] = None,
     force: Annotated[bool, typer.Option(help="Write a bad fit as well.")] = False,
 ) -> int:
     """Write what the controller reads: parameters, tables, measuring poses."""
@@ -58,6 +66,7 @@ def compensate(
             study_file=study,
             force=force,
             commands=table_grid.COMMANDS if commands is None else commands,
+            firmware=firmware,
         )
     except export.BadFitError as error:
         console.print_error(str(error))

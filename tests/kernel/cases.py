@@ -96,6 +96,7 @@ def _setups(
         mount(ball_bar.instrument, "ball_bar", teach=teach),
         mount(ball_bar.free_cup, "ball_bar_free_cup", tool=tool, **at),
         mount(height_probe.instrument, "height_probe", tool=tool),
+        mount(height_probe.contact, "contact_probe", tool=tool, bed_slope_x=6e-3),
         mount(length_gauge.instrument, "length_gauge", tool=tool, at_z=cup[2]),
         mount(calliper.instrument, "calliper"),
         mount(camera.instrument, "camera", tool=tool),

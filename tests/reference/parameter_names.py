@@ -66,6 +66,7 @@ NUISANCES = {
     "ball_bar": ("cup_x", "cup_y", "cup_z"),
     "ball_bar_free_cup": ("cup_x", "cup_y", "cup_z"),
     "height_probe": ("offset",),
+    "contact_probe": ("offset",),
     "length_gauge": ("height", "tilt_x", "tilt_y"),
     "calliper": ("scale",),
     "camera": REGISTRATION,

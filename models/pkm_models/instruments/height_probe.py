@@ -5,14 +5,18 @@ its tolerance. `tilted_bed` frees the bed's two tilts as well, rotations about x
 
     y = z + offset - tilt_x y_t + tilt_y x_t,
 
-with (x_t, y_t, z) the tool point, first order in the tilts.
+with (x_t, y_t, z) the tool point, first order in the tilts. `contact_probe` stops the
+machine where it touches: the pose is the measurement, and the reading is the height at
+which the probe triggers, over a bed of known slopes,
+
+    y = z + offset - bed_slope_x x_t - bed_slope_y y_t.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from oed.instrument import Channel, Cost, Frame, Instrument
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
 from oed.machine import Expr, Parameter, Values
 
 
@@ -24,6 +28,12 @@ def _over_tilted_bed(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr
     point = frames[0].point
     slope = s["tilt_y"] * point[0] - s["tilt_x"] * point[1]
     return [point[2] + s["offset"] + slope]
+
+
+def _at_contact(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+    point = frames[0].point
+    bed = k["bed_slope_x"] * point[0] + k["bed_slope_y"] * point[1]
+    return [point[2] + s["offset"] - bed]
 
 
 SOURCE = "touch probe of delta printers; height over the bed at the trigger"
@@ -54,4 +64,19 @@ tilted_bed = Instrument(
     ),
     cost=COST,
     observe=_over_tilted_bed,
+)
+
+contact = Instrument(
+    name="contact_probe",
+    source=SOURCE,
+    about="touch probe that stops the machine: the pose at contact is the measurement",
+    channels=(Channel("height", "m", 0.02e-3),),
+    settings=(
+        Setting("bed_slope_x", "1", 0.0, "rise of the bed along x"),
+        Setting("bed_slope_y", "1", 0.0, "rise of the bed along y"),
+    ),
+    nuisances=(OFFSET,),
+    cost=COST,
+    observe=_at_contact,
+    implied=0.0,
 )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed import units
-from oed.arrays import Array, Mask
+from oed.arrays import Array
 from oed.checks.mistakes.variant import Alternatives, Variant
 from oed.checks.session import SessionReadings
 
@@ -21,26 +21,16 @@ def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[V
     The readings of a machine's own constraints are 0 by definition, and no deviations.
     """
     measurement = session.measurement
-    recorded = _recorded(session)
-    if not recorded.any():
+    shown = session.shown
+    if not shown.any():
         return
     predicted = measurement.readings(session.series, measurement.nominal)
-    predicted = np.where(recorded, predicted, 0.0)
+    predicted = np.where(shown, predicted, 0.0)
     length = lengths(session)
     if np.isfinite(length).any():
         base = np.where(np.isfinite(length), length, 0.0)
         yield from _about(session, base, "the nominal length")
     yield from _about(session, predicted, "the readings of the nominal machine")
-
-
-def _recorded(session: SessionReadings) -> Mask:
-    """Readings (N,) that an instrument showed: not those that joints alone imply."""
-    recorded = np.ones(len(session), dtype=bool)
-    for name, setup in session.measurement.setups.items():
-        if setup.instrument.implied is not None:
-            for channel in setup.instrument.channels:
-                recorded[session.mask(name, channel.name)] = False
-    return recorded
 
 
 def _about(session: SessionReadings, base: Array, name: str) -> Iterator[Variant]:

@@ -66,6 +66,7 @@ def compensation(
         poses=_poses(result, machine),
         notes=(*notes, *parameters.conditions),
         tables=tuple(result.corrected.tables) if result.corrected and tables else (),
+        controller=study.controller,
     )
     if not controller.table:
         return content

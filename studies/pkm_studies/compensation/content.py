@@ -13,6 +13,7 @@ from oed.result import EffectTable
 
 if TYPE_CHECKING:
     from oed.kinematics import Kinematics
+    from pkm_studies.study.tables import ControllerTable
 
 #: texts of an export by the end of their file names, such as `.cfg`
 Texts = Mapping[str, str]
@@ -57,6 +58,7 @@ class Compensation:
     notes       sentences that go into every file as comments
     tables      joint corrections of effects by state, for formats that hold them
     grid        of the commands of a table, for formats that hold one
+    controller  what the study says of the machine's firmware
     """
 
     study: str
@@ -69,6 +71,7 @@ class Compensation:
     notes: tuple[str, ...]
     tables: tuple[EffectTable, ...] = ()
     grid: CommandGrid | None = None
+    controller: ControllerTable | None = None
 
     @property
     def tabled(self) -> Array:
@@ -90,6 +93,9 @@ class ControllerFormat:
                            joints (n, nq), SI, that the controller drives to for the
                            compensation's commands, by its own formula from these
                            texts; None where the file does not decide them
+    notes(compensation)    sentences on what the file is for and does not hold; they go
+                           into the file
+    versions               whether the file depends on the version of the firmware
     unfit(machine)         why the controller cannot drive a machine, in words; None
                            where it can
     tables                 whether the file holds tables of effects
@@ -104,6 +110,8 @@ class ControllerFormat:
     write: Callable[[Compensation], Texts]
     joints: Callable[[Texts, Compensation], Array] | None = None
     unfit: Callable[[Machine], str | None] = lambda machine: None
+    notes: Callable[[Compensation], tuple[str, ...]] = lambda compensation: ()
+    versions: bool = False
     tables: bool = False
     table: bool = False
     interpolated: bool = False

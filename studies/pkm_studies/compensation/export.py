@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import msgspec
@@ -19,6 +20,10 @@ from pkm_studies.compensation.table_grid import COMMANDS
 from pkm_studies.errors import InputError, Place
 from pkm_studies.study import SUFFIX, Study, load
 from pkm_studies.study.loader import parse
+from pkm_studies.study.tables import ControllerTable
+
+#: the end of a file's name that is no part of the name itself
+ENDING = re.compile(r"\.[A-Za-z]\w*")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +46,7 @@ def export_folder(
     study_file: Path | None = None,
     force: bool = False,
     commands: int = COMMANDS,
+    firmware: str | None = None,
 ) -> Export:
     """Write the result of a folder in a format.
 
@@ -49,15 +55,34 @@ def export_folder(
     study_file  study, where it names a machine in a file of its own
     force       whether to write a bad fit
     commands    largest number of commands of a table
+    firmware    version of the controller's firmware
 
     Raises InputError, and BadFitError where the fit is bad.
     """
     controller = catalogue.controller_format(reference, Path())
     result = result_folder.load_result(folder)
     study = result_study(result, folder) if study_file is None else load(study_file)
+    if firmware is not None:
+        study = _with_version(study, controller, firmware)
     return export(
         result, study, controller, folder, out=out, force=force, commands=commands
     )
+
+
+def _with_version(study: Study, controller: ControllerFormat, version: str) -> Study:
+    """The study with the version of the firmware that is written for."""
+    if not controller.versions:
+        raise InputError(
+            f"{controller.name} is the same for all versions",
+            "leave it out",
+            field="--firmware",
+            value=version,
+        )
+    known = study.controller
+    if known is None or known.firmware != controller.name:
+        known = ControllerTable(firmware=controller.name)
+    stated = msgspec.structs.replace(known, version=version, m665_b=None)
+    return msgspec.structs.replace(study, controller=stated)
 
 
 def export(
@@ -87,6 +112,9 @@ def export(
             "take csv or json, or a format of your own: path/to/file.py:attribute",
             value=f"--to {controller.name}",
         )
+    content = dataclasses.replace(
+        content, notes=(*content.notes, *controller.notes(content))
+    )
     texts = controller.write(content)
     sentences = (*content.notes, *cost(controller, content))
     whole = complete_budget(controller, content, result)
@@ -162,12 +190,10 @@ def _text(path: Path) -> str:
 def _write(texts: Texts, folder: Path, out: Path | None) -> tuple[Path, ...]:
     """Write the texts; a file that a user names is never replaced."""
     if out is None:
-        stem = folder / "compensation"
-        paths = [stem.with_name(f"{stem.name}{suffix}") for suffix in texts]
+        paths = [folder / f"compensation{suffix}" for suffix in texts]
     else:
-        first = next(iter(texts))
-        base = out.name.removesuffix(Path(first).suffix)
-        others = [out.with_name(f"{base}{suffix}") for suffix in list(texts)[1:]]
+        stem = out.stem if ENDING.fullmatch(out.suffix) else out.name
+        others = [out.with_name(f"{stem}{suffix}") for suffix in list(texts)[1:]]
         paths = [out, *others]
         for path in paths:
             if path.exists():

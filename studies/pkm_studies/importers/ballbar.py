@@ -18,6 +18,7 @@ from oed.arrays import Array
 from oed.kinematics import Kinematics
 from oed.machine import Machine
 from pkm_studies import csv_table
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import Place
 from pkm_studies.importers import column_map
 from pkm_studies.importers.ballbar_circles import MeasuredCircle, measured_circles
@@ -78,7 +79,7 @@ class BallbarImporter:
         return ImportedSession(
             study=_study(request, complete, circles, model, runs),
             rows=_rows(runs, complete, model, place),
-            statements=_statements(runs, columns),
+            statements=_statements(runs, columns, tables),
             column_map=column_map.text(complete),
         )
 
@@ -160,9 +161,15 @@ def _points(angle: Array, circle: CircleFacts) -> Array:
     return units.to_si(centre + circle.radius_mm * points, "mm")
 
 
-def _statements(runs: Sequence[_CircleRun], columns: dict[str, str]) -> list[str]:
+def _statements(
+    runs: Sequence[_CircleRun], columns: dict[str, str], tables: Sequence[CsvTable]
+) -> list[str]:
     taken = ", ".join(f"{source} as {name}" for name, source in columns.items())
     sentences = [f"Columns: {taken}."]
+    headers = dict.fromkeys(name for table in tables for name in table.header)
+    unused = [name for name in headers if name not in columns.values()]
+    if unused:
+        sentences.append(f"Not used: {', '.join(unused)}.")
     for run in runs:
         trace, mean, facts = run.trace, run.mean, run.circle.facts
         sense = "counter-clockwise" if trace.direction > 0 else "clockwise"

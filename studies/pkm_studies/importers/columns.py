@@ -56,13 +56,18 @@ class ColumnsImporter:
             tool,
             setup=setup_table(complete, reference, tool),
             rows=rows(table, columns, given),
-            statements=statements(table, columns, given, tool),
+            statements=statements(table, columns, given, tool, model.machine),
             # a closure read by its joints alone says nothing of the base frame
-            errors="home" if tool.implied is None else "best_fit",
+            errors="best_fit" if _reads_closure(tool, model.machine) else "home",
         )
 
 
 importer = ColumnsImporter()
+
+
+def _reads_closure(tool: Instrument, machine: Machine) -> bool:
+    """Whether the reading is that of a machine's own constraints."""
+    return tool.implied is not None and len(machine.joints) > len(machine.command)
 
 
 def session(
@@ -192,6 +197,7 @@ def statements(
     columns: Mapping[str, str],
     given: ColumnMap,
     tool: Instrument,
+    machine: Machine,
 ) -> list[str]:
     """What was taken for what, and what was not taken."""
     taken = ", ".join(f"{source} as {name}" for name, source in columns.items())
@@ -208,7 +214,11 @@ def statements(
             f"Not read: {', '.join(absent)}; these channels count nothing."
         )
     elif absent:
-        sentences.append(f"The readings are {tool.implied:g}: the machine's closure.")
+        is_closure = _reads_closure(tool, machine)
+        source = (
+            "the machine's closure" if is_closure else "the poses are the measurement"
+        )
+        sentences.append(f"The readings are {tool.implied:g}: {source}.")
     return sentences
 
 

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+from collections.abc import Mapping, Sequence
 
+from pkm_studies.importers import words
 from pkm_studies.importers.base import readings_name
 
-MODEL = "linear_delta"
+#: model of a delta with one radius, and of one with a radius for each tower
+MODEL, FAMILY = "linear_delta", "delta"
 TOWERS = (1, 2, 3)
 #: share of the probed radius that the accuracy is predicted on
 SHARE = 0.7
 #: half the workspace's width over the delta's radius, at least
 WIDTH_SHARE = 0.8
+#: correlation of the errors of the three radii: their differences are held within 10 um
+COMMON = 0.999998
 #: standard deviations of an assembled printer's numbers about those of its firmware
 TOLERANCES = """\
 # How far the true numbers may be from those of the firmware (standard deviations).
 [[prior.tolerance]]
-parameters = ["radius", "endstop*"]
+parameters = ["radius*", "endstop*"]
 sigma_mm = 5.0
 
 [[prior.tolerance]]
@@ -27,13 +33,13 @@ sigma_mm = 5.0
 parameters = ["angle*"]
 sigma_deg = 2.0
 """
-PROBE = """\
-[[setup]]
-name = "probe"
-instrument = "height_probe"
-tolerance = { offset_mm = 0.0 }  # the firmware takes the trigger height as exact
+COMMON_RADIUS = f"""
+# The firmware has one radius; its trims by tower are taken as right.
+[[prior.correlated]]
+parameters = ["radius*"]
+correlation = {COMMON}
 """
-CALLIPER = """\
+CALLIPER = """
 [[setup]]
 name = "calliper"
 instrument = "calliper"
@@ -45,91 +51,179 @@ tolerance = { scale = 0.0 }  # the firmware takes the object's size as exact
 class DeltaGeometry:
     """A delta as its firmware knows it; mm and deg, as in the firmware's files.
 
-    radius    from the middle to a carriage, less the platform's radius
-    arms      arm lengths (3,)
-    angles    of the towers (3,), counter-clockwise from x
-    endstops  height (3,) of the tool over the bed at each endstop
+    radius       from the middle to a carriage, less the platform's radius
+    arms         arm lengths (3,)
+    angles       of the towers (3,), counter-clockwise from x
+    endstops     height (3,) of the tool over the bed at each endstop
+    radius_trim  (3,) what each tower adds to the radius
     """
 
     radius: float
     arms: tuple[float, ...]
     angles: tuple[float, ...]
     endstops: tuple[float, ...]
+    radius_trim: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+    @property
+    def radii(self) -> tuple[float, ...]:
+        """Radius (3,) of each tower."""
+        return tuple(self.radius + trim for trim in self.radius_trim)
+
+    @property
+    def has_radii(self) -> bool:
+        """Whether the towers have radii of their own."""
+        return any(self.radius_trim)
+
+    @property
+    def model(self) -> str:
+        """The model of the study."""
+        return FAMILY if self.has_radii else MODEL
+
+    @property
+    def further_fixed(self) -> tuple[str, ...]:
+        """Parameters of the model that no firmware has."""
+        stems = ("lean", "tip") if self.has_radii else ()
+        return tuple(f"{stem}{i}" for stem in stems for i in TOWERS)
 
     def table(self) -> str:
         """The table [machine.nominal] of a study."""
-        lines = ["[machine.nominal]", f"radius_mm = {self.radius!r}"]
-        lines += [f"arm{i}_mm = {v!r}" for i, v in zip(TOWERS, self.arms, strict=True)]
-        pairs = zip(TOWERS, self.angles, strict=True)
-        lines += [f"angle{i}_deg = {v!r}" for i, v in pairs]
-        stops = zip(TOWERS, self.endstops, strict=True)
-        lines += [f"endstop{i}_mm = {v!r}" for i, v in stops]
-        return "\n".join(lines) + "\n"
+        radii = {"radius": self.radius}
+        if self.has_radii:
+            radii = _by_tower("radius", self.radii)
+        lines = [f"{name}_mm = {value!r}" for name, value in radii.items()]
+        for stem, values, unit in (
+            ("arm", self.arms, "mm"),
+            ("angle", self.angles, "deg"),
+            ("endstop", self.endstops, "mm"),
+        ):
+            numbers = _by_tower(stem, values)
+            lines += [f"{name}_{unit} = {value!r}" for name, value in numbers.items()]
+        return "\n".join(["[machine.nominal]", *lines, ""])
+
+    def sentence(self) -> str:
+        """The geometry in words."""
+        radius = f"radius {self.radius:g} mm"
+        if self.has_radii:
+            radius = f"radii {_listed(self.radii)} mm"
+        return (
+            f"Machine: delta, {radius}, arms {_listed(self.arms)} mm, towers at"
+            f" {_listed(self.angles)} deg, endstops at {_listed(self.endstops)} mm."
+        )
 
 
-def delta_study(
-    *,
-    name: str,
-    firmware: str,
-    files: str,
-    geometry: DeltaGeometry,
-    fixed: tuple[str, ...],
-    fixed_because: str,
-    noise: str,
-    calliper: bool,
-    probed_radius: float,
-    heights: tuple[float, ...],
-) -> str:
-    """The text of the study.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Firmware:
+    """The firmware of a printer, for the table [controller].
+
+    name, title     as in `oed compensate --to`, and as people write it
+    version         where the files show it
+    m665_b          what M665 B is, for Marlin
+    keep            words that are written back as they are, by command
+    radius_trim_mm  and
+    rod_trim_mm     trims (3,) of the towers that stay in the firmware
+    """
+
+    name: str
+    title: str
+    version: str | None = None
+    m665_b: str | None = None
+    keep: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    radius_trim_mm: tuple[float, ...] = ()
+    rod_trim_mm: tuple[float, ...] = ()
+
+    def table(self) -> str:
+        """The table [controller] of a study."""
+        lines = ["[controller]  # for `oed compensate`", f'firmware = "{self.name}"']
+        if self.version is not None:
+            lines.append(f"version = {json.dumps(self.version)}")
+        if self.m665_b is not None:
+            lines.append(f'm665_b = "{self.m665_b}"')
+        for name in ("radius_trim_mm", "rod_trim_mm"):
+            trims = getattr(self, name)
+            if any(trims):
+                lines.append(f"{name} = {list(trims)}  # stays in the firmware")
+        texts = [f"{name} = {json.dumps(w)}" for name, w in self.keep.items() if w]
+        if texts:
+            lines.append(f"keep = {{ {', '.join(texts)} }}  # written back as it is")
+        return "\n".join([*lines, ""])
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DeltaStudy:
+    """What the study of a delta printer says.
 
     fixed          parameters that are not identified, and why in `fixed_because`
     noise          the lines of [noise]
     calliper       whether distances were read as well
     probed_radius  mm, of the bed
     heights        mm, at which the accuracy is predicted
+    bed_slope_ppm  rise (2,) of the bed along x and y
+    accounts       sentences on what became of the words of the files
     """
-    listed = ", ".join(f'"{parameter}"' for parameter in fixed)
-    reach = round(SHARE * probed_radius, 1)
-    setups = PROBE + "\n" + CALLIPER if calliper else PROBE
-    return f"""\
-# A delta printer, imported from {files}: geometry and readings of {firmware}.
-# `oed run` calibrates it; every number has its unit in the name of its field.
 
+    name: str
+    firmware: Firmware
+    files: str
+    geometry: DeltaGeometry
+    fixed: tuple[str, ...]
+    fixed_because: str
+    noise: str
+    calliper: bool
+    probed_radius: float
+    heights: tuple[float, ...]
+    bed_slope_ppm: tuple[float, float] = (0.0, 0.0)
+    accounts: Sequence[str] = ()
+
+    def text(self) -> str:
+        """The text of the study."""
+        fixed = (*self.fixed, *self.geometry.further_fixed)
+        listed = ", ".join(f'"{parameter}"' for parameter in fixed)
+        reach = round(SHARE * self.probed_radius, 1)
+        tolerances = TOLERANCES
+        if self.geometry.has_radii:
+            tolerances += COMMON_RADIUS
+        return f"""\
+# A delta printer, imported from {self.files}: geometry and readings of {self.firmware.title}.
+# `oed run` calibrates it; every number has its unit in the name of its field.
+#
+{words.comments(self.accounts)}
 schema = 1
-name = "{name}"
-title = "Delta printer {name}"
+name = "{self.name}"
+title = "Delta printer {self.name}"
 question = "What do the readings say about the geometry, and how accurate is it then?"
 seed = 1
 
 [machine]
-model = "{MODEL}"
-fixed = [{listed}]  # {fixed_because}
+model = "{self.geometry.model}"
+fixed = [{listed}]  # {self.fixed_because}
 
 # The geometry that the firmware has now.
-{geometry.table()}
-{_workspace(geometry, probed_radius)}
-{setups}
-{noise}
-{TOLERANCES}
+{self.geometry.table()}
+{self._workspace()}
+{self._setups()}
+{self.noise}
+{tolerances}
 [readings]
-files = ["{readings_name(name)}"]
+files = ["{readings_name(self.name)}"]
 
 [prediction]
 reference = "home"
 x_mm = [{-reach}, 0.0, {reach}]
 y_mm = [{-reach}, 0.0, {reach}]
-z_mm = {[float(h) for h in heights]}
-"""
+z_mm = {[float(h) for h in self.heights]}
 
+{self.firmware.table()}"""
 
-def _workspace(geometry: DeltaGeometry, probed_radius: float) -> str:
-    """The tables of workspace, home and travel, after the printer's size; mm."""
-    width = round(max(1.05 * probed_radius, WIDTH_SHARE * geometry.radius), 1)
-    stop = min(geometry.endstops)
-    low, high = round(-0.1 * stop, 1), round(0.9 * stop, 1)
-    travel = round(max(geometry.endstops) + max(geometry.arms), 1)
-    joints = "\n".join(f"q{i}_mm = [{-travel}, {travel}]" for i in TOWERS)
-    return f"""\
+    def _workspace(self) -> str:
+        """The tables of workspace, home and travel, after the printer's size; mm."""
+        geometry = self.geometry
+        width = max(1.05 * self.probed_radius, WIDTH_SHARE * geometry.radius)
+        width = round(width, 1)
+        stop = min(geometry.endstops)
+        low, high = round(-0.1 * stop, 1), round(0.9 * stop, 1)
+        travel = round(max(geometry.endstops) + max(geometry.arms), 1)
+        joints = "\n".join(f"q{i}_mm = [{-travel}, {travel}]" for i in TOWERS)
+        return f"""\
 [machine.workspace]
 x_mm = [{-width}, {width}]
 y_mm = [{-width}, {width}]
@@ -141,3 +235,40 @@ z_mm = {round(0.05 * stop, 1)}
 [machine.travel]
 {joints}
 """
+
+    def _setups(self) -> str:
+        """The probe, and the calliper where distances were read."""
+        lines = [
+            "[[setup]]",
+            'name = "probe"',
+            'instrument = "contact_probe"',
+            "tolerance = { offset_mm = 0.0 }  # the firmware takes the trigger height as"
+            " exact",
+        ]
+        for axis, slope in zip("xy", self.bed_slope_ppm, strict=True):
+            if slope:
+                lines.append(
+                    f"bed_slope_{axis}_ppm = {slope!r}  # the firmware raises z by it"
+                )
+        text = "\n".join([*lines, ""])
+        return text + CALLIPER if self.calliper else text
+
+
+def noise_table(comment: str, height: float, distance: float | None = None) -> str:
+    """The table [noise] of an assumed noise; um."""
+    lines = [
+        f"[noise]  # {comment}",
+        "assumed = true  # nobody measured it: give your probe's standard deviation",
+        f"height_um = {height:.9g}",
+    ]
+    if distance is not None:
+        lines.append(f"length_um = {distance:.9g}")
+    return "\n".join([*lines, ""])
+
+
+def _by_tower(stem: str, values: Sequence[float]) -> dict[str, float]:
+    return {f"{stem}{i}": value for i, value in zip(TOWERS, values, strict=True)}
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)

@@ -5,26 +5,39 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from pkm_studies import files
 from pkm_studies.errors import InputError
 from pkm_studies.importers.base import line_field
+from pkm_studies.importers.words import WordAccount, WordTable, WrittenWord, account
 
 LIMIT = 16_000_000
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-COMMAND = re.compile(r"\b([GM]\d+)\b((?:\s+[A-Z][^\s;]*)*)")
-WORD = re.compile(rf"([A-Z])({NUMBER}(?::{NUMBER})*)?")
+#: what follows a letter: a text in quotes, an expression, or anything up to a blank; a
+#: letter with the rest of an English word is none
+VALUE = r'(?:"[^"]*"|\{[^}]*\}|(?![a-z]+(?:\s|$))[^\s"{A-Z]*)'
+#: letters of words; G and M start the next command of a line
+LETTER = "[A-FH-LN-Z]"
+COMMAND = re.compile(
+    rf"(?<![\w.])([GM]\d+(?:\.\d+)?)(?![\d.])((?:\s*{LETTER}{VALUE})*)"
+)
+WORD = re.compile(rf"({LETTER})({VALUE})")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TextLine:
-    """A line of a file."""
+    """A line of a file.
+
+    text  without the comment after ;
+    raw   with it
+    """
 
     text: str
     file: str
     number: int
+    raw: str = ""
 
     def error(self, problem: str, remedy: str, what: str = "") -> InputError:
         """The error to raise for this line."""
@@ -61,16 +74,18 @@ def read(paths: Sequence[Path]) -> list[TextLine]:
     for path in paths:
         text = files.read_text(path, limit=LIMIT, what="log or configuration")
         for number, line in enumerate(text.splitlines(), start=1):
-            lines.append(TextLine(line.partition(";")[0], str(path), number))
+            lines.append(TextLine(line.partition(";")[0], str(path), number, line))
     return lines
 
 
 def commands(lines: Iterable[TextLine], *names: str) -> Iterator[Command]:
-    """Commands of these names, in order."""
+    """Commands of these names, or all, in order."""
     for line in lines:
         for match in COMMAND.finditer(line.text):
-            if match[1] in names:
-                words = {word[1]: word[2] or "" for word in WORD.finditer(match[2])}
+            if not names or match[1] in names:
+                # a host ends a command with * and a checksum
+                pairs = WORD.findall(match[2])
+                words = {letter: value.split("*")[0] for letter, value in pairs}
                 yield Command(match[1], words, line)
 
 
@@ -82,9 +97,40 @@ def merged(lines: Sequence[TextLine], name: str, remedy: str) -> Command:
         words |= command.words
         last = command
     if last is None:
-        files_read = ", ".join(dict.fromkeys(line.file for line in lines))
-        raise InputError(f"no {name} in it", remedy, file=files_read)
+        raise InputError(f"no {name} in it", remedy, file=files_of(lines))
     return Command(name, words, last.line)
+
+
+def files_of(lines: Sequence[TextLine]) -> str:
+    """The files that lines are from, for an error."""
+    return ", ".join(dict.fromkeys(line.file for line in lines))
+
+
+def account_of(lines: Sequence[TextLine], table: WordTable) -> WordAccount:
+    """What becomes of the words of all commands. Raises InputError."""
+    names = [command.name for command in commands(lines)]
+    return account(_written(lines, table), names, table)
+
+
+def _written(lines: Sequence[TextLine], table: WordTable) -> Iterator[WrittenWord]:
+    """Words of the commands in the table; "" stands for the command itself."""
+    for command in commands(lines, *table):
+        itself = {"": ""} if "" in table[command.name] else {}
+        for letter, value in (itself | command.words).items():
+            yield WrittenWord(
+                command.name,
+                letter,
+                value,
+                command.line.number,
+                _word_error(command, letter),
+            )
+
+
+def _word_error(command: Command, letter: str) -> Callable[[str, str], InputError]:
+    def error(problem: str, remedy: str) -> InputError:
+        return command.line.error(problem, remedy, f"{command.name} {letter}".rstrip())
+
+    return error
 
 
 def finite(text: str, line: TextLine) -> float:

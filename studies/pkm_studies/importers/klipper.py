@@ -8,13 +8,21 @@ noise gets the weights of Klipper's own fit: n distances weigh as much as n / 2 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 
 from pkm_studies.errors import InputError
 from pkm_studies.importers import klipper_config
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
-from pkm_studies.importers.delta_study import DeltaGeometry, delta_study
+from pkm_studies.importers.delta_study import (
+    DeltaGeometry,
+    DeltaStudy,
+    Firmware,
+    noise_table,
+)
+from pkm_studies.importers.klipper_account import config_account
 from pkm_studies.importers.klipper_config import Entry, KlipperConfig
+from pkm_studies.importers.klipper_positions import check_positions
 
 STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 ANGLES = (210.0, 330.0, 90.0)
@@ -24,6 +32,8 @@ MEASURE_WEIGHT = 0.5
 #: mm; one probed height, with the bed's flatness, and one calliper distance
 HEIGHT_SIGMA, DISTANCE_SIGMA = 0.1, 0.05
 FULL_STEPS = 200.0
+#: a saved position, and what was measured there
+POSITION = re.compile(r"((?:manual_)?height\d+|distance\d+)_pos[12]?")
 #: heights (mm) at which the accuracy is predicted, above the probed ones
 RISES = (0.0, 50.0)
 
@@ -39,16 +49,19 @@ class KlipperImporter:
         config = klipper_config.read(request.files)
         _check_delta(config)
         steps = [_step_distance(config, stepper) for stepper in STEPPERS]
+        _check_partners(config)
         heights = list(_heights(config, steps))
         distances = list(_distances(config, steps))
         if not heights:
             remedy = "run DELTA_CALIBRATE and SAVE_CONFIG, then import the file again"
             raise config.missing(SAVED, "height0", remedy)
+        account = config_account(config, request.files)
         geometry = _geometry(config)
+        check_positions(_positions(config, steps), geometry)
         count = len(distances) // 2
-        study = delta_study(
+        study = DeltaStudy(
             name=request.name,
-            firmware="Klipper",
+            firmware=Firmware(name="klipper", title="Klipper"),
             files=", ".join(path.name for path in request.files),
             geometry=geometry,
             fixed=("angle3",) if distances else ("angle3", "arm1", "arm2", "arm3"),
@@ -57,11 +70,15 @@ class KlipperImporter:
             calliper=bool(distances),
             probed_radius=config.positive(SAVED, "radius", geometry.radius / 2.0),
             heights=tuple(float(heights[0]["height_mm"]) + rise for rise in RISES),
+            accounts=account,
         )
         return ImportedSession(
-            study=study,
+            study=study.text(),
             rows=[*heights, *distances],
-            statements=_statements(config, geometry, steps, len(heights), count),
+            statements=[
+                *_statements(config, geometry, steps, len(heights), count),
+                *account,
+            ],
         )
 
 
@@ -149,34 +166,65 @@ def _distances(config: KlipperConfig, steps: list[float]) -> Iterator[Row]:
         yield label | {"order": "2"} | second | {"length_mm": repr(length)}
 
 
+def _check_partners(config: KlipperConfig) -> None:
+    """Refuse positions without their height or distance. Raises InputError."""
+    for section, key in config.entries:
+        match = POSITION.fullmatch(key) if section == SAVED else None
+        if match and config.find(SAVED, match[1]) is None:
+            raise config.entries[section, key].error(
+                f"[{SAVED}] {key}",
+                f"there is no {match[1]} for it",
+                "import the file as SAVE_CONFIG wrote it, or remove the position",
+            )
+
+
+def _positions(
+    config: KlipperConfig, steps: list[float]
+) -> dict[str, tuple[Entry, list[float], float]]:
+    """Saved positions by option: travels (3,), mm, and the height of the tool, mm.
+
+    Distances are measured on the bed.
+    """
+    positions = {}
+    for section, key in config.entries:
+        match = POSITION.fullmatch(key) if section == SAVED else None
+        if match is None:
+            continue
+        is_height = "height" in match[1]
+        height = config.number(SAVED, match[1]) if is_height else 0.0
+        travels = _travels(config, key, steps)
+        positions[key] = (config.entries[section, key], travels, height)
+    return positions
+
+
 def _joints(config: KlipperConfig, key: str, steps: list[float]) -> dict[str, str]:
     """Carriage travels down from the endstops, q1_mm to q3_mm."""
-    entry: Entry | None = config.find(SAVED, key)
+    travels = _travels(config, key, steps)
+    return {f"q{k}_mm": repr(travel) for k, travel in enumerate(travels, start=1)}
+
+
+def _travels(config: KlipperConfig, key: str, steps: list[float]) -> list[float]:
+    """Carriage travels (3,), mm. Raises InputError."""
+    entry = config.find(SAVED, key)
     if entry is None:
         raise config.missing(SAVED, key, "import the file as SAVE_CONFIG wrote it")
     counts = klipper_config.numbers(entry, f"[{SAVED}] {key}", len(STEPPERS))
-    travels = [count * step for count, step in zip(counts, steps, strict=True)]
-    return {f"q{k}_mm": repr(travel) for k, travel in enumerate(travels, start=1)}
+    return [count * step for count, step in zip(counts, steps, strict=True)]
 
 
 def _noise(heights: int, distances: int) -> str:
     """The table [noise], with the weights of Klipper's fit."""
-    height, distance = HEIGHT_SIGMA, DISTANCE_SIGMA
-    lines = [
-        "[noise]  # standard deviation of one reading, the bed's flatness included"
-    ]
-    if distances:
-        height = distance * math.sqrt(MEASURE_WEIGHT * heights / distances)
-        lines[0] = "[noise]  # standard deviation of one reading; Klipper's weights"
-    lines.append(f"height_um = {1000.0 * height:.9g}")
-    if distances:
-        lines.append(f"length_um = {1000.0 * distance:.9g}")
-    return "\n".join(lines) + "\n"
+    if not distances:
+        comment = "standard deviation of one reading, the bed's flatness included"
+        return noise_table(comment, 1000.0 * HEIGHT_SIGMA)
+    height = DISTANCE_SIGMA * math.sqrt(MEASURE_WEIGHT * heights / distances)
+    comment = "standard deviation of one reading; Klipper's weights"
+    return noise_table(comment, 1000.0 * height, 1000.0 * DISTANCE_SIGMA)
 
 
 def _unused(config: KlipperConfig) -> list[str]:
-    """Sentences on saved values of the geometry that the printer does not use."""
-    sections = ("printer", *STEPPERS)
+    """Sentences on saved values that the printer does not use."""
+    sections = ("printer", SAVED, *STEPPERS)
     return [
         f"[{section}] {key} is {config.entries[section, key].text}, as line"
         f" {config.entries[section, key].line} has it: Klipper does not use the saved"
@@ -199,12 +247,9 @@ def _statements(
     heights: int,
     distances: int,
 ) -> list[str]:
-    arms = ", ".join(f"{arm:g}" for arm in geometry.arms)
     travel = ", ".join(f"{1000.0 * step:g}" for step in steps)
-    angles = ", ".join(f"{angle:g}" for angle in geometry.angles)
     statements = [
-        f"Machine: delta, radius {geometry.radius:g} mm, arms {arms} mm, towers at"
-        f" {angles} deg.",
+        geometry.sentence(),
         f"Positions: steps down from the endstops, of {travel} um.",
         f"Readings: {heights} probed heights as set-up probe.",
     ]
@@ -216,10 +261,4 @@ def _statements(
         statements.append(
             "There are no distances, so the arm lengths are held as Klipper holds them."
         )
-    statements += _unused(config)
-    probe = config.find("probe", "z_offset")
-    if probe is not None:
-        statements.append(
-            f"The probe's z_offset {probe.text} mm is in the heights already."
-        )
-    return statements
+    return [*statements, *_unused(config)]

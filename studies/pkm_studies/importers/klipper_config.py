@@ -3,6 +3,7 @@
 Sections in brackets, `key: value` or `key = value`, comments after # or ;. The block that
 SAVE_CONFIG writes at the end starts its lines with `#*#`. A value that stands above the
 block as well wins over the saved one (`_strip_duplicates` of klippy/configfile.py).
+Indented lines continue the value above them.
 """
 
 from __future__ import annotations
@@ -43,16 +44,27 @@ class Entry:
 Entries = dict[tuple[str, str], Entry]
 
 
+@dataclasses.dataclass
+class _Parsed:
+    """Options as written and as saved, and the headings of sections with their lines."""
+
+    written: Entries = dataclasses.field(default_factory=dict)
+    saved: Entries = dataclasses.field(default_factory=dict)
+    sections: dict[str, int] = dataclasses.field(default_factory=dict)
+
+
 @dataclasses.dataclass(frozen=True)
 class KlipperConfig:
     """The options of one or more files, later ones winning; and those not in use.
 
-    unused  saved values over which a written one wins
+    unused    saved values over which a written one wins
+    sections  headings as written, with their lines
     """
 
     file: str
     entries: Entries
     unused: Entries
+    sections: dict[str, int]
 
     def find(self, section: str, key: str) -> Entry | None:
         """The entry, or None."""
@@ -94,15 +106,14 @@ class KlipperConfig:
 
 def read(paths: Sequence[Path]) -> KlipperConfig:
     """The options of the files. Raises InputError."""
-    written: Entries = {}
-    saved: Entries = {}
+    parsed = _Parsed()
     for path in paths:
         text = files.read_text(path, limit=LIMIT, what="Klipper configuration")
-        above, block = _entries(text, str(path))
-        written |= above
-        saved |= block
+        _parse(text, str(path), parsed)
+    written, saved = parsed.written, parsed.saved
     unused = {key: saved[key] for key in saved.keys() & written.keys()}
-    return KlipperConfig(", ".join(map(str, paths)), saved | written, unused)
+    file = ", ".join(map(str, paths))
+    return KlipperConfig(file, saved | written, unused, parsed.sections)
 
 
 def numbers(entry: Entry, option: str, count: int) -> list[float]:
@@ -120,24 +131,34 @@ def numbers(entry: Entry, option: str, count: int) -> list[float]:
     return values
 
 
-def _entries(text: str, file: str) -> tuple[Entries, Entries]:
-    """Options as written and as saved; indented lines, which continue, are left out."""
-    written: Entries = {}
-    block: Entries = {}
+def _parse(text: str, file: str, parsed: _Parsed) -> None:
+    """Add the options of a file."""
     section = ""
+    last: tuple[Entries, tuple[str, str]] | None = None
     for number, line in enumerate(text.splitlines(), start=1):
         saved = line.startswith(SAVED)
         content = line[len(SAVED) :].removeprefix(" ") if saved else line
-        if content[:1].isspace():
+        indented = content[:1].isspace()
+        content = COMMENT.sub("", content).strip()
+        if indented:
+            if last is not None and content:
+                _continue(*last, content)
             continue
-        content = COMMENT.sub("", content).rstrip()
         heading = SECTION.match(content)
         if heading:
-            section = heading[1].lower()
+            parsed.sections[heading[1]] = number
+            section, last = heading[1].lower(), None
             continue
         option = OPTION.match(content)
         if option and section:
-            key = option[1].strip().lower()
-            entries = block if saved else written
-            entries[section, key] = Entry(option[2].strip(), file, number)
-    return written, block
+            entries = parsed.saved if saved else parsed.written
+            key = section, option[1].strip().lower()
+            entries[key] = Entry(option[2].strip(), file, number)
+            last = entries, key
+
+
+def _continue(entries: Entries, key: tuple[str, str], content: str) -> None:
+    """Add an indented line to a value."""
+    entry = entries[key]
+    text = f"{entry.text}\n{content}".strip()
+    entries[key] = dataclasses.replace(entry, text=text)

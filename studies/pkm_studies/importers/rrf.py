@@ -1,28 +1,30 @@
 """RepRapFirmware: M665 and M666 of a delta, the points of bed.g, the heights of G32.
 
-`config.g` (or `config-override.g`) has M665 and M666, `bed.g` one `G30 P<n> X Y` a point,
-and the console's log the line "G32 bed probe heights: ..." that `G30 P<n> S-1` gives.
+`config.g` has M665 and M666, `config-override.g` those that M500 stored, which win;
+`bed.g` has one `G30 P<n> X Y` a point, and the console's log the line "G32 bed probe
+heights: ..." that `G30 P<n> S-1` gives. Answers of M665 and M666 in the log count as
+commands. G31 X Y says where the probe is, M666 A B how z is raised for a bed that leans.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
-from pkm_studies.errors import InputError
-from pkm_studies.importers import gcode
+from pkm_studies.importers import facts, gcode
 from pkm_studies.importers.base import ImportedSession, ImportRequest
-from pkm_studies.importers.delta_probe import ProbedPoint, delta_session
-from pkm_studies.importers.delta_study import DeltaGeometry
-from pkm_studies.importers.gcode import TextLine
+from pkm_studies.importers.delta_probe import delta_session
+from pkm_studies.importers.delta_study import DeltaGeometry, Firmware
+from pkm_studies.importers.gcode import Command, TextLine
+from pkm_studies.importers.rrf_points import probed_points
+from pkm_studies.importers.rrf_replies import as_commands
+from pkm_studies.importers.rrf_words import WORDS
 
-HEIGHTS = re.compile(r"bed probe heights:\s*([^,]*)", re.IGNORECASE)
 ANGLES = {"X": 210.0, "Y": 330.0, "Z": 90.0}
-NO_POINT = "give bed.g as well: it has one G30 P<n> X<x> Y<y> a point"
-NO_HEIGHTS = (
-    "give the console's log too, with the answer of a last G30 P<n> S-1: G32 bed probe"
-    " heights: ..."
-)
+#: M666 A and B are in percent
+PERCENT_PPM = 1e4
+VERSION = re.compile(r"RepRapFirmware.*?\b(\d+\.\d+(?:\.\d+)*)")
 
 
 class RrfImporter:
@@ -33,62 +35,105 @@ class RrfImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry and probed points. Raises InputError."""
-        lines = gcode.read(request.files)
+        lines = as_commands(gcode.read(_ordered(request.files)))
+        _check_kinematics(lines)
+        given = facts.numbers(lines)
+        delta = gcode.merged(lines, "M665", "give config.g as well, with M665")
+        stops = _adjustments(lines)
+        account = gcode.account_of(lines, WORDS)
+        points, notes = probed_points(lines, given)
+        slope = (
+            PERCENT_PPM * stops.number("A", 0.0),
+            PERCENT_PPM * stops.number("B", 0.0),
+        )
+        if any(slope):
+            notes.append(
+                "Bed: M666 A and B raise z by"
+                f" {slope[0] / PERCENT_PPM:g} % of x and {slope[1] / PERCENT_PPM:g} % of y;"
+                " z of the study counts along the towers, and the export keeps A and B."
+            )
         return delta_session(
             name=request.name,
-            firmware="RepRapFirmware",
+            firmware=_firmware(lines, delta, stops, given),
             files=", ".join(path.name for path in request.files),
-            geometry=_geometry(lines),
-            points=_points(lines),
+            geometry=_geometry(delta, stops, given),
+            points=points,
+            accounts=account.sentences(),
+            notes=notes,
+            bed_slope_ppm=slope,
         )
 
 
 importer = RrfImporter()
 
 
-def _geometry(lines: Sequence[TextLine]) -> DeltaGeometry:
-    delta = gcode.merged(lines, "M665", "give config.g as well, with M665")
-    arms = [
-        gcode.finite(arm, delta.line)
-        for arm in delta.words.get("L", "").split(":")
-        if arm
-    ]
+def _ordered(files: Sequence[Path]) -> list[Path]:
+    """Configuration first, then what M500 stored, which wins, then logs."""
+
+    def rank(path: Path) -> int:
+        if path.name.lower().startswith("config-override"):
+            return 1
+        return 0 if path.suffix.lower() == ".g" else 2
+
+    return sorted(files, key=rank)
+
+
+def _check_kinematics(lines: Sequence[TextLine]) -> None:
+    """Refuse other kinematics than that of a linear delta, K3."""
+    for command in gcode.commands(lines, "M669"):
+        if command.words.get("K", "3") != "3":
+            raise command.line.error(
+                "this is no linear delta (K3)",
+                "this importer is for delta printers; for others take `columns`",
+                "M669 K",
+            )
+
+
+def _adjustments(lines: Sequence[TextLine]) -> Command:
+    """M666; without words where the files have none."""
+    if any(gcode.commands(lines, "M666")):
+        return gcode.merged(lines, "M666", "")
+    return Command("M666", {}, lines[0])
+
+
+def _geometry(
+    delta: Command, stops: Command, given: dict[str, tuple[float, ...]]
+) -> DeltaGeometry:
+    """Carriage i homes to H + sqrt(L_i^2 - R^2) + its adjustment of M666."""
+    cells = [arm for arm in delta.words.get("L", "").split(":") if arm]
+    arms = [gcode.finite(arm, delta.line) for arm in cells]
     if len(arms) not in (1, 3):
         raise delta.line.error("M665 has no L, or not one or three", "give the rods")
+    trims = given.get("rod_trim_mm", (0.0, 0.0, 0.0))
+    rods = arms * 3 if len(arms) == 1 else arms
     height = delta.number("H")
     return DeltaGeometry(
         radius=delta.number("R"),
-        arms=tuple(arms * 3 if len(arms) == 1 else arms),
+        arms=tuple(rod + trim for rod, trim in zip(rods, trims, strict=True)),
         angles=tuple(angle + delta.number(t, 0.0) for t, angle in ANGLES.items()),
-        endstops=tuple(height + adjustment for adjustment in _adjustments(lines)),
+        endstops=tuple(height + stops.number(tower, 0.0) for tower in ANGLES),
+        radius_trim=given.get("radius_trim_mm", (0.0, 0.0, 0.0)),
     )
 
 
-def _adjustments(lines: Sequence[TextLine]) -> list[float]:
-    """Endstop adjustments of M666 by tower, mm; 0 without the command."""
-    if not any(gcode.commands(lines, "M666")):
-        return [0.0] * len(ANGLES)
-    stops = gcode.merged(lines, "M666", "")
-    return [stops.number(tower, 0.0) for tower in ANGLES]
+def _firmware(
+    lines: Sequence[TextLine],
+    delta: Command,
+    stops: Command,
+    given: dict[str, tuple[float, ...]],
+) -> Firmware:
+    """The firmware, with the words that calibration leaves as they are."""
+    printed = [m[1] for line in lines if (m := VERSION.search(line.raw))]
+    bed = {letter: stops.words[letter] for letter in "AB" if letter in stops.words}
+    reach = {letter: delta.words[letter] for letter in "BS" if letter in delta.words}
+    return Firmware(
+        name="rrf",
+        title="RepRapFirmware",
+        version=facts.version(lines) or (printed[-1] if printed else None),
+        keep={"M665": _written(reach), "M666": _written(bed)},
+        radius_trim_mm=given.get("radius_trim_mm", ()),
+    )
 
 
-def _points(lines: Sequence[TextLine]) -> list[ProbedPoint]:
-    places: dict[int, tuple[float, float]] = {}
-    for command in gcode.commands(lines, "G30"):
-        if {"P", "X", "Y"} <= set(command.words):
-            place = command.number("X"), command.number("Y")
-            places[int(command.number("P"))] = place
-    answers = [(line, HEIGHTS.search(line.text)) for line in lines]
-    reports = [(line, match[1].split()) for line, match in answers if match]
-    files_read = ", ".join(dict.fromkeys(line.file for line in lines))
-    if not reports:
-        raise InputError("no bed probe heights in it", NO_HEIGHTS, file=files_read)
-    if not places:
-        raise InputError("no probe points in it", NO_POINT, file=files_read)
-    line, cells = reports[-1]
-    if len(cells) != len(places):
-        problem = f"{len(cells)} heights for {len(places)} probe points"
-        raise line.error(problem, "give the bed.g that was probed")
-    heights = [gcode.finite(cell, line) for cell in cells]
-    ordered = [places[number] for number in sorted(places)]
-    return [ProbedPoint(x, y, z) for (x, y), z in zip(ordered, heights, strict=True)]
+def _written(words: dict[str, str]) -> str:
+    return " ".join(f"{letter}{text}" for letter, text in words.items())

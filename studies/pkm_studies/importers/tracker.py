@@ -89,7 +89,10 @@ class TrackerImporter:
             tool,
             setup=_setup(complete, reference, tool),
             rows=rows,
-            statements=[*columns.statements(table, mapped, given, tool), *sentence],
+            statements=[
+                *columns.statements(table, mapped, given, tool, model.machine),
+                *sentence,
+            ],
             errors="home" if given.registration == "known" else "best_fit",
         )
 

@@ -16,7 +16,11 @@ from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.fit.combinations import combination_estimates
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.left_out import surprises, with_left_out
-from pkm_studies.stages.fit.noise import unchecked_section, with_noise
+from pkm_studies.stages.fit.noise import (
+    unchecked_section,
+    with_assumption,
+    with_noise,
+)
 from pkm_studies.stages.fit.posterior import (
     contradictions,
     posterior_section,
@@ -79,7 +83,13 @@ def _goodness(state: RunState, estimate: identification.Estimate) -> GoodnessSec
             state.measurement, state.readings.series, estimate
         )
         section = unchecked_section(fitted)
-    return with_noise(section, estimate, state.measurement.setups)
+    section = with_noise(section, estimate, state.measurement.setups)
+    if not state.study.noise.assumed:
+        return section
+    used = {s.setup for s in state.readings.series}
+    setups = {name: state.measurement.setups[name] for name in sorted(used)}
+    count = sum(len(s) for s in state.readings.series)
+    return with_assumption(section, estimate, setups, count)
 
 
 def _refuse_mode_jump(state: RunState, theta: Array) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 
@@ -10,10 +11,18 @@ from oed import units
 from oed.arrays import Array
 from oed.machine import Machine
 from pkm_studies.compensation.content import Compensation
+from pkm_studies.errors import InputError
+from pkm_studies.study.tables import ControllerTable
 
 TOWERS = (1, 2, 3)
 #: angles of the towers from which firmwares count corrections, degrees
 ANGLES = (210.0, 330.0, 90.0)
+#: parameters of a delta with one radius, and of one with a radius for each tower
+ONE_RADIUS = ("arm", "angle", "endstop")
+FAMILY = ("radius", *ONE_RADIUS, "lean", "tip")
+#: mm by which radii may differ, and a tower may lean over the workspace; the export
+#: states what that costs
+SLACK = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,32 +30,75 @@ class DeltaNumbers:
     """Radius, arms (3,), tower angles (3,) and heights of the endstops (3,), mm, deg.
 
     The height of an endstop is the tool's where all carriages stand as this one does.
+    `trim` (3,) is what the firmware adds to the radius of each tower.
     """
 
     radius: float
     arms: Array
     angles: Array
     endstops: Array
+    trim: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def radii(self) -> Array:
+        """Radius (3,) of each tower."""
+        return self.radius + self.trim
 
     @property
     def carriages(self) -> Array:
         """Heights (3,) of the carriages at their endstops."""
-        return np.asarray(self.endstops + np.sqrt(self.arms**2 - self.radius**2))
+        return np.asarray(self.endstops + np.sqrt(self.arms**2 - self.radii**2))
 
 
-def delta_numbers(compensation: Compensation) -> DeltaNumbers:
-    """The identified delta."""
+def delta_numbers(compensation: Compensation, name: str) -> DeltaNumbers:
+    """The identified delta, for the firmware of this name.
 
-    def read(name: str, unit: str) -> Array:
-        values = [compensation.parameter(f"{name}{i}") for i in TOWERS]
+    Raises InputError where a delta has radii or tilts of its towers that no firmware
+    holds.
+    """
+
+    def read(stem: str, unit: str) -> Array:
+        values = [compensation.parameter(f"{stem}{i}") for i in TOWERS]
         return units.from_si(values, unit)
 
+    added = trims(compensation, name, "radius_trim_mm")
+    if "radius" in {p.name for p in compensation.machine.parameters}:
+        radius = units.number(compensation.parameter("radius"), "mm")
+    else:
+        _check_upright(compensation, read("lean", "rad"), read("tip", "rad"))
+        radius = _common_radius(read("radius", "mm") - added)
     return DeltaNumbers(
-        radius=units.number(compensation.parameter("radius"), "mm"),
+        radius=radius,
         arms=read("arm", "mm"),
         angles=read("angle", "deg"),
         endstops=read("endstop", "mm"),
+        trim=added,
     )
+
+
+def firmware_of(compensation: Compensation, name: str) -> ControllerTable | None:
+    """What the study says of this firmware; None where it is of another, or of none."""
+    known = compensation.controller
+    return known if known is not None and known.firmware == name else None
+
+
+def trims(compensation: Compensation, name: str, field: str) -> Array:
+    """Trims (3,) by tower that stay in this firmware, mm."""
+    known = firmware_of(compensation, name)
+    return np.zeros(3) if known is None else np.array(getattr(known, field))
+
+
+def trim_notes(compensation: Compensation, name: str) -> list[str]:
+    """Sentences on trims that stay in this firmware."""
+    sentences = []
+    for what, field in (("radii", "radius_trim_mm"), ("rods", "rod_trim_mm")):
+        values = trims(compensation, name, field)
+        if np.any(values):
+            listed = ", ".join(f"{v:g}" for v in values)
+            sentences.append(
+                f"trims of the {what} by tower stay in the firmware: {listed} mm"
+            )
+    return sentences
 
 
 def delta_joints(
@@ -58,7 +110,7 @@ def delta_joints(
     """
     point = units.from_si(compensation.command, "mm")
     angle = units.to_si(numbers.angles, "deg")
-    tower = numbers.radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    tower = numbers.radii[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     across = ((point[:, None, :2] - tower) ** 2).sum(axis=2)
     height = point[:, 2:] + np.sqrt(numbers.arms**2 - across)
     return units.to_si(carriages - height, "mm")
@@ -66,8 +118,44 @@ def delta_joints(
 
 def not_a_delta(machine: Machine) -> str | None:
     """Why a machine is no linear delta with a parameter for each tower."""
-    wanted = {"radius"}
-    wanted |= {f"{name}{i}" for name in ("arm", "angle", "endstop") for i in TOWERS}
-    if {p.name for p in machine.parameters} == wanted:
+    names = {p.name for p in machine.parameters}
+    one_radius = {"radius"} | _by_tower(ONE_RADIUS)
+    if names in (one_radius, _by_tower(FAMILY)):
         return None
     return "it writes linear deltas (radius, arms, tower angles, endstops)"
+
+
+def _by_tower(stems: tuple[str, ...]) -> set[str]:
+    return {f"{stem}{i}" for stem, i in itertools.product(stems, TOWERS)}
+
+
+def _check_upright(compensation: Compensation, lean: Array, tip: Array) -> None:
+    """Refuse towers that lean. Raises InputError."""
+    heights = compensation.command[:, 2]
+    rise = units.number(float(np.ptp(heights, axis=0)) or 1.0, "mm")
+    tilts = {f"lean{i}": lean[i - 1] for i in TOWERS}
+    tilts |= {f"tip{i}": tip[i - 1] for i in TOWERS}
+    leaning = {name: tilt for name, tilt in tilts.items() if abs(tilt) * rise > SLACK}
+    if not leaning:
+        return
+    sizes = (
+        f"{name} {units.number(tilt, 'mrad'):.3g}" for name, tilt in leaning.items()
+    )
+    names = ", ".join(f'"{name}"' for name in tilts)
+    raise InputError(
+        f"no firmware has towers that lean, and these do: {', '.join(sizes)} mrad",
+        f"set them to 0 and hold them in [machine] of the study, fixed = [{names}, ...],"
+        " and identify again; or take csv",
+    )
+
+
+def _common_radius(radii: Array) -> float:
+    """The one radius of a firmware, mm. Raises InputError where the towers have three."""
+    if np.ptp(radii) <= SLACK:
+        return float(radii.mean())
+    sizes = ", ".join(f"radius{i} {v:.3f}" for i, v in zip(TOWERS, radii, strict=True))
+    raise InputError(
+        f"the firmware has one radius, and the towers have three: {sizes} mm",
+        'take model = "linear_delta", which has one radius, or hold radius1, radius2 and'
+        " radius3 at one value with fixed in [machine], and identify again; or take csv",
+    )

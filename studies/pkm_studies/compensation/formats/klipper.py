@@ -21,7 +21,7 @@ TOWERS = "abc"
 
 def write(compensation: Compensation) -> Texts:
     """The options that calibration changes, with Klipper's own six decimals."""
-    numbers = delta_numbers(compensation)
+    numbers = delta_numbers(compensation, "klipper")
     lines = [f"# {sentence}" for sentence in sentences_of(compensation)]
     lines.append("# put these values into the sections of your printer.cfg")
     lines += ["", "[printer]", f"delta_radius: {numbers.radius:.6f}"]

@@ -12,66 +12,91 @@ from pkm_studies.compensation.formats.delta import (
     DeltaNumbers,
     delta_joints,
     delta_numbers,
+    firmware_of,
     not_a_delta,
+    trim_notes,
+    trims,
 )
 from pkm_studies.compensation.formats.marlin import words
+
+NAME = "rrf"
+UNKNOWN_WORDS = (
+    "B of M665 (printable radius) and A, B of M666 (bed tilt) are not written, as the study"
+    " does not know them: keep those of the printer"
+)
+
+
+def notes(compensation: Compensation) -> tuple[str, ...]:
+    """Which version the file is for, and what it does not hold."""
+    single = len(set(_rods(delta_numbers(compensation, NAME)))) == 1
+    version = "RepRapFirmware 3"
+    sentence = (
+        f"for config.g of {version}"
+        if single
+        else f"for config.g; several lengths after L need {version}"
+    )
+    if firmware_of(compensation, NAME) is None:
+        return (sentence, UNKNOWN_WORDS)
+    return (sentence, *trim_notes(compensation, NAME))
 
 
 def write(compensation: Compensation) -> Texts:
     """Homed height H, and M666 with adjustments of mean zero.
 
-    The firmware homes every carriage to H + (the carriages' common height over the tool
-    where all stand equal) + adjustment.
+    The firmware homes carriage i to H + sqrt(L_i^2 - R^2) + its adjustment: H plus the
+    adjustment is the height of an endstop.
     """
-    numbers = delta_numbers(compensation)
+    numbers = delta_numbers(compensation, NAME)
     lean = numbers.angles - ANGLES
-    height = float(np.mean(numbers.carriages)) - carriage_over_tool(numbers)
-    adjust = numbers.carriages - np.mean(numbers.carriages)
-    arms = ":".join(f"{arm:.4f}" for arm in numbers.arms)
+    height = float(np.mean(numbers.endstops))
+    adjust = numbers.endstops - height
+    arms = _rods(numbers)
+    known = firmware_of(compensation, NAME)
+    retained = {} if known is None else known.keep
     lines = [f"; {sentence}" for sentence in sentences_of(compensation)]
+    rods = arms[0] if len(set(arms)) == 1 else ":".join(arms)
+    delta = (
+        f"M665 L{rods} R{numbers.radius:.4f}"
+        f" H{height:.4f} X{lean[0]:.4f} Y{lean[1]:.4f} Z{lean[2]:.4f}"
+    )
+    stops = f"M666 X{adjust[0]:.4f} Y{adjust[1]:.4f} Z{adjust[2]:.4f}"
     lines += [
-        "; config.g; several lengths after L need RepRapFirmware 3",
-        f"M665 L{arms} R{numbers.radius:.4f} H{height:.4f}"
-        f" X{lean[0]:.4f} Y{lean[1]:.4f} Z{lean[2]:.4f}",
-        f"M666 X{adjust[0]:.4f} Y{adjust[1]:.4f} Z{adjust[2]:.4f}",
+        f"{delta} {retained.get('M665', '')}".rstrip(),
+        f"{stops} {retained.get('M666', '')}".rstrip(),
         "",
     ]
     return {".g": "\n".join(lines)}
 
 
-def carriage_over_tool(numbers: DeltaNumbers) -> float:
-    """Height of the carriages over the tool, mm, where all carriages stand equal.
-
-    Differences of |tool - tower_i|^2 + h^2 = arm_i^2 are linear in the tool's x, y.
-    """
-    angle = np.deg2rad(numbers.angles)
-    tower = numbers.radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    right = 0.5 * (numbers.arms[0] ** 2 - numbers.arms[1:] ** 2)
-    tool = np.linalg.solve(tower[1:] - tower[0], right)
-    across = float(((tool - tower[0]) ** 2).sum())
-    return float(np.sqrt(numbers.arms[0] ** 2 - across))
+def _rods(numbers: DeltaNumbers) -> list[str]:
+    """Lengths of the rods as they are written."""
+    return [f"{arm:.4f}" for arm in numbers.arms]
 
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
-    """Travels of a printer with these commands."""
+    """Travels of a printer with these commands.
+
+    The study's z counts along the towers, as the firmware's does once it has raised it
+    by M666 A and B.
+    """
     geometry = words(texts[".g"], "M665")
     adjust = words(texts[".g"], "M666")
     numbers = DeltaNumbers(
         radius=geometry["R"][0],
-        arms=np.array(geometry["L"]),
+        arms=np.array(geometry["L"]) * np.ones(3),
         angles=np.array(ANGLES) + [geometry[k][0] for k in "XYZ"],
-        endstops=np.zeros(3),
+        endstops=geometry["H"][0] + np.array([adjust[k][0] for k in "XYZ"]),
+        trim=trims(compensation, NAME, "radius_trim_mm"),
     )
-    common = geometry["H"][0] + carriage_over_tool(numbers)
-    carriages = common + np.array([adjust[k][0] for k in "XYZ"])
-    return delta_joints(numbers, carriages, compensation)
+    return delta_joints(numbers, numbers.carriages, compensation)
 
 
 controller = ControllerFormat(
-    name="rrf",
+    name=NAME,
     about="RepRapFirmware's M665 and M666 of a delta printer, four decimals",
     source="RepRapFirmware, src/Movement/Kinematics/LinearDeltaKinematics.cpp",
     write=write,
     joints=joints,
     unfit=not_a_delta,
+    notes=notes,
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from oed import checks
@@ -25,7 +27,12 @@ def check_dataset(
     )
     alternatives = checks.Alternatives(resolved.measurement_with(resolved.setups))
     guess = resolved.study.noise.estimate is True
-    return checks.check_session(session, alternatives, rng, noise_is_a_guess=guess)
+    checked = checks.check_session(session, alternatives, rng, noise_is_a_guess=guess)
+    if not resolved.study.noise.assumed:
+        return checked
+    # smaller residuals than an assumption say nothing of the readings
+    findings = tuple(f for f in checked.findings if f.kind != "too_small")
+    return dataclasses.replace(checked, findings=findings)
 
 
 def goodness_section(checked: CheckedSession) -> GoodnessSection:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import msgspec
 
 from oed import units
-from oed.checks.goodness import Goodness
+from oed.checks.goodness import ALARM, Goodness
 from oed.estimate import Estimate
 from oed.instrument import Setup
 from oed.noise.summary import NoiseNumber, noise_numbers
@@ -31,6 +31,38 @@ def with_noise(
     numbers = noise_numbers(posterior, setups)
     records = {f"{n.kind} {n.of}".rstrip(): _record(n) for n in numbers}
     return msgspec.structs.replace(section, noise=records, noise_words=_words(numbers))
+
+
+def with_assumption(
+    section: GoodnessSection,
+    estimate: Estimate,
+    setups: Mapping[str, Setup],
+    count: int,
+) -> GoodnessSection:
+    """The section with a finding that the noise is assumed, where nothing tests it.
+
+    setups  of the readings
+    count   of the readings
+    """
+    if section.noise:
+        return section
+    amounts = []
+    for setup in setups.values():
+        for channel, sigma in zip(setup.instrument.channels, setup.sigma, strict=True):
+            unit = units.FINE[channel.unit]
+            amounts.append(f"{channel.name} {units.number(sigma, unit):.3g} {unit}")
+    freedom = max(estimate.dof, 0.0)
+    verdict = "which these readings cannot test"
+    if section.p_low is not None and section.p_low < ALARM and freedom:
+        ratio = (estimate.chi2 / freedom) ** 0.5
+        verdict = f"and too large: the residuals are {ratio:.2g} times it"
+    sentence = (
+        f"The noise of the readings ({', '.join(dict.fromkeys(amounts))}) is an"
+        f" assumption, {verdict} ({count} readings, {freedom:.1f} degrees of freedom). All"
+        " intervals scale with it: measure it by probing one place several times, and"
+        " give it in [noise]."
+    )
+    return msgspec.structs.replace(section, findings=[*section.findings, sentence])
 
 
 def _record(number: NoiseNumber) -> NoiseRecord:

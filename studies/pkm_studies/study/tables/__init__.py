@@ -31,6 +31,7 @@ from pkm_studies.study.tables.limits import LimitsTable as LimitsTable
 from pkm_studies.study.tables.limits import RodTable as RodTable
 from pkm_studies.study.tables.limits import SphereTable as SphereTable
 from pkm_studies.study.tables.machine import BoundsTable as BoundsTable
+from pkm_studies.study.tables.machine import ControllerTable as ControllerTable
 from pkm_studies.study.tables.machine import MachineTable as MachineTable
 from pkm_studies.study.tables.machine import NoiseTable as NoiseTable
 from pkm_studies.study.tables.machine import PriorTable as PriorTable

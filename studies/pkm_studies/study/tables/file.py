@@ -23,6 +23,7 @@ from pkm_studies.study.tables.fit import (
 from pkm_studies.study.tables.gap import GapTable
 from pkm_studies.study.tables.grids import KappaTable
 from pkm_studies.study.tables.machine import (
+    ControllerTable,
     MachineTable,
     NoiseTable,
     PriorTable,
@@ -82,6 +83,7 @@ class StudyFile(StudyTable, frozen=True, kw_only=True):
     effects    [effects]: expected sizes of effects, the unit in the name:
                `leg_thermal_C = 1`
     gap        [gap]: effects that a diagnosis tries
+    controller [controller]: the firmware that the machine has
     report     [report]: what the report holds
     expect     [expect]: claims that the result must meet
     """
@@ -105,5 +107,6 @@ class StudyFile(StudyTable, frozen=True, kw_only=True):
     prediction: PredictionTable | None = None
     effects: dict[str, Positive] = {}
     gap: GapTable | None = None
+    controller: ControllerTable | None = None
     report: ReportTable = ReportTable()
     expect: dict[Name, ClaimTable] = {}

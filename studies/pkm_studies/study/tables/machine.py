@@ -75,6 +75,8 @@ class NoiseTable(StudyTable, frozen=True, kw_only=True):
     An estimated law is close to what is stated, lacks what is stated as 0, and may have
     much or little of what is not stated.
 
+    assumed         whether the numbers are assumptions, which nobody measured: where the
+                    readings cannot estimate the noise, the result says so
     estimate        whether the noise law is estimated from the readings and integrated
                     over; by default where recorded readings leave enough degrees of
                     freedom. Where it is true, up to ten times the stated noise is no bad
@@ -93,12 +95,33 @@ class NoiseTable(StudyTable, frozen=True, kw_only=True):
     """
 
     free_keys = "sigma"
+    assumed: bool = False
     estimate: bool | None = None
     carried: Share | None = None
     reach_readings: Positive | None = None
     student_dof: Annotated[float, msgspec.Meta(gt=2)] | None = None
     outlier_share: Annotated[float, msgspec.Meta(ge=0, le=0.5)] | None = None
     sigma: dict[str, float | dict[str, float]] = {}
+
+
+class ControllerTable(StudyTable, frozen=True, kw_only=True):
+    """[controller]: the firmware of the machine, for which `oed compensate` writes.
+
+    firmware        format that it reads, as in `oed compensate --to`
+    version         of the firmware
+    m665_b          what B of Marlin's M665 is: trims of the rods, or the radius of
+                    calibration
+    keep            words that are written back as they are, by command
+    radius_trim_mm  what the firmware adds to the radius of each tower, and keeps
+    rod_trim_mm     what it adds to the arm of each tower, and keeps
+    """
+
+    firmware: str
+    version: str | None = None
+    m665_b: Literal["rod trim", "calibration radius"] | None = None
+    keep: dict[str, str] = {}
+    radius_trim_mm: Triple = (0.0, 0.0, 0.0)
+    rod_trim_mm: Triple = (0.0, 0.0, 0.0)
 
 
 class ToleranceTable(StudyTable, frozen=True, kw_only=True):
