@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import sample
 
-from pkm_studies import study
+from pkm_studies import shipped, study
 from pkm_studies.errors import SourceAbsentError
 from pkm_studies.resolve.resolved import resolve
 
@@ -156,6 +156,16 @@ coordinate = "theta"
     )
     values = np.linalg.svd(columns[:, measurement.free], compute_uv=False)
     assert values[0] / values[17] == pytest.approx(3748, rel=1e-3)
+
+
+def test_circles_are_read_with_a_reference_plan() -> None:
+    """Two circles of 15 points and the six home rows: 17259, home orientation in rad."""
+    of_paper = study.load(shipped.studies()["a3_home_orientation"].path)
+    (circles,) = resolve(of_paper).kappa_circles
+    assert [s.setup for s in circles.further] == ["home_point", "home_orientation"]
+    m, series = circles.measurement, circles.every_series()[0][4]
+    rows = m.jacobian([*circles.further, series], m.nominal) / m.length_factors
+    assert np.linalg.cond(rows[:, m.free]) == pytest.approx(17259, abs=1)
 
 
 def test_truth_is_in_si_and_names_the_set_up() -> None:

@@ -83,6 +83,11 @@ ADDED = {
         "kappa[1].z_mm",
         "1066 mm to 1266 mm",
     ),
+    "kappa with": (
+        '[[kappa]]\nsetup = "cup"\ncircles = [2]\npoints = [9]\nwith = "home"\nz_mm = { from = 1146, to = 1266 }\ncoordinate = "theta"',
+        "kappa[1].with",
+        "no such reference plan",
+    ),
 }  # fmt: skip
 
 

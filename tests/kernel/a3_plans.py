@@ -11,7 +11,7 @@ from oed.identifiability import Identifiability
 from oed.instrument import mount
 from oed.machine import Machine
 from oed.measurement import Measurement, Series
-from pkm_models.instruments import ball_bar
+from pkm_models.instruments import ball_bar, camera, orientation
 from pkm_models.machines.a3_head import machine
 
 HOME_Z = paper.C + paper.D
@@ -48,6 +48,23 @@ def measurement(
                 mount(ball_bar.free_cup, name, tool=longer, at_x=0.0, at_y=0.0, at_z=z)
             )
     return Measurement(of, setups)
+
+
+def approach_1() -> Measurement:
+    """Taught cup, home point and home orientation; no parameter is held (Eqs. 13-14)."""
+    free = dataclasses.replace(machine, frame=())
+    setups = [
+        mount(ball_bar.instrument, "cup", teach=(paper.TEACH_Z, 0.0, 0.0)),
+        mount(camera.known_frame, "home_point", sigma=(0.5e-6,) * 3),
+        mount(orientation.instrument, "home_orientation"),
+    ]
+    return Measurement(free, setups)
+
+
+def home_series(m: Measurement) -> list[Series]:
+    """The six rows at home: three of the point, three of the orientation."""
+    home = m.machine.home_command[None]
+    return [m.series(name, home) for name in ("home_point", "home_orientation")]
 
 
 def bar_commands(

@@ -20,6 +20,7 @@ from pkm_models.instruments import (
     height_probe,
     laser_ball_bar,
     length_gauge,
+    orientation,
     pose_tracker,
     redundancy,
     relative,
@@ -131,8 +132,17 @@ def _with_trackers(
         mount(laser_ball_bar.position, "laser_ball_bar_position", tool=tool, **at),
         mount(pose_tracker.instrument, "pose_tracker", tool=tool),
         mount(pose_tracker.position, "pose_tracker_position"),
+        *_of_orientation(),
     )
     return {**setups, **{s.name: s for s in more}}
+
+
+def _of_orientation() -> list[Setup]:
+    """Level, dial gauge and autocollimator, with their zeros freed."""
+    kinds = (orientation.instrument, orientation.level, orientation.autocollimator)
+    return [
+        mount(k, k.name, tolerances={p.name: 1e-5 for p in k.nuisances}) for k in kinds
+    ]
 
 
 def _lines() -> dict[str, Setup]:

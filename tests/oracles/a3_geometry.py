@@ -321,6 +321,37 @@ def bar_rows(
     return np.concatenate([(n[..., None, :] @ a)[..., 0, :], -n], -1)
 
 
+def home_rows() -> Array:
+    """Rows (6, 27) of Eq. (13): d (dr, dalpha) / d (p, cup offset) at home, m and rad."""
+    return np.hstack([linear_model(D + C, 0.0, 0.0), np.zeros((6, 3))])
+
+
+def approach_1(strokes: ArrayLike, points: int) -> Array:
+    """H (6 + m n, 27) of Eq. (14): home rows, then m circles of n points, cup taught.
+
+    Parameters are (dq, db, da0, D beta, ds), all in m; rows in m, home orientation in
+    rad.
+    """
+    stroke = np.repeat(strokes, points)
+    psi = np.tile(2 * np.pi * np.arange(points) / points, len(stroke) // points)
+    cup = np.array([0.0, 0.0, Z_TEACH])
+    theta = circle_theta(D + C + stroke, psi, cup)
+    bar = bar_rows(D + C + stroke, psi, theta, cup)
+    return np.vstack([home_rows(), bar]) * np.r_[SCALE, 1, 1, 1]
+
+
+def level_and_edge(p: ArrayLike, q: ArrayLike) -> Array:
+    """Readings (..., 3) rad of the platform of machine p at joints q (..., 3).
+
+    Slopes of the platform's v and u axes over the horizontal, as tilts about x and y,
+    and the direction of u in plan; all positive as right-handed rotations.
+    """
+    u, v = np.moveaxis(forward(p, q).R, -1, 0)[:2]
+    tilt_x = np.arctan2(v[..., 2], np.hypot(v[..., 0], v[..., 1]))
+    tilt_y = -np.arctan2(u[..., 2], np.hypot(u[..., 0], u[..., 1]))
+    return np.stack([tilt_x, tilt_y, np.arctan2(u[..., 1], u[..., 0])], -1)
+
+
 def compensator(z: ArrayLike, psi: ArrayLike, theta: ArrayLike) -> Compensator:
     """Eqs. (19)-(25): joint corrections and the errors (dx, dy, dphi) left over; theta
     must not be 0.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -115,12 +115,17 @@ def circles(
     table: KappaTable,
     i: int,
     measurement_with: Callable[[Iterable[str]], Measurement],
+    plans: Sequence[ReferencePlan] = (),
 ) -> Circles:
-    """The circles of the [[kappa]] table number `i`. Raises InputError."""
+    """The circles of the [[kappa]] table number `i`. Raises InputError.
+
+    plans  reference plans, one of which may be read as well
+    """
     place = study.place.key("kappa").item(i)
     setups = [s.name for s in study.setup]
     name = lookup.known_name(table.setup, setups, place.key("setup"))
-    measurement = measurement_with([name])
+    further = _further(table, plans, place)
+    measurement = measurement_with({name, *(s.setup for s in further)})
     machine = measurement.machine
     columns = [c.name for c in machine.command]
     key, across, (lower, upper) = _spacing(table, machine, place)
@@ -141,7 +146,19 @@ def circles(
         lower=lower,
         upper=upper,
         place=place,
+        further=further,
     )
+
+
+def _further(
+    table: KappaTable, plans: Sequence[ReferencePlan], place: Place
+) -> tuple[Series, ...]:
+    """The readings of the reference plan that the table names, if any."""
+    if table.with_ is None:
+        return ()
+    by_name = {plan.name: plan.series for plan in plans}
+    at = place.key("with")
+    return by_name[lookup.known_name(table.with_, by_name, at, "reference plan")]
 
 
 def _spacing(

@@ -53,6 +53,7 @@ class Circles:
     around        column of the angle that runs round each circle
     hold          coordinate that the instrument leads, if any
     lower, upper  range of the spacing coordinate, SI
+    further       series of a reference plan that is read as well
     """
 
     title: str
@@ -66,6 +67,7 @@ class Circles:
     lower: float
     upper: float
     place: Place
+    further: tuple[Series, ...] = ()
 
     def every_series(self) -> list[list[Series]]:
         """Readings: a list a number of circles, in it an entry a number of points.

@@ -91,7 +91,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     references = candidates.references(study, everything)
     design = design_request(study, everything, references, pool)
     circles = [
-        candidates.circles(study, table, i, measurement_with)
+        candidates.circles(study, table, i, measurement_with, references)
         for i, table in enumerate(study.kappa)
     ]
     fitted, held_out = roles.reading_roles(study, mounted)

@@ -237,7 +237,9 @@ def kappa_map(circles: Circles, scaling: Scaling) -> KappaMap:
     table = []
     for of_circles in circles.every_series():
         assessed = [
-            assess(circles.measurement, [series], scaling).identifiability
+            assess(
+                circles.measurement, [series, *circles.further], scaling
+            ).identifiability
             for series in of_circles
         ]
         values = [identified.identifiable_singular_values for identified in assessed]

@@ -99,6 +99,7 @@ class KappaTable(StudyTable, frozen=True, kw_only=True):
     circles     numbers of circles to try
     points      numbers of points on a circle to try
     coordinate  the coordinate that the instrument leads, if any
+    with        a plan of [[design.reference]] whose readings are taken as well
     further     the range that spaces the circles, as in `z_mm = { from = 0, to = 10 }`
     """
 
@@ -108,4 +109,5 @@ class KappaTable(StudyTable, frozen=True, kw_only=True):
     circles: Annotated[list[Count], msgspec.Meta(min_length=1)]
     points: Annotated[list[Count], msgspec.Meta(min_length=1)]
     coordinate: str | None = None
+    with_: str | None = msgspec.field(name="with", default=None)
     coordinates: dict[str, Range] = {}

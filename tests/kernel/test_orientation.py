@@ -1,0 +1,66 @@
+"""Level, dial gauges and autocollimator on a platform that is turned by known angles."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from oed.instrument import mount
+from oed.measurement import Measurement
+from pkm_models.instruments import orientation
+from pkm_models.machines import a3_head, hexapod, linear_delta, planar_2dof
+
+INSTRUMENTS = (orientation.instrument, orientation.level, orientation.autocollimator)
+#: rx, ry, spin of a hexapod's command, rad
+ANGLES = [(2e-3, 0.0, 0.0), (0.0, -3e-3, 0.0), (0.0, 0.0, 5e-3), (0.02, -0.03, 0.05)]
+
+
+def read(kind: object, angles: tuple[float, float, float]) -> np.ndarray:
+    m = Measurement(hexapod.machine, [mount(kind, "one")])
+    command = [*hexapod.machine.home_command[:3], *angles]
+    return m.readings([m.series("one", np.array([command]))], m.nominal)
+
+
+@pytest.mark.parametrize("kind", INSTRUMENTS, ids=lambda k: k.name)
+@pytest.mark.parametrize("axis", range(3))
+def test_a_turn_about_one_axis_is_read_with_its_sign(kind: object, axis: int) -> None:
+    """By hand: 2 mrad about x lifts v; -3 mrad about y lifts u; 5 mrad turns u to y."""
+    expected = np.array(ANGLES[axis])[: len(kind.channels)]
+    assert read(kind, ANGLES[axis]) == pytest.approx(expected, abs=1e-15)
+
+
+def test_level_and_autocollimator_read_what_they_touch() -> None:
+    """Large angles: slopes of the platform's edges, and directions of its normal."""
+    rx, ry, spin = ANGLES[3]
+    turned = Rotation.from_rotvec([rx, ry, 0.0]) * Rotation.from_euler("z", spin)
+    u, v, w = turned.as_matrix().T
+    slope = [np.arcsin(v[2]), -np.arcsin(u[2]), np.arctan2(u[1], u[0])]
+    assert read(orientation.instrument, ANGLES[3]) == pytest.approx(slope, abs=1e-14)
+    assert read(orientation.level, ANGLES[3]) == pytest.approx(slope[:2], abs=1e-14)
+    normal = [-np.arctan(w[1] / w[2]), np.arctan(w[0] / w[2])]
+    mirror = read(orientation.autocollimator, ANGLES[3])
+    assert mirror == pytest.approx(normal, abs=1e-14)
+
+
+def test_rows_can_be_taken_one_by_one() -> None:
+    alone = orientation.instrument.take_channels(["read_spin"])
+    assert read(alone, ANGLES[2]) == pytest.approx([5e-3], abs=1e-15)
+
+
+def test_zeros_are_held_unless_freed() -> None:
+    m = Measurement(a3_head.machine, [mount(orientation.level, "level")])
+    assert not m.freed(["level.*"]).any()
+    freed = mount(orientation.level, "level", tolerances={"zero_x": 1e-5})
+    m = Measurement(a3_head.machine, [freed])
+    assert m.freed(["level.*"]).sum() == 1
+    series = m.series("level", a3_head.machine.home_command[None])
+    theta = m.nominal.copy()
+    theta[m.names.index("level.zero_x")] = 4e-5
+    assert m.readings([series], theta) == pytest.approx([4e-5, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("machine", [linear_delta.machine, planar_2dof.machine])
+def test_a_platform_that_keeps_its_orientation_has_none_to_read(
+    machine: object,
+) -> None:
+    with pytest.raises(ValueError, match="its platform keeps its orientation"):
+        Measurement(machine, [mount(orientation.level, "level")])
