@@ -57,7 +57,7 @@ def errors(
     )
 
 
-# -- A3: what one bar at one tool point can not see ------------------------------------
+# -- A3: what one bar at one tool point cannot see ------------------------------------
 
 
 @pytest.mark.parametrize("taught", [True, False])
@@ -114,7 +114,7 @@ def test_one_circle_of_any_density_leaves_the_eighteenth_direction_at_metres() -
         assert s[16] > 6e-6
 
 
-def test_kappa_has_no_plateau_from_15_points() -> None:
+def test_kappa_over_the_18_directions_dips_at_15_points() -> None:
     """m = 2 circles of n points: Table 2's strokes, and the stroke's ends."""
     n = np.arange(12, 25)
 
@@ -140,6 +140,29 @@ def test_kappa_has_no_plateau_from_15_points() -> None:
     assert free[0] / free[-1] < 1.16  # and no rapid fall before it
     ends = kappa([0.0, 0.2], True)
     assert np.round(ends[:5]) == pytest.approx([5808, 6279, 6105, 4816, 5545])
+
+
+@pytest.mark.parametrize(
+    ("angle_unit", "kappas"),  # m: a reading of 1 rad as a length
+    [
+        (1.0, [64536, 23811, 18577, 17658, 17259, 15769, 15007, 14121]),
+        (a3.D, [46288, 17186, 13503, 12930, 12736, 11732, 11360, 10946]),
+        (1e-3, [38567, 14914, 12118, 11922, 12024, 11336, 11372, 11218]),
+    ],
+)
+def test_kappa_of_approach_1_falls_to_15_points_and_hardly_after(
+    angle_unit: float, kappas: list[int]
+) -> None:
+    """H of Eq. (14) with 11 to 20 points on each of Table 2's circles."""
+    points = [11, 12, 13, 14, 15, 16, 18, 20]
+    units = np.r_[[1.0] * 3, [angle_unit] * 3]
+    for n, expected in zip(points, kappas, strict=True):
+        rows = a3.approach_1([0.08, 0.2], n)
+        rows[:6] *= units[:, None]
+        assert np.linalg.cond(rows) == pytest.approx(expected, abs=1)
+    at = dict(zip(points, kappas, strict=True))
+    assert at[11] > 3 * at[15]
+    assert at[15] < 1.25 * at[20]
 
 
 def test_table_3_has_a_part_that_no_bar_reading_backs() -> None:

@@ -78,10 +78,10 @@ def test_slopes_are_those_of_the_oracle() -> None:
         assert np.abs(slopes[:, :, k] - expected).max() < 1e-12
 
 
-# -- the paper's closed forms (6)-(8) --------------------------------------------------
+# -- the closed forms (6)-(8), as the extracted text has them ---------------------------
 
 
-def test_printed_x_lost_a_minus_sign_and_carries_a_term_that_vanishes() -> None:
+def test_extracted_x_lacks_a_minus_sign_and_has_a_term_that_vanishes() -> None:
     """With the sign of 2 l1^2 restored, x is off by rho / 4 (35 mm): the term in rho is
     to be cos^2 + sin^2 - 1 = 0.
     """
@@ -93,13 +93,13 @@ def test_printed_x_lost_a_minus_sign_and_carries_a_term_that_vanishes() -> None:
     assert np.abs(restored - (points[:, 0] + RHO / 4.0)).max() < 1e-13
 
 
-def test_printed_y_has_the_opposite_sign() -> None:
+def test_extracted_y_has_the_opposite_sign() -> None:
     points = grid(5, 3)
     _, q = KINEMATICS.inverse(points)
     assert np.abs(oracle.printed(q, RHO)[:, 1].real + points[:, 1]).max() < 1e-13
 
 
-def test_printed_z_needs_the_opposite_signs_of_x_and_y() -> None:
+def test_extracted_z_needs_the_opposite_signs_of_x_and_y() -> None:
     points = grid(5, 3)
     _, q = KINEMATICS.inverse(points)
     x, y, z = points.T
@@ -117,6 +117,18 @@ def test_printed_z_needs_the_opposite_signs_of_x_and_y() -> None:
     assert (
         np.linalg.norm(oracle.printed(q, RHO) * [1, 1, -1] - points, axis=1).min() > 0.1
     )
+
+
+def test_two_signs_and_a_sine_make_them_those_of_a_frame_turned_half_round() -> None:
+    """(6) with 2 l1^2 - l2^2 - l3^2 and without its second term; (7) and (8) as they are."""
+    points = grid(5, 3)
+    _, q = KINEMATICS.inverse(points)
+    l1, l2, l3 = q.T
+    x = (2.0 * l1**2 - l2**2 - l3**2) / (6.0 * RHO)
+    y = (l2**2 - l3**2) / (2.0 * np.sqrt(3.0) * RHO)
+    c, s = RHO * np.cos(np.deg2rad(120)), RHO * np.sin(np.deg2rad(120))
+    z = np.sqrt(l2**2 - (x + c) ** 2 - (y + s) ** 2)
+    assert np.abs(np.column_stack([-x, -y, -z]) - points).max() < 1e-13
 
 
 def test_spherical_joints_do_not_keep_the_platform_parallel() -> None:

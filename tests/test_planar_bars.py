@@ -271,7 +271,7 @@ def test_a_ruler_of_unknown_direction_hides_a_turn_of_the_machine() -> None:
     assert np.abs(m5.jacobian([s5], m5.nominal) @ turned).max() < 1e-12
 
 
-def test_the_paper_s_poses_for_step_one_are_not_the_best_by_its_own_index() -> None:
+def test_by_the_index_alone_the_longest_line_is_the_best() -> None:
     """Section 2.4.1 takes z = 0 and 900 mm.
 
     Eq. (17) grows in proportion to the travel, up to 1500 mm.

@@ -370,11 +370,11 @@ def test_a_millimetre_of_tangential_offset_changes_a_strut_by_half_a_micrometre(
         )  # and what there is, is constant: it passes for dl
 
 
-def test_gamma_is_no_function_of_alpha_and_beta_on_a_machine_with_errors() -> None:
-    """Section 5.2 (d) computes gamma from alpha and beta.
+def test_gamma_depends_on_the_machine_s_errors_as_well() -> None:
+    """With Table 4's errors it is 1.7 to 2.4 mrad off that of the drawn machine.
 
-    With Table 4's errors it is 1.7 to 2.4 mrad off, by the mean tangential offset over
-    r. With that gamma, the paper's procedure misses its own numbers without any noise:
+    That is the mean tangential offset over r. With the drawn machine's gamma, the
+    procedure misses the paper's numbers without any noise:
     by 0.4 mm in a ball joint, 0.25 mm in a strut, 0.85 mm in a slider's radial place.
     """
     q = oracle.nominal(*poses().T)[2]

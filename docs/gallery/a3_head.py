@@ -2,10 +2,11 @@
 
     python docs/gallery/a3_head.py [FOLDER]
 
-Two circles of 15 readings see 18 of 21 parameters, as any plan with one tool does.
+Two circles of 15 readings see 18 of 21 parameters, as any plan of bar readings with one
+tool does.
 Thirty readings chosen out of 1512 see the same 18 better: the two circles have a
 D-efficiency of 68 %, so 44 of their readings are worth these 30. The condition number
-of two circles has its minimum at 15 points, but no plateau after it.
+of two circles alone has its minimum at 15 points, but no plateau after it.
 """
 
 import _draw

@@ -5,8 +5,8 @@
 The machine's 15 errors appear in nine combinations: for each leg R_f - R_p,
 R_f theta_f - R_p theta_p and its zero. Positions in a known frame see all nine. A ball
 plate has an unknown place, and distances have none. Both lose the three motions of the
-machine in its plane, which no user needs. The closed form of its paper is wrong; the
-corrected one agrees with Newton's method on the closure.
+machine in its plane, which no user needs. The closed form from its leg equations agrees
+with Newton's method on the closure.
 """
 
 import _draw

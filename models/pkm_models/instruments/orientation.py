@@ -71,9 +71,7 @@ def _normal(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 
 def _zeros(axes: str) -> tuple[Parameter, ...]:
     about = "zero of the reading about {}; held unless freed"
-    return tuple(
-        Parameter(f"zero_{n}", 0.0, 0.0, "rad", about.format(n)) for n in axes
-    )
+    return tuple(Parameter(f"zero_{n}", 0.0, 0.0, "rad", about.format(n)) for n in axes)
 
 
 def _unfit(machine: Machine) -> str | None:

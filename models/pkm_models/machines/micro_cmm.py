@@ -11,8 +11,9 @@ x is the probe, below the frame: z < 0. The paper gives no dimensions: R_f = 200
 = 60 mm and a probe 150 to 250 mm below the frame are chosen here; a study replaces them
 by [machine.nominal]. So are the tolerances: parts made to 50 um, and the legs' zeros as
 well. The paper's joints are spherical at both ends; those alone do not keep the
-platform parallel, so take Tsai's 3-UPU legs (its Fig. 2). Its closed forms (6)-(8) are
-wrong: see docs/errata.md and `direct` for the right ones.
+platform parallel, so take Tsai's 3-UPU legs (its Fig. 2). Its closed forms (6)-(8), in
+the text that we have, do not solve (3)-(5): see docs/errata.md, and `direct` for forms
+that do.
 """
 
 from __future__ import annotations

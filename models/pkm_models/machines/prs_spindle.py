@@ -11,8 +11,8 @@ to the ball joint b_i of the platform. With P the tool tip and v_i = P + [R] b_i
 
 The second row, the plane in which the revolute joint holds the strut, is missing from
 the paper's model of the errors (see `prs_spindle_struts`). Joints stand at phi_i = 0,
-120, 240 deg on circles about the machine's axis, as in Table 1; Eq. (2) as printed puts
-the origin elsewhere and contradicts it. The 18 parameters are those of Table 4: db1x is
+120, 240 deg on circles about the machine's axis, as in Table 1; Eq. (2) has its origin
+elsewhere. The 18 parameters are those of Table 4: db1x is
 its Delta b_1x, dR1x its Delta R_1X (base frame), dl1 its Delta l_1. Heights of the
 sliders are what the scales show.
 
