@@ -11,6 +11,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.compensate import (
+    FurtherAxes,
     InterpolationTable,
     compensated_joints,
     error_model,
@@ -31,13 +32,16 @@ def joint_errors(
     joints: Array,
     parameters: Array,
     reference: Reference,
+    further: FurtherAxes | None = None,
+    offsets: Array | None = None,
 ) -> Array:
     """Errors (n, k) of the pose components at commands (n, n_dof), SI.
 
     joints      (n + 1, nq) to which the controller drives at the commands, then at home
     parameters  (np,) of the machine
+    further     axes that take back `offsets` (n + 1, m), likewise; none by default
 
-    Raises AssemblyError.
+    They are on top of what exact compensation leaves. Raises AssemblyError.
     """
     machine = kinematics.machine
     home = machine.home_command[None]
@@ -45,6 +49,9 @@ def joint_errors(
     exact = compensated_joints(kinematics, poses, parameters)
     twist = pose_error(kinematics, poses, joints, parameters)
     twist -= pose_error(kinematics, poses, exact, parameters)
+    if further is not None and offsets is not None:
+        missed = offsets - further.offsets(poses, parameters)
+        twist -= further.twists(poses, missed)
     relative = relative_to_reference(
         twist[:-1],
         twist[-1:],
@@ -62,29 +69,68 @@ def interpolation_errors(
     parameters: Array,
     reference: Reference,
     rng: np.random.Generator,
+    further: FurtherAxes,
 ) -> Array:
-    """Errors (n, k), SI, at random places of a table of joint corrections.
+    """Errors (n, k), SI, at random places of a table of joint corrections and offsets.
 
     The controller has the nominal model. It adds corrections, linear between the
     commands of the grid, at home too; those of home where the grid does not reach it.
+    Further axes, if any, take back offsets that are interpolated alike.
 
     Raises AssemblyError.
     """
-    nominal = kinematics.machine.nominal
-    correction = joint_corrections(kinematics, grid.commands, parameters)
+    nominal, nq = kinematics.machine.nominal, len(kinematics.machine.joints)
+    values = [
+        joint_corrections(kinematics, grid.commands, parameters),
+        further.offsets(grid.commands, parameters),
+    ]
     table = InterpolationTable(
         tuple(axis.name for axis in grid.axes),
         grid.knots,
-        correction.reshape(*grid.counts, -1),
+        np.hstack(values).reshape(*grid.counts, -1),
         grid.turns,
     )
     low, high = np.array([axis.evaluated for axis in grid.axes]).T
     places = rng.uniform(low, high, (PLACES, len(low)))
     home = kinematics.machine.home_command[None]
-    at_home = compensated_joints(kinematics, home, parameters)
+    joints_at_home = compensated_joints(kinematics, home, parameters)
+    offsets_at_home = further.offsets(home, parameters)
     if all(axis.holds(p) for axis, p in zip(grid.axes, home[0], strict=True)):
-        at_home = compensated_joints(kinematics, home, nominal) + table.at(home)
-    joints = np.vstack(
-        [compensated_joints(kinematics, places, nominal) + table.at(places), at_home]
+        tabled = table.at(home)
+        joints_at_home = compensated_joints(kinematics, home, nominal) + tabled[:, :nq]
+        offsets_at_home = tabled[:, nq:]
+    tabled = table.at(places)
+    joints = compensated_joints(kinematics, places, nominal) + tabled[:, :nq]
+    return joint_errors(
+        kinematics,
+        places,
+        np.vstack([joints, joints_at_home]),
+        parameters,
+        reference,
+        further,
+        np.vstack([tabled[:, nq:], offsets_at_home]),
     )
-    return joint_errors(kinematics, places, joints, parameters, reference)
+
+
+def known_errors(
+    kinematics: Kinematics, command: Array, parameters: Array, reference: Reference
+) -> Array:
+    """Errors (n, k) that exact compensation leaves at commands (n, n_dof), SI.
+
+    They are known as well as the parameters (np,) are: of what no joint drives, and of
+    the rest to rounding. Raises AssemblyError.
+    """
+    machine = kinematics.machine
+    home = machine.home_command[None]
+    poses = np.vstack([command, home])
+    joints = compensated_joints(kinematics, poses, parameters)
+    twist = pose_error(kinematics, poses, joints, parameters)
+    relative = relative_to_reference(
+        twist[:-1],
+        twist[-1:],
+        error_model(kinematics, command),
+        error_model(kinematics, home),
+        reference,
+        machine.alignment_lever,
+    )
+    return kinematics.error_components(command, relative)

@@ -21,6 +21,7 @@ class Channel:
             1 where all are differences from one reference reading
     resolution  step of its display, SI; a set-up's sigma holds its variance, a twelfth
                 of the square; 0 for fine ones
+    about   what it reads: frame and sense, for tables
     """
 
     name: str
@@ -28,6 +29,7 @@ class Channel:
     sigma: float
     shared: float = 0.0
     resolution: float = 0.0
+    about: str = ""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

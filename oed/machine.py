@@ -69,12 +69,16 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Coordinate:
-    """A pose, joint or command coordinate with its range, in the SI `unit`."""
+    """A pose, joint or command coordinate with its range, in the SI `unit`.
+
+    about  what it measures: frame and sense, for tables
+    """
 
     name: str
     unit: str
     lower: float = -np.inf
     upper: float = np.inf
+    about: str = ""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -84,11 +88,13 @@ class Component:
     name           such as `x` or `theta`
     unit           SI unit
     compensatable  whether the controller can null it
+    about          what it measures: frame and sense, for tables
     """
 
     name: str
     unit: str
     compensatable: bool
+    about: str = ""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

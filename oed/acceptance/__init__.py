@@ -1,7 +1,12 @@
 """Acceptance: few poses that confirm a promised accuracy, and their judgement."""
 
 from oed.acceptance.judge import ComponentVerdict, judge
-from oed.acceptance.plan import AcceptancePlan, Promise, plan_acceptance
+from oed.acceptance.plan import (
+    AcceptancePlan,
+    Promise,
+    plan_acceptance,
+    state_limits,
+)
 from oed.acceptance.positioning import Positioning, positioning
 
 __all__ = [
@@ -12,4 +17,5 @@ __all__ = [
     "judge",
     "plan_acceptance",
     "positioning",
+    "state_limits",
 ]

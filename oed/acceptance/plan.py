@@ -113,6 +113,18 @@ def plan_acceptance(
     return plan
 
 
+def state_limits(
+    promise: Promise,
+    poses: Index,
+    rng: np.random.Generator,
+    *,
+    miss: float = 1.2,
+    false_alarm: float = 0.05,
+) -> AcceptancePlan:
+    """Limits and power of a promise at poses that another one chose."""
+    return _state(promise, poses, rng, miss, false_alarm)
+
+
 def _separation(squares: Array, noise: Array, count: int, miss: float) -> float:
     """How far missing machines lie from good ones, in standard deviations.
 

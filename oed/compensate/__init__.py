@@ -24,6 +24,7 @@ from oed.compensate.forecast import (
     forecast_from_nodes,
     strut_motion,
 )
+from oed.compensate.further_axes import FurtherAxes, FurtherAxis, further_axes
 from oed.compensate.grid_design import GridDesign, design_grid, expected_kernel
 from oed.compensate.linear import ErrorModel, LinearCompensator, error_model
 from oed.compensate.parameters import ParameterCompensator
@@ -54,6 +55,8 @@ __all__ = [
     "ErrorModel",
     "ExactCompensator",
     "ForecastCompensator",
+    "FurtherAxes",
+    "FurtherAxis",
     "GridAxis",
     "GridDesign",
     "InterpolationTable",
@@ -73,6 +76,7 @@ __all__ = [
     "fit_error_field",
     "forecast_from_field",
     "forecast_from_nodes",
+    "further_axes",
     "joint_corrections",
     "joint_motion",
     "pose_error",

@@ -8,10 +8,13 @@ from oed.result.record import Record
 class PromiseRecord(Record, frozen=True):
     """What an acceptance test demands of one pose component, in `unit`.
 
-    promised     rms error over the workspace
+    promised     rms error over the workspace; of what no drive corrects, with further
+                 axes that take the known error back
     limit        largest rms of the measured errors with which the machine passes
     power        probability that a machine which misses the promise is caught
     uncertainty  standard uncertainty of one measured error
+    without      rms error over the workspace without further axes, where no drive
+                 corrects the component
     """
 
     promised: float
@@ -19,6 +22,7 @@ class PromiseRecord(Record, frozen=True):
     power: float
     uncertainty: float
     unit: str
+    without: float | None = None
 
 
 class AcceptanceSection(Record, frozen=True):
@@ -30,6 +34,8 @@ class AcceptanceSection(Record, frozen=True):
     miss         factor on the promised rms of a machine that misses
     false_alarm  probability that a machine at its promise fails
     conditions   what the promise rests on
+    further      {component: demand} of what no drive corrects; measured or not
+    offsets      errors of these, known in advance, at each pose, in their units
     """
 
     poses: list[dict[str, float]]
@@ -38,10 +44,16 @@ class AcceptanceSection(Record, frozen=True):
     miss: float
     false_alarm: float
     conditions: list[str] = []
+    further: dict[str, PromiseRecord] = {}
+    offsets: list[dict[str, float]] = []
 
 
 class VerdictRecord(Record, frozen=True):
-    """The judgement of one pose component, in `unit`."""
+    """The judgement of one pose component, in `unit`.
+
+    Of what no drive corrects, rms and max are those with further axes, and `without`
+    the rms error without them.
+    """
 
     rms: float
     max: float
@@ -49,6 +61,7 @@ class VerdictRecord(Record, frozen=True):
     promised: float
     unit: str
     passed: bool
+    without: float | None = None
 
 
 class PositioningRecord(Record, frozen=True):
@@ -68,9 +81,13 @@ class PositioningRecord(Record, frozen=True):
 
 
 class VerificationSection(Record, frozen=True):
-    """Whether the measured errors confirm the promise."""
+    """Whether the measured errors confirm the promise.
+
+    further  verdicts on what no drive corrects, as far as it was measured
+    """
 
     passed: bool
     readings: int
     components: dict[str, VerdictRecord]
     positioning: dict[str, PositioningRecord] = {}
+    further: dict[str, VerdictRecord] = {}

@@ -47,7 +47,9 @@ class UnmodelledLine(Record, frozen=True):
 class BudgetSection(Record, frozen=True):
     """Sources of the errors that remain, each component in its fine unit.
 
-    predicted   rms error that the lines add up to
+    predicted   rms error that the lines add up to; of what no drive corrects, with
+                further axes that take the known error back
+    no_axes     rms error of what no drive corrects, without further axes
     lines       of what the prediction contains
     unmodelled  effects that it does not contain, at their expected sizes, the one that
                 adds most first
@@ -58,3 +60,4 @@ class BudgetSection(Record, frozen=True):
     lines: list[BudgetLine]
     unmodelled: list[UnmodelledLine] = []
     advice: list[str] = []
+    no_axes: dict[str, float] = {}

@@ -12,6 +12,7 @@ from oed.result import AcceptanceSection, VerificationSection
 from pkm_studies import files, result_folder
 from pkm_studies.acceptance import plan
 from pkm_studies.acceptance.judge import judge_file
+from pkm_studies.acceptance.plan import AXES
 from pkm_studies.acceptance.promise import promised_accuracy
 from pkm_studies.compensation import identified
 from pkm_studies.compensation.export import BadFitError, result_study
@@ -101,6 +102,16 @@ def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
             f" probability {d.power:.2f}."
         )
     yield f"A machine just at its promise fails with probability {section.false_alarm:.2f}."
+    for name, d in section.further.items():
+        yield (
+            f"{name}: no drive corrects it: {d.without:.3g} {d.unit} rms are predicted"
+            f" without further axes. With axes that take the known errors back it is"
+            f" promised {d.promised:.3g} {d.unit}, and passes up to {d.limit:.3g}"
+            f" {d.unit}, measured to {d.uncertainty:.2g} {d.unit} (1 sd). Leave its"
+            " column empty where you do not measure it."
+        )
+    if section.further:
+        yield f"Write 1 into {AXES} where these axes were on; 0, or nothing, where not."
     for condition in section.conditions:
         yield f"Condition: {condition}."
 
@@ -112,6 +123,13 @@ def verdict_sentences(section: VerificationSection) -> Iterator[str]:
         yield (
             f"{name}: {verdict}: rms {c.rms:.3g} {c.unit}, limit {c.limit:.3g}"
             f" {c.unit} (promised {c.promised:.3g}), largest {c.max:.3g} {c.unit}."
+        )
+    for name, c in section.further.items():
+        verdict = "passed" if c.passed else "failed"
+        yield (
+            f"{name}: without further axes rms {c.without:.3g} {c.unit}; with them"
+            f" {verdict}: rms {c.rms:.3g} {c.unit}, limit {c.limit:.3g} {c.unit}"
+            f" (promised {c.promised:.3g}), largest {c.max:.3g} {c.unit}."
         )
     for name, p in section.positioning.items():
         yield (

@@ -27,13 +27,17 @@ def blocks(result: StudyResult) -> list[Block]:
         chapter += _verdict(verification)
     chapter.append(Paragraph(_about(acceptance)))
     chapter += headed_list("The promise rests on:", acceptance.conditions)
-    chapter += [_demands(acceptance), _poses(acceptance)]
+    chapter.append(_demands(acceptance))
+    if acceptance.further:
+        chapter.append(_further_demands(acceptance))
+    chapter.append(_poses(acceptance))
     return chapter
 
 
 def verdict(verification: VerificationSection) -> str:
     """The judgement in a sentence."""
-    failed = [n for n, c in verification.components.items() if not c.passed]
+    judged = {**verification.components, **verification.further}
+    failed = [n for n, c in judged.items() if not c.passed]
     if not failed:
         return "The acceptance test is passed: the measured errors confirm the promise."
     return f"The acceptance test is failed: {text.listing(failed)} exceeds its limit."
@@ -71,6 +75,29 @@ def _demands(acceptance: AcceptanceSection) -> Table:
     return Table(columns, rows, caption)
 
 
+def _further_demands(acceptance: AcceptanceSection) -> Table:
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Without", "With: promised", "Limit", "Uncertainty", "Power"),
+    ]
+    rows = [
+        [
+            f"{name} [{text.unit_symbol(d.unit)}]",
+            "" if d.without is None else text.number(d.without),
+            text.number(d.promised),
+            text.number(d.limit),
+            text.number(d.uncertainty, 2),
+            text.fixed(d.power, 2),
+        ]
+        for name, d in acceptance.further.items()
+    ]
+    caption = (
+        "What no drive corrects, as rms errors without further axes, and with axes that"
+        " take the known error back (columns with “offset” of the compensation table)."
+    )
+    return Table(columns, rows, caption)
+
+
 def _poses(acceptance: AcceptanceSection) -> Table:
     titles = [text.heading(name) for name in acceptance.poses[0]]
     rows = [[text.trimmed(v, 6) for v in pose.values()] for pose in acceptance.poses]
@@ -93,9 +120,31 @@ def _verdict(verification: VerificationSection) -> list[Block]:
         marks.append("good" if c.passed else "bad")
     caption = f"Measured errors against their limits. {verdict(verification)}"
     blocks: list[Block] = [Table(columns, rows, caption, marks)]
+    if verification.further:
+        blocks.append(_further_verdict(verification))
     if verification.positioning:
         blocks.append(_positioning(verification))
     return blocks
+
+
+def _further_verdict(verification: VerificationSection) -> Table:
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Without: rms", "With: rms", "Limit", "Largest"),
+        TableColumn("Verdict"),
+    ]
+    rows, marks = [], []
+    for name, c in verification.further.items():
+        sizes = [text.number(v) for v in (c.rms, c.limit, c.max)]
+        without = "" if c.without is None else text.number(c.without)
+        words = "✓ passed" if c.passed else "✗ failed"
+        rows.append([f"{name} [{text.unit_symbol(c.unit)}]", without, *sizes, words])
+        marks.append("good" if c.passed else "bad")
+    caption = (
+        "What no drive corrects: measured errors without further axes, and with axes that"
+        " take the known error back."
+    )
+    return Table(columns, rows, caption, marks)
 
 
 def _positioning(verification: VerificationSection) -> Table:

@@ -38,6 +38,8 @@ def blocks(section: BudgetSection, components: Components) -> list[Block]:
     shown = [n for n, c in components.items() if c.compensatable] or list(components)
     units = {name: components[name].after.unit for name in shown}
     content: list[Block] = [_lines(section, units), _improvements(section, units)]
+    if section.no_axes:
+        content.append(_axes(section, components))
     if section.advice:
         content.append(Paragraph(" ".join(section.advice)))
     if section.unmodelled:
@@ -47,6 +49,27 @@ def blocks(section: BudgetSection, components: Components) -> list[Block]:
         if hidden:
             content.append(Paragraph(_hidden(hidden)))
     return content
+
+
+def _axes(section: BudgetSection, components: Components) -> Table:
+    """What no drive corrects, without and with further axes."""
+    rows = [
+        [
+            f"{name} [{text.unit_symbol(components[name].after.unit)}]",
+            text.number(without),
+            text.number(section.predicted[name]),
+        ]
+        for name, without in section.no_axes.items()
+    ]
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Without further axes", "With further axes"),
+    ]
+    caption = (
+        "Rms error of what no drive of this machine corrects, and what stays where"
+        " further axes take the known error back."
+    )
+    return Table(columns, rows, caption)
 
 
 def _lines(section: BudgetSection, units: Mapping[str, str]) -> Table:

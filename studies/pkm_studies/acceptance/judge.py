@@ -16,7 +16,7 @@ from oed.result import (
     VerificationSection,
 )
 from pkm_studies import csv_table
-from pkm_studies.acceptance.plan import error_columns
+from pkm_studies.acceptance.plan import AXES, error_columns
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import InputError
 
@@ -40,9 +40,7 @@ def judge_file(section: AcceptanceSection, path: Path) -> VerificationSection:
     for name, column in error_columns(section.components).items():
         unit = section.components[name].unit
         values = np.asarray(units.to_si(table.numbers(column), unit))
-        errors[name] = np.array(
-            [values[target == k].mean() for k in range(len(section.poses))]
-        )
+        errors[name] = _by_pose(values, target, len(section.poses))
         of_component = _positioning(values, target, direction, unit)
         if of_component is not None:
             figures[name] = of_component
@@ -60,12 +58,53 @@ def judge_file(section: AcceptanceSection, path: Path) -> VerificationSection:
             unit=demand.unit,
             passed=verdict.passed,
         )
+    further = _further(section, table, target)
     return VerificationSection(
-        passed=all(c.passed for c in components.values()),
+        passed=all(c.passed for c in (*components.values(), *further.values())),
         readings=len(table),
         components=components,
         positioning=figures,
+        further=further,
     )
+
+
+def _further(
+    section: AcceptanceSection, table: CsvTable, target: Index
+) -> dict[str, VerdictRecord]:
+    """Verdicts on what no drive corrects, as far as it was measured.
+
+    Where further axes were off, the errors that are known in advance are taken off, and
+    where they were on, these are added for the error without them.
+    """
+    taken_back = np.zeros(len(table), dtype=bool)
+    if AXES in table.header:
+        taken_back = table.numbers(AXES, gaps=True) > 0.0
+    verdicts = {}
+    for name, column in error_columns(section.further).items():
+        if column not in table.header or not any(table.cells(column)):
+            continue
+        demand = section.further[name]
+        known = np.array([offsets[name] for offsets in section.offsets])
+        measured = table.numbers(column)
+        known_of_rows = known[target]
+        with_axes = np.where(taken_back, measured, measured - known_of_rows)
+        remaining = _by_pose(with_axes, target, len(known))
+        verdict = judge({name: remaining}, {name: demand.limit})[name]
+        verdicts[name] = VerdictRecord(
+            rms=verdict.rms,
+            max=verdict.largest,
+            limit=demand.limit,
+            promised=demand.promised,
+            unit=demand.unit,
+            passed=verdict.passed,
+            without=float(np.sqrt(np.mean((remaining + known) ** 2))),
+        )
+    return verdicts
+
+
+def _by_pose(values: Array, target: Index, poses: int) -> Array:
+    """Means (poses,) of values (n,) by planned pose."""
+    return np.array([values[target == k].mean() for k in range(poses)])
 
 
 def _targets(section: AcceptanceSection, table: CsvTable) -> Index:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+import msgspec
 import numpy as np
 
 from oed import units
-from oed.acceptance import AcceptancePlan, plan_acceptance
+from oed.acceptance import AcceptancePlan, Promise, plan_acceptance, state_limits
 from oed.arrays import Array, Index
+from oed.machine import Component
 from oed.result import AcceptanceSection, PromiseRecord, StudyResult
-from pkm_studies.acceptance.promise import PromisedAccuracy
+from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy
 from pkm_studies.errors import InputError
 from pkm_studies.stages import describe
 
@@ -20,6 +22,8 @@ from pkm_studies.stages import describe
 APART = 0.02
 #: column of an error to fill in, by component and unit
 ERROR = "error_{}_{}"
+#: column that says whether further axes took the known errors back: 1, or 0 or empty
+AXES = "further_axes"
 
 
 def plan_section(
@@ -38,33 +42,59 @@ def plan_section(
             "give more poses in [prediction] of the study",
         )
     plan = plan_acceptance(accuracy.promise, candidates, rng, power=power, most=most)
+    further = accuracy.further
     return AcceptanceSection(
         poses=[
             describe.displayed_command(accuracy.machine, accuracy.command[k])
             for k in plan.poses
         ],
-        components=_demands(accuracy, plan),
+        components=_demands(accuracy.components, accuracy.promise, plan),
         reference=accuracy.reference,
         miss=plan.miss,
         false_alarm=plan.false_alarm,
         conditions=list(accuracy.conditions),
+        further={} if further is None else _further_demands(further, plan, rng),
+        offsets=[] if further is None else _offsets(further, plan),
     )
 
 
 def _demands(
-    accuracy: PromisedAccuracy, plan: AcceptancePlan
+    components: Sequence[Component], promise: Promise, plan: AcceptancePlan
 ) -> dict[str, PromiseRecord]:
     demands = {}
-    for k, component in enumerate(accuracy.components):
+    for k, component in enumerate(components):
         unit = units.FINE[component.unit]
         demands[component.name] = PromiseRecord(
-            promised=units.number(accuracy.promise.rms[k], unit),
+            promised=units.number(promise.rms[k], unit),
             limit=units.number(plan.limits[k], unit),
             power=float(plan.power[k]),
-            uncertainty=units.number(accuracy.promise.uncertainty[k], unit),
+            uncertainty=units.number(promise.uncertainty[k], unit),
             unit=unit,
         )
     return demands
+
+
+def _further_demands(
+    further: FurtherPromise, plan: AcceptancePlan, rng: np.random.Generator
+) -> dict[str, PromiseRecord]:
+    """Demands at the same poses on what no drive corrects, with further axes."""
+    stated = state_limits(further.promise, plan.poses, rng, miss=plan.miss)
+    demands = _demands(further.components, further.promise, stated)
+    return {
+        name: msgspec.structs.replace(demand, without=units.number(rms, demand.unit))
+        for (name, demand), rms in zip(demands.items(), further.without, strict=True)
+    }
+
+
+def _offsets(further: FurtherPromise, plan: AcceptancePlan) -> list[dict[str, float]]:
+    """Known errors at each pose without further axes, in the components' fine units."""
+    return [
+        {
+            c.name: units.number(value, units.FINE[c.unit])
+            for c, value in zip(further.components, further.known[k], strict=True)
+        }
+        for k in plan.poses
+    ]
 
 
 def _other_poses(result: StudyResult, accuracy: PromisedAccuracy) -> Index:
@@ -97,6 +127,8 @@ def error_columns(components: Mapping[str, PromiseRecord]) -> dict[str, str]:
 def to_fill_in(section: AcceptanceSection) -> str:
     """CSV of the poses, with empty columns for the measured errors."""
     columns = list(error_columns(section.components).values())
+    if section.further:
+        columns += [*error_columns(section.further).values(), AXES]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*section.poses[0], "direction", *columns])

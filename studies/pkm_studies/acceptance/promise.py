@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -11,9 +11,11 @@ from oed import units
 from oed.acceptance import Promise
 from oed.arrays import Array
 from oed.error_maps import ErrorMaps, Reference, error_maps
-from oed.kinematics import Kinematics
+from oed.export_errors import known_errors
+from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Component, Machine
 from oed.result import CorrectedSection, EstimateSection, StudyResult
+from pkm_studies.compensation import identified
 from pkm_studies.compensation.build import regular_commands
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.machine import study_machine
@@ -25,8 +27,32 @@ UNCERTAINTY_SHARE = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
+class FurtherPromise:
+    """What further axes promise of k components that no drive corrects, SI.
+
+    promise     with the axes
+    components  (k,)
+    known       (m, k) errors without the axes that are known in advance, at the commands
+    """
+
+    promise: Promise
+    components: tuple[Component, ...]
+    known: Array
+
+    @property
+    def without(self) -> Array:
+        """Rms errors (k,) without the axes."""
+        return np.asarray(
+            np.hypot(np.sqrt(np.mean(self.known**2, axis=0)), self.promise.rms)
+        )
+
+
+@dataclasses.dataclass(frozen=True)
 class PromisedAccuracy:
-    """A promise over commands (m, n_dof), SI, and what it rests on."""
+    """A promise over commands (m, n_dof), SI, and what it rests on.
+
+    further  what holds with further axes, where the machine could use some
+    """
 
     machine: Machine
     command: Array
@@ -34,6 +60,7 @@ class PromisedAccuracy:
     components: tuple[Component, ...]
     reference: Reference
     conditions: tuple[str, ...]
+    further: FurtherPromise | None = None
 
 
 def promised_accuracy(
@@ -64,24 +91,54 @@ def promised_accuracy(
     reference: Reference = "home" if table is None else table.reference
     maps = error_maps(kinematics, command, reference)
     covariance, tolerance = _covariances(machine, section)
-    chosen = _judged(machine, maps, covariance)
-    names = tuple(machine.components[k].name for k in chosen)
-    slope = maps.raw[:, chosen]
-    rms = _promised_rms(result, machine, slope, chosen, covariance)
-    rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
-    given = [
-        uncertainty.get(n, UNCERTAINTY_SHARE * r)
-        for n, r in zip(names, rms, strict=True)
-    ]
+    varying = _varying(maps, covariance)
+    driven = [k for k in varying if machine.components[k].compensatable]
+
+    def promise(chosen: list[int]) -> Promise:
+        """The promise for some components."""
+        names = tuple(machine.components[k].name for k in chosen)
+        slope = maps.raw[:, chosen]
+        rms = _promised_rms(result, machine, slope, chosen, covariance)
+        rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
+        given = [
+            uncertainty.get(n, UNCERTAINTY_SHARE * r)
+            for n, r in zip(names, rms, strict=True)
+        ]
+        shapes = [covariance, tolerance]
+        return Promise(names, slope, shapes, rms, np.array(given))
+
+    others = [k for k in varying if k not in driven]
     corrected = result.corrected
     return PromisedAccuracy(
         machine=machine,
         command=command,
-        promise=Promise(names, slope, [covariance, tolerance], rms, np.array(given)),
-        components=tuple(machine.components[k] for k in chosen),
+        promise=promise(driven),
+        components=tuple(machine.components[k] for k in driven),
         reference=reference,
         conditions=() if corrected is None else tuple(corrected.conditions),
+        further=_further(result, kinematics, maps, reference, others, promise),
     )
+
+
+def _further(
+    result: StudyResult,
+    kinematics: Kinematics,
+    maps: ErrorMaps,
+    reference: Reference,
+    chosen: list[int],
+    promise: Callable[[list[int]], Promise],
+) -> FurtherPromise | None:
+    """The promise for components that no drive corrects; None where there are none."""
+    machine = kinematics.machine
+    parameters = identified.identified_parameters(result, machine, tables=True)
+    if not chosen or parameters is None:
+        return None
+    try:
+        known = known_errors(kinematics, maps.command, parameters.values, reference)
+    except AssemblyError:
+        return None
+    components = tuple(machine.components[k] for k in chosen)
+    return FurtherPromise(promise(chosen), components, known[:, chosen])
 
 
 def _covariances(
@@ -102,14 +159,10 @@ def _covariances(
     return covariance, tolerance
 
 
-def _judged(machine: Machine, maps: ErrorMaps, covariance: Array) -> list[int]:
-    """Numbers of the components that the controller corrects and that vary."""
+def _varying(maps: ErrorMaps, covariance: Array) -> list[int]:
+    """Numbers of the components that vary."""
     variance = np.einsum("mkp,pq,mkq->k", maps.raw, covariance, maps.raw, optimize=True)
-    return [
-        k
-        for k, c in enumerate(machine.components)
-        if c.compensatable and variance[k] > 0.0
-    ]
+    return np.flatnonzero(variance > 0.0).tolist()
 
 
 def _promised_rms(
@@ -121,7 +174,8 @@ def _promised_rms(
 ) -> Array:
     """Predicted rms (k,), SI: of the corrected model, or of the identified parameters.
 
-    A prediction made before the measurement promises nothing of this machine.
+    Of what no drive corrects, the part that stays unknown. A prediction made before the
+    measurement promises nothing of this machine.
     """
     prediction = None if result.corrected is None else result.corrected.prediction
     plain = result.prediction
@@ -129,7 +183,7 @@ def _promised_rms(
         prediction = plain
     if prediction is not None:
         spreads = [
-            prediction.components[machine.components[k].name].after for k in chosen
+            prediction.components[machine.components[k].name].judged for k in chosen
         ]
         return np.array([s.rms * units.factor(s.unit) for s in spreads])
     variance = np.einsum("mkp,pq,mkq->mk", slope, covariance, slope, optimize=True)

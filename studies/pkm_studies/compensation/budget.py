@@ -1,9 +1,10 @@
 """The budget of a machine that is driven by a compensation file: all that it errs by.
 
-The predicted budget holds for exact compensation. The file adds what its digits, the
-controller's model and interpolation cost, and effects that it does not hold. These are
-fixed errors of mean square V_j over the workspace, and the predicted ones have mean 0:
-the mean squares add up.
+The predicted budget holds for exact compensation, with further axes that take back what
+no joint corrects. The file adds what its digits, the controller's model and
+interpolation cost, and effects that it does not hold. These are fixed errors of mean
+square V_j over the workspace, and the predicted ones have mean 0: the mean squares add
+up. Without further axes the known errors of what no joint corrects join them.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
-from oed.export_errors import interpolation_errors, joint_errors
+from oed.export_errors import interpolation_errors, joint_errors, known_errors
 from oed.kinematics import AssemblyError
 from oed.result import BudgetLine, BudgetSection, PredictionSection, StudyResult
 from pkm_studies.compensation.content import Compensation, ControllerFormat
@@ -55,29 +56,85 @@ def complete_budget(
 ) -> FileBudget | None:
     """The budget with the lines of a file; None where no accuracy was predicted.
 
-    It has the components that the joints drive.
+    It has the components that the joints drive, and those for which the file has offsets
+    for further axes.
     """
     corrected = result.corrected
     prediction = result.final_prediction
     if prediction is None or prediction.budget is None or controller.joints is None:
         return None
-    lines = [_rounding(controller, content, prediction)]
+    shown = _shown(controller, content, prediction.budget)
+    lines = [_rounding(controller, content, prediction, shown)]
     if controller.interpolated:
-        lines += _interpolation(content, prediction)
-    lines += _of_effects(content)
+        lines += _interpolation(content, prediction, shown)
+    lines += _of_effects(content, shown)
     if corrected is not None and not controller.tables:
         alone = {n: s.rms for n, s in corrected.parameters_only.items()}
-        lines.append(_left_out(content, prediction, alone))
+        lines.append(_left_out(prediction, alone, shown))
     section = with_lines(prediction.budget, lines)
     driven = driven_units(content)
     section = msgspec.structs.replace(
-        section, advice=advice_on(section.lines, section.predicted, driven)
-    )
-    return FileBudget(
         section,
-        f"with this file the predicted rms is {quantities(section.predicted, driven)};"
-        f" exact compensation leaves {quantities(prediction.budget.predicted, driven)}",
+        advice=advice_on(section.lines, section.predicted, driven),
+        no_axes=_without_axes(content, prediction, section),
     )
+    exact = quantities(prediction.budget.predicted, driven)
+    sentence = (
+        f"with this file the predicted rms is {quantities(section.predicted, driven)};"
+        f" exact compensation leaves {exact}"
+    )
+    return FileBudget(section, sentence + _axes_sentence(controller, content, section))
+
+
+def _shown(
+    controller: ControllerFormat, content: Compensation, budget: BudgetSection
+) -> dict[str, str]:
+    """{component: fine unit} of those that the file corrects, where they are predicted."""
+    shown = driven_units(content)
+    if controller.offsets is not None:
+        shown |= undriven_units(content)
+    return {name: unit for name, unit in shown.items() if name in budget.predicted}
+
+
+def _without_axes(
+    content: Compensation, prediction: PredictionSection, section: BudgetSection
+) -> dict[str, float]:
+    """Rms errors of what no joint drives, by component in its fine unit.
+
+    Without further axes what is known of them stays as well.
+    """
+    undriven = undriven_units(content)
+    assert prediction.budget is not None
+    unknown = prediction.budget.predicted | section.predicted
+    predicted = [name for name in undriven if name in unknown]
+    if not predicted:
+        return {}
+    known = known_errors(
+        content.kinematics,
+        content.command,
+        content.identified.values,
+        prediction.reference,  # type: ignore[arg-type]
+    )
+    rms = _rms(content, known, {n: undriven[n] for n in predicted})
+    return {n: float(np.hypot(rms[n], unknown[n])) for n in predicted}
+
+
+def _axes_sentence(
+    controller: ControllerFormat, content: Compensation, section: BudgetSection
+) -> str:
+    """What stays of what no joint drives, without and with further axes."""
+    if not section.no_axes:
+        return ""
+    units_of = {n: undriven_units(content)[n] for n in section.no_axes}
+    without = quantities(section.no_axes, units_of)
+    sentence = (
+        f". No drive of this machine corrects {', '.join(units_of)}: {without} rms"
+    )
+    if controller.offsets is None:
+        return sentence + "; csv and json have columns for further axes"
+    columns = ", ".join(f"{axis.name}_offset" for axis in content.further.axes)
+    remaining = quantities(section.predicted, units_of)
+    return f"{sentence}, and {remaining} with further axes that take back {columns}"
 
 
 def with_lines(budget: BudgetSection, added: Sequence[FileLine]) -> BudgetSection:
@@ -134,8 +191,17 @@ def driven_units(content: Compensation) -> dict[str, str]:
     return {c.name: units.FINE[c.unit] for c in components if c.compensatable}
 
 
+def undriven_units(content: Compensation) -> dict[str, str]:
+    """{component: fine unit} of those that no joint drives."""
+    components = content.machine.components
+    return {c.name: units.FINE[c.unit] for c in components if not c.compensatable}
+
+
 def _rounding(
-    controller: ControllerFormat, content: Compensation, prediction: PredictionSection
+    controller: ControllerFormat,
+    content: Compensation,
+    prediction: PredictionSection,
+    shown: Mapping[str, str],
 ) -> FileLine:
     """Printed digits and the controller's model, at the commands of the workspace."""
     assert controller.joints is not None
@@ -143,20 +209,25 @@ def _rounding(
     home = content.machine.home_command[None]
     poses = np.vstack([command, home])
     whole = dataclasses.replace(content, command=poses, grid=None)
-    joints = controller.joints(controller.write(whole), whole)
+    texts = controller.write(whole)
+    offsets = None
+    if controller.offsets is not None and len(content.further):
+        offsets = controller.offsets(texts, whole)
     errors = joint_errors(
         content.kinematics,
         command,
-        joints,
+        controller.joints(texts, whole),
         content.identified.values,
         prediction.reference,  # type: ignore[arg-type]
+        content.further,
+        offsets,
     )
     source = f"printed digits and the controller's model ({controller.name})"
-    return FileLine(source, "rounding", _rms(content, errors))
+    return FileLine(source, "rounding", _rms(content, errors, shown))
 
 
 def _interpolation(
-    content: Compensation, prediction: PredictionSection
+    content: Compensation, prediction: PredictionSection, shown: Mapping[str, str]
 ) -> list[FileLine]:
     """What corrections lose between the table's commands; none where they are no grid."""
     if content.grid is None:
@@ -168,13 +239,14 @@ def _interpolation(
             content.identified.values,
             prediction.reference,  # type: ignore[arg-type]
             np.random.default_rng(0),
+            content.further,
         )
     except AssemblyError:
         return []
-    return [FileLine(INTERPOLATION, "interpolation", _rms(content, errors))]
+    return [FileLine(INTERPOLATION, "interpolation", _rms(content, errors, shown))]
 
 
-def _of_effects(content: Compensation) -> list[FileLine]:
+def _of_effects(content: Compensation, shown: Mapping[str, str]) -> list[FileLine]:
     """What the effects' corrections lose between their commands, in their worst states.
 
     Their errors may go the same way: they add up in size.
@@ -182,26 +254,28 @@ def _of_effects(content: Compensation) -> list[FileLine]:
     stated = [table.interpolation for table in content.tables if table.interpolation]
     if not stated:
         return []
-    rms = {n: sum(costs[n] for costs in stated) for n in driven_units(content)}
+    rms = {n: sum(costs.get(n, 0.0) for costs in stated) for n in shown}
     return [FileLine(OF_EFFECTS, "interpolation", rms)]
 
 
 def _left_out(
-    content: Compensation, prediction: PredictionSection, alone: Values
+    prediction: PredictionSection, alone: Values, shown: Mapping[str, str]
 ) -> FileLine:
     """The effects, from the accuracy with the parameters alone."""
     rms = {}
-    for name in driven_units(content):
+    for name in shown:
         with_them = prediction.components[name].after.rms
         rms[name] = max(alone[name] ** 2 - with_them**2, 0.0) ** 0.5
     return FileLine(LEFT_OUT, "left out", rms)
 
 
-def _rms(content: Compensation, errors: Array) -> dict[str, float]:
-    """Rms errors by driven component, from errors (n, k), SI."""
+def _rms(
+    content: Compensation, errors: Array, shown: Mapping[str, str]
+) -> dict[str, float]:
+    """Rms errors in the units of some components, from errors (n, k), SI."""
     size = np.sqrt(np.mean(errors**2, axis=0))
     names = [c.name for c in content.machine.components]
     return {
         name: units.number(float(size[names.index(name)]), unit)
-        for name, unit in driven_units(content).items()
+        for name, unit in shown.items()
     }

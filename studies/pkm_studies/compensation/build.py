@@ -81,8 +81,12 @@ def _with_grid(
 ) -> Compensation:
     """The content with the grid of its table, where its workspace is in reach."""
     kinematics = content.kinematics
-    correction = table_grid.joint_correction(kinematics, content.identified.values)
-    want = table_grid.wanted(kinematics, result.final_prediction)
+    correction = table_grid.table_correction(content.further, content.identified.values)
+    want = table_grid.with_offsets(
+        table_grid.wanted(kinematics, result.final_prediction),
+        content.further,
+        result.final_prediction,
+    )
     grid = table_grid.table_grid(axes, correction, want, largest)
     if grid is None:
         return content

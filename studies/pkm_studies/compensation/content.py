@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from oed.arrays import Array
 from oed.compensate.command_grid import CommandGrid
+from oed.compensate.further_axes import FurtherAxes, further_axes
 from oed.machine import Machine
 from oed.result import EffectTable
 
@@ -78,6 +80,11 @@ class Compensation:
         """Commands (n, n_dof) of the table, SI: the grid's, or those of the workspace."""
         return self.command if self.grid is None else self.grid.commands
 
+    @functools.cached_property
+    def further(self) -> FurtherAxes:
+        """The motions that no joint of the machine makes; none for most machines."""
+        return further_axes(self.kinematics)
+
     def parameter(self, name: str) -> float:
         """An identified parameter, SI. Raises KeyError."""
         return float(self.identified.values[self.machine.index(name)])
@@ -96,6 +103,10 @@ class ControllerFormat:
     notes(compensation)    sentences on what the file is for and does not hold; they go
                            into the file
     versions               whether the file depends on the version of the firmware
+    offsets(texts, compensation)
+                           offsets (n, m), SI, for the m further axes of the machine, as
+                           these texts hold them at the commands; None where they hold
+                           none
     unfit(machine)         why the controller cannot drive a machine, in words; None
                            where it can
     tables                 whether the file holds tables of effects
@@ -109,6 +120,7 @@ class ControllerFormat:
     source: str
     write: Callable[[Compensation], Texts]
     joints: Callable[[Texts, Compensation], Array] | None = None
+    offsets: Callable[[Texts, Compensation], Array] | None = None
     unfit: Callable[[Machine], str | None] = lambda machine: None
     notes: Callable[[Compensation], tuple[str, ...]] = lambda compensation: ()
     versions: bool = False

@@ -10,7 +10,7 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
-from oed.compensate import joint_corrections
+from oed.compensate import FurtherAxes, joint_corrections
 from oed.compensate.command_grid import (
     CommandGrid,
     Correction,
@@ -43,7 +43,8 @@ class Wanted:
     names   (k,) of the components, or of the joints
     units   (k,) SI
     target  (k,) rms, SI
-    motion  (n, k, nq) of them per unit of each joint, at commands
+    motion  (n, k, nq) of them per unit of each joint, at commands; with offsets for m
+            further axes (n, k, nq + m)
     """
 
     names: tuple[str, ...]
@@ -71,6 +72,40 @@ def wanted(kinematics: Kinematics, prediction: PredictionSection | None) -> Want
     )
 
 
+def with_offsets(
+    want: Wanted, further: FurtherAxes, prediction: PredictionSection | None
+) -> Wanted:
+    """As `want`, and the offsets for further axes to a share of what stays unknown.
+
+    Those of which nothing was predicted do not count.
+    """
+    known = {} if prediction is None else prediction.components
+    counted = [
+        (k, axis)
+        for k, axis in enumerate(further.axes)
+        if axis.component in known and known[axis.component].known.rms > 0.0
+    ]
+    unknown = [known[axis.component].known for _, axis in counted]
+    targets = [SHARE * u.rms * units.factor(u.unit) for u in unknown]
+    rows = np.eye(len(further))[[k for k, _ in counted]]
+
+    def motion(command: Array) -> Array:
+        """Offsets do not move what the joints drive."""
+        driven = want.motion(command)
+        k, nq = driven.shape[1:]
+        whole = np.zeros((len(command), k + len(rows), nq + len(further)))
+        whole[:, :k, :nq] = driven
+        whole[:, k:, nq:] = rows
+        return whole
+
+    return Wanted(
+        (*want.names, *(f"{axis.name} offset" for _, axis in counted)),
+        (*want.units, *(axis.unit for _, axis in counted)),
+        np.concatenate([want.target, targets]),
+        motion,
+    )
+
+
 def rms_of(values: Mapping[str, float], kinematics: Kinematics) -> Array:
     """Rms errors (k,) of the driven components, SI, from those in fine units."""
     driven = [c for c in kinematics.machine.components if c.compensatable]
@@ -90,11 +125,13 @@ def _of_joints(kinematics: Kinematics) -> Wanted:
     )
 
 
-def joint_correction(kinematics: Kinematics, parameters: Array) -> Correction:
-    """What a controller adds to the joints of its nominal model, as a single state."""
+def table_correction(further: FurtherAxes, parameters: Array) -> Correction:
+    """What a table holds, as a single state: joint corrections, then offsets."""
 
     def correction(command: Array) -> Array:
-        return joint_corrections(kinematics, command, parameters)[:, None]
+        joints = joint_corrections(further.kinematics, command, parameters)
+        offsets = further.offsets(command, parameters)
+        return np.hstack([joints, offsets])[:, None]
 
     return correction
 

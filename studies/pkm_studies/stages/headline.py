@@ -89,6 +89,7 @@ def _accuracy(section: PredictionSection | None) -> list[str]:
     if section is None:
         return []
     driven = {name: c for name, c in section.components.items() if c.compensatable}
+    others = _without_drive(section)
     before = {name: format_number(c.before.rms) for name, c in driven.items()}
     after = {name: format_number(c.after.rms) for name, c in driven.items()}
     reference = REFERENCES[section.reference]
@@ -98,7 +99,7 @@ def _accuracy(section: PredictionSection | None) -> list[str]:
         ]
         return [
             "Compensation is predicted to leave the rms error over the workspace as it"
-            f" is, {reference}: {'; '.join(errors)}."
+            f" is, {reference}: {'; '.join(errors)}.{others}"
         ]
     changes = [
         _change(name, c.before.rms, c.after.rms, section.unit[name])
@@ -106,8 +107,19 @@ def _accuracy(section: PredictionSection | None) -> list[str]:
     ]
     return [
         f"Compensation is predicted to reduce the rms error over the workspace,"
-        f" {reference}: {'; '.join(changes)}."
+        f" {reference}: {'; '.join(changes)}.{others}"
     ]
+
+
+def _without_drive(section: PredictionSection) -> str:
+    """What no drive corrects, without and with further axes; empty where there is none."""
+    parts = [
+        f"{name} {format_number(c.after.rms)} ({format_number(c.known.rms)} with further"
+        f" axes) {section.unit[name]}"
+        for name, c in section.components.items()
+        if not c.compensatable
+    ]
+    return f" No drive corrects {'; '.join(parts)}." if parts else ""
 
 
 def _wanted(sections: Mapping[str, Any]) -> list[str]:

@@ -184,8 +184,9 @@ def _unknown_part(components: dict[str, ComponentAccuracy]) -> list[Block]:
         Paragraph(
             f"No drive of this machine corrects {axes}. So {name} keeps an error of"
             f" {after}, although the calibrated model knows most of it: {unknown} of it"
-            " is unknown. A further axis, or a part program that takes the known error"
-            " into account, leaves only the unknown part."
+            " is unknown. A further axis, or a part program, that takes the known error"
+            " back leaves only the unknown part: the table of `oed compensate` has it in"
+            " columns with `offset`."
         )
     ]
 

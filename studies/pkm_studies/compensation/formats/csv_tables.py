@@ -13,7 +13,12 @@ from oed import units
 from oed.arrays import Array
 from oed.result import EffectTable
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
-from pkm_studies.compensation.formats.json_file import grid_rows, table
+from pkm_studies.compensation.formats.json_file import (
+    columns_about,
+    grid_rows,
+    offset_names,
+    table,
+)
 from pkm_studies.resolve.quantities import column
 
 #: decimals of lengths in mm and of angles in degrees
@@ -23,7 +28,7 @@ DIGITS = 12
 
 
 def write(compensation: Compensation) -> Texts:
-    """The table first; its axes, parameters and effects in files of their own."""
+    """The table first; its columns, axes, parameters and effects in further files."""
     columns = table(compensation)
     rows = zip(*columns.values(), strict=True)
     commands = ([f"{value:.{DECIMALS}f}" for value in row] for row in rows)
@@ -32,6 +37,9 @@ def write(compensation: Compensation) -> Texts:
         "_parameters.csv": _text(
             ["name", "value", "sd", "nominal", "unit", "about"],
             _parameters(compensation),
+        ),
+        "_columns.csv": _text(
+            ["column", "about"], map(list, columns_about(compensation).items())
         ),
     }
     axes = grid_rows(compensation)
@@ -88,12 +96,23 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     return np.column_stack(columns)
 
 
+def offsets(texts: Texts, compensation: Compensation) -> Array:
+    """Offsets for further axes, as the table has them, SI."""
+    rows = list(csv.DictReader(io.StringIO(texts[".csv"])))
+    names = offset_names(compensation)
+    columns = [
+        units.to_si([float(row[name]) for row in rows], unit) for name, unit in names
+    ]
+    return np.column_stack(columns)
+
+
 controller = ControllerFormat(
     name="csv",
     about="corrections over a grid of commands, and parameters, six decimals",
     source="this project",
     write=write,
     joints=joints,
+    offsets=offsets,
     tables=True,
     table=True,
     interpolated=True,

@@ -28,6 +28,7 @@ def write(compensation: Compensation) -> Texts:
         "machine": compensation.machine.name,
         "notes": list(compensation.notes),
         "parameters": _parameters(compensation),
+        "columns": columns_about(compensation),
         "grid": grid_rows(compensation),
         "table": table(compensation),
     }
@@ -54,7 +55,8 @@ def table(compensation: Compensation) -> dict[str, list[float]]:
     """Columns of the workspace: commands, corrected commands, joints, joint corrections.
 
     Corrected commands and joint corrections are for a controller that keeps the nominal
-    model; the corrections are to be interpolated.
+    model; the corrections are to be interpolated. Where the machine has no drive for a
+    motion, its offsets for further axes follow.
     """
     kinematics, machine = compensation.kinematics, compensation.machine
     values = compensation.identified.values
@@ -71,7 +73,58 @@ def table(compensation: Compensation) -> dict[str, list[float]]:
         for k, joint in enumerate(machine.joints):
             name = column(f"{prefix}{joint.name}", joint.unit)
             columns[name] = _in_unit(block[:, k], joint.unit)
-    return columns
+    return columns | _offset_columns(compensation, command)
+
+
+def _offset_columns(
+    compensation: Compensation, command: Array
+) -> dict[str, list[float]]:
+    """Offsets for further axes at commands (n, n_dof), by column."""
+    further = compensation.further
+    if not len(further):
+        return {}
+    offsets = further.offsets(command, compensation.identified.values)
+    return {
+        name: [float(v) for v in units.from_si(offsets[:, k], unit)]
+        for k, (name, unit) in enumerate(offset_names(compensation))
+    }
+
+
+def offset_names(compensation: Compensation) -> list[tuple[str, str]]:
+    """Columns of the offsets for further axes, `x_offset_um`, with their units."""
+    fine = [(axis.name, units.FINE[axis.unit]) for axis in compensation.further.axes]
+    return [(f"{name}_offset_{unit}", unit) for name, unit in fine]
+
+
+def columns_about(compensation: Compensation) -> dict[str, str]:
+    """What each column of the table holds, in words."""
+    machine = compensation.machine
+    words = {}
+    for c in machine.command:
+        words[column(c.name, c.unit)] = _about("command", c.about)
+    for c in machine.command:
+        words[column(f"corrected_{c.name}", c.unit)] = (
+            f"{c.name} to send instead, to a controller with the nominal model"
+        )
+    for joint in machine.joints:
+        words[column(joint.name, joint.unit)] = _about(
+            "joint that holds the command", joint.about
+        )
+    for joint in machine.joints:
+        words[column(f"correction_{joint.name}", joint.unit)] = (
+            f"to add to {joint.name} of the nominal model; interpolate linearly"
+        )
+    axes = zip(offset_names(compensation), compensation.further.axes, strict=True)
+    for (name, _), axis in axes:
+        words[name] = (
+            f"{axis.about}, that stays with these joints, actual less nominal; a further"
+            " axis takes it back, a table with the workpiece follows it"
+        )
+    return words
+
+
+def _about(role: str, words: str) -> str:
+    return f"{role}: {words}" if words else role
 
 
 def grid_rows(compensation: Compensation) -> list[dict[str, Any]]:
@@ -112,12 +165,20 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     )
 
 
+def offsets(texts: Texts, compensation: Compensation) -> Array:
+    """Offsets for further axes, as the table has them, SI."""
+    columns = json.loads(texts[".json"])["table"]
+    names = offset_names(compensation)
+    return np.column_stack([units.to_si(columns[name], unit) for name, unit in names])
+
+
 controller = ControllerFormat(
     name="json",
     about="parameters with sd, corrected commands and joints, full precision",
     source="this project",
     write=write,
     joints=joints,
+    offsets=offsets,
     tables=True,
     table=True,
 )

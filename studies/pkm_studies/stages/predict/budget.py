@@ -50,6 +50,7 @@ def budget_section(
         lines=lines,
         unmodelled=unmodelled,
         advice=advice_on(lines, predicted, driven or fine),
+        no_axes={n: v for n, v in geometry.items() if n not in driven},
     )
 
 
