@@ -8,6 +8,7 @@ from typing import Literal
 
 from oed.machine import Expr, Machine, Parameter, Values
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
+from oed.orientation import Orientation
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -111,6 +112,7 @@ class Instrument:
                            a contact. No display shows these readings
     adapt(machine)         the instrument for a machine, where its channels or settings
                            depend on it
+    orientation            how its angles make the orientation that it reads
     """
 
     name: str
@@ -128,6 +130,7 @@ class Instrument:
     renewed: tuple[str, ...] = ()
     implied: float | None = None
     adapt: Callable[[Machine], Instrument] | None = None
+    orientation: Orientation | None = None
 
     def for_machine(self, machine: Machine) -> Instrument:
         """The instrument with the channels and settings that it has on a machine."""

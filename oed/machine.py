@@ -16,6 +16,7 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array, Mask
+from oed.orientation import Orientation
 
 #: A CasADi SX expression (CasADi ships no type stubs).
 Expr = Any
@@ -203,6 +204,11 @@ class Machine:
     cable_stiffness      E A of the cable that each joint pays out, N: recorded tensions
                          stretch it; inf where it is not known. None where the struts
                          are no cables
+    base_frame           origin and axes of the base frame, in words
+    tool_axis            where z of the platform's frame points, in words; "" where the
+                         platform does not turn
+    orientation          how the angles of the pose make the rotation of the platform
+    command_orientation  the same of the command's angles
     drive                what moves the joints: `screw`, `belt`, `cable` or
                          `linear_motor`; "" where it is not stated. Effects that such a
                          drive cannot have are left out
@@ -233,6 +239,10 @@ class Machine:
     family: Family | None = None
     cable_stiffness: tuple[float, ...] | None = None
     drive: str = ""
+    base_frame: str = ""
+    tool_axis: str = ""
+    orientation: Orientation | None = None
+    command_orientation: Orientation | None = None
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]

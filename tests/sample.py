@@ -99,3 +99,8 @@ def refused(text: str, *changes: tuple[str, str], folder: Path = Path()) -> Inpu
     assert len(str(error.value)) <= 600
     assert "\n" not in str(error.value)
     return error.value
+
+
+def table_lines(text: str) -> list[str]:
+    """Header and rows of a CSV, without the comments above them."""
+    return [line for line in text.splitlines() if not line.startswith("#")]

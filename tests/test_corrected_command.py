@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+import sample
 
 from oed.result import StudyResult
 from pkm_studies import cli, outcome, result_folder
@@ -219,7 +220,7 @@ def fill_in(planned: Path, to: Path, factor: float) -> Path:
     """Errors of a factor on the promise, with alternating signs, at every pose."""
     acceptance = result_folder.load_result(planned.parent).acceptance
     assert acceptance is not None
-    header, *rows = planned.read_text().splitlines()
+    header, *rows = sample.table_lines(planned.read_text())
     names = header.split(",")
     lines = [header]
     for k, row in enumerate(rows):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from oracles import a3_geometry as a3
 from oracles import prs_geometry as prs
+from sample import table_lines
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
@@ -204,8 +205,8 @@ def test_the_terminal_and_the_report_state_both_lines(
 
 def fill_in(folder: Path, to: Path, axes: bool | None, scale: float = 1.0) -> Path:
     """Errors of the oracle's head at the planned poses; None leaves x, y, phi empty."""
-    with (folder / "acceptance.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    text = (folder / "acceptance.csv").read_text()
+    rows = list(csv.DictReader(table_lines(text)))
     names = [c for c in rows[0] if c.endswith(("_mm", "_deg"))]
     command = np.array([[float(r[c]) for c in names] for r in rows]) * FACTORS
     errors = driven(folder, command, bool(axes)) - driven(folder, HOME, bool(axes))

@@ -14,7 +14,7 @@ import pytest
 import report_fixture
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from msgspec.structs import replace
-from sample import changed
+from sample import changed, table_lines
 
 from oed import dataset
 from oed.gap.before import detect, runs
@@ -139,9 +139,10 @@ def test_poses_of_the_chosen_runs_can_be_filled_in_and_read(
     ran: tuple[dict[str, Any], Path], tmp_path: Path
 ) -> None:
     text = (ran[1] / "gap_poses.csv").read_text()
-    header = text.splitlines()[0].split(",")
+    lines = table_lines(text)
+    header = lines[0].split(",")
     assert {"payload_N", "direction", "time_s", "length_mm"} <= set(header)
-    filled = [line + "300.0" for line in text.splitlines()[1:]]
+    filled = [line + "300.0" for line in lines[1:]]
     path = tmp_path / "filled.readings.csv"
     path.write_text("\n".join([",".join(header), *filled]) + "\n")
     measurement = resolve(study.parse(STUDY, HERE)).measurement

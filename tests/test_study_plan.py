@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray
 from plan_sample import HERE, STUDY, plan_of, planned
-from sample import changed
+from sample import changed, table_lines
 
 from oed import information, prediction
 from oed.kinematics import Kinematics
@@ -138,7 +138,7 @@ def test_sequences_stand_beside_the_plan_of_their_time(plan: PlanSection) -> Non
 
 
 def csv_rows(path: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+    return list(csv.DictReader(table_lines(path.read_text(encoding="utf-8"))))
 
 
 def test_files_hold_the_stages_and_their_poses(plan: PlanSection, folder: Path) -> None:

@@ -307,7 +307,7 @@ reference = { z_mm = 1166, psi_deg = 90, theta = "hold" }
         clock += 6.0
     assert max(np.diff(times_of_reference)) - 6.0 <= 360.0 + 1e-6
     filled = tmp_path / "filled.readings.csv"
-    lines = (tmp_path / "poses.csv").read_text().splitlines()
+    lines = sample.table_lines((tmp_path / "poses.csv").read_text())
     filled.write_text(
         "\n".join([lines[0], *(line + "300.0" for line in lines[1:])]) + "\n"
     )

@@ -117,7 +117,28 @@ def catalogue_page() -> str:
             rows.append([f"``{entry['name']}``", *texts])
         lines += heading(kind.capitalize(), "-")
         lines += cell_table(["name", "what it is", "source"], rows)
-    return "\n".join(lines)
+    return "\n".join([*lines, *column_tables()])
+
+
+def column_tables() -> list[str]:
+    """Frames and columns of every machine and instrument."""
+    lines = heading("Frames and columns", "-")
+    lines += [
+        "Frame, order, sense and usual unit of every coordinate and channel. Matrices"
+        " take vectors of the platform's frame into the stated one.",
+        "",
+    ]
+    for kind in ("machines", "instruments"):
+        for entry in answer("list", kind, "--json"):
+            lines += heading(f"``{entry['name']}``", "~")
+            for sentence in entry["frames"]:
+                lines += [f"- {plain_docstrings.inline(sentence)}"]
+            rows = [
+                [f"``{c['name']}``", c["role"], plain_docstrings.inline(c["about"])]
+                for c in entry["columns"]
+            ]
+            lines += ["", *cell_table(["column", "role", "what it is"], rows)]
+    return lines
 
 
 def generate(app: Sphinx) -> None:

@@ -20,8 +20,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.machine import Component, Coordinate, Dimension, Expr, Parameter, Start, Values
+from oed.machine import Coordinate, Dimension, Expr, Parameter, Start, Values
+from oed.orientation import Orientation, rotation
 from pkm_models import families
+from pkm_models.coordinates import (
+    POSE_ORIENTATION,
+    angle,
+    joint,
+    point,
+    point_error,
+    turn_error,
+)
 from pkm_models.families import Geometry
 from pkm_models.rotation import about_z, tilt_torsion
 
@@ -30,6 +39,9 @@ SCALE_SD = 0.5e-3
 ATTACH = "the cables' points on the mover, from the tool point; all 0 for a point"
 STIFFNESS = "E A of each cable, which recorded tensions stretch; none: not known"
 TURNS = {2: ("spin",), 3: ("rx", "ry", "spin")}
+#: sense of the joints, and of z of a mover that turns
+PAID_OUT = "length of cable {} that its drum has paid out, less its zero"
+TOOL_AXIS = "z of the frame of the cables' points on the mover"
 ERRORS = {2: ("az",), 3: ("ax", "ay", "az")}
 
 
@@ -74,20 +86,24 @@ def build(name: str, source: str, table: Geometry, axes: int) -> dict[str, Any]:
     parameters += families.numbers("l", [0.0] * count, sd, "m", "zero of cable")
     parameters += _scales(count)
     turn = float(table["turn"])
-    command = [
-        Coordinate(n, "m", v - reach, v + reach)
-        for n, v in zip(names, home, strict=True)
-    ]
-    command += [Coordinate(n, "rad", -turn, turn) for n in turns]
-    errors = [Component(n, "m", compensatable=True) for n in names]
-    errors += [Component(n, "rad", compensatable=True) for n in ERRORS[axes] if turns]
+    orientation = _orientation(turns)
+    command = [point(n, v - reach, v + reach) for n, v in zip(names, home, strict=True)]
+    if orientation is not None:
+        command += [angle(n, -turn, turn, of=orientation) for n in turns]
+    errors = [point_error(n) for n in names]
+    errors += [turn_error(n) for n in ERRORS[axes] if turns]
     return {
         "name": name,
         "source": source,
-        "pose": tuple(Coordinate(c.name, c.unit) for c in command),
+        "pose": tuple(Coordinate(c.name, c.unit, about=c.about) for c in command),
         "joints": tuple(
-            Coordinate(f"q{i}", "m", -span, 3.0 * (span + reach)) for i in mover.cables
+            joint(f"q{i}", "m", -span, 3.0 * (span + reach), PAID_OUT)
+            for i in mover.cables
         ),
+        "base_frame": "that of the anchors' coordinates",
+        "tool_axis": TOOL_AXIS if turns else "",
+        "orientation": orientation,
+        "command_orientation": orientation,
         "command": tuple(command),
         "parameters": tuple(parameters),
         "components": tuple(errors),
@@ -103,6 +119,13 @@ def build(name: str, source: str, table: Geometry, axes: int) -> dict[str, Any]:
         "skeleton": lambda x, q, p: [list(mover.ends(x, p, i)) for i in mover.cables],
         "struts": lambda x, q, p: [mover.ends(x, p, i) for i in mover.cables],
     }
+
+
+def _orientation(turns: Sequence[str]) -> Orientation | None:
+    """How the mover's angles make its rotation; None where it does not turn."""
+    if not turns:
+        return None
+    return rotation(("z", "spin")) if len(turns) == 1 else POSE_ORIENTATION
 
 
 def _scales(count: int) -> list[Parameter]:

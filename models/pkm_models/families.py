@@ -11,6 +11,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.machine import Coordinate, Dimension, Expr, Parameter, Values
+from pkm_models.coordinates import joint
 
 #: a table of geometry, SI, by name
 Geometry = Mapping[str, Any]
@@ -85,19 +86,23 @@ def point(p: Values, stem: str, i: int) -> Expr:
     return ca.vertcat(*[p[f"{stem}{i}{k}"] for k in XYZ])
 
 
-def joint_ranges(lower: float, upper: float, count: int) -> tuple[Coordinate, ...]:
+def joint_ranges(
+    lower: float, upper: float, count: int, about: str
+) -> tuple[Coordinate, ...]:
     """Joints `q1`, `q2`, ... with one range, m, widened."""
     margin = JOINT_MARGIN * (upper - lower)
     low, high = lower - margin, upper + margin
-    return tuple(Coordinate(f"q{i + 1}", "m", low, high) for i in range(count))
+    return tuple(joint(f"q{i + 1}", "m", low, high, about) for i in range(count))
 
 
-def around(lengths: Array, change: float, count: int) -> tuple[Coordinate, ...]:
+def around(
+    lengths: Array, change: float, count: int, about: str
+) -> tuple[Coordinate, ...]:
     """Ranges of legs that change by so much from lengths at home, m; above 0."""
     shortest = float(lengths.min())
     low = max(shortest - change, 0.01 * shortest)
     high = float(lengths.max()) + change
-    return tuple(Coordinate(f"q{i + 1}", "m", low, high) for i in range(count))
+    return tuple(joint(f"q{i + 1}", "m", low, high, about) for i in range(count))
 
 
 def as_rows(value: Any, count: int) -> Array:

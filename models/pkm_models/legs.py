@@ -9,7 +9,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.machine import Component, Coordinate, Dimension, Expr, Parameter, Strut, Values
-from pkm_models import families
+from pkm_models import coordinates, families
 from pkm_models.families import Geometry, point
 from pkm_models.six_dof import ANGLES, XYZ, platform
 
@@ -18,6 +18,12 @@ DIRECTION_SD = 1e-3
 BASE = "joint centres at the base, in the base frame"
 PLATFORM = "joint centres at the platform, from the tool point"
 SIDE = "1 where the carriage is ahead of its platform joint, -1 where behind"
+#: frames of machines whose geometry is a table
+GEOMETRY_FRAME = "that of the geometry's points at the base"
+GEOMETRY_TOOL_AXIS = "z of the frame of the geometry's points at the platform"
+#: joints of extensible legs and of carriages
+LEG = "length of leg {} less its zero"
+CARRIAGE = "travel of carriage {} along the direction of its guide"
 #: commands of a tripod: height and tilt vector of the tool
 TRIPOD_COMMAND = ("z", "rx", "ry")
 
@@ -61,8 +67,9 @@ def legs_skeleton(x: Values, p: Values, count: int) -> list[list[Expr]]:
 
 def errors(free: Sequence[str]) -> tuple[Component, ...]:
     """Pose errors x, y, z and rotation vector; those in `free` can be nulled."""
-    units = dict.fromkeys(XYZ, "m") | dict.fromkeys(("ax", "ay", "az"), "rad")
-    return tuple(Component(n, unit, n in free) for n, unit in units.items())
+    places = [coordinates.point_error(n, driven=n in free) for n in XYZ]
+    turns = [coordinates.turn_error(n, driven=n in free) for n in ("ax", "ay", "az")]
+    return (*places, *turns)
 
 
 def pose_at(c: Values, home: Sequence[float]) -> dict[str, Expr]:
@@ -147,8 +154,9 @@ def tripod_command(table: Geometry) -> tuple[Coordinate, ...]:
         float(table["reach"]),
         float(table["tilt"]),
     )
-    angles = [Coordinate(n, "rad", -tilt, tilt) for n in TRIPOD_COMMAND[1:]]
-    return (Coordinate("z", "m", z - reach, z + reach), *angles)
+    of = coordinates.TILT_DIRECTION
+    angles = [coordinates.angle(n, -tilt, tilt, of=of) for n in TRIPOD_COMMAND[1:]]
+    return (coordinates.point("z", z - reach, z + reach), *angles)
 
 
 def tripod_start(c: Values, p: Values) -> list[Expr]:

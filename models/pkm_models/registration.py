@@ -14,6 +14,14 @@ from oed.machine import Expr, Parameter, Values
 from pkm_models.rotation import tilt_torsion
 
 
+def coordinate(name: str) -> str:
+    """What an instrument reads of the tool point along an axis of its frame."""
+    return (
+        f"{name} of the tool point in the instrument's frame, which is the base frame up"
+        " to shift and turn"
+    )
+
+
 def frame_parameters(shift: float, turn: float) -> tuple[Parameter, ...]:
     """The six unknowns with their tolerances (m, rad); 0 holds them, as for a frame
     that is known.

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.machine import Component, Coordinate, Expr, Values
+from pkm_models import coordinates
 from pkm_models.rotation import tilt_torsion
 
 XYZ, ANGLES = "xyz", ("rx", "ry", "spin")
-POSE = tuple(Coordinate(n, "m") for n in XYZ) + tuple(
-    Coordinate(n, "rad") for n in ANGLES
-)
-COMPONENTS = tuple(Component(n, "m", compensatable=True) for n in XYZ) + tuple(
-    Component(n, "rad", compensatable=True) for n in ("ax", "ay", "az")
+POSE = coordinates.points() + coordinates.angles()
+ORIENTATION = coordinates.POSE_ORIENTATION
+COMPONENTS: tuple[Component, ...] = coordinates.point_errors() + tuple(
+    coordinates.turn_error(n) for n in ("ax", "ay", "az")
 )
 
 
@@ -26,10 +26,10 @@ def command(home: Sequence[float], reach: float, tilt: float) -> tuple[Coordinat
     """
     return (
         *(
-            Coordinate(n, "m", middle - reach, middle + reach)
+            coordinates.point(n, middle - reach, middle + reach)
             for n, middle in zip(XYZ, home, strict=True)
         ),
-        *(Coordinate(n, "rad", -tilt, tilt) for n in ANGLES),
+        *(coordinates.angle(n, -tilt, tilt) for n in ANGLES),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from oed.dataset.columns import (
     is_covariate,
 )
 from oed.dataset.data import ColumnLayout, Dataset, consecutive
+from oed.dataset.dialect import COMMENT
 from oed.measurement import Series
 from oed.whole_file import whole_file
 
@@ -29,11 +30,15 @@ def save(path: Path, dataset: Dataset) -> None:
         part.write_text(to_csv(dataset), encoding="utf-8", newline="")
 
 
-def to_csv(dataset: Dataset) -> str:
+def to_csv(
+    dataset: Dataset, comments: Callable[[Sequence[str]], Sequence[str]] | None = None
+) -> str:
     """The text of a readings file.
 
     References of runs are rows of their own. Readings that are NaN give empty cells, to
     be filled in.
+
+    comments  lines above the header, from the names of the columns
     """
     rows: list[dict[str, str]] = []
     lines = consecutive([len(s) for s in dataset.series])
@@ -43,13 +48,11 @@ def to_csv(dataset: Dataset) -> str:
         layout = dataset.layouts[s.setup]
         rows += _rows(s, values, covariates, layout)
     header = dict.fromkeys(name for row in rows for name in row)
+    names = sorted(header, key=lambda name: _rank(name, dataset))
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(
-        text,
-        sorted(header, key=lambda name: _rank(name, dataset)),
-        restval="",
-        lineterminator="\n",
-    )
+    if comments is not None:
+        text.writelines(f"{COMMENT} {line}\n" for line in comments(names))
+    writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()

@@ -22,6 +22,8 @@ from oed.dataset.columns import REQUIRED
 SEPARATORS: Final = (",", ";", "\t")
 #: Excel's line that names the separator; spreadsheets do not show it as a row
 SEPARATOR_LINE: Final = re.compile(r"\s*\"?sep=(.)\"?[ \t]*\r?\n", re.IGNORECASE)
+#: begins a line above the header that is no row
+COMMENT: Final = "#"
 #: columns of text for the reader alone, also numbered: `remark`, `remark_2`
 REMARK: Final = re.compile(r"(remark|comment|note)s?(_\w+)?", re.IGNORECASE)
 #: a number with a decimal comma
@@ -36,17 +38,19 @@ class SplitText:
     """Text of a readings file split into cells.
 
     separator  between cells
-    text       without a line that names the separator
+    text       without a line that names the separator, and comments above the header
+    comments   number of these comments
     """
 
     separator: str
     text: str
+    comments: int = 0
 
     def rows(self) -> Iterator[Row]:
         """Numbered rows that are not blank. Raises csv.Error."""
         lines = io.StringIO(self.text, newline="")
         reader = csv.reader(lines, delimiter=self.separator, strict=True)
-        for number, cells in enumerate(reader, start=1):
+        for number, cells in enumerate(reader, start=1 + self.comments):
             if any(cell.strip() for cell in cells):
                 yield number, cells
 
@@ -65,13 +69,32 @@ def split(text: str) -> SplitText:
     """The table of a text. A header without the known columns counts as commas."""
     stated = SEPARATOR_LINE.match(text)
     if stated is not None and stated[1] in SEPARATORS:
-        return SplitText(stated[1], text[stated.end() :])
-    header = text.lstrip().partition("\n")[0]
+        table, comments = _without_comments(text[stated.end() :])
+        return SplitText(stated[1], table, comments)
+    table, comments = _without_comments(text)
+    header = table.lstrip().partition("\n")[0]
     for separator in SEPARATORS:
         names = {name.strip(' \t\r"') for name in header.split(separator)}
         if names.issuperset(REQUIRED):
-            return SplitText(separator, text)
-    return SplitText(SEPARATORS[0], text)
+            return SplitText(separator, table, comments)
+    return SplitText(SEPARATORS[0], table, comments)
+
+
+def _without_comments(text: str) -> tuple[str, int]:
+    """The text below the comments that open it, and their number, blank lines included.
+
+    A spreadsheet may have put them in quotes.
+    """
+    count, start, place, number = 0, 0, 0, 0
+    while place < len(text):
+        end = text.find("\n", place) + 1 or len(text)
+        content = text[place:end].strip().lstrip('"')
+        if content and not content.startswith(COMMENT):
+            break
+        place, number = end, number + 1
+        if content:
+            count, start = number, place
+    return text[start:], count
 
 
 def is_unread(name: str) -> bool:

@@ -1,7 +1,7 @@
 """A readings file (`*.readings.csv`) as a table of checked cells, without a machine.
 
 One row a reading, a header with the unit in each column's name. Rows are counted as a
-spreadsheet shows them: the header is row 1. Remarks are not read.
+spreadsheet shows them. Remarks, and lines with # above the header, are not read.
 """
 
 from __future__ import annotations
@@ -129,6 +129,9 @@ def read(path: Path, expected: Mapping[str, str] | None = None) -> ReadingsFile:
     """
     split = dialect.split(_text(path))
     rows = _rows(split, str(path), expected or {})
+    if not rows:
+        problem = "there is no header below the comments"
+        raise ReadingsError(problem, HEADER_REMEDY, file=str(path))
     return from_rows(rows, str(path), expected, split.separator)
 
 
@@ -142,7 +145,7 @@ def from_rows(
 
     Numbers may have decimal commas where `separator` is another sign.
     """
-    columns = _header(rows[0][1], file, expected or {})
+    columns = _header(rows[0], file, expected or {})
     body = rows[1:]
     if not body:
         raise ReadingsError(
@@ -196,11 +199,14 @@ def _rows(split: SplitText, file: str, expected: Mapping[str, str]) -> list[Row]
             if rows:
                 rows.append((number, _in_columns(cells, rows[0][1], number, file)))
             else:
-                _header(cells, file, expected)
+                _header((number, cells), file, expected)
                 rows.append((number, cells))
     except csv.Error:
         raise ReadingsError(
-            "the lines are no CSV", HEADER_REMEDY, file=file, row=len(rows) + 1
+            "the lines are no CSV",
+            HEADER_REMEDY,
+            file=file,
+            row=len(rows) + 1 + split.comments,
         ) from None
     return rows
 
@@ -238,9 +244,10 @@ def _in_columns(
 
 
 def _header(
-    cells: Sequence[str], file: str, expected: Mapping[str, str]
+    header: Row, file: str, expected: Mapping[str, str]
 ) -> dict[str, ReadingsColumn]:
     """Columns by stem, in order. Raises ReadingsError."""
+    row, cells = header
     names = [cell.strip() for cell in cells]
     missing = [name for name in REQUIRED if name not in names]
     if missing:
@@ -248,26 +255,28 @@ def _header(
             f"the column {missing[0]} is missing",
             HEADER_REMEDY,
             file=file,
-            row=1,
+            row=row,
             column=missing[0],
         )
     if len(names) > MAX_COLUMNS:
         problem = f"{len(names)} columns are too many"
-        raise ReadingsError(problem, HEADER_REMEDY, file=file, row=1)
+        raise ReadingsError(problem, HEADER_REMEDY, file=file, row=row)
     columns: dict[str, ReadingsColumn] = {}
     for name in names:
         if dialect.is_unread(name):
             continue
-        column = _column(name, file, expected)
+        column = _column(name, file, row, expected)
         if column.stem in columns:
             problem = f"{column.stem} is given twice"
             remedy = f"keep {columns[column.stem].name} or {name}"
-            raise ReadingsError(problem, remedy, file=file, row=1, column=name)
+            raise ReadingsError(problem, remedy, file=file, row=row, column=name)
         columns[column.stem] = column
     return columns
 
 
-def _column(name: str, file: str, expected: Mapping[str, str]) -> ReadingsColumn:
+def _column(
+    name: str, file: str, row: int, expected: Mapping[str, str]
+) -> ReadingsColumn:
     try:
         return parse_column(name)
     except units.UnitError:
@@ -275,7 +284,7 @@ def _column(name: str, file: str, expected: Mapping[str, str]) -> ReadingsColumn
             "no known unit in the name",
             _unit_remedy(name, expected),
             file=file,
-            row=1,
+            row=row,
             column=name,
         ) from None
 

@@ -39,12 +39,19 @@ ATTRIBUTES = {"formats": "controller"}
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class CatalogueEntry:
-    """One line of the catalogue: `where` is the long name that a study may use as well."""
+    """One entry of the catalogue.
+
+    where    the long name that a study may use as well
+    frames   of a machine: base frame, tool axis, orientation, in sentences
+    columns  of a machine or an instrument: name with unit, role and meaning
+    """
 
     name: str
     about: str
     source: str
     where: str
+    frames: list[str] = dataclasses.field(default_factory=list)
+    columns: list[dict[str, str]] = dataclasses.field(default_factory=list)
 
 
 def listing(kind: str) -> list[CatalogueEntry]:
@@ -54,11 +61,23 @@ def listing(kind: str) -> list[CatalogueEntry]:
             CatalogueEntry(c.name, c.about, c.source, f"oed.criteria:{c.name}")
             for c in _criteria().values()
         ]
-    items = _items(kind)
     return [
-        CatalogueEntry(name, item.about, item.source, where)
-        for name, (where, item) in sorted(items.items())
+        _entry(kind, name, where, item)
+        for name, (where, item) in sorted(_items(kind).items())
     ]
+
+
+def _entry(kind: str, name: str, where: str, item: Any) -> CatalogueEntry:
+    from pkm_studies import conventions
+
+    frames, columns = [], []
+    if kind == "machines":
+        frames = conventions.machine_frames(item)
+        columns = conventions.machine_columns(item)
+    if kind == "instruments":
+        columns = conventions.instrument_columns(item)
+    tables = [dataclasses.asdict(c) for c in columns]
+    return CatalogueEntry(name, item.about, item.source, where, frames, tables)
 
 
 def machine(

@@ -22,6 +22,7 @@ from pkm_studies.errors import InputError
 from pkm_studies.outcome import BAD_INPUT, DONE, FAILED, report_outcome
 
 if TYPE_CHECKING:
+    from pkm_studies.catalogue import CatalogueEntry
     from pkm_studies.study import Study
 
 app = typer.Typer(
@@ -313,9 +314,14 @@ def list_entries(
     if as_json:
         console.print_json([dataclasses.asdict(entry) for entry in entries])
         return DONE
-    rows = [(e.name, [e.about, f"source: {e.source}"]) for e in entries]
-    _print_rows(rows)
+    _print_rows([(e.name, _entry_lines(e)) for e in entries])
     return DONE
+
+
+def _entry_lines(entry: CatalogueEntry) -> list[str]:
+    """What it is, its source, its frames and its columns."""
+    columns = [f"{c['name']}: {c['role']}: {c['about']}" for c in entry.columns]
+    return [entry.about, f"source: {entry.source}", *entry.frames, *columns]
 
 
 def _list_studies(as_json: bool) -> int:

@@ -14,7 +14,7 @@ from oed.checkpoint import Checkpoint
 from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
 from oed.result import StudyResult
-from pkm_studies import files
+from pkm_studies import conventions, files
 from pkm_studies.errors import InputError
 from pkm_studies.run_state import RunState
 from pkm_studies.stages.design.section import planned_readings
@@ -127,7 +127,8 @@ def _save_posterior(folder: Path, result: StudyResult, draws: Posterior) -> None
 def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
     """Planned readings as a readings file to fill in."""
     empty = np.full(len(measurement.setup_of_readings(series)), np.nan)
-    return dataset.to_csv(dataset.from_series(series, empty, measurement))
+    readings = dataset.from_series(series, empty, measurement)
+    return dataset.to_csv(readings, conventions.comments_of(measurement))
 
 
 def _write_sheet(folder: Path, result: StudyResult, plan: PlanOutcome | None) -> None:

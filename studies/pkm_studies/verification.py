@@ -62,7 +62,7 @@ def plan_folder(
     )
     rng = np.random.default_rng([result.seed, int(Stream.ACCEPTANCE)])
     section = plan.plan_section(result, accuracy, rng, power=power, most=most)
-    text = plan.to_fill_in(section)
+    text = plan.to_fill_in(section, machine)
     path = files.unused_path(folder / FILE, text, list(result.written.values()))
     written = {**result.written, path.name: files.digest(text.encode("utf-8"))}
     result = msgspec.structs.replace(

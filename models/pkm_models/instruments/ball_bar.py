@@ -21,7 +21,9 @@ from oed.machine import Expr, Parameter, Values
 
 SOURCE = "Tian et al. 2016, section 3; ISO 230-4 for the instrument"
 LENGTH = Setting("length", "m", 0.300, "nominal bar length")
-CHANNEL = Channel("length", "m", 0.5e-6)
+CHANNEL = Channel(
+    "length", "m", 0.5e-6, about="distance from the cup's centre to the tool ball's"
+)
 COST = Cost(setup=900.0, reading=6.0)
 #: a magnetic cup seats elsewhere each time
 CUP = ("cup_x", "cup_y", "cup_z")

@@ -30,6 +30,11 @@ from pkm_models import registration
 SOURCE = "ISO 10360-2 (calibrated test lengths for coordinate measuring machines)"
 
 
+BETWEEN = (
+    "certified distance between this row's feature and that of the run's first row"
+)
+
+
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     nominal = ca.vertcat(k["at_x"], k["at_y"], k["at_z"])
     return list(
@@ -47,7 +52,12 @@ instrument = Instrument(
     name="ball_plate",
     source=SOURCE,
     about="ball plate: certified places of its balls, in the plate's own frame",
-    channels=tuple(Channel(f"ball_{n}", "m", 0.2e-6) for n in "xyz"),
+    channels=tuple(
+        Channel(
+            f"ball_{n}", "m", 0.2e-6, about=f"{n} of the probed ball, plate's frame"
+        )
+        for n in "xyz"
+    ),
     settings=tuple(
         Setting(f"at_{n}", "m", 0.0, f"{n} of the plate's origin in the base frame")
         for n in "xyz"
@@ -61,7 +71,7 @@ distance = Instrument(
     name="ball_distance",
     source=SOURCE,
     about="ball plate or step gauge: certified distance between two of its features",
-    channels=(Channel("length", "m", 0.3e-6),),
+    channels=(Channel("length", "m", 0.3e-6, about=BETWEEN),),
     settings=(),
     nuisances=(
         Parameter("scale", 0.0, 2.3e-6, "1", "scale of certificate and temperature"),

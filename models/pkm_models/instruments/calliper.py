@@ -13,6 +13,8 @@ import casadi as ca
 from oed.instrument import Channel, Cost, Frame, Instrument
 from oed.machine import Expr, Parameter, Values
 
+BETWEEN = "distance between the tool points of this row and of the run's first row"
+
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     return [(1.0 + s["scale"]) * ca.norm_2(frames[0].point - frames[1].point)]
@@ -25,7 +27,7 @@ instrument = Instrument(
         " kind"
     ),
     about="calliper: distance between two tool positions",
-    channels=(Channel("length", "m", 0.03e-3),),
+    channels=(Channel("length", "m", 0.03e-3, about=BETWEEN),),
     settings=(),
     nuisances=(
         Parameter("scale", 0.0, 1e-3, "1", "scale of object and calliper (shrinkage)"),

@@ -26,7 +26,13 @@ SOURCE = (
     "three-coordinate position readings; 1 mm is what markers on a mover a few metres"
     " away are seen to"
 )
-CHANNELS = tuple(Channel(n, "m", 1.0e-3) for n in ("read_x", "read_y", "read_z"))
+CHANNELS = tuple(
+    Channel(f"read_{n}", "m", 1.0e-3, about=registration.coordinate(n)) for n in "xyz"
+)
+KNOWN = tuple(
+    Channel(f"read_{n}", "m", 1.0e-3, about=f"{n} of the tool point in the base frame")
+    for n in "xyz"
+)
 COST = Cost(setup=900.0, reading=20.0)
 
 
@@ -58,7 +64,7 @@ known_frame = Instrument(
     name="camera_known_frame",
     source=SOURCE,
     about="camera: three coordinates of the tool point, in the machine's base frame",
-    channels=CHANNELS,
+    channels=KNOWN,
     settings=(),
     nuisances=(),
     cost=COST,

@@ -39,12 +39,18 @@ def _at_contact(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 SOURCE = "touch probe of delta printers; height over the bed at the trigger"
 OFFSET = Parameter("offset", 0.0, 0.05e-3, "m", "trigger offset")
 COST = Cost(setup=120.0, reading=10.0)
+HEIGHT = Channel(
+    "height",
+    "m",
+    0.02e-3,
+    about="height of the tool point over the bed, along z of the base frame, up",
+)
 
 instrument = Instrument(
     name="height_probe",
     source=SOURCE,
     about="touch probe: height of the tool over the bed",
-    channels=(Channel("height", "m", 0.02e-3),),
+    channels=(HEIGHT,),
     settings=(),
     nuisances=(OFFSET,),
     cost=COST,
@@ -55,7 +61,7 @@ tilted_bed = Instrument(
     name="height_probe_tilted_bed",
     source=SOURCE,
     about="touch probe: height of the tool over a bed whose tilts are unknown",
-    channels=(Channel("height", "m", 0.02e-3),),
+    channels=(HEIGHT,),
     settings=(),
     nuisances=(
         OFFSET,

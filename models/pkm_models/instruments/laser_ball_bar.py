@@ -39,12 +39,27 @@ import casadi as ca
 
 from oed.instrument import Channel, Cost, Frame, Instrument, Setting
 from oed.machine import Expr, Values
+from oed.orientation import direction
 from pkm_models import registration
 
 SOURCE = "Wang and Fan 2004, Int. J. Mach. Tools Manuf. 44, section 5"
 ARCSEC = math.pi / 648000.0
-POINT = tuple(Channel(f"read_{n}", "m", 4e-6) for n in "xyz")
-AXIS = tuple(Channel(f"read_{n}", "rad", 55e-6) for n in ("alpha", "beta"))
+ORIENTATION = direction(("x", "read_alpha"), ("y", "read_beta"))
+FRAMES = (
+    f"{ORIENTATION.formula} = (sin beta, -sin alpha cos beta, cos alpha cos beta), from"
+    " ball B to ball A, along z of the platform's frame, in the instrument's frame"
+)
+POINT = tuple(
+    Channel(f"read_{n}", "m", 4e-6, about=f"{registration.coordinate(n)}: ball A")
+    for n in "xyz"
+)
+AXIS = tuple(
+    Channel(f"read_{n}", "rad", 55e-6, about=f"{about}; {FRAMES}")
+    for n, about in (
+        ("alpha", "angle about x, right-handed"),
+        ("beta", "angle about the turned y, right-handed"),
+    )
+)
 SETTINGS = (
     *(
         Setting(f"at_{n}", "m", None, f"{n} of the gimbal in the base frame")
@@ -120,6 +135,7 @@ instrument = Instrument(
     cost=Cost(setup=3600.0, reading=60.0),
     observe=_observe,
     sources=_sources,
+    orientation=ORIENTATION,
 )
 
 position = Instrument(

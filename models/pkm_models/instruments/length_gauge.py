@@ -58,7 +58,14 @@ instrument = Instrument(
         "length gauge of 1 um: height of the tool over the table, whose height and"
         " tilts are unknown"
     ),
-    channels=(Channel("height", "m", 1.0e-6),),
+    channels=(
+        Channel(
+            "height",
+            "m",
+            1.0e-6,
+            about="height of the tool point over the table, along z of the base frame",
+        ),
+    ),
     settings=(
         Setting("at_z", "m", 0.0, "z of the table, as set up, in the base frame"),
     ),

@@ -32,7 +32,7 @@ urad (0.5 arcsec) for an autocollimator.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import casadi as ca
 
@@ -41,8 +41,19 @@ from oed.machine import Expr, Machine, Parameter, Values
 
 SOURCE = "Tian et al. 2016, section 3, Eq. (13)"
 LEVEL, AUTOCOLLIMATOR = 10e-6, 2.5e-6  # rad
-TILTS, TURNS = ("read_tilt_x", "read_tilt_y"), "xyz"
+TURNS = "xyz"
 U, V, W = 0, 1, 2
+SLOPES = {
+    "read_tilt_x": "slope of the platform's y axis over the horizontal, asin(v_z)",
+    "read_tilt_y": "slope of the platform's x axis under the horizontal, -asin(u_z)",
+}
+SPIN = {
+    "read_spin": "direction of the platform's x axis in plan, from x to y, atan2(u_y, u_x)"
+}
+NORMAL = {
+    "read_tilt_x": "tilt of the platform's z axis about x, atan2(-w_y, w_z)",
+    "read_tilt_y": "tilt of the platform's z axis about y, atan2(w_x, w_z)",
+}
 
 
 def _slopes(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -86,7 +97,7 @@ def _unfit(machine: Machine) -> str | None:
 def _orientation(
     name: str,
     about: str,
-    channels: Sequence[str],
+    channels: Mapping[str, str],
     sigma: float,
     observe: Callable[[Sequence[Frame], Values, Values], list[Expr]],
     cost: Cost,
@@ -95,7 +106,9 @@ def _orientation(
         name=name,
         source=SOURCE,
         about=about,
-        channels=tuple(Channel(n, "rad", sigma) for n in channels),
+        channels=tuple(
+            Channel(n, "rad", sigma, about=words) for n, words in channels.items()
+        ),
         settings=(),
         nuisances=_zeros(TURNS[: len(channels)]),
         cost=cost,
@@ -107,7 +120,7 @@ def _orientation(
 instrument = _orientation(
     "home_orientation",
     "level and dial gauges: rotations of the platform about x, y and z at home",
-    (*TILTS, "read_spin"),
+    SLOPES | SPIN,
     LEVEL,
     _with_spin,
     Cost(setup=600.0, reading=120.0),
@@ -116,7 +129,7 @@ instrument = _orientation(
 level = _orientation(
     "level",
     "level on the platform: its tilts about x and y",
-    TILTS,
+    SLOPES,
     LEVEL,
     _slopes,
     Cost(setup=300.0, reading=60.0),
@@ -125,7 +138,7 @@ level = _orientation(
 autocollimator = _orientation(
     "autocollimator",
     "autocollimator and a mirror on the platform: its tilts about x and y",
-    TILTS,
+    NORMAL,
     AUTOCOLLIMATOR,
     _normal,
     Cost(setup=1800.0, reading=30.0),

@@ -18,6 +18,7 @@ import casadi as ca
 
 from oed.instrument import Channel, Cost, Frame, Instrument
 from oed.machine import Expr, Machine, Parameter, Values
+from pkm_models import registration
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -39,7 +40,10 @@ instrument = Instrument(
     name="planar_position",
     source="two-coordinate position readings in the x-y plane, as of a grid encoder",
     about="camera or grid plate: x and y of the tool point",
-    channels=(Channel("read_x", "m", 0.05e-3), Channel("read_y", "m", 0.05e-3)),
+    channels=tuple(
+        Channel(f"read_{n}", "m", 0.05e-3, about=registration.coordinate(n))
+        for n in "xy"
+    ),
     settings=(),
     nuisances=(
         Parameter("shift_x", 0.0, 5e-3, "m", "x of the instrument's frame"),

@@ -24,13 +24,22 @@ import casadi as ca
 
 from oed.instrument import Channel, Cost, Frame, Instrument
 from oed.machine import Expr, Values
+from oed.orientation import rotation
 from pkm_models import registration
 
 SOURCE = "laser tracker with six-component target; ISO 10360-10 for the instrument"
-POINT = tuple(Channel(f"read_{n}", "m", 10e-6) for n in "xyz")
+ORIENTATION = rotation(("x", "read_alpha"), ("y", "read_beta"), ("z", "read_gamma"))
+FRAMES = f"{ORIENTATION.formula}, from the platform's frame to the instrument's"
+POINT = tuple(
+    Channel(f"read_{n}", "m", 10e-6, about=registration.coordinate(n)) for n in "xyz"
+)
 ANGLES = tuple(
-    Channel(f"read_{n}", "rad", 5.0 * math.pi / 648000.0)
-    for n in ("alpha", "beta", "gamma")
+    Channel(f"read_{n}", "rad", 5.0 * math.pi / 648000.0, about=f"{about}; {FRAMES}")
+    for n, about in (
+        ("alpha", "angle about x, right-handed"),
+        ("beta", "angle about the turned y, right-handed"),
+        ("gamma", "angle about the tool axis, right-handed"),
+    )
 )
 
 
@@ -54,6 +63,7 @@ instrument = Instrument(
     nuisances=registration.frame_parameters(0.05e-3, 0.05e-3),
     cost=Cost(setup=2700.0, reading=15.0),
     observe=_pose,
+    orientation=ORIENTATION,
 )
 
 position = Instrument(

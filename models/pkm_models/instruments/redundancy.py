@@ -36,6 +36,12 @@ SOURCE = (
     " Manuf. 40, 489-512"
 )
 COST = Cost(setup=60.0, reading=10.0)
+GAP = Channel(
+    "gap",
+    "m",
+    SIGMA,
+    about="the legs' lengths beyond those that close the machine; either sign",
+)
 
 
 def _one(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -61,8 +67,9 @@ def _unfit(machine: Machine) -> str | None:
 def _channels(machine: Machine) -> tuple[Channel, ...]:
     count = _spare(machine)
     if count == 1:
-        return (Channel("gap", "m", SIGMA),)
-    return tuple(Channel(f"gap{k + 1}", "m", SIGMA) for k in range(count))
+        return (GAP,)
+    about = f"component of {GAP.about}"
+    return tuple(Channel(f"gap{k + 1}", "m", SIGMA, about=about) for k in range(count))
 
 
 def _for_machine(machine: Machine) -> Instrument:
@@ -123,7 +130,7 @@ instrument = Instrument(
     name="redundancy",
     source=SOURCE,
     about=ABOUT,
-    channels=(Channel("gap", "m", SIGMA),),
+    channels=(GAP,),
     settings=(),
     nuisances=(),
     cost=COST,
@@ -137,7 +144,7 @@ per_leg = Instrument(
     name="redundancy_per_leg",
     source=SOURCE,
     about="closure of a redundant machine, with a noise for each leg",
-    channels=(Channel("gap", "m", SIGMA),),
+    channels=(GAP,),
     settings=(),
     nuisances=(),
     cost=COST,

@@ -79,7 +79,9 @@ def _relative(
 
 
 def _channel(name: str, sigma: float) -> Channel:
-    return Channel(name, "m", sigma, shared=1.0)
+    axis = name.removeprefix("d")
+    about = f"{axis} of the tool point less that of the run's first pose, base frame"
+    return Channel(name, "m", sigma, shared=1.0, about=about)
 
 
 _LASER_COST, _MICROMETER_COST = (

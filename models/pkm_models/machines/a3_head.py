@@ -27,12 +27,20 @@ from oed.machine import (
     PointGroup,
     Values,
 )
+from oed.orientation import direction, rotation
+from pkm_models import coordinates
 from pkm_models.rotation import tilt_torsion
 
 A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
 LIMBS = (1, 2, 3)
 PHI = {i: 2.0 * math.pi * (i - 1) / 3.0 - math.pi / 2.0 for i in LIMBS}
 XYZ = "xyz"
+
+#: direction of the tool axis by psi and theta, and the paper's Euler angles z-x-z
+AXIS = direction(("z", "psi"), ("x", "theta"))
+EULER = rotation(("z", "psi"), ("x", "theta"), ("z", "phi"))
+PSI = f"precession: direction of the axis about which the tool tilts, from x to y; {AXIS.formula}"
+THETA = f"nutation: tilt of the tool axis from z; {AXIS.formula}"
 
 # Tolerances (prior standard deviations): the size of the errors that Table 3 found on
 # the prototype.
@@ -128,22 +136,33 @@ machine = Machine(
     name="a3_head",
     source="Tian et al. 2016, Mech. Mach. Theory 102, 167-178",
     about="A3 spindle head (3-RPS): z, psi, theta driven; x, y, phi parasitic",
-    pose=tuple(Coordinate(n, "m") for n in XYZ)
-    + tuple(Coordinate(n, "rad") for n in ("rx", "ry", "spin")),
-    joints=tuple(Coordinate(f"q{i}", "m", 0.2, 1.2) for i in LIMBS),
-    command=(
-        Coordinate("z", "m", C + D, C + D + 0.200),
-        Coordinate("psi", "rad", -2.0 * math.pi, 2.0 * math.pi),
-        Coordinate("theta", "rad", 0.0, math.radians(40.0)),
+    pose=coordinates.points() + coordinates.angles(),
+    joints=tuple(
+        coordinates.joint(
+            f"q{i}", "m", 0.2, 1.2, "length of limb {} less its home error"
+        )
+        for i in LIMBS
     ),
+    command=(
+        coordinates.point("z", C + D, C + D + 0.200),
+        Coordinate("psi", "rad", -2.0 * math.pi, 2.0 * math.pi, PSI),
+        Coordinate("theta", "rad", 0.0, math.radians(40.0), THETA),
+    ),
+    base_frame=(
+        "origin at the centre of the base joints; z square to them, towards the"
+        " platform; joint 1 at -y, joints 2 and 3 at +x and -x"
+    ),
+    tool_axis="from the platform to the tool point, up at home",
+    orientation=coordinates.POSE_ORIENTATION,
+    command_orientation=AXIS,
     parameters=_parameters(),
     components=(
-        Component("x", "m", compensatable=False),
-        Component("y", "m", compensatable=False),
-        Component("z", "m", compensatable=True),
-        Component("psi", "rad", compensatable=True),
-        Component("theta", "rad", compensatable=True),
-        Component("phi", "rad", compensatable=False),
+        coordinates.point_error("x", driven=False),
+        coordinates.point_error("y", driven=False),
+        coordinates.point_error("z"),
+        Component("psi", "rad", True, f"psi, actual less wanted; {EULER.formula}"),
+        Component("theta", "rad", True, f"theta, actual less wanted; {EULER.formula}"),
+        Component("phi", "rad", False, f"phi, actual less wanted; {EULER.formula}"),
     ),
     home={"z": C + D, "psi": 0.0, "theta": 0.0},
     lever=D,

@@ -24,7 +24,8 @@ import math
 
 import casadi as ca
 
-from oed.machine import Component, Coordinate, Expr, Machine, Parameter, Values
+from oed.machine import Expr, Machine, Parameter, Values
+from pkm_models.coordinates import joint, point, point_errors, points
 
 LINES = (1, 2, 3, 4)  # A, B, C, D
 GEAR, BUILDUP = 255.0 / 20.0, 0.06875e-3  # 1, m
@@ -74,20 +75,21 @@ machine = Machine(
     name="cable_robot",
     source="Hangprinter HP4: github.com/tobbelobb/auto-calibration-simulation-for-hangprinter (MIT), commit 790dca2",
     about="cable robot, four lines for three degrees of freedom: x, y, z driven, one line redundant",
-    pose=tuple(Coordinate(n, "m") for n in "xyz"),
-    joints=tuple(Coordinate(f"q{i}", "rad", -1200.0, 600.0) for i in LINES),
+    pose=points(),
+    joints=tuple(joint(f"q{i}", "rad", -1200.0, 600.0, "turn of motor {} since the origin, paying out") for i in LINES),
     command=(
-        Coordinate("x", "m", -0.400, 0.400),
-        Coordinate("y", "m", -0.400, 0.400),
-        Coordinate("z", "m", 0.0, 1.400),
+        point("x", -0.400, 0.400),
+        point("y", -0.400, 0.400),
+        point("z", 0.0, 1.400),
     ),
+    base_frame="origin where the mover was when the lines' lengths were read; z up; axes of the anchors' coordinates",
     parameters=(
         *(Parameter(f"anchor{i}{k}", ANCHOR[i]["xyz".index(k)], 0.050, "m", f"{k} of anchor {i}")
           for i in LINES for k in "xyz"),
         *(Parameter(f"radius{i}", SPOOL, 1.0e-3, "m", f"spool radius of line {i} at the origin") for i in LINES),
         *(Parameter(f"line{i}", LINE[i], 1.0e-3, "m", f"length of line {i} at the origin") for i in LINES),
     ),
-    components=tuple(Component(n, "m", compensatable=True) for n in "xyz"),
+    components=point_errors(),
     home={"x": 0.0, "y": 0.0, "z": 0.0},
     lever=1.6,
     cable_stiffness=(math.inf,) * len(LINES),

@@ -27,8 +27,6 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.machine import (
-    Component,
-    Coordinate,
     Dimension,
     Expr,
     Family,
@@ -38,7 +36,10 @@ from oed.machine import (
     Values,
 )
 from pkm_models import families
+from pkm_models.coordinates import joint, point, point_errors, points
 from pkm_models.families import Geometry, as_rows
+from pkm_models.machines import linear_delta
+from pkm_models.machines.linear_delta import DOWN
 
 TOWERS = (1, 2, 3)
 NAME = "delta"
@@ -128,18 +129,19 @@ def build(geometry: Geometry) -> Machine:
         )
     width, height, endstop = _workspace(table, radius, arm)
     size = float(arm.max())
-    command = [Coordinate(n, "m", -width, width) for n in "xy"]
-    command.append(Coordinate("z", "m", 0.0, height))
+    command = [point(n, -width, width) for n in "xy"]
+    command.append(point("z", 0.0, height))
     travel = float(endstop.max()) + size
     return Machine(
         name=NAME,
         source=SOURCE,
         about="delta of any size: radius, angle, tilts and carriage height by tower",
-        pose=tuple(Coordinate(n, "m") for n in "xyz"),
-        joints=tuple(Coordinate(f"q{i}", "m", -size, travel) for i in TOWERS),
+        pose=points(),
+        joints=tuple(joint(f"q{i}", "m", -size, travel, DOWN) for i in TOWERS),
+        base_frame=linear_delta.machine.base_frame,
         command=tuple(command),
         parameters=_parameters(table, radius, arm, endstop),
-        components=tuple(Component(n, "m", compensatable=True) for n in "xyz"),
+        components=point_errors(),
         home={"x": 0.0, "y": 0.0, "z": 0.05 * height},
         lever=float(radius.mean()),
         closure=closure,

@@ -25,9 +25,11 @@ import math
 
 import casadi as ca
 
-from oed.machine import Coordinate, Expr, Machine, Parameter, PointGroup, Values
+from oed.machine import Expr, Machine, Parameter, PointGroup, Values
+from pkm_models.coordinates import joint
 from pkm_models.six_dof import (
     COMPONENTS,
+    ORIENTATION,
     POSE,
     XYZ,
     command,
@@ -44,6 +46,7 @@ STRUT, START, HEIGHT, PLATFORM = (
     0.200,
 )  # m; START: x of the guides' ends; HEIGHT: z at home
 JOINT, ZERO, LENGTH = 0.3e-3, 0.5e-3, 0.5e-3  # m
+TRAVEL = "travel of carriage {} from its guide's end, towards +x, less its zero"
 Point = tuple[float, float, float]
 
 GUIDE = ((-0.250, 0.800), (0.000, 0.800), (0.550, 0.500))  # y and z, m
@@ -108,10 +111,14 @@ machine = Machine(
     about="hexaglide (6-PUS on parallel guides): x, y, z, tilt and spin driven",
     pose=POSE,
     joints=tuple(
-        Coordinate(f"q{i}", "m", *((0.2, 0.9) if SIDE[i] < 0.0 else (1.5, 2.2)))
+        joint(f"q{i}", "m", *((0.2, 0.9) if SIDE[i] < 0.0 else (1.5, 2.2)), TRAVEL)
         for i in LEGS
     ),
     command=command((0.0, 0.0, HEIGHT), 0.100, math.radians(12.0)),
+    base_frame="x along the guides, z up, origin below the middle of their travel",
+    tool_axis="from the tool point to the platform, up at home",
+    orientation=ORIENTATION,
+    command_orientation=ORIENTATION,
     parameters=(
         *(Parameter(f"dq{i}", 0.0, ZERO, "m", f"zero of carriage {i}") for i in LEGS),
         *(

@@ -20,9 +20,11 @@ import math
 
 import casadi as ca
 
-from oed.machine import Coordinate, Expr, Machine, Parameter, PointGroup, Values
+from oed.machine import Expr, Machine, Parameter, PointGroup, Values
+from pkm_models.coordinates import joint
 from pkm_models.six_dof import (
     COMPONENTS,
+    ORIENTATION,
     POSE,
     XYZ,
     command,
@@ -109,8 +111,18 @@ machine = Machine(
     ),
     about="hexapod (6-UPS): x, y, z, tilt and spin driven",
     pose=POSE,
-    joints=tuple(Coordinate(f"q{i}", "m", 0.350, 0.900) for i in LEGS),
+    joints=tuple(
+        joint(f"q{i}", "m", 0.350, 0.900, "length of leg {} less its zero")
+        for i in LEGS
+    ),
     command=command((0.0, 0.0, HEIGHT), 0.100, math.radians(15.0)),
+    base_frame=(
+        "origin at the centre of the base joints; z square to them, towards the"
+        " platform; x between the joints of legs 1 and 2"
+    ),
+    tool_axis="from the tool point to the platform, up at home",
+    orientation=ORIENTATION,
+    command_orientation=ORIENTATION,
     parameters=(
         *(
             Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of base joint {i}")

@@ -75,7 +75,7 @@ def build(geometry: Geometry) -> Machine:
         source="Honegger, Codourey and Burdet 1997, IEEE ICRA, 543-548, generalised",
         about="hexapod with carriages of any geometry (6-PUS): all six driven",
         pose=six_dof.POSE,
-        joints=families.joint_ranges(-span - reach, span + longest, 6),
+        joints=families.joint_ranges(-span - reach, span + longest, 6, legs.CARRIAGE),
         command=command,
         parameters=(
             *families.places("b", guides, sd, "point of guide"),
@@ -90,6 +90,10 @@ def build(geometry: Geometry) -> Machine:
         commanded=six_dof.commanded,
         target=six_dof.target,
         read_error=lambda c, twist: twist,
+        base_frame=legs.GEOMETRY_FRAME,
+        tool_axis=legs.GEOMETRY_TOOL_AXIS,
+        orientation=six_dof.ORIENTATION,
+        command_orientation=six_dof.ORIENTATION,
         family=family,
         **_builder(along, as_rows(table["side"], 6)),  # type: ignore[arg-type]
     )

@@ -57,7 +57,7 @@ def build(geometry: Geometry) -> Machine:
     size = families.largest(platform)
     tilt = families.number(table, "tilt")
     change = math.sqrt(3.0) * (reach + 2.0 * size * tilt)
-    legs_range = families.around(lengths, change, 6)
+    legs_range = families.around(lengths, change, 6, legs.LEG)
     sd = families.tolerance(table, float(lengths.mean()))
     return Machine(
         name=NAME,
@@ -82,6 +82,10 @@ def build(geometry: Geometry) -> Machine:
         read_error=lambda c, twist: twist,
         skeleton=skeleton,
         struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
+        base_frame=legs.GEOMETRY_FRAME,
+        tool_axis=legs.GEOMETRY_TOOL_AXIS,
+        orientation=six_dof.ORIENTATION,
+        command_orientation=six_dof.ORIENTATION,
         family=family,
     )
 

@@ -18,9 +18,11 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.machine import Component, Coordinate, Expr, Machine, Parameter, Values
+from oed.machine import Expr, Machine, Parameter, Values
+from pkm_models.coordinates import joint, point, point_errors, points
 
 TOWERS = (1, 2, 3)
+DOWN = "travel of carriage {} down from its endstop"
 RADIUS, ARM, ENDSTOP = 0.16175, 0.345, 0.420  # m
 ANGLE = {1: math.radians(210.0), 2: math.radians(330.0), 3: math.radians(90.0)}
 
@@ -74,12 +76,16 @@ machine = Machine(
         " configuration, CC0)"
     ),
     about="linear delta (3-PUU with parallelograms): x, y, z driven",
-    pose=tuple(Coordinate(n, "m") for n in "xyz"),
-    joints=tuple(Coordinate(f"q{i}", "m", -0.05, 0.6) for i in TOWERS),
+    pose=points(),
+    joints=tuple(joint(f"q{i}", "m", -0.05, 0.6, DOWN) for i in TOWERS),
     command=(
-        Coordinate("x", "m", -0.140, 0.140),
-        Coordinate("y", "m", -0.140, 0.140),
-        Coordinate("z", "m", 0.0, 0.400),
+        point("x", -0.140, 0.140),
+        point("y", -0.140, 0.140),
+        point("z", 0.0, 0.400),
+    ),
+    base_frame=(
+        "origin on the bed, midway between the towers; z up; towers at the angles from"
+        " x to y that the parameters `angle` state"
     ),
     parameters=(
         Parameter("radius", RADIUS, 0.5e-3, "m", "tower circle less platform radius"),
@@ -98,7 +104,7 @@ machine = Machine(
             for i in TOWERS
         ),
     ),
-    components=tuple(Component(n, "m", compensatable=True) for n in "xyz"),
+    components=point_errors(),
     home={"x": 0.0, "y": 0.0, "z": 0.020},
     lever=RADIUS,
     closure=closure,

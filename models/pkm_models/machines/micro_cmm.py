@@ -24,7 +24,8 @@ import casadi as ca
 import numpy as np
 
 from oed.arrays import Array
-from oed.machine import Component, Coordinate, Expr, Machine, Parameter, Values
+from oed.machine import Expr, Machine, Parameter, Values
+from pkm_models.coordinates import joint, point, point_errors, points
 
 LEGS = (1, 2, 3)
 R_FRAME, R_PLATFORM = 0.200, 0.060  # m
@@ -88,12 +89,19 @@ machine = Machine(
         " micrometrology, Eqs. (1)-(5)"
     ),
     about="micro-CMM with three extensible legs (3-UPU): x, y, z driven",
-    pose=tuple(Coordinate(n, "m") for n in "xyz"),
-    joints=tuple(Coordinate(f"q{i}", "m", 0.120, 0.350) for i in LEGS),
+    pose=points(),
+    joints=tuple(
+        joint(f"q{i}", "m", 0.120, 0.350, "length of leg {} less its zero")
+        for i in LEGS
+    ),
     command=(
-        Coordinate("x", "m", -0.040, 0.040),
-        Coordinate("y", "m", -0.040, 0.040),
-        Coordinate("z", "m", -0.250, -0.150),
+        point("x", -0.040, 0.040),
+        point("y", -0.040, 0.040),
+        point("z", -0.250, -0.150),
+    ),
+    base_frame=(
+        "origin at the centre of the upper frame; z square to it, away from the probe;"
+        " x towards leg 1"
     ),
     parameters=(
         *(
@@ -126,7 +134,7 @@ machine = Machine(
         ),
         *(Parameter(f"dl{i}", 0.0, MADE, "m", f"zero of leg {i}") for i in LEGS),
     ),
-    components=tuple(Component(n, "m", compensatable=True) for n in "xyz"),
+    components=point_errors(),
     home={"x": 0.0, "y": 0.0, "z": -0.200},
     lever=R_FRAME,
     closure=closure,

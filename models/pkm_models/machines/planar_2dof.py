@@ -21,7 +21,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.machine import Component, Coordinate, Expr, Machine, Parameter, Values
+from oed.machine import Expr, Machine, Parameter, Values
+from pkm_models.coordinates import joint, point, point_errors, points
 
 LIMBS = (1, 2)
 SIDE = {1: -0.5, 2: 0.5}
@@ -69,9 +70,22 @@ machine = Machine(
         " parallel manipulator"
     ),
     about="planar manipulator (2-PRR with parallelograms): y, z driven",
-    pose=(Coordinate("y", "m"), Coordinate("z", "m")),
-    joints=tuple(Coordinate(f"q{i}", "m", 0.4, 5.0) for i in LIMBS),
-    command=(Coordinate("y", "m", -1.5, 1.5), Coordinate("z", "m", 0.0, 1.5)),
+    pose=points("yz"),
+    joints=tuple(
+        joint(
+            f"q{i}",
+            "m",
+            0.4,
+            5.0,
+            "height of slider {} on its guide, up, less its home error",
+        )
+        for i in LIMBS
+    ),
+    command=(point("y", -1.5, 1.5), point("z", 0.0, 1.5)),
+    base_frame=(
+        "origin on the table, midway between the guides; y horizontal, from guide 1 to"
+        " guide 2; z up; the machine moves in the plane x = 0"
+    ),
     parameters=(
         Parameter("D", D, DISTANCE, "m", "distance between the guides at z = 0"),
         *(
@@ -86,10 +100,7 @@ machine = Machine(
             for i in LIMBS
         ),
     ),
-    components=(
-        Component("y", "m", compensatable=True),
-        Component("z", "m", compensatable=True),
-    ),
+    components=point_errors("yz"),
     home={"y": 0.0, "z": 0.0},
     lever=1.0,
     closure=closure,

@@ -37,6 +37,8 @@ from oed.machine import (
     PointGroup,
     Values,
 )
+from oed.orientation import direction, rotation
+from pkm_models import coordinates
 from pkm_models.rotation import tilt_torsion
 
 R, RADIUS, H, L = (
@@ -48,6 +50,10 @@ R, RADIUS, H, L = (
 LIMBS = (1, 2, 3)
 PHI = {i: 2.0 * math.pi * (i - 1) / 3.0 for i in LIMBS}
 TILT = math.radians(35.0)
+
+#: direction of the spindle axis, Eq. (15), and the angles of the rotation [R]
+AXIS = direction(("x", "alpha"), ("y", "beta"))
+ANGLES = rotation(("x", "alpha"), ("y", "beta"), ("z", "gamma"))
 
 # Tolerances (prior standard deviations): the size of the errors that Table 4 found,
 # column by column.
@@ -163,18 +169,27 @@ machine = Machine(
     about=(
         "3-PRS spindle head, full closure: z, alpha, beta driven; x, y, gamma parasitic"
     ),
-    pose=tuple(Coordinate(n, "m") for n in "xyz")
-    + tuple(Coordinate(n, "rad") for n in ("rx", "ry", "spin")),
-    joints=tuple(Coordinate(f"q{i}", "m", 1.1, 2.1) for i in LIMBS),
-    command=(
-        Coordinate("z", "m", 0.0, 0.400),
-        Coordinate("alpha", "rad", -TILT, TILT),
-        Coordinate("beta", "rad", -TILT, TILT),
+    pose=coordinates.points() + coordinates.angles(),
+    joints=tuple(
+        coordinates.joint(f"q{i}", "m", 1.1, 2.1, "height of slider {}, up")
+        for i in LIMBS
     ),
+    command=(
+        coordinates.point("z", 0.0, 0.400),
+        Coordinate("alpha", "rad", -TILT, TILT, f"about x; {AXIS.formula}"),
+        Coordinate("beta", "rad", -TILT, TILT, f"about the turned y; {AXIS.formula}"),
+    ),
+    base_frame=(
+        "origin on the machine's axis, midway between the sliders' guides; z up along"
+        " them; x towards slider 1"
+    ),
+    tool_axis="from the tool tip into the spindle, up at home",
+    orientation=coordinates.POSE_ORIENTATION,
+    command_orientation=AXIS,
     parameters=tuple(p for i in LIMBS for p in _parameters(i)),
-    components=tuple(Component(n, "m", compensatable=n == "z") for n in "xyz")
+    components=tuple(coordinates.point_error(n, driven=n == "z") for n in "xyz")
     + tuple(
-        Component(n, "rad", compensatable=n != "gamma")
+        Component(n, "rad", n != "gamma", f"{n}, actual less wanted; {ANGLES.formula}")
         for n in ("alpha", "beta", "gamma")
     ),
     home={"z": 0.200, "alpha": 0.0, "beta": 0.0},

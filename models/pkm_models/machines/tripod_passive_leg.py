@@ -23,7 +23,6 @@ import casadi as ca
 import numpy as np
 
 from oed.machine import (
-    Coordinate,
     Dimension,
     Expr,
     Family,
@@ -32,7 +31,7 @@ from oed.machine import (
     Start,
     Values,
 )
-from pkm_models import families, legs, six_dof
+from pkm_models import coordinates, families, legs, six_dof
 from pkm_models.families import XYZ, Geometry
 
 LEGS = (1, 2, 3)
@@ -131,7 +130,7 @@ def build(geometry: Geometry) -> Machine:
     up = 1.0 if pivot[2] > home[2] else -1.0
     lengths = np.linalg.norm(home + platform - base, axis=1)
     size = families.largest(platform)
-    legs_range = families.around(lengths, 3.0 * reach, 3)
+    legs_range = families.around(lengths, 3.0 * reach, 3, legs.LEG)
     sd = families.tolerance(table, float(lengths.mean()))
     ranges = zip(XYZ, home.tolist(), strict=True)
     return Machine(
@@ -140,7 +139,7 @@ def build(geometry: Geometry) -> Machine:
         about="tripod with a passive leg (3-UPS + UP): x, y, z driven, the tilt follows",
         pose=six_dof.POSE,
         joints=legs_range,
-        command=tuple(Coordinate(n, "m", v - reach, v + reach) for n, v in ranges),
+        command=tuple(coordinates.point(n, v - reach, v + reach) for n, v in ranges),
         parameters=(
             *families.places("b", base, sd, "base joint"),
             *families.places("a", platform, sd, "platform joint"),
@@ -158,6 +157,9 @@ def build(geometry: Geometry) -> Machine:
         read_error=lambda c, twist: twist,
         skeleton=skeleton,
         struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
+        base_frame=legs.GEOMETRY_FRAME,
+        tool_axis=legs.GEOMETRY_TOOL_AXIS,
+        orientation=six_dof.ORIENTATION,
         family=family,
     )
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models import families, legs, six_dof
+from pkm_models import coordinates, families, legs, six_dof
 from pkm_models.carriages import GuidedStruts
 from pkm_models.families import Geometry, as_rows
 
@@ -84,7 +84,7 @@ def build(geometry: Geometry) -> Machine:
         source="Carretero et al. 2000, J. Mechanical Design 122, 17-24",
         about="tripod with carriages of any geometry (3-PRS): z and tilt driven",
         pose=six_dof.POSE,
-        joints=families.joint_ranges(-span - reach, span + longest, 3),
+        joints=families.joint_ranges(-span - reach, span + longest, 3, legs.CARRIAGE),
         command=legs.tripod_command(table),
         parameters=(
             *families.places("b", guides, sd, "point of guide"),
@@ -100,6 +100,10 @@ def build(geometry: Geometry) -> Machine:
         commanded=lambda x, tip: [tip[2], x["rx"], x["ry"]],
         target=lambda c: [c[n] for n in legs.TRIPOD_COMMAND],
         read_error=lambda c, twist: twist,
+        base_frame=legs.GEOMETRY_FRAME,
+        tool_axis=legs.GEOMETRY_TOOL_AXIS,
+        orientation=six_dof.ORIENTATION,
+        command_orientation=coordinates.TILT_DIRECTION,
         family=family,
         **_builder(along, axes, as_rows(table["side"], 3)),  # type: ignore[arg-type]
     )

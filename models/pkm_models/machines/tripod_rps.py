@@ -19,7 +19,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models import families, legs, six_dof
+from pkm_models import coordinates, families, legs, six_dof
 from pkm_models.families import Geometry
 
 LEGS = (1, 2, 3)
@@ -75,7 +75,9 @@ def build(geometry: Geometry) -> Machine:
     size = families.largest(platform)
     lengths = np.linalg.norm(home + platform - base, axis=1)
     tilt = families.number(table, "tilt")
-    legs_range = families.around(lengths, 2.0 * (reach + 2.0 * size * tilt), 3)
+    legs_range = families.around(
+        lengths, 2.0 * (reach + 2.0 * size * tilt), 3, legs.LEG
+    )
     sd = families.tolerance(table, float(lengths.mean()))
     return Machine(
         name=NAME,
@@ -101,6 +103,10 @@ def build(geometry: Geometry) -> Machine:
         read_error=lambda c, twist: twist,
         skeleton=skeleton,
         struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
+        base_frame=legs.GEOMETRY_FRAME,
+        tool_axis=legs.GEOMETRY_TOOL_AXIS,
+        orientation=six_dof.ORIENTATION,
+        command_orientation=coordinates.TILT_DIRECTION,
         family=family,
     )
 

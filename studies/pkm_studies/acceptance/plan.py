@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -12,8 +12,10 @@ import numpy as np
 from oed import units
 from oed.acceptance import AcceptancePlan, Promise, plan_acceptance, state_limits
 from oed.arrays import Array, Index
-from oed.machine import Component
+from oed.dataset.dialect import COMMENT
+from oed.machine import Component, Machine
 from oed.result import AcceptanceSection, PromiseRecord, StudyResult
+from pkm_studies import conventions
 from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy
 from pkm_studies.errors import InputError
 from pkm_studies.stages import describe
@@ -124,12 +126,25 @@ def error_columns(components: Mapping[str, PromiseRecord]) -> dict[str, str]:
     return {n: ERROR.format(n, demand.unit) for n, demand in components.items()}
 
 
-def to_fill_in(section: AcceptanceSection) -> str:
+def _comments(section: AcceptanceSection, machine: Machine) -> Iterator[str]:
+    """Lines above the header: the frames, and what each column means."""
+    yield from conventions.readings_comments(machine, {}, list(section.poses[0]))
+    about = {c.name: c.about for c in machine.components}
+    for name, column in error_columns(
+        {**section.components, **section.further}
+    ).items():
+        yield f"{column}: {about[name]}; reference: {section.reference}"
+    if section.further:
+        yield f"{AXES}: 1 where further axes took the known errors back, else 0 or empty"
+
+
+def to_fill_in(section: AcceptanceSection, machine: Machine) -> str:
     """CSV of the poses, with empty columns for the measured errors."""
     columns = list(error_columns(section.components).values())
     if section.further:
         columns += [*error_columns(section.further).values(), AXES]
     text = io.StringIO()
+    text.writelines(f"{COMMENT} {line}\n" for line in _comments(section, machine))
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*section.poses[0], "direction", *columns])
     for pose in section.poses:

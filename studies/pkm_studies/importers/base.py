@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
+
+from oed.dataset.dialect import COMMENT
 
 #: cells of a row of the readings file, by column
 Row = Mapping[str, str]
@@ -68,10 +70,17 @@ def readings_name(name: str) -> str:
     return f"{name}.readings.csv"
 
 
-def readings_text(rows: Sequence[Row]) -> str:
-    """The text of a readings file; cells that a row does not have are empty."""
+def readings_text(
+    rows: Sequence[Row],
+    comments: Callable[[Sequence[str]], Sequence[str]] = lambda header: (),
+) -> str:
+    """The text of a readings file; cells that a row does not have are empty.
+
+    comments  lines above the header, from the names of the columns
+    """
     header = dict.fromkeys(column for row in rows for column in row)
     text = io.StringIO(newline="")
+    text.writelines(f"{COMMENT} {line}\n" for line in comments(list(header)))
     writer = csv.DictWriter(text, list(header), restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)

@@ -116,15 +116,16 @@ def text(column_map: ColumnMap) -> str:
     table = {key: value for key, value in plain.items() if value != defaults[key]}
     if isinstance(column_map.machine, MachineTable):
         table["machine"] = _stated(column_map.machine)
-    if column_map.circle is not None:
-        table["circle"] = _given(plain["circle"])
+    for name in ("circle", "orientation"):
+        if plain[name] is not None:
+            table[name] = _given(plain[name])
     if column_map.circles:
         table["circles"] = [_given(circle) for circle in plain["circles"]]
     return "# Which column is what; use it again with --map.\n" + tomli_w.dumps(table)
 
 
 def _given(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a circle that have a value."""
+    """The fields of a table that have a value."""
     return {k: v for k, v in table.items() if v is not None and v != []}
 
 

@@ -21,7 +21,7 @@ from oed.units import UnitError
 from pkm_studies import csv_table
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import InputError, Place, suggest
-from pkm_studies.importers import column_map
+from pkm_studies.importers import column_map, orientations
 from pkm_studies.importers.base import (
     ImportedSession,
     ImportRequest,
@@ -55,7 +55,7 @@ class ColumnsImporter:
             model,
             tool,
             setup=setup_table(complete, reference, tool),
-            rows=rows(table, columns, given),
+            rows=rows(table, columns, given, tool, place),
             statements=statements(table, columns, given, tool, model.machine),
             # a closure read by its joints alone says nothing of the base frame
             errors="best_fit" if _reads_closure(tool, model.machine) else "home",
@@ -132,16 +132,18 @@ def mapped_columns(
         if source not in table.header:
             remedy = suggest(source, table.header, "the file has")
             raise at.key(name).error("the file has no such column", remedy, source)
+    taken = {*columns.values(), *orientations.source_columns(given.orientation)}
     stems = {_stem(name) for name in columns}
     for name in table.header:
-        is_free = name not in columns.values() and _stem(name) not in stems
+        is_free = name not in taken and _stem(name) not in stems
         if is_free and _is_known(name, known):
             columns[name] = name
     channels = {channel.name: channel.unit for channel in tool.channels}
     read_values(given.noise, channels, place.key("noise"))
     settings = {setting.name: setting.unit for setting in tool.settings}
     read_values(given.settings, settings, place.key("settings"))
-    if not read_channels(tool, columns) and tool.implied is None:
+    is_read = read_channels(tool, columns) or given.orientation is not None
+    if not is_read and tool.implied is None:
         channel = tool.channels[0]
         remedy = (
             f"add {usual_column(channel.name, channel.unit)} to [columns] of a --map"
@@ -157,7 +159,25 @@ def read_channels(tool: Instrument, columns: Mapping[str, str]) -> list[str]:
     return [channel.name for channel in tool.channels if channel.name in stems]
 
 
-def rows(table: CsvTable, columns: Mapping[str, str], given: ColumnMap) -> list[Row]:
+def _channels(
+    tool: Instrument, columns: Mapping[str, str], given: ColumnMap
+) -> list[str]:
+    """Channels that are read, those of an orientation in another form included."""
+    names = set(read_channels(tool, columns))
+    if given.orientation is not None and tool.orientation is not None:
+        stated = tool.orientation
+        whole = given.orientation.direction is None
+        names |= set(stated.names if whole else stated.axis_names)
+    return [channel.name for channel in tool.channels if channel.name in names]
+
+
+def rows(
+    table: CsvTable,
+    columns: Mapping[str, str],
+    given: ColumnMap,
+    tool: Instrument,
+    place: Place,
+) -> list[Row]:
     """Rows of the readings file; cells that are no numbers raise InputError."""
     cells: dict[str, list[str]] = {}
     for name, source in columns.items():
@@ -166,6 +186,14 @@ def rows(table: CsvTable, columns: Mapping[str, str], given: ColumnMap) -> list[
             continue
         values = table.numbers(source, gaps=True)
         cells[name] = ["" if value != value else repr(float(value)) for value in values]
+    if given.orientation is not None:
+        at = place.key("orientation")
+        angles = orientations.angle_columns(given.orientation, tool, table, at)
+        for name in angles:
+            if _stem(name) in {_stem(other) for other in cells}:
+                problem = f"{name} has a column of its own as well"
+                raise at.error(problem, "remove one of the two")
+        cells |= angles
     for name, number in given.fixed.items():
         cells[name] = [repr(number)] * len(table)
     cells.setdefault("setup", [given.setup] * len(table))
@@ -184,7 +212,7 @@ def setup_table(
 ) -> dict[str, object]:
     """The [[setup]] of a complete map; its channels are those that were read."""
     table: dict[str, object] = {"name": given.setup, "instrument": reference}
-    channels = read_channels(tool, given.columns)
+    channels = _channels(tool, given.columns, given)
     if 0 < len(channels) < len(tool.channels):
         table["channels"] = channels
     if any(given.tool_mm):
@@ -204,10 +232,13 @@ def statements(
     sentences = [f"Readings: {len(table)} lines of {table.file}; {taken}."]
     for name, number in given.fixed.items():
         sentences.append(f"All readings: {name} = {number:g}.")
-    unused = [name for name in table.header if name not in columns.values()]
+    if given.orientation is not None:
+        sentences.append(orientations.statement(given.orientation, tool))
+    used = {*columns.values(), *orientations.source_columns(given.orientation)}
+    unused = [name for name in table.header if name not in used]
     if unused:
         sentences.append(f"Not used: {', '.join(unused)}.")
-    channels = read_channels(tool, columns)
+    channels = _channels(tool, columns, given)
     absent = [c.name for c in tool.channels if c.name not in channels]
     if absent and channels:
         sentences.append(

@@ -6,11 +6,12 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from pkm_studies import files
+from pkm_studies import conventions, files
 from pkm_studies.errors import InputError
 from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest
 from pkm_studies.study import SUFFIX
+from pkm_studies.study.loader import parse
 
 
 def import_files(
@@ -36,7 +37,8 @@ def import_files(
     for path in targets:
         _check_new(path)
     session = importer.read(request)
-    contents = [session.study, base.readings_text(session.rows)]
+    comments = conventions.comments_of_study(parse(session.study, targets[0]))
+    contents = [session.study, base.readings_text(session.rows, comments)]
     map_path = out / f"{title}.map.toml"
     if session.column_map is not None and not map_path.exists():
         targets.append(map_path)

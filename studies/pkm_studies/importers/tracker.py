@@ -22,7 +22,7 @@ from oed.kinematics import Kinematics
 from pkm_studies import csv_table
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import InputError, Place
-from pkm_studies.importers import column_map, columns
+from pkm_studies.importers import column_map, columns, orientations
 from pkm_studies.importers.base import (
     ImportedSession,
     ImportRequest,
@@ -79,9 +79,9 @@ class TrackerImporter:
         complete = msgspec.structs.replace(
             given, machine=model.described, instrument=reference, columns=mapped
         )
-        rows = columns.rows(table, mapped, given)
+        rows = columns.rows(table, mapped, given, tool, place)
         kinematics = Kinematics(model.machine)
-        rows, sentence = _registered(rows, given, kinematics, table, place)
+        rows, sentence = _registered(rows, given, kinematics, tool, table, place)
         return columns.session(
             request,
             complete,
@@ -125,25 +125,25 @@ def _registered(
     rows: list[Row],
     given: ColumnMap,
     kinematics: Kinematics,
+    tool: Instrument,
     table: CsvTable,
     place: Place,
 ) -> tuple[list[Row], list[str]]:
-    """Rows with the points in the machine's frame, and what was done. Raises InputError."""
+    """Rows with the readings in the machine's frame, and what was done.
+
+    Raises InputError.
+    """
     if given.registration == "known":
         return rows, ["Frame: the points are taken to be in the machine's frame."]
-    turned = [name for name in rows[0] if name.startswith("read_")]
-    turned = [name for name in turned if not name.startswith(CHANNELS)]
-    if turned:
-        raise place.key("registration").error(
-            f"{turned[0]} would stay in the instrument's frame",
-            'turn the points beforehand and state registration = "known"',
-        )
+    angles = _orientation_columns(rows, tool, place)
     names = [_channel_column(rows, channel) for channel in CHANNELS]
     measured = _numbers(rows, names)
     machine = kinematics.machine
     commanded = [_channel_column(rows, c.name) for c in machine.command]
-    tool = units.to_si(given.tool_mm, "mm")
-    wanted = ToolPoints(kinematics, tool.tolist()).points(_numbers(rows, commanded))
+    tool_point = units.to_si(given.tool_mm, "mm")
+    wanted = ToolPoints(kinematics, tool_point.tolist()).points(
+        _numbers(rows, commanded)
+    )
     used = np.isfinite(measured).all(axis=1) & np.isfinite(wanted).all(axis=1)
     if used.sum() < 4:
         raise InputError(
@@ -162,7 +162,30 @@ def _registered(
             if np.isfinite(value)
         }
         changed.append({**row, **cells})
+    if angles and tool.orientation is not None:
+        changed = orientations.turned(changed, angles, tool.orientation, fit.rotation)
     return changed, _frame_sentences(fit, given)
+
+
+def _orientation_columns(
+    rows: list[Row], tool: Instrument, place: Place
+) -> dict[str, str]:
+    """Columns of the instrument's angles by angle; none where none was read.
+
+    Raises InputError for angles that cannot be turned with the frame.
+    """
+    read = [name for name in rows[0] if name.startswith("read_")]
+    others = [name for name in read if not name.startswith(CHANNELS)]
+    by_stem = {name.rpartition("_")[0]: name for name in others}
+    stated = tool.orientation
+    axis = () if stated is None else stated.axis_names
+    complete = stated is not None and set(by_stem) <= set(stated.names)
+    if others and not (complete and set(axis) <= set(by_stem)):
+        raise place.key("registration").error(
+            f"{others[0]} would stay in the instrument's frame",
+            'turn the points beforehand and state registration = "known"',
+        )
+    return by_stem
 
 
 def _check_fit(fit: BestFit, measured: Array, wanted: Array, table: CsvTable) -> None:

@@ -18,6 +18,7 @@ from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
 from oed.noise.law import stated_law
 from oed.result.gap_before import ChosenRun, ChosenRuns, SeparationRecord
+from pkm_studies import conventions
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest
 
@@ -136,4 +137,5 @@ def _poses_csv(
     """The chosen runs as a readings file; readings and times are to be filled in."""
     columns = covariates.drop(columns=["setup", "run", "order"]).assign(time=np.nan)
     empty = np.full(len(measurement.setup_of_readings(series)), np.nan)
-    return dataset.to_csv(dataset.from_series(series, empty, measurement, columns))
+    readings = dataset.from_series(series, empty, measurement, columns)
+    return dataset.to_csv(readings, conventions.comments_of(measurement))

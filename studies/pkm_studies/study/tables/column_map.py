@@ -58,6 +58,27 @@ class CircleOfFiles(CircleFacts, frozen=True, kw_only=True):
     setup: str | None = None
 
 
+class OrientationColumns(StudyTable, frozen=True, kw_only=True):
+    """[orientation] of a column map: columns that give an orientation in another form.
+
+    One of the first four. The program turns them into the angles of the instrument. They
+    take vectors of the platform's frame into the instrument's.
+
+    quaternion           columns of w, x, y and z: the scalar first
+    rotation_vector_rad  columns of x, y and z: axis times angle, right-handed
+    rotation_vector_deg  the same in degrees
+    direction            columns of x, y and z of the tool axis, which is z of the
+                         platform's frame
+    inverse              true where they take the instrument's frame into the platform's
+    """
+
+    quaternion: tuple[str, str, str, str] | None = None
+    rotation_vector_rad: tuple[str, str, str] | None = None
+    rotation_vector_deg: tuple[str, str, str] | None = None
+    direction: tuple[str, str, str] | None = None
+    inverse: bool = False
+
+
 class ColumnMap(StudyTable, frozen=True, kw_only=True):
     """A column map file.
 
@@ -68,6 +89,7 @@ class ColumnMap(StudyTable, frozen=True, kw_only=True):
     registration  of a tracker: "free" (identified), "best_fit" (held) or "known"
     tool_mm       tool point in the platform's frame
     columns       column of the CSV, by column of the readings
+    orientation   columns of a quaternion, a rotation vector or a direction
     settings      of the instrument, with their unit
     noise         standard deviations of the channels, with their unit
     fixed         coordinates with one value for all readings, with their unit
@@ -81,6 +103,7 @@ class ColumnMap(StudyTable, frozen=True, kw_only=True):
     registration: Literal["free", "best_fit", "known"] = "free"
     tool_mm: Triple = (0.0, 0.0, 0.0)
     columns: dict[str, str] = {}
+    orientation: OrientationColumns | None = None
     settings: dict[str, float] = {}
     noise: dict[str, float] = {}
     fixed: dict[str, float] = {}

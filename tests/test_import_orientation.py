@@ -1,0 +1,238 @@
+"""Quaternions, rotation vectors and directions in column maps, against SciPy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sample import table_lines
+from scipy.spatial.transform import Rotation
+
+import oed
+from oed.kinematics import Kinematics
+from pkm_models.machines import hexapod, prs_spindle
+from pkm_studies.errors import InputError
+from pkm_studies.importers import session
+
+MAP = """\
+machine = "hexapod"
+instrument = "pose_tracker"
+registration = "known"
+
+[columns]
+x_mm = "cx"
+y_mm = "cy"
+z_mm = "cz"
+rx_deg = "ca"
+ry_deg = "cb"
+spin_deg = "cc"
+read_x_mm = "X"
+read_y_mm = "Y"
+read_z_mm = "Z"
+
+[orientation]
+"""
+COMMANDED = ["cx", "cy", "cz", "ca", "cb", "cc"]
+FORMS = {
+    'quaternion = ["w", "i", "j", "k"]\n': lambda r: r.as_quat(scalar_first=True),
+    'rotation_vector_deg = ["w", "i", "j"]\n': lambda r: np.degrees(r.as_rotvec()),
+    'rotation_vector_rad = ["w", "i", "j"]\n': lambda r: r.as_rotvec(),
+    'quaternion = ["w", "i", "j", "k"]\ninverse = true\n': (
+        lambda r: r.inv().as_quat(scalar_first=True)
+    ),
+}
+
+
+def poses(rng: np.random.Generator, n: int = 12) -> np.ndarray:
+    """Commands of the hexapod (n, 6), mm and degrees."""
+    m = hexapod.machine
+    low, high = np.array([(c.lower, c.upper) for c in m.command]).T
+    return rng.uniform(0.6 * low, 0.6 * high, (n, 6)) + 0.4 * m.home_command
+
+
+def stand(command: np.ndarray) -> tuple[Rotation, np.ndarray]:
+    """Orientation and tool point (n, 3), m, of the nominal hexapod, by hand."""
+    tilt = Rotation.from_rotvec(np.column_stack([command[:, 3:5], 0 * command[:, 0]]))
+    return tilt * Rotation.from_euler("z", command[:, 5:]), command[:, :3]
+
+
+def write(path: Path, command: np.ndarray, point: np.ndarray, form: np.ndarray) -> None:
+    shown = np.hstack(
+        [1e3 * command[:, :3], np.degrees(command[:, 3:]), 1e3 * point, form]
+    )
+    names = [*COMMANDED, "X", "Y", "Z", *"wijk"[: form.shape[1]]]
+    rows = [",".join(f"{v:.12f}" for v in row) for row in shown]
+    path.write_text("\n".join([",".join(names), *rows]))
+
+
+def imported_angles(study: Path) -> np.ndarray:
+    """Angles (n, 3) of the imported readings, rad."""
+    readings = oed.read_readings(oed.load_study(study)).state.readings
+    assert readings is not None
+    return readings.y.reshape(-1, 6)[:, 3:]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", ["columns", "tracker"])
+def test_other_forms_of_an_orientation_come_in(
+    form: str, kind: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """They become Rx(alpha) Ry(beta) Rz(gamma), which is what the tracker reads."""
+    command = poses(rng)
+    rotation, point = stand(command)
+    write(tmp_path / "p.csv", command, point, FORMS[form](rotation))
+    (tmp_path / "m.toml").write_text(MAP + form)
+    study, imported = session.import_files(
+        kind, [tmp_path / "p.csv"], tmp_path / "out", column_map=tmp_path / "m.toml"
+    )
+    angles = imported_angles(study)
+    assert angles == pytest.approx(rotation.as_euler("XYZ"), abs=1e-10)
+    assert any("R = Rx(read_alpha) Ry(read_beta)" in s for s in imported.statements)
+    kept = (tmp_path / "out" / "p.map.toml").read_text()
+    assert "[orientation]" in kept
+    estimate = oed.identify(oed.read_readings(oed.load_study(study))).section
+    assert (
+        max(estimate.rms_before.values()) < 1e-3
+    )  # um and arcsec: the nominal machine
+
+
+def test_a_tracker_s_frame_turns_the_orientations_too(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Seen by a tracker that stands 3 m away, turned by 70 degrees."""
+    command = poses(rng)
+    rotation, point = stand(command)
+    turned = Rotation.from_euler("zyx", [70.0, 5.0, -3.0], degrees=True)
+    seen = turned.apply(point) + np.array([3.0, -0.5, 0.8])
+    write(
+        tmp_path / "p.csv",
+        command,
+        seen,
+        (turned * rotation).as_quat(scalar_first=True),
+    )
+    text = MAP.replace('"known"', '"best_fit"') + 'quaternion = ["w", "i", "j", "k"]\n'
+    (tmp_path / "m.toml").write_text(text)
+    study, _ = session.import_files(
+        "tracker",
+        [tmp_path / "p.csv"],
+        tmp_path / "out",
+        column_map=tmp_path / "m.toml",
+    )
+    assert imported_angles(study) == pytest.approx(rotation.as_euler("XYZ"), abs=1e-8)
+
+
+def test_angles_of_a_tracker_turn_with_its_frame(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """The instrument's own angles as well, in the units that the map states."""
+    command = poses(rng)
+    rotation, point = stand(command)
+    turned = Rotation.from_euler("z", 40.0, degrees=True)
+    seen = 1e3 * (turned * rotation).as_euler("XYZ")
+    write(tmp_path / "p.csv", command, turned.apply(point), seen)
+    own = 'read_alpha_mrad = "w"\nread_beta_mrad = "i"\nread_gamma_mrad = "j"\n'
+    text = MAP.replace('"known"', '"best_fit"').replace("\n[orientation]\n", own)
+    (tmp_path / "m.toml").write_text(text)
+    study, _ = session.import_files(
+        "tracker",
+        [tmp_path / "p.csv"],
+        tmp_path / "out",
+        column_map=tmp_path / "m.toml",
+    )
+    assert imported_angles(study) == pytest.approx(rotation.as_euler("XYZ"), abs=1e-8)
+
+
+LASER = """\
+machine = "prs_spindle"
+instrument = "laser_ball_bar"
+
+[settings]
+at_x_mm = 0
+at_y_mm = -700
+at_z_mm = 100
+
+[columns]
+z_mm = "z"
+alpha_deg = "alpha"
+beta_deg = "beta"
+read_x_mm = "X"
+read_y_mm = "Y"
+read_z_mm = "Z"
+
+[orientation]
+direction = ["u", "v", "w"]
+"""
+
+
+def test_the_direction_of_a_laser_ball_bar(tmp_path: Path) -> None:
+    """From B to A, in any length; a row may lack it."""
+    command = np.array([[0.2, 0.3, -0.2], [0.1, -0.4, 0.1], [0.3, 0.0, 0.0]])
+    kinematics = Kinematics(prs_spindle.machine)
+    x, _ = kinematics.inverse(command)
+    _, point, _ = kinematics.frames(x, np.zeros(3))
+    alpha, beta = command[:, 1], command[:, 2]
+    n = [np.sin(beta), -np.sin(alpha) * np.cos(beta), np.cos(alpha) * np.cos(beta)]
+    rows = np.column_stack(
+        [1e3 * command[:, 0], np.degrees(command[:, 1:]), 1e3 * point]
+    )
+    lines = [
+        ",".join(f"{v:.12f}" for v in [*r, *(100 * d)])
+        for r, d in zip(rows, np.array(n).T, strict=True)
+    ]
+    lines[2] = ",".join([*lines[2].split(",")[:6], "", "", ""])
+    (tmp_path / "p.csv").write_text("\n".join(["z,alpha,beta,X,Y,Z,u,v,w", *lines]))
+    (tmp_path / "m.toml").write_text(LASER)
+    study, imported = session.import_files(
+        "columns",
+        [tmp_path / "p.csv"],
+        tmp_path / "out",
+        column_map=tmp_path / "m.toml",
+    )
+    assert any("as the direction of the tool axis" in s for s in imported.statements)
+    assert imported.rows[2]["read_alpha_deg"] == ""
+    found = [
+        [float(r[f"read_{a}_deg"]) for a in ("alpha", "beta")]
+        for r in imported.rows[:2]
+    ]
+    assert np.radians(found) == pytest.approx(command[:2, 1:], abs=1e-12)
+    text = (tmp_path / "out" / "p.readings.csv").read_text()
+    assert "# read_alpha_deg: angle about x" in text
+    assert "from ball B to ball A" in text
+    assert table_lines(text)[0].startswith("setup,run,order")
+    assert oed.load_study(study).name == "p"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('["w", "i", "j", "k"]', '["i", "j", "k", "X"]'), "the order w, x, y, z"),
+        (('["w", "i", "j", "k"]', '["w", "i", "j", "q"]'), "no such column"),
+        (('quaternion = ["w", "i", "j", "k"]', ""), "one form is needed"),
+        (
+            ("[orientation]\n", '[orientation]\ndirection = ["w", "i", "j"]\n'),
+            "two forms",
+        ),
+        (('"pose_tracker"', '"pose_tracker_position"'), "reads no orientation"),
+        (
+            ("[orientation]\n", 'read_alpha_deg = "w"\n[orientation]\n'),
+            "column of its own",
+        ),
+    ],
+)
+def test_a_map_that_states_no_orientation_is_refused(
+    change: tuple[str, str], words: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    command = poses(rng)
+    rotation, point = stand(command)
+    write(tmp_path / "p.csv", command, point, rotation.as_quat(scalar_first=True))
+    text = MAP + 'quaternion = ["w", "i", "j", "k"]\n'
+    assert change[0] in text
+    (tmp_path / "m.toml").write_text(text.replace(*change))
+    with pytest.raises(InputError, match=words):
+        session.import_files(
+            "columns",
+            [tmp_path / "p.csv"],
+            tmp_path / "out",
+            column_map=tmp_path / "m.toml",
+        )
