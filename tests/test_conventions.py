@@ -14,14 +14,14 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+import stated_order
 from scipy.spatial.transform import Rotation
 
-from oed import orientation, units
+from oed import units
 from oed.instrument import Instrument, mount
 from oed.kinematics import Kinematics
 from oed.machine import Machine
 from oed.measurement import Measurement
-from oed.orientation import Orientation
 from pkm_models.machines import (
     a3_head,
     cables_spatial,
@@ -29,7 +29,7 @@ from pkm_models.machines import (
     planar_2dof,
     prs_spindle,
 )
-from pkm_studies import catalogue, cli, conventions
+from pkm_studies import catalogue, cli
 from pkm_studies.errors import Place
 
 PLACE = Place("catalogue")
@@ -43,19 +43,6 @@ def machine(name: str) -> Machine:
 
 def instrument(name: str) -> Instrument:
     return catalogue.instrument(name, Path(), PLACE)
-
-
-def stated_rotation(stated: Orientation, angles: dict[str, float]) -> np.ndarray:
-    """R (3, 3) of the printed formula, each factor by SciPy: Rx(a) Ry(b) T(c, d)."""
-    product = stated.formula.partition(" = ")[2].removesuffix(" e_z")
-    whole = Rotation.identity()
-    for factor in product.replace("), ", ") ").split(") "):
-        symbol, _, names = factor.rstrip(")").partition("(")
-        values = [angles[n] for n in names.split(", ")]
-        vector = [*values, 0.0] if symbol == "T" else np.eye(3)["xyz".index(symbol[1])]
-        scale = 1.0 if symbol == "T" else values[0]
-        whole = whole * Rotation.from_rotvec(scale * np.asarray(vector))
-    return whole.as_matrix()
 
 
 def random_poses(m: Machine, rng: np.random.Generator, n: int) -> np.ndarray:
@@ -124,7 +111,7 @@ def test_the_pose_s_angles_make_the_platform_s_rotation(
         pose = {c.name: float(rng.uniform(-0.5, 0.5)) for c in m.pose}
         rotation, point = m.platform(pose)
         assert np.array(ca.DM(rotation)) == pytest.approx(
-            stated_rotation(m.orientation, pose), abs=1e-12
+            stated_order.rotation(m.orientation, pose), abs=1e-12
         )
         for axis, name_of in enumerate("xyz"):
             assert float(ca.DM(point)[axis]) == pose.get(name_of, 0.0)
@@ -145,7 +132,7 @@ def test_the_command_s_angles_are_where_the_tool_stands(
     rotation, point, _ = kinematics.frames(x, np.zeros(3))
     for k, values in enumerate(command):
         angles = {c.name: float(v) for c, v in zip(m.command, values, strict=True)}
-        expected = stated_rotation(stated, angles)
+        expected = stated_order.rotation(stated, angles)
         columns = [2] if stated.axis_only else [0, 1, 2]
         assert rotation[k][:, columns] == pytest.approx(expected[:, columns], abs=1e-10)
         for axis, name_of in enumerate("xyz"):
@@ -160,9 +147,9 @@ def test_errors_have_the_sense_actual_less_wanted() -> None:
     command = np.array([[1.15, 0.7, 0.4]])
     for k, column in enumerate(("psi", "theta", "phi")):
         angles = {"psi": 0.7, "theta": 0.4, "phi": -0.7}
-        wanted = stated_rotation(a3_head.EULER, angles)
+        wanted = stated_order.rotation(a3_head.EULER, angles)
         angles[column] += step
-        turned = stated_rotation(a3_head.EULER, angles) @ wanted.T
+        turned = stated_order.rotation(a3_head.EULER, angles) @ wanted.T
         twist = np.r_[np.zeros(3), Rotation.from_matrix(turned).as_rotvec()][None]
         found = kinematics.error_components(command, twist)[0, 3:]
         assert found == pytest.approx(step * np.eye(3)[k], abs=1e-12)
@@ -170,9 +157,9 @@ def test_errors_have_the_sense_actual_less_wanted() -> None:
     command = np.array([[0.2, 0.3, -0.2]])
     for k, column in enumerate(("alpha", "beta", "gamma")):
         angles = {"alpha": 0.3, "beta": -0.2, "gamma": 0.01}
-        wanted = stated_rotation(prs_spindle.ANGLES, angles)
+        wanted = stated_order.rotation(prs_spindle.ANGLES, angles)
         angles[column] += step
-        turned = stated_rotation(prs_spindle.ANGLES, angles) @ wanted.T
+        turned = stated_order.rotation(prs_spindle.ANGLES, angles) @ wanted.T
         twist = np.r_[np.zeros(3), Rotation.from_matrix(turned).as_rotvec()][None]
         found = kinematics.error_components(command, twist)[0, 3:]
         assert found == pytest.approx(step * np.eye(3)[k], abs=1e-12)
@@ -358,7 +345,7 @@ def test_channels_read_what_they_state(name: str, rng: np.random.Generator) -> N
     angles = () if tool.orientation is None else tool.orientation.names
     assert set(by_hand) | set(angles) == {c.name for c in tool.channels}
     if tool.orientation is not None:
-        rebuilt = stated_rotation(tool.orientation, values)
+        rebuilt = stated_order.rotation(tool.orientation, values)
         columns = [2] if tool.orientation.axis_only else [0, 1, 2]
         actual = rotation[rows[0]]
         assert np.abs(actual - np.eye(3)).max() > 0.02
@@ -391,63 +378,3 @@ def test_redundancy_states_its_channels_on_every_machine() -> None:
             channels = instrument(name).for_machine(m).channels
             assert len(channels) == len(m.joints) - len(m.command)
             assert all(c.about for c in channels)
-
-
-# -- orientations ----------------------------------------------------------------------
-
-ORDERS = [
-    orientation.rotation(("x", "a"), ("y", "b"), ("z", "c")),
-    orientation.rotation(("z", "a"), ("y", "b"), ("x", "c")),
-    orientation.tilt_and_spin("a", "b", "c"),
-    orientation.direction(("x", "a"), ("y", "b")),
-    orientation.direction(("z", "a"), ("x", "b")),
-    orientation.tilt("a", "b"),
-]
-
-
-@pytest.mark.parametrize("stated", ORDERS, ids=lambda o: o.formula)
-def test_angles_and_rotations_undo_each_other(
-    stated: Orientation, rng: np.random.Generator
-) -> None:
-    angles = {n: rng.uniform(-0.9, 0.9, 20) for n in stated.names}
-    if stated.axis_only and stated.factors[0][0] == "z":
-        angles["b"] = np.abs(angles["b"])  # a nutation
-    matrices = stated.matrices(angles)
-    one = stated_rotation(stated, {n: v[3] for n, v in angles.items()})
-    assert matrices[3] == pytest.approx(one, abs=1e-14)
-    back = stated.angles(matrices)
-    for name, values in angles.items():
-        assert back[name] == pytest.approx(values, abs=1e-12)
-    assert stated.angles(np.eye(3)[None])  # regular where nothing is turned
-
-
-def test_a_product_without_an_inverse_says_so() -> None:
-    stated = orientation.rotation(("z", "a"), ("x", "b"), ("z", "c"))
-    with pytest.raises(ValueError, match="has no inverse"):
-        stated.angles(np.eye(3)[None])
-
-
-def test_columns_of_a_file_are_stated_above_its_header() -> None:
-    m = prs_spindle.machine
-    tool = instrument("pose_tracker")
-    header = [
-        "setup",
-        "run",
-        "order",
-        "alpha_deg",
-        "q1_mm",
-        "read_alpha_mrad",
-        "time_s",
-    ]
-    lines = conventions.readings_comments(m, {"t": tool}, header)
-    assert lines[0].startswith("base frame: ")
-    stated = {line.partition(": ")[0] for line in lines}
-    assert {"alpha_deg", "q1_mm", "read_alpha_mrad"} <= stated
-    both = {"a": instrument("ball_bar"), "b": instrument("calliper")}
-    (line,) = [
-        line
-        for line in conventions.readings_comments(m, both, ["length_mm"])
-        if line.startswith("length_mm")
-    ]
-    assert "a: distance from the cup" in line
-    assert "b: distance between the tool points" in line

@@ -37,8 +37,7 @@ def import_files(
     for path in targets:
         _check_new(path)
     session = importer.read(request)
-    comments = conventions.comments_of_study(parse(session.study, targets[0]))
-    contents = [session.study, base.readings_text(session.rows, comments)]
+    contents = [session.study, _readings(session, targets[0])]
     map_path = out / f"{title}.map.toml"
     if session.column_map is not None and not map_path.exists():
         targets.append(map_path)
@@ -47,6 +46,15 @@ def import_files(
     for path, content in reversed(list(zip(targets, contents, strict=True))):
         files.write_whole(path, content)
     return targets[0], session
+
+
+def _readings(session: ImportedSession, path: Path) -> str:
+    """The readings file, with what its columns mean where the study resolves."""
+    try:
+        comments = conventions.comments_of_study(parse(session.study, path))
+    except InputError:
+        return base.readings_text(session.rows)
+    return base.readings_text(session.rows, comments)
 
 
 def study_name(text: str) -> str:

@@ -1,0 +1,78 @@
+"""Angles, rotations and formulas of an orientation; what a file says of its columns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import stated_order
+
+from oed import orientation
+from oed.instrument import Instrument
+from oed.orientation import Orientation
+from pkm_models.machines import prs_spindle
+from pkm_studies import catalogue, conventions
+from pkm_studies.errors import Place
+
+
+def instrument(name: str) -> Instrument:
+    return catalogue.instrument(name, Path(), Place("catalogue"))
+
+
+ORDERS = [
+    orientation.rotation(("x", "a"), ("y", "b"), ("z", "c")),
+    orientation.rotation(("z", "a"), ("y", "b"), ("x", "c")),
+    orientation.tilt_and_spin("a", "b", "c"),
+    orientation.direction(("x", "a"), ("y", "b")),
+    orientation.direction(("z", "a"), ("x", "b")),
+    orientation.tilt("a", "b"),
+]
+
+
+@pytest.mark.parametrize("stated", ORDERS, ids=lambda o: o.formula)
+def test_angles_and_rotations_undo_each_other(
+    stated: Orientation, rng: np.random.Generator
+) -> None:
+    angles = {n: rng.uniform(-0.9, 0.9, 20) for n in stated.names}
+    if stated.axis_only and stated.factors[0][0] == "z":
+        angles["b"] = np.abs(angles["b"])  # a nutation
+    matrices = stated.matrices(angles)
+    one = stated_order.rotation(stated, {n: v[3] for n, v in angles.items()})
+    assert matrices[3] == pytest.approx(one, abs=1e-14)
+    back = stated.angles(matrices)
+    for name, values in angles.items():
+        assert back[name] == pytest.approx(values, abs=1e-12)
+    assert stated.angles(np.eye(3)[None])  # regular where nothing is turned
+
+
+def test_a_product_without_an_inverse_says_so() -> None:
+    stated = orientation.rotation(("z", "a"), ("x", "b"), ("z", "c"))
+    with pytest.raises(ValueError, match="has no inverse"):
+        stated.angles(np.eye(3)[None])
+
+
+def test_columns_of_a_file_are_stated_above_its_header() -> None:
+    m = prs_spindle.machine
+    tool = instrument("pose_tracker")
+    header = [
+        "setup",
+        "run",
+        "order",
+        "alpha_deg",
+        "q1_mm",
+        "read_alpha_mrad",
+        "time_s",
+    ]
+    lines = conventions.readings_comments(m, {"t": tool}, header)
+    assert lines[0].startswith("base frame: ")
+    stated = {line.partition(": ")[0] for line in lines}
+    assert {"alpha_deg", "q1_mm", "read_alpha_mrad"} <= stated
+    both = {"a": instrument("ball_bar"), "b": instrument("calliper")}
+    (line,) = [
+        line
+        for line in conventions.readings_comments(m, both, ["length_mm"])
+        if line.startswith("length_mm")
+    ]
+    assert "a: distance from the cup" in line
+    assert "b: distance between the tool points" in line
