@@ -290,6 +290,11 @@ READINGS: dict[str, dict[str, Reading]] = {
     "calliper": {"length": distance},
     "camera": POINT,
     "camera_known_frame": POINT,
+    "contact_probe": {
+        "height": lambda p, r, k: (
+            p[0, 2] - k["bed_slope_x"] * p[0, 0] - k["bed_slope_y"] * p[0, 1]
+        )
+    },
     "height_probe": {"height": coordinate(2)},
     "height_probe_tilted_bed": {"height": coordinate(2)},
     "length_gauge": {"height": lambda p, r, k: p[0, 2] - k["at_z"]},
@@ -313,7 +318,13 @@ READINGS: dict[str, dict[str, Reading]] = {
 }
 #: read the closure, not the pose: see tests/test_redundancy.py
 OF_CLOSURE = ("redundancy", "redundancy_per_leg")
-SETTINGS = {"at_x": 0.1, "at_y": -0.7, "at_z": 0.05}
+SETTINGS = {
+    "at_x": 0.1,
+    "at_y": -0.7,
+    "at_z": 0.05,
+    "bed_slope_x": 0.02,
+    "bed_slope_y": -0.03,
+}
 
 
 @pytest.mark.parametrize("name", [n for n in INSTRUMENTS if n not in OF_CLOSURE])
@@ -356,7 +367,8 @@ def test_the_laser_ball_bar_s_direction_runs_from_b_to_a() -> None:
     """B is one baseline from A against the tool axis, as the channels say."""
     tool = instrument("laser_ball_bar")
     m = prs_spindle.machine
-    setup = mount(tool, "bar", **SETTINGS)
+    at = {name: value for name, value in SETTINGS.items() if name.startswith("at_")}
+    setup = mount(tool, "bar", **at)
     measurement = Measurement(m, [setup])
     series = measurement.series("bar", np.array([[0.2, 0.3, -0.25]]))
     y = measurement.readings([series], measurement.nominal)

@@ -46,6 +46,16 @@ HEIGHT = Channel(
     about="height of the tool point over the bed, along z of the base frame, up",
 )
 
+CONTACT = Channel(
+    "height",
+    "m",
+    0.02e-3,
+    about=(
+        "height of the tool point over the stated slopes of the bed at contact, along z"
+        " of the base frame, up"
+    ),
+)
+
 instrument = Instrument(
     name="height_probe",
     source=SOURCE,
@@ -76,7 +86,7 @@ contact = Instrument(
     name="contact_probe",
     source=SOURCE,
     about="touch probe that stops the machine: the pose at contact is the measurement",
-    channels=(Channel("height", "m", 0.02e-3),),
+    channels=(CONTACT,),
     settings=(
         Setting("bed_slope_x", "1", 0.0, "rise of the bed along x"),
         Setting("bed_slope_y", "1", 0.0, "rise of the bed along y"),
