@@ -216,7 +216,8 @@ def test_further_files_take_the_name_without_its_end(
     out = tmp_path / "out" / name
     assert oed("compensate", delta_folder, "--to", "csv", "--out", out)[0] == 0
     written = {path.name for path in out.parent.iterdir()}
-    assert written == {name, f"{stem}_grid.csv", f"{stem}_parameters.csv"}
+    others = {f"{stem}_{end}.csv" for end in ("columns", "grid", "parameters")}
+    assert written == {name, *others}
 
 
 def test_rrf_reproduces_the_compensated_pose(

@@ -77,7 +77,7 @@ def statement(given: OrientationColumns, tool: Instrument) -> str:
     return f"Orientation: {words}, from {sense}; angles: {tool.orientation.formula}."
 
 
-def turned(
+def rotate_rows(
     rows: Sequence[Row], names: Mapping[str, str], stated: Orientation, by: Rotation
 ) -> list[Row]:
     """Rows whose orientations are turned by a rotation of the instrument's frame.

@@ -163,7 +163,9 @@ def _registered(
         }
         changed.append({**row, **cells})
     if angles and tool.orientation is not None:
-        changed = orientations.turned(changed, angles, tool.orientation, fit.rotation)
+        changed = orientations.rotate_rows(
+            changed, angles, tool.orientation, fit.rotation
+        )
     return changed, _frame_sentences(fit, given)
 
 
