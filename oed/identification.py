@@ -254,7 +254,8 @@ def _integrated_stage(
     """
     first = _last_stage(fit, stated, theta, start_residuals, patterns)
     structure = reading_structure(fit.measurement, fit.series, first.theta)
-    prior = noise_prior(structure)
+    freedom = len(structure) - first.coordinates.basis.shape[1]
+    prior = noise_prior(structure, freedom)
     theta, noise, law = first.theta, stated, stated_laws(structure)
     robust = fit
     mode = None

@@ -1,6 +1,7 @@
 """What is known of the noise before the readings: a prior over its laws.
 
-The stated noise is the anchor: single readings scatter by it within a factor exp(0.4).
+The stated noise is the anchor: single readings scatter by it within a factor exp(0.4), or
+within a factor of ten where it is an assumption.
 A data sheet tells of repeatability within a run. Few state what a run shares and what is
 carried along; where nothing is stated, their priors are wide and reach down to nothing.
 A stated amount is the middle of a narrow prior, and 0 takes the part out of the model.
@@ -28,6 +29,10 @@ from oed.noise.structure import (
 #: sd of the log of a group's noise over the stated one, and sd from which on its tails
 #: are heavy: at four it is not 5 times the stated noise but 25 times
 SCALE_SD, HEAVY_FROM = 0.4, 4.0
+#: sd of that log where the stated noise is an assumption: it may be wrong by a decade
+ASSUMED_SCALE_SD = float(np.log(10.0))
+#: readings beyond the unknowns, for each group, from which on they tell assumed weights
+LEAST_OF_WEIGHTS = 10
 #: distance of the share that is carried along from 0 and 1, for the filter's sake
 LEAST_SHARE = 1e-6
 #: median of the share that is mostly small, and sd of its logit
@@ -97,17 +102,19 @@ SPARSE = Amounts(0.15, 1.8, _small_share)
 class NoisePrior:
     """A prior over laws: coordinates u (d,) are standard normal.
 
-    names      of the coordinates: the groups' scales, then those of the parts of the
-               noise that are in the model
-    groups     number of groups with a scale of their own
+    names      of the coordinates: the scales, then those of the parts of the noise that
+               are in the model
+    groups     number of groups of readings with a noise of their own
     amounts    of what is not stated
     statement  what is stated
+    is_common  whether all groups have one scale, and keep their weights
     """
 
     names: tuple[str, ...]
     groups: int
     amounts: Amounts = CAUTIOUS
     statement: NoiseStatement = NOTHING_STATED
+    is_common: bool = False
 
     @property
     def dimensions(self) -> int:
@@ -129,7 +136,7 @@ class NoisePrior:
             return np.asarray(np.exp(STATED_SD * of_name.get(name, nothing)))
 
         return Laws(
-            scale=np.exp(SCALE_SD * _heavy(u[:, : self.groups])),
+            scale=self._scale(u),
             carried=self._share(of_name[CARRIED]) if CARRIED in of_name else nothing,
             reach=self._reach(of_name.get(REACH, nothing)),
             level=size(RUN),
@@ -137,6 +144,13 @@ class NoisePrior:
             stated_level=factor(STATED_RUN),
             stated_seat=factor(STATED_SEATING),
         )
+
+    def _scale(self, u: Array) -> Array:
+        """Noise (L, groups) of single readings over the stated one."""
+        scales = u[:, : 1 if self.is_common else self.groups]
+        is_assumed = self.statement.is_assumed
+        log = ASSUMED_SCALE_SD * scales if is_assumed else SCALE_SD * _heavy(scales)
+        return np.repeat(np.exp(log), self.groups // scales.shape[1], axis=1)
 
     def _share(self, u: Array) -> Array:
         """Share (L,) of the variance that is carried along."""
@@ -169,10 +183,16 @@ def _heavy(u: Array) -> Array:
     return np.asarray(u * (1.0 + (np.maximum(u, 0.0) / HEAVY_FROM) ** 2))
 
 
-def noise_prior(structure: ReadingStructure) -> NoisePrior:
-    """The prior that goes with readings of a structure."""
-    scales = tuple(f"noise of {name}" for name in structure.names)
+def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePrior:
+    """The prior that goes with readings of a structure.
+
+    freedom  readings beyond the unknowns. Where an assumed noise has few for each group,
+             all groups have one scale, and the fit is that of the assumed weights
+    """
     statement = structure.statement
+    is_few = freedom < LEAST_OF_WEIGHTS * len(structure.names)
+    is_common = statement.is_assumed and is_few
+    scales = ("all readings",) if is_common else structure.names
     carried = () if statement.carried == 0.0 else (CARRIED, REACH)
     of_kind = {
         LEVEL: RUN,
@@ -181,4 +201,6 @@ def noise_prior(structure: ReadingStructure) -> NoisePrior:
         STATED_SEAT: STATED_SEATING,
     }
     shared = tuple(name for kind, name in of_kind.items() if kind in structure.kinds)
-    return NoisePrior((*scales, *carried, *shared), len(scales), statement=statement)
+    names = (*(f"noise of {name}" for name in scales), *carried, *shared)
+    groups = len(structure.names)
+    return NoisePrior(names, groups, statement=statement, is_common=is_common)

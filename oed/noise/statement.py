@@ -23,6 +23,7 @@ class NoiseStatement:
     reach          of what is carried along, in readings
     student_dof    degrees of freedom of single readings' Student t
     outlier_share  share (0 to 1) of the readings that are far off; 0: none is
+    is_assumed     whether nobody measured the stated scatter of single readings
     """
 
     levels: frozenset[str] = frozenset()
@@ -31,6 +32,7 @@ class NoiseStatement:
     reach: float | None = None
     student_dof: float | None = None
     outlier_share: float | None = None
+    is_assumed: bool = False
 
     @property
     def carried_share(self) -> float:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 #: degrees of freedom from which on readings say something of their noise
 LEAST_FREEDOM = 10
+#: degrees of freedom from which on the scale of a noise is known to a third
+LEAST_OF_SCALE = 4
 
 
 class Stream(enum.IntEnum):
@@ -141,7 +143,8 @@ class RunState:
         """Whether the noise law is estimated from the readings.
 
         As [noise] says; by default for recorded readings that leave at least
-        `LEAST_FREEDOM` degrees of freedom. The noise of a virtual machine is known.
+        `LEAST_FREEDOM` degrees of freedom, or `LEAST_OF_SCALE` where an assumed noise
+        leaves but its scale to estimate. The noise of a virtual machine is known.
         """
         stated = self.study.noise.estimate
         if stated is not None or self.resolved.dataset is None:
@@ -151,7 +154,9 @@ class RunState:
         determined = int(self.measurement.free.sum())
         if self.identifiability is not None:
             determined = self.identifiability.identifiability.rank
-        return len(self.readings.y) - determined >= LEAST_FREEDOM
+        freedom = len(self.readings.y) - determined
+        assumed = self.study.noise.assumed
+        return freedom >= (LEAST_OF_SCALE if assumed else LEAST_FREEDOM)
 
     def rng(self, stream: Stream) -> np.random.Generator:
         """Random numbers of one stream."""

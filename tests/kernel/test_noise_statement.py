@@ -39,6 +39,30 @@ NOTHING_ELSE = NoiseStatement(
 )
 
 
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_an_assumed_noise_has_one_scale_that_follows_the_readings(
+    factor: float,
+) -> None:
+    """Within a decade, whatever was assumed; two channels keep their weights."""
+    statement = dataclasses.replace(NOTHING_ELSE, is_assumed=True)
+    m = stating(statement)
+    series = circles(m)
+    rng = np.random.default_rng(6)
+    y = m.readings([series], m.nominal) + factor * SIGMA * rng.standard_normal(24)
+    estimate = identify(m, [series], y, estimate_noise=True)
+    posterior = estimate.noise_posterior
+    assert posterior is not None
+    assert posterior.prior.names == ("noise of all readings",)
+    assert posterior.prior.is_common
+    scale = posterior.prior.laws(posterior.draws).scale
+    # some ten degrees of freedom: two standard deviations of a scale
+    assert posterior.weights @ scale[:, 0] == pytest.approx(factor, rel=0.45)
+    names = posterior.prior.names
+    two = prior.NoisePrior(names, 2, statement=statement, is_common=True)
+    scales = two.laws(np.array([[-1.0], [1.0]])).scale
+    assert scales == pytest.approx(np.array([[0.1, 0.1], [10.0, 10.0]]))
+
+
 def stating(statement: NoiseStatement, run: float = 0.0) -> Measurement:
     """The head with a bar of which something is stated."""
     m = a3_plans.measurement()

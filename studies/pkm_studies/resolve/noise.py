@@ -56,11 +56,14 @@ def _law(study: Study, place: Place) -> NoiseStatement:
             "remove one of the two",
             table.outlier_share,
         )
+    # what nobody measured anchors nothing: no part of it is split into further parts
+    nothing = 0.0 if table.assumed else None
     return NoiseStatement(
-        carried=table.carried,
+        carried=nothing if table.carried is None else table.carried,
         reach=table.reach_readings,
         student_dof=table.student_dof,
         outlier_share=table.outlier_share,
+        is_assumed=table.assumed,
     )
 
 
@@ -84,7 +87,7 @@ def _with_amounts(
             dataclasses.replace(channel, shared=run / single, resolution=step)
         )
         sigma.append(single / root)
-    levels = [c.name for c in channels if f"{c.name}{RUN}" in stated]
+    levels = [c.name for c in channels if f"{c.name}{RUN}" in stated or law.is_assumed]
     statement = dataclasses.replace(
         law,
         levels=frozenset(levels),

@@ -30,7 +30,9 @@ def with_noise(
         return section
     numbers = noise_numbers(posterior, setups)
     records = {f"{n.kind} {n.of}".rstrip(): _record(n) for n in numbers}
-    return msgspec.structs.replace(section, noise=records, noise_words=_words(numbers))
+    assumed = posterior.prior.statement.is_assumed
+    words = _words(numbers, "assumed" if assumed else "stated")
+    return msgspec.structs.replace(section, noise=records, noise_words=words)
 
 
 def with_assumption(
@@ -87,8 +89,11 @@ _ERRORS = {
 }
 
 
-def _words(numbers: Sequence[NoiseNumber]) -> list[str]:
-    """Departures from the stated noise, as one sentence; none where there is none."""
+def _words(numbers: Sequence[NoiseNumber], stated_as: str) -> list[str]:
+    """Departures from the stated noise, as one sentence; none where there is none.
+
+    stated_as  stated, or assumed
+    """
     reach = [n.value for n in numbers if n.kind == "reach"]
     phrases = []
     for number in numbers:
@@ -103,10 +108,12 @@ def _words(numbers: Sequence[NoiseNumber]) -> list[str]:
             )
             continue
         stated = (
-            f" (stated: {record.stated:.3g} {record.unit})" if record.stated else ""
+            f" ({stated_as}: {record.stated:.3g} {record.unit})"
+            if record.stated
+            else ""
         )
         start = _ERRORS[number.kind].format(number.of)
         phrases.append(f"{start} {size} {record.unit}{stated}")
     if not phrases:
         return []
-    return [f"The noise departs from the stated one: {'; '.join(phrases)}."]
+    return [f"The noise departs from the {stated_as} one: {'; '.join(phrases)}."]

@@ -1,0 +1,68 @@
+"""Delta printers in tests: files in, the study that is imported, and its export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import oed
+from oed import units
+from pkm_studies.cli import main
+from pkm_studies.importers import session
+from pkm_studies.importers.base import ImportedSession
+
+#: no samples and no report
+PLAIN = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
+
+
+def take(
+    kind: str, files: dict[str, str], folder: Path
+) -> tuple[Path, ImportedSession]:
+    """The study of an import, without samples and report."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    paths = [folder / name for name in files]
+    study, imported = session.import_files(kind, paths, folder / "study", name="p")
+    study.write_text(study.read_text() + PLAIN)
+    return study, imported
+
+
+def said(imported: ImportedSession) -> str:
+    """All that an import says."""
+    return "\n".join(imported.statements)
+
+
+def nominal(study: Path) -> dict[str, float]:
+    """The geometry that the firmware had, mm and deg."""
+    return dict(oed.load_study(study).machine.nominal)
+
+
+def endstops(study: Path) -> list[float]:
+    """Its heights of the endstops, mm."""
+    values = nominal(study)
+    return [values[f"endstop{i}_mm"] for i in (1, 2, 3)]
+
+
+def fitted(study: Path) -> dict[str, float]:
+    """Fitted numbers in mm and deg."""
+    section = oed.identify(oed.read_readings(oed.load_study(study))).section
+    return {
+        name: float(units.to_si(e.value, e.unit))
+        / (units.DEG if name.startswith("angle") else 1e-3)
+        for name, e in section.parameters.items()
+    }
+
+
+def compensate(study: Path, kind: str, *options: str) -> str:
+    """The text that a study's result gives for a firmware."""
+    folder = study.parent
+    assert main(["run", str(study), "--out", str(folder / "r"), "--quiet"]) == 0
+    out = folder / f"export{len(list(folder.glob('export*')))}"
+    call = ["compensate", str(folder / "r"), "--to", kind, "--out", str(out), *options]
+    assert main(call) == 0
+    return out.read_text()
+
+
+def calibrate(kind: str, files: dict[str, str], folder: Path, *options: str) -> str:
+    """What `oed compensate` writes for the files of a printer."""
+    return compensate(take(kind, files, folder)[0], kind, *options)
