@@ -46,6 +46,7 @@ gcode:
 [delta_calibrate]
 radius: 70
 #*# <---------------------- SAVE_CONFIG ---------------------->
+#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.
 #*#
 #*# [printer]
 #*# delta_radius = {RADIUS}

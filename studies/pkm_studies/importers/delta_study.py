@@ -127,6 +127,10 @@ class Firmware:
     title: str
     version: str | None = None
     m665_b: str | None = None
+    file: str | None = None
+    home_offset_mm: float | str | None = None
+    probe_z_mm: float | None = None
+    steps_per_mm: float | None = None
     keep: Mapping[str, str] = dataclasses.field(default_factory=dict)
     radius_trim_mm: tuple[float, ...] = ()
     rod_trim_mm: tuple[float, ...] = ()
@@ -136,8 +140,15 @@ class Firmware:
         lines = ["[controller]  # for `oed compensate`", f'firmware = "{self.name}"']
         if self.version is not None:
             lines.append(f"version = {json.dumps(self.version)}")
-        if self.m665_b is not None:
-            lines.append(f'm665_b = "{self.m665_b}"')
+        for name in ("m665_b", "file"):
+            text = getattr(self, name)
+            if text is not None:
+                lines.append(f"{name} = {json.dumps(text)}")
+        for name in ("home_offset_mm", "probe_z_mm", "steps_per_mm"):
+            value = getattr(self, name)
+            if value is not None:
+                text = json.dumps(value) if isinstance(value, str) else f"{value:.9g}"
+                lines.append(f"{name} = {text}")
         for name in ("radius_trim_mm", "rod_trim_mm"):
             trims = getattr(self, name)
             if any(trims):

@@ -1,9 +1,10 @@
 """Values of a Klipper configuration with their lines, the saved block included.
 
-Sections in brackets, `key: value` or `key = value`, comments after # or ;. The block that
-SAVE_CONFIG writes at the end starts its lines with `#*#`. A value that stands above the
-block as well wins over the saved one (`_strip_duplicates` of klippy/configfile.py).
-Indented lines continue the value above them.
+Sections in brackets, `key: value` or `key = value`, comments after # or ;. Indented lines
+continue the value above them. The block that SAVE_CONFIG writes at the end starts its
+lines with `#*#`; a block that was edited is dropped as a whole (`_find_autosave_data` of
+klippy/configfile.py), and so refused here. A value that stands above the block as well
+wins over the saved one (`_strip_duplicates`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,19 @@ from pkm_studies.importers.base import line_field
 #: bytes of the largest configuration
 LIMIT = 4_000_000
 SAVED = "#*#"
+#: the lines with which the saved block begins
+HEADER = (
+    "#*# <---------------------- SAVE_CONFIG ---------------------->",
+    "#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.",
+    "#*#",
+)
+DROPPED = (
+    "Klipper drops the whole block of SAVE_CONFIG for this line, and uses none of it"
+)
+RESTORE = (
+    "write the line as SAVE_CONFIG had it, {how}; or remove the block, and give the"
+    " values that the printer uses"
+)
 SECTION = re.compile(r"\[\s*([^\]]+?)\s*\]\s*(?:[#;].*)?$")
 OPTION = re.compile(r"([^\s:=#;\[][^:=]*?)\s*[:=]\s*(.*)$")
 COMMENT = re.compile(r"#.*$|(?:^|\s);.*$")
@@ -109,6 +123,7 @@ def read(paths: Sequence[Path]) -> KlipperConfig:
     parsed = _Parsed()
     for path in paths:
         text = files.read_text(path, limit=LIMIT, what="Klipper configuration")
+        _check_saved_block(text, str(path))
         _parse(text, str(path), parsed)
     written, saved = parsed.written, parsed.saved
     unused = {key: saved[key] for key in saved.keys() & written.keys()}
@@ -129,6 +144,36 @@ def numbers(entry: Entry, option: str, count: int) -> list[float]:
             option, f"{wanted} wanted here", "correct it as Klipper has it"
         )
     return values
+
+
+def _check_saved_block(text: str, file: str) -> None:
+    """Refuse a block of SAVE_CONFIG that Klipper drops. Raises InputError."""
+    lines = text.splitlines()
+    starts = (k for k in range(len(lines)) if tuple(lines[k : k + 3]) == HEADER)
+    start = next(starts, None)
+    if start is None:
+        saved = [k for k, line in enumerate(lines) if line.startswith(f"{SAVED} ")]
+        if saved:
+            raise _dropped(lines, saved[0], file, "below its three lines of heading")
+        return
+    last = max(k for k, line in enumerate(lines) if line.strip())
+    for number, line in enumerate(lines[: last + 1]):
+        is_saved = line == SAVED or line.startswith(f"{SAVED} ")
+        is_within = number >= start
+        if is_within and not is_saved:
+            raise _dropped(lines, number, file, f"beginning with {SAVED} and a blank")
+        if line.startswith(f"{SAVED} ") and not is_within:
+            raise _dropped(lines, number, file, "below the heading of the block")
+
+
+def _dropped(lines: Sequence[str], number: int, file: str, how: str) -> InputError:
+    return InputError(
+        DROPPED,
+        RESTORE.format(how=how),
+        file=file,
+        field=line_field(number + 1),
+        value=lines[number].strip(),
+    )
 
 
 def _parse(text: str, file: str, parsed: _Parsed) -> None:

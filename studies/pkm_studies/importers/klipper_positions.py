@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from oed.arrays import Array
+from pkm_studies.importers.delta_contact import tool_heights
 from pkm_studies.importers.delta_study import DeltaGeometry
 from pkm_studies.importers.klipper_config import Entry
 
@@ -70,30 +71,6 @@ def _factor(travels: Array, height: float, geometry: DeltaGeometry) -> float | N
     return float(brentq(miss, low, high, xtol=1e-6))
 
 
-@np.errstate(all="ignore")
 def _tool_height(travels: Array, geometry: DeltaGeometry) -> float:
-    """Height, mm, of the tool: the lower point at the arms' lengths from the carriages.
-
-    NaN where the arms cannot reach it.
-    """
-    angle = np.radians(geometry.angles)
-    arms, radii = np.asarray(geometry.arms), np.asarray(geometry.radii)
-    top = np.asarray(geometry.endstops) + np.sqrt(arms**2 - radii**2) - travels
-    carriage = np.column_stack([radii * np.cos(angle), radii * np.sin(angle), top])
-    # |t - c_i|^2 = a_i^2: differences are linear in t, which leaves a line along z
-    # towers at one angle, or numbers beyond all sizes, give no tool
-    matrix = 2.0 * (carriage[1:] - carriage[0])
-    size = (carriage**2).sum(axis=1) - arms**2
-    right = size[1:] - size[0]
-    determinant = np.linalg.det(matrix[:, :2])
-    if not np.isfinite(determinant) or abs(determinant) < 1e-9:
-        return float("nan")
-    base = np.linalg.solve(matrix[:, :2], right)
-    slope = -np.linalg.solve(matrix[:, :2], matrix[:, 2])
-    # t = (base + slope z, z) on the sphere of the first carriage
-    offset = base - carriage[0, :2]
-    a = slope @ slope + 1.0
-    b = slope @ offset - carriage[0, 2]
-    c = offset @ offset + carriage[0, 2] ** 2 - arms[0] ** 2
-    under = b * b - a * c
-    return float((-b - np.sqrt(under)) / a) if under >= 0.0 else float("nan")
+    """Height, mm, of the tool at travels (3,); NaN where the arms cannot reach it."""
+    return float(tool_heights(travels[None], geometry)[0])

@@ -12,7 +12,7 @@ from oed.arrays import Array
 from oed.machine import Machine
 from pkm_studies.compensation.content import Compensation
 from pkm_studies.errors import InputError
-from pkm_studies.study.tables import ControllerTable
+from pkm_studies.study.tables import NOT_KNOWN, ControllerTable
 
 TOWERS = (1, 2, 3)
 #: angles of the towers from which firmwares count corrections, degrees
@@ -99,6 +99,17 @@ def trim_notes(compensation: Compensation, name: str) -> list[str]:
                 f"trims of the {what} by tower stay in the firmware: {listed} mm"
             )
     return sentences
+
+
+def home_notes(compensation: Compensation, name: str) -> list[str]:
+    """A sentence where another firmware's height at home is not that of the nozzle."""
+    known = compensation.controller
+    if known is None or known.firmware == name or known.home_offset_mm != NOT_KNOWN:
+        return []
+    return [
+        f"the height at home is M665 H of {known.firmware.capitalize()}, which may count"
+        " to the probe: with a probe, set the height anew before you print"
+    ]
 
 
 def delta_joints(

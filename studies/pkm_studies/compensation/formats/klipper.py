@@ -13,23 +13,33 @@ from pkm_studies.compensation.formats.delta import (
     DeltaNumbers,
     delta_joints,
     delta_numbers,
+    home_notes,
     not_a_delta,
 )
 
-TOWERS = "abc"
+NAME, TOWERS = "klipper", "abc"
+WHERE = (
+    "put these values into the sections of your printer.cfg, above the block of"
+    " SAVE_CONFIG: there they win over it"
+)
 
 
 def write(compensation: Compensation) -> Texts:
     """The options that calibration changes, with Klipper's own six decimals."""
-    numbers = delta_numbers(compensation, "klipper")
+    numbers = delta_numbers(compensation, NAME)
     lines = [f"# {sentence}" for sentence in sentences_of(compensation)]
-    lines.append("# put these values into the sections of your printer.cfg")
+    lines.append(f"# {WHERE}")
     lines += ["", "[printer]", f"delta_radius: {numbers.radius:.6f}"]
     rows = zip(TOWERS, numbers.endstops, numbers.arms, numbers.angles, strict=True)
     for tower, endstop, arm, angle in rows:
         lines += ["", f"[stepper_{tower}]", f"position_endstop: {endstop:.6f}"]
         lines += [f"arm_length: {arm:.6f}", f"angle: {angle:.6f}"]
     return {".cfg": "\n".join([*lines, ""])}
+
+
+def notes(compensation: Compensation) -> tuple[str, ...]:
+    """What the file does not hold."""
+    return tuple(home_notes(compensation, NAME))
 
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
@@ -50,10 +60,11 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
 
 
 controller = ControllerFormat(
-    name="klipper",
+    name=NAME,
     about="printer.cfg of a delta printer: radius, arms, tower angles, endstops",
     source="Klipper, klippy/kinematics/delta.py",
     write=write,
     joints=joints,
     unfit=not_a_delta,
+    notes=notes,
 )

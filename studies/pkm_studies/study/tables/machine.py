@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 
@@ -75,8 +75,9 @@ class NoiseTable(StudyTable, frozen=True, kw_only=True):
     An estimated law is close to what is stated, lacks what is stated as 0, and may have
     much or little of what is not stated.
 
-    assumed         whether the numbers are assumptions, which nobody measured: where the
-                    readings cannot estimate the noise, the result says so
+    assumed         whether the numbers are assumptions, which nobody measured. Estimated
+                    is only how far single readings scatter, within a factor of ten; where
+                    the readings cannot estimate it, the result says so
     estimate        whether the noise law is estimated from the readings and integrated
                     over; by default where recorded readings leave enough degrees of
                     freedom. Where it is true, up to ten times the stated noise is no bad
@@ -104,13 +105,23 @@ class NoiseTable(StudyTable, frozen=True, kw_only=True):
     sigma: dict[str, float | dict[str, float]] = {}
 
 
+#: of a home height: the study has that of the firmware, whatever it counts to
+NOT_KNOWN: Final = "not known"
+
+
 class ControllerTable(StudyTable, frozen=True, kw_only=True):
     """[controller]: the firmware of the machine, for which `oed compensate` writes.
 
     firmware        format that it reads, as in `oed compensate --to`
     version         of the firmware
-    m665_b          what B of Marlin's M665 is: trims of the rods, or the radius of
-                    calibration
+    m665_b          what B of Marlin's M665 is: the trim of a rod, the radius of
+                    calibration, or nothing
+    file            file of the printer that the values belong into, where it is not the
+                    usual one, such as config-override.g
+    home_offset_mm  height of the nozzle at home over the firmware's home height, which is
+                    "not known" where the study has that instead
+    probe_z_mm      M851 Z of Marlin, and
+    steps_per_mm    M92, which the offset of other versions follows from
     keep            words that are written back as they are, by command
     radius_trim_mm  what the firmware adds to the radius of each tower, and keeps
     rod_trim_mm     what it adds to the arm of each tower, and keeps
@@ -118,7 +129,11 @@ class ControllerTable(StudyTable, frozen=True, kw_only=True):
 
     firmware: str
     version: str | None = None
-    m665_b: Literal["rod trim", "calibration radius"] | None = None
+    m665_b: Literal["rod trim", "calibration radius", "not read"] | None = None
+    file: str | None = None
+    home_offset_mm: float | Literal["not known"] | None = None
+    probe_z_mm: float | None = None
+    steps_per_mm: Positive | None = None
     keep: dict[str, str] = {}
     radius_trim_mm: Triple = (0.0, 0.0, 0.0)
     rod_trim_mm: Triple = (0.0, 0.0, 0.0)
