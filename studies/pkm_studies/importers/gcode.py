@@ -113,8 +113,11 @@ def account_of(lines: Sequence[TextLine], table: WordTable) -> WordAccount:
 
 
 def _written(lines: Sequence[TextLine], table: WordTable) -> Iterator[WrittenWord]:
-    """Words of the commands in the table; "" stands for the command itself."""
-    for command in commands(lines, *table):
+    """Words of the commands in the table; "" stands for the command itself.
+
+    A command without words in the table has no bearing on the geometry with any.
+    """
+    for command in commands(lines, *(name for name in table if table[name])):
         itself = {"": ""} if "" in table[command.name] else {}
         for letter, value in (itself | command.words).items():
             yield WrittenWord(

@@ -1,6 +1,6 @@
 """RepRapFirmware: M665 and M666 of a delta, the points of bed.g, the heights of G32.
 
-`config.g` has M665 and M666, `config-override.g` those that M500 stored, which win;
+`config.g` has M665 and M666, `config-override.g` those that M500 stored, which M501 reads;
 `bed.g` has one `G30 P<n> X Y` a point, and the console's log the line "G32 bed probe
 heights: ..." that `G30 P<n> S-1` gives. Answers of M665 and M666 in the log count as
 commands. G31 X Y says where the probe is, M666 A B how z is raised for a bed that leans.
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 from pkm_studies.importers import facts, gcode
 from pkm_studies.importers.base import ImportedSession, ImportRequest
@@ -19,6 +18,7 @@ from pkm_studies.importers.delta_study import DeltaGeometry, Firmware
 from pkm_studies.importers.gcode import Command, TextLine
 from pkm_studies.importers.rrf_points import probed_points
 from pkm_studies.importers.rrf_replies import as_commands
+from pkm_studies.importers.rrf_sequence import ExecutionOrder, execution_order
 from pkm_studies.importers.rrf_words import WORDS
 
 ANGLES = {"X": 210.0, "Y": 330.0, "Z": 90.0}
@@ -35,13 +35,14 @@ class RrfImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry and probed points. Raises InputError."""
-        lines = as_commands(gcode.read(_ordered(request.files)))
+        order = execution_order(as_commands(gcode.read(request.files)))
+        lines = order.lines
         _check_kinematics(lines)
         given = facts.numbers(lines)
         delta = gcode.merged(lines, "M665", "give config.g as well, with M665")
         stops = _adjustments(lines)
         account = gcode.account_of(lines, WORDS)
-        points, notes = probed_points(lines, given)
+        points, notes = probed_points(order, given)
         slope = (
             PERCENT_PPM * stops.number("A", 0.0),
             PERCENT_PPM * stops.number("B", 0.0),
@@ -54,28 +55,17 @@ class RrfImporter:
             )
         return delta_session(
             name=request.name,
-            firmware=_firmware(lines, delta, stops, given),
+            firmware=_firmware(order, delta, stops, given),
             files=", ".join(path.name for path in request.files),
             geometry=_geometry(delta, stops, given),
             points=points,
             accounts=account.sentences(),
-            notes=notes,
+            notes=[*notes, *order.notes],
             bed_slope_ppm=slope,
         )
 
 
 importer = RrfImporter()
-
-
-def _ordered(files: Sequence[Path]) -> list[Path]:
-    """Configuration first, then what M500 stored, which wins, then logs."""
-
-    def rank(path: Path) -> int:
-        if path.name.lower().startswith("config-override"):
-            return 1
-        return 0 if path.suffix.lower() == ".g" else 2
-
-    return sorted(files, key=rank)
 
 
 def _check_kinematics(lines: Sequence[TextLine]) -> None:
@@ -117,12 +107,13 @@ def _geometry(
 
 
 def _firmware(
-    lines: Sequence[TextLine],
+    order: ExecutionOrder,
     delta: Command,
     stops: Command,
     given: dict[str, tuple[float, ...]],
 ) -> Firmware:
     """The firmware, with the words that calibration leaves as they are."""
+    lines = order.lines
     printed = [m[1] for line in lines if (m := VERSION.search(line.raw))]
     bed = {letter: stops.words[letter] for letter in "AB" if letter in stops.words}
     reach = {letter: delta.words[letter] for letter in "BS" if letter in delta.words}
@@ -130,6 +121,7 @@ def _firmware(
         name="rrf",
         title="RepRapFirmware",
         version=facts.version(lines) or (printed[-1] if printed else None),
+        file=order.stored,
         keep={"M665": _written(reach), "M666": _written(bed)},
         radius_trim_mm=given.get("radius_trim_mm", ()),
     )

@@ -23,6 +23,10 @@ MORE_TOWERS: Final = refused(
 IN_HEIGHTS: Final = costs(
     "the heights of the log are without it already; an error of it moves all of z"
 )
+HEIGHT_MAP: Final = costs(
+    "a height map that is on bends z, also after calibration: turn it off (M561) before you"
+    " probe, and probe it anew after"
+)
 RADII: Final = refused(
     "forks of the firmware mean trims of the towers' radii, or of their angles, by it",
     "remove it and add a line radius_trim_mm = x, y, z with the radius trims of the"
@@ -64,9 +68,10 @@ WORDS: Final[WordTable] = {
         **same(MORE_TOWERS, "XY"),
     },
     "M557": same(
-        costs("it is the grid of G29; the points of G30 are read"), "XYRSPCUVW"
+        costs("it is the grid of G29; the points of G30 are read"), "XYRSPABCUVW"
     ),
-    "M558": same(HARMLESS, "PCHFTABRSKIXYZVLE"),
+    "M558": {**same(HARMLESS, "CHFTABRSIXYZUVLE"), **same(READ, "PK")},
+    "M851": {"Z": IN_HEIGHTS},
     "G30": G30,
     "G31": G31,
     "M92": same(
@@ -87,9 +92,8 @@ WORDS: Final[WordTable] = {
     ),
     "M98": same(costs("this file may hold further settings: give it too"), "PRXYZSFH"),
     "G20": {"": refused("the numbers are in inches", "give them in mm")},
+    "G29": same(HEIGHT_MAP, "SPK"),
+    "M375": same(HEIGHT_MAP, "P"),
     # answers of the firmware, and what has no bearing on geometry
-    **{
-        name: {}
-        for name in ("G28", "G29", "G32", "M500", "M501", "M503", "M561", "M115")
-    },
+    **{name: {} for name in ("G28", "G32", "M500", "M501", "M503", "M561", "M115")},
 }

@@ -13,6 +13,7 @@ from pkm_studies.compensation.formats.delta import (
     delta_joints,
     delta_numbers,
     firmware_of,
+    home_notes,
     not_a_delta,
     trim_notes,
     trims,
@@ -20,6 +21,11 @@ from pkm_studies.compensation.formats.delta import (
 from pkm_studies.compensation.formats.marlin import words
 
 NAME = "rrf"
+USUAL_FILE = "config.g"
+STORED = (
+    "M501 reads {file} after config.g, so its M665 and M666 win: put these lines there in"
+    " their place, or after M501 in config.g; or send them to the printer, then M500"
+)
 UNKNOWN_WORDS = (
     "B of M665 (printable radius) and A, B of M666 (bed tilt) are not written, as the study"
     " does not know them: keep those of the printer"
@@ -27,17 +33,21 @@ UNKNOWN_WORDS = (
 
 
 def notes(compensation: Compensation) -> tuple[str, ...]:
-    """Which version the file is for, and what it does not hold."""
+    """Which version and file the lines are for, and what they do not hold."""
     single = len(set(_rods(delta_numbers(compensation, NAME)))) == 1
-    version = "RepRapFirmware 3"
-    sentence = (
-        f"for config.g of {version}"
+    known = firmware_of(compensation, NAME)
+    file = None if known is None else known.file
+    sentences = [
+        f"for {file or USUAL_FILE} of RepRapFirmware 3"
         if single
-        else f"for config.g; several lengths after L need {version}"
-    )
-    if firmware_of(compensation, NAME) is None:
-        return (sentence, UNKNOWN_WORDS)
-    return (sentence, *trim_notes(compensation, NAME))
+        else f"for {file or USUAL_FILE}; several lengths after L need RepRapFirmware 3"
+    ]
+    if file is not None:
+        sentences.append(STORED.format(file=file))
+    if known is None:
+        sentences.append(UNKNOWN_WORDS)
+    sentences += home_notes(compensation, NAME)
+    return (*sentences, *trim_notes(compensation, NAME))
 
 
 def write(compensation: Compensation) -> Texts:
