@@ -61,7 +61,7 @@ distance0_pos2: 27000,23000,23000
 PLACES = [(0, 0), (60, 0), (-60, 0), (0, 60), (0, -60), (40, 40), (-40, -40)]
 RRF = {
     "config.g": "M665 L250.0 R125.0 H300.0 B110 X0.1 Y0.2 Z0.3\n"
-    "M666 X0.3 Y-0.2 Z-0.1 A0.2 B0.1\nM669 K3\nG31 K0 X3 Y4 Z1.1 P500\nM558 K0 P5\n",
+    "M666 X0.3 Y-0.2 Z-0.1 A0.2 B0.1\nM669 K3\nM558 K0 P5\nG31 K0 X3 Y4 Z1.1 P500\n",
     "bed.g": "".join(
         f"G30 P{k} X{x} Y{y} Z-99999\n" for k, (x, y) in enumerate(PLACES)
     ),
@@ -69,7 +69,7 @@ RRF = {
 }
 BED = "".join(f"Bed X: {x}.00 Y: {y}.00 Z: 0.1{k}\n" for k, (x, y) in enumerate(PLACES))
 NEW_MARLIN = (
-    "FIRMWARE_NAME:Marlin 2.1.2 (Github)\n"
+    "FIRMWARE_NAME:Marlin 2.1.2 (Github)\necho:  M92 X80.00 Y80.00 Z80.00 E97.00\n"
     "echo:  M665 L250.00 R125.00 H300.00 S100.00 X0.10 Y0.20 Z0.30 A0.1 B0.2 C0.3\n"
     "echo:  M666 X-0.30 Y-0.20 Z-0.10\necho:  M851 X1.00 Y2.00 Z-1.25\n"
 ) + BED
@@ -79,8 +79,8 @@ OLD_MARLIN = (
     "echo:  M666 X-0.30 Y-0.20 Z-0.10\necho:  M851 Z-1.25\n"
 ) + BED
 REPORT = (
-    "M665 L250.00 R125.00 H300.00 S100.00 X0.1 Y0.2 Z0.3 A0 B0 C0\nM666 X-0.3 Y0 Z0\n"
-    "M851 X5.00 Y2.00 Z-1.25\nG33 V0\nChecking... AC at radius:80.00\n"
+    "M92 X80 Y80 Z80\nM665 L250.00 R125.00 H300.00 S100.00 X0.1 Y0.2 Z0.3 A0 B0 C0\nM666 X-0.3 Y0 Z0\n"
+    "M851 X5.00 Y2.00 Z-1.25\nG33 P4 V0\nChecking... AC at radius:80.00\n"
     ".Height:300.10    Ex:-0.30  Ey:-0.10  Ez:+0.00    Radius:125.20\n"
     ".Tower angle :    Tx:+0.11  Ty:+0.22  Tz:+0.33\n"
     ".      c:+0.01     x:+0.20   y:-0.10   z:+0.05\n"
@@ -124,10 +124,13 @@ SECTIONS = {
 RRF_WORDS = {
     "M665": "LRBHXYZ",
     "M666": "XYZAB",
-    "M557": "XYRSPC",
-    "M558": "PCHFTABRSKIXYZ",
+    "M557": "XYRSPABC",
+    "M558": "PCHFTABRSKIXYZUV",
     "G31": "PXYZCSTHK",
     "M669": "KXYST",
+    "M579": "XYZ",
+    "M851": "Z",
+    "G29": "SPK",
     "G30": "PXYZHSK",
 }
 MARLIN_WORDS = {
@@ -137,10 +140,13 @@ MARLIN_WORDS = {
     "M206": "XYZPTABCUVW",
     "G29": "ACOQXYZWSEDHFBLRJVPTUKIN",
     "G30": "XYCE",
-    "G33": "CEPTVORSXYZF",
+    "G33": "ACEPTVORSXYZF",
 }
 #: words whose number decides nothing that a study holds
-ONLY_CHECKED = {"kinematics", "M669 K", "G31 K", "G30 K", "G30 P", "G30 Z", "G33 O"}
+ONLY_CHECKED = {
+    "kinematics", "M669 K", "G31 K", "G30 K", "G30 P", "G30 Z", "G33 O", "G33 P", "M558 K",
+    "M558 P",
+}  # fmt: skip
 
 
 def read(kind: str, files: dict[str, str], folder: Path) -> ImportedSession:
@@ -377,5 +383,6 @@ def test_commands_without_blanks_and_with_text_are_read_whole(tmp_path: Path) ->
     imported = read("rrf", RRF | {"config.g": dense}, tmp_path)
     assert "radius_mm = 126.5" in imported.study
     said = " ".join(imported.statements)
-    assert "M558 K P C F" in said
-    assert "M579 X (line 5)" in said
+    assert "M558 K P;" in said
+    assert "M558 C F;" in said
+    assert "M579 X (line 4)" in said

@@ -1,31 +1,27 @@
 """Probed points of a Marlin log, and the settings that were in force when they were.
 
-Settings are followed line by line: M665, M666, M206 and M851 as typed or printed, and
-what G33 prints of its own changes (".Height: ... Radius: ...", ".Tower angle : ...").
-Points that were probed with another geometry than the last one are left out.
+Settings are followed line by line: M665, M666, M206, M851 and M92 as typed or printed, and
+what G33 prints of its own changes (".Height: ... Radius: ...", ". Tx: ... Ty: ..."). Points
+that were probed with another geometry than the last one are left out.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 from pkm_studies.errors import InputError
 from pkm_studies.importers import gcode
-from pkm_studies.importers.delta_probe import ProbedPoint
 from pkm_studies.importers.gcode import NUMBER, Command, TextLine
-from pkm_studies.importers.marlin_version import RADIUS, MeaningOfB
+from pkm_studies.importers.marlin_g33 import ReportScan, report_contacts
+from pkm_studies.importers.marlin_means import Contact
+from pkm_studies.importers.marlin_version import NOT_READ, RADIUS, PossibleRules
 
 BED = re.compile(rf"Bed\s+X:\s*({NUMBER})\s+Y:\s*({NUMBER})\s+Z:\s*({NUMBER})")
-ITERATION = re.compile(rf"\b(c|x|y|z|yz|zx|xy):\s*({NUMBER})")
-PRINTED_RADIUS = re.compile(rf"\bat radius:\s*({NUMBER})")
-#: a line of G33's report, after the prefix of a host or a time
-REPORT = re.compile(r"(?:[^.]*?(?:Recv|RX)\S*\s+|<+\s*|\d[\d:.]*\s*:\s+)?\.\s")
 CHANGED = re.compile(rf"\b(Height|Ex|Ey|Ez|Radius|Tx|Ty|Tz):\s*({NUMBER})")
-IS_CHANGE = re.compile(r"\.(?:Height:|Tower angle\s*:)")
+#: a line of G33's report, after what a host writes before it
+REPORT = re.compile(r"(?:^|[\s:<>])\.(?=\s|Height:|Tower)")
 #: the word that each number of G33's report of a change stands for
 WORD_OF = {
     "Height": ("M665", "H"),
@@ -37,12 +33,13 @@ WORD_OF = {
     "Ey": ("M666", "Y"),
     "Ez": ("M666", "Z"),
 }
-FOLLOWED = ("M665", "M666", "M206", "M851")
-#: what says whether two points were probed with one geometry
-GEOMETRY = ("M665", "M666")
-#: angles of G33's points, deg
-ANGLES = {"x": 210.0, "xy": 270.0, "y": 330.0, "yz": 30.0, "z": 90.0, "zx": 150.0}
-NO_POINTS = "probe with G30 X<x> Y<y> at seven points or more, and log the answers: Bed X: Y: Z:"
+FOLLOWED = ("M665", "M666", "M206", "M851", "M92")
+#: what is known once the geometry is, and what two points must have in common
+NEEDED, GEOMETRY = ("M665", "M666"), ("M665", "M666", "M206", "M851")
+NO_POINTS = (
+    "probe with G30 X<x> Y<y> at seven points or more, and log the answers: Bed X: Y: Z:"
+    " (G33 prints heights with V3, and with P3 those of single places)"
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,11 +63,11 @@ class Settings:
     @property
     def is_complete(self) -> bool:
         """Whether the geometry is known."""
-        return all(name in self.words for name in GEOMETRY)
+        return all(name in self.words for name in NEEDED)
 
-    def geometry(self, b: MeaningOfB | None) -> dict[str, float]:
-        """What two points must have in common; `b` says what M665 B is."""
-        others = "SB" if b == RADIUS else "S"
+    def geometry(self, rules: PossibleRules) -> dict[str, float]:
+        """What two points must have in common."""
+        others = "SB" if rules.agreed("b") in (RADIUS, NOT_READ) else "S"
         return {
             f"{name} {letter}": self.command(name).number(letter)
             for name in GEOMETRY
@@ -81,79 +78,75 @@ class Settings:
 
 @dataclasses.dataclass(frozen=True)
 class Probing:
-    """Points with the settings in force, and sentences on what was taken."""
+    """Contacts with the settings in force, and sentences on what was taken."""
 
-    points: list[ProbedPoint]
+    contacts: list[Contact]
     settings: Settings
     notes: list[str]
 
 
-class _Contact(NamedTuple):
-    """A printed point: its place, its height, whether the place is the probe's; mm."""
+@dataclasses.dataclass(frozen=True)
+class _Taken:
+    """A contact with the settings that it was probed with."""
 
-    x: float
-    y: float
-    z: float
-    is_probe: bool
-    settings: Settings
-
-
-class _Report(NamedTuple):
-    """Heights of one G33 report by point, with its last line and the words of G33."""
-
-    heights: dict[str, float]
-    line: TextLine
-    words: Mapping[str, str]
+    contact: Contact
     settings: Settings
 
 
 def probing(
     lines: Sequence[TextLine],
     given: Mapping[str, tuple[float, ...]],
-    b: MeaningOfB | None,
+    rules: PossibleRules,
 ) -> Probing:
-    """Points that were probed with the last geometry. Raises InputError.
+    """Contacts that were probed with the last geometry. Raises InputError.
 
     given  numbers of lines that a user added
-    b      what M665 B is
     """
-    scan = _Scan()
+    scan = _Scan(rules)
     for at, line in enumerate(lines):
         scan.take(line, at)
-    contacts, reports, notes = scan.contacts, scan.reports, []
+    taken, notes = list(scan.taken), list(scan.notes)
+    reports = scan.reports.reports
     if len(reports) > 1:
         notes.append(f"Not read: {len(reports) - 1} earlier reports of G33.")
     if reports:
-        radius = _radius(lines, reports[-1], given, b, notes)
-        contacts += _of_report(reports[-1], radius)
-    if not contacts:
+        settings = scan.settings_of[len(reports) - 1]
+        delta, probe = settings.command("M665"), settings.command("M851")
+        contacts = report_contacts(
+            lines, reports[-1], delta, probe, given, rules, notes
+        )
+        taken += [_Taken(contact, settings) for contact in contacts]
+    if not taken:
         files_read = gcode.files_of(lines)
         raise InputError("no probed points in it", NO_POINTS, file=files_read)
-    contacts.sort(key=lambda contact: contact.settings.at)
-    settings = contacts[-1].settings
+    taken.sort(key=lambda one: one.settings.at)
+    settings = taken[-1].settings
     if settings.is_complete:
-        wanted = settings.geometry(b)
-        used = [c for c in contacts if c.settings.geometry(b) == wanted]
-        if len(used) < len(contacts):
+        wanted = settings.geometry(rules)
+        used = [one for one in taken if one.settings.geometry(rules) == wanted]
+        if len(used) < len(taken):
             notes.append(
-                f"Not read: {len(contacts) - len(used)} points that were probed with"
+                f"Not read: {len(taken) - len(used)} points that were probed with"
                 " another geometry than the last one."
             )
     else:
-        used, settings = contacts, scan.settings(lines[-1], len(lines))
-    offset = _offset(settings, given, used, notes)
-    return Probing([_nozzle(c, offset) for c in used], settings, notes)
+        used, settings = taken, scan.settings(lines[-1], len(lines))
+    contacts = [one.contact for one in used]
+    offset = _offset(settings, given, contacts, notes)
+    return Probing([c.of_nozzle(offset) for c in contacts], settings, notes)
 
 
 class _Scan:
     """Follows a log line by line: settings, points, and reports of G33."""
 
-    def __init__(self) -> None:
+    def __init__(self, rules: PossibleRules) -> None:
+        self.rules = rules
         self.words: dict[str, dict[str, str]] = {}
         self.places: dict[str, TextLine] = {}
-        self.asked: Mapping[str, str] = {}
-        self.contacts: list[_Contact] = []
-        self.reports: list[_Report] = []
+        self.taken: list[_Taken] = []
+        self.reports = ReportScan()
+        self.settings_of: list[Settings] = []
+        self.notes: list[str] = []
 
     def settings(self, line: TextLine, at: int) -> Settings:
         """The settings as they are now."""
@@ -162,20 +155,76 @@ class _Scan:
 
     def take(self, line: TextLine, at: int) -> None:
         """Take one line."""
-        for command in gcode.commands([line], *FOLLOWED, "G33"):
-            if command.name == "G33":
-                self.asked = command.words
-                continue
-            self.words.setdefault(command.name, {}).update(command.words)
-            self.places[command.name] = line
-        if IS_CHANGE.search(line.text):
-            self._take_change(line)
+        for command in gcode.commands([line], *FOLLOWED):
+            self._take_command(command)
+        self.reports.take_request(line)
         match = BED.search(line.text)
         if match:
             x, y, z = (gcode.finite(match[k], line) for k in (1, 2, 3))
-            self.contacts.append(_Contact(x, y, z, True, self.settings(line, at)))
-        if REPORT.match(line.text):
-            self._take_report(line, at)
+            contact = Contact.at(x, y, z, is_probe=True)
+            self.taken.append(_Taken(contact, self.settings(line, at)))
+        if REPORT.search(line.text):
+            self._take_change(line)
+            if self.reports.take(line):
+                self.settings_of.append(self.settings(line, at))
+
+    def _take_command(self, command: Command) -> None:
+        """Take the words of a command as the firmware does."""
+        words = dict(command.words)
+        known = self.words.setdefault(command.name, {})
+        if command.name == "M666":
+            words = self._accepted(command)
+        elif command.name == "M851":
+            self._check_height(command)
+        elif command.name == "M665":
+            words = self._turned(command)
+        known.update(words)
+        self.places[command.name] = command.line
+
+    def _accepted(self, command: Command) -> dict[str, str]:
+        """Words of M666 without those that the firmware ignores. Raises InputError."""
+        above = [k for k in "XYZ" if command.number(k, 0.0) > 0.0]
+        if not above:
+            return command.words
+        letters = ", ".join(above)
+        treatment = self.rules.agreed("positive")
+        if treatment is None:
+            raise command.line.error(
+                "versions of Marlin ignore a value above 0, or make no move, or change"
+                " H by it",
+                "add a line firmware_version = 2.1.2, with the version of your printer",
+                f"M666 {letters}",
+            )
+        if treatment != "ignored":
+            return command.words
+        self.notes.append(
+            f"Not read: M666 {letters} (line {command.line.number}): the firmware ignores"
+            " values above 0."
+        )
+        return {k: v for k, v in command.words.items() if k not in above}
+
+    def _turned(self, command: Command) -> dict[str, str]:
+        """Words of M665; Z taken off X and Y where the version does so."""
+        by = command.number("Z", 0.0)
+        if not (by and self.rules.agreed("turns_by_z")):
+            return command.words
+        known = Command("M665", self.words["M665"] | command.words, command.line)
+        angles = {k: f"{known.number(k, 0.0) - by!r}" for k in "XY"}
+        return command.words | angles | {"Z": "0"}
+
+    def _check_height(self, command: Command) -> None:
+        """Refuse a change of M851 Z where it changes M665 H. Raises InputError."""
+        known = self.words["M851"].get("Z")
+        if known is None or "Z" not in command.words:
+            return
+        if not self.rules.agreed("probe_moves_height"):
+            return
+        if float(known) != command.number("Z"):
+            raise command.line.error(
+                "this version changes M665 H with M851 Z",
+                "give a log with one M851 Z: M503, then the probing",
+                "M851 Z",
+            )
 
     def _take_change(self, line: TextLine) -> None:
         """What G33 prints of the geometry that it has set."""
@@ -183,58 +232,11 @@ class _Scan:
             command, letter = WORD_OF[name]
             self.words.setdefault(command, {})[letter] = value
 
-    def _take_report(self, line: TextLine, at: int) -> None:
-        """Heights of a line of G33's report, if it is one."""
-        for name, value in ITERATION.findall(line.text):
-            if name == "c" or not self.reports:
-                now = self.settings(line, at)
-                self.reports.append(_Report({}, line, self.asked, now))
-            report = self.reports[-1]
-            report.heights[name] = gcode.finite(value, line)
-            self.reports[-1] = report._replace(line=line)
-
-
-def _of_report(report: _Report, radius: float) -> Iterator[_Contact]:
-    """The points of a report; G33 puts the nozzle there, or with O the probe."""
-    is_probe = "O" in report.words
-    for name, height in report.heights.items():
-        if name == "c":
-            yield _Contact(0.0, 0.0, height, is_probe, report.settings)
-            continue
-        angle = math.radians(ANGLES[name])
-        x, y = radius * math.cos(angle), radius * math.sin(angle)
-        yield _Contact(x, y, height, is_probe, report.settings)
-
-
-def _radius(
-    lines: Sequence[TextLine],
-    report: _Report,
-    given: Mapping[str, tuple[float, ...]],
-    b: MeaningOfB | None,
-    notes: list[str],
-) -> float:
-    """The radius, mm, that G33 probed at. Raises InputError."""
-    if "probe_radius_mm" in given:
-        return given["probe_radius_mm"][0]
-    matches = ((line, PRINTED_RADIUS.search(line.text)) for line in lines)
-    printed = [gcode.finite(match[1], line) for line, match in matches if match]
-    if printed:
-        return printed[-1]
-    delta, probe = report.settings.command("M665"), report.settings.command("M851")
-    offset = [probe.number(letter, 0.0) for letter in "XY"]
-    if b == RADIUS and "B" in delta.words and not any(offset):
-        notes.append("G33 probed at the radius of calibration, M665 B.")
-        return delta.number("B")
-    raise report.line.error(
-        "G33 does not print the radius at which it probed",
-        "add a line probe_radius_mm = 80 to the log, or probe with G30",
-    )
-
 
 def _offset(
     settings: Settings,
     given: Mapping[str, tuple[float, ...]],
-    contacts: Sequence[_Contact],
+    contacts: Sequence[Contact],
     notes: list[str],
 ) -> tuple[float, float]:
     """Where the probe is from the nozzle, mm; adds a sentence."""
@@ -257,13 +259,8 @@ def _offset(
     if x or y:
         notes.append(
             f"Places: the probe is at x {x:+g}, y {y:+g} mm of the nozzle ({source}), so"
-            f" the nozzle was at x {0.0 - x:+g}, y {0.0 - y:+g} mm of the places Bed X: Y:."
+            f" the nozzle was at x {0.0 - x:+g}, y {0.0 - y:+g} mm of the printed places."
         )
     else:
         notes.append(f"Places: those of the nozzle, where the probe is ({source}).")
     return x, y
-
-
-def _nozzle(contact: _Contact, offset: tuple[float, float]) -> ProbedPoint:
-    x, y = offset if contact.is_probe else (0.0, 0.0)
-    return ProbedPoint(contact.x - x, contact.y - y, contact.z)

@@ -1,50 +1,234 @@
-"""What M665 B is by version of Marlin, and the version that a log shows.
+"""What the words of a delta do by version of Marlin, and the version that a log shows.
 
-A, B, C are trims of the rods in 2.0.6 and later (pull request 18423) and before 1.1.1.
-In between M665 B is the radius that G33 probes at, and rod trims are compiled in.
+After the tags 1.1.0-RC5 to 2.1 of Marlin: M665, M666 and M851, homing of an axis, the
+height at home. A, B, C of M665 are trims of the rods in 2.0.6 and later (pull request
+18423) and before 1.1.0. In 1.1.0 to 1.1.9 M665 B is the radius that G33 probes at, in
+2.0.0 to 2.0.5 nothing.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import re
-from typing import Final, Literal
+from collections.abc import Iterator
+from typing import Any, Final, Literal
 
 #: what M665 B is
 RodTrim = Literal["rod trim"]
 CalibrationRadius = Literal["calibration radius"]
-MeaningOfB = RodTrim | CalibrationRadius
+NotRead = Literal["not read"]
+MeaningOfB = RodTrim | CalibrationRadius | NotRead
 ROD_TRIM: Final[RodTrim] = "rod trim"
 RADIUS: Final[CalibrationRadius] = "calibration radius"
-#: first version with M665 H and XYZ, in which B is a radius; first with rod trims again
-FIRST_RADIUS, FIRST_TRIM = (1, 1, 1), (2, 0, 6)
-PRINTED = re.compile(r"\bMarlin[ _-]?(?:bugfix[-_ ])?(\d+\.\d+(?:\.\w+)*)")
+NOT_READ: Final[NotRead] = "not read"
+#: versions in the words of people, by what M665 B is in them
+VERSIONS: Final[dict[MeaningOfB, str]] = {
+    ROD_TRIM: "2.0.6 or later",
+    RADIUS: "1.1.0 to 1.1.9",
+    NOT_READ: "2.0.0 to 2.0.5",
+}
+#: what a heading of M503 shows of M665 B
+HEADINGS: Final[dict[MeaningOfB, re.Pattern[str]]] = {
+    RADIUS: re.compile(r"Delta settings:.*B<calibration radius>"),
+    ROD_TRIM: re.compile(
+        r"Delta settings:.*ABC[=<]|Delta \(L<diagonal-rod>.*ABC<rod-trim>"
+    ),
+    NOT_READ: re.compile(
+        r"Delta settings:(?!.*(?:B<|ABC)).*XYZ<tower angle corrections>"
+    ),
+}
+#: how far a carriage goes down from its switch at home, M666 aside: not at all, 0.1 mm or
+#: seven steps further, or nowhere for a value of up to six steps
+Retreat = Literal["exact", "tenth", "steps", "dead band"]
+#: what becomes of a value of M666 above 0
+Positive = Literal["no move", "normalised", "ignored"]
+PRINTED = re.compile(r"\bMarlin[ _-]?(?:bugfix[-_ ])?(\d+\.\d+(?:\.\w+)*(?:-RC\d+)?)")
+#: steps that a planned move has at least, and steps per mm of a usual printer
+LEAST_STEPS, STEPS_PER_MM = 6, 80.0
+TENTH_MM = 0.1
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, slots=True)
+class MarlinRules:
+    """What one range of versions does.
+
+    since               its first version, as a key
+    b                   what M665 B is
+    retreat             how far carriages go down from their switches at home
+    positive            what becomes of M666 above 0
+    has_height          whether M665 has H (home height) and X, Y, Z (tower angles)
+    turns_by_z          whether M665 Z is taken off X and Y, and no angle of its own
+    probe_moves_height  whether a change of M851 Z changes M665 H
+    counts_to_probe     whether the nozzle is at M665 H less M851 Z at home
+    reads_to_bed        whether printed heights have M851 Z added
+    circles             places of G33 about a ring: radii over its radius; None where its
+                        points are not known
+    """
+
+    since: tuple[int, ...]
+    b: MeaningOfB
+    retreat: Retreat
+    positive: Positive
+    has_height: bool = True
+    turns_by_z: bool = False
+    probe_moves_height: bool = False
+    counts_to_probe: bool = False
+    reads_to_bed: bool = True
+    circles: tuple[float, ...] | None = None
+
+
+WIDE, INNER = (0.9, 1.0, 1.1), (0.8, 0.9, 1.0)
+#: release candidates first: the last number of a key says whether it is a release
+ALL_RULES: Final = (
+    MarlinRules(
+        since=(0, 0, 0, 0, 1),
+        b=ROD_TRIM,
+        retreat="exact",
+        positive="no move",
+        has_height=False,
+        reads_to_bed=False,
+    ),
+    MarlinRules(
+        since=(1, 1, 0, 0, 1),
+        b=RADIUS,
+        retreat="exact",
+        positive="normalised",
+        turns_by_z=True,
+        probe_moves_height=True,
+    ),
+    MarlinRules(
+        since=(1, 1, 2, 0, 1),
+        b=RADIUS,
+        retreat="tenth",
+        positive="normalised",
+        turns_by_z=True,
+        probe_moves_height=True,
+    ),
+    MarlinRules(
+        since=(1, 1, 6, 0, 1),
+        b=RADIUS,
+        retreat="tenth",
+        positive="ignored",
+        probe_moves_height=True,
+    ),
+    MarlinRules(
+        since=(1, 1, 7, 0, 1),
+        b=RADIUS,
+        retreat="tenth",
+        positive="ignored",
+        circles=WIDE,
+    ),
+    MarlinRules(
+        since=(1, 1, 9, 0, 1),
+        b=RADIUS,
+        retreat="steps",
+        positive="ignored",
+        circles=INNER,
+    ),
+    MarlinRules(
+        since=(1, 1, 9, 1, 1),
+        b=RADIUS,
+        retreat="steps",
+        positive="ignored",
+        counts_to_probe=True,
+        circles=INNER,
+    ),
+    MarlinRules(
+        since=(2, 0, 0, 0, 1),
+        b=NOT_READ,
+        retreat="steps",
+        positive="ignored",
+        counts_to_probe=True,
+        circles=INNER,
+    ),
+    MarlinRules(
+        since=(2, 0, 6, 0, 1),
+        b=ROD_TRIM,
+        retreat="dead band",
+        positive="ignored",
+        counts_to_probe=True,
+        circles=INNER,
+    ),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class PossibleRules:
+    """The ranges of versions that a printer may have."""
+
+    rules: tuple[MarlinRules, ...]
+
+    def agreed(self, name: str) -> Any:
+        """What all of them do; None where they differ."""
+        values = {getattr(rule, name) for rule in self.rules}
+        return values.pop() if len(values) == 1 else None
+
+    def where(self, **values: object) -> PossibleRules:
+        """Those with these values; all where none has them."""
+        chosen = [
+            rule
+            for rule in self.rules
+            if all(getattr(rule, name) == value for name, value in values.items())
+        ]
+        return PossibleRules(tuple(chosen)) if chosen else self
+
+
+EVERY: Final = PossibleRules(ALL_RULES)
 
 
 def numbers(version: str) -> tuple[int, ...]:
-    """Numbers of a version: (2, 0, 5) of `2.0.5.3` or of `Marlin 2.0.5`; () of none."""
+    """Numbers of a version: (2, 0, 5, 3) of `2.0.5.3` or `Marlin 2.0.5.3`; () of none."""
     match = re.search(r"\d+(?:\.\d+)*", version)
-    return () if match is None else tuple(map(int, match[0].split(".")))[:3]
+    return () if match is None else tuple(map(int, match[0].split(".")))[:4]
 
 
-def meaning_of_b(version: str) -> MeaningOfB | None:
-    """What M665 B is in a version; None where the version does not tell."""
-    known = numbers(version)
-    if len(known) < 2:
-        return None
-    if known == (1, 1):
-        return RADIUS
-    if known == (2, 0):
-        return None
-    return RADIUS if FIRST_RADIUS <= known < FIRST_TRIM else ROD_TRIM
+def possible_rules(version: str | None) -> PossibleRules:
+    """The rules of a version: several of `2.0`, all of one that is not known."""
+    known = () if version is None else numbers(version)
+    if version is None or len(known) < 2:
+        return EVERY
+    is_release = 0 if "RC" in version.upper() else 1
+    if len(known) == 2:
+        return PossibleRules(tuple(_between((*known, 0), (*known, 99))))
+    first = (*known, *[0] * (4 - len(known)), is_release)
+    return PossibleRules(tuple(_between(first, first)))
 
 
-def has_height(version: str) -> bool:
-    """Whether M665 has H and XYZ in a version."""
-    known = numbers(version)
-    return not known or known == (1, 1) or known >= FIRST_RADIUS
+def _between(first: tuple[int, ...], last: tuple[int, ...]) -> Iterator[MarlinRules]:
+    """The rules of the versions from `first` to `last`."""
+    ends = [rule.since for rule in ALL_RULES[1:]]
+    for rule, end in zip(ALL_RULES, [*ends, (99,)], strict=True):
+        if rule.since <= last and end > first:
+            yield rule
 
 
 def printed_version(text: str) -> str | None:
     """The version in a line that the firmware printed; None without."""
     match = PRINTED.search(text)
     return None if match is None else match[1]
+
+
+def dead_band(steps_per_mm: float) -> float:
+    """Size of M666, mm, up to which a firmware with a dead band makes no move."""
+    return LEAST_STEPS / steps_per_mm
+
+
+def home_offset(
+    rules: PossibleRules, probe_z: float | None, steps_per_mm: float | None
+) -> float | None:
+    """Height of the nozzle at home over M665 H, M666 aside, mm.
+
+    probe_z       M851 Z, mm; None where it is not known
+    steps_per_mm  of the towers; None where it is not known, which matters little
+
+    None where the version or M851 Z is not known.
+    """
+    retreat, to_probe = rules.agreed("retreat"), rules.agreed("counts_to_probe")
+    if retreat is None or to_probe is None or (to_probe and probe_z is None):
+        return None
+    further = {
+        "tenth": TENTH_MM,
+        "steps": (LEAST_STEPS + 1) / (steps_per_mm or STEPS_PER_MM),
+    }
+    height = further.get(retreat, 0.0)
+    return height - probe_z if to_probe and probe_z is not None else height

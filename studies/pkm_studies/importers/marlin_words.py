@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from pkm_studies.importers.marlin_version import ROD_TRIM, MeaningOfB
+from pkm_studies.importers.marlin_version import NOT_READ, ROD_TRIM, MeaningOfB
 from pkm_studies.importers.words import (
     HARMLESS,
     READ,
@@ -28,6 +28,7 @@ FORK: Final = refused(
     "write the geometry as M665 L R H X Y Z and M666 X Y Z; radius trims of the towers"
     " as a line radius_trim_mm = x, y, z",
 )
+IGNORED: Final = costs("Marlin 2.0.0 to 2.0.5 does not read it: it changes nothing")
 FURTHER_AXES: Final = refused("a delta has no such axis", "give the log of the delta")
 M665: Final[dict[str, Word]] = {
     **same(READ, "LRHXYZB"),
@@ -40,12 +41,9 @@ M666: Final[dict[str, Word]] = {
     **same(FORK, "ABCDEFHIJKLOPQRSTUVW"),
 }
 G33: Final[dict[str, Word]] = {
-    "P": costs(
-        "from 4 on, heights are averages over several places; each is taken for one"
-    ),
-    **same(READ, "O"),
+    **same(READ, "PO"),
     "R": costs("the radius is read from the report, or from a line probe_radius_mm"),
-    **same(HARMLESS, "CEFTVSXYZ"),
+    **same(HARMLESS, "ACEFTVSXYZ"),
 }
 BED_LEVELING: Final = costs(
     "with bed leveling on, heights may be those over the mesh: probe with M420 S0"
@@ -58,22 +56,22 @@ def table(b: MeaningOfB | None, *, has_height: bool) -> WordTable:
     M206 moves the home position of versions without H, and is in H of others.
     """
     trims = same(READ, "ABC") if b == ROD_TRIM else same(RADII, "AC")
+    if b == NOT_READ:
+        trims = same(IGNORED, "ABC")
     height = READ if not has_height else costs("M665 H has it already")
     return {
         "M665": {**M665, **trims},
         "M666": M666,
         "M851": {
             **same(READ, "XY"),
-            "Z": costs(
-                "the heights of the log are over the bed already; an error of it moves all"
-                " of z"
-            ),
+            "Z": READ,
         },
         "M206": {
             **same(READ, "XY"),
             "Z": height,
             **same(FURTHER_AXES, "ABCEPTSUVWIJK"),
         },
+        "M428": {"": costs("it changes M206: log the answer of M503 after it")},
         "M92": same(
             costs(
                 "steps per mm are taken as right: an error scales the towers' travel"

@@ -1,7 +1,8 @@
-"""Marlin: M665 and M666 of a delta, by what B of M665 is in the printer's version."""
+"""Marlin: M665 and M666 of a delta, by what the printer's version does with them."""
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import numpy as np
@@ -21,56 +22,98 @@ from pkm_studies.compensation.formats.delta import (
 )
 from pkm_studies.errors import InputError
 from pkm_studies.importers import marlin_version
-from pkm_studies.importers.marlin_version import RADIUS, ROD_TRIM, MeaningOfB
-from pkm_studies.study.tables import ControllerTable
+from pkm_studies.importers.marlin_version import (
+    LEAST_STEPS,
+    NOT_READ,
+    RADIUS,
+    ROD_TRIM,
+    TENTH_MM,
+    VERSIONS,
+    MeaningOfB,
+    PossibleRules,
+)
+from pkm_studies.study.tables import NOT_KNOWN, ControllerTable
 
 NAME = "marlin"
 #: mm by which rods may differ and count as one length: what four decimals hold
 ALIKE = 5e-5
-FOR = {
-    ROD_TRIM: "for Marlin 2.0.6 or later: M665 A, B, C are trims of the rods",
-    RADIUS: (
-        "for Marlin 1.1.1 to 2.0.5: B of M665 is the radius of calibration there, and is"
-        " not written"
+#: mm that each tower goes down from its switch at least: versions make no move for a
+#: value of up to six steps
+LEAST_DOWN = 0.2
+FOR: dict[MeaningOfB | None, str] = {
+    ROD_TRIM: (
+        f"for Marlin {VERSIONS[ROD_TRIM]}: M665 A, B, C are trims of the rods there"
     ),
+    RADIUS: (
+        f"for Marlin {VERSIONS[RADIUS]}: B of M665 is the radius of calibration there, and"
+        " is not written"
+    ),
+    NOT_READ: f"for Marlin {VERSIONS[NOT_READ]}: its M665 has no A, B, C",
     None: (
-        "for Marlin 1.1.1 or later: M665 A, B, C are not written, and must be 0 in 2.0.6"
-        " or later"
+        "for Marlin 1.1.0 or later: M665 A, B, C are not written, and must be 0 in"
+        f" {VERSIONS[ROD_TRIM]}"
     ),
 }
 CHECK = (
-    "the version of the printer is not known: on Marlin before 2.0.6, B of M665 is the"
+    "the version of the printer is not known: on Marlin 1.1.0 to 1.1.9, B of M665 is the"
     " radius of calibration, and this file would overwrite it; name the version with"
     " --firmware"
 )
+HOME = (
+    "M665 H is the height of the nozzle at home. With a probe, Marlin 1.1.9.1, 2.0.0 and"
+    " later need M851 Z added to it, so Z-2.5 makes H less by 2.5"
+)
+STEPS = (
+    f"Marlin goes {LEAST_STEPS + 1} steps of the motor further from the switches: take"
+    " them off H"
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Target:
+    """The firmware that is written for.
+
+    b            what M665 B is to be; None where it is not written
+    is_sure      whether that is known
+    home_offset  height of the nozzle at home over M665 H, mm
+    home_notes   what is not known of it
+    down         mm that each tower goes down from its switch at least
+    """
+
+    b: MeaningOfB | None
+    is_sure: bool
+    home_offset: float
+    home_notes: tuple[str, ...]
+    down: float
 
 
 def write(compensation: Compensation) -> Texts:
-    """Height H of the lowest endstop; M666 holds how far each other one is above it.
+    """Height H, and M666 with what each tower goes down from its switch.
 
-    Marlin homes a tower to its endstop, moves down by the adjustment (zero or less),
-    and counts the carriage there as that of the tool at height H. Raises InputError for
-    versions that lack the words, and for rods that a version cannot have.
+    Marlin homes a tower to its endstop, moves down by the adjustment (below zero), and
+    counts the carriage there as that of the tool at home. Raises InputError for versions
+    that lack the words, and for rods that a version cannot have.
     """
     numbers, rods = _numbers(compensation)
-    b, is_sure = _meaning_of_b(compensation, rods)
+    target = _target(compensation, rods)
     rod = float(rods.mean())
     lean = numbers.angles - ANGLES
-    # the firmware's carriage height at home is H + sqrt(arm^2 - radius^2), tower by tower
-    height = float(numbers.endstops.min())
+    # the firmware's carriage height at home is that of the tool there, tower by tower
+    height = float(numbers.endstops.min()) - target.down
     adjust = height - numbers.endstops
     words = [
-        f"M665 L{rod:.4f} R{numbers.radius:.4f} H{height:.4f}"
+        f"M665 L{rod:.4f} R{numbers.radius:.4f} H{height - target.home_offset:.4f}"
         f" X{lean[0]:.4f} Y{lean[1]:.4f} Z{lean[2]:.4f}"
     ]
-    if b == ROD_TRIM:
+    if target.b == ROD_TRIM:
         trim = rods - rod
         words.append(f"A{trim[0]:.4f} B{trim[1]:.4f} C{trim[2]:.4f}")
     lines = [f"; {sentence}" for sentence in sentences_of(compensation)]
+    store = "M500 ; store" if target.is_sure else "; M500 stores it, once it is checked"
     lines += [
         " ".join(words),
         f"M666 X{adjust[0]:.4f} Y{adjust[1]:.4f} Z{adjust[2]:.4f}",
-        "M500 ; store" if is_sure else "; M500 stores it, once the version is checked",
+        store,
         "",
     ]
     return {".gcode": "\n".join(lines)}
@@ -78,10 +121,9 @@ def write(compensation: Compensation) -> Texts:
 
 def notes(compensation: Compensation) -> tuple[str, ...]:
     """Which version the file is for, and what it does not hold. Raises InputError."""
-    rods = _numbers(compensation)[1]
-    b, is_sure = _meaning_of_b(compensation, rods)
-    sentences = [FOR[b]] if is_sure else [FOR[b], CHECK]
-    return (*sentences, *trim_notes(compensation, NAME))
+    target = _target(compensation, _numbers(compensation)[1])
+    sentences = [FOR[target.b]] if target.is_sure else [FOR[target.b], CHECK]
+    return (*sentences, *target.home_notes, *trim_notes(compensation, NAME))
 
 
 def _numbers(compensation: Compensation) -> tuple[DeltaNumbers, Array]:
@@ -91,10 +133,10 @@ def _numbers(compensation: Compensation) -> tuple[DeltaNumbers, Array]:
     """
     known = firmware_of(compensation, NAME)
     version = None if known is None else known.version
-    if version is not None and not marlin_version.has_height(version):
+    if marlin_version.possible_rules(version).agreed("has_height") is False:
         raise InputError(
             f"Marlin {version} has no M665 H (home height) and X, Y, Z (tower angles)",
-            "update the firmware to 1.1.1 or later, or set its configuration from the"
+            "update the firmware to 1.1.0 or later, or set its configuration from the"
             " parameters of --to csv",
             value=f"--to {NAME}",
         )
@@ -102,19 +144,21 @@ def _numbers(compensation: Compensation) -> tuple[DeltaNumbers, Array]:
     return numbers, numbers.arms - trims(compensation, NAME, "rod_trim_mm")
 
 
-def _meaning_of_b(
-    compensation: Compensation, rods: Array
-) -> tuple[MeaningOfB | None, bool]:
-    """What B of M665 is to be, None where it is not written, and whether that is known.
+def _target(compensation: Compensation, rods: Array) -> _Target:
+    """The firmware that is written for.
 
     Raises InputError for rods (3,) of several lengths where M665 has one.
     """
     known = firmware_of(compensation, NAME)
-    b = None if known is None else _stated_meaning(known)
+    rules = _rules(known)
+    b: MeaningOfB | None = None if known is None else rules.agreed("b")
+    offset, home_notes = _home(known, rules)
+    steps = None if known is None else known.steps_per_mm
+    down = (
+        max(LEAST_DOWN, 2.0 * marlin_version.dead_band(steps)) if steps else LEAST_DOWN
+    )
     alike = bool(np.ptp(rods) <= ALIKE)
-    if b is None:
-        return (None, True) if alike else (ROD_TRIM, False)
-    if b == RADIUS and not alike:
+    if b in (RADIUS, NOT_READ) and not alike:
         sizes = ", ".join(f"{rod - rods.mean():.4f}" for rod in rods)
         raise InputError(
             "M665 of Marlin before 2.0.6 has one rod length, and the arms differ",
@@ -122,21 +166,49 @@ def _meaning_of_b(
             " rod_trim_mm to [controller], or hold arm1, arm2, arm3 with fixed",
             value=f"--to {NAME}",
         )
-    return b, True
+    is_sure = b is not None or alike
+    written = b if b is not None or alike else ROD_TRIM
+    return _Target(written, is_sure, offset, home_notes, down)
 
 
-def _stated_meaning(known: ControllerTable) -> MeaningOfB | None:
-    """What B of M665 is: as the log had it, else by the version. Raises InputError."""
-    if known.m665_b is not None or known.version is None:
-        return known.m665_b
-    if not marlin_version.numbers(known.version):
+def _rules(known: ControllerTable | None) -> PossibleRules:
+    """What the version does, and M665 B as the log had it. Raises InputError."""
+    if known is None or known.version is None:
+        rules = marlin_version.EVERY
+    elif not marlin_version.numbers(known.version):
         raise InputError(
             "this is no version of Marlin",
             "give it as M115 prints it, such as 2.0.5",
             field="--firmware",
             value=known.version,
         )
-    return marlin_version.meaning_of_b(known.version)
+    else:
+        rules = marlin_version.possible_rules(known.version)
+    rules = rules.where(has_height=True)
+    if known is None or known.m665_b is None:
+        return rules
+    stated = rules.where(b=known.m665_b)
+    if stated.agreed("b") == known.m665_b:
+        return stated
+    return marlin_version.EVERY.where(b=known.m665_b, has_height=True)
+
+
+def _home(
+    known: ControllerTable | None, rules: PossibleRules
+) -> tuple[float, tuple[str, ...]]:
+    """Height of the nozzle at home over M665 H, mm, and what is not known of it."""
+    stated = None if known is None else known.home_offset_mm
+    if stated == NOT_KNOWN:
+        # the study has the height of M665 H, whatever that is in the version
+        return 0.0, ()
+    if known is not None and stated is not None:
+        offset = marlin_version.home_offset(rules, known.probe_z_mm, known.steps_per_mm)
+        return (stated if offset is None else offset), ()
+    sentences = [HOME] if rules.agreed("counts_to_probe") is not False else []
+    retreat = rules.agreed("retreat")
+    if retreat == "steps":
+        sentences.append(STEPS)
+    return (TENTH_MM if retreat == "tenth" else 0.0), tuple(sentences)
 
 
 def words(text: str, code: str) -> dict[str, list[float]]:
@@ -151,14 +223,20 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     geometry = words(texts[".gcode"], "M665")
     adjust = words(texts[".gcode"], "M666")
     written = np.array([geometry.get(k, [0.0])[0] for k in "ABC"])
+    home = geometry["H"][0] + _home_offset(compensation)
     numbers = DeltaNumbers(
         radius=geometry["R"][0],
         arms=geometry["L"][0] + written + trims(compensation, NAME, "rod_trim_mm"),
         angles=np.array(ANGLES) + [geometry[k][0] for k in "XYZ"],
-        endstops=geometry["H"][0] - np.array([adjust[k][0] for k in "XYZ"]),
+        endstops=home - np.array([adjust[k][0] for k in "XYZ"]),
         trim=trims(compensation, NAME, "radius_trim_mm"),
     )
     return delta_joints(numbers, numbers.carriages, compensation)
+
+
+def _home_offset(compensation: Compensation) -> float:
+    known = firmware_of(compensation, NAME)
+    return _home(known, _rules(known))[0]
 
 
 controller = ControllerFormat(
