@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import configparser
 import csv
 import json
 import re
@@ -19,7 +18,6 @@ from oed.compensate import compensated_joints
 from oed.kinematics import Kinematics
 from oed.result import GoodnessSection, NoiseRecord
 from pkm_models.machines import a3_head, hexapod, linear_delta, micro_cmm
-from pkm_models.machines import delta as delta_family
 from pkm_studies import cli
 
 Run = Callable[..., tuple[int, str, str]]
@@ -44,169 +42,6 @@ def delta_folder(tmp_path: Path) -> Path:
     return sample.save(tmp_path / "d", sample.result(linear_delta.machine, DELTA))
 
 
-def carriages_of_klipper(point: np.ndarray, text: str) -> np.ndarray:
-    """Travel down from the endstops, mm, as klippy/kinematics/delta.py computes it."""
-    config = configparser.ConfigParser()
-    config.read_string(text)
-    radius = config.getfloat("printer", "delta_radius")
-    travel = []
-    for section in ("stepper_a", "stepper_b", "stepper_c"):
-        arm = config.getfloat(section, "arm_length")
-        angle = np.radians(config.getfloat(section, "angle"))
-        top = config.getfloat(section, "position_endstop") + np.sqrt(arm**2 - radius**2)
-        dx = point[:, 0] - radius * np.cos(angle)
-        dy = point[:, 1] - radius * np.sin(angle)
-        travel.append(top - (point[:, 2] + np.sqrt(arm**2 - dx**2 - dy**2)))
-    return np.column_stack(travel)
-
-
-def points(rng: np.random.Generator) -> np.ndarray:
-    return np.column_stack([rng.uniform(-0.09, 0.09, (40, 2)), rng.uniform(0, 0.3, 40)])
-
-
-def nozzle(q: np.ndarray) -> np.ndarray:
-    """Tool points of the machine with the identified parameters, by the oracle."""
-    return delta.nozzle(q, DELTA[0], DELTA[1:4], DELTA[4:7], DELTA[7:])
-
-
-def test_klipper_reproduces_the_compensated_pose(
-    oed: Run, delta_folder: Path, rng: np.random.Generator
-) -> None:
-    code, out, _ = oed("compensate", delta_folder, "--to", "klipper")
-    assert code == 0
-    assert "printed digits cost at most x 0.0" in out
-    text = (delta_folder / "compensation.cfg").read_text("utf-8")
-    command = points(rng)
-    q = 1e-3 * carriages_of_klipper(1e3 * command, text)
-    assert np.abs(nozzle(q) - command).max() < 5e-9
-    exact = compensated_joints(Kinematics(linear_delta.machine), command, DELTA)
-    assert np.abs(q - exact).max() < 5e-9
-
-
-def words(line: str) -> dict[str, str]:
-    return dict(re.findall(r" ([A-Z])([-\d.:]+)", line))
-
-
-def test_marlin_reproduces_the_compensated_pose(
-    oed: Run, delta_folder: Path, rng: np.random.Generator
-) -> None:
-    """Marlin: carriages at H + sqrt(arm^2 - R^2) after the move by M666's adjustment."""
-    assert oed("compensate", delta_folder, "--to", "marlin")[0] == 0
-    text = (delta_folder / "compensation.gcode").read_text("utf-8")
-    g, adjust = (
-        words(next(r for r in text.splitlines() if r.startswith(c)))
-        for c in ("M665", "M666")
-    )
-    command, q = points(rng), []
-    radius, height = float(g["R"]), float(g["H"])
-    for base, axis, trim in zip((210, 330, 90), "XYZ", "ABC", strict=True):
-        arm, angle = float(g["L"]) + float(g[trim]), np.radians(base + float(g[axis]))
-        assert float(adjust[axis]) <= 0.0
-        dx = 1e3 * command[:, 0] - radius * np.cos(angle)
-        dy = 1e3 * command[:, 1] - radius * np.sin(angle)
-        at_home = height + np.sqrt(arm**2 - radius**2)
-        above = at_home - 1e3 * command[:, 2] - np.sqrt(arm**2 - dx**2 - dy**2)
-        q.append(above - float(adjust[axis]))
-    assert np.abs(nozzle(1e-3 * np.column_stack(q)) - command).max() < 5e-7
-
-
-def marlin_words(folder: Path) -> tuple[dict[str, str], str]:
-    """Words of M665 and the whole text of the export in a folder."""
-    text = (folder / "compensation.gcode").read_text("utf-8")
-    return words(next(r for r in text.splitlines() if r.startswith("M665"))), text
-
-
-def test_marlin_names_its_version_and_spares_the_calibration_radius(
-    oed: Run, delta_folder: Path, tmp_path: Path
-) -> None:
-    """B is the trim of a rod from 2.0.6 on, and before that the radius of calibration."""
-    code, out, _ = oed("compensate", delta_folder, "--to", "marlin")
-    assert code == 0
-    assert "For Marlin 2.0.6 or later" in out
-    assert "name the version with --firmware" in out
-    given, text = marlin_words(delta_folder)
-    assert set(given) == set("LRHXYZABC")
-    assert "\nM500" not in text  # the version is not known: the user stores it
-    call = ("compensate", delta_folder, "--to", "marlin", "--firmware")
-    assert oed(*call, "2.1.2")[0] == 0
-    given, text = marlin_words(delta_folder)
-    assert set(given) == set("LRHXYZABC")
-    assert "\nM500 ; store\n" in text
-    code, _, err = oed(*call, "2.0.5")
-    assert code == 2
-    assert (
-        "one rod length, and the arms differ; set DELTA_DIAGONAL_ROD_TRIM_TOWER" in err
-    )
-    alike = DELTA.copy()
-    alike[1:4] = 0.345
-    same_rods = sample.save(tmp_path / "s", sample.result(linear_delta.machine, alike))
-    for version in (None, "1.1.8", "2.0.5", "2.0.6"):
-        option = [] if version is None else ["--firmware", version]
-        assert oed("compensate", same_rods, "--to", "marlin", *option)[0] == 0
-        given, text = marlin_words(same_rods)
-        assert ("B" in given) == (version == "2.0.6")
-        assert "\nM500 ; store\n" in text
-    for version, said in (("1.0.2", "has no M665 H"), ("new", "no version of Marlin")):
-        code, _, err = oed(
-            "compensate", same_rods, "--to", "marlin", "--firmware", version
-        )
-        assert code == 2
-        assert said in err
-    code, _, err = oed("compensate", same_rods, "--to", "csv", "--firmware", "2.0.5")
-    assert code == 2
-    assert "csv is the same for all versions" in err
-
-
-def family(**changes: float) -> np.ndarray:
-    """A delta with a radius for each tower, all alike, and upright towers."""
-    machine = delta_family.machine
-    offsets = dict(
-        zip(
-            [p.name for p in linear_delta.machine.parameters],
-            DELTA - linear_delta.machine.nominal,
-            strict=True,
-        )
-    )
-    values = machine.nominal.copy()
-    for k, parameter in enumerate(machine.parameters):
-        stem = "radius" if parameter.name.startswith("radius") else parameter.name
-        values[k] += offsets.get(stem, 0.0) + changes.get(parameter.name, 0.0)
-    return values
-
-
-def family_folder(folder: Path, **changes: float) -> Path:
-    return sample.save(folder, sample.result(delta_family.machine, family(**changes)))
-
-
-def test_klipper_takes_the_family_where_its_parameters_allow(
-    oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
-    folder = family_folder(tmp_path / "upright")
-    assert oed("compensate", folder, "--to", "klipper")[0] == 0
-    text = (folder / "compensation.cfg").read_text("utf-8")
-    command = points(rng)
-    q = 1e-3 * carriages_of_klipper(1e3 * command, text)
-    radius, values = family()[0], family()
-    reached = delta.nozzle(q, radius, values[3:6], values[6:9], values[9:12])
-    assert np.abs(reached - command).max() < 5e-9
-    for kind in ("rrf", "marlin"):
-        assert oed("compensate", folder, "--to", kind)[0] == 0
-    leaning = family_folder(tmp_path / "leaning", lean2=1.5e-3, tip1=-0.8e-3)
-    code, _, err = oed("compensate", leaning, "--to", "klipper")
-    assert code == 2
-    assert "lean2 1.5, tip1 -0.8 mrad" in err
-    assert 'fixed = ["lean1", "lean2", "lean3", "tip1", "tip2", "tip3", ...]' in err
-    uneven = family_folder(tmp_path / "uneven", radius3=3e-4)
-    code, _, err = oed("compensate", uneven, "--to", "klipper")
-    assert code == 2
-    assert (
-        "the towers have three: radius1 162.050, radius2 162.050, radius3 162.350"
-        in err
-    )
-    assert "linear_delta" in err
-    assert oed("compensate", uneven, "--to", "csv")[0] == 0
-
-
 @pytest.mark.parametrize(
     ("name", "stem"), [("f.csv", "f"), ("f.txt", "f"), ("f", "f"), ("f.1", "f.1")]
 )
@@ -220,31 +55,9 @@ def test_further_files_take_the_name_without_its_end(
     assert written == {name, *others}
 
 
-def test_rrf_reproduces_the_compensated_pose(
-    oed: Run, delta_folder: Path, rng: np.random.Generator
-) -> None:
-    """RepRapFirmware 3: carriage i homes to H + sqrt(L_i^2 - R^2) + its adjustment
-    (homedCarriageHeights of LinearDeltaKinematics::Recalc, since 2.03).
-    """
-    assert oed("compensate", delta_folder, "--to", "rrf")[0] == 0
-    text = (delta_folder / "compensation.g").read_text("utf-8")
-    g, adjust = (
-        words(next(r for r in text.splitlines() if r.startswith(c)))
-        for c in ("M665", "M666")
-    )
-    arm = np.array([float(v) for v in g["L"].split(":")])
-    a = np.radians([30 + float(g["X"]), 30 - float(g["Y"]), float(g["Z"])])
-    radius = float(g["R"])
-    x = radius * np.array([-np.cos(a[0]), np.cos(a[1]), -np.sin(a[2])])
-    y = radius * np.array([-np.sin(a[0]), -np.sin(a[1]), np.cos(a[2])])
-    homed = float(g["H"]) + np.sqrt(arm**2 - radius**2)
-    homed += [float(adjust[k]) for k in "XYZ"]
-    command = points(rng)
-    tower = np.column_stack([x, y])
-    across = ((1e3 * command[:, None, :2] - tower) ** 2).sum(-1)
-    q = homed - (1e3 * command[:, 2:] + np.sqrt(arm**2 - across))
-    assert np.abs(nozzle(1e-3 * q) - command).max() < 5e-7
-    assert sum(float(adjust[k]) for k in "XYZ") == pytest.approx(0.0, abs=2e-4)
+def nozzle(q: np.ndarray) -> np.ndarray:
+    """Tool points of the machine with the identified parameters, by the oracle."""
+    return delta.nozzle(q, DELTA[0], DELTA[1:4], DELTA[4:7], DELTA[7:])
 
 
 def test_linuxcnc_reproduces_a_hexapod_and_a_tripod(

@@ -7,7 +7,7 @@ from pathlib import Path
 import compensation_sample as sample
 import numpy as np
 import pytest
-from test_compensate_command import carriages_of_klipper
+from oracles.firmware.klipper import Klipper, example
 from test_delta_real import Session, fitted, heights_of, measurement, sessions
 
 from oed.measurement import Measurement
@@ -24,26 +24,14 @@ def test_klippers_residuals_agree_to_the_printed_digits(
     tmp_path: Path,
     name: str,
 ) -> None:
-    """Contacts where Klipper, with our file, sends each carriage: height by Newton on
-    its formula for the carriages' travel.
-    """
+    """The heights that Klipper, with our file, believes in where its carriages were."""
     session = sessions[name]
     fit = fitted(measurement, session)
     folder = sample.save(tmp_path, sample.result(machine, fit.theta[:10]))
     assert cli.main(["compensate", str(folder), "--to", "klipper"]) == 0
     text = (folder / "compensation.cfg").read_text("utf-8")
-    contacts = 1e3 * session.contacts
-    point = np.zeros_like(contacts)
-    for _ in range(20):
-        step = 1e-3 * np.eye(3)
-        columns = [
-            carriages_of_klipper(point + s, text)
-            - carriages_of_klipper(point - s, text)
-            for s in step
-        ]
-        slope = np.stack(columns, axis=2) / 2e-3
-        miss = carriages_of_klipper(point, text) - contacts
-        point = point - np.linalg.solve(slope, miss[:, :, None])[:, :, 0]
+    printer = Klipper(example()).apply(text).geometry
+    point = printer.tool(1e3 * session.contacts)
     offset = fit.theta[list(measurement.names).index(f"{name}_probe.offset")]
     read = measurement.readings([heights_of(measurement, session)], fit.theta)
     assert point[:, 2] == pytest.approx(1e3 * (read - offset), abs=3e-6)

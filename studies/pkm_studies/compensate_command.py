@@ -11,6 +11,23 @@ from pkm_studies import console
 
 DONE, FAILED = 0, 1
 
+Commands = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        help="Largest number of commands of a table [5000].",
+        show_default=False,
+    ),
+]
+FirmwareVersion = Annotated[
+    str | None,
+    typer.Option(
+        metavar="VERSION",
+        help="Version of the controller's firmware, as in 2.0.5 [that of the import].",
+        show_default=False,
+    ),
+]
+
 
 def compensate(
     folder: Annotated[
@@ -37,22 +54,8 @@ def compensate(
             metavar="STUDY", help="The study, where its machine is a file of yours."
         ),
     ] = None,
-    commands: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Largest number of commands of a table [5000].",
-            show_default=False,
-        ),
-    ] = None,
-    firmware: Annotated[
-        str | None,
-        typer.Option(
-            metavar="VERSION",
-            help="Version of the controller's firmware, as in 2.0.5 [that of the import].",
-            show_default=False,
-        ),
-    ] = None,
+    commands: Commands = None,
+    firmware: FirmwareVersion = None,
     force: Annotated[bool, typer.Option(help="Write a bad fit as well.")] = False,
 ) -> int:
     """Write what the controller reads: parameters, tables, measuring poses."""
