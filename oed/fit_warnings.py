@@ -7,14 +7,10 @@ import numpy as np
 from oed import text, units
 from oed.estimate import AT_PRIOR, WEAK, Estimate
 from oed.measurement import Measurement
+from oed.result.trust import FAR, chi2_is_large
 
-#: tolerances from nominal from which on an estimate is far off
-FAR = 4.0
 #: standard deviations from a bound within which an estimate is near it
 NEAR = 2.0
-#: chi2 is too large beyond its expectation by so many of its standard deviations, where
-#: there are enough degrees of freedom
-EXCESS, LEAST_DOF = 5.0, 3
 
 
 def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
@@ -44,20 +40,21 @@ def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
             "these lie near a bound of theirs, which estimate and sd ignore; draws of the"
             f" posterior and predictions keep to it: {', '.join(near)}"
         )
-    if chi2_is_large(estimate.chi2, estimate.dof):
-        sentences.append(_large_residuals(estimate))
-    return sentences
+    return [*sentences, *large_residuals(estimate)]
 
 
-def _large_residuals(estimate: Estimate) -> str:
+def large_residuals(estimate: Estimate) -> list[str]:
+    """A sentence on residuals that the stated noise does not explain."""
+    if not chi2_is_large(estimate.chi2, estimate.dof):
+        return []
     ratio = np.sqrt(estimate.chi2 / estimate.dof)
     remedy = "[noise] estimate = true widens the intervals"
     if estimate.noise_posterior is not None:
         remedy = "the intervals are as wide as the residuals ask for"
-    return (
+    return [
         f"the residuals are {ratio:.1f} times the stated noise: noise is understated, or"
         f" an effect is not in the model; {remedy}"
-    )
+    ]
 
 
 def _wide_parameters(
@@ -91,10 +88,3 @@ def _near_bounds(measurement: Measurement, estimate: Estimate) -> list[str]:
         estimate.theta + margin > bounds[:, 1]
     )
     return [measurement.names[k] for k in measurement.bounded if near[k]]
-
-
-def chi2_is_large(chi2: float, dof: float) -> bool:
-    """Whether chi2 is larger than the stated noise allows."""
-    if dof < LEAST_DOF:
-        return False
-    return bool(chi2 > dof + EXCESS * np.sqrt(2.0 * dof))

@@ -144,6 +144,7 @@ def test_a_summary_counts_failures_and_means(campaign: Path) -> None:
         for seed, inside in ((1, 0.9), (2, 1.0), (3, np.nan)):
             failed = np.isnan(inside)
             figures = {"inside_95": inside, "nees": inside, "p_value": 0.5}
+            figures["trusted"] = inside > 0.9
             figures |= {"predicted_z_um": 3.0, "realised_z_um": 4.0}
             row = {k: np.nan if failed else v for k, v in figures.items()}
             rows.append({**cells, "seed": seed, "error": "no" if failed else "", **row})
@@ -155,6 +156,7 @@ def test_a_summary_counts_failures_and_means(campaign: Path) -> None:
     assert first["inside_95_low"] == pytest.approx(0.95 - 1.959964 * 0.05)
     assert first["inside_95_high"] == 1.0
     assert first["realised_z_um"] == pytest.approx(4.0)
+    assert first["not_trusted"] == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.arrays import Array, Index, Mask
 from oed.checks import copies, sentences
 from oed.checks.explain import PHYSICAL, Explanation, explain
 from oed.checks.findings import CheckFinding, Severity
@@ -21,9 +21,6 @@ from oed.checks.session import SessionReadings
 #: ratio of the penalised sum of squares from which mistakes are tried though the
 #: residuals are small: parameters far outside their tolerances took the mistake in
 STRAINED = 2.0
-#: residuals over the stated noise up to which a noise that is to be estimated, and was
-#: stated as a guess, explains them
-GUESS = 10.0
 #: values from which on mistakes are tried: fewer fit too many of them
 LEAST_VALUES = 8
 #: outliers that are tried as an exchanged pair, at most
@@ -36,8 +33,10 @@ class CheckedSession:
 
     session       the readings
     findings      the most harmful first
-    goodness      of the readings that are not set aside; None where they have no fit
-    outliers      readings to set aside, and how far each is; None where none can be
+    goodness      of the readings without those set aside and those in doubt; None where
+                  they have no fit
+    outliers      readings to set aside or in doubt, and how far each is; None where a
+                  mistake explains the readings, or more deviate than can be outliers
     explanations  mistakes that explain readings which do not fit
     """
 
@@ -58,9 +57,17 @@ class CheckedSession:
         return any(one.kind not in PHYSICAL for one in self.explanations)
 
     @property
+    def doubtful_values(self) -> Mask:
+        """Mask (N,) of doubtful readings among the values that are not set aside."""
+        reading = self.session.reading_of_value
+        doubtful = () if self.outliers is None else self.outliers.doubtful
+        used = ~np.isin(reading, self.set_aside)
+        return np.isin(reading, [one.reading for one in doubtful])[used]
+
+    @property
     def set_aside(self) -> tuple[int, ...]:
         """Readings, by number, that a fit should leave out."""
-        if self.outliers is None or self.bad_fit:
+        if self.outliers is None:
             return ()
         return tuple(sorted(self.outliers.readings))
 
@@ -82,17 +89,21 @@ def check_session(
     outside = ranges.outside(session.y)
     suspects = np.unique(session.reading_of_value[outside])
     outliers = find_outliers(session, suspects, robust=noise_is_a_guess)
-    fitted = None if outliers is None else goodness(outliers.solution)
+    fitted = None if outliers is None else goodness(outliers.rest)
     explanations = _explanations(session, alternatives, outliers, fitted)
+    if explanations:
+        every = fit(session)
+        fitted = None if every is None else goodness(every)
     single = outliers is not None and not outliers.exhausted and not explanations
     findings = [
         *sentences.explained(explanations),
         *_copies(session, ranges),
         *_senses(session),
-        *_fit_findings(outliers, fitted, explanations, noise_is_a_guess),
+        *_fit_findings(session, outliers, fitted, explanations, noise_is_a_guess),
     ]
     if single and outliers is not None:
         findings += sentences.outliers(session, outliers, _exchanged(session, outliers))
+        findings += sentences.doubtful(session, outliers)
     findings += _outside(session, ranges, outside, outliers if single else None)
     findings.sort(key=lambda finding: finding.severity)
     return CheckedSession(
@@ -115,13 +126,14 @@ def _explanations(
         return []
     if outliers is None or fitted is None:
         return explain(session, None, alternatives)
-    strained = outliers.solution.ratio > STRAINED
+    strained = outliers.rest.ratio > STRAINED
     if not (outliers.exhausted or fitted.too_large or strained):
         return []
-    return explain(session, outliers.solution, alternatives)
+    return explain(session, outliers.rest, alternatives)
 
 
 def _fit_findings(
+    session: SessionReadings,
     outliers: OutlierSearch | None,
     fitted: Goodness | None,
     explanations: list[Explanation],
@@ -132,13 +144,15 @@ def _fit_findings(
         return []
     if fitted is None or outliers is None:
         return [sentences.no_fit()]
-    bearable = noise_is_a_guess and fitted.ratio <= GUESS
-    if fitted.too_large and bearable and not outliers.exhausted:
-        return [sentences.guessed(fitted)]
-    if fitted.too_large or outliers.exhausted:
-        return [sentences.too_large(fitted, outliers)]
+    is_bad = fitted.is_bad(noise_is_a_guess=noise_is_a_guess)
+    if is_bad or outliers.exhausted:
+        return [sentences.too_large(session, fitted, outliers)]
+    if fitted.ratio is None:
+        return []
+    if fitted.too_large:
+        return [sentences.guessed(fitted.ratio, outliers)]
     if fitted.too_small:
-        return [sentences.too_small(fitted)]
+        return [sentences.too_small(fitted, outliers)]
     return []
 
 
@@ -170,7 +184,7 @@ def _outside(
     """Readings outside their predicted range that are not named as outliers."""
     named: Array = np.empty(0)
     if outliers is not None:
-        named = np.array(outliers.readings)
+        named = np.array([one.reading for one in outliers.far])
     reading = session.reading_of_value
     left_over = outside[~np.isin(reading[outside], named)]
     return [sentences.outside(session, ranges, left_over)] if left_over.size else []
@@ -180,7 +194,7 @@ def _exchanged(
     session: SessionReadings, outliers: OutlierSearch
 ) -> tuple[int, int] | None:
     """Two outliers that fit where the other one stands, by number."""
-    numbers = outliers.readings
+    numbers = [one.reading for one in outliers.far]
     if not 2 <= len(numbers) <= MOST_PAIRED:
         return None
     reading = session.reading_of_value

@@ -158,7 +158,7 @@ def _without_outliers(session: SessionReadings, solution: Fit) -> Fit:
     result = find_outliers(session, np.empty(0, dtype=np.intp))
     if result is None or result.exhausted:
         return solution
-    return result.solution
+    return result.rest
 
 
 # -- unknown amounts -------------------------------------------------------------------

@@ -5,15 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+import numpy as np
 from scipy import special
 
-from oed.arrays import Array
+from oed.arrays import Array, Mask
 from oed.checks.fit import Fit, residual_weights
 from oed.estimate import Estimate
 from oed.measurement import Measurement, Series
-
-#: probability of a tail below which residuals are too large or too small
-ALARM = 1e-5
+from oed.result.trust import ALARM, GUESS, noise_ratio
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,14 +31,19 @@ class Goodness:
     p_high: float
 
     @property
-    def ratio(self) -> float:
-        """Residuals over the stated noise."""
-        return float((self.chi2 / self.dof) ** 0.5) if self.dof > 0.0 else 1.0
+    def ratio(self) -> float | None:
+        """Residuals over the stated noise; None where too little freedom judges it."""
+        return noise_ratio(self.chi2, self.dof)
 
     @property
     def too_large(self) -> bool:
         """Whether the stated noise does not explain the residuals."""
         return self.p_high < ALARM
+
+    def is_bad(self, *, noise_is_a_guess: bool) -> bool:
+        """Whether neither the stated noise nor an estimated one explains the residuals."""
+        explained = noise_is_a_guess and self.chi2 <= GUESS**2 * self.dof
+        return self.too_large and not explained
 
     @property
     def too_small(self) -> bool:
@@ -57,13 +61,27 @@ def goodness(solution: Fit) -> Goodness:
 
 
 def goodness_of_estimate(
-    measurement: Measurement, series: Sequence[Series], estimate: Estimate
+    measurement: Measurement,
+    series: Sequence[Series],
+    estimate: Estimate,
+    doubtful: Mask | None = None,
 ) -> Goodness:
-    """Goodness of an estimate's fit against the noise that the set-ups state."""
+    """Goodness of an estimate's fit against the noise that the set-ups state.
+
+    doubtful  (N,) values that are fitted, and that the figures leave out
+    """
+    noise = measurement.noise(series)
     jacobian = measurement.jacobian(series, estimate.theta)
     slopes = measurement.in_prior_units(jacobian, estimate.prior_sd > 0.0)
-    white = measurement.noise(series).whiten(slopes)
-    return goodness_of(estimate.chi2, residual_weights(white))
+    if doubtful is None or not doubtful.any():
+        return goodness_of(estimate.chi2, residual_weights(noise.whiten(slopes)))
+    # values that are left out have no information and no misfit
+    weight = np.where(doubtful, 0.0, 1.0)
+    white = noise.whiten(weight * estimate.residuals)
+    weights = residual_weights(noise.whiten(weight[:, None] * slopes))
+    # each value left out would add a weight of 1
+    count = int(doubtful.sum())
+    return goodness_of(float(white @ white), np.sort(weights)[: len(weights) - count])
 
 
 def goodness_of(chi2: float, weights: Array) -> Goodness:

@@ -9,7 +9,9 @@ limit for each reading.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -29,25 +31,14 @@ def best_set(
     """
     if not 0 < len(removed) <= MOST:
         return removed
-    candidates = _candidates(prediction, reading)
-    candidates = np.union1d(candidates, np.array(removed, dtype=np.intp))
+    candidates = candidate_readings(prediction, reading, removed)
     best, best_value = removed, _value(prediction, reading, removed, limit)
-    for size in range(1, MOST + 1):
-        sets, values = _values(prediction, reading, candidates, size, limit)
-        if not len(sets):
-            continue
+    for solutions in solve_sets(prediction, reading, candidates):
+        values = solutions.gain - limit**2 * solutions.sets.shape[1]
         k = int(np.argmax(values))
         if values[k] > best_value + 1e-9:
-            best, best_value = [int(one) for one in sets[k]], float(values[k])
+            best, best_value = [int(one) for one in solutions.sets[k]], float(values[k])
     return best
-
-
-def _candidates(prediction: LeaveOneOut, reading: Index) -> Index:
-    """The readings whose values are farthest from what all others predict."""
-    pulls = np.abs(prediction.gradient) / np.sqrt(prediction.diagonal)
-    largest = np.zeros(1 + int(reading[-1]))
-    np.maximum.at(largest, reading, pulls)
-    return np.argsort(-largest, kind="stable")[:CANDIDATES].astype(np.intp)
 
 
 def _value(
@@ -61,24 +52,69 @@ def _value(
     return gain - limit**2 * len(members)
 
 
-def _values(
-    prediction: LeaveOneOut, reading: Index, candidates: Index, size: int, limit: float
-) -> tuple[Index, Array]:
-    """Sets (S, size) of readings with equally many values each, and their worth (S,)."""
+@dataclasses.dataclass(frozen=True)
+class SetSolutions:
+    """Best shifts of the values of sets of equally many readings and values.
+
+    sets             (S, m) numbers of readings
+    values           (S, k) places of their values
+    shift, sd        (S, k) best shifts and their standard deviations, SI
+    gain             (S,) by which they lower the penalised sum of squares
+    log_determinant  (S,) of the precision of the values
+    """
+
+    sets: Index
+    values: Index
+    shift: Array
+    sd: Array
+    gain: Array
+    log_determinant: Array
+
+
+def candidate_readings(
+    prediction: LeaveOneOut, reading: Index, members: Sequence[int]
+) -> Index:
+    """The readings that others predict worst, and the members, by number."""
+    pulls = np.abs(prediction.gradient) / np.sqrt(prediction.diagonal)
+    largest = np.zeros(1 + int(reading[-1]))
+    np.maximum.at(largest, reading, pulls)
+    worst = np.argsort(-largest, kind="stable")[:CANDIDATES]
+    return np.union1d(worst, np.array(members, dtype=np.intp))
+
+
+def solve_sets(
+    prediction: LeaveOneOut, reading: Index, candidates: Index
+) -> list[SetSolutions]:
+    """Solutions for all sets of 1 to MOST candidates with equally many values each."""
     places = [np.flatnonzero(reading == one) for one in candidates]
     count = max(len(place) for place in places)
     whole = [k for k, place in enumerate(places) if len(place) == count]
     chosen = np.concatenate([places[k] for k in whole])
     precision = prediction.columns(chosen)[chosen]
-    gradient = prediction.gradient[chosen]
-    sets = np.array(
-        list(itertools.combinations(range(len(whole)), size)), dtype=np.intp
-    )
-    if not len(sets):
-        return sets, np.empty(0)
-    at = (count * sets[:, :, None] + np.arange(count)).reshape(len(sets), -1)
-    blocks = precision[at[:, :, None], at[:, None, :]]
-    parts = gradient[at]
-    solved = np.linalg.solve(blocks, parts[..., None])[..., 0]
-    gains = np.einsum("si,si->s", parts, solved)
-    return candidates[np.array(whole)][sets], gains - limit**2 * size
+    names = candidates[np.array(whole)]
+    solutions = []
+    for size in range(1, min(MOST, len(whole)) + 1):
+        combined = list(itertools.combinations(range(len(whole)), size))
+        sets = np.array(combined, dtype=np.intp)
+        at = (count * sets[:, :, None] + np.arange(count)).reshape(len(sets), -1)
+        gradient = prediction.gradient[chosen][at]
+        blocks = precision[at[:, :, None], at[:, None, :]]
+        inverse = np.linalg.inv(blocks)
+        shift = np.einsum("sij,sj->si", inverse, gradient)
+        solutions.append(
+            SetSolutions(
+                sets=names[sets],
+                values=chosen[at],
+                shift=shift,
+                sd=np.sqrt(_variances(blocks, inverse)),
+                gain=np.maximum(np.einsum("si,si->s", gradient, shift), 0.0),
+                log_determinant=np.linalg.slogdet(blocks)[1],
+            )
+        )
+    return solutions
+
+
+def _variances(blocks: Array, inverse: Array) -> Array:
+    """Diagonals (S, k) of inverses of blocks (S, k, k): 1 over the block's at least."""
+    least = 1.0 / np.einsum("sii->si", blocks)
+    return np.asarray(np.maximum(np.einsum("sii->si", inverse), least))

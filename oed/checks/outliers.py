@@ -1,58 +1,69 @@
 """Outliers: readings that all others together contradict, named row by row.
 
-Forward search: the reading with the largest pull is left out, and those that remain
-predict it anew, until none exceeds the limit. Then each one left out is tested again
-against the rest, and few are compared with other sets of few (`outlier_sets`). Pulls are
-in units of the stated noise. Where too many exceed the limit, a robust estimate of their
-scatter is the unit: noise that is larger everywhere is no outlier.
+A reading beyond the limit (`outlier_search`) is set aside only where it is surely a gross
+error and no noise, and surely this reading and no other (`outlier_odds`). One that may be
+noise of heavy tails is doubtful and stays in the fit. Where one reading of several must
+be wrong, they are unlocated: all stay in the fit, which is bad. Readings that are off
+alike (`far_reading`) are no single errors, and show an effect to a diagnosis.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
 
-from oed.arrays import Array, Index
-from oed.checks.fit import (
-    Fit,
-    LeaveOneOut,
-    fit,
-    predict_from_others,
-)
-from oed.checks.outlier_sets import best_set
+from oed.arrays import Index
+from oed.checks import outlier_odds
+from oed.checks.far_reading import FarReading, alike_readings, measure
+from oed.checks.fit import Fit, fit
+from oed.checks.goodness import goodness
+from oed.checks.outlier_odds import LOCATED, PROVEN, SHARE, Suspects
+from oed.checks.outlier_search import FarSearch, far_readings
 from oed.checks.session import SessionReadings
-from oed.kinematics import AssemblyError
 
-#: probability that a correct session has an outlier
-FALSE_ALARM = 1e-4
-#: largest share of the readings that can be outliers, and their number in small sessions
-SHARE, LEAST = 0.12, 3
-#: rounds of fit and search
-ROUNDS = 5
-#: median of a standard normal variable's absolute value
-MEDIAN = float(-special.ndtri(0.25))
+#: readings of a small session that can be outliers
+LEAST = 3
+#: probability of larger residuals from which on the other readings fit the stated noise
+SOUND = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
 class OutlierSearch:
     """Readings far from what all others predict.
 
-    readings   numbers of the readings, the farthest first
-    pulls      how far each is, in standard deviations of its prediction
-    errors     how far each is, SI, of the value that is farthest
-    values     number of that value
-    solution   fit of the other readings
+    gross      gross errors that are located, the farthest first
+    doubtful   readings that may be noise as well, the farthest first
+    unlocated  numbers of the readings one of which is wrong; empty where none is needed
+    alike      numbers of readings that are off the same way, as no single errors are
+    solution   fit of the readings that are not gross errors
+    rest       the same without the doubtful ones
     exhausted  whether more readings deviate than can be outliers
     """
 
-    readings: tuple[int, ...]
-    pulls: tuple[float, ...]
-    errors: tuple[float, ...]
-    values: tuple[int, ...]
+    gross: tuple[FarReading, ...]
+    doubtful: tuple[FarReading, ...]
+    unlocated: tuple[int, ...]
+    alike: tuple[int, ...]
     solution: Fit
+    rest: Fit
     exhausted: bool
+
+    @property
+    def readings(self) -> tuple[int, ...]:
+        """Numbers of the gross errors, the farthest first."""
+        return tuple(one.reading for one in self.gross)
+
+    @property
+    def far(self) -> tuple[FarReading, ...]:
+        """Gross errors and doubtful readings."""
+        return (*self.gross, *self.doubtful)
+
+    @property
+    def errors(self) -> tuple[float, ...]:
+        """How far each gross error is, SI."""
+        return tuple(one.error for one in self.gross)
 
 
 def find_outliers(
@@ -68,125 +79,141 @@ def find_outliers(
     most = min(max(LEAST, int(SHARE * count)), count // 4)
     if len(suspects) > most:
         suspects = suspects[:0]
-    readings = sorted({int(k) for k in suspects})
-    solution = fit(session.without(readings))
-    for _ in range(ROUNDS):
-        on_all = None if solution is None else _on_all(session, solution)
-        if on_all is None or solution is None:
-            return None
-        prediction = predict_from_others(on_all)
-        newer, exhausted = _search(session, prediction, most, readings, robust=robust)
-        if exhausted and not robust:
-            newer, exhausted = _search(session, prediction, most, readings, robust=True)
-        elif len(newer) <= most:
-            reading = session.reading_of_value
-            newer = best_set(prediction, reading, newer, _limit(reading))[:most]
-        if set(newer) == set(readings) or exhausted:
-            break
-        readings = newer
-        solution = fit(session.without(readings), solution.theta)
+    search = far_readings(session, suspects, most, robust=robust)
+    if search is None:
+        return None
+    if search.exhausted:
+        return _exhausted(session, search)
+    return _judged(session, search, noise_is_a_guess=robust)
+
+
+def _exhausted(session: SessionReadings, search: FarSearch) -> OutlierSearch | None:
+    """More readings deviate than can be outliers: none is one."""
+    solution = fit(session, search.solution.theta)
     if solution is None:
         return None
-    return _outliers(session, prediction, readings, solution, exhausted)
+    return OutlierSearch((), (), (), (), solution, solution, exhausted=True)
 
 
-def _on_all(session: SessionReadings, solution: Fit) -> Fit | None:
-    """The model of a fit at its solution, for all readings of the session.
+# -- gross errors, doubtful and unlocated readings -------------------------------------
 
-    None where the fitted machine cannot take the poses that were left out of the fit.
-    """
-    measurement, series = session.measurement, session.series
-    noise = measurement.noise(series)
-    free = np.flatnonzero(measurement.free)
-    try:
-        difference = session.y - measurement.readings(series, solution.theta)
-        jacobian = measurement.jacobian(series, solution.theta)
-    except AssemblyError:
+
+def _judged(
+    session: SessionReadings, search: FarSearch, *, noise_is_a_guess: bool
+) -> OutlierSearch | None:
+    """The readings beyond the limit, by the odds of what they are."""
+    kinds = _kinds(session, search, noise_is_a_guess=noise_is_a_guess)
+    start = search.solution.theta
+    solution = search.solution
+    if len(kinds.gross) < len(search.readings):
+        refit = fit(session.without(kinds.gross), start)
+        if refit is None:
+            return None
+        solution = refit
+    aside = [*kinds.gross, *kinds.doubtful]
+    rest = fit(session.without(aside), start) if kinds.doubtful else solution
+    if rest is None:
         return None
-    residual = noise.whiten(difference)
-    return dataclasses.replace(
-        solution,
-        session=session,
-        residual=residual,
-        slopes=noise.whiten(measurement.in_prior_units(jacobian)[:, free]),
-        noise=noise,
+    unlocated: tuple[int, ...] = ()
+    is_bad = goodness(rest).is_bad(noise_is_a_guess=noise_is_a_guess)
+    if is_bad and not kinds.alike:
+        unlocated = _unlocated(
+            session, search, kinds, noise_is_a_guess=noise_is_a_guess
+        )
+    return OutlierSearch(
+        gross=measure(session, search.prediction, kinds.gross, kinds.gross),
+        doubtful=measure(session, search.prediction, kinds.doubtful, aside),
+        unlocated=unlocated,
+        alike=kinds.alike,
+        solution=solution,
+        rest=rest,
+        exhausted=False,
     )
 
 
-def _search(
-    session: SessionReadings,
-    prediction: LeaveOneOut,
-    most: int,
-    first: list[int],
-    *,
-    robust: bool = False,
-) -> tuple[list[int], bool]:
-    """Readings to leave out, and whether too many deviate.
+@dataclasses.dataclass(frozen=True)
+class _Kinds:
+    """Readings beyond the limit, by what they are.
 
-    With `robust`, pulls are in units of their own scatter where it exceeds the noise.
+    gross     gross errors
+    doubtful  perhaps noise
+    lost      perhaps another reading
+    alike     no single errors: the same happens to several
     """
-    reading = session.reading_of_value
-    limit = _limit(reading)
-    removed = list(first)
-    while True:
-        pulls = _pulls(prediction, reading, removed, robust=robust)
-        worst = int(np.argmax(np.abs(pulls)))
-        if abs(pulls[worst]) <= limit:
+
+    gross: list[int]
+    doubtful: list[int]
+    lost: list[int]
+    alike: tuple[int, ...]
+
+
+def _kinds(
+    session: SessionReadings, search: FarSearch, *, noise_is_a_guess: bool
+) -> _Kinds:
+    """The kind of each reading beyond the limit.
+
+    Readings that are no gross errors return to the others, whose odds they change.
+    """
+    fitted = goodness(search.solution)
+    rest_fits = noise_is_a_guess or fitted.p_high >= SOUND
+    alike = alike_readings(
+        session, measure(session, search.prediction, search.readings, search.readings)
+    )
+    gross = [k for k in search.readings if k not in alike]
+    doubtful: list[int] = []
+    lost: list[int] = []
+    while gross:
+        suspects = _suspects(session, search, gross)
+        where = outlier_odds.location_odds(suspects)
+        what = outlier_odds.gross_odds(suspects, rest_fits=rest_fits)
+        newly_lost = [k for k in gross if where[k] < np.log(LOCATED)]
+        noise = [k for k in gross if what[k] < np.log(PROVEN) and k not in newly_lost]
+        if not newly_lost and not noise:
             break
-        if len(removed) >= most:
-            return removed, True
-        removed.append(int(reading[worst]))
-    for one in list(removed):
-        others = [k for k in removed if k != one]
-        pulls = _pulls(prediction, reading, others, robust=robust)
-        if np.abs(pulls[reading == one]).max() <= limit:
-            removed = others
-    return removed, False
+        lost += newly_lost
+        doubtful += noise
+        gross = [k for k in gross if k not in (*newly_lost, *noise)]
+    if fitted.is_bad(noise_is_a_guess=noise_is_a_guess):
+        # what spoils the rest may be what is the matter with them
+        doubtful = []
+    return _Kinds(gross, doubtful, lost, alike)
 
 
-def _limit(reading: Index) -> float:
-    """Pull beyond which a reading counts as an outlier."""
-    return float(-special.ndtri(0.5 * FALSE_ALARM / len(reading)))
-
-
-def _pulls(
-    prediction: LeaveOneOut, reading: Index, removed: list[int], *, robust: bool
-) -> Array:
-    """Pulls (N,) from what the readings not removed predict; 0 for those removed."""
-    members = np.flatnonzero(np.isin(reading, removed))
-    gradient, diagonal = prediction.without(members)
-    pulls = gradient / np.sqrt(diagonal)
-    if not robust:
-        return np.asarray(pulls)
-    others = np.setdiff1d(np.arange(len(reading)), members)
-    scatter = float(np.median(np.abs(pulls[others]))) / MEDIAN
-    return np.asarray(pulls / max(scatter, 1.0))
-
-
-def _outliers(
+def _unlocated(
     session: SessionReadings,
-    prediction: LeaveOneOut,
-    readings: list[int],
-    solution: Fit,
-    exhausted: bool,
-) -> OutlierSearch:
-    reading = session.reading_of_value
-    records = []
-    for one in readings:
-        others = [k for k in readings if k != one]
-        members = np.flatnonzero(np.isin(reading, others))
-        gradient, diagonal = prediction.without(members)
-        pulls = gradient / np.sqrt(diagonal)
-        members_of_one = np.flatnonzero(reading == one)
-        worst = int(members_of_one[np.argmax(np.abs(pulls[members_of_one]))])
-        error = float(gradient[worst] / diagonal[worst])
-        records.append((one, float(pulls[worst]), error, worst))
-    records.sort(key=lambda record: -abs(record[1]))
-    return OutlierSearch(
-        readings=tuple(r[0] for r in records),
-        pulls=tuple(r[1] for r in records),
-        errors=tuple(r[2] for r in records),
-        values=tuple(r[3] for r in records),
-        solution=solution,
-        exhausted=exhausted,
+    search: FarSearch,
+    kinds: _Kinds,
+    *,
+    noise_is_a_guess: bool,
+) -> tuple[int, ...]:
+    """Readings one of which is wrong: without the right one the others fit.
+
+    Empty where more than that is wrong.
+    """
+    aside = [*kinds.gross, *kinds.doubtful]
+    lost = kinds.lost
+    if not lost:
+        suspects = _suspects(session, search, aside)
+        lost = [outlier_odds.likeliest(suspects)]
+    without = fit(session.without([*aside, *lost]), search.solution.theta)
+    if without is None:
+        return ()
+    if goodness(without).is_bad(noise_is_a_guess=noise_is_a_guess):
+        return ()
+    suspects = _suspects(session, search, [*aside, *lost])
+    likely = [k for one in lost for k in outlier_odds.rivals(suspects, one)]
+    return tuple(dict.fromkeys(likely))
+
+
+def _suspects(
+    session: SessionReadings, search: FarSearch, members: Sequence[int]
+) -> Suspects:
+    setups = {s.setup for s in session.series}
+    stated = {session.measurement.setups[n].statement.student_dof for n in setups}
+    return Suspects(
+        prediction=search.prediction,
+        reading=session.reading_of_value,
+        sigma=search.prediction.noise.sigma,
+        members=tuple(members),
+        student=stated.pop() if len(stated) == 1 else None,
     )

@@ -9,12 +9,15 @@ import numpy as np
 from oed.arrays import Index
 from oed.checks.copies import EqualReadings
 from oed.checks.explain import Explanation
+from oed.checks.far_reading import FarReading
 from oed.checks.findings import CheckFinding, Severity
 from oed.checks.goodness import Goodness
+from oed.checks.outlier_odds import LOCATED, PROVEN
 from oed.checks.outliers import OutlierSearch
 from oed.checks.ranges import Ranges
 from oed.checks.senses import Contradiction
 from oed.checks.session import SessionReadings
+from oed.result.goodness import without_rows
 
 #: rows that a sentence names, at most
 NAMED = 6
@@ -48,39 +51,85 @@ def no_fit() -> CheckFinding:
     return CheckFinding(Severity.BAD_FIT, "fit", sentence)
 
 
-def too_large(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
+def too_large(
+    session: SessionReadings, fitted: Goodness, outliers: OutlierSearch
+) -> CheckFinding:
     """Residuals that the stated noise does not explain."""
-    many = (
-        " More rows deviate than can be single outliers." if outliers.exhausted else ""
-    )
+    sentence = f"The fit is bad: {_misfit(fitted, outliers)}."
+    if outliers.unlocated:
+        rows = _rows(session, sorted(outliers.unlocated))
+        sentence = f"{sentence} {_one_of(rows)}"
+        return CheckFinding(Severity.BAD_FIT, "fit", sentence, rows)
+    rows = _rows(session, outliers.alike)
+    many = ""
+    if outliers.exhausted:
+        many = "More rows deviate than can be single outliers. "
+    elif rows:
+        many = f"{_count(rows)} are off the same way ({_listing(rows)}): no single errors. "
     sentence = (
-        f"The fit is bad: residuals are {_times(fitted.ratio)} the stated noise"
-        f" (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of freedom,"
-        f" p {_probability(fitted.p_high)}).{many} None of the usual mistakes explains"
-        " it: the noise is understated, or an effect is not in the model."
+        f"{sentence} {many}None of the usual mistakes explains it: the noise is"
+        " understated, or an effect is not in the model."
     )
     return CheckFinding(Severity.BAD_FIT, "fit", sentence)
 
 
-def guessed(fitted: Goodness) -> CheckFinding:
+def _one_of(rows: Sequence[int]) -> str:
+    """That one of some rows is wrong, and what to do."""
+    if len(rows) == 1:
+        return (
+            f"Without row {rows[0]} the others fit, but they do not prove that it is wrong:"
+            " it is not set aside. Take this reading again, and more of them."
+        )
+    listed = ", ".join(map(str, rows))
+    return (
+        f"Without any one of the rows {listed} the others fit, and the readings cannot"
+        f" tell which one is wrong (posterior odds below {LOCATED:.0f}): none is set"
+        " aside. Take these readings again, and more of them."
+    )
+
+
+def guessed(ratio: float, outliers: OutlierSearch) -> CheckFinding:
     """Residuals above a noise that was stated as a guess."""
     sentence = (
-        f"The residuals are {_times(fitted.ratio)} the stated noise: the noise was"
-        " understated, or an effect is not in the model. The standard deviations come"
-        " from the residuals, as `estimate` in [noise] asks."
+        f"The residuals are {_times(ratio)} the stated noise{_without(outliers)}: the"
+        " noise was understated, or an effect is not in the model. The standard"
+        " deviations come from the residuals, as `estimate` in [noise] asks."
     )
     return CheckFinding(Severity.REMARK, "guess", sentence)
 
 
-def too_small(fitted: Goodness) -> CheckFinding:
+def too_small(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
     """Residuals below what the stated noise leaves."""
     sentence = (
-        f"The residuals are only {_times(fitted.ratio)} the stated noise"
-        f" (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of freedom,"
-        f" p {_probability(fitted.p_low)}): the noise is overstated, or the readings"
-        " were smoothed, averaged or computed."
+        f"The residuals are only {_times(fitted.ratio or 0.0)} the stated noise"
+        f"{_without(outliers)} (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of"
+        f" freedom, p {_probability(fitted.p_low)}): the noise is overstated, or the"
+        " readings were smoothed, averaged or computed."
     )
     return CheckFinding(Severity.REMARK, "too_small", sentence)
+
+
+def _misfit(fitted: Goodness, outliers: OutlierSearch) -> str:
+    """Residuals against the stated noise, where there is freedom to judge it."""
+    p = _probability(fitted.p_high)
+    if fitted.ratio is None:
+        return (
+            f"no machine within its tolerances gives these readings{_without(outliers)}"
+            f" (p {p}). They have no degree of freedom beyond the unknowns, and say"
+            " nothing of the noise"
+        )
+    return (
+        f"residuals are {_times(fitted.ratio)} the stated noise{_without(outliers)}"
+        f" (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of freedom, p {p})"
+    )
+
+
+def _without(outliers: OutlierSearch) -> str:
+    """Which rows a figure leaves out."""
+    aside = without_rows(len(outliers.gross), "set aside")
+    doubt = without_rows(len(outliers.doubtful), "in doubt")
+    joint = " and" if aside and doubt else ""
+    return f",{aside}{joint}{doubt}" if aside or doubt else ""
 
 
 def computed(session: SessionReadings, readings: Index) -> CheckFinding:
@@ -147,24 +196,36 @@ def outliers(
             " other one stands."
         )
         findings.append(CheckFinding(Severity.OUTLIER, "exchanged", sentence, rows))
-    records = zip(
-        found_rows.readings,
-        found_rows.values,
-        found_rows.pulls,
-        found_rows.errors,
-        strict=True,
-    )
-    for reading, value, pull, error in records:
-        channel = str(session.values["channel"].iloc[value])
-        row = _rows(session, [reading])
-        predicted = session.written(channel, session.y[value] - error)
-        sd = session.fine(channel, abs(error / pull))
-        sentence = (
-            f"{_capital(_place(session, value))} is {abs(pull):.3g} sigma from the {predicted}"
-            f" that all other readings predict (sd {sd}): the row is set aside."
-        )
+    for one in found_rows.gross:
+        sentence = f"{_contradiction(session, one)}: the row is set aside."
+        row = _rows(session, [one.reading])
         findings.append(CheckFinding(Severity.OUTLIER, "outlier", sentence, row))
     return findings
+
+
+def doubtful(session: SessionReadings, outliers: OutlierSearch) -> list[CheckFinding]:
+    """Each reading that may be a gross error, or noise."""
+    findings = []
+    for one in outliers.doubtful:
+        sentence = (
+            f"{_contradiction(session, one)}. It may be a gross error or noise of heavy"
+            f" tails (posterior odds below {PROVEN:.0f}): the row stays in the fit. Take"
+            " this reading again."
+        )
+        row = _rows(session, [one.reading])
+        findings.append(CheckFinding(Severity.REMARK, "doubtful", sentence, row))
+    return findings
+
+
+def _contradiction(session: SessionReadings, one: FarReading) -> str:
+    """How far a reading is from what all others predict."""
+    channel = str(session.values["channel"].iloc[one.value])
+    predicted = session.written(channel, session.y[one.value] - one.error)
+    sd = session.fine(channel, abs(one.error / one.pull))
+    return (
+        f"{_capital(_place(session, one.value))} is {abs(one.pull):.3g} sigma from the"
+        f" {predicted} that all other readings predict (sd {sd})"
+    )
 
 
 def outside(session: SessionReadings, ranges: Ranges, values: Index) -> CheckFinding:

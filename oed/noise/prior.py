@@ -149,7 +149,7 @@ class NoisePrior:
         """Noise (L, groups) of single readings over the stated one."""
         scales = u[:, : 1 if self.is_common else self.groups]
         is_assumed = self.statement.is_assumed
-        log = ASSUMED_SCALE_SD * scales if is_assumed else SCALE_SD * _heavy(scales)
+        log = ASSUMED_SCALE_SD * scales if is_assumed else SCALE_SD * heavy_scale(scales)
         return np.repeat(np.exp(log), self.groups // scales.shape[1], axis=1)
 
     def _share(self, u: Array) -> Array:
@@ -178,8 +178,11 @@ class NoisePrior:
         return starts
 
 
-def _heavy(u: Array) -> Array:
-    """Normal coordinates with a heavier upper tail: noise may be far above a data sheet."""
+def heavy_scale(u: Array) -> Array:
+    """Log of the noise over the stated one, in SCALE_SD, of normal coordinates.
+
+    The upper tail is heavier: noise may be far above a data sheet.
+    """
     return np.asarray(u * (1.0 + (np.maximum(u, 0.0) / HEAVY_FROM) ** 2))
 
 

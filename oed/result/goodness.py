@@ -61,8 +61,12 @@ class LeftOutRun(Record, frozen=True):
 class GoodnessSection(Record, frozen=True):
     """Goodness of fit against the stated noise, and what a check of the readings says.
 
-    bad_fit   whether nothing fitted to the readings can be trusted
-    findings  sentences, the most harmful first
+    chi2, dof, p_low, p_high  without `outliers` and `doubtful`
+    bad_fit    whether nothing fitted to the readings can be trusted
+    outliers   gross errors, which no fit includes
+    doubtful   readings that may be gross errors or noise; fits include them
+    unlocated  rows of the file one of which is wrong; fits include all
+    findings   sentences, the most harmful first
     noise     the noise law as estimated, by the names of its numbers; empty where the
               noise is as stated
     noise_words  how it departs from the stated noise, as sentences
@@ -76,6 +80,8 @@ class GoodnessSection(Record, frozen=True):
     p_high: Number
     bad_fit: bool = False
     outliers: list[OutlierRecord] = []
+    doubtful: list[OutlierRecord] = []
+    unlocated: list[int] = []
     mistakes: list[MistakeRecord] = []
     findings: list[str] = []
     noise: dict[str, NoiseRecord] = {}
@@ -83,3 +89,20 @@ class GoodnessSection(Record, frozen=True):
     left_out: list[LeftOutRun] = []
     left_out_score: Number = None
     left_out_sd: Number = None
+
+    @property
+    def fit_words(self) -> str:
+        """What the figures of a fit leave out, as the end of a phrase: rows set aside."""
+        return without_rows(len(self.outliers), "set aside")
+
+    @property
+    def chi2_words(self) -> str:
+        """What chi2 leaves out, likewise: rows set aside, and rows in doubt."""
+        doubtful = without_rows(len(self.doubtful), "in doubt")
+        joint = " and" if self.outliers and doubtful else ""
+        return f"{self.fit_words}{joint}{doubtful}"
+
+
+def without_rows(count: int, what: str) -> str:
+    """` without the 2 rows set aside`; empty for none."""
+    return f" without the {count} row{'s' if count > 1 else ''} {what}" if count else ""

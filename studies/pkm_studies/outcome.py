@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from oed.result import trust
 from pkm_studies import console
 
 if TYPE_CHECKING:
@@ -32,30 +33,10 @@ def report_outcome(result: StudyResult, folder: Path, quiet: bool) -> int:
     failing = [claim for claim in result.claims if not claim.met]
     for claim in failing:
         console.print_error(f"claim {_verdict(claim)}")
-    doubts = _doubts(result)
-    for doubt in doubts:
-        console.print_error(doubt)
-    return FAILED if failing or doubts else DONE
-
-
-def _doubts(result: StudyResult) -> list[str]:
-    """Why nothing should rest on the fit of recorded readings."""
-    from pkm_studies.compensation import identified
-
-    doubts = []
-    if _fit_is_bad(result):
-        doubts.append("the fit is bad: nothing that rests on it can be trusted")
-    if result.estimate is None or result.corrected is not None:
-        return doubts
-    if identified.is_virtual(result):
-        return doubts
-    far = identified.far_parameters(result.estimate)
-    if far:
-        doubts.append(
-            f"these ended far beyond their tolerances: {', '.join(far)}; the nominal"
-            " numbers are those of another machine, or [prior] is too narrow"
-        )
-    return doubts
+    objections = trust.objections(result)
+    for objection in objections:
+        console.print_error(f"{objection}; nothing that rests on it can be trusted")
+    return FAILED if failing or objections else DONE
 
 
 def _advice(result: StudyResult) -> list[str]:
@@ -66,15 +47,6 @@ def _advice(result: StudyResult) -> list[str]:
     if prediction is None or prediction.budget is None:
         return []
     return prediction.budget.advice
-
-
-def _fit_is_bad(result: StudyResult) -> bool:
-    """Whether the readings do not fit, and no effect of a diagnosis explains it."""
-    if result.goodness is None or not result.goodness.bad_fit:
-        return False
-    if result.corrected is not None:
-        return bool(result.corrected.warnings)
-    return result.gap is None or result.gap.verdict == "none"
 
 
 def _sentence(text: str) -> str:

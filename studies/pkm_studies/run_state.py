@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.arrays import Array, Mask
 from oed.assessment import Assessment
 from oed.checkpoint import Checkpoint
 from oed.checks import CheckedSession
@@ -137,6 +137,16 @@ class RunState:
     def fit_is_bad(self) -> bool:
         """Whether nothing fitted to the readings can be trusted."""
         return self.checked is not None and self.checked.bad_fit
+
+    @property
+    def noise_is_a_guess(self) -> bool:
+        """Whether the study states a noise that is to be estimated."""
+        return self.study.noise.estimate is True
+
+    @property
+    def doubtful_values(self) -> Mask | None:
+        """Mask (N,) of fitted values that may be gross errors; None without a check."""
+        return None if self.checked is None else self.checked.doubtful_values
 
     @property
     def estimates_noise(self) -> bool:

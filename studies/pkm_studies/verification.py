@@ -8,13 +8,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from oed.result import AcceptanceSection, VerificationSection
+from oed.result import AcceptanceSection, StudyResult, VerificationSection, trust
 from pkm_studies import files, result_folder
 from pkm_studies.acceptance import plan
 from pkm_studies.acceptance.judge import judge_file
 from pkm_studies.acceptance.plan import AXES
 from pkm_studies.acceptance.promise import promised_accuracy
-from pkm_studies.compensation import identified
 from pkm_studies.compensation.export import BadFitError, result_study
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.component_values import component_values
@@ -45,12 +44,7 @@ def plan_folder(
     Raises InputError, and BadFitError where the fit promises nothing.
     """
     result = result_folder.load_result(folder)
-    objections = identified.objections(result)
-    if objections:
-        raise BadFitError(
-            f"{'; '.join(objections)}: such a fit promises no accuracy; run"
-            " `oed diagnose`"
-        )
+    _refuse_bad_fit(result)
     study = result_study(result, folder) if study_file is None else load(study_file)
     machine = study_machine(study)
     accuracy = promised_accuracy(
@@ -75,7 +69,8 @@ def plan_folder(
 def judge_folder(folder: Path, readings: Path) -> VerificationSection:
     """Judge the readings of an acceptance test, and write it into the result.
 
-    Raises InputError where the folder has no acceptance plan.
+    Raises InputError where the folder has no acceptance plan, and BadFitError where the
+    fit promises nothing.
     """
     result = result_folder.load_result(folder)
     if result.acceptance is None:
@@ -84,10 +79,21 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
             f"make it with `oed verify {folder}`",
             file=str(folder / "result.json"),
         )
+    _refuse_bad_fit(result)
     section = judge_file(result.acceptance, readings)
     result = msgspec.structs.replace(result, verification=section)
     result_folder.rewrite(folder, result)
     return section
+
+
+def _refuse_bad_fit(result: StudyResult) -> None:
+    """Raises BadFitError where the fit promises nothing."""
+    objections = trust.objections(result)
+    if objections:
+        raise BadFitError(
+            f"{'; '.join(objections)}: such a fit promises no accuracy; run"
+            " `oed diagnose`"
+        )
 
 
 def plan_sentences(section: AcceptanceSection) -> Iterator[str]:

@@ -52,9 +52,9 @@ def verify(
     """Plan the acceptance test of a compensated machine, or judge its readings."""
     from pkm_studies.compensation.export import BadFitError
 
-    if readings is not None:
-        return _judge(folder, readings)
     try:
+        if readings is not None:
+            return _judge(folder, readings)
         return _plan(folder, promise, uncertainty, power, poses, study)
     except BadFitError as error:
         console.print_error(str(error))

@@ -172,7 +172,11 @@ class EstimateView(View):
             f"{name} {value:.3g} {self.section.units[name]}"
             for name, value in rms.items()
         )
-        return f"Fit of {self.section.readings} readings: rms residual {residual}"
+        checked: result.GoodnessSection | None = self.state.sections.get("goodness")
+        aside = "" if checked is None else checked.fit_words
+        return (
+            f"Fit of {self.section.readings} readings{aside}: rms residual {residual}"
+        )
 
     def to_pandas(self) -> pd.DataFrame:
         import msgspec

@@ -24,12 +24,15 @@ class Realised:
     first: Estimate
 
 
+def exact(series: Series, truth: np.ndarray) -> np.ndarray:
+    """Bar lengths of the oracle's machine, theta (27,), without noise."""
+    cup = a3.forward(truth[:24], series.q[series.index[:, 1]]).tip + truth[24:]
+    return a3.ball_bar_reading(truth[:24], series.q[series.index[:, 0]], cup)
+
+
 def measured(series: Series, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Bar lengths that the oracle's machine, theta (27,), shows."""
-    cup = a3.forward(truth[:24], series.q[series.index[:, 1]]).tip + truth[24:]
-    return a3.ball_bar_reading(
-        truth[:24], series.q[series.index[:, 0]], cup
-    ) + NOISE * rng.standard_normal(len(series))
+    return exact(series, truth) + NOISE * rng.standard_normal(len(series))
 
 
 def against_home(

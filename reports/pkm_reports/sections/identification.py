@@ -14,6 +14,7 @@ from oed.result import (
     GoodnessSection,
     ParameterEstimate,
     StudyResult,
+    trust,
 )
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
@@ -33,8 +34,6 @@ from pkm_reports.sections import noise
 
 Estimates = Mapping[str, ParameterEstimate]
 MARKS: Final = {"weak": "chosen", "prior": "bad"}
-#: standard deviations of chi-square beyond which it disagrees with the stated noise
-DISAGREEMENT: Final = 3.0
 #: terms of a combination that are written
 TERMS: Final = 5
 
@@ -66,7 +65,8 @@ def blocks(result: StudyResult) -> list[Block]:
 
 
 def _fit(estimate: EstimateSection, checked: GoodnessSection | None) -> str:
-    sentences = [f"The fit uses {text.count(estimate.readings, 'reading')}."]
+    aside = "" if checked is None else checked.fit_words
+    sentences = [f"The fit uses {text.count(estimate.readings, 'reading')}{aside}."]
     before, after = estimate.rms_before, estimate.rms_after
     changes = [
         f"from {_rms_of(estimate, name, before)} to {_rms_of(estimate, name, after)}"
@@ -80,28 +80,15 @@ def _fit(estimate: EstimateSection, checked: GoodnessSection | None) -> str:
     if checked is not None and checked.chi2 is not None:
         return " ".join([*sentences, noise.goodness(checked)])
     chi2, dof = text.number(estimate.chi2), text.number(estimate.dof)
-    judgement = _judgement(estimate.chi2, estimate.dof)
-    sentences.append(f"χ² is {chi2} for {dof} degrees of freedom{judgement}.")
+    judgement = noise.judgement(
+        estimate.dof, is_large=trust.chi2_is_large(estimate.chi2, estimate.dof)
+    )
+    sentences.append(f"χ² is {chi2} for {dof} degrees of freedom: {judgement}.")
     return " ".join(sentences)
 
 
 def _rms_of(estimate: EstimateSection, channel: str, rms: Mapping[str, float]) -> str:
     return text.in_unit_of(channel, missing.entry(rms, channel), estimate.units)
-
-
-def _judgement(chi2: float, dof: float) -> str:
-    """Whether chi-square agrees with the stated noise, by its normal approximation."""
-    if not dof > 0.0:
-        return ""
-    z = (chi2 - dof) / np.sqrt(2.0 * dof)
-    if z > DISAGREEMENT:
-        return (
-            ", far more than the stated noise explains: the model lacks something, or"
-            " the noise is larger"
-        )
-    if z < -DISAGREEMENT:
-        return ", less than the stated noise would leave: the noise is overstated"
-    return ", as the stated noise predicts"
 
 
 def _residuals_caption(estimate: EstimateSection) -> str:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 from oed.result import GoodnessSection, NoiseRecord
+from oed.result.trust import ALARM, LEAST_DOF
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Table, TableColumn, number_columns
 from pkm_reports.missing import or_nan
 
-#: probability of a tail below which residuals disagree with the stated noise
-ALARM: Final = 1e-3
 #: runs that the table shows
 SHOWN: Final = 8
 MEANING: Final = {
@@ -30,15 +29,31 @@ def goodness(checked: GoodnessSection) -> str:
         f"a larger value has probability {_probability(high)}, a smaller one"
         f" {_probability(low)}"
     )
-    verdict = "as the stated noise predicts"
-    if high < ALARM:
-        verdict = (
+    verdict = judgement(
+        or_nan(checked.dof), is_large=high < ALARM, is_small=low < ALARM
+    )
+    return (
+        f"χ² is {chi2} for {dof} degrees of freedom{checked.chi2_words} ({chance}):"
+        f" {verdict}."
+    )
+
+
+def judgement(dof: float, *, is_large: bool, is_small: bool = False) -> str:
+    """Whether chi-square agrees with the stated noise, where any freedom judges it."""
+    if not dof >= LEAST_DOF:
+        return (
+            "no machine within its tolerances gives these readings"
+            if is_large
+            else "the readings leave no freedom to judge the noise by"
+        )
+    if is_large:
+        return (
             "far more than the stated noise explains: the model lacks something, or the"
             " noise is larger"
         )
-    elif low < ALARM:
-        verdict = "less than the stated noise would leave: the noise is overstated"
-    return f"χ² is {chi2} for {dof} degrees of freedom ({chance}): {verdict}."
+    if is_small:
+        return "less than the stated noise would leave: the noise is overstated"
+    return "as the stated noise predicts"
 
 
 def _probability(p: float) -> str:

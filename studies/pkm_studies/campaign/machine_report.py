@@ -70,7 +70,12 @@ def _intervals(campaign: Campaign, rows: Rows) -> list[Block]:
     columns = [
         TableColumn("Combination"),
         *number_columns(
-            "machines", "not fitted", "inside 95 %", "its interval", "NEES", "p < 0.001"
+            "machines",
+            "not fitted",
+            "inside 95 %",
+            "its interval",
+            "NEES",
+            "not trusted",
         ),
     ]
     cells = [
@@ -81,14 +86,14 @@ def _intervals(campaign: Campaign, rows: Rows) -> list[Block]:
             _figure(row, "inside_95"),
             f"{_figure(row, 'inside_95_low')} to {_figure(row, 'inside_95_high')}",
             _figure(row, "nees"),
-            _figure(row, "misfit_alarms"),
+            _figure(row, "not_trusted"),
         ]
         for row in rows
     ]
     caption = (
         "Share of 95 % intervals of identifiable combinations that hold the truth; mean"
         " squared error over its predicted covariance (NEES, 1 where it is right); share"
-        " of machines whose fit has p < 0.001 against the stated noise."
+        " of machines whose fit is not to be trusted."
     )
     named = {
         campaign.words(row): figures.Coverage(

@@ -17,6 +17,7 @@ def summarise_machines(fitted: pd.DataFrame) -> dict[str, Any]:
 
     inside_95  share of intervals of identifiable combinations that hold the truth, with
                the 95 % interval of its mean over machines
+    not_trusted  share of machines whose fit is not to be trusted
     nees       mean squared error over the predicted covariance, a combination
     predicted, realised   rms over machines, by component
     """
@@ -27,8 +28,9 @@ def summarise_machines(fitted: pd.DataFrame) -> dict[str, Any]:
         "inside_95_low": float(np.maximum(0.0, low)),
         "inside_95_high": float(np.minimum(1.0, high)),
         "nees": float(fitted["nees"].mean()),
-        "misfit_alarms": float((fitted["p_value"] < 0.001).mean()),
     }
+    if "trusted" in fitted:
+        row["not_trusted"] = 1.0 - float(fitted["trusted"].mean())
     for column in fitted.columns:
         if column.startswith(("predicted_", "realised_")):
             row[column] = float(np.sqrt(np.mean(fitted[column] ** 2)))

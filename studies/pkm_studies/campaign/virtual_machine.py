@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import special
 
 from oed import units
 from oed.arrays import Array
@@ -18,6 +17,7 @@ from oed.coordinates import coordinates_of_readings
 from oed.error_maps import error_maps
 from oed.estimate import Estimate
 from oed.measurement import Series
+from oed.result import GoodnessSection, trust
 from pkm_studies.campaign.interval import HALF_WIDTH
 from pkm_studies.progress import Silent
 from pkm_studies.run_state import Readings, RunState, start
@@ -77,14 +77,16 @@ def _fit_figures(state: RunState) -> dict[str, Any]:
     """Fit and intervals against the true parameters."""
     estimate = state.estimate
     assert estimate is not None
-    probability = special.chdtrc(estimate.dof, estimate.chi2)
+    goodness: GoodnessSection = state.sections["goodness"]
+    objections = trust.section_objections(goodness, state.sections["estimate"])
     inside, squared, rank = _interval_figures(state, estimate)
     return {
         "readings": len(estimate.residuals),
         "rank": rank,
         "chi2": estimate.chi2,
         "dof": estimate.dof,
-        "p_value": float(probability),
+        "p_value": goodness.p_high,
+        "trusted": not objections,
         "inside_95": inside,
         "nees": squared,
     }

@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 
 from oed.compensate import ParameterCompensator, component_errors
-from oed.result import StudyResult
+from oed.result import StudyResult, trust
 from oed.text import quantity
 from pkm_studies import catalogue, files, result_folder
-from pkm_studies.compensation import build, identified
+from pkm_studies.compensation import build
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.table_grid import COMMANDS
@@ -96,7 +96,7 @@ def export(
     commands: int = COMMANDS,
 ) -> Export:
     """As `export_folder`, from a result in memory."""
-    objections = identified.objections(result)
+    objections = trust.objections(result)
     if objections and not force:
         raise BadFitError(
             f"{'; '.join(objections)}: nothing is written; run `oed diagnose`, or"

@@ -1,14 +1,12 @@
-"""Takes identified parameters out of a result, and says why they are not to be used."""
+"""Takes identified parameters out of a result."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from oed import units
-from oed.checks.check import GUESS
-from oed.fit_warnings import FAR, chi2_is_large
 from oed.machine import Machine
-from oed.result import CorrectedSection, EstimateSection, StudyResult
+from oed.result import CorrectedSection, StudyResult
 from pkm_studies.compensation.content import Identified
 
 
@@ -67,47 +65,6 @@ def _listed(corrected: CorrectedSection, names: list[str], tables: bool) -> str:
         return f"{listed}; a controller corrects them by their states (csv, json)"
     reasons = corrected.not_tabled
     return "; ".join(f"{n} ({reasons[n]})" if n in reasons else n for n in names)
-
-
-def _explained(result: StudyResult, ratio: float) -> bool:
-    """Whether a noise that was stated as a guess, and estimated, explains the residuals."""
-    is_estimated = result.goodness is not None and bool(result.goodness.noise)
-    return is_estimated and ratio <= GUESS
-
-
-def far_parameters(estimate: EstimateSection) -> list[str]:
-    """Parameters that ended more than FAR tolerances from nominal."""
-    return [
-        name
-        for name, p in estimate.parameters.items()
-        if abs(p.value - p.nominal) > FAR * p.prior_sd
-    ]
-
-
-def objections(result: StudyResult) -> list[str]:
-    """Why the parameters should not go into a controller; none where the fit is good."""
-    corrected, estimate = result.corrected, result.estimate
-    if corrected is not None:
-        return list(corrected.warnings)
-    if estimate is None:
-        return []
-    sentences = []
-    ratio = (estimate.chi2 / max(estimate.dof, 1.0)) ** 0.5
-    if chi2_is_large(estimate.chi2, estimate.dof) and not _explained(result, ratio):
-        sentences.append(
-            f"the residuals are {ratio:.1f} times the stated noise: the fit failed"
-        )
-    far = far_parameters(estimate)
-    if far:
-        sentences.append(
-            f"these ended more than {FAR:.0f} tolerances from nominal: {', '.join(far)}"
-        )
-    if result.gap is not None and result.gap.verdict != "none":
-        sentences.append(
-            f"the diagnosis reports a gap ({result.gap.verdict}), which bends the"
-            " parameters of a fit without it"
-        )
-    return sentences
 
 
 def is_virtual(result: StudyResult) -> bool:

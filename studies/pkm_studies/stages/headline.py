@@ -49,7 +49,7 @@ def sentences(sections: Mapping[str, Any], recorded: bool = False) -> list[str]:
         *_rank(sections.get("identifiability")),
         *_gain(chosen),
         *_design(chosen),
-        *_fit(sections.get("estimate")),
+        *_fit(sections.get("estimate"), sections.get("goodness")),
         *_posterior(sections.get("posterior")),
     ]
     diagnosis: GapSection | None = sections.get("gap")
@@ -226,7 +226,7 @@ def _other_plan(plan: PlanScore, criterion: str) -> str:
     return f"{value} for {plan.name} ({share})"
 
 
-def _fit(section: EstimateSection | None) -> list[str]:
+def _fit(section: EstimateSection | None, checked: GoodnessSection | None) -> list[str]:
     if section is None:
         return []
     changes = [
@@ -234,9 +234,14 @@ def _fit(section: EstimateSection | None) -> list[str]:
         for channel, after in section.rms_after.items()
     ]
     return [
-        f"The fit of {section.readings} readings changes their rms residual:"
+        f"The fit of {section.readings} readings{_aside(checked)} changes their rms residual:"
         f" {'; '.join(changes)}."
     ]
+
+
+def _aside(checked: GoodnessSection | None) -> str:
+    """Which rows the fit leaves out."""
+    return f",{checked.fit_words}," if checked is not None and checked.outliers else ""
 
 
 def _posterior(section: PosteriorSection | None) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from oed import laplace, posterior
 from oed.arrays import Array
+from oed.checks.goodness import goodness_of_estimate
 from oed.correction import (
     CorrectedEstimate,
     EffectReadings,
@@ -148,6 +149,13 @@ def _with_section(
         command,
         workspace_axes(study, kinematics.machine),
         state.resolved.wanted_accuracy,
+        goodness_of_estimate(
+            corrected.measurement,
+            corrected.series,
+            corrected.estimate,
+            state.doubtful_values,
+        ),
+        noise_is_a_guess=state.noise_is_a_guess,
     )
     turned = find_turned_runs(corrected)
     if turned is not None:

@@ -6,12 +6,18 @@ from collections.abc import Sequence
 
 import msgspec
 
-from oed import identification, posterior, posterior_checks, run_prediction
+from oed import (
+    fit_warnings,
+    identification,
+    posterior,
+    posterior_checks,
+    run_prediction,
+)
 from oed.arrays import Array
 from oed.assembly_mode import mode_jumps
 from oed.checks.goodness import goodness_of_estimate
 from oed.measurement import Series
-from oed.result import GoodnessSection
+from oed.result import EstimateSection, GoodnessSection
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.fit.combinations import combination_estimates
 from pkm_studies.stages.fit.estimate import estimate_section
@@ -49,8 +55,22 @@ def fit_parameters(state: RunState) -> RunState:
         state = state.with_sections(estimate=section)
     runs = run_prediction.predict_runs(state.measurement, series, estimate)
     goodness = with_left_out(_goodness(state, estimate), runs)
-    state = state.with_sections(goodness=goodness)
+    section = _without_resolved_warning(section, goodness, estimate)
+    state = state.with_sections(estimate=section, goodness=goodness)
     return state.with_warnings(*section.warnings, *surprises(runs))
+
+
+def _without_resolved_warning(
+    section: EstimateSection,
+    goodness: GoodnessSection,
+    estimate: identification.Estimate,
+) -> EstimateSection:
+    """The section without the warning of residuals that rows in doubt explain."""
+    if goodness.bad_fit or not goodness.doubtful:
+        return section
+    resolved = fit_warnings.large_residuals(estimate)
+    warnings = [w for w in section.warnings if w not in resolved]
+    return msgspec.structs.replace(section, warnings=warnings)
 
 
 def _identify(
@@ -67,11 +87,17 @@ def _identify(
             max_iterations=state.study.identify.max_iterations,
         )
     except identification.IdentificationError as error:
-        checked = state.checked
-        if checked is None or not checked.findings:
-            raise
-        first = checked.findings[0].sentence
-        raise identification.IdentificationError(f"{first} {error}") from error
+        raise with_finding(state, error) from error
+
+
+def with_finding(
+    state: RunState, error: identification.IdentificationError
+) -> identification.IdentificationError:
+    """The error, opened by what the check of the readings found."""
+    checked = state.checked
+    if checked is None or not checked.findings:
+        return error
+    return identification.IdentificationError(f"{checked.findings[0].sentence} {error}")
 
 
 def _goodness(state: RunState, estimate: identification.Estimate) -> GoodnessSection:

@@ -15,7 +15,7 @@ from oed.correction import ExpectedEffect
 from oed.error_maps import Reference
 from oed.laplace import ApproximateDraws
 from oed.prediction import Spread
-from oed.result import PredictionSection, SpreadRecord, ToolAccuracy
+from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
 from oed.units import MM
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.run_state import RunState, Stream
@@ -37,7 +37,7 @@ def predict_accuracy(state: RunState) -> RunState:
     if table is None or command is None:
         return state
     assert state.readings is not None
-    if state.fit_is_bad:
+    if _is_untrusted(state):
         return state.with_warnings(_withheld(state))
     state.progress.stage("prediction")
     realised = _realised(state, command)
@@ -169,6 +169,20 @@ def _tools(
         predicted = result[table.reference].prediction
         records.append(accuracy.tool_accuracy(machine, predicted, length * MM))
     return records
+
+
+def _is_untrusted(state: RunState) -> bool:
+    """Whether a prediction would rest on a fit that is not to be trusted.
+
+    With readings of a virtual machine it rests on none.
+    """
+    if state.readings is None or state.readings.truth is not None:
+        return False
+    sections = state.sections
+    fitted = trust.section_objections(
+        sections.get("goodness"), sections.get("estimate")
+    )
+    return state.fit_is_bad or bool(fitted)
 
 
 def _withheld(state: RunState) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from oed.result import StudyResult
+from oed.result import StudyResult, trust
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Paragraph
 from pkm_reports.sections.stages.verdict import is_missed
@@ -12,6 +12,8 @@ from pkm_reports.sections.stages.verdict import is_missed
 
 def title(result: StudyResult) -> str:
     """The question that the part answers."""
+    if trust.objections(result):
+        return "The fit is not to be trusted"
     return "What could go wrong"
 
 
@@ -29,8 +31,12 @@ def ranked(result: StudyResult) -> Iterator[str]:
     A bad fit spoils everything; then what was promised and is not kept; then what a
     fit or a correction rests on.
     """
+    objections = trust.objections(result)
     if result.goodness is not None:
         yield from result.goodness.findings
+        if result.goodness.bad_fit and result.goodness.findings:
+            objections = objections[1:]
+    yield from objections
     if result.plan is not None and is_missed(result.plan):
         yield "The plan does not reach the wanted accuracy"
     failed = [claim.claim for claim in result.claims if not claim.met]

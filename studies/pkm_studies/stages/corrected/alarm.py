@@ -13,7 +13,7 @@ import msgspec
 from oed.checks import CheckFinding, Severity
 from oed.checks.explain import PHYSICAL
 from oed.correction import TurnedRuns
-from oed.result import CorrectedSection, GoodnessSection, MistakeRecord
+from oed.result import CorrectedSection, GoodnessSection, MistakeRecord, trust
 
 
 def resolves(corrected: CorrectedSection, findings: Sequence[CheckFinding]) -> bool:
@@ -38,12 +38,12 @@ def resolved_sentences(
     corrected: CorrectedSection, findings: Sequence[CheckFinding]
 ) -> dict[str, str]:
     """Alarms of the fit without effects, and what is true with them."""
-    ratio = (corrected.chi2 / corrected.dof) ** 0.5 if corrected.dof > 0.0 else 1.0
+    ratio = trust.noise_ratio(corrected.chi2, corrected.dof)
     effects = " and ".join(corrected.constants)
-    opening = (
-        f"With {effects} in the model the residuals are {ratio:.2g} times the stated"
-        " noise, and the corrected values count."
-    )
+    fit = "the readings fit"
+    if ratio is not None:
+        fit = f"the residuals are {ratio:.2g} times the stated noise"
+    opening = f"With {effects} in the model {fit}, and the corrected values count."
     return {
         f.sentence: f"{opening} Without: {f.sentence[:1].lower()}{f.sentence[1:]}"
         for f in findings

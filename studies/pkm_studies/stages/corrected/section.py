@@ -9,13 +9,13 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
+from oed.checks.goodness import Goodness
 from oed.compensate.command_grid import GridAxis
 from oed.correction import (
     CorrectedAccuracy,
     CorrectedEstimate,
 )
 from oed.expected_size import IMPLAUSIBLE
-from oed.fit_warnings import chi2_is_large
 from oed.measurement import Measurement
 from oed.posterior import Posterior
 from oed.result import (
@@ -48,11 +48,14 @@ def corrected_section(
     command: Array,
     axes: tuple[GridAxis, ...],
     wanted: Mapping[str, float],
+    goodness: Goodness,
+    *,
+    noise_is_a_guess: bool,
 ) -> CorrectedSection:
     """The section of an estimate, with tables of its effects over a box of commands.
 
     `command` (n, n_dof) are those of the workspace, `truth` (n,) are a virtual machine's
-    parameters, `wanted` the errors to reach, SI.
+    parameters, `wanted` the errors to reach, SI; `goodness` is of the fit.
     """
     measurement, estimate = corrected.measurement, corrected.estimate
     count = corrected.parameters
@@ -84,7 +87,7 @@ def corrected_section(
         posterior=marginals,
         tables=tables,
         not_tabled=dict(not_tabled),
-        warnings=_warnings(corrected),
+        warnings=_warnings(goodness, noise_is_a_guess=noise_is_a_guess),
     )
 
 
@@ -98,16 +101,14 @@ def _predicted(
     return msgspec.structs.replace(section, budget=lines)
 
 
-def _warnings(corrected: CorrectedEstimate) -> list[str]:
+def _warnings(goodness: Goodness, *, noise_is_a_guess: bool) -> list[str]:
     """Why the corrected values should not go into a controller; none if they fit."""
-    estimate = corrected.estimate
-    if not chi2_is_large(estimate.chi2, estimate.dof):
+    if not goodness.is_bad(noise_is_a_guess=noise_is_a_guess):
         return []
-    ratio = (estimate.chi2 / estimate.dof) ** 0.5
-    return [
-        f"the residuals are {ratio:.1f} times the stated noise even with the effects in"
-        " the model"
-    ]
+    misfit = "no machine within its tolerances gives these readings"
+    if goodness.ratio is not None:
+        misfit = f"the residuals are {goodness.ratio:.1f} times the stated noise"
+    return [f"{misfit} even with the effects in the model"]
 
 
 def implausible_sizes(section: CorrectedSection) -> list[str]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from oed import checks
 from oed.checks import CheckedSession
 from oed.checks.explain import Explanation
+from oed.checks.far_reading import FarReading
 from oed.dataset import Dataset
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
 from pkm_studies.resolve.resolved import ResolvedStudy
@@ -37,7 +39,7 @@ def check_dataset(
 
 def goodness_section(checked: CheckedSession) -> GoodnessSection:
     """The check as a section of the result."""
-    fitted = checked.goodness
+    fitted, outliers = checked.goodness, checked.outliers
     mistakes = [
         MistakeRecord(what=one.what, evidence=_evidence(one))
         for one in checked.explanations
@@ -48,7 +50,9 @@ def goodness_section(checked: CheckedSession) -> GoodnessSection:
         p_low=None if fitted is None else fitted.p_low,
         p_high=None if fitted is None else fitted.p_high,
         bad_fit=checked.bad_fit,
-        outliers=_outliers(checked),
+        outliers=_records(checked, () if outliers is None else outliers.gross),
+        doubtful=_records(checked, () if outliers is None else outliers.doubtful),
+        unlocated=_unlocated_rows(checked),
         mistakes=mistakes,
         findings=[finding.sentence for finding in checked.findings],
     )
@@ -61,21 +65,26 @@ def _evidence(explanation: Explanation) -> str:
     return f"residuals {explanation.before:.3g} times as given, {after}"
 
 
-def _outliers(checked: CheckedSession) -> list[OutlierRecord]:
-    if checked.outliers is None:
-        return []
+def _unlocated_rows(checked: CheckedSession) -> list[int]:
+    """Rows of the file one of which is wrong; none where the readings tell which."""
+    unlocated = () if checked.outliers is None else checked.outliers.unlocated
+    row = checked.session.values["row"].to_numpy()
+    first = np.searchsorted(checked.session.reading_of_value, sorted(unlocated))
+    return [int(k) for k in row[first]]
+
+
+def _records(checked: CheckedSession, far: Sequence[FarReading]) -> list[OutlierRecord]:
+    """Readings by their place in the file."""
     records = []
-    for value, pull in zip(
-        checked.outliers.values, checked.outliers.pulls, strict=True
-    ):
-        row = checked.session.values.iloc[value]
+    for one in far:
+        row = checked.session.values.iloc[one.value]
         records.append(
             OutlierRecord(
                 setup=str(row["setup"]),
                 run=str(row["run"]),
                 order=int(row["order"]),
                 row=int(row["row"]),
-                pull=pull,
+                pull=one.pull,
             )
         )
     return records

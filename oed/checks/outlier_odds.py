@@ -1,0 +1,291 @@
+r"""Posterior odds that a far reading is a gross error, and that it is this reading.
+
+A mean-shift model M_S gives each value of a set S a shift d (Cook and Weisberg 1982,
+sec. 2.2.2). Let r be the residuals about the nominal machine, P the inverse of their
+covariance, in which tolerances and noise are, and g = P r. The likelihood of M_S at its
+best shift d = P_SS^-1 g_S, over that without a shift, is exp(1/2 g_S^T P_SS^-1 g_S).
+A shift has a Cauchy prior of scale GROSS times the noise: gross errors have no size of
+their own. Integrated over the shifts, the log odds of M_S over no gross error are
+
+    log w_S = 1/2 g_S^T P_SS^-1 g_S + k/2 log 2 pi - 1/2 log |P_SS|
+              + sum_i log v(d_i; s_i, GROSS sigma_i) + m log(e / (1 - e)),
+
+for k values of m readings, with s_i^2 = (P_SS^-1)_ii. v is Voigt's density, the prior
+with the uncertainty s_i of the shift. e is the share of gross errors. The design enters
+by its leverage h_i: P_ii = (1 - h_i) / sigma_i^2 for independent readings.
+
+Location. A reading is located where the sets with it weigh LOCATED times those without.
+With one degree of freedom the residual has one direction u: g_i = u_i c, P_ii = u_i^2 q,
+and g_i^2 / P_ii = c^2 / q for every i. All single shifts explain the readings equally:
+a gross error is detected, and cannot be located.
+
+Gross error or noise. Let x_i be the error of predicting value i from all others but S,
+in its standard deviation. Two accounts of the session compete: normal noise with gross
+errors, (1 - e) N(x / t) / t + e v(x), and Student t noise of TAILS degrees of freedom
+without any. Both have the prior of the noise's scale t (`oed.noise.prior`). The n errors
+of prediction are worth n - r independent ones, for r effectively determined directions,
+so their log likelihood counts by the share (n - r) / n: few degrees of freedom prove
+little. A reading is gross at odds of PROVEN. Where the readings outside S do not fit
+the stated noise, something acts whose law is not known: then normal noise is no account.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import special, stats
+
+from oed.arrays import Array, Index
+from oed.checks.fit import LeaveOneOut
+from oed.checks.outlier_sets import MOST, candidate_readings, solve_sets
+from oed.noise.prior import SCALE_SD, heavy_scale
+
+#: posterior odds from which a reading is located, and is a gross error
+LOCATED, PROVEN = 100.0, 10.0
+#: scale of a gross error's prior, in units of the noise
+GROSS = 10.0
+#: gross errors expected in a session that has any, and largest share of its readings
+EXPECTED, SHARE = 8.0, 0.12
+#: degrees of freedom of noise with heavy tails
+TAILS = (4.0, 6.0, 10.0)
+#: normal coordinates of the noise's scale over which it is integrated
+_SCALES = np.linspace(-3.0, 8.0, 23)
+
+
+@dataclasses.dataclass(frozen=True)
+class Suspects:
+    """Readings that all others contradict, and what is known of the session.
+
+    prediction  of each value from all others
+    reading     (N,) number of the reading that each value belongs to
+    sigma       (N,) standard deviation of the stated noise, SI
+    members     numbers of the suspected readings
+    student     degrees of freedom of the noise where a study states them
+    """
+
+    prediction: LeaveOneOut
+    reading: Index
+    sigma: Array
+    members: tuple[int, ...]
+    student: float | None = None
+
+    @property
+    def share(self) -> float:
+        """Share of gross errors in a session that has any."""
+        return min(SHARE, EXPECTED / (1 + int(self.reading[-1])))
+
+    @property
+    def log_prior(self) -> float:
+        """Log odds of a reading being a gross error in such a session."""
+        return float(special.logit(self.share))
+
+    def values(self, readings: Sequence[int]) -> Index:
+        """Places of the values of readings."""
+        return np.flatnonzero(np.isin(self.reading, readings))
+
+
+# -- which reading it is ---------------------------------------------------------------
+
+
+def location_odds(suspects: Suspects) -> dict[int, float]:
+    """Log odds of each suspected reading over all sets of readings without it.
+
+    All sets of up to MOST readings compete; beside more suspects, the sets in which one
+    of them is exchanged for another reading.
+    """
+    members = suspects.members
+    if len(members) > MOST:
+        return {one: _exchange_odds(suspects, one) for one in members}
+    sets, weights = _weighted_sets(suspects)
+    odds = {}
+    for one in members:
+        with_it = np.array([one in s for s in sets])
+        odds[one] = float(_log_sum(weights[with_it]) - _log_sum(weights[~with_it]))
+    return odds
+
+
+def likeliest(suspects: Suspects) -> int:
+    """The reading that is the likeliest gross error beside the suspects."""
+    return int(np.argmax(_exchange_weights(suspects, None)))
+
+
+def rivals(suspects: Suspects, one: int) -> tuple[int, ...]:
+    """Readings any of which could be the one, itself among them, the likeliest first."""
+    weights = _exchange_weights(suspects, one)
+    ranked = np.argsort(-weights, kind="stable")
+    likely = weights[ranked] > weights.max() - np.log(LOCATED)
+    return tuple(int(k) for k in ranked[likely])
+
+
+def _exchange_odds(suspects: Suspects, one: int) -> float:
+    weights = _exchange_weights(suspects, one) + suspects.log_prior
+    others = np.append(np.delete(weights, one), 0.0)
+    return float(weights[one] - _log_sum(others))
+
+
+def _exchange_weights(suspects: Suspects, one: int | None) -> Array:
+    """Log weight (R,) of each reading in the place of one suspect, or beside all.
+
+    It is -inf for the other suspects.
+
+    The values of a reading count as independent.
+    """
+    rest = suspects.values([k for k in suspects.members if k != one])
+    gradient, precision = suspects.prediction.without(rest)
+    by_value = log_weights_of_shifts(gradient, precision, suspects.sigma)
+    weights = np.zeros(1 + int(suspects.reading[-1]))
+    np.add.at(weights, suspects.reading, by_value)
+    weights[suspects.reading[rest]] = -np.inf
+    return weights
+
+
+def log_weights_of_shifts(gradient: Array, precision: Array, sigma: Array) -> Array:
+    """Log weight (N,) of a shift of each value alone, without the share of such errors."""
+    shift, sd = gradient / precision, precision**-0.5
+    density = special.voigt_profile(shift, sd, GROSS * sigma)
+    return np.asarray(
+        0.5 * gradient * shift + np.log(np.sqrt(2.0 * np.pi) * sd * density)
+    )
+
+
+def _weighted_sets(suspects: Suspects) -> tuple[list[tuple[int, ...]], Array]:
+    """All sets of up to MOST candidates, the empty one first, and their log weights."""
+    candidates = candidate_readings(
+        suspects.prediction, suspects.reading, suspects.members
+    )
+    sets: list[tuple[int, ...]] = [()]
+    weights: list[Array] = [np.zeros(1)]
+    for solutions in solve_sets(suspects.prediction, suspects.reading, candidates):
+        sets += [tuple(map(int, one)) for one in solutions.sets]
+        scale = GROSS * suspects.sigma[solutions.values]
+        density = special.voigt_profile(solutions.shift, solutions.sd, scale)
+        count = solutions.values.shape[1]
+        log_weight = 0.5 * (solutions.gain - solutions.log_determinant)
+        log_weight += 0.5 * count * np.log(2.0 * np.pi) + np.log(density).sum(axis=1)
+        weights.append(log_weight + suspects.log_prior * solutions.sets.shape[1])
+    return sets, np.concatenate(weights)
+
+
+# -- gross error or noise --------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class _PredictionErrors:
+    """Errors of predicting values from all others but the suspects.
+
+    core           (C,) of the other readings' values, in their standard deviations
+    far            (m,) of the farthest value of each suspect, likewise
+    core_density   (C,) of gross errors at `core`
+    far_density    (m,) of gross errors at `far`
+    freedom        share of the errors at `core` that is independent
+    """
+
+    core: Array
+    far: Array
+    core_density: Array
+    far_density: Array
+    freedom: float
+
+
+def gross_odds(suspects: Suspects, *, rest_fits: bool) -> dict[int, float]:
+    """Log odds of each suspected reading being a gross error, and not noise.
+
+    rest_fits  whether the readings without the suspects fit the stated noise
+    """
+    errors = _prediction_errors(suspects)
+    if rest_fits and suspects.student is None:
+        odds = _odds_beside_normal_noise(errors, suspects.share)
+    else:
+        tails = TAILS if suspects.student is None else (suspects.student,)
+        odds = _odds_beside_heavy_tails(errors, suspects.share, tails)
+    return dict(zip(suspects.members, map(float, odds), strict=True))
+
+
+def _odds_beside_normal_noise(errors: _PredictionErrors, share: float) -> Array:
+    """Log odds (m,) of normal noise with gross errors over noise of heavy tails."""
+    density, prior = _noise_densities(errors.core, (np.inf,))
+    mixed = np.logaddexp(
+        np.log1p(-share) + density, np.log(share * errors.core_density)
+    )
+    weights = prior + errors.freedom * mixed.sum(axis=2)
+    far, _ = _noise_densities(errors.far, (np.inf,))
+    gross = np.log(share * errors.far_density)
+    mixed = np.logaddexp(np.log1p(-share) + far, gross)
+    weights += mixed.sum(axis=2)
+    with_gross = _log_sum((weights[..., None] + gross - mixed).reshape(-1, len(gross)))
+    without = _log_sum(
+        (weights[..., None] + np.log1p(-share) + far - mixed).reshape(-1, len(gross))
+    )
+    density, prior = _noise_densities(errors.core, TAILS)
+    weights = prior + errors.freedom * density.sum(axis=2)
+    weights += _noise_densities(errors.far, TAILS)[0].sum(axis=2)
+    return np.asarray(with_gross - np.logaddexp(without, _log_sum(weights.ravel())))
+
+
+def _odds_beside_heavy_tails(
+    errors: _PredictionErrors, share: float, tails: tuple[float, ...]
+) -> Array:
+    """Log odds (m,) of a gross error over noise whose tails and scale the rest shows."""
+    density, prior = _noise_densities(errors.core, tails)
+    weights = prior + errors.freedom * density.sum(axis=2)
+    weights -= _log_sum(weights.ravel())
+    far = weights[..., None] + _noise_densities(errors.far, tails)[0]
+    noise = np.log1p(-share) + _log_sum(far.reshape(-1, len(errors.far)))
+    return np.asarray(np.log(share * errors.far_density) - noise)
+
+
+def _noise_densities(x: Array, tails: tuple[float, ...]) -> tuple[Array, Array]:
+    """Log densities (T, K, n) of errors (n,) for tails and scales; log prior (T, K)."""
+    scale = np.exp(SCALE_SD * heavy_scale(_SCALES))
+    prior = stats.norm.logpdf(_SCALES)
+    prior -= _log_sum(prior) + np.log(len(tails))
+    scaled = x / scale[:, None]
+    densities = [
+        stats.norm.logpdf(scaled) if np.isinf(dof) else stats.t.logpdf(scaled, dof)
+        for dof in tails
+    ]
+    by_tail = np.array(densities) - np.log(scale)[:, None]
+    return by_tail, np.tile(prior, (len(tails), 1))
+
+
+def _prediction_errors(suspects: Suspects) -> _PredictionErrors:
+    """The errors, with each suspect predicted without the other suspects."""
+    prediction, members = suspects.prediction, suspects.members
+    every = suspects.values(members)
+    gradient, precision = prediction.without(every)
+    core = np.setdiff1d(np.arange(len(suspects.reading)), every)
+    alone = prediction.noise.precision_diagonal()
+    freedom = float(np.mean(np.clip(precision[core] / alone[core], 0.0, 1.0)))
+    x = gradient / np.sqrt(precision)
+    density = _density_of_gross(x, precision, suspects.sigma)
+    far, far_density = [], []
+    for one in members:
+        rest = suspects.values([k for k in members if k != one])
+        gradient, precision = prediction.without(rest)
+        x_of_one = gradient / np.sqrt(precision)
+        values = np.flatnonzero(suspects.reading == one)
+        worst = values[np.argmax(np.abs(x_of_one[values]))]
+        far.append(x_of_one[worst])
+        of_one = _density_of_gross(x_of_one, precision, suspects.sigma)
+        far_density.append(of_one[worst])
+    return _PredictionErrors(
+        core=x[core],
+        far=np.array(far),
+        core_density=density[core],
+        far_density=np.array(far_density),
+        freedom=freedom,
+    )
+
+
+def _density_of_gross(x: Array, precision: Array, sigma: Array) -> Array:
+    """Density (N,) of a gross error at errors x (N,), in their standard deviations."""
+    return np.asarray(special.voigt_profile(x, 1.0, GROSS * sigma * np.sqrt(precision)))
+
+
+def _log_sum(values: Array) -> Array:
+    """Log of the sum of exponentials over the first axis; -inf of nothing."""
+    if not len(values):
+        return np.asarray(-np.inf)
+    return np.asarray(special.logsumexp(values, axis=0))

@@ -1,0 +1,148 @@
+"""Search of readings beyond the limit of what all others predict.
+
+Forward search: the reading with the largest pull is left out, and those that remain
+predict it anew, until none exceeds the limit. Then each one left out is tested again
+against the rest, and few are compared with other sets of few (`outlier_sets`). Pulls are
+in units of the stated noise. Where too many exceed the limit, a robust estimate of their
+scatter is the unit: noise that is larger everywhere is no outlier.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy import special
+
+from oed.arrays import Array, Index
+from oed.checks.fit import (
+    Fit,
+    LeaveOneOut,
+    fit,
+    predict_from_others,
+)
+from oed.checks.outlier_sets import best_set
+from oed.checks.session import SessionReadings
+from oed.kinematics import AssemblyError
+
+#: probability that a correct session has a reading beyond the limit
+FALSE_ALARM = 1e-4
+#: rounds of fit and search
+ROUNDS = 5
+#: median of a standard normal variable's absolute value
+MEDIAN = float(-special.ndtri(0.25))
+
+
+@dataclasses.dataclass(frozen=True)
+class FarSearch:
+    """Readings beyond the limit, the fit of all others, and what it predicts."""
+
+    readings: list[int]
+    solution: Fit
+    prediction: LeaveOneOut
+    exhausted: bool
+
+
+def far_readings(
+    session: SessionReadings, suspects: Index, most: int, *, robust: bool
+) -> FarSearch | None:
+    """The forward search, and the fit of what it leaves; None where there is no fit.
+
+    suspects  readings, by number, to leave out of the first fit
+    most      number of readings that can be outliers
+    robust    whether deviations count in units of their own scatter
+    """
+    readings = sorted({int(k) for k in suspects})
+    solution = fit(session.without(readings))
+    for _ in range(ROUNDS):
+        on_all = None if solution is None else _on_all(session, solution)
+        if on_all is None or solution is None:
+            return None
+        prediction = predict_from_others(on_all)
+        newer, exhausted = _search(session, prediction, most, readings, robust=robust)
+        if exhausted and not robust:
+            newer, exhausted = _search(session, prediction, most, readings, robust=True)
+        if not exhausted and len(newer) <= most:
+            # few that hide each other make many of the others deviate
+            reading = session.reading_of_value
+            newer = best_set(prediction, reading, newer, _limit(reading))[:most]
+        if set(newer) == set(readings) or exhausted:
+            break
+        readings = newer
+        solution = fit(session.without(readings), solution.theta)
+    if solution is None:
+        return None
+    return FarSearch(readings, solution, prediction, exhausted)
+
+
+def _on_all(session: SessionReadings, solution: Fit) -> Fit | None:
+    """The model of a fit at its solution, for all readings of the session.
+
+    None where the fitted machine cannot take the poses that were left out of the fit.
+    """
+    measurement, series = session.measurement, session.series
+    noise = measurement.noise(series)
+    free = np.flatnonzero(measurement.free)
+    try:
+        difference = session.y - measurement.readings(series, solution.theta)
+        jacobian = measurement.jacobian(series, solution.theta)
+    except AssemblyError:
+        return None
+    residual = noise.whiten(difference)
+    return dataclasses.replace(
+        solution,
+        session=session,
+        residual=residual,
+        slopes=noise.whiten(measurement.in_prior_units(jacobian)[:, free]),
+        noise=noise,
+    )
+
+
+def _search(
+    session: SessionReadings,
+    prediction: LeaveOneOut,
+    most: int,
+    first: list[int],
+    *,
+    robust: bool = False,
+) -> tuple[list[int], bool]:
+    """Readings to leave out, and whether too many deviate.
+
+    With `robust`, pulls are in units of their own scatter where it exceeds the noise.
+    """
+    reading = session.reading_of_value
+    limit = _limit(reading)
+    removed = list(first)
+    while True:
+        pulls = _pulls(prediction, reading, removed, robust=robust)
+        worst = int(np.argmax(np.abs(pulls)))
+        if abs(pulls[worst]) <= limit:
+            break
+        if len(removed) >= most:
+            return removed, True
+        removed.append(int(reading[worst]))
+    for one in list(removed):
+        others = [k for k in removed if k != one]
+        pulls = _pulls(prediction, reading, others, robust=robust)
+        if np.abs(pulls[reading == one]).max() <= limit:
+            removed = others
+    return removed, False
+
+
+def _limit(reading: Index) -> float:
+    """Pull beyond which a reading counts as an outlier."""
+    return float(-special.ndtri(0.5 * FALSE_ALARM / len(reading)))
+
+
+def _pulls(
+    prediction: LeaveOneOut, reading: Index, removed: list[int], *, robust: bool
+) -> Array:
+    """Pulls (N,) from what the readings not removed predict; 0 for those removed."""
+    members = np.flatnonzero(np.isin(reading, removed))
+    gradient, diagonal = prediction.without(members)
+    pulls = gradient / np.sqrt(diagonal)
+    if not robust:
+        return np.asarray(pulls)
+    others = np.setdiff1d(np.arange(len(reading)), members)
+    scatter = float(np.median(np.abs(pulls[others]))) / MEDIAN
+    return np.asarray(pulls / max(scatter, 1.0))
