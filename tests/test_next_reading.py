@@ -181,6 +181,28 @@ def test_the_command_says_what_is_next_and_when_to_stop(
     assert "It should read length" in out
 
 
+def test_readings_that_do_not_fit_end_no_session(
+    study: Path,
+    readings: Callable[[int], Path],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Every second length is off by 0.02 mm: no accuracy is reached with those."""
+    path = readings(21)
+    header, *rows = path.read_text(encoding="utf-8").splitlines()
+    place = header.split(",").index("length_mm")
+    for k in range(0, len(rows), 2):
+        cells = rows[k].split(",")
+        cells[place] = f"{float(cells[place]) + 0.02 * (-1) ** (k // 2):.6f}"
+        rows[k] = ",".join(cells)
+    path.write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    arguments = ["next", str(study), "--readings", str(path), "--wanted", "z_um=1e7"]
+    assert cli.main(arguments) == 1
+    out = capsys.readouterr().out
+    assert "the fit is bad" in out
+    assert "Look for the cause before you go on" in out
+    assert "Stop: every wanted accuracy" not in out
+
+
 def test_the_file_is_followed(study: Path, readings: Callable[[int], Path]) -> None:
     path = readings(5)
     following = advice.watch(advice.Adviser(load(study)), path)

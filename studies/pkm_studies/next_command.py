@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from pkm_studies.outcome import DONE, FAILED
+
 
 def next_reading(
     study: Annotated[
@@ -35,12 +37,14 @@ def next_reading(
     """Advise at the machine: what is known now, the best next reading, when to stop."""
     from pkm_studies import next_reading as advice
     from pkm_studies import shipped
+    from pkm_studies.next_sentences import sentences
     from pkm_studies.study import load
 
     adviser = advice.Adviser(load(shipped.study_path(study)), wanted)
     if not follow:
-        print("\n".join(advice.sentences(adviser, adviser.advise(readings))))
-        return 0
+        after = adviser.advise(readings)
+        print("\n".join(sentences(adviser, after)))
+        return FAILED if after.objections else DONE
     for lines in advice.watch(adviser, readings):
         print("\n".join([*lines, ""]), flush=True)
     return 0

@@ -9,77 +9,35 @@ from pathlib import Path
 
 import numpy as np
 
-from oed import identification, prediction, units
+from oed import identification, prediction
 from oed.arrays import Array
 from oed.design import candidates, next_reading
 from oed.design.candidates import Candidates
 from oed.design.next_reading import Belief
 from oed.estimate import Estimate
 from oed.measurement import Measurement, Series
+from oed.result import trust
 from pkm_studies.errors import InputError
+from pkm_studies.next_sentences import MOST_AHEAD, Advice, sentences
 from pkm_studies.progress import Silent
 from pkm_studies.resolve import quantities, roles
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.run_state import RunState, start
-from pkm_studies.stages import describe
 from pkm_studies.stages.design.select import select_design
-from pkm_studies.stages.headline import format_number
+from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.steps import readings as readings_steps
+from pkm_studies.steps.checks import check_readings
+from pkm_studies.steps.fit import with_finding
 from pkm_studies.study import Study
 
 #: how a file is refused whose cells for readings are all empty
 NO_READING = "no reading was taken"
-#: readings that are thought ahead, to say how many reach what is wanted
-MOST_AHEAD = 100
-#: share of the error below which a further reading is not worth its time
-LEAST_GAIN = 0.01
 #: what `wanted` is where a session should reach what the study's plan would
 AS_PLANNED = "plan"
 #: share by which a session with the plan's readings may miss the plan's accuracy
 ROUNDING = 1e-6
 #: time between two looks at the file, s
 PAUSE = 0.5
-
-
-@dataclasses.dataclass(frozen=True)
-class Advice:
-    """What a user at the machine needs to know after a reading.
-
-    readings   number taken
-    known      rms (K,) of each component over the workspace, SI, its unknown part
-    after      the same after the next reading
-    limits     wanted rms (K,), SI; NaN where none is
-    more       readings that reach what is wanted, one after another; None where
-               `MOST_AHEAD` do not, or nothing is wanted
-    planned    readings of the study's plan, if it states a number
-    candidate  number of the next reading among the candidates, which is in a row of a
-               series; `expected` is what it should read, SI
-    """
-
-    names: tuple[str, ...]
-    readings: int
-    known: Array
-    after: Array
-    limits: Array
-    candidate: int
-    series: Series
-    row: int
-    expected: Array
-    more: int | None
-    planned: int | None
-
-    @property
-    def is_reached(self) -> bool:
-        """Whether every wanted accuracy is reached."""
-        wanted = np.isfinite(self.limits)
-        return bool(wanted.any() and (self.known <= self.limits)[wanted].all())
-
-    @property
-    def gain(self) -> float:
-        """Share by which the next reading lowers the errors, on average."""
-        positive = self.known > 0.0
-        ratios = self.after[positive] / self.known[positive]
-        return float(1.0 - np.exp(np.mean(np.log(ratios)))) if ratios.size else 0.0
 
 
 class Adviser:
@@ -120,17 +78,33 @@ class Adviser:
         taken = state.readings
         if taken is None or taken.y is None:
             return self.advise_after(state.measurement, (), np.zeros(0))
-        return self.advise_after(state.measurement, taken.series, taken.y)
+        try:
+            estimate = _fit(self.base, state.measurement, taken.series, taken.y)
+        except identification.IdentificationError as error:
+            raise with_finding(state, error) from error
+        advice = self._advise(state.measurement, taken.series, estimate)
+        checked = () if state.checked is None else state.checked.findings
+        return dataclasses.replace(
+            advice,
+            findings=tuple(finding.sentence for finding in checked),
+            objections=_objections(state, taken.series, estimate),
+        )
 
     def advise_after(
         self, measurement: Measurement, series: Sequence[Series], y: Array
     ) -> Advice:
-        """The advice after readings y (N,), SI. Raises IdentificationError."""
+        """The advice after readings y (N,), SI, unchecked. Raises IdentificationError."""
+        estimate = _fit(self.base, measurement, series, y) if len(y) else None
+        return self._advise(measurement, series, estimate)
+
+    def _advise(
+        self,
+        measurement: Measurement,
+        series: Sequence[Series],
+        estimate: Estimate | None,
+    ) -> Advice:
         resolved = self.base.resolved
-        theta, estimate = measurement.nominal, None
-        if len(y):
-            estimate = _fit(self.base, measurement, series, y)
-            theta = estimate.theta
+        theta = measurement.nominal if estimate is None else estimate.theta
         pool = candidates.build(measurement, resolved.candidates, theta, "tolerance")
         belief = self._belief(measurement, pool, estimate)
         if self.plan:
@@ -164,7 +138,7 @@ class Adviser:
         state = self.base.replace(
             resolved=dataclasses.replace(resolved, dataset=data), readings_given=True
         )
-        state = readings_steps.take_readings(state)
+        state = check_readings(readings_steps.take_readings(state))
         # Candidates may need set-ups that no reading has used yet.
         used = {*state.measurement.setups, *self.base.measurement.setups}
         return state.replace(measurement=resolved.measurement_with(used))
@@ -303,6 +277,15 @@ def _fit(
         return identification.identify(measurement, series, y, max_iterations=most)
 
 
+def _objections(
+    state: RunState, series: Sequence[Series], estimate: Estimate
+) -> tuple[str, ...]:
+    """The verdict on the fit of the readings so far."""
+    section = estimate_section(state.measurement, series, estimate, None)
+    goodness = state.sections.get("goodness")
+    return tuple(trust.section_objections(goodness, section))
+
+
 def _reading(pool: Candidates, index: int) -> tuple[Series, int]:
     """The series of a candidate, and its row there."""
     first = int(pool.members[index, 0])
@@ -311,71 +294,6 @@ def _reading(pool: Candidates, index: int) -> tuple[Series, int]:
             return series, first
         first -= len(series)
     raise IndexError(f"candidate {index} of {len(pool)}")
-
-
-# -- words -----------------------------------------------------------------------------
-
-
-def sentences(adviser: Adviser, advice: Advice) -> list[str]:
-    """The advice in lines: what is known, the next reading, when to stop."""
-    machine = adviser.base.resolved.machine
-    fine = {c.name: units.FINE[c.unit] for c in machine.components}
-    lines = [
-        f"{advice.readings} readings taken. Rms error over the workspace, unknown part:"
-    ]
-    for k, name in enumerate(advice.names):
-        unit = fine[name]
-        now, then = (units.number(v[k], unit) for v in (advice.known, advice.after))
-        sizes = f"{format_number(now):>8} {unit:<7} {format_number(then):>8}"
-        line = f"  {name:<6} {sizes} after the next reading"
-        if np.isfinite(advice.limits[k]):
-            wanted = format_number(units.number(advice.limits[k], unit))
-            reached = advice.known[k] <= advice.limits[k]
-            line += f"   wanted {wanted}: {'pass' if reached else 'not yet'}"
-        lines.append(line)
-    return [*lines, *_stop(advice), *_next(adviser, advice)]
-
-
-def _next(adviser: Adviser, advice: Advice) -> list[str]:
-    """Set-up, command, joints and the value that the reading should have."""
-    machine = adviser.base.resolved.machine
-    series, row = advice.series, advice.row
-    command = describe.displayed_command(machine, series.reading_commands()[row])
-    joints = describe.displayed_joints(machine, series.q[series.index[row, 0]])
-    setup = adviser.base.resolved.setups[series.setup]
-    expected = [
-        f"{channel.name} {describe.displayed(float(value), channel.unit):.6g}"
-        f" {units.display(channel.unit)}"
-        for channel, value in zip(
-            setup.instrument.channels, advice.expected, strict=True
-        )
-    ]
-    return [
-        f"Next: {series.setup}, {_values(command)}; joints {_values(joints)}.",
-        f"It should read {', '.join(expected)} and lowers the errors by"
-        f" {100.0 * advice.gain:.2g} % on average.",
-    ]
-
-
-def _values(numbers: dict[str, float]) -> str:
-    return ", ".join(f"{key} = {value:.7g}" for key, value in numbers.items())
-
-
-def _stop(advice: Advice) -> list[str]:
-    """Whether to stop now, and how far it is."""
-    if advice.is_reached:
-        return ["Stop: every wanted accuracy is reached."]
-    if np.isfinite(advice.limits).any():
-        if advice.more is None:
-            return [f"{MOST_AHEAD} more readings would not reach what is wanted."]
-        return [f"About {advice.more} more readings reach what is wanted."]
-    if advice.planned is not None and advice.readings >= advice.planned:
-        return [f"Stop: the {advice.planned} readings of the plan are taken."]
-    if advice.readings and advice.gain < LEAST_GAIN:
-        return [f"Stop: a further reading gains less than {100 * LEAST_GAIN:.0f} %."]
-    if advice.planned is None:
-        return []
-    return [f"The plan has {advice.planned} readings."]
 
 
 def watch(adviser: Adviser, readings: Path) -> Iterator[list[str]]:
