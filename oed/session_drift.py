@@ -1,14 +1,9 @@
 """Drift of a machine over its sessions: a straight line for each combination.
 
-Session k at time t_k has information L_k and score b_k of its readings alone
-(`oed.session_change`). With p(t) = a + v (t - t_last) and nothing assumed about a, the
-drift v has
-
-    information  P = sum s^2 L - C A^+ C,     A = sum L,  C = sum s L,  s = t - t_last
-    score        h = sum s b - C A^+ sum b
-
-and chi2 = h' P^+ h where nothing drifts. What the line leaves of the sessions is chi2 as
-well: a machine that was knocked does not drift.
+With p(t) = a + v (t - t_last) the drift v is the change per unit of time of
+`oed.session_change`, and of two sessions it is that of `oed.session_change.compare`.
+What the line leaves of the sessions is chi2 as well: a machine that was knocked does
+not drift.
 """
 
 from __future__ import annotations
@@ -17,17 +12,20 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import optimize, stats
 
 from oed.arrays import Array
 from oed.session_change import (
     CombinationChange,
     Session,
     combinations,
-    determined_directions,
+    estimate_change,
     likelihood,
 )
 
+#: probability of proving a drift that is called provable, and directions of drift that
+#: it is a mean over; natural logarithm of how far the provable drift is sought
+POWER, DIRECTIONS, SPREAD = 0.9, 200, 12.0
 #: p-value below which the sessions do not lie on a line, and intervals are widened
 UNEVEN = 0.01
 
@@ -72,23 +70,9 @@ def drift(
     span = float(np.ptp(since))
     if span <= 0.0:
         raise ValueError("a drift needs sessions at two different times")
-    elapsed = since / span
-    parts = [likelihood(s, nominal, tolerance) for s in sessions]
-    level = sum(information for information, _ in parts)
-    cross = sum(
-        e * information for e, (information, _) in zip(elapsed, parts, strict=True)
-    )
-    square = sum(
-        e**2 * information for e, (information, _) in zip(elapsed, parts, strict=True)
-    )
-    score = np.sum([b for _, b in parts], axis=0)
-    moment = np.sum([e * b for e, (_, b) in zip(elapsed, parts, strict=True)], axis=0)
-    inverse = linalg.pinvh(level)
-    information = square - cross @ inverse @ cross
-    directions = determined_directions(information, moment - cross @ inverse @ score)
-    root, white = directions
-    chi2, dof = float(white @ white), len(white)
-    rest, rest_dof = _rest(parts, score, inverse, chi2, dof)
+    change = estimate_change(sessions, nominal, tolerance, since / span)
+    root, white, dof = change.root, change.white, change.dof
+    rest, rest_dof = change.rest, change.rest_dof
     uneven = rest_dof > 0 and stats.chi2.sf(rest, rest_dof) < UNEVEN
     widening = float(np.sqrt(rest / rest_dof)) if uneven else 1.0
     scale = tolerance / span
@@ -99,9 +83,9 @@ def drift(
         for c in combinations(names, tolerance, root, white)
     ]
     return SessionDrift(
-        chi2=chi2,
+        chi2=change.chi2,
         dof=dof,
-        p_value=_p_value(chi2, dof, widening),
+        p_value=_p_value(change.chi2, dof, widening),
         rest=rest,
         rest_dof=rest_dof,
         widening=widening,
@@ -126,28 +110,51 @@ def _per_time(
     )
 
 
-def _rest(
-    parts: Sequence[tuple[Array, Array]],
-    score: Array,
-    inverse: Array,
-    explained: float,
-    dof: int,
-) -> tuple[float, int]:
-    """Chi2 of the sessions about their line, and its degrees of freedom."""
-    total, rank = 0.0, 0
-    for information, b in parts:
-        total += float(b @ linalg.pinvh(information) @ b)
-        rank += int(np.linalg.matrix_rank(information, hermitian=True))
-    common = float(score @ inverse @ score)
-    used = int(np.linalg.matrix_rank(inverse, hermitian=True)) + dof
-    return max(total - common - explained, 0.0), max(rank - used, 0)
+def provable_growth(
+    maps: Array,
+    sessions: Sequence[Session],
+    nominal: Array,
+    tolerance: Array,
+    counts: Sequence[int],
+    alarm: float,
+    rng: np.random.Generator,
+) -> Array:
+    """Growth (len(counts),) of an rms error, SI a session, that so many sessions prove.
+
+    maps    (m, np) pose errors per parameter
+    counts  of equally spaced sessions, each with the mean information of those given
+    alarm   probability of a false alarm
+
+    The drift's direction is random in the tolerances. Its proof has the probability
+    POWER, by the noncentral chi2 of the test: n sessions have the information L n (n^2 -
+    1) / 12 of the change between two of them, L that of one.
+    """
+    roots = [likelihood(s, nominal, tolerance)[0] for s in sessions]
+    _, singular, right = np.linalg.svd(np.vstack(roots), full_matrices=False)
+    informed = singular >= np.sqrt(len(sessions))
+    root = singular[informed, None] / np.sqrt(len(sessions)) * right[informed]
+    direction = rng.standard_normal((DIRECTIONS, int(informed.sum()))) @ right[informed]
+    growth = np.sqrt(np.mean((direction * tolerance @ maps.T) ** 2, axis=1))
+    information = np.sum((direction @ root.T) ** 2, axis=1) / growth**2
+    dof = int(informed.sum())
+    critical = stats.chi2.isf(alarm, dof)
+
+    def excess(log_growth: float, count: int) -> float:
+        times = count * (count**2 - 1) / 12.0
+        squared = np.exp(2.0 * log_growth) * information * times
+        return float(np.mean(stats.ncx2.sf(critical, dof, squared)) - POWER)
+
+    usual = -0.5 * float(np.median(np.log(information)))
+    bracket = (usual - SPREAD, usual + SPREAD)
+    solutions = [optimize.brentq(excess, *bracket, args=(n,)) for n in counts]
+    return np.exp(solutions)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class NextCalibration:
     """When the error reaches its limit, in time after the last session.
 
-    time       with the estimated drift; inf where it never does
+    time       median over the drifts that the sessions allow; inf where it never does
     low, high  95 % interval
     """
 
@@ -174,10 +181,10 @@ def next_calibration(
     values, vectors = np.linalg.eigh(drifted.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     normal = rng.standard_normal((draws, len(drifted.rate)))
-    rates = np.vstack([drifted.rate, drifted.rate + normal @ root.T])
+    rates = drifted.rate + normal @ root.T
     growth = np.sqrt(np.mean((rates @ maps.T) ** 2, axis=1))
     room = np.sqrt(max(limit**2 - after**2, 0.0))
     with np.errstate(divide="ignore"):
         times = room / growth
-    low, high = np.quantile(times[1:], [0.025, 0.975])
-    return NextCalibration(float(times[0]), float(low), float(high))
+    low, median, high = np.quantile(times, [0.025, 0.5, 0.975], method="lower")
+    return NextCalibration(float(median), float(low), float(high))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +11,9 @@ import pytest
 import sample
 from scipy import stats
 
-from oed import session_change
+from oed import session_change, session_drift
 from oed.session_change import Session
-from pkm_studies import cli
+from pkm_studies import cli, comparison
 
 N, SETUP = 5, 2
 NAMES = [f"p{k}" for k in range(N)]
@@ -76,6 +78,59 @@ def test_the_change_is_that_of_one_fit_of_both_sessions() -> None:
     assert change.p_value < 1e-6 < change.causes[0].p_value
 
 
+def turned_sessions(angle: float) -> list[Session]:
+    """Two sessions that leave the sum p1 + p2 open, each in a slightly other direction.
+
+    Their readings are linear each at its own estimate.
+    """
+    rng = np.random.default_rng(11)
+    sessions = []
+    for sign in (-1.0, 1.0):
+        open_direction = np.array([sign * angle, 1.0, 1.0, 0.0, 0.0])
+        open_direction /= np.linalg.norm(open_direction)
+        h = 200.0 * rng.standard_normal((30, N))
+        h -= np.outer(h @ open_direction, open_direction)
+        covariance = np.linalg.inv(h.T @ h + np.eye(N))
+        mean = covariance @ h.T @ rng.standard_normal(30)
+        scale = np.outer(TOLERANCE, TOLERANCE)
+        sessions.append(Session(NOMINAL + TOLERANCE * mean, covariance * scale))
+    return sessions
+
+
+def test_what_no_session_determines_hides_no_other_change() -> None:
+    """p0 is determined by both, however their open directions are turned."""
+    sessions = turned_sessions(1e-4)
+    change = session_change.compare(NAMES, NOMINAL, TOLERANCE, sessions)
+    assert (change.dof, change.undetermined) == (4, 1)
+    (single,) = [c for c in change.combinations if c.coefficients == {"p0": 1.0}]
+    variances = [s.covariance[0, 0] for s in sessions]
+    assert single.sd == pytest.approx(np.sqrt(sum(variances)), rel=0.02)
+    value = sessions[1].mean[0] - sessions[0].mean[0]
+    assert single.change == pytest.approx(value, abs=0.1 * single.sd)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-4, 1e-3])
+def test_a_drift_of_two_sessions_is_their_change(angle: float) -> None:
+    sessions = turned_sessions(angle)
+    change = session_change.compare(NAMES, NOMINAL, TOLERANCE, sessions)
+    times = np.array([0.0, 2.0])
+    drifted = session_drift.drift(NAMES, NOMINAL, TOLERANCE, sessions, times)
+    assert drifted.chi2 == pytest.approx(change.chi2, rel=1e-9)
+    assert (drifted.dof, drifted.rest_dof) == (change.dof, 0)
+    assert drifted.p_value == pytest.approx(change.p_value, rel=1e-9)
+    rates = [c.change for c in drifted.combinations]
+    changes = [c.change / 2.0 for c in change.combinations]
+    assert rates == pytest.approx(changes, rel=1e-6)
+
+
+def test_a_combination_in_words_has_one_unit() -> None:
+    coefficients = {"z2": 1.0, "z1": -1.00001, "D": 0.5, "beta1": -2.0}
+    change = session_change.CombinationChange(coefficients, 0.1, 0.1, 0.3)
+    unit = {"z1": "mm", "z2": "mm", "D": "mm", "beta1": "mrad"}
+    words = "z2 less z1 plus 0.5 times D less 2 mm per mrad of beta1"
+    assert comparison.combination_words(change, unit) == (words, "mm")
+
+
 def test_no_change_gives_uniform_p_values() -> None:
     rng = np.random.default_rng(5)
     p_values = []
@@ -113,3 +168,19 @@ def test_two_sessions_by_the_command(
     assert float(cause[0]) == pytest.approx(0.2, abs=4 * float(cause[3]))
     assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path)]) == 2
     assert "no such result" in capsys.readouterr().err
+    shutil.copytree(tmp_path / "a", tmp_path / "copy")
+    for again in ("a", "copy"):
+        assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path / again)]) == 2
+        assert "the readings are equal" in capsys.readouterr().err
+    make_bad(tmp_path / "b")
+    assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 1
+    assert "b is not to be trusted: the residuals are" in capsys.readouterr().out
+
+
+def make_bad(folder: Path) -> None:
+    """Make the stored fit one whose residuals are 10 times the stated noise."""
+    path = folder / "result.json"
+    result = json.loads(path.read_text("utf-8"))
+    goodness = result["goodness"]
+    goodness |= {"chi2": 100.0 * goodness["dof"], "p_high": 0.0, "bad_fit": True}
+    path.write_text(json.dumps(result), encoding="utf-8")

@@ -263,9 +263,10 @@ def compare(before: ResultFolder, after: ResultFolder) -> int:
     """Compare two sessions of one machine: what changed, and by how much."""
     from pkm_studies import comparison
 
-    for sentence in comparison.compare(before, after):
+    compared = comparison.compare(before, after)
+    for sentence in compared.sentences:
         print(sentence)
-    return DONE
+    return DONE if compared.is_trusted else FAILED
 
 
 @app.command()

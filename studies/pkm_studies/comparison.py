@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy import special
 
 from oed import session_change
 from oed.result import (
@@ -14,6 +14,7 @@ from oed.result import (
     EstimateSection,
     ParameterEstimate,
     StudyResult,
+    trust,
 )
 from oed.session_change import CombinationChange, Session, SessionChange, SingleCause
 from pkm_studies import result_folder
@@ -21,19 +22,31 @@ from pkm_studies.errors import InputError
 
 #: a section with parameters, their covariance and chi2
 Fitted = EstimateSection | CorrectedSection
-#: probability of a false alarm of a session's comparison, and of the warning of a fit
-ALARM, BAD_FIT = 0.01, 1e-3
+#: probability of a false alarm of a session's comparison
+ALARM = 0.01
 #: combinations and causes that are printed, and parameters of a combination
 SHOWN, TERMS = 10, 4
+#: departure from 1 of a coefficient that is written as 1
+ONE = 5e-4
 
 
-def compare(before: Path, after: Path) -> list[str]:
+@dataclasses.dataclass(frozen=True)
+class SessionReport:
+    """What sessions say of a machine, and whether all their fits are to be trusted."""
+
+    sentences: list[str]
+    is_trusted: bool
+
+
+def compare(before: Path, after: Path) -> SessionReport:
     """Sentences about what changed between the results in two folders.
 
-    Raises InputError where a folder holds no estimate, or not of the same machine.
+    Raises InputError where a folder holds no estimate, or not of the same machine, and
+    where both hold one session.
     """
     folders = (before, after)
     results = [result_folder.load_result(folder) for folder in folders]
+    refuse_same_sessions(results, folders)
     estimates = [_estimate(r, f) for r, f in zip(results, folders, strict=True)]
     tables = [
         _machine_parameters(result, estimate)
@@ -49,8 +62,8 @@ def compare(before: Path, after: Path) -> list[str]:
         [_session(names, estimate) for estimate in estimates],
     )
     units = {name: p.unit for name, p in tables[0].items()}
-    warnings = [_bad_fit(e, f) for e, f in zip(estimates, folders, strict=True)]
-    return [*filter(None, warnings), *_sentences(change, units)]
+    doubts = warnings(results, folders)
+    return SessionReport([*doubts, *_sentences(change, units)], not doubts)
 
 
 def posteriors(
@@ -71,10 +84,37 @@ def posteriors(
     return names, tables[0], [_session(names, estimate) for estimate in estimates]
 
 
-def bad_fits(results: Sequence[StudyResult], folders: Sequence[Path]) -> list[str]:
-    """Warnings on the results that do not fit their readings."""
-    pairs = zip(results, folders, strict=True)
-    return [w for r, f in pairs if (w := _bad_fit(_estimate(r, f), f)) is not None]
+def warnings(results: Sequence[StudyResult], folders: Sequence[Path]) -> list[str]:
+    """Warnings on the results whose fits are not to be trusted."""
+    return [
+        f"Warning: {folder} is not to be trusted: {'; '.join(objections)}. Its standard"
+        " deviations are too small, and changes look more certain than they are."
+        for result, folder in zip(results, folders, strict=True)
+        if (objections := trust.objections(result))
+    ]
+
+
+def refuse_same_sessions(
+    results: Sequence[StudyResult], folders: Sequence[Path]
+) -> None:
+    """Raises InputError where two folders hold one session: equal readings."""
+    first: dict[tuple[float, ...], Path] = {}
+    for result, folder in zip(results, folders, strict=True):
+        readings = _readings_of(_estimate(result, folder), result.estimate)
+        if readings in first:
+            raise InputError(
+                f"this is the session of {first[readings]}: the readings are equal",
+                "name each session once",
+                file=str(folder / "result.json"),
+            )
+        first[readings] = folder
+
+
+def _readings_of(final: Fitted, estimate: EstimateSection | None) -> tuple[float, ...]:
+    """What tells the readings of sessions apart: deviations from the nominal machine."""
+    if estimate is not None and any(estimate.residuals_before):
+        return tuple(estimate.residuals_before)
+    return tuple(p.value for p in final.parameters.values())
 
 
 def _estimate(result: StudyResult, folder: Path) -> Fitted:
@@ -127,18 +167,6 @@ def _session(names: list[str], estimate: Fitted) -> Session:
     return Session(mean, np.array(estimate.covariance)[np.ix_(rows, rows)])
 
 
-def _bad_fit(estimate: Fitted, folder: Path) -> str | None:
-    """A warning where the readings do not fit: the deviations below are too small."""
-    p_value = float(special.chdtrc(max(estimate.dof, 1e-9), estimate.chi2))
-    if p_value >= BAD_FIT:
-        return None
-    return (
-        f"Warning: {folder} does not fit its readings (chi2 {estimate.chi2:.4g} for"
-        f" {estimate.dof:.4g} degrees of freedom): its standard deviations are too"
-        " small, and changes look more certain than they are."
-    )
-
-
 def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]:
     """The test, the combinations, and single parameters that explain the change."""
     if not change.dof:
@@ -150,9 +178,10 @@ def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]
         f" sessions determine, p = {change.p_value:.2g}."
     )
     if change.undetermined:
+        verb = "is" if change.undetermined == 1 else "are"
         yield (
-            f"{change.undetermined} of {len(units)} directions are not determined by both"
-            " sessions: a change there stays unseen."
+            f"{change.undetermined} of {len(units)} directions {verb} not determined by"
+            " both sessions: a change there stays unseen."
         )
     # Sidak: the smallest of dof p-values, each uniform where nothing changed
     threshold = 1.0 - (1.0 - ALARM) ** (1.0 / change.dof)
@@ -176,12 +205,23 @@ def _combination(combination: CombinationChange, units: Mapping[str, str]) -> st
 def combination_words(
     combination: CombinationChange, units: Mapping[str, str]
 ) -> tuple[str, str]:
-    """A combination in words, and the unit of its pivot."""
-    ordered = sorted(combination.coefficients.items(), key=lambda item: item[1] != 1.0)
-    terms = [name if c == 1.0 else f"{c:+.3g} {name}" for name, c in ordered[:TERMS]]
-    if len(ordered) > TERMS:
-        terms.append(f"+ {len(ordered) - TERMS} more")
-    return " ".join(terms), units[ordered[0][0]]
+    """A combination in words, `z2 less 0.5 times z1`, and the unit of its pivot."""
+    (pivot, _), *others = combination.coefficients.items()
+    words = [pivot]
+    for name, coefficient in others[: TERMS - 1]:
+        sign = "less" if coefficient < 0.0 else "plus"
+        amount = _amount(abs(coefficient), units[pivot], units[name])
+        words.append(f"{sign} {amount}{name}")
+    if len(others) >= TERMS:
+        words.append(f"and {len(others) - TERMS + 1} smaller terms")
+    return " ".join(words), units[pivot]
+
+
+def _amount(size: float, unit: str, of_unit: str) -> str:
+    """A coefficient in words that end before the parameter's name; nothing for 1."""
+    if unit != of_unit:
+        return f"{size:.3g} {unit} per {of_unit} of "
+    return "" if abs(size - 1.0) < ONE else f"{size:.3g} times "
 
 
 def _explanations(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]:

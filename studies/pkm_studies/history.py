@@ -5,18 +5,19 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from oed import session_drift, units
 from oed.arrays import Array
-from oed.result import StudyResult
-from oed.session_change import CombinationChange
+from oed.result import ParameterEstimate, StudyResult
+from oed.session_change import CombinationChange, Session
 from oed.session_drift import SessionDrift
 from pkm_studies import comparison, result_folder
 from pkm_studies.acceptance.promise import promised_accuracy
+from pkm_studies.comparison import SessionReport
 from pkm_studies.compensation.export import result_study
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.component_values import component_values
@@ -46,7 +47,7 @@ class Sessions:
 
 def history(
     folders: Sequence[Path], limits: str = "", study_file: Path | None = None
-) -> list[str]:
+) -> SessionReport:
     """Sentences on the drift over the sessions in folders of results.
 
     folders     results, or folders of results; dates (2026-11-24) in their names count
@@ -54,7 +55,8 @@ def history(
                 those right after a calibration by default
     study_file  study, where it names a machine in a file of its own
 
-    Raises InputError for fewer than two sessions, and results of different machines.
+    Raises InputError for fewer than two sessions, for one that is named twice, and for
+    results of different machines.
     """
     sessions = _sessions(folders)
     names, table, posteriors = comparison.posteriors(sessions.results, sessions.folders)
@@ -66,13 +68,19 @@ def history(
         sessions.times,
     )
     shown = {name: p.unit for name, p in table.items()}
-    return [
-        *comparison.bad_fits(sessions.results, sessions.folders),
+    doubts = comparison.warnings(sessions.results, sessions.folders)
+    errors = _errors(sessions, names, shown, limits, study_file)
+    outlook = _provable(sessions, errors, table, posteriors)
+    if drifted.p_value < ALARM:
+        outlook = _due(sessions, errors, drifted)
+    sentences = [
+        *doubts,
         _about(sessions),
-        *_verdict(drifted, sessions.unit),
+        *_verdict(drifted),
         *_combinations(drifted, shown, sessions.unit),
-        *_due(sessions, names, shown, drifted, limits, study_file),
+        *(outlook if drifted.dof else ()),
     ]
+    return SessionReport(sentences, not doubts)
 
 
 def _sessions(folders: Sequence[Path]) -> Sessions:
@@ -83,6 +91,8 @@ def _sessions(folders: Sequence[Path]) -> Sessions:
             f"a history needs two sessions or more, here are {len(found_in)}",
             "name folders with a result.json, or a folder that holds them",
         )
+    loaded = [result_folder.load_result(path) for path in found_in]
+    comparison.refuse_same_sessions(loaded, found_in)
     dates = [_date(path) for path in found_in]
     known = [date for date in dates if date is not None]
     if len(known) < len(dates):
@@ -98,8 +108,7 @@ def _sessions(folders: Sequence[Path]) -> Sessions:
                 "all sessions have one date", "name the folders by their dates"
             )
     ordered = tuple(found_in[k] for k in order)
-    results = tuple(result_folder.load_result(path) for path in ordered)
-    return Sessions(ordered, results, times, unit)
+    return Sessions(ordered, tuple(loaded[k] for k in order), times, unit)
 
 
 def _result_folders(folder: Path) -> list[Path]:
@@ -135,7 +144,7 @@ def _about(sessions: Sessions) -> str:
     return f"{count} sessions without dates in their folders' names: drift per session."
 
 
-def _verdict(drifted: SessionDrift, unit: str) -> Iterator[str]:
+def _verdict(drifted: SessionDrift) -> Iterator[str]:
     """Whether the machine drifts, and whether evenly."""
     if not drifted.dof:
         yield "The sessions determine the drift of no combination of parameters."
@@ -152,10 +161,9 @@ def _verdict(drifted: SessionDrift, unit: str) -> Iterator[str]:
             " wide. `oed compare` shows between which sessions the machine changed."
         )
     if drifted.undetermined:
-        yield (
-            f"{drifted.undetermined} directions are not determined: a drift there stays"
-            " unseen."
-        )
+        count = drifted.undetermined
+        directions = "1 direction is" if count == 1 else f"{count} directions are"
+        yield f"{directions} not determined: a drift there stays unseen."
 
 
 def _combinations(
@@ -178,46 +186,105 @@ def _line(combination: CombinationChange, shown: dict[str, str], unit: str) -> s
 # -- when to calibrate again -----------------------------------------------------------
 
 
-def _due(
+@dataclasses.dataclass(frozen=True)
+class _Error:
+    """The rms error of a component over the workspace.
+
+    maps   (m, n) pose errors over the shared parameters, SI
+    unit   fine unit
+    after  right after the last session, SI
+    limit  at which to calibrate again, SI
+    """
+
+    name: str
+    maps: Array
+    unit: str
+    after: float
+    limit: float
+
+
+def _errors(
     sessions: Sessions,
     names: Sequence[str],
     shown: dict[str, str],
-    drifted: SessionDrift,
     limits: str,
     study_file: Path | None,
-) -> Iterator[str]:
-    """When the rms error of each component reaches its limit."""
-    if not drifted.dof:
-        return
+) -> list[_Error]:
+    """The error of each component that the controller corrects.
+
+    Its maps are over the parameters in the units of their estimates.
+    """
     latest, folder = sessions.results[-1], sessions.folders[-1]
     study = result_study(latest, folder) if study_file is None else load(study_file)
     accuracy = promised_accuracy(latest, study, str(folder / "result.json"), {}, {})
     given = component_values(limits, "--limit", accuracy.machine)
-    si = _in_si(drifted, [units.factor(shown[name]) for name in names])
     columns = [accuracy.machine.index(name) for name in names]
-    rng = np.random.default_rng([latest.seed, int(Stream.HISTORY)])
+    factors = np.array([units.factor(shown[name]) for name in names])
+    errors = []
     for k, component in enumerate(accuracy.components):
         after = float(accuracy.promise.rms[k])
-        limit = given.get(component.name, LIMIT * after)
+        errors.append(
+            _Error(
+                name=component.name,
+                maps=accuracy.promise.maps[:, k][:, columns] * factors,
+                unit=units.FINE[component.unit],
+                after=after,
+                limit=given.get(component.name, LIMIT * after),
+            )
+        )
+    return errors
+
+
+def _due(
+    sessions: Sessions, errors: Sequence[_Error], drifted: SessionDrift
+) -> Iterator[str]:
+    """When the rms error of each component reaches its limit."""
+    rng = np.random.default_rng([sessions.results[-1].seed, int(Stream.HISTORY)])
+    for error in errors:
         due = session_drift.next_calibration(
-            accuracy.promise.maps[:, k][:, columns], si, after, limit, rng
+            error.maps, drifted, error.after, error.limit, rng
         )
-        unit = units.FINE[component.unit]
+        after, limit = (units.number(v, error.unit) for v in (error.after, error.limit))
         yield (
-            f"{component.name}: rms {units.number(after, unit):.3g} {unit} right after"
-            f" the last session; {units.number(limit, unit):.3g} {unit} are reached"
-            f" after {_time(due.time, sessions.unit)} (95 %: {_time(due.low, sessions.unit)}"
-            f" to {_time(due.high, sessions.unit)}). {_advice(sessions, due.low)}"
+            f"{error.name}: rms {after:.3g} {error.unit} right after the last session;"
+            f" {limit:.3g} {error.unit} are reached after {_time(due.time, sessions.unit)}"
+            f" (95 %: {_time(due.low, sessions.unit)} to"
+            f" {_time(due.high, sessions.unit)}). {_advice(sessions, due.low)}"
         )
 
 
-def _in_si(drifted: SessionDrift, factors: Sequence[float]) -> SessionDrift:
-    factor = np.array(factors)
-    return dataclasses.replace(
-        drifted,
-        rate=drifted.rate * factor,
-        covariance=drifted.covariance * np.outer(factor, factor),
+def _provable(
+    sessions: Sessions,
+    errors: Sequence[_Error],
+    table: Mapping[str, ParameterEstimate],
+    posteriors: Sequence[Session],
+) -> Iterator[str]:
+    """How many sessions would prove a drift of which size."""
+    count = len(sessions.folders)
+    spacing = float(np.ptp(sessions.times)) / (count - 1)
+    more = (count + 1, 2 * count, 4 * count)
+    rng = np.random.default_rng([sessions.results[-1].seed, int(Stream.HISTORY)])
+    every = "" if sessions.unit == "session" else f", one every {spacing:.0f} days,"
+    yield (
+        f"There is no date for the next calibration. Sessions like these{every} prove with"
+        f" probability {session_drift.POWER:g} that an rms error grows a {sessions.unit} by"
     )
+    for error in errors:
+        growth = session_drift.provable_growth(
+            error.maps,
+            posteriors,
+            np.array([p.nominal for p in table.values()]),
+            np.array([p.prior_sd for p in table.values()]),
+            more,
+            ALARM,
+            rng,
+        )
+        sizes = units.from_si(growth, error.unit) / spacing
+        parts = [
+            f"{size:.2g} {error.unit} ({number} sessions)"
+            for size, number in zip(sizes, more, strict=True)
+        ]
+        yield f"  {error.name}: {', '.join(parts)}"
 
 
 def _time(value: float, unit: str) -> str:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from pkm_studies.outcome import DONE, FAILED
+
 
 def history(
     folders: Annotated[
@@ -34,6 +36,7 @@ def history(
     """Show how a machine drifts over its sessions, and when to calibrate again."""
     from pkm_studies import history as histories
 
-    for sentence in histories.history(folders, limit, study):
+    report = histories.history(folders, limit, study)
+    for sentence in report.sentences:
         print(sentence)
-    return 0
+    return DONE if report.is_trusted else FAILED

@@ -75,6 +75,6 @@ def _changes(folders: Sequence[Path], results: Sequence[StudyResult]) -> list[st
     from pkm_studies.errors import InputError
 
     try:
-        return comparison.compare(*folders)
+        return comparison.compare(*folders).sentences
     except InputError:
         return []

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import msgspec
 
 from oed import units
-from oed.checks.goodness import ALARM, Goodness
+from oed.checks.goodness import Goodness
 from oed.estimate import Estimate
 from oed.instrument import Setup
 from oed.noise.summary import NoiseNumber, noise_numbers
-from oed.result import GoodnessSection, NoiseRecord
+from oed.result import GoodnessSection, NoiseRecord, trust
 
 
 def unchecked_section(fitted: Goodness) -> GoodnessSection:
@@ -55,8 +55,9 @@ def with_assumption(
             amounts.append(f"{channel.name} {units.number(sigma, unit):.3g} {unit}")
     freedom = max(estimate.dof, 0.0)
     verdict = "which these readings cannot test"
-    if section.p_low is not None and section.p_low < ALARM and freedom:
-        ratio = (estimate.chi2 / freedom) ** 0.5
+    ratio = trust.noise_ratio(section.chi2, section.dof)
+    is_small = section.p_low is not None and section.p_low < trust.ALARM
+    if is_small and ratio is not None:
         verdict = f"and too large: the residuals are {ratio:.2g} times it"
     sentence = (
         f"The noise of the readings ({', '.join(dict.fromkeys(amounts))}) is an"
