@@ -149,7 +149,9 @@ class NoisePrior:
         """Noise (L, groups) of single readings over the stated one."""
         scales = u[:, : 1 if self.is_common else self.groups]
         is_assumed = self.statement.is_assumed
-        log = ASSUMED_SCALE_SD * scales if is_assumed else SCALE_SD * heavy_scale(scales)
+        log = (
+            ASSUMED_SCALE_SD * scales if is_assumed else SCALE_SD * heavy_scale(scales)
+        )
         return np.repeat(np.exp(log), self.groups // scales.shape[1], axis=1)
 
     def _share(self, u: Array) -> Array:
