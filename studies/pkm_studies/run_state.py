@@ -19,6 +19,7 @@ from oed.identification import Estimate
 from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
 from pkm_studies.progress import Progress
+from pkm_studies.resolve.noise import LEAST_OF_SCALE, noise_is_a_guess
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
 from pkm_studies.stages.design.select import ChosenDesign
 from pkm_studies.stages.plan.section import PlanOutcome
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 
 #: degrees of freedom from which on readings say something of their noise
 LEAST_FREEDOM = 10
-#: degrees of freedom from which on the scale of a noise is known to a third
-LEAST_OF_SCALE = 4
 
 
 class Stream(enum.IntEnum):
@@ -140,8 +139,10 @@ class RunState:
 
     @property
     def noise_is_a_guess(self) -> bool:
-        """Whether the study states a noise that is to be estimated."""
-        return self.study.noise.estimate is True
+        """Whether the stated noise is one that the readings correct."""
+        readings = self.readings
+        count = 0 if readings is None or readings.y is None else len(readings.y)
+        return noise_is_a_guess(self.study, self.measurement, count)
 
     @property
     def doubtful_values(self) -> Mask | None:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from oed.instrument import Setup
+from oed.measurement import Measurement
 from oed.noise.statement import NoiseStatement
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve import quantities
@@ -19,6 +20,19 @@ LEAST_SIGMA, LARGEST = 1e-12, 1e3
 RUN, RESOLUTION = "_run", "_resolution"
 #: name of what each run seats anew
 SEATING = "seating"
+#: degrees of freedom from which on the scale of a noise is known to a third
+LEAST_OF_SCALE = 4
+
+
+def noise_is_a_guess(study: Study, measurement: Measurement, count: int) -> bool:
+    """Whether `count` values correct the stated noise, so that larger ones fit as well.
+
+    So it is where the study says so, and where the noise is an assumption, and enough
+    values remain beyond the parameters.
+    """
+    unknowns = int(measurement.free.sum())
+    is_tested = count - unknowns >= LEAST_OF_SCALE
+    return study.noise.estimate is True or (study.noise.assumed and is_tested)
 
 
 def with_noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, Setup]:

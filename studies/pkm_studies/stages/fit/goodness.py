@@ -13,6 +13,7 @@ from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading
 from oed.dataset import Dataset
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
+from pkm_studies.resolve.noise import noise_is_a_guess
 from pkm_studies.resolve.resolved import ResolvedStudy
 
 
@@ -28,7 +29,7 @@ def check_dataset(
         data.columns,
     )
     alternatives = checks.Alternatives(resolved.measurement_with(resolved.setups))
-    guess = resolved.study.noise.estimate is True
+    guess = noise_is_a_guess(resolved.study, session.measurement, len(session.y))
     checked = checks.check_session(session, alternatives, rng, noise_is_a_guess=guess)
     if not resolved.study.noise.assumed:
         return checked
